@@ -1,19 +1,24 @@
-"""Impacts of dampers, found in the channels alone: an impact is a jump of its body's velocity, or a pulse of force."""
+"""Detection of damper impacts in the channels alone: each is a jump of its body's velocity, or a pulse of force."""
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.damper_motion.joint_fit import Jump
-from analysis.damper_motion.jump_search import CALM, CERTAINTY, LEFT_OVER, RANGE, SIGMAS, JumpSearch
-from analysis.damper_motion.jump_signature import Signature, signature
-from analysis.damper_motion.landing_pulse import Pulse, landing_pulse
+from analysis.damper_motion.impact_model import impact_models
+from analysis.damper_motion.landing_pulse import landing_pulse
+from analysis.damper_motion.matching_pursuit import (
+    CALM_SHARE,
+    DETECTION_MARGIN_SIGMAS,
+    DETECTION_SIGMAS,
+    MODEL_ERROR,
+    NOISE_REDUCTION,
+    RESIDUAL_SHARE,
+    MatchingPursuit,
+)
 from analysis.decays.sensor_correction import corrected
 from analysis.responses.frf import MOTIONS
 from analysis.responses.measurands import named
@@ -26,76 +31,77 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-# Where less than this part of a stretch can be searched, it has no result.
-_LEAST_SEARCHED = 0.5
-# A bed's weight puts off the end of a landing that lasts: so many durations beside it, less than such a part of it is
-# its release. While it rings, less than this share of it cannot be distinguished from the residual of the fit.
-RELEASED, _OF_RELEASE, HIDES = 1.6, 0.5, 0.15
-# Such a part of a landing that lasts is not known of it and those beside it, which puts it off by such a part of its
-# width and of a sample interval.
-_MISFIT, _LATE, _BETWEEN = 0.03, 0.04, 0.05
-# Readings in the time in which nine tenths of a landing are over: samples of a higher rate are taken together.
-_WIDTH = 8
-# Below the lowest frequency of interest, Hz; up to this share of the sample rate.
-_LOW, _HIGH = 2.0, 0.4
-# Acceleration at an impact: from so much time on either side, s, less so many decay times of the sensor's
-# resonance, by a polynomial of this order.
-_AROUND, _FEWEST_AROUND, _RUNG_OUT, _BENDS = 2e-3, 8, 4.0, 3
-# Orders of the polynomial the acceleration follows around a jump: a higher one is taken where it leaves clearly less.
-_CURVATURES = (2, 4, 6, 8)
-_CLEARLY = 0.7
-# Where the largest jump is less than so many times the noise, that may be other jumps: it is then estimated from this
-# share of the windows, the quietest ones.
-_DOUBTFUL, _CALMEST = 40.0, 0.1
+# Where less than this share of a stretch can be searched, it has no result.
+_MIN_SEARCHED = 0.5
+# A bed's weight delays the release of a landing: within so many durations of it, a jump below this share of it is its
+# release. While it rings, a jump below this share of it is part of the residual.
+RELEASE_DURATIONS = 1.6
+_RELEASE_SHARE = 0.5
+_CONTACT_RESIDUAL_SHARE = 0.15
+# What the model of a landing of finite duration does not explain: a share of the largest one near it, which also
+# displaces it by shares of the landing's width and of a sample interval.
+_CONTACT_JUMP_ERROR = 0.03
+_CONTACT_TIME_ERROR = 0.04
+_CONTACT_SAMPLE_ERROR = 0.05
+# Readings in the time of nine tenths of a landing: samples of a higher rate are averaged.
+_PULSE_READINGS = 8
+# Band in which a body's motion is determined: below the lowest frequency of interest, Hz; share of the sample rate.
+_LOW_HZ = 2.0
+_HIGH_SHARE = 0.4
+# Acceleration at an impact: from so much time on either side, s, at least so many samples, after so many decay times
+# of the sensor's resonance, by a polynomial of this order.
+_SIDE_TIME = 2e-3
+_MIN_SIDE_SAMPLES = 8
+_DECAY_TIMES = 4.0
+_SIDE_ORDER = 3
+# Where the largest jump is below so many times the noise, the noise may be other jumps: it is estimated again from this
+# share of the windows.
+_UNCERTAIN_SIGMAS = 40.0
+_CALMEST_SHARE = 0.1
 
 
 @dataclass(frozen=True)
 class Impacts:
-    """Impacts found in one channel."""
+    """Impacts detected in one channel."""
 
     channel: str
     time: Array
     """s after sample 0; shape (n,)."""
     time_error: Array
-    """Standard deviation of that, s; shape (n,). Of the fit and, where a landing lasts, of what its other ending and
-    larger ones beside it leave open."""
+    """Standard deviation of `time`, s; shape (n,). Of the fit and, where contact has a duration, of what its ending and
+    larger impacts near it leave open."""
     jump: Array
-    """Velocity jump of the body, m/s: down (negative) from a blow on the floor, up from one on the ceiling;
-    shape (n,). Times the body's mass it is the impulse. Where a landing lasts, in proportion to the duration that the
-    scene gives it; time and direction hardly depend on that."""
+    """Velocity jump of the body, m/s: negative at the floor, positive at the ceiling; shape (n,). Times the body's mass
+    it is the impulse. Where contact has a duration, in proportion to the duration that the scene gives it."""
     jump_error: Array
-    """Standard deviation of that likewise, m/s, without what the sensor's sensitivity is off; shape (n,)."""
+    """Standard deviation of `jump`, m/s, without the error of the sensor's sensitivity; shape (n,)."""
     acceleration: Array
-    """Smooth acceleration of the body then, m/s²; NaN where the stretch ends too early; shape
-    (n,)."""
+    """Smooth acceleration of the body at the impact, m/s²; NaN where the stretch ends too early; shape (n,)."""
     noise: float
-    """Standard deviation of a jump's estimate where there is none, m/s: from the channel's noise, as found
-    between the impacts, through the filter that looks for jumps. Where the noise varies, its 95th
-    percentile."""
+    """Standard deviation of a jump's estimate where there is none, m/s; where it varies, its 95th percentile."""
     resolution: float
     """Shortest interval between two impacts that the channel resolves, s."""
     ringing: float
-    """How long the channel rings about an impact, s: there one smaller than `hidden` of it may be missed."""
+    """Time during which the channel rings around an impact, s: an impact below `masked_share` of it may be missed."""
     threshold: float
-    """Smallest jump that is not missed, m/s: the noise taken `SIGMAS` + 3 times, or a part of the largest one; more
-    where a landing lasts. Beside a larger one, while that rings, it is more: see `ringing`."""
-    lasts: float
-    """How long a landing lasts, s; 0 where it is instant. Beside a landing that lasts a jump may be its end."""
+    """Detection limit: the smallest jump that is not missed, m/s; higher near a larger impact (see `ringing`)."""
+    contact_duration: float
+    """Duration of a landing, s; 0: instant. After a landing of finite duration a jump may be its end."""
     searched: float
     """Length of what was searched, s: the stretch without its ends and without `left_out`."""
     left_out: Array
-    """Begin and end of stretches without detection, s; shape (m, 2): samples were lost or overloaded, or
-    impacts are so near to each other that no set of them explains what is seen."""
+    """Begin and end of stretches without detection, s; shape (m, 2): samples were lost or overloaded, or impacts are
+    too close to be resolved."""
 
     @property
-    def apart(self) -> float:
-        """Impacts nearer to each other than this may be seen as one, the largest, s."""
-        return self.resolution + RELEASED * self.lasts
+    def min_interval(self) -> float:
+        """Impacts closer than this may be detected as one, the largest, s."""
+        return self.resolution + RELEASE_DURATIONS * self.contact_duration
 
     @property
-    def hidden(self) -> float:
-        """Share of an impact beside which a smaller one may be missed."""
-        return HIDES if self.lasts else LEFT_OVER
+    def masked_share(self) -> float:
+        """Share of an impact below which another one near it may be missed."""
+        return _CONTACT_RESIDUAL_SHARE if self.contact_duration else RESIDUAL_SHARE
 
     @property
     def kind(self) -> NDArray[np.str_]:
@@ -103,17 +109,17 @@ class Impacts:
         return np.where(self.jump < 0, "floor", "ceiling")
 
 
-def impacts(rec: Recording, channel: str, start: int = 0, stop: int | None = None) -> Impacts:
-    """Find impacts in a stretch of one channel.
+def impacts(
+    rec: Recording, channel: str, start: int = 0, stop: int | None = None, samples: Array | None = None
+) -> Impacts:
+    """Detect impacts in a stretch of one channel.
 
-    How the channel reads a jump of velocity at any instant follows from its data sheet: sensor resonance,
-    integrator, averaging and decimation included. At every sample that reading, together with a step and
-    a kink of the acceleration (both come with an impact, on the body itself and on its neighbours) and a
-    smooth motion, is fitted to the samples around by least squares. Where a jump explains them best and
-    exceeds `SIGMAS` standard deviations, it is an impact. It is then taken out and the search repeated for
-    smaller ones; those that ring into each other are fitted together. Where contact lasts, jump, step and kink come
-    about as the spring-dashpot of the scene's contact passes them on until a landing ends under no other force; times
-    are those of touches.
+    The reading of a velocity jump follows from the channel's data sheet: sensor resonance, integrator, averaging and
+    decimation included. At every sample that reading, a step and a kink of the acceleration (both come with an
+    impact, on the body itself and on its neighbours) and a smooth motion are fitted by least squares. An impact is
+    detected where the jump exceeds `DETECTION_SIGMAS` standard deviations; it is subtracted and the search is repeated
+    (orthogonal matching pursuit). Overlapping impacts are fitted jointly. Where contact has a duration, the
+    spring-dashpot of the scene's contact transmits jump, step and kink; times are those of touches.
 
     Parameters
     ----------
@@ -121,139 +127,130 @@ def impacts(rec: Recording, channel: str, start: int = 0, stop: int | None = Non
         Channel on a body, of acceleration, velocity or displacement.
     start, stop : int
         First and one-past-last sample.
+    samples : ndarray, optional
+        Samples of the stretch, if the caller has read them.
 
     Raises
     ------
     RecordingError
-        If the channel measures no motion or is blind to blows, the stretch is too short, damaged or without any
-        reading, or on its body are grains, or landings that differ in how they last.
+        If the channel measures no motion or does not respond to impacts, the stretch is too short, damaged or zero, or
+        the body contains grains, or landings of different duration.
     """
-    info = _measures_motion(rec, channel)
+    info = _motion_channel(rec, channel)
     stop = rec.samples if stop is None else min(stop, rec.samples)
     pulse = landing_pulse(rec.scene, info.at, info.rate)
-    together = 1 if pulse is None else max(1, int(pulse.width * info.rate / _WIDTH))
-    if together == 1 and _blind(info):
+    decimation = 1 if pulse is None else max(1, int(pulse.width * info.rate / _PULSE_READINGS))
+    if decimation == 1 and _misses_impacts(info):
         raise RecordingError(
-            f"{info.name} takes the acceleration at instants (converter: sampling), and nothing in it spreads a blow "
-            "over time: an impact between two instants leaves little or no trace; record with sampling: average, a "
-            "filter, an integrator or the resonance of a sensor, or at a rate at which landings last many samples"
+            f"{info.name}: The converter samples the acceleration at instants, so that impacts between them leave "
+            "no trace (sampling: point). Record with sampling: average, a filter, an integrator, a sensor "
+            "resonance, or a higher rate"
         )
-    choices = [_signature(json.dumps(info.to_metadata()), order, pulse, together) for order in _CURVATURES]
-    least = 4 * max(one.reach for one in choices) * together
+    models = impact_models(info, pulse, decimation)
+    least = 4 * models[0].reach * decimation
     if stop - start < least:
         raise RecordingError(
             f"{stop - start} samples are too few to distinguish impacts from noise. Take at least {least}"
         )
-    samples = rec.read(info.name, start, stop)
-    good = _good(rec, info.name, samples, start, choices[0].ring * together)
-    if np.sum(good) < max(least, _LEAST_SEARCHED * good.size):
+    if samples is None:
+        samples = rec.read(info.name, start, stop)
+    good = _good(rec, info.name, samples, start, models[0].ring * decimation)
+    if np.sum(good) < max(least, _MIN_SEARCHED * good.size):
         raise RecordingError(
-            f"all but {np.sum(good)} of {good.size} samples of {info.name} in this stretch are lost or overloaded: "
-            "choose another stretch, or record with a lower level, a larger converter range, or contacts that last"
+            f"{info.name}: all but {np.sum(good)} of {good.size} samples in this stretch are lost or overloaded. "
+            "Choose another stretch, or record at a lower level, with a larger converter range or longer contacts"
         )
-    filled = np.interp(np.arange(samples.size), np.flatnonzero(good), samples[good])
-    scale = float(abs(samples[good]).max())
+    if not good.all():
+        samples = np.interp(np.arange(samples.size), np.flatnonzero(good), samples[good])
     # Rounding in the converter is noise too, even where a steady reading hides it.
-    floor = max(0.0 if info.volts_per_count is None else info.unit_per_count / 12.0**0.5, 1e-14 * scale)
+    rounding = 0.0 if info.volts_per_count is None else info.unit_per_count / 12.0**0.5
+    floor = max(rounding, 1e-14 * float(abs(samples).max()))
     if floor == 0.0:
-        raise RecordingError(f"{info.name} reads zero throughout this stretch: check what it is connected to")
-    rate, read, whole = rec.rate / together, _means(samples, together), _means(good, together) == 1.0
-    floor /= together**0.5
-    first = JumpSearch(choices[0], read, whole, floor, rate)
-    if not first.open.any():
+        raise RecordingError(f"{info.name} reads zero throughout this stretch. Check what it is connected to")
+    rate, floor = rec.rate / decimation, floor / decimation**0.5
+    readings, valid = _means(samples, decimation), _means(good, decimation) == 1.0
+    search = MatchingPursuit(models, readings, valid, floor, rate, CALM_SHARE)
+    if not search.open.any():
         raise RecordingError(
-            f"lost or overloaded samples leave no {least} samples of {info.name} together: choose another "
-            "stretch, or record with a lower level or a larger converter range"
+            f"{info.name}: lost or overloaded samples leave no {least} samples in a row. Choose another stretch, or "
+            "record at a lower level or with a larger converter range"
         )
-    search, detected = _searched([first.with_signature(each, CALM) for each in choices])
-    noise = _noise(search)
-    found = max((abs(one.sizes[0]) for one in detected), default=0.0 if pulse else np.inf)
-    if found < _DOUBTFUL * noise:
-        # Blows that come every few windows pass for noise in most of them, and hide one another.
-        calmer = _searched([first.with_signature(each, _CALMEST) for each in choices])
-        less = _noise(calmer[0])
-        if less < _CLEARLY * noise:
-            (search, detected), noise = calmer, less
-    place, adrift, jump, error = (
-        np.array([[one.place, one.adrift, one.sizes[0], one.error] for one in detected]).reshape(-1, 4).T
+    jumps = search.run()
+    noise = search.jump_noise
+    largest = max((abs(jump.sizes[0]) for jump in jumps), default=0.0 if pulse else np.inf)
+    if largest < _UNCERTAIN_SIGMAS * noise:
+        # Impacts in every few windows look like noise in most of them, and mask each other.
+        calmer = MatchingPursuit(models, readings, valid, floor, rate, _CALMEST_SHARE)
+        calmer_jumps = calmer.run()
+        if calmer.jump_noise < NOISE_REDUCTION * noise:
+            search, jumps, noise = calmer, calmer_jumps, calmer.jump_noise
+    place, place_error, jump, error = (
+        np.array([[each.place, each.place_error, each.sizes[0], each.error] for each in jumps])
+        .reshape(-1, 4)
+        .T
     )
     largest = float(abs(jump).max(initial=0.0))
-    threshold = search.least_sure(noise, largest)
-    clear = abs(jump) > max(SIGMAS * noise, RANGE * largest)
+    threshold = search.detection_limit(noise, largest)
+    clear = abs(jump) > max(DETECTION_SIGMAS * noise, MODEL_ERROR * largest)
     if pulse is not None:
-        # One that is hardly seen may pass for one on the other wall.
-        clear, threshold = abs(jump) > threshold, threshold + CERTAINTY * noise
-    unread = (start + np.array(runs_of(~good), dtype=float).reshape(-1, 2)) / rec.rate
-    entangled = search.entangled()
-    unresolved = ((place[:, None] >= entangled[:, 0]) & (place[:, None] < entangled[:, 1])).any(axis=1)
-    clear &= ~unresolved
-    resolution, lasts = search.resolution() / rate, 0.0 if pulse is None else pulse.duration
-    ringing = (search.signature.reach + search.signature.ring) / rate
+        # A jump near the limit may have the wrong sign.
+        clear, threshold = abs(jump) > threshold, threshold + DETECTION_MARGIN_SIGMAS * noise
+    lost = (start + np.array(runs_of(~good), dtype=float).reshape(-1, 2)) / rec.rate
+    unresolved = search.unresolved()
+    clear &= ~((place[:, None] >= unresolved[:, 0]) & (place[:, None] < unresolved[:, 1])).any(axis=1)
+    resolution, duration = search.resolution() / rate, 0.0 if pulse is None else pulse.duration
+    ringing = (search.model.reach + search.model.ring) / rate
     if pulse is not None:
-        clear &= ~_left_over(place / rate, jump, resolution + RELEASED * lasts, ringing)
-        others = _largest_beside(place / rate, jump, ringing)
-        error = np.hypot(error, _MISFIT * others)
-        adrift = np.hypot(adrift, (_LATE * pulse.width * rate + _BETWEEN) * others / abs(jump))
-    place, adrift, jump, error = (each[clear] for each in (place, adrift, jump, error))
-    # The mean of readings stands at the last of them.
-    place, entangled = ((each + 1.0) * together - 1.0 for each in (place, entangled))
+        time = place / rate
+        clear &= ~_secondary(time, jump, resolution + RELEASE_DURATIONS * duration, ringing)
+        near = np.where(abs(time[:, None] - time) < ringing, abs(jump), 0.0).max(axis=1, initial=0.0)
+        error = np.hypot(error, _CONTACT_JUMP_ERROR * near)
+        width = _CONTACT_TIME_ERROR * pulse.width * rate + _CONTACT_SAMPLE_ERROR
+        place_error = np.hypot(place_error, width * near / abs(jump))
+    place, place_error, jump, error = (each[clear] for each in (place, place_error, jump, error))
+    # The time of a mean is that of its last reading.
+    place, unresolved = ((each + 1.0) * decimation - 1.0 for each in (place, unresolved))
     return Impacts(
-        info.name,
-        (start + place) / rec.rate - info.delay,
-        adrift / rate,
-        jump,
-        error,
-        _acceleration(_without_high_pass(filled, info), place, info, lasts),
-        noise,
-        resolution,
-        ringing,
-        threshold,
-        lasts,
-        float(search.searchable.sum()) / rate - float(np.sum(entangled[:, 1] - entangled[:, 0])) / rec.rate,
-        np.concatenate([unread, (start + entangled) / rec.rate - info.delay]),
+        channel=info.name,
+        time=(start + place) / rec.rate - info.delay,
+        time_error=place_error / rate,
+        jump=jump,
+        jump_error=error,
+        acceleration=_acceleration(_without_high_pass(samples, info), place, info, duration)
+        if place.size
+        else place,
+        noise=noise,
+        resolution=resolution,
+        ringing=ringing,
+        threshold=threshold,
+        contact_duration=duration,
+        searched=float(search.searchable.sum()) / rate
+        - float(np.sum(unresolved[:, 1] - unresolved[:, 0])) / rec.rate,
+        left_out=np.concatenate([lost, (start + unresolved) / rec.rate - info.delay]),
     )
 
 
-def _left_over(time: Array, jump: Array, ended: float, ringing: float) -> NDArray[np.bool_]:
-    """Which jumps may be what the bed's weight makes of a larger landing: it lasts longer, and ends otherwise."""
-    apart, size = abs(time[:, None] - time), abs(jump)
-    ends = (apart < ended) & (size[:, None] < _OF_RELEASE * size)
-    return np.asarray((ends | (apart < ringing) & (size[:, None] < HIDES * size)).any(axis=1))
+def _secondary(time: Array, jump: Array, released: float, ringing: float) -> NDArray[np.bool_]:
+    """Which jumps may be the release of a larger landing, which the bed's weight delays, or its residual."""
+    distance, size = abs(time[:, None] - time), abs(jump)
+    ends = (distance < released) & (size[:, None] < _RELEASE_SHARE * size)
+    masked = (distance < ringing) & (size[:, None] < _CONTACT_RESIDUAL_SHARE * size)
+    return np.asarray((ends | masked).any(axis=1))
 
 
-def _largest_beside(time: Array, jump: Array, ringing: float) -> Array:
-    """Size of the largest jump so near to each, m/s; its own, if there is none."""
-    near = abs(time[:, None] - time) < ringing
-    return np.asarray(np.where(near, abs(jump), 0.0).max(axis=1, initial=0.0))
-
-
-def _means(row: Array | NDArray[np.bool_], together: int) -> Array:
-    """Means of so many samples each; what is over at the end is left out."""
-    return np.asarray(row[: row.size - row.size % together].reshape(-1, together).mean(axis=1))
-
-
-def _searched(searches: list[JumpSearch]) -> tuple[JumpSearch, list[Jump]]:
-    """Search with the polynomial that the motion follows: which, and the jumps."""
-    quiet = [search.signature.gain * float(np.median(search.noise(search.calm))) for search in searches]
-    taken = 0
-    for k, left in enumerate(quiet):
-        if left < _CLEARLY * quiet[taken]:
-            taken = k
-    return searches[taken], searches[taken].run()
-
-
-def _noise(search: JumpSearch) -> float:
-    """Give the standard deviation of a jump's estimate where there is none, m/s: 95th percentile along a stretch."""
-    return float(np.percentile(search.noise(), 95.0)) * search.signature.gain
+def _means(row: Array | NDArray[np.bool_], count: int) -> Array:
+    """Means of so many samples each; the rest at the end is dropped."""
+    if count == 1:
+        return np.asarray(row, dtype=np.float64)
+    return np.asarray(row[: row.size - row.size % count].reshape(-1, count).mean(axis=1))
 
 
 def band(rate: float) -> tuple[float, float]:
     """Frequencies between which the motion of a damper's body is determined at a sample rate, Hz."""
-    return _LOW, _HIGH * rate
+    return _LOW_HZ, _HIGH_SHARE * rate
 
 
-def _measures_motion(rec: Recording, channel: str) -> ChannelInfo:
-    """Give a channel of motion; raises `RecordingError` where it is another."""
+def _motion_channel(rec: Recording, channel: str) -> ChannelInfo:
     info = named(rec, channel)
     if info.quantity not in MOTIONS:
         raise RecordingError(
@@ -267,19 +264,19 @@ def _good(rec: Recording, name: str, samples: Array, start: int, ring: int) -> N
     good = np.isfinite(samples)
     for marker in rec.overloads:
         if marker.fields.get("channel") == name:
-            # What follows is ringing whose beginning is not known.
+            # The ringing that follows began at an unknown time.
             good[max(marker.first_sample - start, 0) : max(marker.end + 1 + ring - start, 0)] = False
     return good
 
 
-def _blind(info: ChannelInfo) -> bool:
-    """Whether a pulse of acceleration between two samples goes unseen."""
+def _misses_impacts(info: ChannelInfo) -> bool:
+    """Whether a pulse of acceleration between two samples leaves no trace."""
     spread = info.average or info.filter or len(info.poles) > len(info.zeros)
     return info.quantity == "acceleration" and not spread
 
 
 def _without_high_pass(samples: Array, info: ChannelInfo) -> Array:
-    """Undo the high passes that integrators need: they turn slow motion. What is fast stays as read, and short."""
+    """Undo the high passes that integrators need: they distort slow motion. Fast motion stays as read."""
     zeros, poles = (
         tuple(root for root in roots if abs(root) < info.rate) for roots in (info.zeros, info.poles)
     )
@@ -287,36 +284,27 @@ def _without_high_pass(samples: Array, info: ChannelInfo) -> Array:
     return corrected(slow, samples, info.quantity, band(info.rate)[0], info.rate)
 
 
-def _acceleration(samples: Array, places: Array, info: ChannelInfo, lasts: float) -> Array:
-    """Acceleration at jumps at places in samples: a polynomial through what is around, across the jump.
-
-    That is left out for as long as it lasts, s.
-    """
-    order = 2 - MOTIONS.index(info.quantity)
-    # What the sensor rings on for is left out; and the average over an interval belongs to its middle.
+def _acceleration(samples: Array, places: Array, info: ChannelInfo, duration: float) -> Array:
+    """Acceleration at jumps: a polynomial through the samples on both sides, without those during contact, s."""
+    integrations = 2 - MOTIONS.index(info.quantity)
+    # Samples during which the sensor rings are left out; the average over an interval belongs to its middle.
     slowest = min((-pole.real for pole in info.poles if abs(pole) > info.rate), default=np.inf)
-    gap = 2 + int(np.ceil(_RUNG_OUT * info.rate / slowest + lasts * info.rate))
-    side = max(_FEWEST_AROUND, round(_AROUND * info.rate))
+    gap = 2 + int(np.ceil(_DECAY_TIMES * info.rate / slowest + duration * info.rate))
+    side = max(_MIN_SIDE_SAMPLES, round(_SIDE_TIME * info.rate))
     out = np.full(places.size, np.nan)
-    for index, place in enumerate(places):
-        whole = int(np.floor(place))
-        if whole < side or whole + gap + side > samples.size:
-            continue
-        around = np.concatenate([np.arange(whole - side, whole), np.arange(whole + gap, whole + gap + side)])
-        time = (around - place - 0.5 * info.average) / (side + gap)
-        columns = [time**power for power in range(order + _BENDS + 1)]
-        if order:
-            columns.append(np.maximum(time, 0.0) ** (order - 1) * (time > 0))
-        fit = np.linalg.lstsq(np.stack(columns, axis=1), samples[around], rcond=None)[0]
-        out[index] = fit[order] * (1.0, 1.0, 2.0)[order] * (info.rate / (side + gap)) ** order
+    whole = np.floor(places).astype(np.intp)
+    inside = np.flatnonzero((whole >= side) & (whole + gap + side <= samples.size))
+    around = np.concatenate([np.arange(-side, 0), np.arange(gap, gap + side)])
+    for index in inside:
+        at = whole[index] + around
+        time = (at - places[index] - 0.5 * info.average) / (side + gap)
+        columns = [time**power for power in range(integrations + _SIDE_ORDER + 1)]
+        if integrations:
+            columns.append(np.maximum(time, 0.0) ** (integrations - 1) * (time > 0))
+        fit = np.linalg.lstsq(np.stack(columns, axis=1), samples[at], rcond=None)[0]
+        scale = (info.rate / (side + gap)) ** integrations
+        out[index] = fit[integrations] * (1.0, 1.0, 2.0)[integrations] * scale
     return out
-
-
-@lru_cache(maxsize=16)
-def _signature(metadata: str, curvature: int, pulse: Pulse | None, together: int) -> Signature:
-    from daq.signal_chain.channel import ChannelInfo
-
-    return signature(ChannelInfo.from_metadata(json.loads(metadata)), curvature, pulse, together)
 
 
 def score(found: Array, true: Array, tolerance: float) -> tuple[float, NDArray[np.bool_], NDArray[np.bool_]]:

@@ -115,7 +115,7 @@ def landing_pulse(scene: Scene, place: str, rate: float) -> Pulse | None:
     return longest
 
 
-def carried(scene: Scene, number: int, frequency: Array) -> NDArray[np.complex128]:
+def transmissibility(scene: Scene, number: int, frequency: Array) -> NDArray[np.complex128]:
     """Return the share of a damper's motion in its body's while it rests on its floor; dampers count from 1.
 
     It leaves the floor where its own acceleration falls below -g: on one that gives way, the body's may not.

@@ -1,4 +1,4 @@
-"""Undo what sensor, amplifier and converter did to a stretch of samples."""
+"""Correct a stretch of samples for sensor, amplifier and converter."""
 
 from __future__ import annotations
 
@@ -16,57 +16,77 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 
-def corrected(info: ChannelInfo, samples: Array, motion: str, low: float, high: float) -> Array:
-    """Give the true motion behind a stretch of samples, inside a band.
+class CorrectedMotion:
+    """True motion behind a stretch of samples inside a band, as displacement, velocity or acceleration.
 
     Parameters
     ----------
     samples : ndarray, shape (n,)
         As read, in the channel's unit, at even intervals.
-    motion : str
-        ``"displacement"``, ``"velocity"`` or ``"acceleration"`` (ignored for a force channel).
     low, high : float
         Hz. Inside, the result is exact; it fades out over half an octave beyond either end.
 
-    Returns
-    -------
-    ndarray, shape (n,)
-        In m, m/s, m/s² or N.
-
     Notes
     -----
-    The samples are mirrored at both ends before the transform, so that there is no jump between the last
-    sample and the first. Where they are to be differentiated, the mirror image is turned upside down as well:
-    then there is no kink either, but the mean differs from side to side, which differentiation does not see.
+    The samples are mirrored at both ends before the transform, so that there is no jump between the last sample and the
+    first. Where they are differentiated, the mirror image is turned upside down as well: then there is no kink either,
+    but the mean differs from side to side, which differentiation does not see.
     """
-    count = samples.size
-    order = MOTIONS.index(motion) - MOTIONS.index(info.quantity) if info.quantity in MOTIONS else 0
-    head, tail = samples[:0:-1], samples[-2::-1]
-    if order > 0:
-        head, tail = 2.0 * samples[0] - head, 2.0 * samples[-1] - tail
-    longer = np.concatenate([head, samples, tail])
-    fade = np.hanning(2 * (count // 2) + 1)[: count // 2]
-    longer[: fade.size] *= fade
-    longer[-fade.size :] *= fade[::-1]
-    size = fft.next_fast_len(longer.size, real=True)
-    frequency = fft.rfftfreq(size, 1.0 / info.rate)
-    window = _band(frequency, low, high)
-    inside = window > 0
-    factor = np.zeros(frequency.size, dtype=complex)
-    factor[inside] = (
-        window[inside] * (2j * np.pi * frequency[inside]) ** order / info.response(frequency[inside])
-    )
-    return fft.irfft(fft.rfft(longer, size) * factor, size)[count - 1 : 2 * count - 1]
+
+    def __init__(self, info: ChannelInfo, samples: Array, low: float, high: float) -> None:
+        self.info, self.samples = info, samples
+        fade = samples.size // 2
+        self._fade = np.hanning(2 * fade + 1)[:fade]
+        size = fft.next_fast_len(3 * samples.size - 2, real=True)
+        frequency = fft.rfftfreq(size, 1.0 / info.rate)
+        window = _band(frequency, low, high)
+        inside = np.flatnonzero(window)
+        # The window is one interval of frequencies.
+        self._inside = slice(int(inside[0]), int(inside[-1]) + 1) if inside.size else slice(0, 0)
+        self._size, self._angular = size, 2j * np.pi * frequency[self._inside]
+        self._factor = window[self._inside] / info.response(frequency[self._inside])
+        self._spectra: dict[bool, NDArray[np.complex128]] = {}
+
+    def __call__(self, motion: str) -> Array:
+        """Return ``"displacement"``, ``"velocity"`` or ``"acceleration"`` (of a force channel: the force); shape (n,).
+
+        In m, m/s, m/s² or N.
+        """
+        quantity, count = self.info.quantity, self.samples.size
+        order = MOTIONS.index(motion) - MOTIONS.index(quantity) if quantity in MOTIONS else 0
+        factor = self._factor if order == 0 else self._factor * self._angular**order
+        spectrum = np.zeros(self._size // 2 + 1, dtype=complex)
+        spectrum[self._inside] = self._spectrum(order > 0) * factor
+        return fft.irfft(spectrum, self._size)[count - 1 : 2 * count - 1]
+
+    def _spectrum(self, upside_down: bool) -> NDArray[np.complex128]:
+        if upside_down not in self._spectra:
+            samples, fade = self.samples, self._fade
+            head, tail = samples[:0:-1], samples[-2::-1]
+            if upside_down:
+                head, tail = 2.0 * samples[0] - head, 2.0 * samples[-1] - tail
+            longer = np.concatenate([head, samples, tail])
+            longer[: fade.size] *= fade
+            longer[longer.size - fade.size :] *= fade[::-1]
+            self._spectra[upside_down] = fft.rfft(longer, self._size)[self._inside]
+        return self._spectra[upside_down]
+
+
+def corrected(info: ChannelInfo, samples: Array, motion: str, low: float, high: float) -> Array:
+    """Return the true motion behind a stretch of samples, inside a band (see `CorrectedMotion`)."""
+    return CorrectedMotion(info, samples, low, high)(motion)
 
 
 def _band(frequency: Array, low: float, high: float) -> Array:
     """One between `low` and `high`, falling like a cosine over half an octave outside; never at zero."""
     out = np.ones(frequency.size)
     if low > 0:
-        below = np.clip(np.log2(np.maximum(frequency, 1e-300) / low) * 2.0 + 1.0, 0.0, 1.0)
-        out *= 0.5 - 0.5 * np.cos(np.pi * below)
-    above = np.clip(np.log2(np.maximum(frequency, 1e-300) / high) * 2.0, 0.0, 1.0)
-    out *= 0.5 + 0.5 * np.cos(np.pi * above)
-    if low > 0:
+        # Only up to `low` is there anything to compute.
+        below = slice(1, int(np.searchsorted(frequency, low)))
+        octaves = np.clip(np.log2(frequency[below] / low) * 2.0 + 1.0, 0.0, 1.0)
+        out[below] = 0.5 - 0.5 * np.cos(np.pi * octaves)
         out[0] = 0.0
+    above = slice(int(np.searchsorted(frequency, high)), None)
+    octaves = np.clip(np.log2(np.maximum(frequency[above], 1e-300) / high) * 2.0, 0.0, 1.0)
+    out[above] *= 0.5 + 0.5 * np.cos(np.pi * octaves)
     return out

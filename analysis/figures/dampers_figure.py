@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from analysis.damper_motion.nonlinearity import DamperMotion
-from analysis.damper_motion.performance import CycleEnergy
+from analysis.damper_motion.energy_balance import CycleEnergy
+from analysis.damper_motion.motion_types import DamperMotion
 from analysis.responses.spectral_lines import Lines
 from rig.escaping import drawn
 from rig.figure_style import COLOURS, decades, drawing, frequency_axis, heading, legend_below

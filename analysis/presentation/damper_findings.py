@@ -8,13 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.damper_motion.nonlinearity import (
-    DamperMotion,
-    damper_motion,
-    describe_motion,
-    describe_restitution,
-)
-from analysis.damper_motion.performance import CycleEnergy, energy_per_cycle, impact_energy_per_cycle
+from analysis.damper_motion.energy_balance import CycleEnergy, energy_per_cycle, impact_energy_per_cycle
+from analysis.damper_motion.motion_types import DamperMotion, damper_motion
 from analysis.presentation.expectations import expect
 from analysis.presentation.output_names import check_outputs, output_stem, with_ending
 from analysis.presentation.result import Progress, Result
@@ -23,7 +18,7 @@ from analysis.recordings.names import opened, relabelled, scene_labels
 from analysis.responses.measurands import located
 from analysis.responses.stepped_sine import Sweep, sweeps
 from rig.errors import RecordingError
-from rig.results import plainly, rounded
+from rig.results import frequency_ranges, plainly, rounded
 
 if TYPE_CHECKING:
     from analysis.responses.spectral_lines import Lines
@@ -31,6 +26,13 @@ if TYPE_CHECKING:
 
 # Frequencies listed on the terminal; the CSV file holds all.
 _LISTED = 5
+# Kinds of motion as they are printed.
+_AT_REST, _NEAR_GRAVITY = "at rest on the floor", "near 1 g"
+_IRREGULAR = "irregular motion, or missed impacts,"
+_NAMED_KINDS = ("type I", "type II", "type III", _AT_REST, _NEAR_GRAVITY, _IRREGULAR)
+_OTHER_KINDS = "other periodic motions"
+# With more kinds than this, counts of impacts that are no type share one entry.
+_MAX_KINDS = 6
 
 
 def present_dampers(
@@ -118,6 +120,75 @@ def motions_of_bodies(
             yield damper_motion(rec, sweep, info.name, progress), ""
         except RecordingError as error:
             yield [], str(error)
+
+
+def describe_restitution(motions: list[DamperMotion]) -> list[str]:
+    """One line about the restitution that a body's impacts determine, if any do: weighted by its errors."""
+    estimates = [one.restitution for one in motions if one.restitution is not None]
+    if not estimates:
+        return []
+    value, weight = (
+        np.array([one.value for one in estimates]),
+        np.array([one.error**-2.0 for one in estimates]),
+    )
+    mean = float(np.sum(weight * value) / weight.sum())
+    # What a sensor or the fit of jumps puts off, it does so at all frequencies; and no better than their scatter says.
+    scatter = float(np.sqrt(np.sum(weight * (value - mean) ** 2) / weight.sum() / max(len(estimates) - 1, 1)))
+    error = max(float(weight.mean() ** -0.5), scatter)
+    return [
+        f"{motions[0].channel}: restitution {mean:z.2f} ± {2.0 * error:.1g}, determined at {len(estimates)} frequencies"
+    ]
+
+
+def describe_motion(motions: list[DamperMotion], left_out: Sequence[float] = ()) -> list[str]:
+    """Describe the motion of a body's dampers in one line: each kind with its frequencies, and the detection limit.
+
+    Parameters
+    ----------
+    motions : list of DamperMotion
+        Of one channel.
+    left_out : sequence of float
+        Hz: frequencies without a result, at which a range ends.
+
+    Examples
+    --------
+    >>> hit = DamperMotion(30.0, "body2", 1.0, 0.0, False, 1.6e-3, False)
+    >>> at_rest = DamperMotion(31.0, "body2", 0.0, 0.0, False, 1.6e-3, True)
+    >>> describe_motion([hit, at_rest])
+    ['body2: type I at 30 Hz; no impact detected elsewhere (limit 1.6 mm/s)']
+    """
+    every = [(one.frequency, _kind(one)) for one in motions] + [(f, "") for f in left_out]
+    frequency = [f for f, _ in every]
+    kinds = dict.fromkeys(kind for _, kind in every if kind)
+    if len(kinds) > _MAX_KINDS:
+        every = [(f, kind if kind in _NAMED_KINDS or not kind else _OTHER_KINDS) for f, kind in every]
+        kinds = dict.fromkeys(kind for _, kind in every if kind)
+    parts = [
+        f"{kind} at {frequency_ranges(frequency, [kind == other for _, other in every])}"
+        for kind in kinds
+        if kind not in (_AT_REST, _NEAR_GRAVITY)
+    ]
+    limit = f"limit {1e3 * max(one.threshold for one in motions):.2g} mm/s"
+    if _AT_REST in kinds or _NEAR_GRAVITY in kinds:
+        parts.append(f"no impact detected{' elsewhere' if parts else ''} ({limit})")
+    else:
+        parts[-1] += f" ({limit})"
+    if _NEAR_GRAVITY in kinds:
+        near = [kind == _NEAR_GRAVITY for _, kind in every]
+        parts.append(f"near 1 g, where the damper may fly, at {frequency_ranges(frequency, near)}")
+    return [f"{motions[0].channel}: {'; '.join(parts)}"]
+
+
+def _kind(one: DamperMotion) -> str:
+    """Name the kind of motion for people."""
+    kind, _, counts = one.name.partition(": ")
+    if kind == "riding":
+        return _AT_REST
+    if kind == "unseen":
+        return _NEAR_GRAVITY
+    if kind == "unsure":
+        return _IRREGULAR
+    return counts if kind == "other" else f"type {kind}"
 
 
 def describe_energy(energy: CycleEnergy, true: np.ndarray | None = None) -> list[str]:

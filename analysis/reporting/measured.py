@@ -12,8 +12,8 @@ from typing import ParamSpec, Self, TypeVar
 import numpy as np
 
 from analysis.damper_motion.comparison import Peak, PeakChange, peak, peak_changes, surroundings
-from analysis.damper_motion.nonlinearity import DamperMotion
-from analysis.damper_motion.performance import CycleEnergy, energy_per_cycle
+from analysis.damper_motion.energy_balance import CycleEnergy, energy_per_cycle
+from analysis.damper_motion.motion_types import DamperMotion
 from analysis.decays.free_decay import Decay, decay
 from analysis.modal.identification import identify
 from analysis.modal.modes import Modes

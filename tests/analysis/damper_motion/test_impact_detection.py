@@ -6,8 +6,8 @@ import pytest
 import daq
 import rig
 from analysis.damper_motion.impact_detection import impacts, score
-from analysis.damper_motion.jump_search import SIGMAS
 from analysis.damper_motion.landing_pulse import landing_pulse
+from analysis.damper_motion.matching_pursuit import DETECTION_SIGMAS
 from analysis.responses.systematic import tolerance
 from daq.recording.markers import Marker
 from daq.signal_chain.channel import ChannelInfo
@@ -182,7 +182,7 @@ def test_given_noise_alone_when_searched_then_nothing_is_found_and_the_threshold
         with daq.open(path) as rec:
             found = impacts(rec, "body1")
         assert found.time.size == 0
-        assert found.threshold == pytest.approx((SIGMAS + 3.0) * found.noise)
+        assert found.threshold == pytest.approx((DETECTION_SIGMAS + 3.0) * found.noise)
         thresholds.append(found.threshold)
     assert 5.0 < thresholds[1] / thresholds[0] < 12.0
 
@@ -268,7 +268,7 @@ def test_given_contact_that_lasts_when_detected_then_each_touch_has_its_wall_tim
         gap = rec.truth("gap")[0, (touches["time"] * rec.rate).astype(int)]
         within = tolerance(rec.channels["body2"])
         given_back = landing_pulse(rec.scene, "body 2", rec.rate).restitution
-    assert found.lasts == pytest.approx(duration)
+    assert found.contact_duration == pytest.approx(duration)
     jump = np.where(gap < 0.49e-3, -1.0, 1.0) * touches["speed"] * 0.06 / 1.06 * (1.0 + given_back)
     _, right, seen = score(found.time, touches["time"], 0.25 * duration)
     inner = (touches["time"] > found.time[0] - 1e-3) & (touches["time"] < found.time[-1] + 1e-3)

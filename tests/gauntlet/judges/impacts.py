@@ -43,7 +43,7 @@ def judge(case: Case, kind: str) -> list[Verdict]:
         asked &= ~_inside(time, found.left_out)
         _, right, seen = score(found.time, time, _near(found, rec.rate))
         false = int(np.sum(~right & (found.time > low) & (found.time < high)))
-        if found.lasts and right.any():
+        if found.contact_duration and right.any():
             right[right] = _agrees(found, right, time, jump, case.recording.channels[found.channel])
             seen = score(found.time[right], time, _near(found, rec.rate))[2]
             false = int(np.sum(~right & (found.time > low) & (found.time < high)))
@@ -56,7 +56,7 @@ def judge(case: Case, kind: str) -> list[Verdict]:
 
 def _near(found: Impacts, rate: float) -> float:
     """Return the largest distance of a detected from its true impact, s."""
-    return max(APART / rate, 0.5 * found.lasts)
+    return max(APART / rate, 0.5 * found.contact_duration)
 
 
 def _agrees(
@@ -102,7 +102,7 @@ def detectable(time: NDArray[np.float64], jump: NDArray[np.float64], found: Impa
     out = abs(jump) > found.threshold
     time, size = time[out], abs(jump[out])
     apart = abs(time - time[:, None])
-    larger = (apart < found.apart) & (size > size[:, None])
-    outshone = (apart < found.ringing) & (found.hidden * size > size[:, None])
+    larger = (apart < found.min_interval) & (size > size[:, None])
+    outshone = (apart < found.ringing) & (found.masked_share * size > size[:, None])
     out[out] = ~(larger | outshone).any(axis=1)
     return out

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.damper_motion.impact_detection import impacts, score
-from analysis.damper_motion.nonlinearity import damper_motion
+from analysis.damper_motion.motion_types import damper_motion
 from analysis.responses.stepped_sine import sweeps
 from rig.numerics.runs import runs_of
 from rig.response.motion_type import STAY
@@ -60,7 +60,8 @@ def _true_type(case: Case, number: int, frequency: float, first: int, stop: int)
     # A detection next to a larger impact is that impact, slightly late.
     matched = score(found.time, time, APART / rec.rate)[2]
     matched[matched] = [
-        abs(jump[k]) >= abs(jump[abs(time - time[k]) < found.apart]).max() for k in np.flatnonzero(matched)
+        abs(jump[k]) >= abs(jump[abs(time - time[k]) < found.min_interval]).max()
+        for k in np.flatnonzero(matched)
     ]
     inside &= detectable(time, jump, found) | matched
     floor, ceiling = time[inside & (jump < 0.0)], time[inside & (jump > 0.0)]

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from analysis.damper_motion.impact_detection import impacts
-from analysis.damper_motion.restitution import restitution
+from analysis.damper_motion.free_flight import BodyMotion, restitution
 from tests.gauntlet.cavities import TONE
 from tests.gauntlet.verdict import Case, Verdict
 
@@ -18,8 +17,8 @@ def judge(case: Case, kind: str) -> list[Verdict]:
     rec, verdicts = case.recording, []
     [window] = [marker for marker in rec.markers if marker.kind == "measure"]
     for damper in case.scene.dampers:
-        found = impacts(rec, f"a{damper.body}", window.first_sample, window.stop)
-        estimate = restitution(rec, found, damper, window.first_sample, window.stop)
+        motion = BodyMotion(rec, f"a{damper.body}", window.first_sample, window.stop)
+        estimate = restitution(motion, damper)
         if estimate is None:
             verdicts.append(Verdict("restitution", kind, "refused", note="not determined"))
             continue

@@ -4,8 +4,7 @@ import pytest
 
 import daq
 import rig
-from analysis.damper_motion.impact_detection import impacts
-from analysis.damper_motion.restitution import restitution
+from analysis.damper_motion.free_flight import BodyMotion, restitution
 
 
 @pytest.mark.parametrize(("true", "clearance"), [(0.0, 1e-3), (0.0, float("inf")), (0.3, 1e-3), (0.6, 1e-3)])
@@ -26,6 +25,6 @@ def test_given_a_damper_that_rests_or_rebounds_when_it_strikes_then_its_restitut
     with daq.open(daq.record(scene, tmp_path / "a.mcap")) as rec:
         [window] = [marker for marker in rec.markers if marker.kind == "measure"]
         first, stop = window.first_sample, window.stop
-        found = restitution(rec, impacts(rec, "body2", first, stop), scene.dampers[0], first, stop)
+        found = restitution(BodyMotion(rec, "body2", first, stop), scene.dampers[0])
     assert found is not None and found.error < 0.05
     assert abs(found.value - true) < 2.0 * found.error

@@ -12,10 +12,10 @@ import analysis
 import daq
 import rig
 from analysis.cli import app
-from analysis.damper_motion import performance
-from analysis.damper_motion.nonlinearity import DamperMotion, damper_motion, describe_motion
-from analysis.damper_motion.performance import energy_per_cycle, impact_energy_per_cycle
-from analysis.presentation.damper_findings import present_dampers
+from analysis.damper_motion import energy_balance
+from analysis.damper_motion.energy_balance import energy_per_cycle, impact_energy_per_cycle
+from analysis.damper_motion.motion_types import DamperMotion, damper_motion
+from analysis.presentation.damper_findings import describe_motion, present_dampers
 from analysis.responses.branch_jumps import jumps
 from analysis.responses.stepped_sine import sweeps
 from daq.signal_chain.channel import ChannelInfo
@@ -35,7 +35,7 @@ def test_given_sensors_within_their_tolerance_when_balanced_then_the_bound_holds
     tmp_path, monkeypatch
 ):
     # What points fold back comes on top.
-    monkeypatch.setattr(performance, "folded_shares", lambda *_: (0.0, 0.0))
+    monkeypatch.setattr(energy_balance, "folded_shares", lambda *_: (0.0, 0.0))
     infos = synthetic.channels(sensor={"accelerometer.sensitivity_tolerance": "1 %"})
     path = synthetic.stepped_sine(tmp_path / "a.mcap", [12.0, 13.04, 20.0, 34.8, 49.7], infos=infos)
     with daq.open(path) as rec:

@@ -1,0 +1,383 @@
+"""Readings of a velocity jump behind a channel's response, and the matched filters that detect it.
+
+Matched filters for a known signal in white noise: S. M. Kay, *Fundamentals of Statistical Signal Processing II:
+Detection Theory*, 1998, ch. 4. A step and a kink of the acceleration and a polynomial are nuisance signals; the filters
+are orthogonal to them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.responses.frf import MOTIONS
+
+if TYPE_CHECKING:
+    from analysis.damper_motion.landing_pulse import Pulse
+    from daq.signal_chain.channel import ChannelInfo, Quantity
+
+Array = NDArray[np.float64]
+
+# The instant of a jump lies within so many samples of the middle of its window.
+SHIFT = 4
+# Orders of the polynomial that the acceleration may follow around a jump.
+ORDERS = (2, 4, 6, 8)
+# Samples on either side of a jump that determine the smooth motion; of integrated channels this time as well, s.
+_SIDE_SAMPLES = 6
+_SIDE_TIME = 1e-3
+# Instants within a sample: a resonance turns by less than this between two, rad; at least so many.
+_PHASE_STEP = 0.5
+_MIN_INSTANTS = 8
+# Of a resonance the search uses only each eighth instant, of a filter each fourth.
+_RESONANCE_STRIDE = 8
+_FILTER_STRIDE = 4
+# Poles faster than this, rad per sample, shape the reading of a jump; slower ones only bend what follows.
+_FAST_POLE = 0.3
+# Decay times of a resonance until a jump's reading has decayed to 1e-6, and those within the window.
+_DECAY_TIMES = 14.0
+_WINDOW_DECAY_TIMES = 3.0
+# Length of a decimation filter's response on either side, and its part within the window, samples.
+_FILTER_SPAN = 40
+_FILTER_WINDOW = 12
+# Singular values of the filters below this share of the largest are rounding.
+_RANK_TOLERANCE = 1e-12
+
+
+class Placed(NamedTuple):
+    """Differences of unit jump, step and kink at an instant."""
+
+    begin: int
+    """Place of the first difference."""
+    units: Array
+    """Shape (3, length)."""
+    slopes: Array
+    """Their derivatives with respect to the instant, per sample; shape (3, length)."""
+
+
+@dataclass(frozen=True)
+class ImpactModel:
+    """Readings of unit velocity jump, acceleration step and kink, and the filters that estimate them.
+
+    All arrays are differences of the readings, two orders more than the channel integrates, so that the response to a
+    jump is short. The fit itself is least squares in the readings, whose noise is white.
+    """
+
+    difference: int
+    """Order of the differences."""
+    instants: int
+    """Resolved instants within a sample."""
+    stride: int
+    """The search uses each `stride`-th instant."""
+    filters: Array
+    """Filters that give kink, step without the kink's part, and jump without both, each with unit noise gain. Row g is
+    for a jump (g + 1/2) / instants - SHIFT samples after the window's sample 0. Shape (2 SHIFT instants, 3, window)."""
+    triangles: Array
+    """Upper triangular: kink, step and jump to the outputs of the filters; shape (2 SHIFT instants, 3, 3)."""
+    window_start: int
+    """Place of the window's first difference relative to its sample 0."""
+    shapes: Array
+    """Differences of unit jump, step and kink; shape (2 SHIFT instants, 3, length)."""
+    shape_start: int
+    """Place of the first of them relative to sample 0."""
+    order: int
+    """Order of the polynomial that the smooth motion follows in the readings of a window."""
+    contact_samples: int
+    """Duration of a landing, samples; 0: instant."""
+
+    @cached_property
+    def scan_space(self) -> tuple[Array, Array]:
+        """Orthonormal basis of the search's jump filters and their weights; shapes (rank, window), (filters, rank).
+
+        A few dozen filters have a rank of about ten to rounding.
+        """
+        first = SHIFT * self.instants + self.stride // 2
+        filters = self.filters[first : first + self.instants : self.stride, 2]
+        left, singular, basis = np.linalg.svd(filters, full_matrices=False)
+        rank = int(np.sum(singular > _RANK_TOLERANCE * singular[0]))
+        return np.ascontiguousarray(basis[:rank]), left[:, :rank] * singular[:rank]
+
+    @cached_property
+    def _coarse_filters(self) -> Array:
+        rows = self.filters[self.stride // 2 :: self.stride]
+        return np.ascontiguousarray(rows).reshape(-1, self.window)
+
+    @cached_property
+    def _to_sizes(self) -> Array:
+        """Filter outputs to jump, step and kink; shape (2 SHIFT instants, 3, 3)."""
+        return np.asarray(np.linalg.inv(self.triangles)[:, ::-1], dtype=np.float64)
+
+    @cached_property
+    def templates(self) -> Array:
+        """Readings of unit jump, step and kink without smooth motion; shape (2 SHIFT instants, 3, window)."""
+        begin = self.window_start - self.shape_start
+        return self.readings(self.shapes[..., begin : begin + self.window])
+
+    @cached_property
+    def window(self) -> int:
+        """Differences of one window."""
+        return int(self.filters.shape[-1])
+
+    @cached_property
+    def reach(self) -> int:
+        """Samples between two jumps whose windows share no sample."""
+        return self.window + self.difference
+
+    @cached_property
+    def ring(self) -> int:
+        """Samples until the reading of a jump has decayed."""
+        return int(self.shapes.shape[-1])
+
+    @cached_property
+    def gain(self) -> float:
+        """Standard deviation of a jump per unit noise of the readings at the worst instant, m/s."""
+        middle = slice(SHIFT * self.instants, (SHIFT + 1) * self.instants)
+        return float(1.0 / abs(self.triangles[middle, 2, 2]).min())
+
+    @cached_property
+    def template_norm(self) -> float:
+        """Root of the squares of the readings of a jump of 1 m/s in the middle of a window."""
+        row = np.zeros(self.window)
+        placed = self.placed(self.difference - self.window_start + 0.5)
+        low = max(0, -placed.begin)
+        part = placed.units[0, low : low + self.window - max(placed.begin, 0)]
+        row[max(placed.begin, 0) : max(placed.begin, 0) + part.size] = part
+        return float(np.linalg.norm(self.readings(row)))
+
+    @cached_property
+    def _of_order(self) -> dict[int, ImpactModel]:
+        return {self.order: self}
+
+    def with_order(self, order: int) -> ImpactModel:
+        """Return this model with another order of the polynomial in `readings`; the filters keep theirs."""
+        if order not in self._of_order:
+            self._of_order[order] = replace(self, order=order)
+        return self._of_order[order]
+
+    def order_over(self, length: int) -> int:
+        """Order of the polynomial over so many differences: higher over more than a window."""
+        return self.order + max(0, (self.order - 1) * (length - self.window) // self.window)
+
+    def readings(self, differences: Array, order: int | None = None) -> Array:
+        """Sum differences to readings and remove the smooth motion; shape (..., differences).
+
+        Parameters
+        ----------
+        order : int, optional
+            Of the polynomial; default `order_over` the length.
+        """
+        length = differences.shape[-1]
+        for _ in range(self.difference):
+            differences = np.cumsum(differences, axis=-1)
+        smooth = legendre_basis(length, self.order_over(length) if order is None else order)
+        # Once leaves rounding of the polynomials, which are much larger than the readings of a jump.
+        for _ in range(2):
+            differences = differences - (differences @ smooth) @ smooth.T
+        return differences
+
+    def locate(self, place: Array | float) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
+        """Whole sample of a place, the row of `shapes` at or before it, and the share of the row that follows."""
+        whole = np.floor(place)
+        at = (place - whole) * self.instants - 0.5 + SHIFT * self.instants
+        row = np.clip(np.floor(at), 0, len(self.shapes) - 2)
+        return whole.astype(np.intp), row.astype(np.intp), np.asarray(at - row)
+
+    def placed(self, place: float) -> Placed:
+        """Differences of unit jump, step and kink at a place in samples."""
+        whole, row, share = self.locate(np.float64(place))
+        left, right = self.shapes[row], self.shapes[row + 1]
+        return Placed(
+            int(whole) + self.shape_start - self.difference,
+            left + share * (right - left),
+            (right - left) * self.instants,
+        )
+
+    def best_instant(self, window: Array, noise: float) -> tuple[float, Array, float, float]:
+        """Instant of the jump that explains most of a window of differences.
+
+        Returns
+        -------
+        instant : float
+            Samples after the window's sample 0.
+        sizes : ndarray, shape (3,)
+            Jump [m/s], step [m/s²], kink [m/s³].
+        error : float
+            Standard deviation of the jump, m/s.
+        explained : float
+            Squares that jump, step and kink explain, in variances of the noise.
+        """
+        stride = self.stride
+        outputs = (self._coarse_filters @ window).reshape(-1, 3)
+        best = int(np.argmax(np.einsum("ij,ij->i", outputs, outputs))) * stride + stride // 2
+        low = max(best - stride, 0)
+        rows = self.filters[low : best + stride + 1]
+        near = (rows.reshape(-1, self.window) @ window).reshape(-1, 3)
+        explained = np.einsum("ij,ij->i", near, near) / noise**2
+        best = int(np.argmax(explained))
+        row, toward = low + best, 0.0
+        if 0 < best < explained.size - 1:
+            left, mid, right = explained[best - 1 : best + 2]
+            bend = left - 2.0 * mid + right
+            toward = min(max(0.5 * (left - right) / bend, -0.5), 0.5) if bend < 0 else 0.0
+        sizes = self._to_sizes[row] @ near[best]
+        if toward:
+            side = 1 if toward > 0 else -1
+            other = self._to_sizes[row + side] @ near[best + side]
+            sizes = (1.0 - abs(toward)) * sizes + abs(toward) * other
+        error = noise / abs(self.triangles[row, 2, 2])
+        return (row + toward + 0.5) / self.instants - SHIFT, sizes, error, float(explained[best])
+
+
+@lru_cache(maxsize=256)
+def legendre_basis(length: int, degree: int) -> Array:
+    """Orthonormal basis of the polynomials on so many points; the first columns span those of lower degree."""
+    basis = np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, length), degree)
+    return np.asarray(np.linalg.qr(basis)[0], dtype=np.float64)
+
+
+def impact_models(
+    info: ChannelInfo, pulse: Pulse | None = None, decimation: int = 1
+) -> tuple[ImpactModel, ...]:
+    """Compute how a channel reads a jump from its data sheet; one model for each of `ORDERS`.
+
+    Parameters
+    ----------
+    info : daq.signal_chain.channel.ChannelInfo
+        Channel of acceleration, velocity or displacement.
+    pulse : Pulse, optional
+        Force of a landing of finite duration: the contact transmits jump, step and kink alike. None: instant.
+    decimation : int
+        Samples whose mean is a reading.
+    """
+    response = info.quantity, info.rate, info.gain, *map(tuple, (info.zeros, info.poles)), info.average
+    return _impact_models(response, tuple(info.filter.items()), pulse, decimation)
+
+
+@lru_cache(maxsize=4)
+def _impact_models(
+    response: tuple[Quantity, float, float, tuple[complex, ...], tuple[complex, ...], bool],
+    decimation_filter: tuple[tuple[str, float], ...],
+    pulse: Pulse | None,
+    decimation: int,
+) -> tuple[ImpactModel, ...]:
+    from daq.signal_chain.channel import ChannelInfo
+
+    quantity, full_rate, gain, zeros, poles, average = response
+    info = ChannelInfo(
+        name="",
+        at="",
+        quantity=quantity,
+        sensitivity=1.0,
+        rate=full_rate,
+        zeros=zeros,
+        poles=poles,
+        gain=gain,
+        average=average,
+        filter=dict(decimation_filter),
+    )
+    integrations, rate = 2 - MOTIONS.index(quantity), full_rate / decimation
+    # Behind a decimation filter nothing beyond half the sample rate rings.
+    fastest = np.pi * full_rate if info.filter else np.inf
+    fast = [pole for pole in poles if _FAST_POLE * rate < abs(pole) < fastest]
+    turning = max((abs(pole.imag) for pole in fast), default=0.0) / rate if pulse is None else 0.0
+    ringing = max((-rate / pole.real for pole in fast), default=0.0)
+    contact = 0 if pulse is None else int(np.ceil(pulse.duration * rate))
+    stride = _RESONANCE_STRIDE if turning else _FILTER_STRIDE if info.filter and decimation == 1 else 1
+    instants = max(_MIN_INSTANTS, int(np.ceil(turning / _PHASE_STEP))) * stride
+    side = _SIDE_SAMPLES if integrations == 0 else max(_SIDE_SAMPLES, round(_SIDE_TIME * rate))
+    look = int(np.ceil(_FILTER_WINDOW / decimation)) if info.filter else 0
+    before = SHIFT + side + look
+    after = SHIFT + side + integrations + look + contact
+    after += int(np.ceil(min(_WINDOW_DECAY_TIMES * ringing, 4 * side)))
+    extra = int(np.ceil(_FILTER_SPAN / decimation)) if info.filter else 2
+    decayed = after + int(np.ceil(_DECAY_TIMES * ringing)) + extra
+    readings = _readings(info, integrations, instants, before + extra, decayed, pulse, decimation)
+    shapes = np.diff(readings, 2, axis=-1) / rate**integrations
+    inside = readings[..., extra : extra + before + after]
+    filters = _filters(inside, integrations, rate)
+    return tuple(
+        ImpactModel(
+            difference=integrations + 2,
+            instants=instants,
+            stride=stride,
+            filters=rows,
+            triangles=triangles,
+            window_start=3 - before,
+            shapes=shapes,
+            shape_start=3 - before - extra,
+            order=order + integrations,
+            contact_samples=contact,
+        )
+        for order, (rows, triangles) in zip(ORDERS, filters, strict=True)
+    )
+
+
+def _readings(
+    info: ChannelInfo,
+    integrations: int,
+    instants: int,
+    before: int,
+    after: int,
+    pulse: Pulse | None,
+    decimation: int,
+) -> Array:
+    """Accelerations read, samples 1 - before to after, for unit jump, step and kink at each instant."""
+    from scipy import fft
+
+    rate = info.rate / decimation
+    size = 2 * fft.next_fast_len(before + after + 2 * SHIFT + 2)
+    frequency = fft.rfftfreq(size * instants, 1.0 / (rate * instants))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        response = replace(info, average=False).response(frequency)
+    # High passes remove the mean in the long run; for the moments around a jump there are none.
+    response[0] = 1.0
+    if info.filter:
+        # Nothing passes there, and the filter's response is tabulated no further.
+        response[frequency > info.rate] = 0.0
+    if pulse is not None:
+        # Change of velocity within half an instant on either side of each.
+        ends = (np.arange(size * instants + 1) - 0.5) / (rate * instants)
+        response *= fft.rfft(np.diff(pulse.exchanged(ends)))
+    boxes = integrations + int(info.average)
+    if not info.average:
+        # Means of averages are averages over longer; of samples at instants, sums.
+        late = np.exp(-2j * np.pi * np.outer(np.arange(decimation), frequency) / info.rate)
+        response *= late.mean(axis=0)
+    # Half an instant for each average that is not taken: the sums below run over whole instants.
+    response *= np.exp(2j * np.pi * frequency * 0.5 * (1 - boxes) / (rate * instants))
+    fine = fft.irfft(response, size * instants) * rate * instants
+    for _ in range(boxes):
+        total = np.cumsum(np.concatenate([fine[-instants:], fine]))
+        fine = (total[instants:] - total[:-instants]) / instants
+    fine = np.roll(fine, (before + SHIFT) * instants)
+    step = (np.cumsum(fine) - 0.5 * fine) / (rate * instants)
+    kink = (np.cumsum(step) - 0.5 * step) / (rate * instants)
+    instant = np.arange(-SHIFT * instants, SHIFT * instants)
+    sample = np.arange(1 - before, after + 1)
+    place = (before + SHIFT + sample) * instants - instant[:, None] - 1
+    return np.stack([part[place] for part in (fine, step, kink)], axis=1)
+
+
+def _filters(readings: Array, integrations: int, rate: float) -> list[tuple[Array, Array]]:
+    """Give filters and triangles for each of `ORDERS`: least squares in the readings, written for their differences."""
+    shape = (*readings.shape[:-1], integrations)
+    rows = np.concatenate([np.zeros(shape), readings], axis=-1)
+    for _ in range(integrations):
+        rows = np.cumsum(rows, axis=-1) / rate
+    columns = np.swapaxes(rows[:, ::-1], 1, 2)
+    out = []
+    for order in ORDERS:
+        smooth = legendre_basis(rows.shape[-1], order + integrations)
+        free = columns
+        # Once leaves rounding of the polynomials, which are much larger than the readings of a jump.
+        for _ in range(2):
+            free = free - smooth @ (smooth.T @ free)
+        basis, triangles = np.linalg.qr(free)
+        filters = np.swapaxes(basis, 1, 2)
+        for _ in range(integrations + 2):
+            filters = -np.cumsum(filters, axis=-1)[..., :-1]
+        out.append((np.ascontiguousarray(filters), triangles))
+    return out

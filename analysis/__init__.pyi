@@ -5,16 +5,14 @@ from .exporting.export import sep005
 from .fitting.fit import Fit, fit
 from .modal.identification import identify
 from .modal.modes import Modes, mac
-from .responses.frequency_responses import compliance, frequency_responses, frfs
-from .responses.frf import Frf, FrfSet
+from .responses.frequency_responses import Response, compliance, frequency_responses, frfs
 from .responses.frf_files import read_frfs
 
 __all__ = [
     "Decay",
     "Fit",
-    "Frf",
-    "FrfSet",
     "Modes",
+    "Response",
     "compliance",
     "decay",
     "fit",

@@ -9,8 +9,9 @@ from math import inf, isinf, log10, sqrt
 import numpy as np
 
 from analysis.modal.modes import Modes
-from analysis.responses.frf import SENSITIVITY, Frf
 from rig.results import plainly, rounded
+from rig.results.response import Response
+from rig.results.uncertainty import SENSITIVITY
 
 # A peak is looked for within this part of the bare natural frequency below it, and half of it above.
 _BELOW = 0.15
@@ -61,7 +62,7 @@ class Peak:
         return self.value if isinf(self.bound) else max(self.value - self.bound, self.least)
 
 
-def peak(frf: Frf, low: float, high: float) -> Peak | None:
+def peak(frf: Response, low: float, high: float) -> Peak | None:
     """Find the peak of a receptance between two frequencies, between its measured points too.
 
     Around a resonance 1/H is nearly a quadratic in frequency (k - m w^2 + i c w for one mode), so that it is
@@ -73,7 +74,7 @@ def peak(frf: Frf, low: float, high: float) -> Peak | None:
 
     Parameters
     ----------
-    frf : Frf
+    frf : Response
         With respect to force.
     low, high : float
         Hz.
@@ -96,7 +97,7 @@ def peak(frf: Frf, low: float, high: float) -> Peak | None:
     if top in (0, f.size - 1):
         return Peak(float(size[top]), inf, float(f[top]), float(f[0]), float(f[-1]), at_end=True)
     beside = f[[top - 1, top + 1]]
-    if np.any((part.left_out > beside[0]) & (part.left_out < beside[1])) or f.size < 4:
+    if np.any((part.omitted > beside[0]) & (part.omitted < beside[1])) or f.size < 4:
         return Peak(float(size[top]), inf, float(f[top]), float(beside[0]), float(beside[1]))
     foretold = _through(f[near[near != top]], inverse[near[near != top]], f[[top]])
     if abs(abs(1.0 / foretold[0]) / size[top] - 1.0) > _SMOOTH and near.size > 3:
@@ -216,7 +217,7 @@ def _ratio_dB(above: float, below: float) -> float:  # noqa: N802
 
 
 def peak_changes(
-    modes: Modes, bare: Sequence[Frf], damped: Sequence[Frf], same_sensors: Collection[str] = ()
+    modes: Modes, bare: Sequence[Response], damped: Sequence[Response], same_sensors: Collection[str] = ()
 ) -> list[PeakChange]:
     """Compare every resonance of every response, without and with dampers.
 
@@ -224,7 +225,7 @@ def peak_changes(
     ----------
     modes : Modes
         What the bare curves hold.
-    bare, damped : sequence of Frf
+    bare, damped : sequence of Response
         All responses of a recording without, and of one with dampers (or with others).
     same_sensors : collection of str
         Responses that were read by the same sensors in both, as was the force.
@@ -258,14 +259,14 @@ def peak_changes(
     return out
 
 
-def covers(curve: Frf, frequency: float) -> bool:
+def covers(curve: Response, frequency: float) -> bool:
     """Whether a frequency lies in the band of a curve."""
     return bool(curve.frequency.min() <= frequency <= curve.frequency.max())
 
 
-def _as_read(curve: Frf) -> Frf:
+def _as_read(curve: Response) -> Response:
     """Leave out of a curve's bounds what its sensors' sensitivities are off by."""
-    return replace(curve, systematic={k: part for k, part in curve.systematic.items() if k != SENSITIVITY})
+    return curve.without(SENSITIVITY)
 
 
 def surroundings(modes: Modes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -277,7 +278,7 @@ def surroundings(modes: Modes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return frequency, low, high
 
 
-def highest_left_out(modes: Modes, bare: Sequence[Frf]) -> list[str]:
+def highest_left_out(modes: Modes, bare: Sequence[Response]) -> list[str]:
     """Say of which responses the highest peak is none of the modes that are compared."""
     _, low, high = surroundings(modes)
     said = []

@@ -20,10 +20,10 @@ from analysis.damper_motion.matching_pursuit import (
     MatchingPursuit,
 )
 from analysis.decays.sensor_correction import corrected
-from analysis.responses.frf import MOTIONS
 from analysis.responses.measurands import named
 from rig.errors import RecordingError
 from rig.numerics.runs import runs_of
+from rig.results.response import MOTIONS
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording

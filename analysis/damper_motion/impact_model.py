@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.responses.frf import MOTIONS
+from rig.results.response import MOTIONS
 
 if TYPE_CHECKING:
     from analysis.damper_motion.landing_pulse import Pulse

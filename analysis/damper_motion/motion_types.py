@@ -18,7 +18,7 @@ from analysis.damper_motion.free_flight import (
 )
 from analysis.damper_motion.impact_detection import Impacts
 from analysis.damper_motion.landing_pulse import transmissibility
-from analysis.responses.frf import MOTIONS
+from rig.results.response import MOTIONS
 
 if TYPE_CHECKING:
     from analysis.responses.stepped_sine import Sweep

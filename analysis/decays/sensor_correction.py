@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from analysis.responses.frf import MOTIONS
+from rig.results.response import MOTIONS
 
 if TYPE_CHECKING:
     from daq.signal_chain.channel import ChannelInfo

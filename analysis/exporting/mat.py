@@ -11,8 +11,8 @@ import numpy as np
 
 from analysis.modal.modes import Modes
 from analysis.recordings.slices import Slice
-from analysis.responses.frf import Frf
 from rig.errors import SceneError
+from rig.results.response import Response
 
 # A variable of the format takes 2 GB at most.
 MOST_SAMPLES = (1 << 28) - 1024
@@ -46,7 +46,7 @@ def write_mat(stretch: Slice, path: Path) -> None:
     )
 
 
-def write_frfs(frfs: Sequence[Frf], path: Path) -> None:
+def write_frfs(frfs: Sequence[Response], path: Path) -> None:
     """Write ``frequency`` [Hz], ``unit``, ``reference``; of each response NAME, ``bound_NAME``, ``coherence_NAME``."""
     curves = [frf.sorted() for frf in frfs]
     names = variables([curve.response for curve in curves], {"frequency", "unit", "reference", "channels"})

@@ -9,10 +9,10 @@ from analysis.exporting import mat, uff
 from analysis.modal.identification import identify
 from analysis.recordings.names import opened
 from analysis.responses.frequency_responses import frequency_responses
-from analysis.responses.frf import Frf
 from analysis.responses.frf_files import is_frf_file, read_frfs
 from rig.errors import SceneError
 from rig.output_files import destination, replacing
+from rig.results.response import Response, stack
 
 ENDINGS = (".uff", ".unv", ".mat")
 
@@ -57,8 +57,8 @@ def export_results(
         target = path if number == 1 else path.with_name(f"{path.stem}-{number}{path.suffix}")
         with replacing(target, overwrite or None) as part:
             if what == "frfs":
-                mat.write_frfs(curves, part) if kind == ".mat" else uff.write_frfs(
-                    curves, part, nodes, driven
+                mat.write_frfs(curves, part) if kind == ".mat" else stack(curves).to_uff(
+                    part, nodes, [driven]
                 )
                 lines.append(
                     f"{curves[0].label}: {curves[0].name} of {', '.join(one.response for one in curves)} by "
@@ -74,7 +74,7 @@ def export_results(
 
 def _groups(
     file: Path, progress: Callable[[int, int], None] | None
-) -> list[tuple[Sequence[Frf], list[int], int]]:
+) -> list[tuple[Sequence[Response], list[int], int]]:
     """Give sets of responses, the nodes of their points, and the node of the force."""
     if is_frf_file(file):
         curves = read_frfs(file)

@@ -4,22 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from analysis.modal.modes import Modes
 from analysis.recordings.slices import Slice
-from analysis.responses.frf import Frf
-from daq.importing.uff import DEVIATION_LINE, FRF, GENERAL, RESOLUTION_LINE
-from daq.signal_chain.channel import UNITS
-from rig.errors import RunError, SceneError
-from rig.escaping import shown
+from rig.errors import SceneError
+from rig.results.universal_file import KINDS, line, universal_file, write_set
 
 # A data set 58 in text takes 20 bytes a sample, and its writer holds a channel in memory as text.
 MOST_TEXT_SAMPLES = 1 << 24
-# Kinds of data in the format's own numbering.
-KINDS = {"displacement": 8, "velocity": 11, "acceleration": 12, "force": 13, "voltage": 1}
 
 
 def write_uff(stretch: Slice, path: Path) -> None:
@@ -45,16 +39,16 @@ def write_uff(stretch: Slice, path: Path) -> None:
             f"these are {count}: export a stretch (--from, --to), or .npz"
         )
     recording = stretch.recording
-    file = _file(path)
+    file = universal_file(path)
     for number, info in enumerate(stretch.infos, start=1):
         data = stretch.whole(info.name)
-        _write(
+        write_set(
             file,
             {
                 "type": 58, "binary": 0, "func_type": 1, "func_id": number,
-                "id1": _line(f"{info.name}: {info.quantity} at {info.at}"),
-                "id2": _line(f"from {recording.path.name}"),
-                "id4": _line(f"sample rate {recording.rate!r} Hz"),
+                "id1": line(f"{info.name}: {info.quantity} at {info.at}"),
+                "id2": line(f"from {recording.path.name}"),
+                "id4": line(f"sample rate {recording.rate!r} Hz"),
                 "rsp_ent_name": "NONE", "rsp_node": node(info.at), "rsp_dir": 3,
                 "ref_ent_name": "NONE", "ref_node": 0, "ref_dir": 0,
                 "abscissa_spacing": 1, "abscissa_spec_data_type": 17,
@@ -67,107 +61,27 @@ def write_uff(stretch: Slice, path: Path) -> None:
         )  # fmt: skip
 
 
-def write_frfs(frfs: Sequence[Frf], path: Path, nodes: Sequence[int], driven: int) -> None:
-    """Write frequency responses to a force in text, with a data set 58 (function type 4) for each.
-
-    Behind each stands its standard deviation, as a general function (type 0), which other programs pass over.
-
-    Parameters
-    ----------
-    frfs : sequence of Frf
-    nodes : sequence of int
-        Of the responses; their direction is +Z.
-    driven : int
-        Node on which the force acts.
-
-    Raises
-    ------
-    SceneError
-        If they are responses to something else.
-    RunError
-        If pyuff is not installed.
-    """
-    file = _file(path)
-    for number, (frf, node) in enumerate(zip(frfs, nodes, strict=True), start=1):
-        curve = frf.sorted()
-        if curve.reference != "force":
-            raise SceneError(
-                f"{curve.response}: a response to the {curve.reference}; UFF 58 is written of forces"
-            )
-        steps = np.diff(curve.frequency)
-        where = {
-            "type": 58, "binary": 0, "id2": _line(curve.label), "id3": _line(curve.ratio),
-            # How far leakage smears a line: the format has no field for it.
-            "id4": f"{RESOLUTION_LINE} {curve.resolution!r} Hz",
-            "rsp_ent_name": "NONE", "rsp_node": node, "rsp_dir": 3,
-            "ref_ent_name": "NONE", "ref_node": driven, "ref_dir": 3,
-            "abscissa_spacing": int(np.ptp(steps) < 1e-6 * steps.mean()) if steps.size else 0,
-            "abscissa_spec_data_type": 18, "abscissa_axis_lab": "Frequency", "abscissa_axis_units_lab": "Hz",
-            "ordinate_spec_data_type": KINDS[curve.motion], "ordinate_axis_lab": curve.motion.capitalize(),
-            "ordinate_axis_units_lab": UNITS[curve.motion],
-            "orddenom_spec_data_type": KINDS["force"], "orddenom_axis_lab": "Force",
-            "orddenom_axis_units_lab": "N", "z_axis_spec_data_type": 0, "x": curve.frequency,
-        }  # fmt: skip
-        title = f"{curve.response}: {curve.name}"
-        _write(file, {**where, "func_type": FRF, "func_id": number, "id1": _line(title), "data": curve.value})
-        if np.isfinite(curve.error).all():
-            identification = _line(f"{DEVIATION_LINE} {title}")
-            _write(
-                file,
-                {
-                    **where,
-                    "func_type": GENERAL,
-                    "func_id": number,
-                    "id1": identification,
-                    "data": curve.error,
-                },
-            )
-
-
 def write_modes(modes: Modes, path: Path, nodes: Sequence[int]) -> None:
     """Write modes in text, with a data set 55 (complex eigenvalue) for each: pole in rad/s, shape along +Z.
 
     Shapes are scaled to largest element one.
     """
-    file = _file(path)
+    file = universal_file(path)
     omega = 2 * np.pi * modes.frequency
     poles = omega * (-modes.damping + 1j * np.sqrt(1.0 - modes.damping**2))
     for number, (pole, shape) in enumerate(zip(poles, modes.shapes.T, strict=True), start=1):
         nothing = np.zeros(shape.size, dtype=complex)
         damping = 100.0 * modes.damping[number - 1]
-        _write(
+        write_set(
             file,
             {
-                "type": 55, "id1": _line(modes.label), "id2": _line(f"nodes {', '.join(modes.responses)}"),
+                "type": 55, "id1": line(modes.label), "id2": line(f"nodes {', '.join(modes.responses)}"),
                 "id4": f"mode {number}, {modes.frequency[number - 1]:.6g} Hz, damping ratio {damping:.4g} %",
                 "model_type": 1, "analysis_type": 3, "data_ch": 2, "spec_data_type": 8, "load_case": 1,
                 "mode_n": number, "eig": complex(pole), "modal_a": 0j, "modal_b": 0j,
                 "node_nums": list(nodes), "r1": nothing, "r2": nothing, "r3": shape,
             },
         )  # fmt: skip
-
-
-def _file(path: Path) -> Any:
-    try:
-        import pyuff
-    except ImportError:
-        raise RunError("UFF files need the package pyuff: pip install 'shotrig[export]'") from None
-    return pyuff.UFF(str(path))
-
-
-def _write(file: Any, data: dict[str, Any]) -> None:
-    try:
-        file.write_sets(data, mode="add")
-    except Exception as error:
-        # pyuff hides what the disk said.
-        if isinstance(error.__context__, OSError):
-            raise error.__context__ from None
-        raise
-
-
-def _line(text: str) -> str:
-    """Fit text into a line of a data set."""
-    return " ".join(shown(text).split())[:80] or "NONE"
 
 
 def node(place: str) -> int:

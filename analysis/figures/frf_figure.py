@@ -9,9 +9,9 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from analysis.responses.frf import DOTS, Frf
 from rig.escaping import drawn
 from rig.figure_style import colour, decades, drawing, frequency_axis, heading, legend_below
+from rig.results.response import DOTS, Response
 
 Array = NDArray[np.float64]
 
@@ -31,23 +31,23 @@ THEORY, NOISE = "#555555", "#c4c4c4"
 
 
 def frf_figure(
-    frfs: Sequence[Frf],
+    frfs: Sequence[Response],
     title: str,
-    theory: Sequence[Frf] = (),
+    theory: Sequence[Response] = (),
     marks: Sequence[tuple[float, str]] = (),
 ) -> Figure:
     """Overlay measured curves.
 
     Parameters
     ----------
-    frfs : sequence of Frf
+    frfs : sequence of Response
         Curves of one kind (same motion and reference); the legend shows their labels.
-    theory : sequence of Frf
+    theory : sequence of Response
         Curves without error bars, drawn thin and dashed in the colour of the response they belong to.
     marks : sequence of (frequency in Hz, text)
         Vertical lines, such as jumps.
     """
-    every = np.concatenate([each for frf in frfs for each in (frf.frequency, frf.left_out)])
+    every = np.concatenate([each for frf in frfs for each in (frf.frequency, frf.omitted)])
     low, high = float(every.min()), float(every.max())
     if high <= low:
         low, high = low / 1.2, high * 1.2
@@ -96,7 +96,7 @@ def frf_figure(
         return figure
 
 
-def _caption(frfs: Sequence[Frf]) -> list[str]:
+def _caption(frfs: Sequence[Response]) -> list[str]:
     """Say in sentences what bands and marks are."""
     out = []
     if any(np.any(frf.degrees > 0) for frf in frfs):
@@ -112,30 +112,30 @@ def _caption(frfs: Sequence[Frf]) -> list[str]:
         out.append("Grey: within the noise; phase not shown.")
     if any(frf.unsteady is not None and frf.unsteady.any() for frf in frfs):
         out.append("Crosses: the motion was not steady.")
-    if any(frf.left_out.size for frf in frfs):
+    if any(frf.omitted.size for frf in frfs):
         out.append("Gaps with a mark at the axis: frequencies left out, as the warnings say.")
     return out
 
 
-def _curve(frf: Frf, shade: str, upper: Axes, middle: Axes, lower: Axes) -> None:
+def _curve(frf: Response, shade: str, upper: Axes, middle: Axes, lower: Axes) -> None:
     """Draw one measured curve into the three panels."""
     # A pass downwards has open marks, larger, so that one upwards shows through where they agree.
     falls = frf.frequency.size > 1 and frf.frequency[0] > frf.frequency[-1]
     few = frf.frequency.size <= DOTS
     curve, frf = frf.sorted(), frf.with_gaps()
-    clear = np.insert(exceeds_noise(curve), np.searchsorted(curve.frequency, np.sort(frf.left_out)), False)
+    clear = np.insert(exceeds_noise(curve), np.searchsorted(curve.frequency, np.sort(frf.omitted)), False)
     look: dict[str, Any] = {"marker": "o" if few else None, "color": shade, "zorder": 2.9 if falls else 3}
     if falls:
         look |= {"mfc": "none", "ms": 5.0, "mew": 0.9}
     factor = frf.shown_in[1]
-    size, half = factor * abs(frf.value), factor * np.nan_to_num(frf.band())
+    size, half = factor * abs(frf.value), factor * np.nan_to_num(frf.magnitude_bound())
     whole = factor * _whole(frf)
     for reach, strength in ((whole, 0.13), (half, 0.25)):
         upper.fill_between(
             frf.frequency, np.maximum(size - reach, size * _ZERO), np.minimum(size + reach, size / _ZERO),
             where=clear, color=shade, alpha=strength, lw=0,
         )  # fmt: skip
-    for place in frf.left_out:
+    for place in frf.omitted:
         upper.plot(place, 0.0, "x", color=shade, ms=5, clip_on=False, transform=upper.get_xaxis_transform())
     if not (clear | np.isnan(size)).all():
         # A point on either side, so that the line does not break where it turns grey.
@@ -155,27 +155,27 @@ def _curve(frf: Frf, shade: str, upper: Axes, middle: Axes, lower: Axes) -> None
         lower.plot(frf.frequency, frf.coherence, color=shade, zorder=3)
 
 
-def shown_parts(frfs: Sequence[Frf]) -> list[str]:
+def shown_parts(frfs: Sequence[Response]) -> list[str]:
     """Names of the systematic parts that can be seen anywhere along curves, the largest one first."""
     sizes: dict[str, float] = {}
     for frf in frfs:
-        for name, part in frf.systematic.items():
+        for name, part in frf.limits.items():
             share = part / np.maximum(abs(frf.value), 1e-300)
             if np.any(share > _VISIBLE):
                 sizes[name] = max(sizes.get(name, 0.0), float(np.nanmedian(share)))
     return sorted(sizes, key=sizes.__getitem__, reverse=True)
 
 
-def _whole(frf: Frf) -> Array:
+def _whole(frf: Response) -> Array:
     """Half-width of the band of all errors, infinite where nothing bounds them."""
-    return np.hypot(np.nan_to_num(frf.band()), frf.systematic_bound())
+    return np.hypot(np.nan_to_num(frf.magnitude_bound()), frf.systematic_bound())
 
 
-def _reaches_zero(frf: Frf) -> NDArray[np.bool_]:
+def _reaches_zero(frf: Response) -> NDArray[np.bool_]:
     return np.asarray(exceeds_noise(frf) & (_whole(frf) >= abs(frf.value)))
 
 
-def _reach(frf: Frf) -> Array:
+def _reach(frf: Response) -> Array:
     """Both edges of the band, as far as an axis goes for their sake: a decade beyond the curve."""
     size, whole = abs(frf.value), _whole(frf)
     known = exceeds_noise(frf) & np.isfinite(size) & (size > 0)
@@ -186,7 +186,7 @@ def _reach(frf: Frf) -> Array:
     return np.asarray(edges[edges > 0.1 * size.min()])
 
 
-def exceeds_noise(frf: Frf) -> NDArray[np.bool_]:
+def exceeds_noise(frf: Response) -> NDArray[np.bool_]:
     """Whether each point stands out of its noise: most of it repeats with the reference, its phase is known.
 
     By coherence and error bar where there are any, else by how roughly the curve runs from point to point.
@@ -207,6 +207,6 @@ def _broken(frequency: Array, angle: Array, values: Array | None = None) -> tupl
     return np.insert(frequency, wraps, np.nan), np.insert(angle if values is None else values, wraps, np.nan)
 
 
-def phase_degrees(frf: Frf) -> Array:
+def phase_degrees(frf: Response) -> Array:
     """Phase in degrees, from -270 to 90: cut where it runs steeply, not at the half turn it stays at."""
     return 90.0 - np.mod(90.0 - np.degrees(np.angle(frf.value)), 360.0)

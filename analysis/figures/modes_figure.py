@@ -8,21 +8,21 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from analysis.modal.modes import Modes
-from analysis.responses.frf import DOTS, Frf
 from rig.escaping import drawn
 from rig.figure_style import colour, decades, drawing, frequency_axis, heading
 from rig.results import bounded
+from rig.results.response import DOTS, Response
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def modes_figure(frfs: Sequence[Frf], modes: Modes, title: str) -> Figure:
+def modes_figure(frfs: Sequence[Response], modes: Modes, title: str) -> Figure:
     """Show how well a modal model fits and how its poles were chosen.
 
     Parameters
     ----------
-    frfs : sequence of Frf
+    frfs : sequence of Response
         The curves given to `analysis.modal.identification.identify`.
     """
     curves = [frf.to("displacement").with_gaps() for frf in frfs]

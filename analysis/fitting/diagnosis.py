@@ -189,12 +189,7 @@ def _multiplied(curves: Curves, factor: float | ComplexArray | Array) -> Curves:
         curves,
         value=curves.value * turns,
         whiten=curves.whiten * turns.conj().T[:, None],
-        frfs=tuple(
-            replace(
-                frf, value=frf.value * turn, errors=None if frf.errors is None else frf.errors.scaled(turn)
-            )
-            for frf, turn in zip(curves.frfs, turns, strict=True)
-        ),
+        frfs=tuple(frf.scaled(turn) for frf, turn in zip(curves.frfs, turns, strict=True)),
     )
 
 

@@ -325,4 +325,7 @@ def _scatter(group: Group, jacobian: Array) -> Array:
     deviation = curves.rough[:, used].T[..., None] / np.sqrt(3.0)
     rough = (deviation * weights).reshape(-1, weights.shape[2])
     errors = curves.errors.at(used)
-    return errors.of_sums(weights) + max(frf.shared for frf in curves.frfs) * (rough.conj().T @ rough).real
+    return (
+        errors.of_sums(weights)
+        + max(frf.uncertainty.shared for frf in curves.frfs) * (rough.conj().T @ rough).real
+    )

@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.responses.frequency_responses import checked, frequency_responses
-from analysis.responses.frf import CLOCK, SENSITIVITY, Frf
-from analysis.responses.line_errors import ErrorCovariance, error_covariance
 from analysis.responses.measurands import concerned, reference_of, responses
 from analysis.responses.stepped_sine import sweeps
 from analysis.responses.systematic import REFERENCE_NOISE, ROUGH, tolerance
 from daq.recording.recorded_test import TestKind
 from rig.errors import RecordingError
 from rig.results import plainly
+from rig.results.response import Response, stack
+from rig.results.uncertainty import CLOCK, SENSITIVITY, Covariance
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
@@ -63,7 +63,7 @@ class Curves:
         Displacement over the reference, as read by the sensors.
     whiten : ndarray of complex, shape (n, responses, responses)
         Applied to errors, gives components of which each quadrature has variance 1.
-    errors : ErrorCovariance
+    errors : Covariance
         Of the random errors.
     rough, smooth : ndarray, shape (responses, n)
         How far each value can be off at most, however long one averages: by what differs from line to line, and by
@@ -88,7 +88,7 @@ class Curves:
     frequency: Array
     value: ComplexArray
     whiten: ComplexArray
-    errors: ErrorCovariance
+    errors: Covariance
     rough: Array
     smooth: Array
     common: Array
@@ -98,7 +98,7 @@ class Curves:
     reference: str
     level: Array | None
     clock: float
-    frfs: tuple[Frf, ...]
+    frfs: tuple[Response, ...]
     warnings: tuple[str, ...]
 
     @property
@@ -156,7 +156,7 @@ def measured(rec: Recording, name: str, progress: Progress | None = None) -> lis
     ]
 
 
-def _curves(rec: Recording, frfs: Sequence[Frf], reference: str, label: str) -> Curves:
+def _curves(rec: Recording, frfs: Sequence[Response], reference: str, label: str) -> Curves:
     alive = [k for k, frf in enumerate(frfs) if np.any(frf.value != 0.0)]
     dead = [frf.response for frf in frfs if not np.any(frf.value != 0.0)]
     if not alive:
@@ -177,7 +177,7 @@ def _curves(rec: Recording, frfs: Sequence[Frf], reference: str, label: str) -> 
             + " ".join(frfs[0].warnings)
         )
     sensors = tuple(_sensor(rec, frf.response) for frf in frfs)
-    errors = error_covariance(frfs).at(known)
+    errors = stack(frfs).covariance().at(known)
     frfs = [frf.at(known) for frf in frfs]
     too_low, common = _reference_noise(frfs, errors)
     return Curves(
@@ -194,30 +194,30 @@ def _curves(rec: Recording, frfs: Sequence[Frf], reference: str, label: str) -> 
         reference_sensor=_sensor(rec, reference_of(rec, reference).channels[0]),
         bodies=tuple(int(sensor.at.split()[1]) - 1 for sensor in sensors),
         reference=reference,
-        level=frfs[0].held,
+        level=frfs[0].amplitude,
         clock=abs(rec.scene.converter.clock_error or 0.0),
         frfs=tuple(frfs),
         warnings=(*notes, *frfs[0].warnings),
     )
 
 
-def _rough(frfs: Sequence[Frf]) -> Array:
+def _rough(frfs: Sequence[Response]) -> Array:
     """Systematic parts that differ from line to line, shape (responses, n)."""
-    return _parts(frfs, [name for frf in frfs for name in frf.systematic if name in ROUGH])
+    return _parts(frfs, [name for frf in frfs for name in frf.limits if name in ROUGH])
 
 
-def _all(frfs: Sequence[Frf]) -> Array:
+def _all(frfs: Sequence[Response]) -> Array:
     """All systematic parts that are no parameters; shape (responses, n)."""
-    return _parts(frfs, [name for frf in frfs for name in frf.systematic if name not in (SENSITIVITY, CLOCK)])
+    return _parts(frfs, [name for frf in frfs for name in frf.limits if name not in (SENSITIVITY, CLOCK)])
 
 
-def _smooth(frfs: Sequence[Frf]) -> Array:
+def _smooth(frfs: Sequence[Response]) -> Array:
     """Systematic parts that are alike over many lines, but for what is a parameter or concerns all responses."""
     known = (SENSITIVITY, CLOCK, REFERENCE_NOISE, *ROUGH)
-    return _parts(frfs, [name for frf in frfs for name in frf.systematic if name not in known])
+    return _parts(frfs, [name for frf in frfs for name in frf.limits if name not in known])
 
 
-def _reference_noise(frfs: Sequence[Frf], errors: ErrorCovariance) -> tuple[Array, Array]:
+def _reference_noise(frfs: Sequence[Response], errors: Covariance) -> tuple[Array, Array]:
     """By which share all responses are too low for noise in the reference, and how far that may be off; shape (n,)."""
     size = np.stack([np.maximum(abs(frf.value), 1e-300) for frf in frfs])
     # What one response has less in common with the reference for noise of its own is not the reference's.
@@ -228,11 +228,11 @@ def _reference_noise(frfs: Sequence[Frf], errors: ErrorCovariance) -> tuple[Arra
     return share / (1.0 - share), _SPLIT * share
 
 
-def _parts(frfs: Sequence[Frf], names: Sequence[str]) -> Array:
+def _parts(frfs: Sequence[Response], names: Sequence[str]) -> Array:
     """Root of the sum of squares of some systematic parts; shape (responses, n)."""
     rows = [
         np.linalg.norm(
-            [np.zeros(frf.value.size), *(frf.systematic[name] for name in set(names) & set(frf.systematic))],
+            [np.zeros(frf.value.size), *(frf.limits[name] for name in set(names) & set(frf.limits))],
             axis=0,
         )
         for frf in frfs
@@ -240,7 +240,7 @@ def _parts(frfs: Sequence[Frf], names: Sequence[str]) -> Array:
     return np.stack(rows)
 
 
-def _whitening(frfs: Sequence[Frf], errors: ErrorCovariance) -> ComplexArray:
+def _whitening(frfs: Sequence[Response], errors: Covariance) -> ComplexArray:
     """Inverse square root of the covariance of one quadrature, at each frequency."""
     half = errors.lines / 2.0
     own = np.einsum("nii->ni", half).real.copy()

@@ -14,8 +14,8 @@ from analysis.fitting.predicted import on_the_bench
 from analysis.fitting.problem import Group, Problem
 from analysis.modal.identification import identify
 from analysis.modal.modes import Modes, mac
-from analysis.responses.frf import Frf
 from rig.errors import RecordingError, SceneError
+from rig.results.response import Response
 from rig.scene.scene import Scene
 from rig.system.structural_model import driven_bodies, structural_model
 
@@ -53,7 +53,7 @@ def start(problem: Problem, groups: Sequence[Group]) -> Array:
 
 
 @lru_cache(maxsize=16)
-def _modes(frfs: tuple[Frf, ...], bodies: int) -> Modes | None:
+def _modes(frfs: tuple[Response, ...], bodies: int) -> Modes | None:
     """Modes of curves; the causes of a misfit that are tried share them."""
     try:
         return identify(frfs, bodies)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from analysis.modal.modes import DETERMINED, Modes
 from analysis.modal.pole_errors import SMEAR
-from analysis.responses.frf import Frf
+from rig.results.response import Response
 
 Array = NDArray[np.float64]
 
@@ -21,7 +21,7 @@ _SMEARED = float(np.sqrt(_OFF / SMEAR))
 
 def doubts(
     modes: Modes,
-    curves: Sequence[Frf],
+    curves: Sequence[Response],
     count: int | None,
     dropped: Sequence[float],
     loose: Array,
@@ -32,7 +32,7 @@ def doubts(
 
     Parameters
     ----------
-    curves : sequence of Frf
+    curves : sequence of Response
         What they were identified from.
     count : int or None
         Modes asked for.

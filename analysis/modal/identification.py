@@ -17,10 +17,9 @@ from analysis.modal.order_selection import MOST_MODES, hidden, in_band, preferre
 from analysis.modal.pole_errors import pole_errors, refined_pole_errors, systematic_pole_errors
 from analysis.modal.pole_residue import Curves, Fit, fit, residual_terms
 from analysis.modal.refinement import Refined, refined
-from analysis.responses.frf import Frf
-from analysis.responses.line_errors import error_covariance
 from analysis.responses.systematic import ALIASING, ROUGH
 from rig.errors import RecordingError, SceneError
+from rig.results.response import Response, stack
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -44,7 +43,7 @@ _ENOUGH = 10.0
 _LARGEST = 1.8
 
 
-def identify(frfs: Sequence[Frf], count: int | None = None) -> Modes:
+def identify(frfs: Response | Sequence[Response], count: int | None = None) -> Modes:
     """Identify the modes that a set of frequency responses of one test share.
 
     Poles to start from come from stabilisation charts (least-squares complex frequency domain). They are refined
@@ -55,7 +54,7 @@ def identify(frfs: Sequence[Frf], count: int | None = None) -> Modes:
 
     Parameters
     ----------
-    frfs : sequence of Frf
+    frfs : sequence of Response
         Several responses to one reference at the same frequencies.
     count : int, optional
         Most modes wanted. Omitted: all that the curves hold.
@@ -69,7 +68,11 @@ def identify(frfs: Sequence[Frf], count: int | None = None) -> Modes:
     """
     if count is not None and not (isinstance(count, int) and count >= 1):
         raise SceneError(f"{count} modes asked for: expected at least 1")
-    if not isinstance(frfs, Sequence) or not frfs or not all(isinstance(frf, Frf) for frf in frfs):
+    if (
+        not isinstance(frfs, Sequence | Response)
+        or not len(frfs)
+        or not all(isinstance(frf, Response) for frf in frfs)
+    ):
         raise SceneError(
             f"identify: got {frfs!r:.60}; expected several curves, as analysis.frfs or read_frfs gives them"
         )
@@ -126,7 +129,9 @@ def identify(frfs: Sequence[Frf], count: int | None = None) -> Modes:
         )
     poles, f_error, z_error = model.poles[inside], f_error[inside], z_error[inside]
     # A clock that is off moves all poles alike, which the parts of single lines determine only jointly.
-    f_error = np.hypot(f_error, max(curve.clock for curve in frfs) * abs(poles) / (2 * np.pi * _LARGEST))
+    f_error = np.hypot(
+        f_error, max(curve.uncertainty.clock for curve in frfs) * abs(poles) / (2 * np.pi * _LARGEST)
+    )
     lower, upper = _residuals(model, inside, measured.frequency)
     result = Modes(
         frequency=np.asarray(abs(poles) / (2 * np.pi), dtype=float),
@@ -150,7 +155,7 @@ def identify(frfs: Sequence[Frf], count: int | None = None) -> Modes:
     return replace(result, warnings=(*curves[0].warnings, *notes))
 
 
-def _shape_errors(curves: Sequence[Frf], poles: ComplexArray, residue: ComplexArray) -> Array:
+def _shape_errors(curves: Sequence[Response], poles: ComplexArray, residue: ComplexArray) -> Array:
     """Find standard deviations of shapes with largest element one, from the curves' bounds at each resonance.
 
     What the sensor of their reference is off by all curves are off by.
@@ -159,7 +164,7 @@ def _shape_errors(curves: Sequence[Frf], poles: ComplexArray, residue: ComplexAr
     at = [_nearest(curve, frequency, np.isfinite(curve.value)) for curve in curves]
     size = np.array([abs(curve.value[lines]) for curve, lines in zip(curves, at, strict=True)])
     bound = np.array([curve.bound()[lines] for curve, lines in zip(curves, at, strict=True)])
-    bound -= np.array([[curve.scale] for curve in curves]) * size
+    bound -= np.array([[curve.uncertainty.scale] for curve in curves]) * size
     top, modes = np.argmax(abs(residue), axis=0), np.arange(poles.size)
     share = abs(residue) / abs(residue[top, modes])
     error: Array = 0.5 * np.hypot(bound, share * bound[top, modes]) / size[top, modes]
@@ -167,13 +172,13 @@ def _shape_errors(curves: Sequence[Frf], poles: ComplexArray, residue: ComplexAr
     return error
 
 
-def _nearest(curve: Frf, frequency: Array, among: NDArray[np.bool_]) -> NDArray[np.int64]:
+def _nearest(curve: Response, frequency: Array, among: NDArray[np.bool_]) -> NDArray[np.int64]:
     """Which of some lines of a curve are nearest to other frequencies."""
     lines = np.flatnonzero(among)
     return np.asarray(lines[np.argmin(abs(curve.frequency[lines] - frequency[:, None]), axis=1)])
 
 
-def _bounded(curves: Sequence[Frf]) -> list[Frf]:
+def _bounded(curves: Sequence[Response]) -> list[Response]:
     """Leave out responses that nothing bounds: they would weigh nothing."""
     found = [curve for curve in curves if np.isfinite(_sigma([curve])).any()]
     if not found:
@@ -185,7 +190,7 @@ def _bounded(curves: Sequence[Frf]) -> list[Frf]:
     return found
 
 
-def _measured(curves: Sequence[Frf]) -> tuple[Curves, Array]:
+def _measured(curves: Sequence[Response]) -> tuple[Curves, Array]:
     """Values of the responses where all have one, and their standard deviations."""
     frequency = curves[0].frequency
     if any(
@@ -206,7 +211,8 @@ def _measured(curves: Sequence[Frf]) -> tuple[Curves, Array]:
         if not np.any(abs(row) > 0):
             raise RecordingError(f"{curve.response} does not respond at all: choose other channels")
     sigma = sigma[:, known]
-    shared, resolution = (max(getattr(curve, name) for curve in curves) for name in ("shared", "resolution"))
+    shared = max(curve.uncertainty.shared for curve in curves)
+    resolution = max(curve.resolution for curve in curves)
     return Curves(frequency[known], value[:, known], 1.0 / sigma, shared, resolution), sigma
 
 
@@ -246,7 +252,7 @@ def _neighbourhood(measured: Curves) -> Array:
 
 
 def _without_doubtful_poles(
-    curves: Curves, model: Fit, frfs: Sequence[Frf]
+    curves: Curves, model: Fit, frfs: Sequence[Response]
 ) -> tuple[Curves, Fit, list[float]]:
     """Leave out poles that are no modes; say where they were, in Hz.
 
@@ -272,13 +278,13 @@ def _without_doubtful_poles(
     return curves, model, dropped
 
 
-def _refined(weighted: Curves, model: Fit, frfs: Sequence[Frf]) -> Refined | None:
+def _refined(weighted: Curves, model: Fit, frfs: Sequence[Response]) -> Refined | None:
     """Weigh all responses by their covariance; None where they say no more than the size of their errors."""
-    if any(frf.errors is None for frf in frfs):
+    if any(frf.uncertainty.errors is None for frf in frfs):
         return None
     lines = np.searchsorted(frfs[0].frequency, weighted.frequency)
     curves = [frf.at(lines) for frf in frfs]
-    errors = error_covariance(curves)
+    errors = stack(curves).covariance()
     size = np.stack([abs(frf.value) for frf in curves])
     rough = np.hypot(0.5 * _off(curves, ROUGH), LEAST_RELATIVE_ERROR * size)
     if not (np.isfinite(errors.lines).all() and np.isfinite(rough).all()):
@@ -286,7 +292,7 @@ def _refined(weighted: Curves, model: Fit, frfs: Sequence[Frf]) -> Refined | Non
     return refined(weighted, model, errors, rough)
 
 
-def _buried(model: Fit, frfs: Sequence[Frf]) -> Array:
+def _buried(model: Fit, frfs: Sequence[Response]) -> Array:
     """How far a curve may be off at each pole over the height of its peak, in the curve where that is least."""
     frequency: Array = np.asarray(abs(model.poles) / (2 * np.pi), dtype=float)
     off = [
@@ -310,7 +316,7 @@ def _residuals(model: Fit, inside: NDArray[np.bool_], frequency: Array) -> tuple
     return model.lower + more[:, 0], model.upper + more[:, 1:]
 
 
-def _sigma(curves: Sequence[Frf]) -> Array:
+def _sigma(curves: Sequence[Response]) -> Array:
     size = np.stack([abs(curve.value) for curve in curves])
     error = np.stack([curve.error for curve in curves])
     for row, curve in zip(error, curves, strict=True):
@@ -340,7 +346,7 @@ def _usual(error: Array, degrees: Array) -> Array:
     )
 
 
-def _off(curves: Sequence[Frf], names: Sequence[str]) -> Array:
+def _off(curves: Sequence[Response], names: Sequence[str]) -> Array:
     """How far each line may be off by some systematic parts; infinite where one is not known."""
-    parts = [[curve.systematic.get(name, np.zeros(curve.value.size)) for name in names] for curve in curves]
+    parts = [[curve.limits.get(name, np.zeros(curve.value.size)) for name in names] for curve in curves]
     return np.asarray(np.nan_to_num(np.linalg.norm(parts, axis=1), nan=np.inf, posinf=np.inf))

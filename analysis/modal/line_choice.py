@@ -8,7 +8,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from analysis.responses.frf import Frf
+from rig.results.response import Response
 
 Array = NDArray[np.float64]
 
@@ -24,12 +24,12 @@ _HOLE = 5.0
 _AROUND = 31
 
 
-def thinned(curves: Sequence[Frf]) -> list[Frf]:
+def thinned(curves: Sequence[Response]) -> list[Response]:
     """Leave out lines where a block average has more of them than a fit needs: far from peaks, and within wide ones.
 
     Parameters
     ----------
-    curves : sequence of Frf
+    curves : sequence of Response
         At the same frequencies, rising.
     """
     count = curves[0].frequency.size

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from analysis.modal.order_selection import correlation, half_width
 from analysis.modal.pole_residue import Curves, Fit
-from analysis.responses.frf import CLOCK, SENSITIVITY, Frf
 from analysis.responses.systematic import ALIASING, MODEL, REFERENCE_NOISE, RESOLUTION
+from rig.results.response import Response
+from rig.results.uncertainty import CLOCK, SENSITIVITY
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -89,7 +90,7 @@ def propagated(poles: ComplexArray, factors: Sequence[Array]) -> tuple[Array, Ar
 
 
 def systematic_pole_errors(
-    frfs: Sequence[Frf], poles: ComplexArray, without: Sequence[str] = ()
+    frfs: Sequence[Response], poles: ComplexArray, without: Sequence[str] = ()
 ) -> tuple[Array, Array]:
     """Return limits of the systematic errors of natural frequencies [Hz] and damping ratios, shape (modes,).
 
@@ -100,7 +101,7 @@ def systematic_pole_errors(
 
     Parameters
     ----------
-    frfs : sequence of Frf
+    frfs : sequence of Response
         The curves, by rising frequency.
     poles : ndarray of complex, shape (modes,)
         rad/s.
@@ -126,9 +127,9 @@ def systematic_pole_errors(
     return f_error, z_error
 
 
-def _relative(curve: Frf, names: Sequence[str]) -> Array:
+def _relative(curve: Response, names: Sequence[str]) -> Array:
     """Root of the sum of squares of some systematic parts, as a part of the curve."""
-    parts = [curve.systematic[name] for name in names if name in curve.systematic]
+    parts = [curve.limits[name] for name in names if name in curve.limits]
     return np.asarray(
         np.linalg.norm([np.zeros(curve.value.size), *parts], axis=0) / np.maximum(abs(curve.value), 1e-300)
     )

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.modal.pole_residue import ABOVE, Curves, Fit, residual_terms
-from analysis.responses.line_errors import ErrorCovariance
 from analysis.responses.systematic import MODEL, REFERENCE_NOISE
+from rig.results.uncertainty import Covariance
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -49,7 +49,7 @@ class Refined:
     parts: tuple[str, ...]
 
 
-def refined(curves: Curves, model: Fit, errors: ErrorCovariance, rough: Array) -> Refined | None:
+def refined(curves: Curves, model: Fit, errors: Covariance, rough: Array) -> Refined | None:
     """Refine a model; None where the problem is too large, or the step leads nowhere.
 
     Parameters
@@ -58,7 +58,7 @@ def refined(curves: Curves, model: Fit, errors: ErrorCovariance, rough: Array) -
         With the lines of `errors`.
     model : Fit
         Where to start.
-    errors : ErrorCovariance
+    errors : Covariance
         Of the random errors.
     rough : ndarray, shape (responses, n)
         Standard deviation, in either quadrature, of what else differs from line to line.
@@ -103,7 +103,7 @@ def refined(curves: Curves, model: Fit, errors: ErrorCovariance, rough: Array) -
 class _Likelihood:
     """Weighted misfit of all responses and its normal equations."""
 
-    def __init__(self, curves: Curves, errors: ErrorCovariance, rough: Array) -> None:
+    def __init__(self, curves: Curves, errors: Covariance, rough: Array) -> None:
         self.curves = curves
         half = errors.lines / 2.0
         index = np.arange(len(rough))

@@ -26,9 +26,10 @@ from analysis.presentation.result import Progress, Result, noted
 from analysis.presentation.tables import write_table
 from analysis.recordings.names import opened, relabelled, scene_labels
 from analysis.responses.frequency_responses import frequency_responses
-from analysis.responses.frf import SENSITIVITY, Frf
 from analysis.responses.measurands import reference_of, responses
 from rig.errors import SceneError
+from rig.results.response import Response
+from rig.results.uncertainty import SENSITIVITY
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
@@ -63,7 +64,7 @@ def present_compare(
     if len(paths) < 2:
         raise SceneError("one recording: expected at least two, first the one to compare with")
     check_outputs(paths, output, "compare", "csv")
-    found: list[list[list[Frf]]] = []
+    found: list[list[list[Response]]] = []
     places: list[Places] = []
     for path, label in zip(paths, scene_labels(paths), strict=True):
         with opened(path) as rec:
@@ -88,7 +89,7 @@ def present_compare(
         notes += noted(path, unresolved([(one.mode, one.response, one.damped) for one in changes]))
         lines.append(f"{bare[0].label} -> {group[0].label}, by {bare[0].input}")
         lines += [f"  {line}" for line in describe_changes(changes)]
-        if any(SENSITIVITY in curve.systematic for curve in group if curve.response in same):
+        if any(SENSITIVITY in curve.limits for curve in group if curve.response in same):
             lines.append(
                 f"  by their data sheets the same sensors read {', '.join(same)} and the force in both: what their "
                 "sensitivities are off by is in no change"
@@ -102,7 +103,7 @@ def present_compare(
 
 
 def _without_peaks(
-    changes: Sequence[PeakChange], measured: Sequence[tuple[Path, Sequence[Frf]]], modes: Modes
+    changes: Sequence[PeakChange], measured: Sequence[tuple[Path, Sequence[Response]]], modes: Modes
 ) -> list[str]:
     """Say which modes of which responses are not compared, and why."""
     compared = {(one.response, one.mode) for one in changes}
@@ -177,7 +178,7 @@ def _listed(channels: dict[str, str]) -> str:
     return ", ".join(f"{name} (at {at})" for name, at in channels.items()) or "none"
 
 
-def _row(before: Frf, after: Frf, change: PeakChange) -> tuple[str | float, ...]:
+def _row(before: Response, after: Response, change: PeakChange) -> tuple[str | float, ...]:
     peaks = (change.bare.value, change.bare.bound, change.damped.value, change.damped.bound)
     return (
         before.label,

@@ -16,9 +16,10 @@ from analysis.presentation.result import Progress, Result, noted
 from analysis.recordings.names import opened, relabelled
 from analysis.responses.branch_jumps import jumps
 from analysis.responses.frequency_responses import Blocks, frequency_responses
-from analysis.responses.frf import SENSITIVITY, Frf
 from analysis.responses.frf_files import is_frf_file
 from analysis.responses.systematic import tolerance
+from rig.results.response import Response
+from rig.results.uncertainty import SENSITIVITY
 from rig.scene.presets import origin
 
 if TYPE_CHECKING:
@@ -42,8 +43,8 @@ def present_frf(
     """Draw and tabulate frequency responses; several files are overlaid, one figure per response."""
     from analysis.presentation.tables import frf_table
 
-    curves: list[Frf] = []
-    exact: list[Frf] = []
+    curves: list[Response] = []
+    exact: list[Response] = []
     blocks = Blocks(estimator, block, overlap, window)
     notes = expect_all(paths, "frf", blocks, theory, unit)
     check_outputs(paths, output, "frf", "csv")
@@ -68,7 +69,7 @@ def present_frf(
     return Result(tuple(files), (*(frf.summary() for frf in curves), *dict.fromkeys(doubts)), tuple(notes))
 
 
-def _drawn(curves: Sequence[Frf], exact: Sequence[Frf], stem: Path) -> list[Path]:
+def _drawn(curves: Sequence[Response], exact: Sequence[Response], stem: Path) -> list[Path]:
     """Draw curves: those of one recording together, those of several by their outputs and inputs."""
     from analysis.figures.frf_figure import frf_figure
     from rig.figure_style import save
@@ -90,31 +91,31 @@ def _drawn(curves: Sequence[Frf], exact: Sequence[Frf], stem: Path) -> list[Path
     return files
 
 
-def _by_ratio(curves: Sequence[Frf]) -> list[list[Frf]]:
+def _by_ratio(curves: Sequence[Response]) -> list[list[Response]]:
     """Group curves by output and input; curves of files that name no input go with the first that has one."""
-    groups: dict[tuple[str, str], list[Frf]] = {}
+    groups: dict[tuple[str, str], list[Response]] = {}
     for curve in sorted(curves, key=lambda one: not one.input_at):
         known = next((key for key in groups if key[0] == curve.response and not curve.input_at), None)
         groups.setdefault(known or (curve.response, curve.input), []).append(curve)
     return list(groups.values())
 
 
-def _marks(curves: Sequence[Frf]) -> list[tuple[float, str]]:
+def _marks(curves: Sequence[Response]) -> list[tuple[float, str]]:
     """Jumps of all curves, each place once."""
     found = {(round(frequency, 6), text) for curve in curves for frequency, text in jumps(curve)}
     return sorted(found)
 
 
-def _once(curves: Sequence[Frf]) -> list[Frf]:
+def _once(curves: Sequence[Response]) -> list[Response]:
     """Keep one legend entry for theory and one curve for each output and input."""
-    out: list[Frf] = []
+    out: list[Response] = []
     for curve in curves:
         if all(curve.ratio != other.ratio for other in out):
             out.append(replace(curve, label=curve.label if not out else ""))
     return out
 
 
-def stated_tolerances(rec: Recording, frfs: Sequence[Frf]) -> list[str]:
+def stated_tolerances(rec: Recording, frfs: Sequence[Response]) -> list[str]:
     """Say which sensors' tolerances make most of the bounds of curves, if they do, and where these figures are from."""
     largest = [part for frf in frfs for part in frf.parts()]
     if 2 * largest.count(SENSITIVITY) < len(largest):
@@ -132,7 +133,7 @@ def stated_tolerances(rec: Recording, frfs: Sequence[Frf]) -> list[str]:
     ]
 
 
-def linear_theory(rec: Recording, frf: Frf) -> Frf:
+def linear_theory(rec: Recording, frf: Response) -> Response:
     """Exact linear curve of the scene's structure without dampers, for the same response and reference."""
     from rig.system.structural_model import receptance
 
@@ -141,8 +142,8 @@ def linear_theory(rec: Recording, frf: Frf) -> Frf:
     rows = receptance(rec.scene, frequency, attached=frf.reference == "table")
     body = int(rec.channels[frf.response].at.split()[1])
     nothing = np.zeros(frequency.size)
-    curve = Frf(
-        frequency, rows[body - 1], nothing, nothing + 1.0, nothing, frf.response, frf.reference,
+    curve = Response.curve(
+        frequency, rows[body - 1], frf.response, reference=frf.reference, coherence=nothing + 1.0,
         label="linear theory, no dampers",
     )  # fmt: skip
-    return replace(curve.to(frf.motion), output_at=frf.output_at, input_at=frf.input_at)
+    return curve.to(frf.motion).placed(frf.output_at, frf.input_at)

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from analysis.recordings.names import scene_labels
-from analysis.responses.frf import Frf
 from analysis.responses.frf_files import is_frf_file, read_frfs
 from rig.errors import RecordingError
+from rig.results.response import Response
 
 
 def labels(paths: Sequence[Path]) -> list[str]:
@@ -18,7 +18,9 @@ def labels(paths: Sequence[Path]) -> list[str]:
     return [named.get(path, path.stem) for path in paths]
 
 
-def read_curves(path: Path, reference: str, channels: Sequence[str] | None, unit: str | None) -> list[Frf]:
+def read_curves(
+    path: Path, reference: str, channels: Sequence[str] | None, unit: str | None
+) -> list[Response]:
     """Read the curves of another program; `reference` is then the force's node and direction."""
     curves = read_frfs(path, None if reference == "force" else reference, unit)
     missing = [name for name in channels or () if name not in {curve.response for curve in curves}]

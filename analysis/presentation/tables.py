@@ -10,9 +10,9 @@ import numpy as np
 
 from analysis.decays.free_decay import Decay
 from analysis.modal.modes import Modes
-from analysis.responses.frf import Frf
 from rig.escaping import shown
 from rig.output_files import make_ready, replacing
+from rig.results.response import Response
 
 Row = Sequence[str | float | int]
 
@@ -40,7 +40,7 @@ def _cell(value: str | float | int) -> str:
     return "" if np.isnan(value) else f"{value:.9g}"
 
 
-def frf_table(path: Path, frfs: Sequence[Frf]) -> Path:
+def frf_table(path: Path, frfs: Sequence[Response]) -> Path:
     """Table of frequency responses, one line per curve and frequency."""
     unit = frfs[0].unit.replace("²", "^2")
     heading = [
@@ -51,7 +51,7 @@ def frf_table(path: Path, frfs: Sequence[Frf]) -> Path:
     return write_table(path, heading, _frf_rows(frfs))
 
 
-def _frf_rows(frfs: Sequence[Frf]) -> Iterator[Row]:
+def _frf_rows(frfs: Sequence[Response]) -> Iterator[Row]:
     for frf in frfs:
         systematic = frf.systematic_bound()
         for i, value in enumerate(frf.value):

@@ -22,11 +22,11 @@ from analysis.presentation.damper_findings import motions_of_bodies
 from analysis.presentation.result import noted
 from analysis.recordings.names import opened, relabelled, scene_labels
 from analysis.responses.frequency_responses import frequency_responses
-from analysis.responses.frf import Frf
 from analysis.responses.stepped_sine import Sweep, sweeps
 from daq.recording.recorded_test import TestKind
 from daq.recording.recording import Recording
 from rig.errors import ShotrigError
+from rig.results.response import Response
 
 P = ParamSpec("P")
 Found = TypeVar("Found")
@@ -52,12 +52,12 @@ class Pass:
     peaks : for each mode the response with the highest compliance peak near it; None where there is none
     """
 
-    frfs: list[Frf]
+    frfs: list[Response]
     modes: Modes | None
-    peaks: tuple[tuple[Frf, Peak] | None, ...] = ()
+    peaks: tuple[tuple[Response, Peak] | None, ...] = ()
 
     @property
-    def highest(self) -> tuple[Frf, Peak] | None:
+    def highest(self) -> tuple[Response, Peak] | None:
         """The highest of `peaks`."""
         return max(
             (pair for pair in self.peaks if pair is not None), key=lambda pair: pair[1].value, default=None
@@ -111,7 +111,7 @@ class Measurements:
         ]
 
     def _measure(self, path: Path, label: str, rec: Recording) -> Measured:
-        groups: list[list[Frf]] = []
+        groups: list[Response] = []
         if rec.test.drives:
             groups = (
                 self._attempt(path, "Frequency responses", frequency_responses, rec, progress=self.progress)
@@ -128,7 +128,7 @@ class Measurements:
                 self._note(path, decayed.warnings)
         return Measured(path, label, rec, passes, tuple(dampers or ()), decayed)
 
-    def _pass(self, path: Path, label: str, rec: Recording, group: list[Frf]) -> Pass:
+    def _pass(self, path: Path, label: str, rec: Recording, group: Sequence[Response]) -> Pass:
         frfs = [relabelled(frf, rec.scene.name, label) for frf in group]
         self._note(path, frfs[0].warnings)
         modes = self._attempt(path, "Modes", identify, frfs)
@@ -160,11 +160,11 @@ class Measurements:
         self.warnings += [note for note in noted(path, notes) if note not in self.warnings]
 
 
-def _highest_peaks(frfs: Sequence[Frf], modes: Modes) -> tuple[tuple[Frf, Peak] | None, ...]:
+def _highest_peaks(frfs: Sequence[Response], modes: Modes) -> tuple[tuple[Response, Peak] | None, ...]:
     """Response with the highest compliance peak near each mode, in the order of `modes`."""
     curves = [frf for frf in frfs if frf.reference == "force"]
     _, low, high = surroundings(modes)
-    out: list[tuple[Frf, Peak] | None] = []
+    out: list[tuple[Response, Peak] | None] = []
     for rank in np.argsort(np.argsort(modes.frequency)):
         peaks = [
             (curve, found) for curve in curves if (found := peak(curve, low[rank], high[rank])) is not None

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from analysis.reporting.charts import Chart, Curve, Panel, logarithmic
 from analysis.reporting.measured import DamperResult, Measured
-from analysis.responses.frf import Frf
+from rig.results.response import Response
 
 # Longer curves are thinned to the highest and the lowest point of so many intervals.
 _INTERVALS = 1200
@@ -34,7 +34,7 @@ def response_charts(measurements: Sequence[Measured]) -> list[Chart]:
     return charts
 
 
-def response_chart(curves: Sequence[Frf], names: Sequence[str]) -> Chart:
+def response_chart(curves: Sequence[Response], names: Sequence[str]) -> Chart:
     """Magnitude with 95 % bounds, phase, coherence and relative bound of responses to one input."""
     shown = [_thinned(frf.with_gaps()) for frf in curves]
     unit, factor = shown[0].shown_in
@@ -69,7 +69,7 @@ def _limits(curves: Sequence[Curve]) -> tuple[float, float]:
     return (float(values.min()) / 1.5, 1.5 * float(values.max())) if values.size else (0.1, 10.0)
 
 
-def _thinned(frf: Frf) -> Frf:
+def _thinned(frf: Response) -> Response:
     """Keep the highest and the lowest point of each of many intervals of a long curve."""
     count = frf.frequency.size
     if count <= 2 * _INTERVALS:

@@ -10,10 +10,10 @@ import numpy as np
 
 from analysis.damper_motion.comparison import Peak, PeakChange
 from analysis.reporting.measured import Measured
-from analysis.responses.frf import Frf
 from analysis.responses.systematic import tolerance
 from rig.escaping import html
 from rig.results import plainly, rounded
+from rig.results.response import Response
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
@@ -139,12 +139,12 @@ def decays(measurements: Sequence[Measured]) -> str:
     return table("Free decay of each mode, with 95 % intervals", heading, rows) if rows else ""
 
 
-def budget(measured: Measured, curve: Frf, found: Peak) -> str:
+def budget(measured: Measured, curve: Response, found: Peak) -> str:
     """Uncertainty budget of a response at its highest measured point: contribution, type, bound, share."""
     point = int(np.argmin(abs(curve.frequency - found.frequency)))
     unit, factor = curve.shown_in
     parts = {"noise (scatter)": ("A", float(curve.random_bound()[point]))}
-    parts |= {name: ("B", float(part[point])) for name, part in curve.systematic.items()}
+    parts |= {name: ("B", float(part[point])) for name, part in curve.limits.items()}
     total = sum(bound**2 for _, bound in parts.values() if isfinite(bound))
     rows = [
         (

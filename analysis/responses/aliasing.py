@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.responses.frf import MOTIONS
 from analysis.responses.systematic import ALIASING, of_reading, off_by_gains
+from rig.results.response import MOTIONS
 from rig.scene.shaker import ElectrodynamicShaker, TableShaker
 from rig.system.structural_model import structural_model
 

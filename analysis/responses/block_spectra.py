@@ -53,7 +53,14 @@ class CrossSpectra:
         """Give what responses are made of; blocks begin every `step` samples."""
         independent = independent_blocks(self.window, step, self.used) * self.weight
         return Averages(
-            self.channels, self.frequency, self.cross, independent, resolution, label, warnings, unsmeared
+            self.channels,
+            self.frequency,
+            self.cross,
+            independent,
+            resolution,
+            label,
+            warnings,
+            unsmeared=unsmeared,
         )
 
 

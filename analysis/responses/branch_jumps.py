@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from analysis.responses.frf import Frf
+from rig.results.response import Response
 
 # A step of a curve counts as a jump if it is this large (in nepers or radians), this many times the steps
 # on either side, and this many times its standard error.
@@ -13,12 +13,12 @@ _MIN_RATIO_TO_NEIGHBORS = 4.0
 _MIN_SIGMAS = 5.0
 
 
-def jumps(frf: Frf) -> list[tuple[float, str]]:
+def jumps(frf: Response) -> list[tuple[float, str]]:
     """Find the frequencies at which a curve jumps from one branch to another.
 
     Parameters
     ----------
-    frf : Frf
+    frf : Response
         Points in the order measured.
 
     Returns
@@ -31,7 +31,7 @@ def jumps(frf: Frf) -> list[tuple[float, str]]:
     >>> f = np.linspace(10.0, 20.0, 11)
     >>> value = np.where(f < 14.5, 1.0 + 0.02 * f, 0.5 + 0.02 * f).astype(complex)
     >>> error = np.full(11, 1e-6)
-    >>> jumps(Frf(f, value, error, 1.0 - error, error + 38, "body3"))
+    >>> jumps(Response.curve(f, value, "body3", error=error, degrees=error + 38))
     [(14.5, 'jump down')]
     """
     if frf.frequency.size < 4:

@@ -3,27 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.responses.aliasing import aliasing_part
-from analysis.responses.error_parts import MeanErrors
-from analysis.responses.frf import Frf
 from analysis.responses.measurands import driven, motion_of, reference_of
+from analysis.responses.random_errors import MeanErrors
 from analysis.responses.systematic import (
     LEAKAGE,
     REFERENCE_NOISE,
-    clock_deviation,
-    clock_part,
+    ReadingShares,
+    assemble_budget,
     common_scale,
+    nothing_times,
     reference_noise_part,
-    sensitivity_part,
+    rounding_part,
     shared_noise_part,
 )
 from rig.errors import SceneError
+from rig.results.response import Response
 
 if TYPE_CHECKING:
     from analysis.responses.whole_stretches import WholeStretches
@@ -77,6 +77,8 @@ class Averages:
     """Bandwidth of the window in Hz, 0 where nothing leaks (bursts that end inside their block)."""
     label: str = ""  # For legends
     warnings: tuple[str, ...] = ()  # In full sentences
+    gain: Array = field(default_factory=lambda: np.zeros((1, 1)))
+    """How far rounding can change each channel's gain, as in `rounding_part`; shape (channels, n)."""
     unsmeared: WholeStretches | None = None
     """The same test without windows, where these leak: what the two differ by is stated as leakage."""
 
@@ -87,7 +89,7 @@ class Averages:
         reference: str = "force",
         motion: str = "displacement",
         estimator: str = "H1",
-    ) -> Frf:
+    ) -> Response:
         """Frequency response with coherence; error bars after Bendat and Piersol, eq. 9.90."""
         above = motion_of(rec, response, motion)
         upper = above.row(rec, self.channels, self.frequency)
@@ -110,40 +112,37 @@ class Averages:
             error = abs(value) * np.sqrt(other / (2.0 * (self.averages - 1.0)))
         else:
             error = np.full(value.shape, np.nan)
-        leakage: dict[str, Array] = {}
+        causes: dict[str, Array] = {}
         if self.unsmeared is not None:
             sharp = self.unsmeared.frf(rec, response, reference, motion)
-            leakage[LEAKAGE] = np.asarray(
-                abs(value - np.interp(self.frequency, sharp.frequency, sharp.value)), dtype=float
-            )
-        shares = value, upper * reads, lower * reads
+            near = np.interp(self.frequency, sharp.frequency, sharp.value)
+            causes[LEAKAGE] = np.asarray(abs(value - near), dtype=float)
+        shares = ReadingShares(self.channels, self.frequency, motion, value, upper * reads, lower * reads)
         incoherent = reference_noise_part(value, coherence)
         if len(below.channels) > 1:
             noise = self._noise_of_two(below.channels)
             incoherent = np.maximum(incoherent, shared_noise_part(noise, upper - value * lower, lower, sff))
+        causes[REFERENCE_NOISE] = incoherent
+        causes |= rounding_part(self.gain, value, shares.upper, shares.lower)
         # What is not coherent with the reference, over its power (Bendat and Piersol, chapter 7).
         off = (upper - value * lower).T / np.sqrt(sff * max(self.averages - 1.0, 1e-300))[:, None]
-        return Frf(
-            frequency=self.frequency,
-            value=value,
-            error=error,
-            errors=MeanErrors(off, self.cross),
-            coherence=coherence,
-            degrees=np.full(value.shape, max(2.0 * (self.averages - 1.0), 0.0)),
-            response=above.channels[0],
+        return Response.curve(
+            self.frequency,
+            value,
+            above.channels[0],
             reference=reference,
             motion=motion,
+            uncertainty=assemble_budget(
+                rec, shares, error, np.full(value.shape, max(2.0 * (self.averages - 1.0), 0.0)), causes,
+                doubts=[np.sum(nothing_times(np.abs(shares.lower), self.gain), axis=0)],
+                errors=MeanErrors(off[:, None], self.cross),
+                scale=common_scale(rec, above.channels, below.channels),
+            ),
+            coherence=coherence,
             label=self.label,
             resolution=self.resolution,
             warnings=self.warnings,
-            systematic=sensitivity_part(rec, self.channels, *shares)
-            | aliasing_part(rec, self.channels, self.frequency, *shares, motion)
-            | {REFERENCE_NOISE: incoherent}
-            | clock_part(rec, self.channels, self.frequency, *shares, motion)
-            | leakage,
-            clock=clock_deviation(rec),
-            scale=common_scale(rec, above.channels, below.channels),
-        )
+        )  # fmt: skip
 
     def _noise_of_two(self, names: Sequence[str]) -> Array:
         """Power of noise that the channels of a spring's force can hold at most: what they have not in common."""

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from analysis.recordings.names import takes_path
 from analysis.responses.estimators import ESTIMATORS, Averages
-from analysis.responses.frf import MOTIONS, Frf, FrfSet
 from analysis.responses.measurands import chosen, concerned, input_place, place
 from analysis.responses.passivity import reversed_force
 from daq.recording.recorded_test import TestKind
 from rig.errors import RecordingError, SceneError
+from rig.results.response import MOTIONS, stack
+from rig.results.response import Response as Response
 from rig.scene.quantities import FORCE, number
 
 if TYPE_CHECKING:
@@ -72,7 +73,7 @@ def frequency_responses(
     progress: Progress | None = None,
     overlap: float | None = None,
     window: str | None = None,
-) -> list[list[Frf]]:
+) -> list[Response]:
     """All frequency responses that a recording holds.
 
     Parameters
@@ -100,8 +101,8 @@ def frequency_responses(
 
     Returns
     -------
-    list of list of Frf
-        One list per sweep (level and direction), with one curve per response.
+    list of Response
+        One for each sweep (level and direction), with all outputs.
 
     Raises
     ------
@@ -119,7 +120,7 @@ def frequency_responses(
         raise SceneError(
             f"blocks, H1, H2 and Hv are for random and hits; {rec.path}: {TAKEN.get(kind, rec.test.name)}"
         )
-    out: list[list[Frf]] = []
+    out: list[list[Response]] = []
     channels = concerned(rec, names, reference)
     for source in _sources(rec, kind, channels, reference, blocks, progress):
         if isinstance(source, Averages):
@@ -132,21 +133,19 @@ def frequency_responses(
                     progress(done, len(names))
             out.append(curves)
     said = _unfiltered(rec, channels)
-    return [
-        checked(rec, [replace(curve, warnings=(*curve.warnings, *said)) for curve in each]) for each in out
-    ]
+    return [stack(checked(rec, [curve.warn(*said) for curve in each])) for each in out]
 
 
-def checked(rec: Recording, curves: Sequence[Frf]) -> list[Frf]:
+def checked(rec: Recording, curves: Sequence[Response]) -> list[Response]:
     """Locate curves of one sweep, and add a warning to all where the force has the wrong sign."""
     located = [_located(rec, curve) for curve in curves]
     warning = reversed_force(located)
-    return [replace(curve, warnings=(*curve.warnings, warning)) for curve in located] if warning else located
+    return [curve.warn(warning) for curve in located] if warning else located
 
 
-def _located(rec: Recording, curve: Frf) -> Frf:
+def _located(rec: Recording, curve: Response) -> Response:
     """Say where a curve's response is and where its reference acts."""
-    return replace(curve, output_at=place(rec, curve.response), input_at=input_place(rec, curve.reference))
+    return curve.placed(place(rec, curve.response), input_place(rec, curve.reference))
 
 
 def _unfiltered(rec: Recording, channels: Sequence[str]) -> tuple[str, ...]:
@@ -212,7 +211,7 @@ def frfs(
     motion: str = "displacement",
     level: float | str | None = None,
     direction: str | None = None,
-) -> FrfSet:
+) -> Response:
     """Estimate the frequency responses of a test: one for each response.
 
     Every channel is corrected for its sensor, amplifier and converter. The force is that in the coil spring,
@@ -250,7 +249,7 @@ def frfs(
         if level is not None or direction is not None:
             raise SceneError(f"level and direction choose among sweeps of held tones; {rec.path} holds none")
         (group,) = frequency_responses(rec, names, reference, motion)
-        return FrfSet(group)
+        return group
     wanted = number(level, FORCE, "level")
     found = sweeps(rec, concerned(rec, names, reference))
     fitting = [
@@ -263,7 +262,7 @@ def frfs(
         have = "; ".join(f"level={sweep.level:g}, direction={sweep.direction!r}" for sweep in found)
         what = "several sweeps fit" if fitting else "no sweep fits"
         raise SceneError(f"{what}: choose one of {have}, or take them all with analysis.frequency_responses")
-    return FrfSet(checked(rec, [fitting[0].lines.frf(rec, name, reference, motion) for name in names]))
+    return stack(checked(rec, [fitting[0].lines.frf(rec, name, reference, motion) for name in names]))
 
 
 @takes_path
@@ -273,7 +272,7 @@ def compliance(
     reference: str = "force",
     level: float | str | None = None,
     direction: str | None = None,
-) -> Frf:
+) -> Response:
     """Compliance of the structure at one channel: displacement per force, X_j / F_1.
 
     Parameters

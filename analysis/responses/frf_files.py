@@ -6,20 +6,20 @@ import csv
 import re
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.responses.frf import MOTIONS, Frf, FrfSet
 from analysis.responses.passivity import reversed_force
 from daq.importing import uff
 from daq.importing.files import signals_of
 from daq.importing.units import meaning
 from rig.errors import RecordingError, SceneError
 from rig.input_files import path_of
+from rig.results.response import MOTIONS, Response, stack
+from rig.results.universal_file import DEVIATION_LINE, FRF, GENERAL, RESOLUTION_LINE
 from rig.scene.quantities import FREQUENCY
 
 Array = NDArray[np.float64]
@@ -40,7 +40,7 @@ _SAME = 1e-9
 _KINDS = {"r": "real", "i": "imag", "m": "size", "a": "size", "p": "phase"}
 
 
-def read_frfs(path: str | Path, reference: str | None = None, unit: str | None = None) -> FrfSet:
+def read_frfs(path: str | Path, reference: str | None = None, unit: str | None = None) -> Response:
     r"""Read frequency responses of other programs; they have coherence where the file has it.
 
     Parameters
@@ -57,7 +57,7 @@ def read_frfs(path: str | Path, reference: str | None = None, unit: str | None =
 
     Returns
     -------
-    FrfSet
+    Response
         Named after nodes and directions, or as the file names them. What `identify` and all figures take. Error bars
         and resolution are there only where the file is of our own making.
 
@@ -84,11 +84,11 @@ def read_frfs(path: str | Path, reference: str | None = None, unit: str | None =
     if not file.is_file():
         raise RecordingError(f"{file}: no such file")
     if file.suffix.lower() in (".uff", ".unv"):
-        return FrfSet(_from_uff(file, reference, unit))
+        return stack(_from_uff(file, reference, unit))
     if file.suffix.lower() in ENDINGS:
         if reference is not None:
             raise SceneError(f"{file}: a table names no references to choose among; leave out {reference!r}")
-        return FrfSet(_from_long_table(file, unit) or _from_table(file, unit))
+        return stack(_from_long_table(file, unit) or _from_table(file, unit))
     raise RecordingError(f"{file}: expected a file whose name ends in one of {', '.join(ENDINGS)}")
 
 
@@ -97,9 +97,9 @@ def is_frf_file(path: Path) -> bool:
     return path.suffix.lower() in ENDINGS
 
 
-def _from_uff(path: Path, reference: str | None, unit: str | None) -> list[Frf]:
+def _from_uff(path: Path, reference: str | None, unit: str | None) -> list[Response]:
     sets = uff.functions(path)
-    found = [each for each in sets if int(each["func_type"]) == uff.FRF]
+    found = [each for each in sets if int(each["func_type"]) == FRF]
     if not found:
         timed = any(uff.is_time(each) for each in sets)
         other = "; it holds time responses: `daq import` makes a recording of them" if timed else ""
@@ -118,13 +118,13 @@ def _from_uff(path: Path, reference: str | None, unit: str | None) -> list[Frf]:
     deviation = {
         (_place(each), uff.title(each)): np.asarray(each["data"]).real
         for each in sets
-        if int(each["func_type"]) == uff.GENERAL and uff.title(each).startswith(uff.DEVIATION_LINE)
+        if int(each["func_type"]) == GENERAL and uff.title(each).startswith(DEVIATION_LINE)
     }
     curves = []
     for name, each in zip(_names(chosen), chosen, strict=True):
         frequency = _frequencies(path, name, each)
         motion, size = _ratio(f"{path}: {name}", unit or _stated(each))
-        given = deviation.get((_place(each), f"{uff.DEVIATION_LINE} {uff.title(each)}"))
+        given = deviation.get((_place(each), f"{DEVIATION_LINE} {uff.title(each)}"))
         curve = _curve(
             path,
             name,
@@ -136,14 +136,14 @@ def _from_uff(path: Path, reference: str | None, unit: str | None) -> list[Frf]:
             resolution=_stated_resolution(str(each.get("id4") or "")),
         )
         output, force = (_node(each, which) for which in ("rsp", "ref"))
-        curves.append(replace(curve, output_at=output, input_at=force))
+        curves.append(curve.placed(output, force))
     warning = reversed_force(curves)
-    return [replace(curve, warnings=(*curve.warnings, warning)) for curve in curves] if warning else curves
+    return [curve.warn(warning) for curve in curves] if warning else curves
 
 
 def _node(each: Mapping[str, Any], which: str) -> str:
     """Name the node of a response or reference; in files of our own it is a body."""
-    if str(each.get("id4") or "").startswith(uff.RESOLUTION_LINE):
+    if str(each.get("id4") or "").startswith(RESOLUTION_LINE):
         return f"body {int(each[f'{which}_node'])}"
     return f"node {uff.point(each, which)}"
 
@@ -154,7 +154,7 @@ def _stated_resolution(line: str) -> float | None:
     >>> _stated_resolution("shotrig: resolution 0.5 Hz"), _stated_resolution("NONE")
     (0.5, None)
     """
-    found = re.fullmatch(rf"{uff.RESOLUTION_LINE} (\S+) Hz", line.strip())
+    found = re.fullmatch(rf"{RESOLUTION_LINE} (\S+) Hz", line.strip())
     try:
         width = float(found[1]) if found else np.nan
     except ValueError:
@@ -218,7 +218,7 @@ def _ratio(where: str, unit: str) -> tuple[str, float]:
     raise SceneError(f"{where}: unit {unit!r}; expected motion per force, such as m/N, m/s/N, m/s^2/N or g/N")
 
 
-def _from_long_table(path: Path, unit: str | None) -> list[Frf]:
+def _from_long_table(path: Path, unit: str | None) -> list[Response]:
     """Read a table as `analysis frf` writes it: a line for each response and frequency; nothing if it is none."""
     try:
         return _long_curves(path, unit)
@@ -226,7 +226,7 @@ def _from_long_table(path: Path, unit: str | None) -> list[Frf]:
         raise RecordingError(f"{path} is no table of responses, or it is damaged: {error}") from None
 
 
-def _long_curves(path: Path, unit: str | None) -> list[Frf]:
+def _long_curves(path: Path, unit: str | None) -> list[Response]:
     with path.open(newline="", encoding="utf-8-sig", errors="replace") as stream:
         reader = csv.DictReader(stream)
         heading = reader.fieldnames or []
@@ -260,11 +260,11 @@ def _long_curves(path: Path, unit: str | None) -> list[Frf]:
         curve = _curve(
             path, name.partition("\0")[2], lines, values, motion, coherences, errors, resolution=said
         )
-        curves.append(replace(curve, input_at=inputs[name] if inputs[name] != "force" else ""))
+        curves.append(curve.placed("", inputs[name] if inputs[name] != "force" else ""))
     return curves
 
 
-def _from_table(path: Path, unit: str | None) -> list[Frf]:
+def _from_table(path: Path, unit: str | None) -> list[Response]:
     """Read a table of columns: frequency, then two for each response."""
     with ExitStack() as stack:
         first, *others = signals_of(path, stack)
@@ -307,20 +307,19 @@ def _curve(
     coherence: Array | None = None,
     error: Array | None = None,
     resolution: float | None = None,
-) -> Frf:
+) -> Response:
     """Make a curve of the lines that it can have, by frequency: at zero there is no displacement."""
     keep = _lines(f"{path}: {name}", frequency, value)
     steps = np.diff(frequency[keep])
     evenly = steps.size > 0 and np.ptp(steps) < _EVEN * steps.mean()
     usual = _HANN * float(steps.mean()) if evenly else 0.0
-    return Frf(
-        frequency=frequency[keep],
-        value=np.asarray(value, dtype=complex)[keep],
+    return Response.curve(
+        frequency[keep],
+        np.asarray(value, dtype=complex)[keep],
+        name,
+        motion=motion,
         error=_at_kept_lines(error, frequency, keep),
         coherence=_at_kept_lines(coherence, frequency, keep),
-        degrees=np.zeros(keep.size),
-        response=name,
-        motion=motion,
         label=path.stem,
         resolution=usual if resolution is None else resolution,
     )

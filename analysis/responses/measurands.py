@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.responses.frf import MOTIONS
 from rig.errors import RecordingError, SceneError
+from rig.results.response import MOTIONS
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording

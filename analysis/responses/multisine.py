@@ -12,13 +12,13 @@ from scipy import fft
 
 from analysis.recordings.slices import read_slices
 from analysis.responses.clean_stretches import describe_flaws, flaws
-from analysis.responses.frf import Frf
 from analysis.responses.local_models.local_spectra import SIDE
 from analysis.responses.measurands import located, reference_of
 from analysis.responses.scatter import Scatter
 from analysis.responses.spectral_lines import Lines, remainder
 from analysis.responses.systematic import counts_of, in_counts, scattered, tone_gain
 from rig.errors import RecordingError
+from rig.results.response import Response
 
 if TYPE_CHECKING:
     from daq.recording.markers import Marker
@@ -58,7 +58,7 @@ class BestLinearApproximation:
 
     def frf(
         self, rec: Recording, response: str, reference: str = "force", motion: str = "displacement"
-    ) -> Frf:
+    ) -> Response:
         """Best linear approximation, its error bars holding noise and nonlinear distortion."""
         return self.total.frf(rec, response, reference, motion)
 

@@ -10,19 +10,19 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from analysis.responses.frf import Frf
 from daq.importing.driving_power import returns_energy
+from rig.results.response import Response
 
 # Points count whose bound is a smaller share of their magnitude.
 _KNOWN_SHARE = 0.3
 
 
-def reversed_force(curves: Sequence[Frf]) -> str:
+def reversed_force(curves: Sequence[Response]) -> str:
     """Warn if the force gains energy from the structure at the driving point; empty if it does not.
 
     Parameters
     ----------
-    curves : sequence of Frf
+    curves : sequence of Response
         Responses to one force, measured together; those elsewhere than at the force do not count.
     """
     wrong = [curve for curve in curves if curve.is_driving_point and takes_energy(curve)]
@@ -36,7 +36,7 @@ def reversed_force(curves: Sequence[Frf]) -> str:
     )
 
 
-def takes_energy(curve: Frf) -> bool:
+def takes_energy(curve: Response) -> bool:
     """Whether the reference takes energy from the structure at the resonances of a driving-point response."""
     mobility = curve.to("velocity").sorted()
     size = abs(mobility.value)

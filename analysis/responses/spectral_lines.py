@@ -10,21 +10,19 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from analysis.responses.aliasing import aliasing_part
-from analysis.responses.error_parts import MeanErrors
-from analysis.responses.frf import Frf, radius
 from analysis.responses.measurands import driven, motion_of, reference_of
+from analysis.responses.random_errors import MeanErrors
 from analysis.responses.ringing import ringing
 from analysis.responses.scatter import Scatter, moderated
 from analysis.responses.systematic import (
     RESOLUTION,
     UNSETTLED,
-    clock_deviation,
-    clock_part,
+    ReadingShares,
+    assemble_budget,
     common_scale,
-    doubtful_reference_part,
-    sensitivity_part,
 )
+from rig.results.response import Response
+from rig.results.uncertainty import radius
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
@@ -76,7 +74,7 @@ class Lines:
 
     def frf(
         self, rec: Recording, response: str, reference: str = "force", motion: str = "displacement"
-    ) -> Frf:
+    ) -> Response:
         """Divide the mean response by the mean reference; their covariance propagates to first order."""
         names: Sequence[str] = self.channels
         above = motion_of(rec, response, motion)
@@ -93,46 +91,43 @@ class Lines:
         if self.around:
             expected = noise.nearby(off, self.around)
             variance, degrees = moderated(variance, degrees, expected, self.around)
-        shares = value, upper * self.mean / f, lower * self.mean / f
         error = np.sqrt(variance / 2.0)
-        systematic = aliasing_part(rec, names, self.frequency, *shares, motion)
+        causes: dict[str, NDArray[np.float64]] = {}
         doubts = [self._reference_noise(lower, noise) / abs(f)]
-        # What is left of transients, and of rounding, adds up in the worst case.
+        # Residual transients and rounding add up in the worst case.
         unsettled = None if self.remainder is None else _AT_MOST * self.remainder
         for name, each in ((RESOLUTION, self.resolution), (UNSETTLED, unsettled)):
             if each is not None:
-                systematic[name] = np.sum(abs(off) * each, axis=0)
+                causes[name] = np.sum(abs(off) * each, axis=0)
                 doubts.append(np.sum(abs(lower / f) * each, axis=0))
         if self.waited is not None and self.lasted is not None:
             rings = ringing(value, self.frequency, self.waited, self.lasted, error)
-            systematic[UNSETTLED] = np.maximum(systematic.get(UNSETTLED, 0.0), rings)
-        bound = np.sqrt(np.sum(np.square([error * radius(0.95, degrees), *systematic.values()]), axis=0))
-        systematic |= doubtful_reference_part(bound, np.sqrt(np.sum(np.square(doubts), axis=0)))
+            causes[UNSETTLED] = np.maximum(causes.get(UNSETTLED, 0.0), rings)
         with np.errstate(invalid="ignore", divide="ignore"):
             averages = 1.0 + self.scatter.degrees / 2.0
             coherence = 1.0 / (1.0 + averages * variance / abs(value) ** 2)
-        covariance = np.einsum("rin,rjn->nij", self.scatter.rows, self.scatter.rows.conj())
-        return Frf(
-            frequency=self.frequency,
-            value=value,
-            error=error,
-            errors=MeanErrors(off.T, covariance),
-            coherence=coherence,
-            degrees=degrees,
-            response=above.channels[0],
+        means = np.einsum("rin,rjn->nij", self.scatter.rows, self.scatter.rows.conj())
+        shares = ReadingShares(
+            names, self.frequency, motion, value, upper * self.mean / f, lower * self.mean / f
+        )
+        return Response.curve(
+            self.frequency,
+            value,
+            above.channels[0],
             reference=reference,
             motion=motion,
+            uncertainty=assemble_budget(
+                rec, shares, error, degrees, causes, doubts,
+                errors=MeanErrors(off.T[:, None], means),
+                scale=common_scale(rec, above.channels, below.channels),
+            ),
+            coherence=coherence,
             label=self.label,
             warnings=self.warnings,
-            systematic=systematic
-            | sensitivity_part(rec, names, *shares)
-            | clock_part(rec, names, self.frequency, *shares, motion),
             unsteady=self.unsteady,
-            held=None if self.unsteady is None else abs(f),
-            left_out=self.left_out,
-            clock=clock_deviation(rec),
-            scale=common_scale(rec, above.channels, below.channels),
-        )
+            amplitude=None if self.unsteady is None else abs(f),
+            omitted=self.left_out,
+        )  # fmt: skip
 
     def _reference_noise(self, lower: NDArray[np.complex128], noise: Scatter) -> NDArray[np.float64]:
         """Largest amplitude that noise gives the reference at each line; shape (n,).

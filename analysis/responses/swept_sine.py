@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 
 from analysis.recordings.slices import read_slices
 from analysis.responses.clean_stretches import cure, describe_flaws, flaws
-from analysis.responses.error_parts import LocalErrors
-from analysis.responses.frf import MOTIONS, Frf
 from analysis.responses.local_models.local_rational import ORDER
 from analysis.responses.local_models.local_spectra import SIDE, LocalSpectra
 from analysis.responses.measurands import motion_of, reference_of
+from analysis.responses.random_errors import LocalErrors
 from analysis.responses.systematic import UNSETTLED, in_counts, scattered, tolerance, tone_gain
 from analysis.responses.whole_stretches import dampers_move
 from rig.errors import RecordingError
+from rig.results.response import MOTIONS, Response
 
 if TYPE_CHECKING:
     from daq.recording.markers import Marker
@@ -58,21 +58,21 @@ class SweptTone:
 
     def frf(
         self, rec: Recording, response: str, reference: str = "force", motion: str = "displacement"
-    ) -> Frf:
+    ) -> Response:
         """Frequency response with coherence, random and systematic errors."""
         above, below = motion_of(rec, response, motion), reference_of(rec, reference)
         found = self.spectra.frf(rec, above, below, reference, motion, self.label, self.warnings)
-        assert isinstance(found.errors, LocalErrors)
+        budget = found.uncertainty
+        assert isinstance(budget.errors, LocalErrors)
         # Stretches of neighbouring frequencies overlap in time, where their bins are counted as different.
-        apart = replace(found.errors, one_reference=False, shared=self.shared)
-        found = replace(found, shared=self.shared, errors=apart)
+        errors = replace(budget.errors, one_reference=False, shared=self.shared)
+        found = replace(found, uncertainty=replace(budget, shared=self.shared, errors=errors))
         if not dampers_move(rec):
             return found
         lag = np.where(self.riding, 0.0, self._lag(found))
-        warnings = (*found.warnings, *_too_fast(found, lag))
-        return replace(found, systematic={**found.systematic, UNSETTLED: lag}, warnings=warnings)
+        return found.with_limits({UNSETTLED: lag}).warn(*_too_fast(found, lag))
 
-    def _lag(self, found: Frf) -> Array:
+    def _lag(self, found: Response) -> Array:
         """How far a passing tone puts a response off that is not linear.
 
         What passes is off a steady one by half the speed (in rad/s²) times the curvature of the response [1]_. The fit
@@ -185,7 +185,7 @@ def tracked(
     return SweptTone(spectra, speed[kept], rec.scene.name, tuple(notes), riding, shared)
 
 
-def _too_fast(found: Frf, lag: Array) -> tuple[str, ...]:
+def _too_fast(found: Response, lag: Array) -> tuple[str, ...]:
     """Warn of a tone that passes faster than a motion with dampers in flight becomes steady."""
     share = lag / abs(found.value)
     fast = share > _FAST

@@ -8,7 +8,7 @@ damping, a hammer that bounced is as good as one that did not, and what overload
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,13 +18,13 @@ from scipy import fft
 
 from analysis.responses.clean_stretches import clean_stretches, cure, describe_flaws, flaws
 from analysis.responses.force_pulse import high_passes
-from analysis.responses.frf import Frf
 from analysis.responses.local_models.jitter import jitter_factor
 from analysis.responses.local_models.local_spectra import SIDE, LocalSpectra
 from analysis.responses.local_models.low_spectra import low_spectra
 from analysis.responses.measurands import motion_of, reference_of, responses
 from analysis.responses.systematic import in_counts, noise_gain
 from rig.errors import RecordingError
+from rig.results.response import Response
 
 if TYPE_CHECKING:
     from analysis.responses.clean_stretches import Flaw
@@ -76,7 +76,7 @@ class WholeStretches:
 
     def frf(
         self, rec: Recording, response: str, reference: str = "force", motion: str = "displacement"
-    ) -> Frf:
+    ) -> Response:
         """Frequency response with coherence, random and systematic errors."""
         above, below = motion_of(rec, response, motion), reference_of(rec, reference)
         # Whether hits come upon rest, each response's own channels say.
@@ -238,7 +238,7 @@ class WholeStretches:
         return np.arange(first, last + 1, -(-(last - first) // _MOST_LINES))
 
 
-def _with_motion_before(frf: Frf, moving: Sequence[float]) -> Frf:
+def _with_motion_before(frf: Response, moving: Sequence[float]) -> Response:
     """Add to a curve's bound what moved before the hits and is in it, and warn where that is much."""
     known = [part for part in moving if np.isfinite(part)]
     if not known:
@@ -253,11 +253,8 @@ def _with_motion_before(frf: Frf, moving: Sequence[float]) -> Frf:
     rate = (2.0 * np.pi * frf.frequency) ** {"displacement": 2, "velocity": 1, "acceleration": 0}[frf.motion]
     reach = 1.0 / (np.pi * (np.abs(np.arange(1 - frf.value.size, frf.value.size)) + 1.0))
     part = most * scipy.signal.fftconvolve(reach, abs(frf.value) * rate, mode="valid") / rate
-    return replace(
-        frf,
-        systematic={**frf.systematic, MOTION_BEFORE: part},
-        warnings=(*frf.warnings, *([warning] if most > _MUCH else [])),
-    )
+    found = frf.with_limits({MOTION_BEFORE: part})
+    return found.warn(warning) if most > _MUCH else found
 
 
 def dampers_move(rec: Recording) -> tuple[str, ...]:

@@ -13,11 +13,9 @@ from daq.importing.signal import Signal, held, rate_of_interval
 from daq.importing.time_gaps import Missing, clock_with_gaps, with_missing
 from rig.errors import RecordingError, RunError
 from rig.numerics.memory import need_beside_program
+from rig.results.universal_file import FRF, GENERAL
 
-TIME_RESPONSE, FRF, COHERENCE, GENERAL = 1, 4, 6, 0
-#: Beginnings of lines in which our own files say what the format has no field for: the width over which leakage smears
-#: each line of a response, and of which response a general function is the standard deviation.
-RESOLUTION_LINE, DEVIATION_LINE = "shotrig: resolution", "standard deviation of"
+TIME_RESPONSE, COHERENCE = 1, 6
 # Units that a label leaves out, by the kind of the data, where data set 164 says that the file is in SI.
 UNITS = {8: "m", 11: "m/s", 12: "m/s^2", 9: "N", 13: "N"}
 _TIME, _SI = 17, 1

@@ -7,7 +7,7 @@ import yaml
 from numpy.typing import NDArray
 
 import rig
-from analysis.responses.frf import Frf
+from rig.results.response import Response
 from rig.system.structural_model import receptance
 from tests.gauntlet.scenes import INSTRUMENTS, Draw, Settings, instrumented
 
@@ -64,15 +64,15 @@ def draw_pair(seed: int, number: int, kind: str) -> rig.Scene:
     return scene if kind == CURVES else instrumented(more, scene)
 
 
-def exact_curves(scene: rig.Scene, seed: int, number: int) -> list[Frf]:
+def exact_curves(scene: rig.Scene, seed: int, number: int) -> list[Response]:
     """Receptances in closed form, with 2 to 6 lines in each half-power bandwidth."""
     dice = Draw(seed, number + 10**6)
     width = 2.0 * _EXACT[1] * scene.test.from_
     spacing = width / dice.even(2.0, 6.0)
     frequency = np.arange(scene.test.from_, scene.test.to, spacing)
     values = receptance(scene, frequency)[: dice.whole(1, 2)]
-    nothing, ones = np.zeros(frequency.size), np.ones(frequency.size)
-    return [Frf(frequency, value, nothing, ones, 38.0 * ones, f"a{k}") for k, value in enumerate(values, 1)]
+    degrees = np.full(frequency.size, 38.0)
+    return [Response.curve(frequency, value, f"a{k}", degrees=degrees) for k, value in enumerate(values, 1)]
 
 
 def _shapes(dice: Draw, bodies: int) -> Array:

@@ -12,25 +12,22 @@ import scipy
 from numpy.typing import NDArray
 from scipy import special
 
-from analysis.responses.aliasing import aliasing_part
-from analysis.responses.error_parts import LocalErrors
 from analysis.responses.force_pulse import slow_and_fast
-from analysis.responses.frf import Frf
 from analysis.responses.local_models.jitter import jitter_part
 from analysis.responses.local_models.local_rational import LARGEST, ORDER, LocalFit, Reading, local_fit
 from analysis.responses.measurands import Measurand, driven
+from analysis.responses.random_errors import LocalErrors
 from analysis.responses.systematic import (
     MODEL,
     REFERENCE_NOISE,
-    clock_deviation,
-    clock_part,
+    ReadingShares,
+    assemble_budget,
     common_scale,
-    doubtful_reference_part,
     reference_noise_part,
     rounding_part,
-    sensitivity_part,
     shared_noise_part,
 )
+from rig.results.response import Response
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
@@ -92,7 +89,7 @@ class LocalSpectra:
         label: str,
         warnings: Sequence[str],
         reference_noise: Array | None = None,
-    ) -> Frf:
+    ) -> Response:
         """Response of one measurand to another.
 
         Parameters
@@ -127,64 +124,58 @@ class LocalSpectra:
         noise = np.einsum("cn,cn->n", abs(lower) ** 2, self.noise)
         variance = np.maximum(of_response.variance, of_response.through * noise) * scale**2
         value = np.sum(upper * reads, axis=0)
-        shares = value, upper * reads, lower * reads
-        systematic = (
-            aliasing_part(rec, names, at, *shares, motion)
-            | rounding_part(self.gain, *shares)
-            | jitter_part(self.jitter, upper - value * lower, len(force) * self._power(force, self.side))
+        shares = ReadingShares(names, at, motion, value, upper * reads, lower * reads)
+        off = upper - value * lower
+        causes = (
+            rounding_part(self.gain, value, shares.upper, shares.lower)
+            | jitter_part(self.jitter, off, len(force) * self._power(force, self.side))
             | {MODEL: of_response.missed * scale}
         )
+        doubts = []
         if noise.any():
-            # By how much of itself the fit follows noise in the reference: so far off is, to it, the reference.
+            # By how much of itself the fit follows noise in the reference: so uncertain is, to it, the reference.
             size = abs(of_response.value) ** 2
             # Where nothing is fitted, all of it may be noise.
             follows = np.full(size.shape, np.inf)
             np.divide(2.0 * of_response.through * noise, size, out=follows, where=size > 0.0)
-            bound = np.linalg.norm([1.96 * np.sqrt(variance), *systematic.values()], axis=0)
-            systematic |= doubtful_reference_part(bound, np.sqrt(LARGEST * follows))
-        systematic |= sensitivity_part(rec, names, *shares) | clock_part(rec, names, at, *shares, motion)
+            doubts.append(np.sqrt(LARGEST * follows))
         if reference_noise is None:
             incoherent = reference_noise_part(value, of_response.coherence)
             if len(below.channels) > 1:
                 power = np.minimum(self._power(force, 1), self._power(force, self.side)) * of_response.apart
-                noise = self._reference_noise(rec, below)
                 incoherent = np.maximum(
-                    incoherent, shared_noise_part(noise, upper - value * lower, lower, power)
+                    incoherent, shared_noise_part(self._reference_noise(rec, below), off, lower, power)
                 )
-            systematic[REFERENCE_NOISE] = incoherent
+            causes[REFERENCE_NOISE] = incoherent
+            common = np.zeros(at.size, dtype=complex)
         else:
-            variance = variance + abs(value) ** 2 * reference_noise
+            variance, common = variance + abs(value) ** 2 * reference_noise, value * np.sqrt(reference_noise)
         turned = upper[names.index(above.channels[0])] * rec.channels[above.channels[0]].response(at)
         errors = LocalErrors(
-            influence=of_response.influence * turned[:, None, None],
+            influence=(of_response.influence * turned[:, None, None])[:, None],
             first=of_response.first,
-            residual=of_response.residual,
+            residual=of_response.residual[:, None],
             curve=of_response.curve,
             drive=self._power(force, self.side),
             free=float(of_response.degrees[0]) / 2.0,
             used=self.used,
             one_reference=below.channels[1:] == () and not noise.any(),
-            common=np.zeros(at.size, dtype=complex)
-            if reference_noise is None
-            else value * np.sqrt(reference_noise),
+            common=common[:, None],
         )
-        return Frf(
-            frequency=at,
-            value=value,
-            error=np.sqrt(variance),
-            errors=errors,
-            coherence=of_response.coherence,
-            degrees=of_response.degrees,
-            response=above.channels[0],
+        return Response.curve(
+            at,
+            value,
+            above.channels[0],
             reference=reference,
             motion=motion,
+            uncertainty=assemble_budget(
+                rec, shares, np.sqrt(variance), of_response.degrees, causes, doubts,
+                errors=errors, shared=self._shared, scale=common_scale(rec, above.channels, below.channels),
+            ),
+            coherence=of_response.coherence,
             label=label,
-            systematic=systematic,
             warnings=tuple(warnings),
-            shared=self._shared,
-            clock=clock_deviation(rec),
-            scale=common_scale(rec, above.channels, below.channels),
-        )
+        )  # fmt: skip
 
     @property
     def _shared(self) -> float:

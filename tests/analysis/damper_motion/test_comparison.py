@@ -23,16 +23,16 @@ from analysis.damper_motion.comparison import (
     peak_changes,
     unresolved,
 )
-from analysis.responses.frf import SENSITIVITY, Frf
+from rig.results.response import Response
+from rig.results.uncertainty import SENSITIVITY
 from tests.analysis.responses import synthetic
 
 
-def measured(frequency: np.ndarray, value: np.ndarray, error: float = 0.0) -> Frf:
+def measured(frequency: np.ndarray, value: np.ndarray, error: float = 0.0) -> Response:
     """A curve as a sweep measures it, off by the given share at most at each point."""
     size, one = abs(value), np.ones(frequency.size)
     off = error * size * np.exp(2j * np.pi * np.arange(frequency.size) * 0.38)
-    systematic = {"test": error * size}
-    return Frf(frequency, value + off, 0.0 * one, one, 100.0 * one, "body1", systematic=systematic)
+    return Response.curve(frequency, value + off, "body1", degrees=100.0 * one, limits={"test": error * size})
 
 
 def two_modes(f: np.ndarray, natural: float, ratio: float) -> np.ndarray:
@@ -134,7 +134,7 @@ def test_given_bounds_around_changes_when_told_then_words_say_which_way_and_how_
 def test_given_a_small_peak_on_a_flank_when_compared_then_it_counts_and_not_the_flank_beside_it() -> None:
     f = np.linspace(30.0, 86.0, 400)
 
-    def curve(ratio: float) -> Frf:
+    def curve(ratio: float) -> Response:
         small = 2e-5 / (1.0 - (f / 79.0) ** 2 + 2j * ratio * f / 79.0)
         return measured(f, 2e-3 / (1.0 - (f / 40.0) ** 2 + 2j * 0.01 * f / 40.0) - small)
 

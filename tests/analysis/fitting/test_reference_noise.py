@@ -10,7 +10,6 @@ import yaml
 import analysis
 import daq
 import rig
-from analysis.responses.line_errors import error_covariance
 from tests.analysis.fitting.other_simulator import drawn, random_test
 
 pytestmark = pytest.mark.filterwarnings("ignore::daq.RunWarning")
@@ -28,7 +27,7 @@ def bench(tmp_path_factory):
 def test_reference_noise_is_told_from_response_noise(bench):
     with daq.open(bench[1]) as recording:
         curves = analysis.frfs(recording)
-    errors = error_covariance(curves)
+    errors = curves.covariance()
     # 3 % of the force's rms, white to 500 Hz; the force ends at 262 Hz.
     assert np.median(errors.reference) == pytest.approx(0.03**2 * 262.0 / 500.0, rel=0.3)
     own = np.einsum("kaa->ka", errors.lines).real

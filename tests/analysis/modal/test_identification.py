@@ -8,9 +8,10 @@ import pytest
 
 import analysis
 import daq
-from analysis.responses.frf import SENSITIVITY, Frf
 from analysis.responses.systematic import UNSETTLED
 from rig.errors import RecordingError
+from rig.results.response import Response
+from rig.results.uncertainty import SENSITIVITY
 from rig.system.structural_model import natural_modes, structure_matrices
 from tests.analysis.responses import synthetic
 
@@ -87,7 +88,8 @@ def test_given_white_noise_when_identified_then_no_mode_is_claimed(seed):
 def curves(frequency, value, error):
     ones = np.ones(frequency.size)
     return [
-        Frf(frequency, row, error, ones, 38.0 * ones, f"body{number}") for number, row in enumerate(value, 1)
+        Response.curve(frequency, row, f"body{number}", error=error, coherence=ones, degrees=38.0 * ones)
+        for number, row in enumerate(value, 1)
     ]
 
 
@@ -156,8 +158,8 @@ def test_given_leakage_when_identified_then_it_warns_just_where_damping_is_off_b
     pole = 2 * np.pi * natural * (-zeta + 1j * np.sqrt(1.0 - zeta**2))
     value = (1.0 / ((s - pole) * (s - pole.conjugate()))) @ (window / window.sum())
     nothing = np.zeros(frequency.size)
-    frf = Frf(
-        frequency, value, nothing + 1e-3 * abs(value).max(), nothing + 1.0, nothing + 38.0, "body1",
+    frf = Response.curve(
+        frequency, value, "body1", error=nothing + 1e-3 * abs(value).max(), degrees=nothing + 38.0,
         resolution=resolution,
     )  # fmt: skip
     modes = analysis.identify([frf], count=1)
@@ -221,7 +223,7 @@ def test_given_lines_that_nothing_bounds_in_one_response_when_identified_then_wh
         frfs = analysis.frfs(recording)
     open_lines = np.where(abs(frfs[0].frequency - 24.0) < 4.0, np.inf, 0.0)
     silent = replace(frfs[1], value=np.where(open_lines > 0.0, 0.0, frfs[1].value))
-    some = [replace(frf, systematic=frf.systematic | {UNSETTLED: open_lines}) for frf in (frfs[0], silent)]
+    some = [frf.with_limits({UNSETTLED: open_lines}) for frf in (frfs[0], silent)]
     modes = analysis.identify([*some, frfs[2]])
     assert len(modes.frequency) == 3
     assert modes.model_error > 0.01
@@ -293,8 +295,8 @@ def test_given_a_force_sensor_of_wide_tolerance_when_modes_are_identified_then_n
     with daq.open(synthetic.stepped_sine(tmp_path / "a.mcap", np.linspace(8.0, 60.0, 105))) as rec:
         [curves] = analysis.frequency_responses(rec)
     wide = [
-        replace(one, systematic=one.systematic | {SENSITIVITY: 0.15 * abs(one.value)}, scale=0.15)
-        for one in curves
+        replace(limited, uncertainty=replace(limited.uncertainty, scale=0.15))
+        for limited in (one.with_limits({SENSITIVITY: 0.15 * abs(one.value)}) for one in curves)
     ]
     known, modes = analysis.identify(curves), analysis.identify(wide)
     assert modes.shape_error.max() < 0.01

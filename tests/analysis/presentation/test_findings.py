@@ -21,8 +21,8 @@ from analysis.modal.modes import Modes
 from analysis.presentation.decay_findings import present_decay
 from analysis.presentation.frf_findings import present_frf
 from analysis.presentation.mode_findings import theoretical_shapes, unlike_theory
-from analysis.responses.frf import Frf
 from rig.errors import RecordingError
+from rig.results.response import Response
 from tests.analysis.responses import synthetic
 
 FREQUENCIES = np.linspace(8.0, 60.0, 53)
@@ -135,9 +135,10 @@ def test_given_a_long_name_when_drawn_then_title_note_and_axis_keep_clear_of_eac
 def drawn_frf(value, systematic, left_out=()):
     """Figure of a curve from 10 to 20 Hz with a scatter of 1 %; and its first axes and its caption."""
     flat = np.ones(11)
-    curve = Frf(
-        np.linspace(10.0, 20.0, 11), value * flat.astype(complex), 0.01 * value * flat, flat, 38.0 * flat, "body3",
-        systematic={"sensors' sensitivity": systematic * flat}, left_out=np.array(left_out), label="a scene",
+    curve = Response.curve(
+        np.linspace(10.0, 20.0, 11), value * flat.astype(complex), "body3", error=0.01 * value * flat, coherence=flat,
+        degrees=38.0 * flat, limits={"sensors' sensitivity": systematic * flat}, omitted=np.array(left_out),
+        label="a scene",
     )  # fmt: skip
     figure = frf_figure([curve], "Compliance")
     return figure.axes[0], figure.legends[0].get_title().get_text()
@@ -184,7 +185,7 @@ def test_given_five_modes_when_drawn_then_their_titles_do_not_touch():
     )
     flat = np.ones(frequency.size)
     curves = [
-        Frf(frequency, value, 0.0 * flat, flat, 4.0 * flat, name, "force")
+        Response.curve(frequency, value, name, coherence=flat, degrees=4.0 * flat)
         for name, value in zip(names, modes.receptance(frequency), strict=True)
     ]
     figure = modes_figure(curves, modes, "Modes: five bodies")

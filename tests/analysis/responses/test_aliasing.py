@@ -11,9 +11,9 @@ import analysis
 import daq
 import rig
 from analysis.responses.aliasing import _blows, _free_acceleration, aliasing_part
-from analysis.responses.frf import MOTIONS
 from analysis.responses.systematic import ALIASING
 from daq.signal_chain.channel import ChannelInfo
+from rig.results.response import MOTIONS
 
 RATE, SAMPLES, FINE = 5120.0, 512, 64
 CYCLES = np.array([4, 32, 128, 200])
@@ -209,7 +209,7 @@ def test_given_blows_that_pass_between_two_points_when_the_response_is_told_then
         with daq.open(path) as rec:
             [[found]] = analysis.frequency_responses(rec)
         off = abs(found.value - exact) / abs(exact)
-        told = found.systematic[ALIASING] / abs(found.value)
+        told = found.limits[ALIASING] / abs(found.value)
         assert (off > 0.03).all() == (sampling == "point")
         assert (off <= found.bound(0.95) / abs(found.value)).all()
         assert (told < 1.2 * share).all()

@@ -9,9 +9,9 @@ from typer.testing import CliRunner
 import analysis
 import daq
 from analysis.cli import app
-from analysis.exporting.uff import write_frfs
 from analysis.presentation.tables import frf_table
 from rig.errors import RecordingError, SceneError
+from rig.results.response import Response, stack
 from tests.daq.importing.files import NAMES, RATE, bench, tdms
 
 # pyuff leaves a binary file open that it wrote.
@@ -230,12 +230,20 @@ def test_given_responses_far_off_at_low_lines_when_our_own_file_of_them_is_read_
     drift = value + error * np.exp(0.3j * FREQUENCY[1:])
     nothing = np.ones(error.size)
     curves = [
-        analysis.Frf(FREQUENCY[1:], row, error, nothing, 30.0 * nothing, f"body{k}", label="own")
+        Response.curve(
+            FREQUENCY[1:],
+            row,
+            f"body{k}",
+            error=error,
+            coherence=nothing,
+            degrees=30.0 * nothing,
+            label="own",
+        )
         for k, row in enumerate(drift, 1)
     ]
     path = tmp_path / f"own.{ending}"
     if ending == "uff":
-        write_frfs(curves, path, [1, 2], 1)
+        stack(curves).to_uff(path, [1, 2], [1])
     else:
         frf_table(path, curves)
     again = analysis.read_frfs(path)

@@ -8,11 +8,11 @@ import pytest
 import analysis
 import daq
 import rig
-from analysis.responses.frf import SENSITIVITY
 from daq.importing.channel_table import Column
 from daq.recording.markers import Marker
 from daq.signal_chain.channel import ChannelInfo
 from rig.errors import RecordingError
+from rig.results.uncertainty import SENSITIVITY
 from rig.system.structural_model import natural_modes, receptance, structure_matrices
 from tests.analysis.responses import synthetic
 
@@ -107,7 +107,7 @@ def test_given_sensors_whose_bias_settles_when_hit_then_the_hammer_waits_and_bou
         share, wrong = coverage(rec, curves)
     assert first > 8.0 * rec.rate
     assert share > 0.9 and wrong < 0.12
-    assert set(curves[0].systematic) >= {SENSITIVITY}
+    assert set(curves[0].limits) >= {SENSITIVITY}
 
 
 @pytest.mark.parametrize(("interval", "told"), [(6.0, False), (2.0, True)])

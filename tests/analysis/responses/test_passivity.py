@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.responses.frf import Frf
 from analysis.responses.passivity import reversed_force
+from rig.results.response import Response
 
 MASS, STIFFNESS = np.diag([4.2, 1.1]), np.array([[1.8e6, -0.9e6], [-0.9e6, 0.9e6]])
 LINES = np.arange(20.0, 300.0, 0.5)
 
 
-def measured(response: int = 1, *, grounded: bool = True, noise: float = 1e-3) -> Frf:
+def measured(response: int = 1, *, grounded: bool = True, noise: float = 1e-3) -> Response:
     """Receptance of a bracket with modes at 64 and 166 Hz to a force on body 1, with noise and its bound."""
     spring = STIFFNESS if grounded else STIFFNESS - np.diag([0.9e6, 0.0])
     value = np.array(
@@ -22,8 +22,8 @@ def measured(response: int = 1, *, grounded: bool = True, noise: float = 1e-3) -
     )
     random, size = np.random.default_rng(response), noise * abs(value)
     value += size * (random.standard_normal(LINES.size) + 1j * random.standard_normal(LINES.size))
-    return Frf(
-        LINES, value, size, np.ones(LINES.size), np.full(LINES.size, 38.0), f"body{response}",
+    return Response.curve(
+        LINES, value, f"body{response}", error=size, degrees=np.full(LINES.size, 38.0),
         output_at=f"body {response}", input_at="body 1",
     )  # fmt: skip
 

@@ -63,10 +63,10 @@ def test_given_noise_when_measured_then_95_percent_bounds_hold_for_95_percent_of
 def test_given_tones_when_measured_then_the_force_that_acted_stays_with_its_point_and_is_told(tmp_path):
     with daq.open(synthetic.stepped_sine(tmp_path / "a.mcap", [34.0, 12.0], level=2.61)) as rec:
         frf = analysis.compliance(rec)
-    np.testing.assert_allclose(frf.held, 2.61, rtol=1e-9)
+    np.testing.assert_allclose(frf.amplitude, 2.61, rtol=1e-9)
     assert "at 12 Hz under 2.61 N" in frf.summary()
-    gap = replace(frf, left_out=np.array([20.0])).with_gaps()
-    np.testing.assert_allclose(gap.held, [2.61, np.nan, 2.61], rtol=1e-9)
+    gap = replace(frf, omitted=np.array([20.0])).with_gaps()
+    np.testing.assert_allclose(gap.amplitude, [2.61, np.nan, 2.61], rtol=1e-9)
 
 
 def test_given_mobility_when_asked_for_then_it_is_receptance_times_i_omega(tmp_path):
@@ -177,7 +177,7 @@ def test_given_sweeps_that_are_spoilt_when_measured_then_their_frequencies_are_t
     path = synthetic.write(tmp_path / "a.mcap", synthetic.scene(), synthetic.channels(), samples, marks)
     with daq.open(path) as rec:
         [[frf]] = analysis.frequency_responses(rec, ["body3"])
-    assert frf.frequency.tolist() == [20.0, 40.0, 60.0] and frf.left_out.tolist() == [30.0, 50.0]
+    assert frf.frequency.tolist() == [20.0, 40.0, 60.0] and frf.omitted.tolist() == [30.0, 50.0]
     assert frf.warnings == (
         "1 N up: 2 frequencies from 30 to 50 Hz left out: body3 overloaded in their windows.",
         "2 N up: 5 frequencies from 20 to 60 Hz left out: body3 overloaded in their windows.",
@@ -214,7 +214,7 @@ def test_given_lost_samples_when_measured_then_only_their_frequency_is_left_out(
         frf = analysis.compliance(rec)
     assert frf.frequency.tolist() == [20.0, 20.0]
     assert any("40 Hz left out" in warning and "lost" in warning for warning in frf.warnings)
-    assert frf.left_out.tolist() == [40.0]
+    assert frf.omitted.tolist() == [40.0]
 
 
 @pytest.mark.parametrize("parts", [5, 20])

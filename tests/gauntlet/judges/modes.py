@@ -12,7 +12,7 @@ from scipy import linalg
 import analysis
 import rig
 from analysis.modal.modes import Modes
-from analysis.responses.frf import Frf
+from rig.results.response import Response
 from rig.system.structural_model import structure_matrices
 from tests.gauntlet.pairs import CURVES, MULTISINE, STEPPED
 from tests.gauntlet.verdict import Case, Outcome, Verdict
@@ -38,7 +38,7 @@ def judge(case: Case, kind: str) -> list[Verdict]:
     return found[:1]
 
 
-def judged(scene: rig.Scene, curves: list[Frf], kind: str) -> Verdict:
+def judged(scene: rig.Scene, curves: list[Response], kind: str) -> Verdict:
     """Compare the modes of some curves with the structure; points are frequencies and damping ratios."""
     modes = analysis.identify(curves)
     true_frequency, true_ratio = _true_modes(scene)

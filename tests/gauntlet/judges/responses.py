@@ -15,9 +15,10 @@ from scipy import special
 
 import analysis
 import rig
-from analysis.responses.frf import CLOCK, MOTIONS, SENSITIVITY, Frf
 from analysis.responses.multisine import LIFTED, NONLINEAR, ONE_REALISATION
 from daq.signal_chain.sensors import accelerometer, force_sensor
+from rig.results.response import MOTIONS, Response
+from rig.results.uncertainty import CLOCK, SENSITIVITY
 from rig.scene.measurement_chain import Accelerometer, Hammer
 from rig.scene.presets import filled_in
 from rig.scene.shaker import ForceShaker
@@ -67,7 +68,7 @@ class _Tally:
     widths: list[float] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
-    def add(self, frf: Frf, exact: NDArray[np.complex128]) -> None:
+    def add(self, frf: Response, exact: NDArray[np.complex128]) -> None:
         bound, known = frf.bound(0.95), np.isfinite(exact)
         size, wrong = np.maximum(abs(exact), 1e-300), abs(frf.value - exact)
         bound = bound + _ROUNDING * size
@@ -131,7 +132,7 @@ def judge(case: Case, kind: str) -> list[Verdict]:
             warnings += frf.warnings
             body = int(case.recording.channels[frf.response].at.split()[1]) - 1
             whole.add(frf, truth(frf.frequency)[body])
-            others = {name: part for name, part in frf.systematic.items() if name not in (SENSITIVITY, CLOCK)}
+            others = {name: part for name, part in frf.limits.items() if name not in (SENSITIVITY, CLOCK)}
             random.add(replace(frf, systematic=others), _as_built(case, frf, close))
     return [tally.verdict(kind, warnings) for tally in (whole, random)]
 
@@ -234,7 +235,7 @@ def _force_reads(
 
 
 def _as_built(
-    case: Case, frf: Frf, truth: Callable[[NDArray[np.float64]], NDArray[np.complex128]]
+    case: Case, frf: Response, truth: Callable[[NDArray[np.float64]], NDArray[np.complex128]]
 ) -> NDArray[np.complex128]:
     """Exact curve as the actual sensors, with their deviations from the data sheets, show it."""
     # With a clock error the true frequencies differ from the nominal ones.

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -36,14 +34,14 @@ def test_given_jitter_when_hit_then_its_part_is_as_large_as_what_it_brings_and_t
     repeats, tmp_path
 ):
     frf, wrong = response(tmp_path / "a.mcap", repeats=repeats, jitter=", jitter: 1 us")
-    others = replace(frf, systematic={name: part for name, part in frf.systematic.items() if name != JITTER})
+    others = frf.without(JITTER)
     assert np.mean(wrong <= others.bound()) < 0.8
     assert np.mean(wrong <= frf.bound()) > 0.9
     # Two standard deviations, and no more.
     far = wrong > others.bound()
-    assert 0.3 < np.sqrt(np.mean((wrong / frf.systematic[JITTER])[far] ** 2)) < 0.9
+    assert 0.3 < np.sqrt(np.mean((wrong / frf.limits[JITTER])[far] ** 2)) < 0.9
 
 
 def test_given_no_jitter_when_hit_then_no_part_tells_of_it(tmp_path):
     frf, wrong = response(tmp_path / "a.mcap", repeats=1, jitter="")
-    assert JITTER not in frf.systematic and np.mean(wrong <= frf.bound()) > 0.9
+    assert JITTER not in frf.limits and np.mean(wrong <= frf.bound()) > 0.9

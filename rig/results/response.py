@@ -1,0 +1,736 @@
+"""Frequency responses, measured, computed or read from a file: outputs over inputs, line by line, with their budget."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import special
+
+from rig.errors import SceneError
+from rig.results.result import Result, missing, styled
+from rig.results.text import bounded
+from rig.results.uncertainty import (
+    SCATTER,
+    TOLERANCES,
+    BudgetTable,
+    Contribution,
+    Covariance,
+    UncertaintyBudget,
+    stacked,
+)
+from rig.scene.quantities import FREQUENCY, number
+
+if TYPE_CHECKING:
+    import xarray
+    from matplotlib.axes import Axes
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+# Curves with more points than this are drawn without a dot at each.
+DOTS = 120
+MOTIONS = ("displacement", "velocity", "acceleration")
+_NAMES = {
+    ("displacement", "force"): ("compliance", "m/N"),
+    ("velocity", "force"): ("mobility", "m/(N s)"),
+    ("acceleration", "force"): ("accelerance", "m/(N s²)"),
+    ("displacement", "table"): ("transmissibility", "m/m"),
+    ("velocity", "table"): ("velocity per table displacement", "1/s"),
+    ("acceleration", "table"): ("acceleration per table displacement", "1/s²"),
+}
+_RATIO = ("ratio", "1")
+# Points whose bound is larger than this share of their value are too uncertain to be a peak.
+_UNCERTAIN_SHARE = 0.5
+# Units in which engineers read a curve, and how many of them make one in SI.
+_SHOWN = {"m/N": ("µm/N", 1e6), "m/(N s)": ("mm/(N s)", 1e3)}
+
+
+@dataclass(frozen=True)
+class Point:
+    """Degree of freedom of an output or input.
+
+    Attributes
+    ----------
+    name : str
+        Channel or body.
+    quantity : str
+        ``"displacement"``, ``"velocity"``, ``"acceleration"``, ``"force"``, ``"table"`` (its displacement), or
+        ``"ratio"`` of two responses.
+    place : str
+        Body by its name, or ``body 1``; empty where it is not known.
+    """
+
+    name: str
+    quantity: str = "displacement"
+    place: str = ""
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class Response(Result, Sequence["Response"]):
+    """Frequency responses of some outputs to some inputs, or one of them.
+
+    Indexing by a name selects, as in xarray: ``response["body3"]`` is the curve of that output, whose arrays have one
+    axis; with several inputs it has one output and all inputs, and ``response["body3", "force2"]`` is a curve.
+    Iteration and integers select outputs.
+
+    Attributes
+    ----------
+    frequency : ndarray, shape (n,)
+        Hz, in the order in which the lines were measured or computed.
+    value : ndarray of complex, shape (n, outputs, inputs), or (n,) of a curve
+        Output over input, in SI, for motion Re(X e^{iwt}): a lagging response has a negative phase. NaN where it is
+        not estimated.
+    outputs, inputs : tuple of Point
+    uncertainty : UncertaintyBudget
+        Arrays of the shape of `value`; without contributions where the values are exact.
+    coherence : ndarray, shape (n, outputs), or (n,) of a curve
+        Multiple coherence, with one input the ordinary one, 0 to 1; NaN where it is not known.
+    unsteady : ndarray of bool, shape (n,), or None
+        Lines at which the motion had not become steady; None where that does not apply.
+    amplitude : ndarray, shape (n,), or None
+        Amplitude of the input at each line, where it is a tone; with dampers the value is valid for that one only.
+    omitted : ndarray, shape (m,)
+        Hz: frequencies of the test that have no line.
+    resolution : float
+        Width in Hz over which leakage smears each line; 0 for steady tones.
+    label : str
+        Scene and setting, for legends.
+    warnings : tuple of str
+        What a reader of the values must know, in full sentences.
+    """
+
+    frequency: Array
+    value: ComplexArray
+    outputs: tuple[Point, ...]
+    inputs: tuple[Point, ...] = (Point("force", "force"),)
+    uncertainty: UncertaintyBudget = field(default_factory=UncertaintyBudget)
+    coherence: Array = None  # type: ignore[assignment]  # omitted: NaN
+    unsteady: NDArray[np.bool_] | None = None
+    amplitude: Array | None = None
+    omitted: Array = field(default_factory=lambda: np.empty(0))
+    resolution: float = 0.0
+    label: str = ""
+    warnings: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        shape = (self.frequency.size, len(self.outputs), len(self.inputs))
+        if self.value.shape != (shape[:1] if self.is_curve and shape[1:] == (1, 1) else shape):
+            raise ValueError(f"Response: value of shape {self.value.shape}; expected {shape}")
+        if self.coherence is None:
+            object.__setattr__(self, "coherence", np.full(self.value.shape[:2], np.nan))
+
+    @classmethod
+    def curve(
+        cls,
+        frequency: Array,
+        value: ComplexArray,
+        output: str,
+        *,
+        reference: str = "force",
+        motion: str = "displacement",
+        output_at: str = "",
+        input_at: str = "",
+        error: Array | None = None,
+        degrees: Array | None = None,
+        limits: Mapping[str, Array] | None = None,
+        uncertainty: UncertaintyBudget | None = None,
+        **fields: Any,
+    ) -> Response:
+        """Make the response of one output to one input.
+
+        Parameters
+        ----------
+        output : str
+            Channel.
+        reference : {'force', 'table'}
+            What the output is divided by.
+        motion : {'displacement', 'velocity', 'acceleration'}
+            Quantity of the output.
+        output_at, input_at : str
+            Places of output and input.
+        error, degrees : ndarray, shape (n,), optional
+            Standard uncertainty of either quadrature component by scatter, and its degrees of freedom.
+        limits : mapping of str to ndarray, optional
+            Largest deviations by name.
+        uncertainty : UncertaintyBudget, optional
+            Instead of `error`, `degrees` and `limits`.
+        """
+        if uncertainty is None:
+            zeros = np.zeros(np.shape(frequency))
+            uncertainty = UncertaintyBudget.of(
+                zeros if error is None else error, zeros if degrees is None else degrees, limits
+            )
+        return cls(
+            frequency,
+            value,
+            (Point(output, motion, output_at),),
+            (Point(reference, reference, input_at),),
+            uncertainty,
+            **fields,
+        )
+
+    @property
+    def is_curve(self) -> bool:
+        """Whether this is the response of one output to one input, with arrays of one axis."""
+        return self.value.ndim == 1
+
+    @property
+    def response(self) -> str:
+        """Channels of the outputs."""
+        return ", ".join(point.name for point in self.outputs)
+
+    @property
+    def reference(self) -> str:
+        """``"force"`` or ``"table"``."""
+        return self.inputs[0].quantity
+
+    @property
+    def motion(self) -> str:
+        """Quantity of the outputs."""
+        return self.outputs[0].quantity
+
+    @property
+    def output_at(self) -> str:
+        """Place of the output."""
+        return self.outputs[0].place
+
+    @property
+    def input_at(self) -> str:
+        """Place of the input."""
+        return self.inputs[0].place
+
+    @property
+    def input(self) -> str:
+        """Inputs and their places: ``force at body 1``."""
+        return " and ".join(
+            f"{point.quantity} at {point.place}" if point.place else point.quantity for point in self.inputs
+        )
+
+    @property
+    def ratio(self) -> str:
+        """Outputs and inputs: ``arm / force at base``."""
+        return f"{self.response} / {self.input}"
+
+    @property
+    def is_driving_point(self) -> bool:
+        """Whether the output is at the place of the force, and along it."""
+        return self.reference == "force" and bool(self.input_at) and self.output_at == self.input_at
+
+    @property
+    def name(self) -> str:
+        """Name of the ratio: compliance, mobility, accelerance, transmissibility."""
+        return _NAMES.get((self.motion, self.reference), _RATIO)[0]
+
+    @property
+    def unit(self) -> str:
+        """Unit of `value`."""
+        return _NAMES.get((self.motion, self.reference), _RATIO)[1]
+
+    @property
+    def shown_in(self) -> tuple[str, float]:
+        """Unit in which values are drawn and printed, and how many of it make one of `unit`."""
+        return _SHOWN.get(self.unit, (self.unit, 1.0))
+
+    @property
+    def error(self) -> Array:
+        """Standard uncertainty of either quadrature component by scatter; of the shape of `value`."""
+        scatter = self.uncertainty.scatter
+        return np.zeros(self.value.shape) if scatter is None else scatter.size
+
+    @property
+    def degrees(self) -> Array:
+        """Degrees of freedom behind `error`."""
+        scatter = self.uncertainty.scatter
+        return np.zeros(self.value.shape) if scatter is None or scatter.degrees is None else scatter.degrees
+
+    @property
+    def limits(self) -> dict[str, Array]:
+        """Largest deviations by systematic causes, by name."""
+        return self.uncertainty.limits
+
+    def bound(self, confidence: float = 0.95) -> Array:
+        """Radius of the circle in the complex plane that contains the true value with the given confidence."""
+        return np.broadcast_to(self.uncertainty.bound(confidence), self.value.shape).copy()
+
+    def random_bound(self, confidence: float = 0.95) -> Array:
+        """Radius for the scatter alone."""
+        return np.broadcast_to(self.uncertainty.random_bound(confidence), self.value.shape).copy()
+
+    def systematic_bound(self) -> Array:
+        """Radius for the systematic causes alone."""
+        return np.broadcast_to(self.uncertainty.systematic_bound(), self.value.shape).copy()
+
+    def magnitude_bound(self, confidence: float = 0.95) -> Array:
+        """Half-width of the confidence interval of ``abs(value)`` for the scatter, from Student's t."""
+        return self.error * special.stdtrit(np.maximum(self.degrees, 1.0), 0.5 + confidence / 2.0)
+
+    def parts(self) -> list[str]:
+        """Name of the largest contribution to the bound at each line of a curve."""
+        return self.uncertainty.largest()
+
+    def covariance(self) -> Covariance:
+        """Covariance of the random errors over outputs and inputs (in C order), and from line to line."""
+        return self.uncertainty.covariance(self.value.shape)
+
+    def budget(self, output: str, frequency: float | str, force: str | None = None) -> BudgetTable:
+        """Uncertainty budget of one value, at the line nearest to a frequency.
+
+        Parameters
+        ----------
+        output : str
+            Channel or place.
+        frequency : float or str
+            Hz, or a text with a unit.
+        force : str, optional
+            Input, where there are several.
+
+        Returns
+        -------
+        BudgetTable
+            Contributions with type, standard uncertainty and share of the variance, as the GUM lists them; prints as a
+            table.
+        """
+        curve = self[output] if force is None else self[output, force]
+        if not curve.is_curve:
+            raise SceneError(f"force missing; expected one of {', '.join(each.name for each in self.inputs)}")
+        line = int(np.argmin(abs(curve.frequency - number(frequency, FREQUENCY, "frequency"))))
+        unit, factor = curve.shown_in
+        sizes = {
+            (part.name, part.evaluation): factor * float(part.standard()[line])
+            for part in curve.uncertainty.contributions
+        }
+        total = sum(size**2 for size in sizes.values())
+        rows = sorted(
+            ((*key, size, size**2 / total) for key, size in sizes.items() if size > 0.0),
+            key=lambda row: -row[2],
+        )
+        return BudgetTable(
+            f"{curve.ratio} at {curve.frequency[line]:.6g} Hz",
+            factor * float(abs(curve.value[line])),
+            factor * float(curve.bound()[line]),
+            unit,
+            tuple(rows),
+        )
+
+    def keys(self) -> tuple[str, ...]:
+        """List the channels of the outputs, by which they are selected."""
+        return tuple(point.name for point in self.outputs)
+
+    @cached_property
+    def _by_output(self) -> tuple[Response, ...]:
+        return tuple(self._select([k], range(len(self.inputs))) for k in range(len(self.outputs)))
+
+    def __len__(self) -> int:
+        return len(self.outputs)
+
+    def __iter__(self) -> Iterator[Response]:
+        return iter((self,) if self.is_curve else self._by_output)
+
+    def __getitem__(self, which: int | str | slice | tuple[str, str]) -> Response:
+        """Select outputs by number or name, and an input by its name."""
+        if isinstance(which, slice):
+            return self._select(range(len(self.outputs))[which], range(len(self.inputs)), keep=True)
+        if isinstance(which, tuple):
+            output, force = _index(self.outputs, which[0], "response"), _index(self.inputs, which[1], "input")
+            return self._select([output], [force])
+        index = which if isinstance(which, int) else _index(self.outputs, which, "response")
+        return self if self.is_curve else self._by_output[index]
+
+    def _select(self, outputs: Sequence[int], inputs: Sequence[int], keep: bool = False) -> Response:
+        """Select elements; a single one becomes a curve, unless the axes are to be kept."""
+        if self.is_curve:
+            return self
+        single = len(outputs) == len(inputs) == 1 and not keep
+        at = (
+            (slice(None), outputs[0], inputs[0])
+            if single
+            else np.ix_(range(self.frequency.size), outputs, inputs)
+        )
+        elements = [i * len(self.inputs) + k for i in outputs for k in inputs]
+        budget, errors = self.uncertainty, self.uncertainty.errors
+        parts = tuple(
+            replace(part, size=part.size[at], degrees=None if part.degrees is None else part.degrees[at])
+            for part in budget.contributions
+        )
+        return replace(
+            self,
+            value=self.value[at],
+            outputs=tuple(self.outputs[k] for k in outputs),
+            inputs=tuple(self.inputs[k] for k in inputs),
+            uncertainty=replace(
+                budget, contributions=parts, errors=None if errors is None else errors.select(elements)
+            ),
+            coherence=self.coherence[:, outputs[0] if single else list(outputs)],
+        )
+
+    def summary(self) -> str:
+        """Say which ratios these are; of a curve its highest point and the largest contribution to its bound."""
+        if not self.is_curve:
+            return (
+                f"{self.label}: {self.name} of {self.response}{self._several_inputs()}, {self.frequency.size} points, "
+                f"{self.frequency.min():.4g} to {self.frequency.max():.4g} Hz"
+            )
+        what = f"{self.label}, {self.ratio}: {self.name}, {self.frequency.size} points"
+        if not np.isfinite(self.value).any():
+            return what
+        size, bounds, (unit, factor) = abs(self.value), self.bound(), self.shown_in
+        # At low frequencies, where noise is divided by the square of frequency, the largest value may be noise.
+        known = ~(bounds > _UNCERTAIN_SHARE * size)
+        top = int(np.nanargmax(np.where(known, size, np.nan) if np.isfinite(size[known]).any() else size))
+        bound, tallest = float(bounds[top]), int(np.nanargmax(size))
+        height, mostly = f"{factor * size[top]:.4g} {unit}", ""
+        if bound > 0.0:
+            height = bounded(factor * float(size[top]), factor * bound, unit)
+            cause = "largest contribution" if np.isfinite(bound) else "unbounded by"
+            mostly = f"; {cause}: {self.parts()[top]}"
+        under = ""
+        if self.amplitude is not None and self.reference == "force":
+            under = f" under {self.amplitude[top]:.4g} N"
+        higher = "" if tallest == top else self._too_uncertain(tallest, float(bounds[tallest]))
+        return (
+            f"{what}, {self.frequency.min():.4g} to {self.frequency.max():.4g} Hz, highest {height} "
+            f"at {self.frequency[top]:.4g} Hz{under}{mostly}{higher}"
+        )
+
+    def _several_inputs(self) -> str:
+        return f" by {self.input}" if len(self.inputs) > 1 else ""
+
+    def _too_uncertain(self, point: int, bound: float) -> str:
+        """Describe a higher point that is too uncertain to be the peak."""
+        unit, factor = self.shown_in
+        far = f"{bound / abs(self.value[point]):.0%}" if np.isfinite(bound) else "unbounded"
+        return (
+            f"; ignored as too uncertain: {factor * abs(self.value[point]):.4g} {unit} at "
+            f"{self.frequency[point]:.4g} Hz (uncertainty {far}, {self.parts()[point]})"
+        )
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Frequency; value, 95 % bound and, of a curve, coherence."""
+        if self.is_curve:
+            return {
+                "frequency_Hz": self.frequency,
+                f"value_{self.unit}": self.value,
+                f"bound_{self.unit}": self.bound(),
+                "coherence": self.coherence,
+            }
+        found: dict[str, NDArray[Any]] = {"frequency_Hz": self.frequency}
+        bound = self.bound()
+        for i, output in enumerate(self.outputs):
+            for k, force in enumerate(self.inputs):
+                name = output.name if len(self.inputs) == 1 else f"{output.name}/{force.name}"
+                found[f"{name}_{self.unit}"] = self.value[:, i, k]
+                found[f"{name}_bound_{self.unit}"] = bound[:, i, k]
+        return found
+
+    def to_xarray(self) -> xarray.Dataset:
+        """Give a data set of value, bound and coherence over frequency, output and input; of a curve, its columns."""
+        if self.is_curve:
+            return super().to_xarray()
+        try:
+            import xarray
+        except ImportError:
+            raise missing("xarray") from None
+        dims = ("frequency", "output", "input")
+        data = {
+            "value": (dims, self.value), "bound": (dims, self.bound()), "coherence": (dims[:2], self.coherence)
+        }  # fmt: skip
+        names = [point.name for point in self.inputs]
+        return xarray.Dataset(
+            data,
+            {"frequency": self.frequency, "output": list(self.keys()), "input": names},
+            {"unit": self.unit},
+        )
+
+    def to_uff(
+        self, path: str | Path, nodes: Sequence[int] | None = None, driven: Sequence[int] = (0,)
+    ) -> Path:
+        """Write a Universal File with a data set 58 for each element.
+
+        Parameters
+        ----------
+        nodes : sequence of int, optional
+            Of the outputs; omitted, by their places (``body 3`` is node 3), or their numbers.
+        driven : sequence of int
+            Nodes of the inputs.
+
+        Raises
+        ------
+        SceneError
+            If the inputs are no forces.
+        RunError
+            If pyuff is not installed.
+        """
+        from rig.results.universal_file import write_responses
+
+        write_responses(self, Path(path), nodes, driven)
+        return Path(path)
+
+    def plot(self, ax: Axes | Response | None = None, *others: Response, **style: Any) -> Axes:
+        """Draw magnitudes, with those of other responses in the same axes: ``a.plot(b)`` or ``a.plot(ax, b)``."""
+        if isinstance(ax, Response):
+            others, ax = (ax, *others), None
+        axes = super().plot(ax, **style)
+        for other in others:
+            other.draw(axes, **style)
+        if others:
+            axes.legend()
+        return axes
+
+    def draw(self, ax: Axes, **style: Any) -> None:
+        """Magnitude with its 95 % bound, both axes logarithmic; each element of a matrix."""
+        if not self.is_curve:
+            for curve in self.curves():
+                curve.draw(
+                    ax,
+                    **styled(
+                        style,
+                        label=curve.response
+                        if len(self.inputs) == 1
+                        else f"{curve.response} by {curve.inputs[0].name}",
+                    ),
+                )
+            return
+        curve, (unit, factor) = self.with_gaps(), self.shown_in
+        size, bound = factor * abs(curve.value), factor * np.nan_to_num(curve.bound())
+        (line,) = ax.loglog(
+            curve.frequency,
+            size,
+            **styled(
+                style,
+                label=f"{self.label} {self.response}".strip(),
+                marker="o" if size.size <= DOTS else None,
+                ms=2.5,
+            ),
+        )
+        low = np.maximum(size - bound, 1e-3 * size)
+        ax.fill_between(curve.frequency, low, size + bound, color=line.get_color(), alpha=0.2, lw=0)
+        ax.set(xlabel="frequency / Hz", ylabel=f"|{self.name}| / ({unit})")
+
+    def curves(self) -> tuple[Response, ...]:
+        """All elements as curves, output by output."""
+        if self.is_curve:
+            return (self,)
+        return tuple(
+            self._select([i], [k]) for i in range(len(self.outputs)) for k in range(len(self.inputs))
+        )
+
+    def to(self, motion: str) -> Response:
+        """Express the outputs as displacement, velocity or acceleration.
+
+        Examples
+        --------
+        >>> frf = Response.curve(np.array([10.0]), np.array([1e-3j]), "body3")
+        >>> print(frf.to("velocity").name, f"{frf.to('velocity').value[0].real:.6f}")
+        mobility -0.062832
+        """
+        if motion not in MOTIONS:
+            raise SceneError(f"unknown motion {motion!r}: expected {', '.join(MOTIONS)}")
+        order = MOTIONS.index(motion) - MOTIONS.index(self.motion)
+        factor: ComplexArray = np.asarray((2j * np.pi * self.frequency) ** order, dtype=complex)
+        points = tuple(replace(point, quantity=motion) for point in self.outputs)
+        return replace(self.scaled(factor), outputs=points)
+
+    def scaled(self, factor: ComplexArray) -> Response:
+        """Multiply by a factor at each line."""
+        return replace(
+            self,
+            value=self.value * factor.reshape(-1, *[1] * (self.value.ndim - 1)),
+            uncertainty=self.uncertainty.scaled(factor),
+        )
+
+    def __truediv__(self, other: Response) -> Response:
+        """Ratio to another response of the same elements, at the lines of this one.
+
+        Where the other has different lines it is interpolated; beyond them the ratio is NaN. Both are taken for
+        independent; tolerances of data sheets add up.
+        """
+        if not isinstance(other, Response):
+            return NotImplemented
+        if self.value.shape[1:] != other.value.shape[1:]:
+            raise SceneError(
+                f"{self.value.shape[1:]} elements over {other.value.shape[1:]}: expected the same outputs and inputs"
+            )
+        other = other.interpolated(self.frequency)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            value = np.asarray(self.value / other.value)
+            size, parts = abs(value), []
+            relative = [
+                {part.name: (part, part.size / abs(one.value)) for part in one.uncertainty.contributions}
+                for one in (self, other)
+            ]
+        for name in dict.fromkeys([*relative[0], *relative[1]]):
+            both = [each[name] for each in relative if name in each]
+            shares = [share for _, share in both]
+            total = np.sum(shares, axis=0) if name in TOLERANCES else np.linalg.norm(shares, axis=0)
+            degrees = [part.degrees for part, _ in both if part.degrees is not None]
+            fewest = np.min(degrees, axis=0) if degrees else None
+            parts.append(Contribution(name, both[0][0].evaluation, size * total, fewest))
+        ratio = replace(self.uncertainty, contributions=tuple(parts), errors=None, clock=0.0, scale=0.0)
+        return replace(
+            self,
+            value=value,
+            outputs=tuple(replace(point, quantity="ratio") for point in self.outputs),
+            inputs=tuple(
+                Point(f"{one.name} over {two.name}", "ratio")
+                for one, two in zip(self.inputs, other.inputs, strict=True)
+            ),
+            uncertainty=ratio,
+            coherence=None,  # type: ignore[arg-type]
+            label=f"{self.label} / {other.label}" if other.label else self.label,
+            warnings=tuple(dict.fromkeys([*self.warnings, *other.warnings])),
+        )
+
+    def interpolated(self, frequency: Array) -> Response:
+        """Response at other frequencies, linearly between its lines, NaN beyond them."""
+        if np.array_equal(frequency, self.frequency):
+            return self
+        known = self.sorted()
+
+        def at(column: NDArray[Any]) -> NDArray[Any]:
+            flat = np.reshape(column, (column.shape[0], -1))
+            rows = [np.interp(frequency, known.frequency, each, np.nan, np.nan) for each in flat.T]
+            return np.stack(rows, axis=1).reshape(frequency.size, *column.shape[1:])
+
+        budget = replace(known.uncertainty, errors=None)
+        return replace(
+            known,
+            frequency=np.asarray(frequency, dtype=float),
+            value=at(known.value),
+            uncertainty=budget.each(at, None),
+            coherence=at(known.coherence),
+            unsteady=None,
+            amplitude=None if known.amplitude is None else at(known.amplitude),
+        )
+
+    def sorted(self) -> Response:
+        """Order the lines by rising frequency."""
+        return self.at(np.argsort(self.frequency, kind="stable"))
+
+    def with_gaps(self) -> Response:
+        """Order the lines by rising frequency, with NaN at the omitted frequencies, where a drawn line breaks."""
+        curve = self.sorted()
+        omitted = np.sort(self.omitted)
+        places = np.searchsorted(curve.frequency, omitted)
+
+        def broken(column: NDArray[Any], value: Any = np.nan) -> NDArray[Any]:
+            return np.insert(column, places, value, axis=0)
+
+        return replace(
+            curve,
+            frequency=np.insert(curve.frequency, places, omitted),
+            value=broken(curve.value),
+            uncertainty=curve.uncertainty.with_gaps(places),
+            coherence=broken(curve.coherence),
+            unsteady=None if curve.unsteady is None else broken(curve.unsteady, False),
+            amplitude=None if curve.amplitude is None else broken(curve.amplitude),
+        )
+
+    def band(self, low: float | str, high: float | str) -> Response:
+        """Select the lines from `low` to `high`, in Hz or as texts with their unit."""
+        first, last = number(low, FREQUENCY, "low"), number(high, FREQUENCY, "high")
+        return self.at((self.frequency >= first) & (self.frequency <= last))
+
+    between = band
+
+    def at(self, lines: NDArray[np.bool_] | NDArray[np.intp]) -> Response:
+        """Select some lines."""
+        return replace(
+            self,
+            frequency=self.frequency[lines],
+            value=self.value[lines],
+            uncertainty=self.uncertainty.at(lines),
+            coherence=self.coherence[lines],
+            unsteady=None if self.unsteady is None else self.unsteady[lines],
+            amplitude=None if self.amplitude is None else self.amplitude[lines],
+        )
+
+    def with_limits(self, limits: Mapping[str, Array]) -> Response:
+        """Add systematic contributions by name, or replace those of the same name."""
+        return replace(self, uncertainty=self.uncertainty.with_limits(limits))
+
+    def without(self, *names: str) -> Response:
+        """Remove contributions to the uncertainty."""
+        return replace(self, uncertainty=self.uncertainty.without(*names))
+
+    def placed(self, output: str, force: str) -> Response:
+        """Set the places of a curve's output and input."""
+        return replace(
+            self,
+            outputs=(replace(self.outputs[0], place=output),),
+            inputs=(replace(self.inputs[0], place=force),),
+        )
+
+    def warn(self, *sentences: str) -> Response:
+        """Add warnings."""
+        return replace(self, warnings=(*self.warnings, *sentences)) if sentences else self
+
+
+def _index(points: Sequence[Point], name: str, kind: str) -> int:
+    """Find the point with a name, or the only one at a place."""
+    fitting = [k for k, point in enumerate(points) if point.name == name]
+    for place in (name.removeprefix("body "), name):
+        fitting = fitting or [k for k, point in enumerate(points) if point.place == place]
+    if len(fitting) == 1:
+        return fitting[0]
+    if fitting:
+        channels = " or ".join(points[k].name for k in fitting)
+        raise SceneError(
+            f"{len(fitting)} {kind}s are at {name}; expected one of them by its channel, {channels}"
+        )
+    names = [point.name for point in points]
+    near = get_close_matches(name, [*names, *(point.place for point in points)], n=1)
+    hint = f"did you mean {near[0]!r}?" if near else f"expected one of {', '.join(names)}"
+    raise SceneError(f"no {kind} {name!r}; {hint}")
+
+
+def stack(curves: Sequence[Response]) -> Response:
+    """Join responses to the same inputs to one with all their outputs; lines that one of them lacks are NaN there."""
+    first = curves[0]
+    if any(not np.array_equal(curve.frequency, first.frequency) for curve in curves):
+        lines = np.unique(np.concatenate([curve.frequency for curve in curves]))
+        curves = [_at_lines(curve, lines) for curve in curves]
+    inputs = len(first.inputs)
+    shape = (curves[0].frequency.size, len(curves), inputs)
+    unsteady = [curve.unsteady for curve in curves if curve.unsteady is not None]
+    out = replace(
+        curves[0],
+        value=np.stack([curve.value for curve in curves], axis=1).reshape(shape),
+        outputs=tuple(curve.outputs[0] for curve in curves),
+        uncertainty=stacked([curve.uncertainty for curve in curves], shape),
+        coherence=np.stack([curve.coherence for curve in curves], axis=1).reshape(shape[:2]),
+        unsteady=np.any(unsteady, axis=0) if unsteady else None,
+        omitted=np.unique(np.concatenate([curve.omitted for curve in curves])),
+        resolution=max(curve.resolution for curve in curves),
+        warnings=tuple(dict.fromkeys(text for curve in curves for text in curve.warnings)),
+    )
+    return out
+
+
+def _at_lines(curve: Response, lines: Array) -> Response:
+    """Spread a curve over more lines, NaN where it has none."""
+    places = np.searchsorted(lines, curve.frequency)
+
+    def spread(column: NDArray[Any]) -> NDArray[Any]:
+        full = np.full((lines.size, *column.shape[1:]), np.nan, dtype=np.result_type(column, float))
+        full[places] = column
+        return full
+
+    return replace(
+        curve,
+        frequency=lines,
+        value=spread(curve.value),
+        uncertainty=curve.uncertainty.each(spread, None),
+        coherence=spread(curve.coherence),
+        unsteady=None,
+        amplitude=None if curve.amplitude is None else spread(curve.amplitude),
+    )
+
+
+__all__ = ["DOTS", "MOTIONS", "SCATTER", "Point", "Response", "stack"]

@@ -1,0 +1,70 @@
+"""Numbers, bounds and ranges of frequencies as text."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import floor, isfinite, log10
+
+import numpy as np
+
+from rig.numerics.runs import runs_of
+
+# More ranges than these nobody reads.
+_MOST_RANGES = 8
+
+
+def plainly(value: float) -> str:
+    """Write a number with three digits, without a power of ten unless it is tiny or huge.
+
+    Examples
+    --------
+    >>> [plainly(value) for value in (2.6, 3000.0, 12345.6, 1.5e-7)]
+    ['2.6', '3000', '12300', '1.5e-07']
+    """
+    return f"{float(f'{value:.3g}'):.10g}"
+
+
+def rounded(value: float, bound: float) -> str:
+    """Write a number to the second digit of its bound.
+
+    Examples
+    --------
+    >>> rounded(0.0123456, 0.00021), rounded(1078.4, 134.0), rounded(3.14159, 0.0)
+    ('0.01235', '1078', '3.142')
+    """
+    if not isfinite(bound) or bound <= 0.0:
+        return f"{value:.4g}"
+    return f"{value:.{min(max(1 - floor(log10(bound)), 0), 9)}f}"
+
+
+def bounded(value: float, bound: float, unit: str) -> str:
+    """Write a number with its bound and unit, in brackets so that the bound of a percentage is not read as a share.
+
+    Examples
+    --------
+    >>> bounded(2.4213, 0.204, "%"), bounded(935.21, float("inf"), "µm/N")
+    ('(2.42 ± 0.20) %', '935.2 µm/N (no bound)')
+    """
+    if not isfinite(bound):
+        return f"{rounded(value, bound)} {unit} (no bound)"
+    return f"({rounded(value, bound)} ± {rounded(bound, bound)}) {unit}"
+
+
+def frequency_ranges(frequencies: Sequence[float], chosen: Sequence[bool]) -> str:
+    """List the chosen ones of some frequencies in Hz, neighbours as ranges; many ranges as a count and the ends.
+
+    >>> frequency_ranges([10.0, 11.0, 12.5, 14.0, 20.0], [True, False, True, True, True])
+    '10 and 12.5 to 20 Hz'
+    >>> frequency_ranges([3.0, 1.0, 3.0], [False, True, True])
+    '1 to 3 Hz'
+    >>> frequency_ranges(range(40), [k % 2 == 0 for k in range(40)])
+    '20 of 40 frequencies from 0 to 38 Hz'
+    """
+    places, of = np.unique(np.asarray(frequencies, dtype=np.float64), return_inverse=True)
+    flags = np.zeros(places.size, dtype=bool)
+    flags[of[np.asarray(chosen, dtype=bool)]] = True
+    ends = [(f"{places[first]:.4g}", f"{places[stop - 1]:.4g}") for first, stop in runs_of(flags)]
+    if len(ends) > _MOST_RANGES:
+        return f"{flags.sum()} of {flags.size} frequencies from {ends[0][0]} to {ends[-1][1]} Hz"
+    *before, last = [low if low == high else f"{low} to {high}" for low, high in ends]
+    return f"{', '.join(before)} and {last} Hz" if before else f"{last} Hz"

@@ -9,13 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.responses.budget import ReadingShares, assemble_budget
 from analysis.responses.measurands import driven, motion_of, reference_of
 from analysis.responses.random_errors import MeanErrors
 from analysis.responses.systematic import (
     LEAKAGE,
     REFERENCE_NOISE,
-    ReadingShares,
-    assemble_budget,
     common_scale,
     nothing_times,
     reference_noise_part,

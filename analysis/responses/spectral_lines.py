@@ -10,6 +10,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from analysis.responses.budget import ReadingShares, assemble_budget
 from analysis.responses.measurands import driven, motion_of, reference_of
 from analysis.responses.random_errors import MeanErrors
 from analysis.responses.ringing import ringing
@@ -17,8 +18,6 @@ from analysis.responses.scatter import Scatter, moderated
 from analysis.responses.systematic import (
     RESOLUTION,
     UNSETTLED,
-    ReadingShares,
-    assemble_budget,
     common_scale,
 )
 from rig.results.response import Response

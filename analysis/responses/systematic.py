@@ -5,15 +5,14 @@ Each part is a largest deviation, as a data sheet states a tolerance, and has a 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rig.results.response import MOTIONS
-from rig.results.uncertainty import CLOCK, SENSITIVITY, RandomErrors, UncertaintyBudget, radius
+from rig.results.uncertainty import CLOCK, SENSITIVITY
 from rig.scene.quantities import PER_KELVIN, RATIO, TEMPERATURE, Kind, parse
 
 if TYPE_CHECKING:
@@ -38,73 +37,6 @@ _SLOPE_LINES, _STEEP = 3, 10.0
 _SHARPEST = 10.0
 # Power in counts below which rounding hides any signal.
 _QUARTER = 1.0 / 16.0
-
-
-@dataclass(frozen=True)
-class ReadingShares:
-    """Shares of the channels in a response and in its reference.
-
-    Attributes
-    ----------
-    names : sequence of str
-        Channels, in the order of the rows.
-    frequency : ndarray, shape (lines,)
-        Hz.
-    motion : str
-        Quantity of the response.
-    value : ndarray of complex, shape (lines,)
-        The response.
-    upper, lower : ndarray of complex, shape (channels, lines)
-        Share of each channel in the response, and in the reference: they add up to `value`, and to 1.
-    """
-
-    names: Sequence[str]
-    frequency: Array
-    motion: str
-    value: ComplexArray
-    upper: ComplexArray
-    lower: ComplexArray
-
-
-def assemble_budget(
-    rec: Recording,
-    shares: ReadingShares,
-    error: Array,
-    degrees: Array,
-    causes: Mapping[str, Array],
-    doubts: Sequence[Array] = (),
-    errors: RandomErrors | None = None,
-    shared: float = 1.0,
-    scale: float = 0.0,
-) -> UncertaintyBudget:
-    """Uncertainty budget of a response, of whatever estimator.
-
-    Aliasing, tolerances of sensors and clock follow from the shares of the channels. A reference that may be smaller
-    than it reads enlarges what propagates to first order.
-
-    Parameters
-    ----------
-    error, degrees : ndarray, shape (lines,)
-        Standard uncertainty of either quadrature component by scatter, and its degrees of freedom.
-    causes : mapping of str to ndarray
-        Limits that the estimator knows.
-    doubts : sequence of ndarray, shape (lines,)
-        Largest deviations of the reference, relative to it.
-    errors, shared, scale
-        As in `UncertaintyBudget`.
-    """
-    from analysis.responses.aliasing import aliasing_part
-
-    parts = shares.value, shares.upper, shares.lower
-    limits = {**aliasing_part(rec, shares.names, shares.frequency, *parts, shares.motion), **causes}
-    if len(doubts):
-        bound = np.sqrt(np.sum(np.square([error * radius(0.95, degrees), *limits.values()]), axis=0))
-        limits |= doubtful_reference_part(bound, np.sqrt(np.sum(np.square(doubts), axis=0)))
-    limits |= sensitivity_part(rec, shares.names, *parts)
-    limits |= clock_part(rec, shares.names, shares.frequency, *parts, shares.motion)
-    return UncertaintyBudget.of(
-        error, degrees, limits, errors=errors, shared=shared, clock=clock_deviation(rec), scale=scale
-    )
 
 
 def tolerance(info: ChannelInfo) -> float:

@@ -25,6 +25,7 @@ from rig.results.uncertainty import (
     UncertaintyBudget,
     stacked,
 )
+from rig.results.universal_file import universal_file, write_curve
 from rig.scene.quantities import FREQUENCY, number
 
 if TYPE_CHECKING:
@@ -467,9 +468,19 @@ class Response(Result, Sequence["Response"]):
         RunError
             If pyuff is not installed.
         """
-        from rig.results.universal_file import write_responses
-
-        write_responses(self, Path(path), nodes, driven)
+        if self.reference != "force":
+            raise SceneError(
+                f"{self.response}: a response to the {self.reference}; UFF 58 is written of forces"
+            )
+        file = universal_file(Path(path))
+        if nodes is None:
+            nodes = [_node(point.place, k) for k, point in enumerate(self.outputs, 1)]
+        places = [(node, force) for node in nodes for force in driven]
+        for count, (curve, (node, force)) in enumerate(zip(self.sorted().curves(), places, strict=True), 1):
+            write_curve(
+                file, count, node, force, f"{curve.response}: {curve.name}", (curve.label, curve.ratio),
+                curve.motion, curve.resolution, curve.frequency, curve.value, curve.error,
+            )  # fmt: skip
         return Path(path)
 
     def plot(self, ax: Axes | Response | None = None, *others: Response, **style: Any) -> Axes:
@@ -670,6 +681,11 @@ class Response(Result, Sequence["Response"]):
     def warn(self, *sentences: str) -> Response:
         """Add warnings."""
         return replace(self, warnings=(*self.warnings, *sentences)) if sentences else self
+
+
+def _node(place: str, number: int) -> int:
+    last = place.rpartition(" ")[2]
+    return int(last) if place.startswith("body ") and last.isdigit() else number
 
 
 def _index(points: Sequence[Point], name: str, kind: str) -> int:

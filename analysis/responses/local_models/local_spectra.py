@@ -12,6 +12,7 @@ import scipy
 from numpy.typing import NDArray
 from scipy import special
 
+from analysis.responses.budget import ReadingShares, assemble_budget
 from analysis.responses.force_pulse import slow_and_fast
 from analysis.responses.local_models.jitter import jitter_part
 from analysis.responses.local_models.local_rational import LARGEST, ORDER, LocalFit, Reading, local_fit
@@ -20,8 +21,6 @@ from analysis.responses.random_errors import LocalErrors
 from analysis.responses.systematic import (
     MODEL,
     REFERENCE_NOISE,
-    ReadingShares,
-    assemble_budget,
     common_scale,
     reference_noise_part,
     rounding_part,

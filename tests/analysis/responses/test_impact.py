@@ -267,7 +267,7 @@ def test_given_a_hammer_of_wide_tolerance_when_modes_are_identified_then_shapes_
     mass, _, stiffness = structure_matrices(scene.structure)
     exact = natural_modes(mass, stiffness)[1]
     exact = exact / exact[abs(exact).argmax(axis=0), np.arange(len(mass))]
-    assert {curve.scale for curve in curves} == {0.15}
+    assert {curve.uncertainty.scale for curve in curves} == {0.15}
     assert modes.shape_error.max() < 0.01
     rows = [int(rec.channels[name].at.split()[1]) - 1 for name in modes.responses]
     np.testing.assert_allclose(modes.shapes.real, exact[rows], atol=5e-3)

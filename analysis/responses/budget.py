@@ -1,0 +1,90 @@
+"""The uncertainty budget of a measured response, put together in the same way for all estimators."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.responses.aliasing import aliasing_part
+from analysis.responses.systematic import (
+    clock_deviation,
+    clock_part,
+    doubtful_reference_part,
+    sensitivity_part,
+)
+from rig.results.uncertainty import RandomErrors, UncertaintyBudget, radius
+
+if TYPE_CHECKING:
+    from daq.recording.recording import Recording
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class ReadingShares:
+    """Shares of the channels in a response and in its reference.
+
+    Attributes
+    ----------
+    names : sequence of str
+        Channels, in the order of the rows.
+    frequency : ndarray, shape (lines,)
+        Hz.
+    motion : str
+        Quantity of the response.
+    value : ndarray of complex, shape (lines,)
+        The response.
+    upper, lower : ndarray of complex, shape (channels, lines)
+        Share of each channel in the response, and in the reference: they add up to `value`, and to 1.
+    """
+
+    names: Sequence[str]
+    frequency: Array
+    motion: str
+    value: ComplexArray
+    upper: ComplexArray
+    lower: ComplexArray
+
+
+def assemble_budget(
+    rec: Recording,
+    shares: ReadingShares,
+    error: Array,
+    degrees: Array,
+    causes: Mapping[str, Array],
+    doubts: Sequence[Array] = (),
+    errors: RandomErrors | None = None,
+    shared: float = 1.0,
+    scale: float = 0.0,
+) -> UncertaintyBudget:
+    """Uncertainty budget of a response, of whatever estimator.
+
+    Aliasing, tolerances of sensors and clock follow from the shares of the channels. A reference that may be smaller
+    than it reads enlarges what propagates to first order.
+
+    Parameters
+    ----------
+    error, degrees : ndarray, shape (lines,)
+        Standard uncertainty of either quadrature component by scatter, and its degrees of freedom.
+    causes : mapping of str to ndarray
+        Limits that the estimator knows.
+    doubts : sequence of ndarray, shape (lines,)
+        Largest deviations of the reference, relative to it.
+    errors, shared, scale
+        As in `UncertaintyBudget`.
+    """
+    parts = shares.value, shares.upper, shares.lower
+    limits = {**aliasing_part(rec, shares.names, shares.frequency, *parts, shares.motion), **causes}
+    if len(doubts):
+        bound = np.sqrt(np.sum(np.square([error * radius(0.95, degrees), *limits.values()]), axis=0))
+        limits |= doubtful_reference_part(bound, np.sqrt(np.sum(np.square(doubts), axis=0)))
+    limits |= sensitivity_part(rec, shares.names, *parts)
+    limits |= clock_part(rec, shares.names, shares.frequency, *parts, shares.motion)
+    return UncertaintyBudget.of(
+        error, degrees, limits, errors=errors, shared=shared, clock=clock_deviation(rec), scale=scale
+    )

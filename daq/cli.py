@@ -397,6 +397,46 @@ def serve_a_rig(
         )
 
 
+@app.command("bench", example="daq bench fig9 --port 0")
+def bench_in_the_browser(
+    scene: Annotated[str | None, typer.Argument(metavar="[SCENE]", help=ON_THE_BENCH)] = None,
+    changes: Changes = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="FILE",
+            help="First recording of the record switch. Default: recordings/SCENE-bench.mcap.",
+        ),
+    ] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file if it exists.")] = False,
+    address: Annotated[
+        str,
+        typer.Option(metavar="HOST[:PORT]", help="Address of the page; a browser needs the printed token."),
+    ] = "127.0.0.1",
+    port: Annotated[int, typer.Option(metavar="N", help="Port of the page; 0 chooses a free one.")] = 8031,
+    device_port: Annotated[
+        int, typer.Option(metavar="N", help="Port of the device for NI clients; 0 chooses a free one.")
+    ] = 31763,
+    browser: Annotated[
+        bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")
+    ] = True,
+) -> None:
+    """Run a rig live in the browser.
+
+    The page shows all channels, starts tests, judges hammer hits and records. NI clients find the device meanwhile.
+    """
+    from daq.bench_page.bench import bench
+
+    named = scene or os.environ.get("SHOTRIG_SCENE") or "default"
+    path = (
+        Path("recordings") / f"{Path(named).stem}-bench.mcap" if output is None else _free(output, overwrite)
+    )
+    with waiting():
+        bench(_bench(scene, changes), address, port, device_port, path, overwrite, browser)
+
+
 def _bench(scene: str | None, changes: Sequence[str] | None) -> Scene | None:
     """Load the scene for a bench; None stands for the one there is when none is named."""
     named = scene or os.environ.get("SHOTRIG_SCENE")

@@ -174,11 +174,13 @@ class RigView:
         self._sprung = [stiffness > 0 for stiffness in scene.structure.springs or [0.0] * self.bodies]
         # One table fits under body 1; all others stand side by side at the right, each under a lug of its body.
         aside = iter(range(len(hung)))
-        self._tables: list[_Table] = []
+        self.shaker_tables: list[_Table] = []
         for (point, shaker), body in zip(scene.tables, hung, strict=True):
-            under = body == 1 and hung.index(1) == len(self._tables)
+            under = body == 1 and hung.index(1) == len(self.shaker_tables)
             x = 0.0 if under else WIDTH / 2 + LUG / 2 + BESIDE * next(aside)
-            self._tables.append(_Table(point, shaker.kind, body, x, self._bottom[body - 1] - COIL_LENGTH))
+            self.shaker_tables.append(
+                _Table(point, shaker.kind, body, x, self._bottom[body - 1] - COIL_LENGTH)
+            )
 
     # -- what never changes ------------------------------------------------------------------------------
 
@@ -193,7 +195,7 @@ class RigView:
         for body, (length, sprung) in enumerate(zip(self._length, self._sprung, strict=True), start=1):
             if sprung:
                 yield f"rig/spring_{body}", coils((-0.3 * WIDTH, 0.3 * WIDTH), length, STEEL)
-        for table in self._tables:
+        for table in self.shaker_tables:
             yield from self._shaker(table)
         yield from self._drive_arrows()
         yield from self._rest_marks()
@@ -212,7 +214,7 @@ class RigView:
         else:
             yield f"{name}/frame", boxes([((0, 0, height / 2), (WIDTH, DEPTH, height))], colour)
         reach = max(
-            (table.x + LUG / 2 for table in self._tables if table.body == body and table.x), default=0.0
+            (table.x + LUG / 2 for table in self.shaker_tables if table.body == body and table.x), default=0.0
         )
         if reach:
             middle, length = (reach + WIDTH / 2) / 2, reach - WIDTH / 2
@@ -227,7 +229,7 @@ class RigView:
     def _remark(self, point: str) -> str:
         return ", not measured" if point in self._unknown else ""
 
-    def _path(self, place: int) -> str:
+    def damper_entity(self, place: int) -> str:
         """Path of a damper: numbered where its body has several."""
         body = self.scene.dampers[place].body
         inside = [cavity.place for cavity in self._cavities[body - 1]]
@@ -244,7 +246,7 @@ class RigView:
         elif math.isfinite(damper.clearance) and cavity.ceiling is None:
             text += ", ceiling out of sight"
         moves = self.gaps_known and not damper.locked
-        name = self._path(cavity.place)
+        name = self.damper_entity(cavity.place)
         yield name, boxes([cavity.damper], LEAD if moves else GLUED)
         # Names of several dampers stand below each other, beside their body.
         text_at = _beside(text, (0.45 - 0.2 * number) * self._height[body - 1])
@@ -315,17 +317,21 @@ class RigView:
                 stretch = (length + moved[place] - below) / length
                 yield f"rig/spring_{place + 1}", _along_z(top + below), _stretched(stretch)
             below, top = moved[place], self._bottom[place] + self._height[place]
-        for table, rows in zip(self._tables, motion.tables * self.magnification, strict=True):
+        for table, rows in zip(self.shaker_tables, motion.tables * self.magnification, strict=True):
             yield table.entity("table"), _along_z(table.top + rows), None
             stretch = (COIL_LENGTH + moved[table.body - 1] - rows) / COIL_LENGTH
             yield table.entity("coil_spring"), _along_z(table.top + rows), _stretched(stretch)
         if motion.gap is not None:
             for place in range(len(self.scene.dampers)):
-                yield self._path(place), _along_z(motion.gap[place] * self.magnification), None
+                yield self.damper_entity(place), _along_z(motion.gap[place] * self.magnification), None
 
     def spring_length(self, body: int) -> float:
         """Length at rest of the spring under a body (from 1)."""
         return self._length[body - 1]
+
+    def sprung(self, body: int) -> bool:
+        """Whether a spring is drawn under a body (from 1)."""
+        return self._sprung[body - 1]
 
     def height(self, body: int) -> float:
         """Height of a body (from 1)."""

@@ -57,22 +57,26 @@ def _run(station: Station, test: Random, lines: Lines, period: int, closed: bool
         return np.asarray(irfft(white * spectrum, length)[: 2 * period - 1])
 
     tail = shaped_noise()[period:]
-    while done < total:
-        # Convolution adds up overlapping pieces, so that the noise goes on across windows without a seam.
-        piece = shaped_noise()
-        piece[: tail.size] += tail
-        wave, tail = piece[:period], piece[period:]
-        size = min(period, total - done)
-        places = np.arange(done, done + size)
-        wave = wave[:size] * gate[places % block]
-        wave *= np.minimum(1.0, np.minimum(places, total - 1 - places) / station.samples(_EDGE))
-        clipped += int(np.sum(abs(wave) > station.drive_limit))
-        yield station.drive(np.clip(wave, -station.drive_limit, station.drive_limit))
-        done += size
-        station.report(done / total, f"{done / station.rate:.0f} s of {test.duration:g} s")
     facts = {"from": test.from_, "to": test.to}
     burst = {} if test.burst is None else {"burst": test.burst, "block": block}
-    station.mark("measure", first, station.now, level=level, **facts, **burst)
+    try:
+        while done < total:
+            # Convolution adds up overlapping pieces, so that the noise goes on across windows without a seam.
+            piece = shaped_noise()
+            piece[: tail.size] += tail
+            wave, tail = piece[:period], piece[period:]
+            size = min(period, total - done)
+            places = np.arange(done, done + size)
+            wave = wave[:size] * gate[places % block]
+            wave *= np.minimum(1.0, np.minimum(places, total - 1 - places) / station.samples(_EDGE))
+            clipped += int(np.sum(abs(wave) > station.drive_limit))
+            yield station.drive(np.clip(wave, -station.drive_limit, station.drive_limit))
+            done += size
+            station.report(done / total, f"{done / station.rate:.0f} s of {test.duration:g} s")
+    finally:
+        # A test that is ended early has measured up to there.
+        if done:
+            station.mark("measure", first, first + done, level=level, **facts, **burst)
     if clipped:
         station.warn(f"the amplifier's limit clipped {clipped} of {total} drive samples")
 

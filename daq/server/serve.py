@@ -134,7 +134,7 @@ def serve(
         gc.collect()
         gc.freeze()
         print(announcement(chassis, host, server.port, certificates is not None), flush=True)
-        _wait_for_signal()
+        wait_for_signal()
         print("closing", file=sys.stderr)
 
 
@@ -203,7 +203,8 @@ def _is_loopback(host: str) -> bool:
     return bool(found) and all(ipaddress.ip_address(each).is_loopback for each in found)
 
 
-def _wait_for_signal() -> None:
+def wait_for_signal() -> None:
+    """Wait for Ctrl-C, SIGTERM or the end of the terminal."""
     ended = threading.Event()
     # Under nohup it is to serve on.
     heard = [

@@ -1,0 +1,58 @@
+"""Access to a page by a token: in the address of the first request, in a cookie from then on."""
+
+from __future__ import annotations
+
+import hmac
+import secrets
+from typing import TYPE_CHECKING
+
+from starlette.requests import HTTPConnection
+from starlette.responses import PlainTextResponse
+
+if TYPE_CHECKING:
+    from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+REFUSAL = "Forbidden: open the address that `daq bench` printed, with its token."
+
+
+class TokenGate:
+    """An ASGI application in front of another, which refuses requests and web sockets without the token.
+
+    The token also protects a page on the loopback address, which any page in the same browser could address.
+
+    Parameters
+    ----------
+    inner : ASGI application
+        The protected application.
+    cookie : str
+        Name of the cookie; pages of several benches on one host need different names.
+    """
+
+    def __init__(self, inner: ASGIApp, cookie: str) -> None:
+        self._inner, self._cookie = inner, cookie
+        self.token = secrets.token_urlsafe(24)
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on, or refuse it."""
+        if scope["type"] not in ("http", "websocket"):
+            await self._inner(scope, receive, send)
+            return
+        request = HTTPConnection(scope)
+
+        async def with_cookie(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                cookie = f"{self._cookie}={self.token}; Path=/; HttpOnly; SameSite=Strict"
+                message["headers"] = [*message.get("headers", []), (b"set-cookie", cookie.encode())]
+            await send(message)
+
+        if self._valid(request.query_params.get("token", "")):
+            await self._inner(scope, receive, with_cookie)
+        elif self._valid(request.cookies.get(self._cookie, "")):
+            await self._inner(scope, receive, send)
+        elif scope["type"] == "websocket":
+            await send({"type": "websocket.close", "code": 1008})
+        else:
+            await PlainTextResponse(REFUSAL, 403)(scope, receive, send)
+
+    def _valid(self, token: str) -> bool:
+        return hmac.compare_digest(token.encode(), self.token.encode())

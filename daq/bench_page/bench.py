@@ -1,0 +1,129 @@
+"""`daq bench`: the instrument, served to NI clients, with its page in the browser."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from daq.bench_page.live_bench import LiveBench
+from daq.instrument.connecting import connect_scene
+from daq.server.bench_time import BenchTime
+from daq.server.serve import parse_address, wait_for_signal
+from daq.server.service import Server
+from rig.errors import RunError, SceneError
+
+if TYPE_CHECKING:
+    from rig.scene.scene import Scene
+
+# The web server has this time to start, s.
+START_S = 30.0
+
+
+def bench(
+    scene: Scene | str | None,
+    host: str,
+    port: int,
+    device_port: int,
+    recording: Path,
+    overwrite: bool = False,
+    browser: bool = False,
+) -> None:
+    """Serve a rig with a page in the browser until Ctrl-C.
+
+    Parameters
+    ----------
+    scene : Scene, str or None
+        As `daq.connect` takes it.
+    host, port : str and int
+        Where the page is; 0 chooses a free port.
+    device_port : int
+        Where NI clients of this machine find the device; 0 chooses a free port.
+    recording : Path
+        First recording of the record switch; the next are numbered.
+    overwrite : bool
+        Whether the first may replace a file.
+    browser : bool
+        Whether to open the page in the browser.
+
+    Raises
+    ------
+    RunError
+        If NiceGUI is missing.
+    SceneError
+        If the scene cannot be used or an address cannot be listened at.
+    """
+    try:
+        import nicegui  # noqa: F401
+    except ImportError:
+        raise RunError(
+            "the page needs NiceGUI, which is missing. Run: pip install 'shotrig[bench]'"
+        ) from None
+    host, port = parse_address(host, port)
+    chassis = connect_scene(scene, "real")
+    with contextlib.ExitStack() as stack:
+        try:
+            server = Server(chassis, f"127.0.0.1:{device_port}", further=(BenchTime(chassis),))
+        except RuntimeError:
+            raise SceneError(
+                f"port {device_port} on 127.0.0.1 is in use. Choose another with --device-port, or 0."
+            ) from None
+        stack.callback(server.close)
+        shown = LiveBench(chassis, f"127.0.0.1:{server.port}", recording, overwrite)
+        stack.callback(shown.close)
+        address = stack.enter_context(_served(shown, host, port))
+        gc.collect()
+        gc.freeze()
+        print(f"{address}\nNI clients: 127.0.0.1:{server.port}. Ctrl-C ends.", flush=True)
+        if browser:
+            import webbrowser
+
+            webbrowser.open(address)
+        wait_for_signal()
+        monitor = shown.monitor
+        print(f"closing; samples lost: {monitor.lost}, blocks not shown: {monitor.left_out}", file=sys.stderr)
+    for path in shown.recordings.paths:
+        print(path)
+
+
+@contextlib.contextmanager
+def _served(shown: LiveBench, host: str, port: int) -> Any:
+    """Serve the page from a thread; give its address, with the token."""
+    import uvicorn
+    from fastapi import FastAPI
+    from nicegui import ui
+
+    from daq.bench_page.access import TokenGate
+    from daq.bench_page.page import Page
+
+    @ui.page("/")
+    def page() -> None:
+        Page(shown)
+
+    application = FastAPI()
+    ui.run_with(application)
+    gate = TokenGate(application, f"shotrig_bench_{port}")
+    config = uvicorn.Config(
+        gate, host=host.strip("[]"), port=port, log_level="critical", timeout_graceful_shutdown=1
+    )
+    server = uvicorn.Server(config)
+    thread = threading.Thread(target=server.run, name="page", daemon=True)
+    thread.start()
+    deadline = time.monotonic() + START_S
+    while not server.started and thread.is_alive() and time.monotonic() < deadline:
+        thread.join(0.05)
+    if not server.started:
+        raise SceneError(
+            f"cannot listen at {host}:{port}. Choose another port with --port, or another --address."
+        )
+    bound = server.servers[0].sockets[0].getsockname()[1]
+    name = f"[{host}]" if ":" in host else host
+    try:
+        yield f"http://{name}:{bound}/?token={gate.token}"
+    finally:
+        server.should_exit = True
+        thread.join(5.0)

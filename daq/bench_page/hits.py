@@ -1,0 +1,139 @@
+"""Hammer hits as they come: each is shown with its verdict before it enters the frequency response."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+# Recorded before the force rises, s.
+PRETRIGGER_S = 0.01
+# A second pulse with at least this share of the peak is a double hit: its spectrum has deep minima.
+REBOUND_SHARE = 0.05
+# The force trigger, as a share of the weakest accepted peak, so that weak hits are seen as well.
+TRIGGER_SHARE = 0.3
+# Parts of one pulse that are closer than this belong together, s: the force of a ringing hammer crosses zero.
+PULSE_GAP_S = 1e-3
+# Length of the force shown for each hit, s.
+SHOWN_S = 0.05
+
+
+@dataclass(eq=False)
+class Hit:
+    """A hit and its verdict.
+
+    Attributes
+    ----------
+    number : int
+        Counted from 1.
+    first : int
+        Number of the first sample of its window.
+    peak : float
+        Largest force, N.
+    faults : list of str
+        Reasons to reject it; empty for a good hit.
+    force : ndarray
+        The force around the pulse, N.
+    readings : ndarray, shape (channels, samples)
+        All channels over the window.
+    accepted : bool
+        Whether it enters the frequency response.
+    """
+
+    number: int
+    first: int
+    peak: float
+    faults: list[str]
+    force: Array
+    readings: Array
+    accepted: bool = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.accepted = not self.faults
+
+    @property
+    def size(self) -> int:
+        """Length of its window, samples."""
+        return self.readings.shape[1]
+
+
+class HitJudge:
+    """Detects hits in the hammer's channel and judges each at the end of its window.
+
+    Parameters
+    ----------
+    row : int
+        Row of the hammer's force.
+    rate : float
+        Samples per second.
+    weakest : float
+        Smallest accepted peak, N.
+    window : float
+        Length of the window, s.
+    """
+
+    def __init__(self, row: int, rate: float, weakest: float, window: float) -> None:
+        self._row, self._rate, self.weakest = row, rate, weakest
+        self._before, self._size = round(PRETRIGGER_S * rate), round(window * rate)
+        self._readings: Array | None = None
+        self._overload: NDArray[np.bool_] = np.zeros((0, 0), bool)
+        self._first = 0
+        self.hits: list[Hit] = []
+
+    def add(self, first: int, readings: Array, overload: NDArray[np.bool_]) -> list[Hit]:
+        """Take the next samples, the first numbered `first`; return the hits whose windows are complete."""
+        if self._readings is None or first != self._first + self._readings.shape[1]:
+            self._readings, self._overload, self._first = readings, overload, first
+        else:
+            self._readings = np.concatenate([self._readings, readings], axis=1)
+            self._overload = np.concatenate([self._overload, overload], axis=1)
+        known = len(self.hits)
+        while (hit := self._next()) is not None:
+            self.hits.append(hit)
+        return self.hits[known:]
+
+    def _next(self) -> Hit | None:
+        assert self._readings is not None
+        force = self._readings[self._row]
+        above = force > TRIGGER_SHARE * self.weakest
+        start = int(np.argmax(above)) - self._before if above.any() else force.size - self._before
+        start = max(0, start)
+        self._drop(start)
+        if not above.any() or self._readings.shape[1] < self._size:
+            return None
+        window, overload = self._readings[:, : self._size], self._overload[:, : self._size]
+        hit = self._judged(window, overload)
+        self._drop(self._size)
+        return hit
+
+    def _drop(self, samples: int) -> None:
+        assert self._readings is not None
+        self._readings, self._overload = self._readings[:, samples:], self._overload[:, samples:]
+        self._first += samples
+
+    def _judged(self, window: Array, overload: NDArray[np.bool_]) -> Hit:
+        force = window[self._row]
+        peak = float(force.max())
+        faults = []
+        if overload.any():
+            faults.append("clipped")
+        if pulses(force, max(REBOUND_SHARE * peak, 0.1 * self.weakest), PULSE_GAP_S * self._rate) > 1:
+            faults.append("double hit")
+        # The true peak of a clipped hit is higher.
+        if peak < self.weakest and "clipped" not in faults:
+            faults.append("too weak")
+        shown = force[: round(SHOWN_S * self._rate)]
+        return Hit(len(self.hits) + 1, self._first, peak, faults, shown, window)
+
+
+def pulses(force: Array, threshold: float, gap: float) -> int:
+    """Count the pulses above a threshold that are more than `gap` samples apart.
+
+    >>> pulses(np.array([0.0, 5.0, 9.0, 4.0, 0.0, 0.0, 0.0, 3.0, 0.0]), threshold=1.0, gap=2)
+    2
+    """
+    above = np.flatnonzero(force > threshold)
+    return 0 if not above.size else 1 + int(np.count_nonzero(np.diff(above) > gap))

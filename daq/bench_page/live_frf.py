@@ -1,0 +1,161 @@
+"""Frequency responses that grow while a test runs: H1 and coherence over Hann blocks, or over hits.
+
+A quick view for the operator. `analysis frf` estimates the response from the recording, with its bounds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.excitation import Station
+from rig.errors import SceneError
+
+if TYPE_CHECKING:
+    from daq.bench_page.hits import Hit
+    from daq.signal_chain.channel import ChannelInfo
+    from rig.scene.scene import Scene
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+# Frequencies with less than this share of the largest force spectrum have not been excited.
+EXCITED_SHARE = 1e-3
+
+
+@dataclass(frozen=True)
+class LiveCurves:
+    """Receptance (m/N) and coherence at the excited frequencies; rows are the channels on bodies."""
+
+    names: list[str]
+    frequency: Array
+    value: ComplexArray
+    coherence: Array
+    averages: int
+
+
+class _Sums:
+    """Averaged products of the spectra of force and motion."""
+
+    def __init__(self, motions: int, lines: int) -> None:
+        self.force = np.zeros(lines)
+        self.motion = np.zeros((motions, lines))
+        self.cross = np.zeros((motions, lines), complex)
+        self.count = 0
+
+    def add(self, force: ComplexArray, motion: ComplexArray) -> None:
+        self.force += np.abs(force) ** 2
+        self.motion += np.abs(motion) ** 2
+        self.cross += motion * force.conj()
+        self.count += 1
+
+
+class LiveFrf:
+    """Estimates the responses of all channels on bodies to the force on the structure.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene with the test that runs.
+    channels : sequence of ChannelInfo
+        The channels, in the order of the readings.
+    rate : float
+        Samples per second.
+    block : float
+        Length of a block, or of a hit's window, s.
+    band : tuple of float
+        Lowest and highest frequency, Hz.
+
+    Raises
+    ------
+    SceneError
+        If no channel measures the force.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        channels: Sequence[ChannelInfo],
+        rate: float,
+        block: float,
+        band: tuple[float, float],
+    ) -> None:
+        self._size = round(block * rate)
+        frequency = np.fft.rfftfreq(self._size, 1.0 / rate)
+        self._lines = np.flatnonzero((frequency >= max(band[0], 1.0 / block)) & (frequency <= band[1]))
+        self.frequency = np.asarray(frequency[self._lines], dtype=float)
+        station = Station(scene, channels, (), rate, mark=lambda *given, **fields: None)
+        self._force = force_weights(station, self.frequency)
+        rows = [
+            row
+            for row, each in enumerate(channels)
+            if each.at.startswith("body") and each.quantity != "force"
+        ]
+        self.names = [channels[row].name for row in rows]
+        self._rows = rows
+        self._motion = np.array([station.displacement(row, self.frequency) for row in rows])
+        self._window = np.hanning(self._size)
+        self._pending = np.zeros((len(channels), 0))
+        self._sums = _Sums(len(rows), self._lines.size)
+        self._hits: list[tuple[Hit, ComplexArray]] = []
+
+    def add(self, readings: Array) -> None:
+        """Take the next readings of a continuous test, shape (channels, samples)."""
+        self._pending = np.concatenate([self._pending, readings], axis=1)
+        while self._pending.shape[1] >= self._size:
+            block = self._pending[:, : self._size]
+            spectra = self._spectra((block - block.mean(axis=1, keepdims=True)) * self._window)
+            self._sums.add(*self._split(spectra))
+            self._pending = self._pending[:, self._size // 2 :]
+
+    def add_hit(self, hit: Hit) -> None:
+        """Take the window of a hit; it counts while the hit is accepted."""
+        padded = np.zeros((len(hit.readings), self._size))
+        part = hit.readings[:, : self._size]
+        padded[:, : part.shape[1]] = part
+        self._hits.append((hit, self._spectra(padded)))
+
+    def curves(self) -> LiveCurves | None:
+        """Return what has been estimated so far; None before the first block."""
+        sums = self._sums
+        if self._hits:
+            sums = _Sums(len(self._rows), self._lines.size)
+            for hit, spectra in self._hits:
+                if hit.accepted:
+                    sums.add(*self._split(spectra))
+        if not sums.count:
+            return None
+        excited = sums.force > EXCITED_SHARE * sums.force.max()
+        force, motion, cross = sums.force[excited], sums.motion[:, excited], sums.cross[:, excited]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            coherence = np.abs(cross) ** 2 / (force * motion)
+        return LiveCurves(self.names, self.frequency[excited], cross / force, coherence, sums.count)
+
+    def _spectra(self, block: Array) -> ComplexArray:
+        return np.asarray(np.fft.rfft(block, axis=1)[:, self._lines])
+
+    def _split(self, spectra: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+        """Separate the spectra of all channels into force (lines,) and displacements (motions, lines)."""
+        return (self._force * spectra).sum(axis=0), self._motion * spectra[self._rows]
+
+
+def force_weights(station: Station, frequency: Array) -> ComplexArray:
+    """Return the weights that make the force on the structure of the channels' spectra, (channels, lines)."""
+    test = station.scene.test
+    hammer = test is not None and test.kind == "impulse"
+    for row, info in enumerate(station.channels):
+        if info.quantity == "force" and (info.at == "hammer") == hammer:
+            weights = np.zeros((len(station.channels), frequency.size), complex)
+            weights[row] = 1.0 / info.response(frequency)
+            return weights
+    shaker = station.scene.driven_shaker
+    if hammer or shaker is None or shaker.spring is None:
+        place = "hammer" if hammer else "shaker"
+        raise SceneError(
+            f"channels: no channel measures the force at the {place}. Add {{name: force, at: {place}}}."
+        )
+    return station.force_weights(frequency)

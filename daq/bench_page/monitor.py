@@ -1,0 +1,198 @@
+"""What the page shows of the channels: time histories, spectra, overloads, output, motion; kept by a thread of its own.
+
+The listener only queues blocks, so that acquisition never waits for the page. Where this thread is behind, blocks are
+left out of the view; recordings have their own queue.
+"""
+
+from __future__ import annotations
+
+import queue
+import threading
+from collections import deque
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.drawing.rig_view import RigPose
+
+if TYPE_CHECKING:
+    from daq.bench_page.hits import HitJudge
+    from daq.bench_page.live_frf import LiveFrf
+    from daq.instrument.chassis import Chassis
+
+Array = NDArray[np.float64]
+
+# Blocks that may wait to be shown.
+WAITING_BLOCKS = 256
+# Time histories kept, s.
+HISTORY_S = 10.0
+# A clipping lamp stays lit for this time after an overload, s.
+LAMP_S = 2.0
+# Positions of the rig kept: rate in Hz and length in s.
+POSES_PER_S = 400.0
+POSES_S = 0.2
+# Length of the spectra and of the view of the outputs, s.
+SPECTRUM_S = 2.0
+OUTPUT_S = 0.5
+
+
+class History:
+    """The last samples of all channels and outputs, whose numbers count from power-on.
+
+    Parameters
+    ----------
+    rows, size : int
+        Channels and outputs; samples kept.
+    """
+
+    def __init__(self, rows: int, size: int) -> None:
+        self._values = np.zeros((rows, size))
+        self.stop = 0
+
+    def add(self, first: int, values: Array) -> None:
+        """Write samples; zeros take the place of those that are missing before them."""
+        size = self._values.shape[1]
+        missing = min(first - self.stop, size)
+        if missing > 0:
+            self._values[:, np.arange(first - missing, first) % size] = 0.0
+        self.stop = first + values.shape[1]
+        values = values[:, -size:]
+        self._values[:, np.arange(self.stop - values.shape[1], self.stop) % size] = values
+
+    def last(self, samples: int) -> Array:
+        """Return the last samples, shape (rows, samples)."""
+        size = self._values.shape[1]
+        return self._values[:, np.arange(self.stop - min(samples, size), self.stop) % size]
+
+
+class Monitor:
+    """Follows the blocks of a bench.
+
+    Parameters
+    ----------
+    chassis : Chassis
+        The instrument.
+
+    Attributes
+    ----------
+    frf : LiveFrf or None
+        Estimate of the test that runs or ran last.
+    judge : HitJudge or None
+        Of the hammer test that runs or ran last.
+    left_out : int
+        Blocks that the view left out.
+    lost : int
+        Samples missing between the bench's blocks.
+    """
+
+    def __init__(self, chassis: Chassis) -> None:
+        source: Any = chassis.source
+        self._scene = source.scene
+        self.rate = source.sample_rate
+        self.channels = tuple(source.channels)
+        self.history = History(len(self.channels), round(HISTORY_S * self.rate))
+        self.outputs = History(len(source.drive), round(OUTPUT_S * self.rate))
+        self.frf: LiveFrf | None = None
+        self.judge: HitJudge | None = None
+        self.continuous = False
+        self.left_out = self.lost = 0
+        self._next: int | None = None
+        self._overloaded = np.full(len(self.channels), -1)
+        self._poses: deque[tuple[Array, Array | None]] = deque(maxlen=round(POSES_S * POSES_PER_S))
+        self._step = max(1, round(self.rate / POSES_PER_S))
+        self._lock = threading.Lock()
+        self._blocks: queue.Queue[Any] = queue.Queue(WAITING_BLOCKS)
+        self._thread = threading.Thread(target=self._follow, name="bench page", daemon=True)
+        self._thread.start()
+
+    def hear(self, source: Any, block: Any) -> None:
+        """Take a block of the bench; a listener of the chassis."""
+        if self._next is not None:
+            self.lost += max(0, block.first - self._next)
+        self._next = block.first + block.samples.shape[1]
+        if self._blocks.full():
+            self.left_out += 1
+        else:
+            self._blocks.put_nowait((block, source.drive.copy(), source.physical))
+
+    def catch_up(self) -> None:
+        """Wait until all blocks so far have been taken in."""
+        self._blocks.join()
+
+    def close(self) -> None:
+        """End the thread."""
+        self._blocks.put(None)
+        self._thread.join()
+
+    def watch(self, frf: LiveFrf | None, judge: HitJudge | None) -> None:
+        """Begin another estimate; `judge` for hits."""
+        with self._lock:
+            self.frf, self.judge, self.continuous = frf, judge, judge is None
+
+    def stop_watching(self) -> None:
+        """Keep the estimate as it is."""
+        with self._lock:
+            self.continuous = False
+
+    def overloads(self) -> list[bool]:
+        """Return which channels were overloaded in the last seconds."""
+        since = self.history.stop - LAMP_S * self.rate
+        return [bool(last >= 0 and last > since) for last in self._overloaded]
+
+    def spectra(self) -> tuple[NDArray[Any], Array]:
+        """Return frequencies and amplitude spectra of all channels, Hann window, shape (channels, lines)."""
+        samples = self.history.last(round(SPECTRUM_S * self.rate))
+        window = np.hanning(samples.shape[1])
+        samples = (samples - samples.mean(axis=1, keepdims=True)) * window
+        spectra = 2.0 * np.abs(np.fft.rfft(samples, axis=1)) / window.sum()
+        return np.asarray(np.fft.rfftfreq(samples.shape[1], 1.0 / self.rate)), spectra
+
+    def output(self) -> list[tuple[float, float]]:
+        """Return peak and frequency of the drive at each input; the frequency of its mean crossings, Hz."""
+        found = []
+        for wave in self.outputs.last(round(OUTPUT_S * self.rate)):
+            peak = float(np.abs(wave).max(initial=0.0))
+            centered = wave - wave.mean()
+            rising = np.flatnonzero((centered[:-1] < 0) & (centered[1:] >= 0))
+            periods = len(rising) - 1
+            span = float(rising[-1] - rising[0]) / self.rate if periods > 0 else 0.0
+            found.append((peak, periods / span if peak and periods > 0 else 0.0))
+        return found
+
+    def poses(self) -> RigPose | None:
+        """Return the latest motion of the rig; None before there is any."""
+        with self._lock:
+            latest = list(self._poses)
+        if not latest:
+            return None
+        moved = np.column_stack([motion for motion, _ in latest])
+        gaps = [gap for _, gap in latest if gap is not None]
+        bodies = self._scene.structure.bodies
+        tables = moved[bodies : bodies + len(self._scene.tables)]
+        return RigPose(moved[:bodies], tables, np.column_stack(gaps) if gaps else None)
+
+    def _follow(self) -> None:
+        while (item := self._blocks.get()) is not None:
+            self._take(*item)
+            self._blocks.task_done()
+
+    def _take(self, block: Any, drive: Array, physical: Any) -> None:
+        if block.samples.size:
+            readings = physical(block.samples)
+            self.history.add(block.first, readings)
+            self.outputs.add(self.outputs.stop, drive)
+            flagged = block.overload.any(axis=1)
+            self._overloaded[flagged] = block.first + block.samples.shape[1]
+            motion = block.motion
+            picked = range(-motion.first % self._step, motion.displacement.shape[1], self._step)
+            with self._lock:
+                for at in picked:
+                    gap = motion.gap[:, at] if self._scene.dampers else None
+                    self._poses.append((motion.displacement[:, at], gap))
+                if self.frf is not None and self.continuous:
+                    self.frf.add(readings)
+                if self.judge is not None:
+                    for hit in self.judge.add(block.first, readings, block.overload):
+                        if self.frf is not None:
+                            self.frf.add_hit(hit)

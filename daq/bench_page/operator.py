@@ -1,0 +1,239 @@
+"""The operator's tests: built from a few settings, played by the bench, marked in the recording."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal, cast
+
+from daq.bench_page.hits import HitJudge
+from daq.bench_page.live_frf import LiveFrf
+from daq.excitation import Excitation, Station, excitation
+from daq.excitation.manual_tone import HandTone, Knobs
+from daq.recording.recorded_test import TestKind, kind_of_settings
+from rig.errors import SceneError, ShotrigError
+
+if TYPE_CHECKING:
+    from daq.bench_page.monitor import Monitor
+    from daq.bench_page.recordings import BenchRecordings
+    from daq.instrument.bench.background_test import BackgroundTest
+    from daq.instrument.chassis import Chassis
+    from rig.scene.scene import Scene
+
+Kind = Literal["sine", "sweep", "random", "hammer"]
+
+# Samples a period that a sine needs at least.
+FEWEST_SAMPLES = 10.0
+# A live block is a tenth of the test, within these limits, s.
+SHORTEST_BLOCK_S = 1.0
+LONGEST_BLOCK_S = 4.0
+# Longest window of a hit, s, and the time kept free before the next hit.
+LONGEST_HIT_S = 4.0
+BETWEEN_HITS_S = 0.1
+# Hits below this share of the asked peak are too weak.
+WEAKEST_SHARE = 0.5
+
+
+@dataclass
+class Settings:
+    """What the page's controls say: level in N (amplitude, rms of random, peak of a hit), Hz, s, number of hits."""
+
+    kind: Kind
+    level: float
+    frequency: float
+    low: float
+    high: float
+    duration: float
+    hits: int
+
+
+class Operator:
+    """Starts and stops tests on the bench of a chassis.
+
+    Attributes
+    ----------
+    settings : Settings
+        As the page's controls say; they begin with those of the scene's test.
+    kinds : list of str
+        Tests for which the scene has an input.
+    message : str
+        State of the test, or why it could not be started.
+    no_response : str
+        Why there is no live frequency response; empty if there is one.
+    """
+
+    # The chassis knows who keeps it awake by this name.
+    name = "daq bench"
+
+    def __init__(self, chassis: Chassis, monitor: Monitor, recordings: BenchRecordings) -> None:
+        self._chassis, self._monitor, self._recordings = chassis, monitor, recordings
+        # The bench of a scene, which can play a test by itself.
+        self._source: Any = chassis.source
+        self._scene: Scene = chassis.source.scene
+        test = self._scene.test
+        # A scene has its hammer's channel for a test with the hammer, and for no other.
+        self.kinds: list[Kind] = ["sine", "sweep", "random"] if self._scene.shakers else []
+        if test is not None and test.kind == "impulse":
+            self.kinds = ["hammer"]
+        self.settings = _begin_with(test, self.kinds)
+        self.message = "ready" if self.kinds else "the scene has neither a shaker nor a hammer"
+        self.no_response = ""
+        self._playing: BackgroundTest | None = None
+        self._knobs: Knobs | None = None
+        self._hits: list[tuple[int, int, dict[str, Any]]] = []
+
+    @property
+    def running(self) -> bool:
+        """Whether a test of the page runs."""
+        return self._playing is not None and not self._playing.quiet
+
+    def switch_on(self) -> None:
+        """Let the bench run from now on, with its own test silent."""
+        with self._chassis.changed:
+            self._source.play(self._scene, 0, _ignore, _ignore, _ignore, _silence)
+            self._chassis.wake(cast(Any, self))
+
+    def switch_off(self) -> None:
+        """Mark what was measured, and let the bench stand still where no client needs it."""
+        with self._chassis.changed:
+            self._mark_hits()
+        self._chassis.dismiss(cast(Any, self))
+
+    def start(self) -> None:
+        """Start the test of the settings; on failure `message` says why."""
+        if self.running:
+            return
+        try:
+            self._start()
+        except (ShotrigError, ValueError) as error:
+            self.message = str(error)
+
+    def stop(self) -> None:
+        """End the test at the next window of its drive."""
+        if self._playing is not None:
+            self._playing.stop()
+
+    def turn(self) -> None:
+        """Take changed frequency and level of a sine that plays."""
+        if self._knobs is not None and self.running:
+            try:
+                self._knobs.turn(f"f {self.settings.frequency!r}")
+                self._knobs.turn(f"F {self.settings.level!r}")
+            except SceneError as error:
+                self.message = str(error)
+
+    def _start(self) -> None:
+        chassis = self._chassis
+        scene, excite, self._knobs = self._test()
+        kind = TestKind.TONES if self._knobs is not None else kind_of_settings(scene.test)
+        frf, judge = self._estimate(scene, kind)
+        with chassis.changed:
+            chassis.return_outputs()
+            self._hits = []
+            self._recordings.begin_test(scene, kind)
+            self.message = f"{self.settings.kind} runs"
+            self._playing = self._source.play(
+                scene, chassis.position, self._mark, self._report, self._ended, excite
+            )
+            if self.running:
+                self._monitor.watch(frf, judge)
+
+    def _test(self) -> tuple[Scene, Any, Knobs | None]:
+        """Build the scene of the test, its excitation, and the knobs of a sine."""
+        each = self.settings
+        hammer = self._scene.test
+        if each.kind == "hammer" and hammer is not None and hammer.kind == "impulse":
+            double = hammer.double_hit
+            if double is not None and double.hits is not None:
+                kept = tuple(number for number in double.hits if number <= each.hits)
+                double = double.replace(hits=kept) if kept else None
+            hit = hammer.replace(
+                peak=each.level, repeats=int(each.hits), interval=each.duration, double_hit=double
+            )
+            return self._scene.replace(test=hit), excitation, None
+        if each.kind == "sine":
+            test = {"kind": "sine", "frequency": each.frequency, "force": each.level}
+            knobs = Knobs(each.frequency, each.level, self._monitor.rate / FEWEST_SAMPLES)
+            return self._scene.replace(test=test), HandTone(knobs, _ignore).excite, knobs
+        kind = "swept_sine" if each.kind == "sweep" else "random"
+        test = {
+            "kind": kind,
+            "from": each.low,
+            "to": each.high,
+            "duration": each.duration,
+            "force": each.level,
+        }
+        return self._scene.replace(test=test), excitation, None
+
+    def _estimate(self, scene: Scene, kind: TestKind) -> tuple[LiveFrf | None, HitJudge | None]:
+        """Make the live estimate; without one where no channel measures the force, and say so."""
+        each, monitor, judge = self.settings, self._monitor, None
+        band = sorted((each.low, each.high))
+        block = min(max(each.duration / 10, SHORTEST_BLOCK_S), LONGEST_BLOCK_S)
+        if kind is TestKind.HITS:
+            block = min(each.duration - BETWEEN_HITS_S, LONGEST_HIT_S)
+            band = [0.0, 0.5 * monitor.rate]
+            row = next((k for k, info in enumerate(monitor.channels) if info.at == "hammer"), None)
+            if row is not None:
+                judge = HitJudge(row, monitor.rate, WEAKEST_SHARE * each.level, block)
+        elif kind is TestKind.TONES:
+            band = [0.0, monitor.rate / FEWEST_SAMPLES]
+        try:
+            frf = LiveFrf(scene, monitor.channels, monitor.rate, block, (band[0], band[1]))
+            self.no_response = ""
+        except SceneError as error:
+            frf, self.no_response = None, str(error)
+        return frf, judge
+
+    def _mark(self, kind: str, first: int, stop: int, **fields: Any) -> None:
+        if kind == "hit":
+            # Hits can be accepted or rejected until the test ends.
+            self._hits.append((first, stop, fields))
+        else:
+            self._recordings.mark(kind, first, stop, **fields)
+
+    def _mark_hits(self) -> None:
+        judged = () if self._monitor.judge is None else self._monitor.judge.hits
+        for first, stop, fields in self._hits:
+            hit = next(
+                (each for each in judged if each.first <= stop and first <= each.first + each.size), None
+            )
+            rejected = hit is not None and not hit.accepted
+            reason = {"reason": ", ".join(hit.faults) or "operator"} if hit is not None and rejected else {}
+            self._recordings.mark("rejected" if rejected else "hit", first, stop, **fields, **reason)
+        self._hits = []
+
+    def _report(self, fraction: float, message: str) -> None:
+        self.message = f"{100 * fraction:.0f} %: {message}" if fraction else message
+
+    def _ended(self, reason: str) -> None:
+        self._mark_hits()
+        self._monitor.stop_watching()
+        self._recordings.end_test()
+        self.message = f"test ended: {reason}" if reason else "ready"
+
+
+def _begin_with(test: Any, kinds: list[Kind]) -> Settings:
+    """Give the settings to begin with: those of the scene's test."""
+    low = getattr(test, "from_", None) or min(getattr(test, "frequencies", None) or [5.0])
+    high = getattr(test, "to", None) or max(getattr(test, "frequencies", None) or [100.0])
+    level = getattr(test, "peak", None) or getattr(test, "force", None) or 1.0
+    level = float(level[0] if isinstance(level, tuple) else level)
+    hammer = kinds[-1:] == ["hammer"]
+    return Settings(
+        kind="hammer" if hammer else "sweep",
+        level=level,
+        frequency=float(getattr(test, "frequency", None) or low),
+        low=float(min(low, high)),
+        high=float(max(low, high)),
+        duration=float(test.interval) if hammer else 60.0,
+        hits=int(getattr(test, "repeats", 1)),
+    )
+
+
+def _silence(station: Station) -> Excitation:
+    """Play one sample of nothing, which ends the scene's own test."""
+    yield station.quiet(1)
+
+
+def _ignore(*given: Any, **fields: Any) -> None:
+    """Take what a callback brings."""

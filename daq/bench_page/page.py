@@ -1,0 +1,283 @@
+"""The page of `daq bench`: controls, live charts, the moving rig, hits and clients."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from nicegui import ui
+from numpy.typing import NDArray
+
+from daq.bench_page.rig_svg import RigDrawing
+from daq.drawing.palette import channel_colour
+
+if TYPE_CHECKING:
+    from daq.bench_page.live_bench import LiveBench
+
+Array = NDArray[np.float64]
+
+# Intervals of the views, s. The rig is shown in slow motion: POSES_S of motion take RIG_S.
+CHARTS_S = 0.25
+FRF_S = 0.5
+RIG_S = 2.0
+# Columns of a time history (minimum and maximum each), and bands of a spectrum.
+COLUMNS = 300
+LINES = 600
+# Hits listed.
+SHOWN_HITS = 8
+TEXT = "#c8ccd2"
+GRID = {"lineStyle": {"color": "#2c3037"}}
+FORMAT = "v => v && (Math.abs(v) < 1e-3 || Math.abs(v) >= 1e5) ? v.toExponential(0) : +v.toPrecision(5)"
+LAMP_OFF = "#3a3f47"
+LAMP_ON = "#e0403a"
+
+# Moves the parts of the drawing through the frames {identifier: [heights, stretches]} in the given time, again and
+# again until the next frames come.
+ANIMATION = """
+<script>
+let rigFrames = {}, rigStart = 0, rigTime = 1;
+function moveRig(frames, seconds) { rigFrames = frames; rigStart = performance.now(); rigTime = 1000 * seconds; }
+function drawRig(now) {
+  for (const [name, [heights, factors]] of Object.entries(rigFrames)) {
+    const part = document.getElementById(name);
+    if (!part) continue;
+    const at = Math.min(heights.length - 1, Math.floor((now - rigStart) / rigTime * heights.length));
+    const place = Math.max(0, at);
+    part.setAttribute('transform',
+      `translate(0 ${heights[place]})` + (factors ? ` scale(1 ${factors[place]})` : ''));
+  }
+  requestAnimationFrame(drawRig);
+}
+requestAnimationFrame(drawRig);
+</script>
+<style>#rig {width: 100%; max-height: 380px} .nicegui-content {padding: 10px}</style>
+"""
+
+
+def envelope(time: Array, values: Array, columns: int) -> tuple[Array, Array]:
+    """Reduce samples to the minimum and maximum of each column, so that no peak is lost.
+
+    >>> [each.tolist() for each in envelope(np.arange(4.0), np.array([1.0, 3.0, 2.0, 0.0]), 2)]
+    [[0.0, 1.0, 2.0, 3.0], [1.0, 3.0, 2.0, 0.0]]
+    """
+    width = max(1, values.size // columns)
+    parts = values[: values.size // width * width].reshape(-1, width)
+    start = width * np.arange(len(parts))
+    at = np.sort(
+        np.column_stack([parts.argmin(axis=1) + start, parts.argmax(axis=1) + start]), axis=1
+    ).ravel()
+    return time[at], values[at]
+
+
+def points(x: Array, y: Array) -> list[list[float]]:
+    """Return the points of a curve as a chart takes them, with six digits and without values that are not finite."""
+    pairs = zip(x.tolist(), y.tolist(), strict=True)
+    return [[float(f"{a:.6g}"), float(f"{b:.4g}")] for a, b in pairs if np.isfinite(b)]
+
+
+def peaks(frequency: Array, values: Array) -> tuple[Array, Array]:
+    """Reduce a spectrum to the largest line in each of `LINES` bands of equal ratio.
+
+    >>> peaks(np.array([1.0, 2.0, 4.0]), np.array([3.0, 5.0, 4.0]))[1].tolist()
+    [3.0, 5.0, 4.0]
+    """
+    edges = np.geomspace(frequency[0], frequency[-1], LINES)
+    starts = np.unique(np.searchsorted(frequency, edges[:-1]))
+    stops = [*starts[1:].tolist(), frequency.size]
+    at = [a + int(np.argmax(values[a:b])) for a, b in zip(starts.tolist(), stops, strict=True)]
+    at += [] if at[-1] == frequency.size - 1 else [frequency.size - 1]
+    return frequency[at], values[at]
+
+
+class Chart:
+    """A line chart with a series for each name and an axis for each unit."""
+
+    def __init__(
+        self, title: str, x: dict[str, Any], series: list[tuple[str, str, str]], y: dict[str, Any]
+    ) -> None:
+        units = list(dict.fromkeys(unit for _, unit, _ in series)) or [""]
+        axes = [
+            {"type": "value", "name": unit, "scale": True, "position": "right" if place else "left",
+             "splitLine": GRID if not place else {"show": False}, "axisLabel": {":formatter": FORMAT}, **y}
+            for place, unit in enumerate(units)
+        ]  # fmt: skip
+        self.element = ui.echart(
+            {
+                "animation": False,
+                "textStyle": {"color": TEXT},
+                "title": {"text": title, "textStyle": {"fontSize": 13, "color": TEXT}},
+                "legend": {"right": 10, "top": 0, "icon": "rect", "textStyle": {"color": TEXT}},
+                "tooltip": {"trigger": "axis"},
+                "grid": {"left": 70, "right": 70, "top": 42, "bottom": 40},
+                "toolbox": {"feature": {"dataZoom": {}}, "bottom": 0, "right": 0},
+                "xAxis": {"type": "value", "nameLocation": "middle", "nameGap": 24, "min": "dataMin",
+                          "max": "dataMax", "splitLine": GRID,
+                          "axisLabel": {":formatter": FORMAT, "hideOverlap": True}, **x},
+                "yAxis": axes,
+                "series": [
+                    {"name": name, "type": "line", "showSymbol": False, "yAxisIndex": units.index(unit),
+                     "lineStyle": {"width": 1.3}, "color": color, "data": []}
+                    for name, unit, color in series
+                ],
+            }
+        ).classes("w-full h-56")  # fmt: skip
+
+    def show(self, curves: list[list[list[float]]]) -> None:
+        """Show other data."""
+        for series, data in zip(self.element.options["series"], curves, strict=True):
+            series["data"] = data
+        self.element.update()
+
+
+class Page:
+    """One browser's view of the bench."""
+
+    def __init__(self, bench: LiveBench) -> None:
+        self._bench, self._monitor, self._operator = bench, bench.monitor, bench.operator
+        scene = bench.chassis.source.scene
+        self._rig, self._drawn = RigDrawing(scene), ""
+        ui.dark_mode(True)
+        ui.page_title(f"daq bench: {scene.name}")
+        ui.add_body_html(ANIMATION)
+        with ui.row().classes("w-full items-center"):
+            ui.label(scene.name).classes("text-lg font-bold")
+            ui.label(f"NI clients: {bench.address}").classes("text-sm opacity-70")
+            self._lamps = [
+                ui.label(info.name).classes("px-2 rounded").tooltip("Lit for 2 s after an overload")
+                for info in self._monitor.channels
+            ]
+        with ui.row().classes("w-full no-wrap items-start"):
+            with ui.column().classes("w-72 shrink-0"):
+                self._controls()
+                self._drawing = ui.html("", sanitize=False).classes("w-full")
+                ui.label(f"slowed down {RIG_S / 0.2:g} times").classes("text-xs opacity-70")
+            with ui.column().classes("grow min-w-0"):
+                self._charts()
+        ui.timer(CHARTS_S, self._refresh)
+        ui.timer(FRF_S, self._refresh_frf)
+        ui.timer(RIG_S, self._move)
+
+    def _controls(self) -> None:
+        operator, settings = self._operator, self._operator.settings
+
+        def field(label: str, name: str, *kinds: str) -> None:
+            number = ui.number(label, on_change=operator.turn).bind_value(settings, name)
+            number.classes("w-full").props(f"dense data-testid={name}")
+            number.bind_visibility_from(settings, "kind", lambda kind: kind in kinds)
+
+        tests = ui.select(list(operator.kinds), label="Test").bind_value(settings, "kind")
+        tests.classes("w-full").props("dense")
+        field("Level / N (random: rms, hammer: peak)", "level", "sine", "sweep", "random", "hammer")
+        field("Frequency / Hz", "frequency", "sine")
+        field("From / Hz", "low", "sweep", "random")
+        field("To / Hz", "high", "sweep", "random")
+        field("Duration / s", "duration", "sweep", "random")
+        field("Time between hits / s", "duration", "hammer")
+        field("Number of hits", "hits", "hammer")
+        with ui.row():
+            ui.button("Start", on_click=operator.start).props("data-testid=start")
+            ui.button("Stop", on_click=operator.stop, color="grey").props("data-testid=stop")
+        recordings = self._bench.recordings
+        ui.switch("Record").bind_value(recordings, "wanted").props("data-testid=record")
+        self._state = ui.label().classes("text-sm").props("data-testid=state")
+        self._output = ui.label().classes("text-sm").props("data-testid=output")
+        self._file = ui.label().classes("text-sm break-all").props("data-testid=file")
+        self._clients = ui.label().classes("text-sm whitespace-pre-line").props("data-testid=clients")
+
+    def _charts(self) -> None:
+        channels = self._monitor.channels
+        series = [(info.name, info.unit, _hex(channel_colour(info.at))) for info in channels]
+        with ui.row().classes("items-center"):
+            ui.label("Time shown / s")
+            self._span = ui.toggle([0.1, 1.0, 5.0], value=1.0).props("dense")
+        self._time = Chart("Time histories", {"name": "time / s"}, series, {})
+        log = {"type": "log", "min": None}
+        self._spectra = Chart(
+            "Amplitude spectra (2 s, Hann)",
+            {"name": "frequency / Hz", "type": "log"},
+            series,
+            {"type": "log", "scale": True},
+        )
+        bodies = [
+            (info.name, "m/N", _hex(channel_colour(info.at)))
+            for info in channels
+            if info.at.startswith("body") and info.quantity != "force"
+        ]
+        self._frf = Chart("", {"name": "frequency / Hz"}, bodies, log)
+        self._coherence = Chart(
+            "Coherence", {"name": "frequency / Hz"}, [(n, "", c) for n, _, c in bodies], {"min": 0, "max": 1}
+        )
+        self._coherence.element.classes(replace="w-full h-40")
+        if "hammer" in self._operator.kinds:
+            self._hit_chart = Chart("Last hits", {"name": "time / ms"}, [("force", "N", "#f0f0f0")], {})
+            self._hit_list = ui.column().classes("w-full")
+        self._hits_shown: tuple[int, int] = (-1, -1)
+
+    def _refresh(self) -> None:
+        monitor, operator, recordings = self._monitor, self._operator, self._bench.recordings
+        for lamp, lit in zip(self._lamps, monitor.overloads(), strict=True):
+            lamp.style(f"background: {LAMP_ON if lit else LAMP_OFF}")
+        samples = monitor.history.last(round(float(self._span.value) * monitor.rate))
+        time = (monitor.history.stop - samples.shape[1] + np.arange(samples.shape[1])) / monitor.rate
+        self._time.show([points(*envelope(time, row, COLUMNS)) for row in samples])
+        frequency, spectra = monitor.spectra()
+        self._spectra.show([points(*peaks(frequency[1:], row[1:])) for row in np.maximum(spectra, 1e-15)])
+        self._state.text = operator.message
+        self._output.text = "\n".join(self._bench.outputs())
+        self._file.text = recordings.problem or _file_line(recordings)
+        self._clients.text = self._bench.clients()
+        if "hammer" in operator.kinds:
+            self._show_hits()
+
+    def _refresh_frf(self) -> None:
+        frf = self._monitor.frf
+        curves = None if frf is None else frf.curves()
+        chart = self._frf.element.options
+        if curves is None:
+            reason = self._operator.no_response or "starts with a test"
+            chart["title"]["text"] = f"Frequency response ({reason})"
+            self._frf.element.update()
+            return
+        chart["title"]["text"] = f"Frequency response, H1, {curves.averages} averages"
+        self._frf.show([points(curves.frequency, np.abs(row)) for row in curves.value])
+        self._coherence.show([points(curves.frequency, row) for row in curves.coherence])
+
+    def _show_hits(self) -> None:
+        judge = self._monitor.judge
+        hits = [] if judge is None else judge.hits[-SHOWN_HITS:]
+        state = (len(judge.hits) if judge else 0, sum(hit.accepted for hit in hits))
+        if state == self._hits_shown:
+            return
+        self._hits_shown = state
+        if hits:
+            force = hits[-1].force
+            self._hit_chart.show([points(1e3 * np.arange(float(force.size)) / self._monitor.rate, force)])
+        self._hit_list.clear()
+        with self._hit_list:
+            for hit in reversed(hits):
+                with ui.row().classes("items-center"):
+                    ui.switch("accepted").bind_value(hit, "accepted").props("dense")
+                    ui.label(f"hit {hit.number}: {hit.peak:.4g} N, {', '.join(hit.faults) or 'good'}")
+
+    def _move(self) -> None:
+        motion = self._monitor.poses()
+        if motion is None:
+            return
+        frames = self._rig.frames(motion)
+        if self._rig.svg != self._drawn:
+            self._drawn = self._rig.svg
+            self._drawing.set_content(self._drawn)
+        ui.run_javascript(f"moveRig({json.dumps(frames)}, {RIG_S})")
+
+
+def _file_line(recordings: Any) -> str:
+    if recordings.running:
+        return f"recording to {recordings.paths[-1]}"
+    if recordings.wanted:
+        return "records as soon as a test or a client's task runs"
+    return f"recorded: {recordings.paths[-1]}" if recordings.paths else "not recording"
+
+
+def _hex(colour: tuple[int, int, int]) -> str:
+    return "#{:02x}{:02x}{:02x}".format(*colour)

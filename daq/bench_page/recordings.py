@@ -1,0 +1,147 @@
+"""Recordings of what happens on the bench: one file for each test, written by a thread of its own."""
+
+from __future__ import annotations
+
+import queue
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from daq.measurement.limits import Stretches
+from daq.recording.recorded_test import TestKind
+from daq.recording.recorder import Recorder
+from rig.errors import ShotrigError
+
+if TYPE_CHECKING:
+    from daq.instrument.chassis import Chassis
+    from rig.scene.scene import Scene
+
+
+class BenchRecordings:
+    """Records all channels while a test of the page or a client's task runs.
+
+    Parameters
+    ----------
+    chassis : Chassis
+        The instrument.
+    path : Path
+        First recording; the next are numbered.
+    overwrite : bool
+        Whether the first may replace a file.
+
+    Attributes
+    ----------
+    wanted : bool
+        Whether the record switch is on.
+    paths : list of Path
+        Recordings made.
+    problem : str
+        Why recording has stopped; empty if it has not.
+    """
+
+    def __init__(self, chassis: Chassis, path: Path, overwrite: bool) -> None:
+        self._chassis, self._path, self._overwrite = chassis, path, overwrite
+        self.wanted = False
+        self.paths: list[Path] = []
+        self.problem = ""
+        self._test: tuple[Scene, TestKind] | None = None
+        self._ending = False
+        self._jobs: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
+        self._recorder: Recorder | None = None
+        self._overloads: Stretches | None = None
+        self._first = 0
+        self._settings: Any = None
+        self._thread = threading.Thread(target=self._work, name="bench recorder", daemon=True)
+        self._thread.start()
+
+    @property
+    def running(self) -> bool:
+        """Whether a file is being written."""
+        return self._recorder is not None
+
+    def begin_test(self, scene: Scene, kind: TestKind) -> None:
+        """Begin another recording, with the test of a scene."""
+        self._jobs.put(self._complete)
+        self._test, self._ending = (scene, kind), False
+
+    def end_test(self) -> None:
+        """End the recording after the next block, which holds the end of the test."""
+        self._ending = True
+
+    def mark(self, kind: str, first: int, stop: int, **fields: Any) -> None:
+        """Note an event of the samples from `first` to `stop`, counted from power-on."""
+        self._jobs.put(lambda: self._mark(kind, first, stop, **fields))
+
+    def hear(self, source: Any, block: Any) -> None:
+        """Take a block of the bench; a listener of the chassis."""
+        busy = self._test is not None or self._chassis.inputs or self._chassis.outputs
+        if self.wanted and busy:
+            test, channels = self._test, source.channels
+            time = self._chassis.time_ns(round(block.first * source.rate / source.sample_rate))
+            self._jobs.put(lambda: self._write(source, channels, block, test, time))
+        elif self.running:
+            self._jobs.put(self._complete)
+        if self._ending:
+            self._jobs.put(self._complete)
+            self._test, self._ending = None, False
+
+    def close(self) -> None:
+        """Write what is waiting and complete the recording."""
+        self._jobs.put(self._complete)
+        self._jobs.put(None)
+        self._thread.join()
+
+    def _work(self) -> None:
+        while (job := self._jobs.get()) is not None:
+            try:
+                job()
+            except ShotrigError as error:
+                self.problem, self.wanted = str(error), False
+                self._recorder = self._overloads = None
+
+    def _write(
+        self, source: Any, channels: Any, block: Any, test: tuple[Scene, TestKind] | None, time: int
+    ) -> None:
+        if channels is not self._settings:
+            self._complete()
+            self._settings = channels
+        if self._recorder is None:
+            scene, kind = test or (source.scene, TestKind.NONE)
+            scene = scene.replace(recording=scene.recording.replace(truth=False))
+            path = self._free()
+            path.parent.mkdir(parents=True, exist_ok=True)
+            overwrite = self._overwrite and not self.paths
+            self._recorder = Recorder(
+                path, scene, channels, source.sample_rate, time, overwrite, test_kind=kind
+            )
+            self._overloads = Stretches("overload", channels, self._mark)
+            self._first, self.problem = block.first, ""
+            self.paths.append(path)
+        assert self._overloads is not None
+        self._recorder.write(block.samples)
+        self._overloads.add(block.first, block.overload)
+
+    def _free(self) -> Path:
+        """Choose the name of the next recording."""
+        if not self.paths and (self._overwrite or not self._path.exists()):
+            return self._path
+        number = len(self.paths) + 1
+        while (path := self._path.with_name(f"{self._path.stem}-{number}{self._path.suffix}")).exists():
+            number += 1
+        return path
+
+    def _mark(self, kind: str, first: int, stop: int, **fields: Any) -> None:
+        # An event that began before the recording is not complete in it.
+        if self._recorder is not None and self._recorder.takes_more and first >= self._first:
+            self._recorder.mark(kind, first - self._first, stop - 1 - self._first, **fields)
+
+    def _complete(self) -> None:
+        if self._recorder is not None:
+            recorder, self._recorder = self._recorder, None
+            if self._overloads is not None:
+                # Stretches mark by way of the recorder.
+                self._recorder = recorder
+                self._overloads.close()
+                self._recorder = None
+            recorder.close("complete", "")

@@ -1,0 +1,125 @@
+"""The rig as a drawing for browsers (SVG), and its motion as translations of the drawing's parts."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from daq.drawing.cavities import WALL, WIDTH, cavities
+from daq.drawing.palette import DRIVE, GROUND, LEAD, MARK, STEEL, Colour, body_colour
+from daq.drawing.rig_view import COIL_LENGTH, PLATE, Extremes, RigPose, RigView
+
+if TYPE_CHECKING:
+    from rig.scene.scene import Scene
+
+# Units of the drawing per metre.
+SCALE = 1000.0
+TURNS = 7
+COIL_HALF_WIDTH = 0.018
+
+
+class RigDrawing:
+    """Draws a scene's rig in front view."""
+
+    def __init__(self, scene: Scene) -> None:
+        self._scene = scene
+        self._hung = [shaker.body for _, shaker in scene.tables]
+        self._magnification = 0.0
+        self.svg = ""
+
+    def frames(self, motion: RigPose) -> dict[str, Any]:
+        """Return the positions of all moving parts; `svg` is drawn again where the exaggeration has changed."""
+        extremes = Extremes().widened(motion, self._hung)
+        view = RigView(self._scene, extremes, gaps_known=motion.gap is not None)
+        # Follow a growing motion at once, and a decaying one only after a factor, so that the scale is steady.
+        if view.magnification < self._magnification or view.magnification > 4 * self._magnification:
+            self._magnification = view.magnification
+            self.svg = self._draw(view)
+        elif view.magnification != self._magnification:
+            view.magnification = self._magnification
+        parts = {}
+        for entity, shift, stretch in view.moving_parts(motion):
+            heights = np.round(-SCALE * shift[:, 2], 2).tolist()
+            factors = None if stretch is None else np.round(stretch[:, 2], 4).tolist()
+            parts[identifier(entity)] = [heights, factors]
+        return parts
+
+    def _draw(self, view: RigView) -> str:
+        scene, parts = self._scene, [_box(0.0, -0.01, 0.44, 0.02, GROUND)]
+        for table in view.shaker_tables:
+            parts.append(
+                _box(table.x, (table.top - PLATE) / 2, 0.07, table.top - PLATE - 0.012, (96, 104, 116))
+            )
+            plate = _box(table.x, -PLATE / 2, 0.085, PLATE, DRIVE) + _text(
+                table.x + 0.05, -0.03, table.point, DRIVE
+            )
+            parts.append(_group(table.entity("table"), plate))
+            parts.append(_group(table.entity("coil_spring"), _coil(table.x, COIL_LENGTH, DRIVE)))
+        masses = scene.structure.masses
+        for body in range(1, scene.structure.bodies + 1):
+            height, colour = view.height(body), body_colour(body)
+            if view.sprung(body):
+                springs = "".join(
+                    _coil(x, view.spring_length(body), STEEL) for x in (-0.3 * WIDTH, 0.3 * WIDTH)
+                )
+                parts.append(_group(f"rig/spring_{body}", springs))
+            inside = cavities(scene.dampers, body, view.magnification)
+            frame = _box(0.0, height / 2, WIDTH, height, colour, filled=not inside)
+            for cavity in inside:
+                frame += _box(cavity.x, WALL / 2, cavity.width + WALL, WALL, colour)
+                if cavity.ceiling is not None:
+                    frame += _box(cavity.x, cavity.ceiling + WALL / 2, cavity.width + WALL, WALL, colour)
+                (_, _, z), (width, _, tall) = cavity.damper
+                frame += _group(view.damper_entity(cavity.place), _box(cavity.x, z, width, tall, LEAD))
+            text = scene.structure.label(body) + ("" if masses is None else f" {masses[body - 1]:g} kg")
+            frame += _text(WIDTH / 2 + 0.012, height / 2, text, colour)
+            parts.append(_group(f"rig/body_{body}", frame))
+        parts.append(_text(-0.215, -0.035, f"motion × {view.magnification:g}", MARK))
+        top = SCALE * (view.top + 0.1)
+        return (
+            f'<svg id="rig" viewBox="-230 {-top:.0f} 460 {top + 60:.0f}" role="img">'
+            + "".join(parts)
+            + "</svg>"
+        )
+
+
+def identifier(entity: str) -> str:
+    """Return the identifier of a part in the drawing.
+
+    >>> identifier("rig/body_2/damper")
+    'rig-body_2-damper'
+    """
+    return entity.replace("/", "-")
+
+
+def _group(entity: str, content: str) -> str:
+    return f'<g id="{identifier(entity)}">{content}</g>'
+
+
+def _hex(colour: Colour) -> str:
+    return "#{:02x}{:02x}{:02x}".format(*colour)
+
+
+def _box(x: float, z: float, width: float, height: float, colour: Colour, filled: bool = True) -> str:
+    corner = SCALE * (x - width / 2), -SCALE * (z + height / 2)
+    fill = _hex(colour) if filled else "none"
+    return (
+        f'<rect x="{corner[0]:.1f}" y="{corner[1]:.1f}" width="{SCALE * width:.1f}" height="{SCALE * height:.1f}" '
+        f'fill="{fill}" stroke="{_hex(colour)}" stroke-width="4"/>'
+    )
+
+
+def _text(x: float, z: float, text: str, colour: Colour) -> str:
+    from html import escape
+
+    return f'<text x="{SCALE * x:.0f}" y="{-SCALE * z:.0f}" font-size="15" fill="{_hex(colour)}">{escape(text)}</text>'
+
+
+def _coil(x: float, length: float, colour: Colour) -> str:
+    along = np.linspace(0.0, 1.0, 4 * TURNS + 1)
+    points = " ".join(
+        f"{SCALE * (x + COIL_HALF_WIDTH * side):.1f},{-SCALE * length * at:.1f}"
+        for at, side in zip(along, np.sin(2 * np.pi * TURNS * along), strict=True)
+    )
+    return f'<polyline points="{points}" fill="none" stroke="{_hex(colour)}" stroke-width="2.5"/>'

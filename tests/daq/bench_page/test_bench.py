@@ -1,0 +1,181 @@
+"""Tests of the page on a bench whose time passes on request: played, shown, recorded."""
+
+from __future__ import annotations
+
+import contextlib
+
+import nidaqmx
+import numpy as np
+import pytest
+from nidaqmx.constants import TaskMode
+
+import analysis
+import daq
+import rig
+from daq.bench_page.live_bench import LiveBench
+from daq.instrument.connecting import connect_scene
+from daq.server.connection import connect
+from rig.scene.yaml_reader import read
+
+BRACKET = """\
+name: bracket
+structure: {masses: [4.2 kg, 1.1 kg], springs: [839 kN/m, 964 kN/m], damping: {modal: 0.7 %}}
+channels:
+  - {name: base, at: body 1, accelerometer: &sensor {sensitivity: 100 mV/g, noise: 20 ug/sqrt(Hz)}}
+  - {name: arm, at: body 2, accelerometer: *sensor}
+  - {name: force, at: PLACE, hammer: {sensitivity: 11 mV/N}}
+converter: {rate: 1024 Hz, bits: 24, range: 5 V}
+"""
+SHAKEN = "shaker: {kind: force, body: 1}\ntest: {kind: sine, frequency: 62 Hz, force: 10 N}\n"
+HIT = "test: {kind: impulse, body: 1, peak: 100 N, width: 8 ms, repeats: 3, interval: 2 s, double_hit: {hits: [2]}}\n"
+
+
+def scene(kind):
+    place, rest = ("hammer", HIT) if kind == "hammer" else ("shaker", SHAKEN)
+    return rig.load(read(BRACKET.replace("PLACE", place) + rest).content)
+
+
+@pytest.fixture
+def bench(request, tmp_path):
+    chassis = connect_scene(scene(request.param), "manual")
+    shown = LiveBench(chassis, "", tmp_path / "test.mcap", False)
+    shown.operator.settings.kind = request.param
+    yield shown
+    with contextlib.suppress(ValueError):
+        shown.close()
+
+
+def pass_time(bench, seconds):
+    """Let time pass, and wait until the view has caught up."""
+    for _ in range(round(seconds / 0.1)):
+        bench.chassis.clock.advance(0.1)
+
+
+def ask(bench, **settings):
+    for name, value in settings.items():
+        setattr(bench.operator.settings, name, value)
+
+
+@pytest.mark.parametrize("bench", ["sweep"], indirect=True)
+def test_recorded_sweep_has_the_resonance(bench):
+    ask(bench, level=5.0, low=50.0, high=75.0, duration=20.0)
+    bench.recordings.wanted = True
+    bench.operator.start()
+    assert bench.operator.running
+    pass_time(bench, 25.0)
+    assert not bench.operator.running and bench.operator.message == "ready"
+    live = bench.monitor.frf.curves()
+    bench.close()
+    (path,) = bench.recordings.paths
+    with daq.open(path) as recording:
+        assert recording.test.kind == "sweep"
+        assert recording.scene.test.kind == "swept_sine"
+        frf = analysis.frfs(recording)["arm"]
+        highest = frf.frequency[np.argmax(abs(frf.value))]
+        assert highest == pytest.approx(62.0, abs=0.3)
+    assert live.names == ["base", "arm"]
+    assert live.frequency[np.argmax(abs(live.value[1]))] == pytest.approx(highest, abs=1.0)
+    assert np.median(live.coherence) > 0.99
+
+
+@pytest.mark.parametrize("bench", ["random"], indirect=True)
+def test_stopped_random_test_leaves_a_readable_recording(bench):
+    ask(bench, level=5.0, low=20.0, high=200.0, duration=60.0)
+    bench.recordings.wanted = True
+    bench.operator.start()
+    pass_time(bench, 6.0)
+    averages = bench.monitor.frf.curves().averages
+    pass_time(bench, 6.0)
+    assert bench.monitor.frf.curves().averages > averages
+    bench.operator.stop()
+    pass_time(bench, 5.0)
+    assert not bench.operator.running
+    assert bench.monitor.output()[0][0] == 0.0
+    bench.close()
+    with daq.open(bench.recordings.paths[0]) as recording:
+        recording.check()
+        assert analysis.frfs(recording)["arm"].frequency.size
+
+
+@pytest.mark.parametrize("bench", ["sine"], indirect=True)
+def test_sine_follows_frequency_and_level(bench):
+    ask(bench, level=5.0, frequency=40.0)
+    bench.operator.start()
+    pass_time(bench, 5.0)
+    (peak, frequency), *_ = bench.monitor.output()
+    assert (peak, frequency) == (pytest.approx(5.0, rel=0.01), pytest.approx(40.0, rel=0.01))
+    ask(bench, frequency=50.0, level=2.0)
+    bench.operator.turn()
+    pass_time(bench, 5.0)
+    (peak, frequency), *_ = bench.monitor.output()
+    assert (peak, frequency) == (pytest.approx(2.0, rel=0.01), pytest.approx(50.0, rel=0.01))
+
+
+@pytest.mark.parametrize("bench", ["hammer"], indirect=True)
+def test_only_accepted_hits_are_marked_and_averaged(bench):
+    ask(bench, level=100.0, hits=4, duration=2.0)
+    bench.recordings.wanted = True
+    bench.operator.start()
+    pass_time(bench, 7.5)
+    hits = bench.monitor.judge.hits
+    assert [hit.faults for hit in hits] == [[], ["double hit"], []]
+    assert bench.monitor.frf.curves().averages == 2
+    hits[2].accepted = False
+    assert bench.monitor.frf.curves().averages == 1
+    pass_time(bench, 2.5)
+    bench.close()
+    with daq.open(bench.recordings.paths[0]) as recording:
+        kinds = [(each.kind, each.fields.get("reason")) for each in recording.markers]
+        assert kinds == [("hit", None), ("rejected", "double hit"), ("rejected", "operator"), ("hit", None)]
+        frf = analysis.frfs(recording)["arm"]
+        near = (frf.frequency > 50) & (frf.frequency < 75)
+        assert frf.frequency[near][np.argmax(abs(frf.value[near]))] == pytest.approx(62.0, abs=0.5)
+
+
+@pytest.mark.parametrize("bench", ["hammer"], indirect=True)
+def test_overloaded_channel_lights_its_lamp(bench):
+    ask(bench, level=1000.0, hits=1, duration=2.0)
+    bench.operator.start()
+    pass_time(bench, 1.0)
+    assert bench.monitor.overloads() == [False, False, True]
+    pass_time(bench, 3.0)
+    assert bench.monitor.overloads() == [False, False, False]
+    assert bench.monitor.judge.hits[0].faults == ["clipped"]
+
+
+@pytest.mark.parametrize("bench", ["sweep"], indirect=True)
+def test_each_test_has_its_own_recording(bench):
+    ask(bench, level=5.0, low=50.0, high=75.0, duration=2.0)
+    bench.recordings.wanted = True
+    for _ in range(2):
+        bench.operator.start()
+        pass_time(bench, 5.0)
+    bench.close()
+    assert [path.name for path in bench.recordings.paths] == ["test.mcap", "test-2.mcap"]
+    for path in bench.recordings.paths:
+        with daq.open(path) as recording:
+            assert any(each.kind == "measure" for each in recording.markers)
+
+
+@pytest.mark.parametrize("bench", ["sweep"], indirect=True)
+def test_wrong_settings_are_reported(bench):
+    ask(bench, low=50.0, high=50.0)
+    bench.operator.start()
+    assert not bench.operator.running
+    assert "equal to from" in bench.operator.message
+
+
+def test_client_and_page_share_the_output(tmp_path):
+    with connect(scene("sine"), clock="real") as client:
+        shown = LiveBench(client.chassis, "", tmp_path / "client.mcap", False)
+        with nidaqmx.Task("mine", grpc_options=client) as task:
+            task.ao_channels.add_ao_voltage_chan("cDAQ1Mod2/ao0")
+            shown.recordings.wanted = True
+            task.control(TaskMode.TASK_RESERVE)
+            assert "mine" in shown.clients()
+            shown.operator.start()
+            assert "mine" in shown.operator.message and not shown.operator.running
+        shown.operator.start()
+        assert shown.operator.running
+        assert shown.clients() == "no NI client"
+        shown.close()

@@ -1,0 +1,132 @@
+"""A person at the page: starts a sweep, sees the resonance, records, and analyses the recording."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import signal
+import subprocess
+import sys
+import urllib.error
+import urllib.request
+from pathlib import Path
+
+import nidaqmx
+import numpy as np
+import pytest
+
+import analysis
+import daq
+from daq.server.grpc_channel import open_channel
+from tests.daq.bench_page.test_bench import BRACKET, SHAKEN
+
+webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed")
+pytest.importorskip("nicegui", reason="the extra 'bench' is not installed")
+
+from selenium.webdriver.common.by import By  # noqa: E402
+from selenium.webdriver.support.ui import WebDriverWait  # noqa: E402
+
+CHROMIUM, DRIVER = Path("/usr/bin/chromium"), Path("/usr/bin/chromedriver")
+PATIENCE_S = 120.0
+# Names and data of the curves of the chart whose title begins with a text.
+CURVES = """
+const charts = [...document.querySelectorAll('.nicegui-echart')].map(each => getElement(each).chart);
+const chart = charts.find(each => each && each.getOption().title[0].text.startsWith(arguments[0]));
+return chart ? chart.getOption().series.map(each => [each.name, each.data]) : [];
+"""
+
+
+@pytest.fixture
+def bench(tmp_path):
+    """A bench in a process of its own: address of the page, address of the device, process."""
+    (tmp_path / "bracket.yaml").write_text(BRACKET.replace("PLACE", "shaker") + SHAKEN, encoding="utf-8")
+    command = [sys.executable, "-m", "daq", "bench", "bracket.yaml", "--no-browser", "-o", "rec/test.mcap"]
+    process = subprocess.Popen(
+        [*command, "--port", "0", "--device-port", "0"],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])},
+    )
+    try:
+        page, device = process.stdout.readline().strip(), process.stdout.readline()
+        yield page, re.search(r"127\.0\.0\.1:\d+", device)[0], process
+    finally:
+        process.kill()
+        process.wait()
+        process.stdout.close()
+
+
+@pytest.fixture
+def browser():
+    if not (CHROMIUM.exists() and DRIVER.exists()):
+        pytest.skip("no chromium with chromedriver in /usr/bin (Debian: chromium, chromium-driver)")
+    options = webdriver.ChromeOptions()
+    options.binary_location = str(CHROMIUM)
+    for word in ("--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--window-size=1280,1400"):
+        options.add_argument(word)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(str(DRIVER)))
+    with contextlib.closing(contextlib.ExitStack()) as stack:
+        stack.callback(driver.quit)
+        yield driver
+
+
+def part(browser, name):
+    return browser.find_element(By.CSS_SELECTOR, f"[data-testid={name}]")
+
+
+def wait_for(browser, condition):
+    return WebDriverWait(browser, PATIENCE_S).until(lambda driver: condition())
+
+
+def set_number(browser, name, value):
+    field = browser.find_element(By.CSS_SELECTOR, f"input[data-testid={name}]")
+    browser.execute_script("arguments[0].select()", field)
+    field.send_keys(str(value))
+
+
+@pytest.mark.thorough
+def test_sweep_is_started_seen_recorded_and_analysed(bench, browser, tmp_path):
+    page, device, process = bench
+    browser.get(page)
+    wait_for(browser, lambda: part(browser, "state").text == "ready")
+    for name, value in {"level": 5, "low": 50, "high": 75, "duration": 20}.items():
+        set_number(browser, name, value)
+    part(browser, "record").click()
+    part(browser, "start").click()
+    # Another program reads a channel meanwhile, and the page shows its task.
+    with open_channel(device) as channel, nidaqmx.Task("other", grpc_options=_options(channel)) as task:
+        task.ai_channels.add_ai_accel_chan("cDAQ1Mod1/ai0")
+        task.timing.cfg_samp_clk_timing(1024.0, samps_per_chan=1024)
+        task.start()
+        wait_for(browser, lambda: "other" in part(browser, "clients").text)
+        assert np.ptp(task.read(1024)) > 0.0
+    wait_for(browser, lambda: "recording to" in part(browser, "file").text)
+    wait_for(browser, lambda: part(browser, "state").text == "ready")
+    wait_for(browser, lambda: dict(browser.execute_script(CURVES, "Frequency response"))["arm"])
+    seen = np.array(dict(browser.execute_script(CURVES, "Frequency response"))["arm"])
+    assert seen[np.argmax(seen[:, 1]), 0] == pytest.approx(62.0, abs=1.0)
+    assert browser.find_elements(By.CSS_SELECTOR, "#rig-body_2")
+    width = browser.execute_script("return [document.documentElement.scrollWidth, window.innerWidth]")
+    assert width[0] <= width[1]
+    assert [each for each in browser.get_log("browser") if each["level"] == "SEVERE"] == []
+    process.send_signal(signal.SIGINT)
+    assert process.wait(60) == 0
+    with daq.open(tmp_path / "rec" / "test.mcap") as recording:
+        recording.check()
+        frf = analysis.frfs(recording)["arm"]
+    assert frf.frequency[np.argmax(abs(frf.value))] == pytest.approx(62.0, abs=0.3)
+
+
+def _options(channel):
+    return nidaqmx.GrpcSessionOptions(channel, "")
+
+
+@pytest.mark.thorough
+def test_page_without_token_is_refused(bench):
+    page, _, _ = bench
+    with pytest.raises(urllib.error.HTTPError, match="403"):
+        urllib.request.urlopen(page.partition("?")[0])
+    assert urllib.request.urlopen(page).status == 200

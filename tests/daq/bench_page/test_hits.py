@@ -1,0 +1,66 @@
+"""Hits are detected in the force, and judged at the end of their windows."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from daq.bench_page.hits import HitJudge
+
+RATE = 1000.0
+
+
+def force(*pulses: tuple[float, float], seconds: float = 1.0) -> np.ndarray:
+    """Half sines of 5 ms, given by time and peak."""
+    time = np.arange(seconds * RATE) / RATE
+    wave = np.zeros(time.size)
+    for start, peak in pulses:
+        inside = (time >= start) & (time < start + 5e-3)
+        wave[inside] += peak * np.sin(np.pi * (time[inside] - start) / 5e-3)
+    return wave[None]
+
+
+def judged(readings, overload=None, block=100):
+    judge = HitJudge(0, RATE, weakest=20.0, window=0.4)
+    overload = np.zeros(readings.shape, bool) if overload is None else overload
+    for at in range(0, readings.shape[1], block):
+        judge.add(at, readings[:, at : at + block], overload[:, at : at + block])
+    return judge.hits
+
+
+@pytest.mark.parametrize(
+    ("pulses", "faults"),
+    [
+        ([(0.2, 50.0)], []),
+        ([(0.2, 12.0)], ["too weak"]),
+        ([(0.2, 50.0), (0.23, 15.0)], ["double hit"]),
+        ([(0.2, 15.0), (0.23, 15.0)], ["double hit", "too weak"]),
+    ],
+)
+def test_verdict_names_each_fault(pulses, faults):
+    (hit,) = judged(force(*pulses))
+    assert hit.faults == faults
+    assert hit.accepted == (not faults)
+    assert hit.peak == pytest.approx(pulses[0][1], rel=0.05)
+
+
+def test_overload_in_the_window_is_clipping():
+    overload = np.zeros((1, 1000), bool)
+    overload[0, 205] = True
+    assert judged(force((0.2, 50.0)), overload)[0].faults == ["clipped"]
+
+
+@pytest.mark.parametrize("block", [7, 100, 1000])
+def test_hits_do_not_depend_on_blocks(block):
+    hits = judged(force((0.1, 50.0), (0.6, 40.0), seconds=1.2), block=block)
+    assert [hit.number for hit in hits] == [1, 2]
+    assert [hit.first + int(np.argmax(hit.force > 30.0)) for hit in hits] == [102, 602]
+    assert all(hit.readings.shape == (1, 400) for hit in hits)
+
+
+def test_gap_in_the_samples_begins_again():
+    judge, readings = HitJudge(0, RATE, weakest=20.0, window=0.4), force((0.2, 50.0))
+    flags = np.zeros((1, 300), bool)
+    judge.add(0, readings[:, :300], flags)
+    judge.add(500, readings[:, 500:800], flags)
+    assert judge.hits == []

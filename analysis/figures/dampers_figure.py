@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from analysis.damper_motion.dampers import Dampers
 from analysis.damper_motion.energy_balance import CycleEnergy
 from analysis.damper_motion.motion_types import DamperMotion
 from analysis.responses.spectral_lines import Lines
@@ -30,35 +31,18 @@ _KINDS = {
 _SHADES = dict(zip(_KINDS, ("#cccccc", *COLOURS[:4], "#8c8c8c", "#444444"), strict=True))
 
 
-def dampers_figure(
-    motions: Sequence[Sequence[DamperMotion]],
-    energy: CycleEnergy | None,
-    title: str,
-    lines: Lines,
-    true: np.ndarray | None = None,
-) -> Figure:
-    """Draw the motion of each damper at each frequency measured and, where it is known, the energy a period.
-
-    Parameters
-    ----------
-    motions : sequence of sequence of DamperMotion
-        For each damped body, one at each frequency.
-    energy : CycleEnergy or None
-        At the same frequencies.
-    lines : Lines
-        Of the sweep: where the motion was not steady, and what was left out.
-    true : ndarray, shape (frequencies,), optional
-        Energy truly lost in impacts, J, where the truth was recorded.
-    """
+def dampers_figure(found: Dampers) -> Figure:
+    """Draw the motion of each damper at each frequency and, where it is known, the energy per period."""
+    motions, energy, lines = found.bodies, found.energy, found.sweep.lines
     every = np.append(lines.frequency, lines.left_out)
     low, high = 0.98 * float(every.min()), 1.02 * float(every.max())
     with drawing(2.0 + 0.3 * len(motions) + (2.6 if energy is not None else 0.0)) as figure:
         heights = [0.45 * len(motions) + 0.15] + ([2.2] if energy is not None else [])
         rows = np.atleast_1d(figure.subplots(len(heights), 1, height_ratios=heights))
         _strip(rows[0], motions)
-        heading(rows[0], title)
+        heading(rows[0], found.label)
         if energy is not None:
-            _energies(rows[1], energy, lines, true)
+            _energies(rows[1], energy, lines, found.true_impact_energy)
         for place in lines.left_out:
             rows[0].plot(
                 place, 0.0, "x", color="black", ms=5, clip_on=False, transform=rows[0].get_xaxis_transform()

@@ -1,4 +1,4 @@
-"""What a command found: files, lines and warnings."""
+"""Output of a command: files, lines and warnings."""
 
 from __future__ import annotations
 
@@ -11,14 +11,32 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True)
 class Result:
-    """What a command has to say."""
+    """Output of a command."""
 
     files: tuple[Path, ...]
-    lines: tuple[str, ...]  # Findings, one to a line
+    lines: tuple[str, ...]
     warnings: tuple[str, ...]
-    """Doubts, each with the recording it concerns."""
+    """Each begins with the recording that it concerns."""
 
 
 def noted(path: Path, notes: Sequence[str]) -> list[str]:
-    """Put the recording's name before each of its doubts."""
+    """Prefix each warning with the name of its recording."""
     return [f"{path.name}: {note}" for note in notes]
+
+
+def aligned(rows: Sequence[Sequence[str]], left: int = 0) -> list[str]:
+    """Lines of a table with aligned columns: the first `left` of them to the left, numbers to the right.
+
+    Examples
+    --------
+    >>> aligned([("channel", "peak / Hz"), ("body1", "12.54")], left=1)
+    ['channel  peak / Hz', 'body1        12.54']
+    """
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [
+        "  ".join(
+            cell.ljust(width) if number < left else cell.rjust(width)
+            for number, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in rows
+    ]

@@ -8,7 +8,8 @@ from math import isfinite
 import numpy as np
 
 from analysis.damper_motion.comparison import PeakChange
-from analysis.reporting.measured import DamperResult, Measured
+from analysis.damper_motion.dampers import Dampers
+from analysis.reporting.measured import Measured
 from analysis.reporting.tables import peak_height, with_bound
 from rig.results import frequency_ranges
 
@@ -85,13 +86,13 @@ def _resonances(measured: Measured) -> list[str]:
     return sentences
 
 
-def _dampers(measured: Measured, result: DamperResult) -> list[str]:
+def _dampers(measured: Measured, result: Dampers) -> list[str]:
     """Where impacts were detected, and the largest share of the supplied energy that the dampers dissipate."""
     frequency = result.sweep.lines.frequency
     hit = np.zeros(frequency.size, dtype=bool)
-    for motions in result.motions:
+    for motions in result.bodies:
         hit |= [motion.floor > 0 or motion.ceiling > 0 for motion in motions]
-    if not result.motions:
+    if not result.bodies:
         return []
     if not hit.any():
         return [

@@ -12,17 +12,14 @@ from typing import ParamSpec, Self, TypeVar
 import numpy as np
 
 from analysis.damper_motion.comparison import Peak, PeakChange, peak, peak_changes, surroundings
-from analysis.damper_motion.energy_balance import CycleEnergy, energy_per_cycle
-from analysis.damper_motion.motion_types import DamperMotion
+from analysis.damper_motion.dampers import Dampers, dampers_in
 from analysis.decays.free_decay import Decay, decay
 from analysis.modal.identification import identify
 from analysis.modal.modes import Modes
 from analysis.presentation.comparison import Places
-from analysis.presentation.damper_findings import motions_of_bodies
 from analysis.presentation.result import noted
 from analysis.recordings.names import opened, relabelled, scene_labels
 from analysis.responses.frequency_responses import frequency_responses
-from analysis.responses.stepped_sine import Sweep, sweeps
 from daq.recording.recorded_test import TestKind
 from daq.recording.recording import Recording
 from rig.errors import ShotrigError
@@ -30,18 +27,6 @@ from rig.results.response import Response
 
 P = ParamSpec("P")
 Found = TypeVar("Found")
-
-
-@dataclass(frozen=True)
-class DamperResult:
-    """What the dampers did in one sweep.
-
-    motions : one list for each body with a channel, one entry for each frequency
-    """
-
-    sweep: Sweep
-    motions: tuple[list[DamperMotion], ...]
-    energy: CycleEnergy | None
 
 
 @dataclass(frozen=True)
@@ -72,7 +57,7 @@ class Measured:
     label: str
     rec: Recording
     passes: tuple[Pass, ...] = ()
-    dampers: tuple[DamperResult, ...] = ()
+    dampers: tuple[Dampers, ...] = ()
     decay: Decay | None = None
 
 
@@ -137,14 +122,11 @@ class Measurements:
         self._note(path, modes.warnings)
         return Pass(frfs, relabelled(modes, rec.scene.name, label), _highest_peaks(frfs, modes))
 
-    def _dampers(self, path: Path, rec: Recording) -> list[DamperResult]:
-        results = []
-        for sweep in sweeps(rec, progress=self.progress):
-            bodies = list(motions_of_bodies(rec, sweep, self.progress))
-            self._note(path, [reason for _, reason in bodies if reason])
-            energy = self._attempt(path, "Energy balance", energy_per_cycle, rec, sweep)
-            results.append(DamperResult(sweep, tuple(motions for motions, _ in bodies if motions), energy))
-        return results
+    def _dampers(self, path: Path, rec: Recording) -> list[Dampers]:
+        found = dampers_in(rec, progress=self.progress)
+        for each in found:
+            self._note(path, [*each.missing, *each.warnings])
+        return found
 
     def _attempt(
         self, path: Path, what: str, compute: Callable[P, Found], *args: P.args, **kwargs: P.kwargs

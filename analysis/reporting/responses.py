@@ -7,8 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.damper_motion.dampers import Dampers
 from analysis.reporting.charts import Chart, Curve, Panel, logarithmic
-from analysis.reporting.measured import DamperResult, Measured
+from analysis.reporting.measured import Measured
 from rig.results.response import Response
 
 # Longer curves are thinned to the highest and the lowest point of so many intervals.
@@ -80,13 +81,13 @@ def _thinned(frf: Response) -> Response:
     return frf.at(np.array(sorted(kept | {0, count - 1})))
 
 
-def damper_chart(measured: Measured, result: DamperResult) -> Chart:
+def damper_chart(measured: Measured, result: Dampers) -> Chart:
     """Impacts per period of each body's dampers, and the share of the supplied energy that all dampers dissipate."""
     frequency = result.sweep.lines.frequency
     order = np.argsort(frequency)
     panels = []
     impacts = []
-    for k, motions in enumerate(result.motions):
+    for k, motions in enumerate(result.bodies):
         count = np.array([m.floor + m.ceiling if m.repeats else np.nan for m in motions])
         impacts.append(Curve(motions[0].channel, frequency[order], count[order], color=k))
     if impacts:

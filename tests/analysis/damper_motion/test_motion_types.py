@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 import warnings
 from dataclasses import replace
 
@@ -15,7 +16,7 @@ from analysis.cli import app
 from analysis.damper_motion import energy_balance
 from analysis.damper_motion.energy_balance import energy_per_cycle, impact_energy_per_cycle
 from analysis.damper_motion.motion_types import DamperMotion, damper_motion
-from analysis.presentation.damper_findings import describe_motion, present_dampers
+from analysis.presentation.damper_findings import describe_motions, present_dampers
 from analysis.responses.branch_jumps import jumps
 from analysis.responses.stepped_sine import sweeps
 from daq.signal_chain.channel import ChannelInfo
@@ -110,7 +111,7 @@ def true_types(rec, sweep):
 def test_given_no_impacts_but_perhaps_more_than_1_g_when_named_then_the_motion_is_not_called_riding() -> None:
     motion = DamperMotion(30.0, "body2", 0, 0, False, 0.2, False)
     assert motion.name == "unseen"
-    assert "may fly" in describe_motion([motion])[0]
+    assert "may fly" in describe_motions([[motion]])[1]
 
 
 @pytest.mark.parametrize(("floor", "ceiling"), [(1.1, 0), (1, 1), (0.48, 0.31)])
@@ -135,8 +136,8 @@ def test_given_flights_that_may_reach_the_ceiling_when_no_blow_on_it_is_seen_the
 
 def test_given_different_patterns_when_described_then_each_is_told_with_its_own_counts() -> None:
     motions = [DamperMotion(f, "body2", n, 0, False, 1e-3, False) for f, n in ((10.0, 2), (11.0, 3))]
-    said = describe_motion(motions)
-    assert "2 floor" in said[0] and "3 floor" in said[0] and "limit 1 mm/s" in said[0]
+    _, first, second, limit = describe_motions([motions])
+    assert "2 floor" in first and "3 floor" in second and "1 mm/s (body2)" in limit
 
 
 @pytest.mark.parametrize(
@@ -168,8 +169,8 @@ def test_given_no_impacts_when_named_then_riding_needs_an_acceleration_that_sure
 
 def test_given_a_frequency_left_out_when_motions_are_described_then_no_range_runs_across_it() -> None:
     motions = [DamperMotion(f, "body2", 1, 0, False, 1e-3, False) for f in (10.0, 11.0, 13.0, 14.0)]
-    assert "10 to 11 and 13 to 14 Hz" in describe_motion(motions, [12.0])[0]
-    assert "10 to 14 Hz" in describe_motion(motions)[0]
+    assert "10 to 11 and 13 to 14 Hz" in describe_motions([motions], [12.0])[1]
+    assert "10 to 14 Hz" in describe_motions([motions])[1]
 
 
 def test_given_the_papers_fig_9_when_recorded_then_its_types_are_told_from_the_channels(fig9):
@@ -177,7 +178,7 @@ def test_given_the_papers_fig_9_when_recorded_then_its_types_are_told_from_the_c
         [sweep] = sweeps(rec)
         motions = damper_motion(rec, sweep, "body2")
         assert [one.name for one in motions] == true_types(rec, sweep) == ["I", "II", "III"]
-    assert describe_motion(motions)[0].startswith("body2: type I at 47.5 Hz")
+    assert describe_motions([motions])[1].split() == ["body2", "type", "I", "47.5", "Hz"]
 
 
 def test_given_few_samples_a_period_and_weak_blows_when_told_then_no_type_and_no_count_is_false(tmp_path):
@@ -251,7 +252,7 @@ def test_given_a_recording_with_dampers_when_the_command_is_run_then_motion_and_
 ):
     run = CliRunner().invoke(app, ["dampers", str(fig9), "-o", str(tmp_path)])
     assert run.exit_code == 0
-    assert "type III at 49 Hz" in run.output and "true impact loss" in run.output
+    assert re.search(r"type III +49 Hz", run.output) and "true impact loss" in run.output
     rows = (tmp_path / "fig9-dampers.csv").read_text(encoding="utf-8").splitlines()
     assert len(rows) == 4 and rows[0].startswith("scene,frequency_Hz,supplied_J")
 

@@ -1,0 +1,165 @@
+"""Dampers in stepped sines: type of motion and dissipated energy at each frequency."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.damper_motion.energy_balance import CycleEnergy, energy_per_cycle, impact_energy_per_cycle
+from analysis.damper_motion.motion_types import DamperMotion, damper_motion
+from analysis.recordings.names import relabelled
+from analysis.responses.measurands import located
+from analysis.responses.stepped_sine import Sweep, sweeps
+from rig.errors import RecordingError
+from rig.results import Result, styled
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from daq.recording.recording import Recording
+
+Array = NDArray[np.float64]
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, repr=False)
+class Dampers(Result):
+    """Motion of the dampers and energy per period in one sweep.
+
+    Attributes
+    ----------
+    label : str
+        Scene and setting.
+    sweep : Sweep
+        Fundamental and harmonics of all channels.
+    bodies : tuple of list of DamperMotion
+        For each body with free dampers and a channel, the motion at each frequency.
+    energy : CycleEnergy or None
+        None where channels are missing for the balance.
+    true_impact_energy : ndarray, shape (n,), or None
+        J per period, where the truth was recorded.
+    missing : tuple of str
+        Bodies without a result, with the reason.
+    warnings : tuple of str
+    """
+
+    label: str
+    sweep: Sweep
+    bodies: tuple[list[DamperMotion], ...]
+    energy: CycleEnergy | None
+    true_impact_energy: Array | None = None
+    missing: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+    def columns(self) -> Mapping[str, NDArray[Any]]:
+        """One row for each frequency and body, as in the table of `analysis dampers`."""
+        frequency = self.sweep.lines.frequency
+        nothing = np.full(frequency.size, np.nan)
+        energies = [nothing] * 4
+        if self.energy is not None:
+            energies = [
+                self.energy.supplied,
+                self.energy.structure,
+                self.energy.dampers,
+                self.energy.bound,
+            ]
+        energies.append(nothing if self.true_impact_energy is None else self.true_impact_energy)
+        names = ("supplied_J", "structure_J", "dampers_J", "dampers_bound_J", "true_impacts_J")
+        count, bodies = frequency.size, max(len(self.bodies), 1)
+        motions = [body[i] for i in range(count) for body in self.bodies]
+        # Of impacts some of which are missed there is no count.
+        floor, ceiling = (
+            np.array([getattr(each, wall) if each.repeats else np.nan for each in motions], dtype=np.float64)
+            for wall in ("floor", "ceiling")
+        )
+        if not self.bodies:
+            return {"frequency_Hz": frequency} | dict(zip(names, energies, strict=True))
+        return {
+            "frequency_Hz": np.repeat(frequency, bodies),
+            **{name: np.repeat(each, bodies) for name, each in zip(names, energies, strict=True)},
+            "channel": np.array([each.channel for each in motions]),
+            "motion": np.array([each.name for each in motions]),
+            "floor_per_period": floor,
+            "ceiling_per_period": ceiling,
+        }
+
+    def summary(self) -> str:
+        """Name the sweep, and the frequency at which the dampers dissipate most."""
+        frequency = self.sweep.lines.frequency
+        text = (
+            f"{self.label}: {frequency.size} frequencies, {frequency.min():.4g} to {frequency.max():.4g} Hz"
+        )
+        if self.energy is None or not np.isfinite(self.energy.dampers).any():
+            return text
+        top = int(np.nanargmax(self.energy.dampers))
+        share = 100.0 * self.energy.dampers[top] / self.energy.supplied[top]
+        return f"{text}; the dampers dissipate most at {frequency[top]:.4g} Hz ({share:.2g} % of the energy supplied)"
+
+    def draw(self, ax: Axes, **style: Any) -> None:
+        """Draw supplied and dissipated energy per period over frequency."""
+        if self.energy is not None:
+            order = np.argsort(self.energy.frequency, kind="stable")
+            for name, each in (
+                ("supplied", self.energy.supplied),
+                ("into the dampers", self.energy.dampers),
+                ("in the structure", self.energy.structure),
+            ):
+                values = 1e3 * np.where(each > 0.0, each, np.nan)[order]
+                ax.semilogy(
+                    self.energy.frequency[order], values, ".-", **styled(style, label=f"{self.label}: {name}")
+                )
+        ax.set(xlabel="frequency / Hz", ylabel="energy per period / mJ")
+
+
+def dampers_in(rec: Recording, label: str | None = None, progress: Progress | None = None) -> list[Dampers]:
+    """Estimate the motion of the dampers and the energy per period in each sweep of a recording.
+
+    Parameters
+    ----------
+    rec : daq.Recording
+        Sine or stepped sine.
+    label : str, optional
+        Instead of the scene's name.
+    progress : callable, optional
+        Called with (frequencies done, in all) of the lock-in, then of the search for impacts in each body.
+
+    Raises
+    ------
+    RecordingError
+        If no tone is held.
+    """
+    numbers = sorted({damper.body for damper in rec.scene.dampers if not damper.locked})
+    out = []
+    for sweep in sweeps(rec, progress=progress):
+        bodies, missing, warnings = [], [], list(sweep.lines.warnings)
+        for number in numbers:
+            info = located(rec, f"body {number}")
+            if info is None:
+                name = rec.scene.structure.label(number)
+                missing.append(f"{name}: no channel on it, so its impacts are not detected")
+                continue
+            try:
+                bodies.append(damper_motion(rec, sweep, info.name, progress))
+            except RecordingError as error:
+                missing.append(str(error))
+        energy = None
+        try:
+            energy = energy_per_cycle(rec, sweep)
+        except RecordingError as error:
+            warnings.append(f"no energy balance: {error}")
+        out.append(
+            Dampers(
+                relabelled(sweep.lines, rec.scene.name, label or rec.scene.name).label,
+                sweep,
+                tuple(bodies),
+                energy,
+                impact_energy_per_cycle(rec, sweep) if rec.has_truth else None,
+                tuple(missing),
+                tuple(warnings),
+            )
+        )
+    return out

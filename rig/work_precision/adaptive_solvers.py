@@ -1,36 +1,78 @@
-"""General adaptive solvers with event detection, restarted at every contact change, as their users use them."""
+"""General solvers of scipy and SUNDIALS, with event detection at every contact change or with springs as walls."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rig.errors import RunError
 from rig.work_precision.first_order_form import CEILING, FLIGHT, FLOOR, WALLS, Array, FirstOrderForm, Outcome
 
-#: After a separation its guard is at rounding level; a careful user lets it sleep this long, s.
+#: After a separation its guard is at rounding level; a careful user disables it for this long, s.
 BLIND = 2e-5
-#: A solver that takes off and lands for ever at one instant is stopped after so many events a period.
+#: A solver that separates and lands without end at one instant is stopped after this many events a period.
 LIVELOCK = 400
+#: Relative tolerance for motions on springs; the springs themselves cause larger errors.
+PENALTY_TOLERANCE = 1e-8
 
 Guard = Callable[[float, Array], float]
-#: From (rhs, guards, t, z, sample times ahead) to (t, z, index of the guard that fell or -1, states at samples).
-Leg = Callable[
-    [Callable[[float, Array], Array], list[Guard], float, Array, Array], tuple[float, Array, int, Array]
-]
+#: From (M of z' = M z, guards, t, z, sample times ahead) to (t, z, index of the guard that fell or -1, samples).
+Leg = Callable[[Array, list[Guard], float, Array, Array], tuple[float, Array, int, Array]]
 
 
-@dataclass
 class _Contacts:
-    """Which wall each damper rides on, and which guards sleep until when."""
+    """Wall of each damper, and the guards that this makes necessary."""
 
-    mode: NDArray[np.int64]
-    blind: dict[tuple[int, int], float]
+    def __init__(self, problem: FirstOrderForm, blind: float) -> None:
+        self.problem, self.blind = problem, blind
+        self.mode = [FLOOR] * len(problem.rows)
+        self.events: list[tuple[float, int, str]] = []
+        self._disabled_until: dict[tuple[int, int], float] = {}
+        self._update()
+
+    def _update(self) -> None:
+        problem = self.problem
+        self.matrix, self.walls, self.guards = problem.matrix(self.mode), [], []
+        for j, mode in enumerate(self.mode):
+            if mode != FLIGHT:
+                self._watch(j, FLIGHT, problem.pressing(j, mode, self.matrix), -1.0)
+                continue
+            for wall in (FLOOR, CEILING) if np.isfinite(problem.clearance[j]) else (FLOOR,):
+                self._watch(j, wall, problem.gap(j, wall), self._disabled_until.get((j, wall), -1.0))
+
+    matrix: Array
+    walls: list[tuple[int, int]]
+    guards: list[Guard]
+
+    def _watch(self, j: int, wall: int, row: Array, disabled_until: float) -> None:
+        self.walls.append((j, wall))
+        self.guards.append(lambda t, z: float(row @ z) if t > disabled_until else 1.0)
+
+    def change(self, z: Array, now: float, j: int, wall: int) -> None:
+        """Let a damper separate from its wall, or hit one."""
+        problem, old = self.problem, self.mode[j]
+        self.events.append((now, j, WALLS[wall]))
+        if wall == FLIGHT:
+            problem.separate(z, j, old, z[problem.system.coordinates + problem.rows[j]])
+            self._disabled_until[j, old] = now + self.blind
+            self.mode[j] = FLIGHT
+        elif problem.impact(z, j, wall, float(problem.system.restitution[j])):
+            self.mode[j] = wall
+        else:
+            self._disabled_until[j, wall] = now + self.blind
+        self._update()
+
+    def release(self, z: Array, now: float) -> None:
+        """Separate dampers whose contact would pull, one after another."""
+        while pulled := [
+            j
+            for (j, wall), guard in zip(self.walls, self.guards, strict=True)
+            if wall == FLIGHT and guard(now, z) < 0.0
+        ]:
+            self.change(z, now, pulled[0], FLIGHT)
 
 
 def follow(problem: FirstOrderForm, leg: Leg, blind: float, limit: float) -> Outcome:
@@ -41,148 +83,46 @@ def follow(problem: FirstOrderForm, leg: Leg, blind: float, limit: float) -> Out
     leg : callable
         The solver, from one contact change to the next.
     blind : float
-        Time for which a guard sleeps after its separation, s.
+        Time for which a guard is disabled after its separation, s.
     limit : float
         CPU time after which to give up, s.
 
     Raises
     ------
     RunError
-        If the solver locks up or takes too long.
+        If the solver makes no progress or takes too long.
     """
-    n = problem.system.coordinates
-    contacts = _Contacts(np.full(len(problem.rows), FLOOR), {})
-    state, now = problem.start.copy(), 0.0
-    samples, times = [state[:n].copy()], problem.times
-    events: list[tuple[float, int, str]] = []
-    _release(problem, contacts, state, now, blind, events)
+    n, contacts = problem.system.coordinates, _Contacts(problem, blind)
+    state, now, times = np.array(problem.start), 0.0, problem.times
+    samples = [state[:n]]
     begun = time.process_time()
+    contacts.release(state, now)
     while len(samples) < problem.samples:
-        ahead = times[len(samples) :]
-        walls, guards = _guards(problem, contacts)
-        now, state, which, seen = leg(_slope(problem, contacts.mode), guards, now, state, ahead)
-        samples += [row[:n].copy() for row in seen]
+        now, state, which, seen = leg(contacts.matrix, contacts.guards, now, state, times[len(samples) :])
+        samples += list(seen[:, :n])
         if which < 0:
             break
-        _change(problem, contacts, state, now, walls[which], blind, events)
-        if len(events) > LIVELOCK * problem.periods:
+        contacts.change(state, now, *contacts.walls[which])
+        contacts.release(state, now)
+        if len(contacts.events) > LIVELOCK * problem.periods:
             raise RunError("takes off and lands for ever at one instant")
         if time.process_time() - begun > limit:
             raise RunError(f"not done after {limit:.0f} s")
-    return Outcome(np.array(samples).T, events)
-
-
-def _slope(problem: FirstOrderForm, mode: NDArray[np.int64]) -> Callable[[float, Array], Array]:
-    matrix, constant = problem.configuration(mode)
-    cosine, sine = problem.drive(mode)
-    omega = problem.omega
-    return lambda t, z: matrix @ z + constant + cosine * np.cos(omega * t) + sine * np.sin(omega * t)
-
-
-def _guards(problem: FirstOrderForm, contacts: _Contacts) -> tuple[list[tuple[int, int]], list[Guard]]:
-    system, mode = problem.system, contacts.mode
-    n, ns = system.coordinates, system.states
-    matrix, constant = problem.configuration(mode)
-    cosine, sine = problem.drive(mode)
-    walls: list[tuple[int, int]] = []
-    guards: list[Guard] = []
-
-    def gap(j: int, row: int, wall: int) -> Guard:
-        awake = contacts.blind.get((j, wall), -1.0)
-        clearance = float(system.clearance[j])
-        if wall == FLOOR:
-            return lambda t, z: float(z[ns + j] - z[row]) if t > awake else 1.0
-        return lambda t, z: float(clearance - z[ns + j] + z[row]) if t > awake else 1.0
-
-    def force(row: int, sign: float) -> Guard:
-        omega, line = problem.omega, matrix[n + row]
-        c0, cc, cs = float(constant[n + row]) + system.gravity, float(cosine[n + row]), float(sine[n + row])
-        return lambda t, z: sign * float(line @ z + c0 + cc * np.cos(omega * t) + cs * np.sin(omega * t))
-
-    for j, row in enumerate(problem.rows):
-        if mode[j] != FLIGHT:
-            walls.append((j, FLIGHT))
-            guards.append(force(int(row), 1.0 if mode[j] == FLOOR else -1.0))
-            continue
-        for wall in (FLOOR, CEILING) if np.isfinite(system.clearance[j]) else (FLOOR,):
-            walls.append((j, wall))
-            guards.append(gap(j, int(row), wall))
-    return walls, guards
-
-
-def _change(
-    problem: FirstOrderForm, contacts: _Contacts, state: Array, now: float, event: tuple[int, int], blind: float,
-    events: list[tuple[float, int, str]],
-) -> None:  # fmt: skip
-    j, wall = event
-    system = problem.system
-    n, ns, nd = system.coordinates, system.states, system.dampers
-    events.append((now, j, WALLS[wall]))
-    if wall == FLIGHT:
-        _leave(problem, contacts, state, now, j, blind)
-        return
-    row = problem.rows[j]
-    closing = state[ns + nd + j] - state[n + row]
-    restitution = float(system.restitution[j])
-    impulse = (1.0 + restitution) * closing / (problem.inverse_mass[j] + 1.0 / system.damper_mass[j])
-    state[n + row] += impulse * problem.inverse_mass[j]
-    contacts.mode[j] = wall
-    state[ns + nd + j] = state[n + row] - restitution * closing
-    if restitution > 0.0:
-        speed = state[ns + nd + j]
-        _leave(problem, contacts, state, now, j, blind)
-        state[ns + nd + j] = speed
-    _release(problem, contacts, state, now, blind, events)
-
-
-def _release(
-    problem: FirstOrderForm, contacts: _Contacts, state: Array, now: float, blind: float,
-    events: list[tuple[float, int, str]],
-) -> None:  # fmt: skip
-    """Let go of dampers whose contact would pull."""
-    changed = True
-    while changed:
-        changed = False
-        walls, guards = _guards(problem, contacts)
-        for (j, wall), guard in zip(walls, guards, strict=True):
-            if wall == FLIGHT and guard(now, state) < 0.0:
-                _leave(problem, contacts, state, now, j, blind)
-                events.append((now, j, WALLS[FLIGHT]))
-                changed = True
-                break
-
-
-def _leave(
-    problem: FirstOrderForm, contacts: _Contacts, state: Array, now: float, j: int, blind: float
-) -> None:
-    system, row, wall = problem.system, problem.rows[j], int(contacts.mode[j])
-    n, ns, nd = system.coordinates, system.states, system.dampers
-    state[ns + j] = state[row] + (system.clearance[j] if wall == CEILING else 0.0)
-    state[ns + nd + j] = state[n + row]
-    contacts.mode[j] = FLIGHT
-    contacts.blind[(j, wall)] = now + blind
+    return Outcome(np.array(samples).T, contacts.events)
 
 
 def scipy_leg(method: str, rtol: float, longest: float) -> Leg:
     """One of scipy's solvers with its event detection."""
-    from scipy.integrate import solve_ivp
 
     def leg(
-        rhs: Callable[[float, Array], Array], guards: list[Guard], t: float, z: Array, ahead: Array
+        matrix: Array, guards: list[Guard], t: float, z: Array, ahead: Array
     ) -> tuple[float, Array, int, Array]:
-        falling = [_falling(guard) for guard in guards]
-        try:
-            solution = solve_ivp(
-                rhs, (t, ahead[-1]), z, method=method, rtol=rtol, atol=1e-3 * rtol, max_step=longest,
-                t_eval=ahead, events=falling,
-            )  # fmt: skip
-        except ValueError as error:
-            # Its search for an event's instant may find the sign changed in the step but not in the dense output.
-            raise RunError(f"scipy stops with: {error}") from None
-        if solution.status < 0:
-            raise RunError(str(solution.message))
+        solution = _solve_ivp(
+            lambda _, z: matrix.dot(z), (t, ahead[-1]), z, method=method, rtol=rtol, max_step=longest,
+            t_eval=ahead, events=[_event(guard, terminal=True, direction=-1) for guard in guards],
+        )  # fmt: skip
         seen = solution.y.T if len(solution.t) else np.zeros((0, len(z)))
-        for k, hits in enumerate(solution.t_events):
+        for k, hits in enumerate(solution.t_events or ()):
             if len(hits):
                 return float(hits[0]), solution.y_events[k][0].copy(), k, seen[solution.t <= hits[0]]
         return float(ahead[-1]), z, -1, seen
@@ -190,13 +130,80 @@ def scipy_leg(method: str, rtol: float, longest: float) -> Leg:
     return leg
 
 
-def _falling(guard: Guard) -> Any:
+def _solve_ivp(*given: Any, rtol: float, **options: Any) -> Any:
+    from scipy.integrate import solve_ivp
+
+    try:
+        solution = solve_ivp(*given, rtol=rtol, atol=1e-3 * rtol, **options)
+    except ValueError as error:
+        # Its search for an event's instant may meet a sign that changes in the step but not in the dense output.
+        raise RunError(f"scipy stops with: {error}") from None
+    if solution.status < 0:
+        raise RunError(str(solution.message))
+    return solution
+
+
+def _event(guard: Guard, **attributes: Any) -> Any:
     def event(t: float, z: Array) -> float:
         return guard(t, z)
 
-    event.terminal = True  # type: ignore[attr-defined]
-    event.direction = -1  # type: ignore[attr-defined]
+    vars(event).update(attributes)
     return event
+
+
+def penalty(problem: FirstOrderForm, contacts: int) -> Outcome:
+    """Spring and dashpot at every wall, solved by scipy's LSODA.
+
+    The dashpot gives the restitution in a free impact. It acts as long as the wall is dented: without its pull, plastic
+    impacts would rebound by 13 % however stiff the wall.
+
+    Parameters
+    ----------
+    contacts : int
+        A contact takes this part of the drive's period: half a swing on the spring.
+    """
+    system, dampers = problem.system, len(problem.rows)
+    mass = 1.0 / (problem.inverse_mass + 1.0 / system.damper_mass)
+    rate = np.pi * contacts * problem.tone.frequency
+    logs = np.log(np.maximum(system.restitution, 1e-300))
+    ratio = np.where(system.restitution > 0.0, -logs / np.hypot(np.pi, logs), 1.0)
+    stiffness, dashpot = mass * rate**2, 2.0 * ratio * mass * rate
+    matrix = problem.matrix([FLIGHT] * dampers)
+    gap = np.array([problem.gap(j, FLOOR) for j in range(dampers)]).reshape(dampers, problem.size)
+    rates, push = np.vstack([matrix, gap, gap @ matrix]), np.zeros((problem.size, dampers))
+    for j, row in enumerate(problem.rows):
+        push[system.coordinates + row, j] = -problem.inverse_mass[j]
+        push[problem.first + dampers + j, j] = 1.0 / system.damper_mass[j]
+
+    def slope(_: float, z: Array) -> Array:
+        rate = rates.dot(z)
+        height, closing = rate[problem.size : -dampers], rate[-dampers:]
+        # Negative: dent of the floor; positive: dent of the ceiling.
+        dent = height - np.minimum(np.maximum(height, 0.0), system.clearance)
+        flowing = rate[: problem.size]
+        if dent.any():
+            flowing += push.dot(-stiffness * dent - (dent != 0.0) * dashpot * closing)
+        return flowing
+
+    walls = [(j, FLOOR) for j in range(dampers)]
+    walls += [(j, CEILING) for j in range(dampers) if np.isfinite(system.clearance[j])]
+    start = np.array(problem.start)
+    start[problem.first : problem.first + dampers] -= system.damper_mass * system.gravity / stiffness
+    solution = _solve_ivp(
+        slope, (0.0, problem.times[-1]), start, method="LSODA", rtol=PENALTY_TOLERANCE, t_eval=problem.times,
+        events=[_event(_distance(problem.gap(*wall))) for wall in walls],
+    )  # fmt: skip
+    events = [
+        # Dampers begin on the floor.
+        (float(instant), j, WALLS[FLIGHT if (k % 2 == 0) == (wall == FLOOR) else wall])
+        for (j, wall), times in zip(walls, solution.t_events or (), strict=True)
+        for k, instant in enumerate(times)
+    ]
+    return Outcome(solution.y[: system.coordinates], sorted(events))
+
+
+def _distance(row: Array) -> Guard:
+    return lambda _, z: float(row @ z)
 
 
 def cvode_leg(rtol: float, longest: float) -> Leg:
@@ -204,16 +211,15 @@ def cvode_leg(rtol: float, longest: float) -> Leg:
     from sksundae.cvode import CVODE
 
     def leg(
-        rhs: Callable[[float, Array], Array], guards: list[Guard], t: float, z: Array, ahead: Array
+        matrix: Array, guards: list[Guard], t: float, z: Array, ahead: Array
     ) -> tuple[float, Array, int, Array]:
         def slope(t: float, y: Array, yp: Array) -> None:
-            yp[:] = rhs(t, y)
+            matrix.dot(y, out=yp)
 
         def events(t: float, y: Array, e: Array) -> None:
             e[:] = [guard(t, y) for guard in guards]
 
-        events.terminal = [True] * len(guards)  # type: ignore[attr-defined]
-        events.direction = [-1] * len(guards)  # type: ignore[attr-defined]
+        vars(events).update(terminal=[True] * len(guards), direction=[-1] * len(guards))
         solver = CVODE(
             slope, method="Adams", rtol=rtol, atol=1e-3 * rtol, max_step=longest, max_num_steps=100_000,
             eventsfn=events if guards else None, num_events=len(guards),
@@ -221,7 +227,7 @@ def cvode_leg(rtol: float, longest: float) -> Leg:
         solution = solver.solve(np.concatenate([[t], ahead]), z)
         if not solution.success:
             raise RunError(str(solution.message))
-        # Between two instants only, the solver returns its own steps, too.
+        # Between two instants only, the solver returns its own steps as well.
         asked = np.isin(solution.t, ahead)
         if solution.t_events is None or not len(solution.t_events):
             return float(ahead[-1]), z, -1, solution.y[asked]

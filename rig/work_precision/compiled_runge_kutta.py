@@ -1,11 +1,10 @@
 """Dormand-Prince 5(4) with event location, compiled: the strongest solver that a good engineer would write for this.
 
-Everything is in machine code: the right-hand side with the matrices of every contact configuration at hand, step
-size control, dense output, event location and contact changes. What it lacks is what the engine has: a proof that no
-guard crosses zero and comes back within a step.
+All of it is machine code: the right-hand side with the matrix of every contact configuration, step size control, dense
+output, event location and contact changes. Unlike the engine it cannot exclude that a guard crosses zero and returns
+within a step.
 
-E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I, 2nd ed., 1993: the pair in table 5.2,
-its dense output and step size control in II.4 and II.6.
+E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I, 2nd ed., 1993: step size in II.4.
 """
 
 from __future__ import annotations
@@ -14,32 +13,17 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.integrate import RK45
 
 from rig.errors import RunError
 from rig.numerics.jit import compiled, inlined
 from rig.work_precision.adaptive_solvers import LIVELOCK
 from rig.work_precision.first_order_form import CEILING, FLIGHT, FLOOR, WALLS, Array, FirstOrderForm, Outcome
 
-#: Stages of the pair: nodes, weights of earlier stages, weights of the error, and of the dense output's last term.
-NODES = np.array([0.0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0, 1.0])
-STAGES = np.array(
-    [
-        [0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
-        [1 / 5, 0.0, 0.0, 0.0, 0.0, 0.0],
-        [3 / 40, 9 / 40, 0.0, 0.0, 0.0, 0.0],
-        [44 / 45, -56 / 15, 32 / 9, 0.0, 0.0, 0.0],
-        [19372 / 6561, -25360 / 2187, 64448 / 6561, -212 / 729, 0.0, 0.0],
-        [9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656, 0.0],
-        [35 / 384, 0.0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84],
-    ]
-)
-ERROR = np.array([71 / 57600, 0.0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40])
-DENSE = np.array(
-    [
-        -12715105075 / 11282082432, 0.0, 87487479700 / 32700410799, -10690763975 / 1880347072,
-        701980252875 / 199316789632, -1453857185 / 822651844, 69997945 / 29380423,
-    ]
-)  # fmt: skip
+#: Weights of earlier stages, weights of the error and of the dense output, as scipy gives them.
+STAGES = np.vstack([np.hstack([RK45.A, np.zeros((6, 1))]), RK45.B])
+ERROR = np.array(RK45.E)
+DENSE = np.ascontiguousarray(RK45.P)
 #: A root is closed in on at most so often, or to this share of a step.
 CLOSINGS, CLOSE = 60, 1e-15
 #: Steps a period after which it is stopped: it goes to and fro about an instant.
@@ -49,17 +33,13 @@ MOST_DAMPERS = 8
 
 
 class Tables(NamedTuple):
-    """The scene as the kernel sees it: z' = A z + b + c cos(w t) + s sin(w t) for every set of riding dampers.
+    """The scene as the kernel sees it: z' = M z for every set of dampers at rest on a wall.
 
-    matrix (sets, size, size) and constant, cosine, sine (sets, size), bit j of the set's number being damper j; row,
-    inverse_mass, mass, clearance and restitution (dampers,); first, the place of the first damper's height in z.
+    matrix (sets, size, size), bit j of the set's number being damper j; row, inverse_mass, mass, clearance and
+    restitution (dampers,); first, the position of the first damper's height in z; one, that of the constant 1.
     """
 
     matrix: Array
-    constant: Array
-    cosine: Array
-    sine: Array
-    omega: float
     row: NDArray[np.int64]
     inverse_mass: Array
     mass: Array
@@ -68,10 +48,11 @@ class Tables(NamedTuple):
     gravity: float
     coordinates: int
     first: int
+    one: int
 
 
 class Contacts(NamedTuple):
-    """Wall of each damper, until when its guards sleep (dampers, walls), and the log of events with its length."""
+    """Wall of each damper, end of its guards' pause (dampers, walls), and the log of events with its length."""
 
     mode: NDArray[np.int64]
     awake: Array
@@ -82,7 +63,7 @@ class Contacts(NamedTuple):
 
 
 class DormandPrince:
-    """The scene made ready once, for any number of runs.
+    """The solver, prepared for any number of runs.
 
     Parameters
     ----------
@@ -107,7 +88,7 @@ class DormandPrince:
         rtol : float
             Relative tolerance; the absolute one is a thousandth of it, as for the other adaptive solvers.
         blind : float
-            Time for which a guard sleeps after its separation, s.
+            Time for which a guard is disabled after its separation, s.
         longest : float
             Longest step, s.
 
@@ -127,7 +108,7 @@ class DormandPrince:
             filled=np.zeros(1, dtype=np.int64),
         )
         motion = np.zeros((problem.samples, problem.system.coordinates))
-        start, times = problem.start.copy(), problem.times
+        start, times = np.array(problem.start), problem.times
         steps = MOST_STEPS * problem.periods
         if not _follow(
             self._tables, contacts, start, times, motion, rtol, blind, longest, steps, *self._work
@@ -142,17 +123,10 @@ def _tables(problem: FirstOrderForm) -> Tables:
     system, dampers = problem.system, len(problem.rows)
     if dampers > MOST_DAMPERS:
         raise RunError(f"{dampers} dampers have {2**dampers} configurations; it keeps a matrix for each")
-    modes = [
-        np.array([FLOOR if bits >> j & 1 else FLIGHT for j in range(dampers)], dtype=np.int64)
-        for bits in range(2**dampers)
-    ]
-    free, driven = [problem.configuration(mode) for mode in modes], [problem.drive(mode) for mode in modes]
     return Tables(
-        matrix=np.array([matrix for matrix, _ in free]),
-        constant=np.array([constant for _, constant in free]),
-        cosine=np.array([cosine for cosine, _ in driven]),
-        sine=np.array([sine for _, sine in driven]),
-        omega=problem.omega,
+        matrix=np.array(
+            [problem.matrix([bits >> j & 1 for j in range(dampers)]) for bits in range(2**dampers)]
+        ),
         row=problem.rows,
         inverse_mass=problem.inverse_mass,
         mass=np.asarray(system.damper_mass, dtype=np.float64),
@@ -160,43 +134,30 @@ def _tables(problem: FirstOrderForm) -> Tables:
         restitution=np.asarray(system.restitution, dtype=np.float64),
         gravity=system.gravity,
         coordinates=system.coordinates,
-        first=system.states,
+        first=problem.first,
+        one=problem.one,
     )
 
 
 @inlined
-def _row(tables: Tables, at: int, i: int, t: float, z: Array) -> float:
-    """Rate of one state in a configuration."""
-    phase = tables.omega * t
-    total = tables.constant[at, i] + tables.cosine[at, i] * np.cos(phase) + tables.sine[at, i] * np.sin(phase)
-    for k in range(z.shape[0]):
-        total += tables.matrix[at, i, k] * z[k]
-    return total
-
-
-@inlined
-def _slope(tables: Tables, at: int, t: float, z: Array, out: Array) -> None:
-    phase = tables.omega * t
-    c, s = np.cos(phase), np.sin(phase)
+def _slope(tables: Tables, at: int, z: Array, out: Array) -> None:
     for i in range(z.shape[0]):
-        total = tables.constant[at, i] + tables.cosine[at, i] * c + tables.sine[at, i] * s
+        total = 0.0
         for k in range(z.shape[0]):
             total += tables.matrix[at, i, k] * z[k]
         out[i] = total
 
 
 @inlined
-def _step(
-    tables: Tables, at: int, t: float, h: float, z: Array, new: Array, stages: Array, rtol: float
-) -> float:
-    """Try a step, the first stage being known; the error over what is allowed, root mean square (II.4)."""
+def _step(tables: Tables, at: int, h: float, z: Array, new: Array, stages: Array, rtol: float) -> float:
+    """Try a step from its first stage; returns the error relative to the allowed one, root mean square (II.4)."""
     for k in range(1, 7):
         for i in range(z.shape[0]):
             total = 0.0
             for m in range(k):
                 total += STAGES[k, m] * stages[m, i]
             new[i] = z[i] + h * total
-        _slope(tables, at, t + NODES[k] * h, new, stages[k])
+        _slope(tables, at, new, stages[k])
     wrong = 0.0
     for i in range(z.shape[0]):
         total = 0.0
@@ -207,17 +168,16 @@ def _step(
 
 
 @inlined
-def _dense(z: Array, new: Array, stages: Array, h: float, theta: float, out: Array) -> None:
-    """State a share theta into the step, of fourth order (II.6)."""
-    rest = 1.0 - theta
+def _dense(z: Array, stages: Array, h: float, theta: float, out: Array) -> None:
+    """State a share theta into the step, of fourth order."""
     for i in range(z.shape[0]):
-        change = new[i] - z[i]
-        bulge = h * stages[0, i] - change
-        twist = change - h * stages[6, i] - bulge
-        last = 0.0
-        for k in range(7):
-            last += DENSE[k] * stages[k, i]
-        out[i] = z[i] + theta * (change + rest * (bulge + theta * (twist + rest * h * last)))
+        out[i] = z[i]
+    for k in range(7):
+        weight = 0.0
+        for power in range(3, -1, -1):
+            weight = theta * (weight + DENSE[k, power])
+        for i in range(z.shape[0]):
+            out[i] += h * weight * stages[k, i]
 
 
 @inlined
@@ -230,7 +190,9 @@ def _guard(tables: Tables, contacts: Contacts, at: int, j: int, wall: int, t: fl
         return gap if wall == FLOOR else tables.clearance[j] - gap
     if wall != contacts.mode[j]:
         return 1.0
-    pressing = tables.gravity + _row(tables, at, tables.coordinates + tables.row[j], t, z)
+    pressing = tables.gravity
+    for k in range(z.shape[0]):
+        pressing += tables.matrix[at, tables.coordinates + tables.row[j], k] * z[k]
     return pressing if wall == FLOOR else -pressing
 
 
@@ -260,7 +222,7 @@ def _first_fall(
                 if high - low < CLOSE:
                     break
                 theta = low + (high - low) * above / (above - below)
-                _dense(z, new, stages, h, theta, work)
+                _dense(z, stages, h, theta, work)
                 value = _guard(tables, contacts, at, j, wall, t + theta * h, work)
                 if value < 0.0:
                     high, below, above = theta, value, 0.5 * above
@@ -348,19 +310,19 @@ def _follow(
     _keep(motion, 0, z)
     t, sample, h = 0.0, 1, min(longest, 1e-3 * (times[1] - times[0]))
     at = _release(tables, contacts, t, z, blind)
-    _slope(tables, at, t, z, stages[0])
+    _slope(tables, at, z, stages[0])
     for _ in range(steps):
         if sample == times.shape[0]:
             return True
         h = min(h, longest)
-        wrong = _step(tables, at, t, h, z, new, stages, rtol)
+        wrong = _step(tables, at, h, z, new, stages, rtol)
         factor = 5.0 if wrong == 0.0 else min(5.0, max(0.2, 0.9 * wrong**-0.2))
         if wrong > 1.0:
             h *= factor
             continue
         share, which, wall = _first_fall(tables, contacts, at, t, h, z, new, stages, work)
         while sample < times.shape[0] and times[sample] <= t + share * h:
-            _dense(z, new, stages, h, (times[sample] - t) / h, work)
+            _dense(z, stages, h, (times[sample] - t) / h, work)
             _keep(motion, sample, work)
             sample += 1
         if which < 0:
@@ -369,7 +331,7 @@ def _follow(
                 z[i], stages[0, i] = new[i], stages[6, i]
             h *= factor
             continue
-        _dense(z, new, stages, h, share, work)
+        _dense(z, stages, h, share, work)
         t += share * h
         for i in range(z.shape[0]):
             z[i] = work[i]
@@ -377,5 +339,5 @@ def _follow(
         at = _release(tables, contacts, t, z, blind)
         if at < 0:
             return False
-        _slope(tables, at, t, z, stages[0])
+        _slope(tables, at, z, stages[0])
     return False

@@ -24,8 +24,7 @@ if TYPE_CHECKING:
 LOOK = {
     "engine, tone": ("#c1272d", "*"),
     "engine, sampled drive": ("#e8853d", "o"),
-    "penalty, RK4": ("#8fb4d9", "v"),
-    "penalty, Newmark": ("#4f87bd", "^"),
+    "penalty, LSODA": ("#4f87bd", "^"),
     "Moreau-Jean": ("#1f4e79", "s"),
     "compiled DP5": ("#1d4d1c", "X"),
     "scipy DOP853": ("#3b7d3a", "D"),

@@ -1,11 +1,14 @@
-"""What every alternative to the engine starts from: the scene as one first-order system with its dampers in it.
+"""The scene as a first-order system that is linear while no contact changes: the start of every alternative method.
 
-The alternatives are for `rig cost` only: honest versions of what one would write or call instead of the engine.
+The alternatives serve `rig cost` only: what a careful engineer would write or call instead of the engine.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable, MutableSequence, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,16 +18,19 @@ from rig.system.hybrid_system import HybridSystem
 from rig.system.open_loop_drive import ToneDrive
 
 Array = NDArray[np.float64]
+#: Wall that each damper rests on, by `FLIGHT`, `FLOOR` and `CEILING`.
+Mode = Sequence[int]
 
 #: Samples a period at which methods are compared.
 PER_PERIOD = 16
 FLIGHT, FLOOR, CEILING = 0, 1, 2
+#: Kind of the event that starts each of these states.
 WALLS = ("separation", "floor", "ceiling")
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a method made of a motion."""
+    """Motion as a method computed it."""
 
     displacement: Array
     """m, at `PER_PERIOD` samples a period; shape (coordinates, samples)."""
@@ -33,83 +39,169 @@ class Outcome:
 
 
 class FirstOrderForm:
-    """z = (coordinates, velocities, further states, heights and velocities of the dampers) under a tone.
+    """z' = M z with z = (states, damper heights, damper speeds, 1, cos w t, sin w t, integrals) under a tone.
+
+    Parameters
+    ----------
+    periods : int
+        Length of the motion.
+    number : callable
+        Converts a float to the type in which to compute, such as `Decimal`.
+    pi : number
+        In that type.
+    integrals : bool
+        Whether to append real and imaginary part of the integral of each coordinate times exp(-i w t), which is
+        exact after whole periods.
 
     Attributes
     ----------
-    flight : ndarray, shape (size, size)
-        A of z' = A z + constant + cosine cos(w t) + sine sin(w t) with every damper in flight.
-    constant, cosine, sine : ndarray, shape (size,)
-    push : ndarray, shape (size, dampers)
-        What a unit force between damper and floor does to the velocities' rates.
-    closing : ndarray, shape (dampers, size)
-        Rows that give v - q' of each damper.
+    first : int
+        Position of the first damper's height in z.
+    one : int
+        Position of the constant 1; cosine and sine follow.
+    size : int
+        Length of z.
+    inverse_mass : ndarray, shape (dampers,)
+        Mobility of each damper's coordinate, 1/kg.
+
+    Raises
+    ------
+    SceneError
+        If an impact would accelerate other coordinates as well.
     """
 
-    def __init__(self, system: HybridSystem, tone: ToneDrive, periods: int) -> None:
+    def __init__(
+        self, system: HybridSystem, tone: ToneDrive, periods: int, number: Callable[[float], Any] = float,
+        pi: Any = math.pi, integrals: bool = False,
+    ) -> None:  # fmt: skip
         if system.coupled:
             raise SceneError("the alternatives decide contacts one by one; expected a diagonal mass matrix")
         self.system, self.tone, self.periods = system, tone, periods
         n, ns, nd = system.coordinates, system.states, system.dampers
-        self.omega = tone.omega
+        self.first, self.one = ns, ns + 2 * nd
+        self._integrals = n if integrals else 0
+        self.size = ns + 2 * nd + 3 + 2 * self._integrals
+        self.omega = 2 * pi * number(tone.frequency)
         self.samples = periods * PER_PERIOD + 1
-        self.size = ns + 2 * nd
         self.rows = np.asarray(system.damper_coordinate, dtype=np.int64)
+        exact = np.vectorize(
+            lambda value: number(float(value)), otypes=[float if number is float else object]
+        )
+        self.mass, self.damper_mass, self.clearance = map(
+            exact, (system.mass, system.damper_mass, system.clearance)
+        )
         self.inverse_mass = 1.0 / np.diag(system.mass)[self.rows]
-        self.flight, self.constant = self.configuration(np.zeros(nd, dtype=np.int64))
-        self.cosine, self.sine = self.drive(np.zeros(nd, dtype=np.int64))
-        self.push = np.zeros((self.size, nd))
-        self.closing = np.zeros((nd, self.size))
-        for j, row in enumerate(self.rows):
-            self.push[n + row, j] = -self.inverse_mass[j]
-            self.push[ns + nd + j, j] = 1.0 / system.damper_mass[j]
-            self.closing[j, n + row], self.closing[j, ns + nd + j] = -1.0, 1.0
-        self.start = np.zeros(self.size)
-        self.start[:ns] = tone.state
-        self.start[ns : ns + nd] = tone.state[self.rows]
-        self.start[ns + nd :] = tone.state[n + self.rows]
+        self.gravity, self._zero, self._unit = number(system.gravity), number(0.0), number(1.0)
+        self._walls = exact(system.wall_stiffness), exact(system.wall_damping)
+        waves = exact(np.column_stack([tone.amplitudes.real, -tone.amplitudes.imag]))
+        self._force, self._rate = (
+            np.hstack([exact(state), exact(constant)[:, None], exact(drive) @ waves])
+            for state, constant, drive in (
+                (system.force_state, system.force_constant, system.force_drive),
+                (system.rate_state, np.zeros(ns - 2 * n), system.rate_drive),
+            )
+        )
+        self.start = [number(float(value)) for value in tone.state]
+        self.start += [self.start[row] for row in self.rows] + [self.start[n + row] for row in self.rows]
+        self.start += [self._unit, self._unit] + [self._zero] * (1 + 2 * self._integrals)
 
     @property
     def times(self) -> Array:
         """Instants of the samples, s."""
         return np.arange(self.samples) / (PER_PERIOD * self.tone.frequency)
 
-    def _mass(self, mode: NDArray[np.int64]) -> Array:
-        mass = self.system.mass.copy()
-        riding = mode != FLIGHT
-        mass[self.rows[riding], self.rows[riding]] += self.system.damper_mass[riding]
-        return mass
+    def lift(self, j: int, wall: int) -> Any:
+        """Height of a wall above the floor, m."""
+        return self.clearance[j] if wall == CEILING else self._zero
 
-    def configuration(self, mode: NDArray[np.int64]) -> tuple[Array, Array]:
-        """Make A and the constant while the dampers with a wall as their mode ride on it."""
-        system = self.system
-        n, ns, nd = system.coordinates, system.states, system.dampers
-        matrix, constant = np.zeros((self.size, self.size)), np.zeros(self.size)
-        load = system.force_constant.copy()
-        riding = mode != FLIGHT
-        load[self.rows[riding]] -= system.damper_mass[riding] * system.gravity
-        matrix[:n, n : 2 * n] = np.eye(n)
-        matrix[n : 2 * n, :ns] = np.linalg.solve(self._mass(mode), system.force_state)
-        constant[n : 2 * n] = np.linalg.solve(self._mass(mode), load)
-        matrix[2 * n : ns, :ns] = system.rate_state
-        for j, row in enumerate(self.rows):
-            if mode[j] == FLIGHT:
-                matrix[ns + j, ns + nd + j] = 1.0
-                constant[ns + nd + j] = -system.gravity
+    def matrix(self, mode: Mode) -> NDArray[Any]:
+        """Compute M; dampers at a wall rest on it, or press its spring where contact has a duration."""
+        n, ns, nd = self.system.coordinates, self.system.states, self.system.dampers
+        mass, force = self.mass.copy(), self._force.copy()
+        matrix = np.full((self.size, self.size), self._zero)
+        one = self.one
+        for j, wall in enumerate(mode):
+            row = self.rows[j]
+            if self.system.lasting[j]:
+                if wall != FLIGHT:
+                    gap = int(self.system.bed[j])
+                    stiffness, damping = (values[j, wall - FLOOR] for values in self._walls)
+                    force[gap, gap] -= stiffness
+                    force[gap, n + gap] -= damping
+                    force[gap, ns] += stiffness * self.lift(j, wall)
+            elif wall == FLIGHT:
+                matrix[ns + j, ns + nd + j] = self._unit
+                matrix[ns + nd + j, one] = -self.gravity
             else:
-                matrix[ns + j] = matrix[row]
-                matrix[ns + nd + j] = matrix[n + row]
-                constant[ns + nd + j] = constant[n + row]
-        return matrix, constant
+                mass[row, row] += self.damper_mass[j]
+                force[row, ns] -= self.damper_mass[j] * self.gravity
+        driven = [*range(ns), one, one + 1, one + 2]
+        matrix[range(n), range(n, 2 * n)] = self._unit
+        matrix[n : 2 * n, driven] = solve(mass, force)
+        matrix[2 * n : ns, driven] = self._rate
+        matrix[one + 1, one + 2], matrix[one + 2, one + 1] = -self.omega, self.omega
+        real = one + 3
+        for k in range(self._integrals):
+            imaginary = real + self._integrals + k
+            matrix[real + k, k] = self._unit
+            matrix[real + k, imaginary], matrix[imaginary, real + k] = -self.omega, self.omega
+        return matrix
 
-    def drive(self, mode: NDArray[np.int64]) -> tuple[Array, Array]:
-        """Make the columns of cos(w t) and sin(w t)."""
-        system = self.system
-        n, ns, nd = system.coordinates, system.states, system.dampers
-        columns = np.zeros((self.size, len(system.inputs)))
-        columns[n : 2 * n] = np.linalg.solve(self._mass(mode), system.force_drive)
-        columns[2 * n : ns] = system.rate_drive
-        for j, row in enumerate(self.rows):
-            if mode[j] != FLIGHT:
-                columns[ns + nd + j] = columns[n + row]
-        return columns @ self.tone.amplitudes.real, -columns @ self.tone.amplitudes.imag
+    def gap(self, j: int, wall: int) -> NDArray[Any]:
+        """Row over z that gives the distance of a damper from a wall, m."""
+        row = np.full(self.size, self._zero)
+        if self.system.lasting[j]:
+            row[int(self.system.bed[j])] = self._unit
+        else:
+            row[self.first + j], row[self.rows[j]] = self._unit, -self._unit
+        if wall == CEILING:
+            row = -row
+            row[self.one] = self.clearance[j]
+        return row
+
+    def pressing(self, j: int, wall: int, matrix: NDArray[Any]) -> NDArray[Any]:
+        """Row over z that gives a wall's force on a damper over its mass, m/s^2; N where contact has a duration."""
+        n = self.system.coordinates
+        if self.system.lasting[j]:
+            gap = int(self.system.bed[j])
+            stiffness, damping = (values[j, wall - FLOOR] for values in self._walls)
+            row = stiffness * self.gap(j, wall)
+            row[n + gap] = damping if wall == FLOOR else -damping
+            return -row
+        row = matrix[n + self.rows[j]].copy()
+        row[self.one] += self.gravity
+        return row if wall == FLOOR else -row
+
+    def separate(self, z: MutableSequence[Any] | Array, j: int, wall: int, speed: Any) -> None:
+        """Start a damper's flight at a wall."""
+        z[self.first + j] = z[self.rows[j]] + self.lift(j, wall)
+        z[self.first + self.system.dampers + j] = speed
+
+    def impact(self, z: MutableSequence[Any] | Array, j: int, wall: int, restitution: Any) -> bool:
+        """Let a damper hit a wall by Newton's law; returns whether it rests there."""
+        body, speed = self.system.coordinates + self.rows[j], self.first + self.system.dampers + j
+        closing, row = z[speed] - z[body], self.rows[j]
+        z[body] += (
+            (1 + restitution) * closing * self.damper_mass[j] / (self.mass[row, row] + self.damper_mass[j])
+        )
+        self.separate(z, j, wall, z[body] - restitution * closing)
+        return not restitution
+
+
+def solve(matrix: NDArray[Any], right: NDArray[Any]) -> NDArray[Any]:
+    """Solve linear equations; Gauss and Jordan's elimination where numbers are no floats.
+
+    >>> solve(np.array([[0, 2], [4, 2]], dtype=object), np.array([[6], [10]], dtype=object)).tolist()
+    [[1.0], [3.0]]
+    """
+    if matrix.dtype != object:
+        return np.linalg.solve(matrix, right)
+    rows, count = np.hstack([matrix, right]), len(matrix)
+    for i in range(count):
+        pivot = i + int(np.argmax(np.abs(rows[i:, i])))
+        rows[[i, pivot]] = rows[[pivot, i]]
+        rows[i] = rows[i] / rows[i, i]
+        for r in range(count):
+            if r != i and rows[r, i]:
+                rows[r] = rows[r] - rows[r, i] * rows[i]
+    return rows[:, count:]

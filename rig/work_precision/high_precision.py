@@ -1,37 +1,52 @@
-"""A motion to forty digits: what the engine's and every other method's error is measured against.
+"""Motions and periodic orbits to forty digits: the reference for the error of every method.
 
-The list of events comes from the engine; each event is found again here as the root of its own guard, in decimal
-arithmetic of any precision, and the flow between events is summed as a Taylor series. Only the compiled system is
-shared with the engine. Two runs at different precision say how many digits are right.
+The order of the events comes from the engine. Each event is located again as the root of its own guard, in decimal
+arithmetic of any precision, and the flow between events is a Taylor series. Only the compiled system is shared with
+the engine. The difference between two precisions shows how many digits are correct. An orbit is closed in all
+digits by Newton's iteration from the start that shooting has computed.
 """
 
 from __future__ import annotations
 
 import decimal
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
+from operator import add, itemgetter, mul
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rig.errors import RunError
+from rig.orbits.orbit import Orbit
+from rig.orbits.orbit_equations import FORCELESS, ON_CEILING, RIDES_CEILING
+from rig.scene.scene import Scene
+from rig.scene.shaker import ForceShaker
 from rig.simulation.simulate import Run
+from rig.system.assembly import assemble, spring_force_row
 from rig.system.hybrid_system import HybridSystem
-from rig.system.open_loop_drive import ToneDrive
+from rig.system.open_loop_drive import ToneDrive, level_of, tone_drive
+from rig.work_precision.first_order_form import CEILING, FLIGHT, FLOOR, WALLS, FirstOrderForm, solve
 
-Array = NDArray[np.float64]
-Vector = list[Decimal]
-Rows = list[list[tuple[int, Decimal]]]
+Vector = Any  # Decimals, as a list or an array of objects
+#: Time [s], damper (from 0) and kind.
+Event = tuple[float, int, str]
 
 PI = Decimal("3.14159265358979323846264338327950288419716939937510582097494459")
 #: Digits of the reference, and of the run that checks it.
 DIGITS, CHECK_DIGITS = 40, 30
-#: Rate times step up to which the series loses no digits worth mentioning.
+#: Rate times step up to which the Taylor series loses a negligible number of digits.
 REACH = 3.0
-#: Overlap up to which a bed whose contact lasts has only just touched a wall, m; a float64 leaves 1e-18.
+#: Overlap up to which a bed whose contact has a duration has only just touched a wall, m; a float64 leaves 1e-18.
 TOUCHING = 1e-13
-#: Newton's iteration starts within rounding of the engine; this many doublings of the digits are plenty.
+#: Newton's iteration for an event starts within rounding of the engine; eight doublings of the digits are plenty.
 ITERATIONS = 8
+#: Largest difference between an event's time and the engine's, s.
+SAME_EVENT = Decimal("1e-9")
+#: Newton's iteration for an orbit: at most so many iterations, each of which gains the digits of the relative step of
+#: the difference quotients.
+ORBIT_ITERATIONS, ORBIT_STEP = 4, Decimal("1e-14")
 
 
 @dataclass(frozen=True)
@@ -46,6 +61,29 @@ class Exact:
     """Largest difference to the same motion computed with fewer digits, relative to the motion."""
 
 
+@dataclass(frozen=True)
+class ExactOrbit:
+    """A steady response known far beyond float64."""
+
+    real: NDArray[np.object_]
+    imag: NDArray[np.object_]
+    """Compliance, m/N; Decimal, shape (bodies,)."""
+    residual: float
+    """Difference between start and end of the orbit, relative to the motion."""
+    agreement: float
+    """Difference to the compliance computed with fewer digits, relative."""
+
+    def miss(self, compliance: NDArray[np.complex128]) -> float:
+        """Largest error of a compliance, relative to the largest of all bodies."""
+        # Decimals less doubles: the subtraction must not round the reference.
+        exact = np.vectorize(Decimal, otypes=[object])
+        off = np.hypot(
+            (exact(compliance.real) - self.real).astype(float),
+            (exact(compliance.imag) - self.imag).astype(float),
+        )
+        return float(off.max() / np.hypot(self.real.astype(float), self.imag.astype(float)).max())
+
+
 def exact_motion(system: HybridSystem, tone: ToneDrive, run: Run, samples_per_period: int) -> Exact:
     """Repeat a run under a tone to forty digits.
 
@@ -57,276 +95,272 @@ def exact_motion(system: HybridSystem, tone: ToneDrive, run: Run, samples_per_pe
     Raises
     ------
     RunError
-        If an event of the run is no event of the motion.
+        If an event of the run is not an event of the motion.
     """
-    coarse, _ = DecimalMotion(system, tone, CHECK_DIGITS).follow(run, samples_per_period)
-    fine, fine_times = DecimalMotion(system, tone, DIGITS).follow(run, samples_per_period)
-    scale = np.abs(fine).max()
-    return Exact(fine, fine_times, float(np.abs(coarse - fine).max() / scale))
+    events = _events(run.events, system)
+    resting = [bool(mode) for mode in run.contact[:, -1]]
+
+    def follow(digits: int) -> tuple[NDArray[np.object_], NDArray[np.object_]]:
+        motion = DecimalMotion(system, tone, digits)
+        with decimal.localcontext(motion.context):
+            step = 1 / (samples_per_period * Decimal(tone.frequency))
+            motion.follow(events, resting, [k * step for k in range(len(run.time))])
+        samples = np.array([z[: len(system.points)] for z in motion.samples], dtype=object)
+        return samples.T, np.array(motion.times, dtype=object)
+
+    coarse, _ = follow(CHECK_DIGITS)
+    fine, times = follow(DIGITS)
+    return Exact(fine, times, float(np.abs(coarse - fine).max() / np.abs(fine).max()))
+
+
+def exact_orbit(scene: Scene, orbit: Orbit) -> ExactOrbit:
+    """Improve a periodic orbit to forty digits.
+
+    Parameters
+    ----------
+    scene : Scene
+        With the force itself on its body where the test holds a force
+        (`rig.system.open_loop_drive.with_ideal_force`).
+
+    Raises
+    ------
+    RunError
+        If Newton's iteration does not converge in decimal arithmetic.
+    """
+    coarse, fine = _ClosedOrbit(scene, orbit, CHECK_DIGITS), _ClosedOrbit(scene, orbit, DIGITS)
+    start, _ = coarse.close(coarse.start())
+    rough = coarse.compliance(start)
+    start, residual = fine.close(start)
+    real, imag = fine.compliance(start)
+    off = np.hypot((real - rough[0]).astype(float), (imag - rough[1]).astype(float)).max()
+    size = np.hypot(real.astype(float), imag.astype(float)).max()
+    return ExactOrbit(real, imag, residual, float(off / size))
+
+
+def _events(events: Any, system: HybridSystem) -> list[Event]:
+    number = {int(k): j for j, k in enumerate(system.damper_number)}
+    return [(float(e["time"]), number[int(e["damper"])], str(e["kind"])) for e in events]
 
 
 class DecimalMotion:
-    """The system in decimal arithmetic: state (q, q', further, cos, sin, 1), and dampers on ballistic paths."""
+    """Motion of a system in decimal arithmetic along known events.
 
-    def __init__(self, system: HybridSystem, tone: ToneDrive, digits: int) -> None:
-        self.context = decimal.Context(prec=digits)
-        self.system, self.tone = system, tone
-        self.smallest = Decimal(10) ** (-digits - 5)
+    Attributes
+    ----------
+    z : list of Decimal
+        Present state, as of `FirstOrderForm`.
+    mode : list of int
+        Wall of each damper.
+    now : Decimal
+        s.
+    samples : list
+        States at the sample times; `times`: those of the events, s.
+    """
+
+    def __init__(self, system: HybridSystem, tone: ToneDrive, digits: int, integrals: bool = False) -> None:
+        self.system, self.context = system, decimal.Context(prec=digits)
+        self._smallest = Decimal(10) ** (-digits - 5)
+        self._fastest = max(system.fastest, tone.omega)
         with decimal.localcontext(self.context):
-            self.omega = 2 * PI * Decimal(tone.frequency)
-            self.gravity = Decimal(system.gravity)
-        self.flows: dict[int, Rows] = {}
-        # The wall that each bed whose contact lasts is at, or was at last.
-        self.walls = ["floor"] * system.dampers
+            self.form = FirstOrderForm(system, tone, 0, Decimal, PI, integrals)
+        self._flows: dict[tuple[int, ...], tuple[NDArray[Any], list[Any]]] = {}
+        self.begin(self.form.start, [FLOOR] * system.dampers)
 
-    def follow(self, run: Run, per_period: int) -> tuple[NDArray[np.object_], NDArray[np.object_]]:
-        """Displacements of the points at the samples, and times of the events."""
-        with decimal.localcontext(self.context):
-            return self._follow(run, per_period)
+    def begin(self, z: Vector, mode: Sequence[int]) -> None:
+        """Start at time 0."""
+        self.z, self.mode, self.now = list(z), list(mode), Decimal(0)
+        self.samples: list[Vector] = []
+        self.times: list[Decimal] = []
 
-    def _follow(self, run: Run, per_period: int) -> tuple[NDArray[np.object_], NDArray[np.object_]]:
-        system, n = self.system, self.system.coordinates
-        state = [Decimal(float(value)) for value in self.tone.state] + [Decimal(1), Decimal(0), Decimal(1)]
-        number = {int(k): j for j, k in enumerate(system.damper_number)}
-        events = [(float(e["time"]), number[int(e["damper"])], str(e["kind"])) for e in run.events]
-        wall = ["floor"] * system.dampers
-        flight: dict[int, tuple[Decimal, Decimal]] = {}
-        now, taken, out, times = Decimal(0), 0, [], []
-        sample_times = [
-            Decimal(k) / (per_period * Decimal(self.tone.frequency)) for k in range(len(run.time))
-        ]
-        rebounds = self.rebounds(events, [bool(mode) for mode in run.contact[:, -1]])
-        last_guess = -1.0
-        for (guess, j, kind), restitution in zip(
-            [*events, (float("inf"), -1, "end")], [*rebounds, Decimal(0)], strict=True
-        ):
-            while taken < len(sample_times) and float(sample_times[taken]) < guess:
-                state, flight = self.carry(state, flight, sample_times[taken] - now)
-                now = sample_times[taken]
-                out.append(state[: len(system.points)])
-                taken += 1
-            if j < 0:
-                break
-            if system.lasting[j]:
-                state, flight, now = self.to_change(state, flight, now, Decimal(guess), j, kind)
-                last_guess = guess
-                times.append(now)
-                continue
-            # Separations that an impact or the start brings about have no root of their own.
-            forced = kind == "separation" and (guess == last_guess or guess == 0.0)
-            if not forced:
-                state, flight, now = self.to_event(state, flight, now, Decimal(guess), j, kind, wall[j])
-            last_guess = guess
-            times.append(now)
-            if kind == "separation":
-                flight[j] = (state[self.row(j)] + self.lift(j, wall[j]), state[n + self.row(j)])
-            else:
-                self.collide(state, flight, j, kind, restitution)
-                if j not in flight:
-                    wall[j] = kind
-        return np.array(out, dtype=object).T, np.array(times, dtype=object)
-
-    def row(self, j: int) -> int:
-        """Coordinate that damper j (from 0) sits in."""
-        return int(self.system.damper_coordinate[j])
-
-    def lift(self, j: int, wall: str) -> Decimal:
-        """Height of a wall above the floor, m."""
-        return Decimal(float(self.system.clearance[j])) if wall == "ceiling" else Decimal(0)
-
-    def rebounds(self, events: list[tuple[float, int, str]], riding: list[bool]) -> list[Decimal]:
-        """Restitution of each event: none in the impact that ends a sequence of bounces with the damper riding.
-
-        Parameters
-        ----------
-        events : list of tuple
-            Time, damper (from 0), kind.
-        riding : list of bool
-            Whether each damper rides after the last of them.
-        """
-        after = dict(enumerate(riding))
-        found: list[Decimal] = []
-        for _, j, kind in reversed(events):
-            found.append(Decimal(0) if after[j] else Decimal(float(self.system.restitution[j])))
-            after[j] = kind == "separation"
-        return found[::-1]
-
-    def collide(
-        self,
-        state: Vector,
-        flight: dict[int, tuple[Decimal, Decimal]],
-        j: int,
-        kind: str,
-        restitution: Decimal,
+    def follow(
+        self, events: Sequence[Event], resting: Sequence[bool], samples: Iterable[Decimal] = ()
     ) -> None:
-        """Newton's impact law at one damper; with restitution it flies on."""
-        n, row = self.system.coordinates, self.row(j)
-        _, speed = flight.pop(j)
-        closing = speed - state[n + row]
-        own, bed = Decimal(float(self.system.mass[row, row])), Decimal(float(self.system.damper_mass[j]))
-        state[n + row] += (1 + restitution) * closing * bed / (own + bed)
-        if restitution:
-            flight[j] = (state[row] + self.lift(j, kind), state[n + row] - restitution * closing)
+        """Follow the events; `resting` says which dampers rest on a wall after the last of them.
 
-    def to_event(
-        self, state: Vector, flight: dict[int, tuple[Decimal, Decimal]], now: Decimal, guess: Decimal, j: int,
-        kind: str, wall: str,
-    ) -> tuple[Vector, dict[int, tuple[Decimal, Decimal]], Decimal]:  # fmt: skip
-        """Carry everything to the root of the event's guard near `guess`."""
-        state, flight = self.carry(state, flight, guess - now)
-        now = guess
+        Raises
+        ------
+        RunError
+            If an event is not an event of the motion.
+        """
+        ahead, last = list(samples)[::-1], -1.0
+        with decimal.localcontext(self.context):
+            rebounds = self._rebounds(events, resting)
+            for (guess, j, kind), restitution in zip(events, rebounds, strict=True):
+                self._sample(ahead, guess)
+                if self.system.lasting[j]:
+                    self._to_contact_change(Decimal(guess), j, kind)
+                else:
+                    self._to_event(guess, j, kind, restitution, last)
+                self.times.append(self.now)
+                last = guess
+            self._sample(ahead, float("inf"))
+
+    def _sample(self, ahead: list[Decimal], until: float) -> None:
+        while ahead and float(ahead[-1]) < until:
+            self.carry(ahead.pop())
+            self.samples.append(self.z)
+
+    def _rebounds(self, events: Sequence[Event], resting: Sequence[bool]) -> Vector:
+        """Restitution of each event: 0 in the impact that ends a sequence of bounces with the damper at rest."""
+        after = dict(enumerate(resting))
+        rebounds: Vector = []
+        for _, j, kind in reversed(events):
+            rebounds.append(Decimal(0) if after[j] else Decimal(float(self.system.restitution[j])))
+            after[j] = kind == "separation"
+        return rebounds[::-1]
+
+    def _to_event(self, guess: float, j: int, kind: str, restitution: Decimal, last: float) -> None:
+        form, wall = self.form, WALLS.index(kind)
+        if wall == FLIGHT:
+            # Separations that an impact or the start brings about have no root of their own.
+            if guess not in (last, 0.0):
+                matrix, _ = self._flow()
+                self._to_root(Decimal(guess), form.pressing(j, self.mode[j], matrix), j, kind)
+            form.separate(self.z, j, self.mode[j], self.z[self.system.coordinates + form.rows[j]])
+            self.mode[j] = FLIGHT
+            return
+        self._to_root(Decimal(guess), form.gap(j, wall), j, kind)
+        self.z = list(self.z)
+        self.mode[j] = wall if form.impact(self.z, j, wall, restitution) else FLIGHT
+
+    def _to_contact_change(self, guess: Decimal, j: int, kind: str) -> None:
+        """Go to a touch or release near `guess` of a bed whose contact has a duration, and change the contact."""
+        matrix, _ = self._flow()
+        if kind != "touch":
+            self._to_root(guess, self.form.pressing(j, self.mode[j], matrix), j, kind)
+            self.mode[j] = FLIGHT
+            return
+        self.carry(guess)
+        gap = float(self.z[int(self.system.bed[j])])
+        wall = CEILING if gap > 0.5 * float(self.system.clearance[j]) else FLOOR
+        distance = self.form.gap(j, wall)
+        # A bed that has not left the wall is pressed again where the force, not the gap, is zero.
+        apart = float(np.dot(distance, self.z)) > -TOUCHING
+        self._to_root(guess, distance if apart else self.form.pressing(j, wall, matrix), j, kind)
+        self.mode[j] = wall
+
+    def _to_root(self, guess: Decimal, guard: NDArray[Any], j: int, kind: str) -> None:
+        """Go to the root of a guard, a row over the state, near `guess`."""
+        self.carry(guess)
+        matrix, _ = self._flow()
+        slope = guard @ matrix
         for _ in range(ITERATIONS):
-            value, slope = self._guard(state, flight, j, kind)
-            if slope == 0:
+            rate = np.dot(slope, self.z)
+            if rate == 0:
                 break
-            step = -value / slope
-            state, flight = self.carry(state, flight, step)
-            now += step
-            if abs(step) < self.smallest * 10**4:
+            step = -np.dot(guard, self.z) / rate
+            self.carry(self.now + step)
+            if abs(step) < self._smallest * 10**4:
                 break
-        if abs(now - guess) > Decimal("1e-9"):
+        if abs(self.now - guess) > SAME_EVENT:
             raise RunError(
                 f"event {kind} of damper {j + 1} at {guess:.9f} s is not found again; report the scene"
             )
-        return state, flight, now
 
-    def to_change(
-        self, state: Vector, flight: dict[int, tuple[Decimal, Decimal]], now: Decimal, guess: Decimal, j: int,
-        kind: str,
-    ) -> tuple[Vector, dict[int, tuple[Decimal, Decimal]], Decimal]:  # fmt: skip
-        """Carry everything to a touch or release near `guess` of a bed whose contact lasts, and change the contact.
-
-        An open contact counts as a flight, whose height and speed mean nothing: the gap is part of the state.
-        """
-        zero = "release"
-        if kind == "touch":
-            clearance = float(self.system.clearance[j])
-            gap = float(self.carry(state, flight, guess - now)[0][int(self.system.bed[j])])
-            self.walls[j] = "ceiling" if gap > 0.5 * clearance else "floor"
-            overlap = gap - clearance if self.walls[j] == "ceiling" else -gap
-            # A bed that has not left the wall is pressed again where the force, not the gap, is zero.
-            zero = "touch" if overlap < TOUCHING else "release"
-        state, flight, now = self.to_event(state, flight, now, guess, j, zero, self.walls[j])
-        if kind == "touch":
-            del flight[j]
-        else:
-            flight[j] = (Decimal(0), Decimal(0))
-        return state, flight, now
-
-    def wall(self, j: int) -> tuple[Decimal, Decimal, Decimal]:
-        """Stiffness, damping and height of the wall that a bed whose contact lasts is at."""
-        side = int(self.walls[j] == "ceiling")
-        stiffness, damping = self.system.wall_stiffness[j, side], self.system.wall_damping[j, side]
-        return Decimal(float(stiffness)), Decimal(float(damping)), self.lift(j, self.walls[j])
-
-    def _guard(
-        self, state: Vector, flight: dict[int, tuple[Decimal, Decimal]], j: int, kind: str
-    ) -> tuple[Decimal, Decimal]:
-        """Guard of an event and its rate of change."""
-        n, row = self.system.coordinates, self.row(j)
-        if self.system.lasting[j]:
-            bed = int(self.system.bed[j])
-            stiffness, damping, height = self.wall(j)
-            if kind == "touch":
-                stiffness, damping = Decimal(1), Decimal(0)
-            bend = self._rates(self._flow(flight), state)[n + bed]
-            value = stiffness * (state[bed] - height) + damping * state[n + bed]
-            return value, stiffness * state[n + bed] + damping * bend
-        if kind == "separation":
-            flow = self._flow(flight)
-            rate = self._rates(flow, state)
-            return rate[n + row] + self.gravity, self._rates(flow, rate)[n + row]
-        height, speed = flight[j]
-        return height - state[row] - self.lift(j, kind), speed - state[n + row]
-
-    def carry(
-        self, state: Vector, flight: dict[int, tuple[Decimal, Decimal]], duration: Decimal
-    ) -> tuple[Vector, dict[int, tuple[Decimal, Decimal]]]:
-        """Everything a time later, no contact changing."""
-        flow = self._flow(flight)
-        fastest = max(self.system.fastest, self.tone.omega)
-        steps = max(1, int(np.ceil(abs(float(duration)) * fastest / REACH)))
+    def carry(self, until: Decimal) -> None:
+        """Go to a time, earlier or later, while no contact changes."""
+        duration, z = until - self.now, self.z
+        _, flow = self._flow()
+        steps = max(1, int(np.ceil(abs(float(duration)) * self._fastest / REACH)))
         for _ in range(steps):
-            term, order = state, 0
-            while True:
+            term, order = z, 0
+            while order == 0 or max(map(abs, term)) >= self._smallest:
                 order += 1
                 part = duration / (steps * order)
-                term = [part * value for value in self._rates(flow, term)]
-                state = [value + change for value, change in zip(state, term, strict=True)]
-                if max(map(abs, term)) < self.smallest:
+                term = [part * sum(map(mul, values, pick(term)), Decimal(0)) for values, pick in flow]
+                z = list(map(add, z, term))
+        self.z, self.now = list(z), until
+
+    def _flow(self) -> tuple[NDArray[Any], list[tuple[Vector, Callable[[Vector], Vector]]]]:
+        """Matrix of the present mode, also as sparse rows: values, and a function that picks their states."""
+        mode = tuple(self.mode)
+        if mode not in self._flows:
+            matrix = self.form.matrix(mode)
+            rows = []
+            for row in matrix:
+                # Two elements at least, as `itemgetter` gives no tuple for one.
+                places = [k for k, value in enumerate(row) if value]
+                places += [0] * (2 - len(places))
+                rows.append(([row[k] if row[k] else Decimal(0) for k in places], itemgetter(*places)))
+                if places[-1] == places[-2]:
+                    rows[-1][0][-1] = Decimal(0)
+            self._flows[mode] = matrix, rows
+        return self._flows[mode]
+
+
+class _ClosedOrbit:
+    """A periodic orbit in decimal arithmetic of some digits."""
+
+    def __init__(self, scene: Scene, orbit: Orbit, digits: int) -> None:
+        self._scene, self._orbit, self._system = scene, orbit, assemble(scene)
+        tone = tone_drive(scene, self._system, orbit.frequency)
+        assert tone is not None
+        self._motion = DecimalMotion(self._system, tone, digits, integrals=True)
+        self._events = _events(orbit.events, self._system)
+        self._flying = orbit.plan.flying.tolist()
+        self._mode = [
+            FLIGHT if j in self._flying or wall == FORCELESS
+            else CEILING if wall in (RIDES_CEILING, ON_CEILING) else FLOOR
+            for j, wall in enumerate(orbit.plan.sequence.wall[0])
+        ]  # fmt: skip
+        height = self._motion.form.first
+        self._free = list(range(self._system.states))
+        self._free += [k for j in self._flying for k in (height + j, height + self._system.dampers + j)]
+        with decimal.localcontext(self._motion.context):
+            self._end = Decimal(orbit.repetition) / Decimal(orbit.frequency)
+
+    def start(self) -> Vector:
+        """Unknowns as shooting found them: states, then height and speed of each damper in flight."""
+        return [Decimal(float(value)) for value in self._orbit.unknowns[: len(self._free)]]
+
+    def close(self, start: Vector) -> tuple[Vector, float]:
+        """Newton's iteration from a start nearby; returns the start and the residual relative to the motion."""
+        digits = self._motion.context.prec
+        with decimal.localcontext(self._motion.context):
+            largest = max(map(abs, start))
+            scale = np.array([max(abs(value), largest * Decimal("1e-6")) for value in start])
+            values, jacobian, residual = np.array(start), None, np.inf
+            for _ in range(ORBIT_ITERATIONS):
+                miss = self._miss(values)
+                now = float(np.max(np.abs(miss / scale)))
+                # The last digits of the precision are rounding.
+                if now < 10.0 ** (5 - digits) or now > 0.1 * residual:
+                    residual = min(now, residual)
                     break
-        fall = self.gravity * duration
-        moved = {j: (y + duration * (v - fall / 2), v - fall) for j, (y, v) in flight.items()}
-        return state, moved
+                residual = now
+                if jacobian is None:
+                    steps = ORBIT_STEP * scale
+                    moved = [self._miss(values + step) for step in np.diag(steps)]
+                    jacobian = ((np.array(moved) - miss) / steps[:, None]).T
+                values = values - solve(jacobian, miss[:, None])[:, 0]
+            if residual > 10.0 ** (12 - digits):
+                raise RunError(f"the orbit in decimal arithmetic still misses its start by {residual:.0e}")
+            return list(values), residual
 
-    @staticmethod
-    def _rates(flow: Rows, state: Vector) -> Vector:
-        return [sum((value * state[k] for k, value in row), Decimal(0)) for row in flow]
+    def _miss(self, start: NDArray[Any]) -> NDArray[Any]:
+        end = self._follow(start)
+        return np.array([end[k] for k in self._free]) - start
 
-    def _flow(self, flight: dict[int, tuple[Decimal, Decimal]]) -> Rows:
-        """Sparse rows of the generator while the dampers not in flight ride, or their contacts are closed."""
-        closed = [j for j in range(self.system.dampers) if j not in flight]
-        riding = sum(1 << j for j in closed)
-        for j in closed:
-            if self.system.lasting[j] and self.walls[j] == "ceiling":
-                riding |= 1 << self.system.dampers + j
-        if riding not in self.flows:
-            self.flows[riding] = self._make_flow(riding)
-        return self.flows[riding]
+    def _follow(self, start: Iterable[Decimal]) -> Vector:
+        motion = self._motion
+        z = list(motion.form.start)
+        for k, value in zip(self._free, start, strict=True):
+            z[k] = value
+        motion.begin(z, self._mode)
+        motion.follow(self._events, [j not in self._flying for j in range(self._system.dampers)])
+        motion.carry(self._end)
+        return motion.z
 
-    def _make_flow(self, riding: int) -> Rows:
-        system, n, ns = self.system, self.system.coordinates, self.system.states
-        drive = np.column_stack([self.tone.amplitudes.real, -self.tone.amplitudes.imag])
-        exact = np.vectorize(lambda value: Decimal(float(value)), otypes=[object])
-        force = np.hstack(
-            [
-                exact(system.force_state),
-                exact(system.force_drive) @ exact(drive),
-                exact(system.force_constant)[:, None],
-            ]
-        )
-        rate = np.hstack(
-            [
-                exact(system.rate_state),
-                exact(system.rate_drive) @ exact(drive),
-                exact(np.zeros((ns - 2 * n, 1))),
-            ]
-        )
-        mass = exact(system.mass)
-        for j in range(system.dampers):
-            if riding >> j & 1 and system.lasting[j]:
-                gap = int(system.bed[j])
-                stiffness, damping, height = self.wall(j)
-                force[gap, gap] -= stiffness
-                force[gap, n + gap] -= damping
-                force[gap, -1] += stiffness * height
-            elif riding >> j & 1:
-                bed = Decimal(float(system.damper_mass[j]))
-                mass[self.row(j), self.row(j)] += bed
-                force[self.row(j), -1] -= bed * self.gravity
-        acceleration = _solve(mass, force)
-        matrix = exact(np.zeros((ns + 3, ns + 3)))
-        for i in range(n):
-            matrix[i, n + i] = Decimal(1)
-        matrix[n : 2 * n] = acceleration
-        matrix[2 * n : ns] = rate
-        matrix[ns, ns + 1], matrix[ns + 1, ns] = -self.omega, self.omega
-        return [[(k, value) for k, value in enumerate(row) if value] for row in matrix]
-
-
-def _solve(mass: NDArray[np.object_], right: NDArray[np.object_]) -> NDArray[np.object_]:
-    """Gaussian elimination for a positive definite matrix of decimals."""
-    mass, right = mass.copy(), right.copy()
-    count = len(mass)
-    for i in range(count):
-        for r in range(i + 1, count):
-            if mass[r, i]:
-                factor = mass[r, i] / mass[i, i]
-                mass[r, i:] -= factor * mass[i, i:]
-                right[r] -= factor * right[i]
-    for i in range(count - 1, -1, -1):
-        for k in range(i + 1, count):
-            if mass[i, k]:
-                right[i] = right[i] - mass[i, k] * right[k]
-        right[i] = right[i] / mass[i, i]
-    return right
+    def compliance(self, start: Vector) -> tuple[NDArray[Any], NDArray[Any]]:
+        """First harmonics of the bodies over that of the force, real and imaginary part."""
+        with decimal.localcontext(self._motion.context):
+            n, bodies = self._system.coordinates, self._scene.structure.bodies
+            end, first = self._follow(start), self._motion.form.one + 3
+            real, imag = (2 * np.array(end[k : k + n]) / self._end for k in (first, first + n))
+            if isinstance(self._scene.driven_shaker, ForceShaker):
+                c, d = Decimal(0), Decimal(-level_of(self._scene))
+            else:
+                row = np.array([Decimal(float(k)) for k in spring_force_row(self._scene, self._system)[:n]])
+                c, d = np.dot(row, real), np.dot(row, imag)
+            a, b, size = real[:bodies], imag[:bodies], c * c + d * d
+            return (a * c + b * d) / size, (b * c - a * d) / size

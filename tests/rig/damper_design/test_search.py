@@ -46,7 +46,7 @@ class Flat(Question):
         )
 
 
-def test_given_a_worst_level_that_any_clearance_suits_when_searched_then_the_other_level_decides() -> None:
+def test_second_level_decides_where_worst_is_indifferent() -> None:
     question = Flat((rig.load("fig9"),), (1.0, 2.0), (40.0, 60.0), (1,))
     answers = Answers(Shuffled(0), None, None, 1)  # type: ignore[arg-type]
     best, _ = search(question, Space(((1,),), 0.1, (1e-4, 1e-2)), answers)
@@ -63,7 +63,7 @@ class Lone(Question):
         return Peak(float(1.0 + min(away, default=9.0)), 10.0, max(self.levels), 1, 1.0, 0.0)
 
 
-def test_given_two_dampers_of_which_one_does_as_well_when_searched_then_the_one_is_named() -> None:
+def test_equal_single_damper_is_named() -> None:
     question = Lone((rig.load("fig9"),), (1.0,), (40.0, 60.0), (1,))
     answers = Answers(Shuffled(0), None, None, 1)  # type: ignore[arg-type]
     best, _ = search(question, Space(((1, 2),), 0.1, (1e-4, 1e-2)), answers)
@@ -71,7 +71,7 @@ def test_given_two_dampers_of_which_one_does_as_well_when_searched_then_the_one_
     assert best.choice.clearances[0] == pytest.approx(1e-3, rel=0.5)
 
 
-def test_search_finds_the_best_number_of_dampers_for_each_mass() -> None:
+def test_search_finds_the_best_number_of_dampers() -> None:
     question = Lone((rig.load("fig9"),), (1.0,), (40.0, 60.0), (1,))
     answers = Answers(Shuffled(0), None, None, 1)  # type: ignore[arg-type]
     _, trials = search(question, Space(Space.places_of((1, 2), 2), 0.1, (1e-4, 1e-2)), answers)
@@ -80,7 +80,7 @@ def test_search_finds_the_best_number_of_dampers_for_each_mass() -> None:
         assert row.peak.size <= 1.005 * question.worst(alone).size
 
 
-def test_dampers_without_a_ceiling_are_tried_for_each_mass() -> None:
+def test_dampers_without_a_ceiling_are_tried() -> None:
     question = Tall((rig.load("fig9"),), (1.0,), (40.0, 60.0), (1,))
     answers = Answers(Shuffled(0), None, None, 1)  # type: ignore[arg-type]
     best, trials = search(question, Space(((1,),), 0.1, (1e-4, 1e-2)), answers)
@@ -114,9 +114,7 @@ class Shuffled:
 
 
 @pytest.mark.parametrize(("dampers", "seed", "until"), [(1, 1, 30), (1, 2, 120), (2, 3, 300)])
-def test_given_workers_that_answer_in_any_order_and_are_killed_when_searched_on_then_all_is_as_in_order(
-    dampers: int, seed: int, until: int, tmp_path: Path
-) -> None:
+def test_killed_search_continues_in_order(dampers: int, seed: int, until: int, tmp_path: Path) -> None:
     question = Bowl((rig.load("fig9"),), (1.0, 2.0), (40.0, 60.0), (1,))
     space = Space(Space.places_of((1, 2, 3), dampers), 0.1, (1e-4, 1e-2))
 
@@ -134,7 +132,7 @@ def test_given_workers_that_answer_in_any_order_and_are_killed_when_searched_on_
     assert other.read_bytes() == one.read_bytes()
 
 
-def test_given_the_table_of_a_larger_budget_when_searched_then_no_choice_of_it_is_above_the_smaller_one(
+def test_larger_budget_table_respects_the_smaller(
     tmp_path: Path,
 ) -> None:
     question = Bowl((rig.load("fig9"),), (1.0, 2.0), (40.0, 60.0), (1,))
@@ -150,9 +148,7 @@ def test_given_the_table_of_a_larger_budget_when_searched_then_no_choice_of_it_i
     start=st.integers(0, 9),
     step=st.floats(0.1, 0.9),
 )
-def test_given_any_place_when_tried_then_clearances_are_allowed_and_no_two_of_a_body_are_equal(
-    place: tuple[int, ...], start: int, step: float
-) -> None:
+def test_tried_clearances_are_allowed_and_distinct(place: tuple[int, ...], start: int, step: float) -> None:
     def seen(choice: Choice) -> float:
         assert min(choice.clearances) >= 1e-4 and max(choice.clearances) <= 1e-2 * (1 + 1e-12)
         each = [*zip(choice.bodies, choice.clearances, strict=True)]

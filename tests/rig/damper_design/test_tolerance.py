@@ -116,7 +116,7 @@ def test_modes_inside_and_outside_the_band_are_listed() -> None:
         assert mode.damped[0].size == pytest.approx(mode.bare.size, rel=1e-3)
 
 
-def test_height_of_flight_is_that_of_the_simulated_motion() -> None:
+def test_flight_height_equals_the_simulated_motion() -> None:
     question, _ = asked(rig.load("fig9"), None, [2], 1, None, [0.25], (47.0, 52.0), None, (0.0, 0.0))
     choice = Choice((2,), (0.04,), (np.inf,))
     trial = Trial(choice, (question.worst(choice),))
@@ -129,7 +129,7 @@ def test_height_of_flight_is_that_of_the_simulated_motion() -> None:
     assert 0.9 * run.gap[0, -640:].max() < found.height < 5.0 * run.gap[0, -640:].max()
 
 
-def test_levels_too_weak_for_flight_are_named_with_better_ones() -> None:
+def test_levels_too_weak_for_flight_are_named() -> None:
     bare = Peak(1e-4, 62.0, 0.5, 2, 1.0, 0.0)
     peaks = tuple(Peak(size, 61.0, level, 2, 1.0, 0.0) for size, level in ((1.01e-4, 0.5), (5e-5, 4.0)))
     trial = Trial(Choice((1,), (0.1,), (1e-3,)), peaks)
@@ -142,7 +142,7 @@ def test_levels_too_weak_for_flight_are_named_with_better_ones() -> None:
     assert not shortfall(Trial(trial.choice, peaks[1:]), bare, Flight(0.8, 1, np.nan), charted, [])
 
 
-def test_mass_that_never_flies_is_no_damper_that_serves() -> None:
+def test_mass_that_never_flies_is_rejected() -> None:
     # At rest it detunes the structure by a little, which is no work of a damper.
     trial = Trial(Choice((1,), (0.3,), (np.inf,)), (Peak(0.9e-4, 61.0, 1.0, 2, 1.0, 0.0),))
     assert idle_levels(trial, Peak(1e-4, 62.0, 1.0, 2, 1.0, 0.0), Flight(1.2, 1, 0.0)) == [1.0]

@@ -22,9 +22,7 @@ Array = NDArray[np.float64]
 
 @pytest.mark.parametrize("restitution", [0.2, 0.5, 0.9])
 @pytest.mark.parametrize("speed", [0.07, 0.6])
-def test_given_one_grain_when_it_meets_the_floor_then_it_rebounds_as_fast_as_its_restitution_says(
-    restitution: float, speed: float
-) -> None:
+def test_grain_rebounds_with_its_restitution(restitution: float, speed: float) -> None:
     lead = Grains(diameter=2e-3, restitution=restitution)
     spheres = Spheres(lead, 4.75e-5, np.inf, 1, 1)
     bed = Bed(spheres, np.array([[0.0, 0.0, 1.13e-3]]), np.inf, 0.0, spheres.longest_step())
@@ -65,7 +63,7 @@ def thrown(grains: Grains, count: int, speed: float) -> tuple[Bed, Array]:
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_given_a_grain_of_any_stuff_when_it_meets_the_floor_then_it_rebounds_as_its_restitution_says(
+def test_any_grain_material_rebounds_with_its_restitution(
     seed: int,
 ) -> None:
     grains, speed = drawn(seed)
@@ -78,7 +76,7 @@ def test_given_a_grain_of_any_stuff_when_it_meets_the_floor_then_it_rebounds_as_
 
 
 @pytest.mark.parametrize("seed", range(10, 20))
-def test_given_a_grain_of_any_stuff_when_it_meets_another_then_they_part_as_their_restitution_says(
+def test_grains_part_with_their_restitution(
     seed: int,
 ) -> None:
     grains, speed = drawn(seed)
@@ -99,7 +97,7 @@ def test_given_a_grain_of_any_stuff_when_it_meets_another_then_they_part_as_thei
     assert parting == pytest.approx(grains.restitution * closing, rel=0.01)
 
 
-def test_given_a_settled_bed_then_its_weight_is_on_the_floor_and_its_packing_is_kept() -> None:
+def test_settled_bed_rests_and_its_packing_is_kept() -> None:
     spheres = spheres_of(with_grains(grains={"spread": "10 %"}))[0]
     positions = settled(spheres)
 
@@ -113,9 +111,7 @@ def test_given_a_settled_bed_then_its_weight_is_on_the_floor_and_its_packing_is_
 
 
 @pytest.mark.parametrize(("count", "cavity", "seed"), [(150, 20.5e-3, 2), (120, 9e-3, 1), (120, 9e-3, 2)])
-def test_given_a_bed_of_layers_when_packed_then_it_ends_and_rests_from_the_first_step_on(
-    count: int, cavity: float, seed: int
-) -> None:
+def test_layered_bed_rests_from_the_first_step(count: int, cavity: float, seed: int) -> None:
     lead = Grains(diameter=2e-3, cavity=cavity)
     spheres = Spheres(lead, count * 4.75e-5, np.inf, count, seed)
 
@@ -126,7 +122,7 @@ def test_given_a_bed_of_layers_when_packed_then_it_ends_and_rests_from_the_first
         bed.advance()
 
 
-def test_given_a_bed_that_would_creep_for_ever_when_packed_then_it_ends_and_says_what_to_do(
+def test_creeping_bed_ends_with_a_remedy(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(packing, "_AT_REST", (0.0, 0.0))
@@ -137,9 +133,7 @@ def test_given_a_bed_that_would_creep_for_ever_when_packed_then_it_ends_and_says
         settled(spheres)
 
 
-def test_given_a_kept_bed_that_is_damaged_when_it_is_wanted_then_it_is_packed_anew(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_damaged_packing_is_packed_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(packing, "folder", lambda: tmp_path)
     spheres = spheres_of(with_grains(mass="0.1 g", cavity="3 mm"))[0]
     positions = settled(spheres)

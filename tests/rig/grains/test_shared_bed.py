@@ -40,7 +40,7 @@ def program(*lines: str) -> str:
     return "\n".join(["from pathlib import Path", "from rig.grains import packing", kept, *lines])
 
 
-def test_given_two_ranks_when_they_share_a_bed_then_it_moves_as_that_of_one_and_always_alike(
+def test_two_ranks_move_a_bed_alike(
     tmp_path: Path,
 ) -> None:
     file = tmp_path / "seen.npz"
@@ -67,7 +67,7 @@ def test_given_two_ranks_when_they_share_a_bed_then_it_moves_as_that_of_one_and_
     assert np.abs(two["momentum_errors"]).max() < 1e-12
 
 
-def test_given_a_bed_of_two_ranks_when_it_is_kept_and_read_then_both_go_on_with_the_same_bits() -> None:
+def test_read_bed_of_two_ranks_has_same_bits() -> None:
     done = on_two_ranks(
         program(
             "from rig import ranks",
@@ -88,7 +88,7 @@ def test_given_a_bed_of_two_ranks_when_it_is_kept_and_read_then_both_go_on_with_
     assert (done.returncode, done.stdout, done.stderr) == (0, "True True\n", "")
 
 
-def test_given_two_ranks_when_they_run_a_command_then_it_is_done_and_told_once(tmp_path: Path) -> None:
+def test_two_ranks_run_a_command_once(tmp_path: Path) -> None:
     file = tmp_path / "bed.csv"
     scene = tmp_path / "bed.yaml"
     scene.write_text(
@@ -107,7 +107,7 @@ def test_given_two_ranks_when_they_run_a_command_then_it_is_done_and_told_once(t
     assert file.is_file()
 
 
-def test_given_two_processes_that_have_not_joined_when_one_makes_a_bed_then_it_says_what_to_do() -> None:
+def test_processes_that_have_not_joined_are_reported() -> None:
     done = on_two_ranks(
         program(
             "import rig",
@@ -124,7 +124,7 @@ def test_given_two_processes_that_have_not_joined_when_one_makes_a_bed_then_it_s
     assert done.stdout.count("rig.ranks.join()") == 2
 
 
-def test_given_more_ranks_than_cores_when_they_share_a_bed_then_a_warning_says_so() -> None:
+def test_more_ranks_than_cores_are_warned_of() -> None:
     done = on_two_ranks(
         program(
             "import rig.grains.shared_bed as shared_bed",

@@ -25,7 +25,7 @@ def fig9_map() -> rig.MotionMap:
     return rig.map_motion("fig9", values=[0.5, 1.0, 3.3, 10.0], frequencies=np.linspace(47.0, 54.0, 8))
 
 
-def test_given_a_map_when_the_level_lies_below_take_off_then_the_damper_rides_and_above_it_does_not(
+def test_damper_rides_below_take_off(
     fig9_map: rig.MotionMap,
 ) -> None:
     below = fig9_map.value[:, None] < 0.98 * fig9_map.take_off
@@ -35,7 +35,7 @@ def test_given_a_map_when_the_level_lies_below_take_off_then_the_damper_rides_an
     assert (fig9_map.kind[above] != KINDS.index("riding")).all()
 
 
-def test_given_the_paper_scene_when_mapped_then_its_types_follow_each_other_as_the_force_grows(
+def test_types_follow_each_other_with_force(
     fig9_map: rig.MotionMap,
 ) -> None:
     at_resonance = fig9_map.kind[:, int(np.argmin(fig9_map.take_off))]
@@ -43,7 +43,7 @@ def test_given_the_paper_scene_when_mapped_then_its_types_follow_each_other_as_t
     assert {"I", "III"} <= {KINDS[k] for k in at_resonance}
 
 
-def test_given_a_map_when_a_point_is_computed_alone_then_its_motion_is_the_same(
+def test_single_point_equals_its_map(
     fig9_map: rig.MotionMap,
 ) -> None:
     scene = with_ideal_force(rig.load("fig9"))
@@ -53,9 +53,7 @@ def test_given_a_map_when_a_point_is_computed_alone_then_its_motion_is_the_same(
     np.testing.assert_allclose(alone.impacts.sum(axis=0), fig9_map.impacts[-1])
 
 
-def test_given_take_off_when_compared_with_the_receptance_then_that_level_accelerates_the_damper_at_gravity() -> (
-    None
-):
+def test_take_off_accelerates_the_damper_at_gravity() -> None:
     scene = rig.load("fig8-three-dampers")
     frequency = np.array([12.0, 33.3, 47.6])
     response = receptance(scene, frequency, riding=(1, 2, 3))
@@ -68,7 +66,7 @@ def test_given_take_off_when_compared_with_the_receptance_then_that_level_accele
     )
 
 
-def test_given_a_scene_when_rows_are_chosen_then_one_is_its_own_value_and_take_off_lies_inside() -> None:
+def test_rows_include_own_value_and_take_off() -> None:
     scene = rig.load("fig9")
     frequency = columns(scene)
     levels = rows_of(scene, "force", frequency)
@@ -79,7 +77,7 @@ def test_given_a_scene_when_rows_are_chosen_then_one_is_its_own_value_and_take_o
     assert np.allclose(np.diff(np.log(clearances)), np.log(clearances[1] / clearances[0]))
 
 
-def test_given_a_range_when_frequencies_are_chosen_then_they_are_closest_at_the_natural_frequencies() -> None:
+def test_frequencies_cluster_at_natural_frequencies() -> None:
     frequency = columns(rig.load("fig8-three-dampers"))
     assert (frequency[0], frequency[-1], len(frequency)) == (8.0, 60.0, 48)
     assert (np.diff(frequency) > 0.0).all()
@@ -87,7 +85,7 @@ def test_given_a_range_when_frequencies_are_chosen_then_they_are_closest_at_the_
     assert 12.0 < narrowest < 13.5
 
 
-def test_given_a_test_that_drives_the_table_when_mapped_then_the_drive_is_the_axis() -> None:
+def test_table_drive_becomes_the_axis() -> None:
     scene = rig.loads(
         "structure: {masses: [1 kg, 1 kg], springs: [20 kN/m, 20 kN/m], damping: {modal: 1 %}}\n"
         "dampers: [{body: 2, mass_ratio: 10 %, clearance: .inf}]\n"
@@ -101,7 +99,7 @@ def test_given_a_test_that_drives_the_table_when_mapped_then_the_drive_is_the_ax
         rig.map_motion(scene, over="force")
 
 
-def test_given_clearances_when_mapped_then_locked_dampers_keep_theirs() -> None:
+def test_locked_dampers_keep_their_clearance() -> None:
     scene = rig.load("fig5-three-dampers")
     first, *rest = scene.dampers
     scene = scene.replace(dampers=(first.replace(locked=True), *rest))
@@ -110,12 +108,12 @@ def test_given_clearances_when_mapped_then_locked_dampers_keep_theirs() -> None:
     assert vertical_axis(scene, "clearance") == ("clearance", "m")
 
 
-def test_given_a_scene_that_stays_linear_when_mapped_then_the_error_says_so() -> None:
+def test_linear_scene_is_rejected() -> None:
     with pytest.raises(SceneError, match="no damper that moves"):
         rig.map_motion("fig8-no-damper")
 
 
-def test_given_values_that_are_no_range_when_asked_then_the_error_quotes_them() -> None:
+def test_values_outside_a_range_are_quoted() -> None:
     scene = rig.load("fig9")
     with pytest.raises(SceneError, match="50 to 40 Hz"):
         columns(scene, 50.0, 40.0)
@@ -125,7 +123,7 @@ def test_given_values_that_are_no_range_when_asked_then_the_error_quotes_them() 
         rig.map_motion(scene, values=[-1.0], frequencies=[49.0])
 
 
-def test_given_progress_that_is_interrupted_when_mapping_then_the_rows_that_run_stop_too() -> None:
+def test_interrupted_map_stops_its_rows() -> None:
     def interrupt(done: int, total: int) -> None:
         raise KeyboardInterrupt
 
@@ -152,9 +150,7 @@ def test_interrupted_map_goes_on_with_the_rows_kept(tmp_path: Path) -> None:
 
 
 @pytest.mark.thorough
-def test_given_a_map_when_written_then_the_file_has_a_row_for_every_point(
-    fig9_map: rig.MotionMap, tmp_path: Path
-) -> None:
+def test_file_has_a_row_for_every_point(fig9_map: rig.MotionMap, tmp_path: Path) -> None:
     files = write(fig9_map, tmp_path / "new")
     assert [file.suffix for file in files] == [".png", ".svg", ".csv"]
     with files[2].open(encoding="utf-8") as file:
@@ -165,24 +161,20 @@ def test_given_a_map_when_written_then_the_file_has_a_row_for_every_point(
 
 
 @pytest.mark.thorough
-def test_given_a_map_that_took_other_times_when_written_then_the_files_are_the_same(
-    fig9_map: rig.MotionMap, tmp_path: Path
-) -> None:
+def test_times_do_not_change_the_files(fig9_map: rig.MotionMap, tmp_path: Path) -> None:
     slower = replace(fig9_map, cpu=3.0 * fig9_map.cpu)
     for one, other in zip(write(fig9_map, tmp_path / "one"), write(slower, tmp_path / "other"), strict=True):
         assert one.read_bytes() == other.read_bytes()
 
 
 @pytest.mark.thorough
-def test_given_maps_of_a_scene_over_level_and_clearance_when_written_then_neither_takes_the_others_place(
-    fig9_map: rig.MotionMap, tmp_path: Path
-) -> None:
+def test_level_and_clearance_maps_coexist(fig9_map: rig.MotionMap, tmp_path: Path) -> None:
     other = replace(fig9_map, over="clearance", unit="m")
     files = [*write(fig9_map, tmp_path), *write(other, tmp_path)]
     assert len(set(files)) == 6
 
 
-def test_given_a_place_that_is_a_file_when_results_are_to_go_there_then_the_error_comes_before_the_work(
+def test_unusable_place_is_rejected_before_work(
     tmp_path: Path,
 ) -> None:
     taken = tmp_path / "taken"

@@ -20,7 +20,7 @@ def short_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.thorough
-def test_given_a_bed_that_rides_when_its_models_are_studied_then_all_but_soft_contacts_agree(
+def test_all_but_soft_contacts_agree_at_rest(
     tmp_path: Path,
 ) -> None:
     scene = with_grains(test={"kind": "sine", "frequency": 30.0, "force": 0.003})
@@ -38,7 +38,7 @@ def test_given_a_bed_that_rides_when_its_models_are_studied_then_all_but_soft_co
     assert {file.suffix for file in files} == {".png", ".svg", ".csv"}
 
 
-def test_given_steps_as_long_already_when_longer_ones_are_asked_then_there_is_none() -> None:
+def test_already_long_steps_are_left_out() -> None:
     scene = with_grains()
 
     assert models.with_step(scene, 0.05) is None
@@ -47,7 +47,7 @@ def test_given_steps_as_long_already_when_longer_ones_are_asked_then_there_is_no
     assert longer.dampers[0].grains.time_step > scene.dampers[0].grains.time_step
 
 
-def test_given_grains_made_softer_then_only_that_and_the_step_that_goes_with_it_change() -> None:
+def test_softer_grains_change_only_modulus_and_step() -> None:
     scene = with_grains()
 
     softer = models.softened(scene)

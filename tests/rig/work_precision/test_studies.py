@@ -16,13 +16,12 @@ from rig.errors import RunError, SceneError
 from rig.system.assembly import assemble
 from rig.system.open_loop_drive import tone_drive, with_ideal_force
 from rig.system.structural_model import receptance
-from rig.work_precision.adaptive_solvers import BLIND, follow, scipy_leg
+from rig.work_precision.adaptive_solvers import BLIND, follow, penalty, scipy_leg
 from rig.work_precision.compiled_runge_kutta import DormandPrince
 from rig.work_precision.figure import table, write
 from rig.work_precision.first_order_form import PER_PERIOD, FirstOrderForm
-from rig.work_precision.fixed_step_schemes import moreau_jean, penalty_newmark, penalty_runge_kutta
-from rig.work_precision.high_precision import exact_motion
-from rig.work_precision.high_precision_orbit import ExactOrbit, exact_orbit
+from rig.work_precision.high_precision import ExactOrbit, exact_motion, exact_orbit
+from rig.work_precision.moreau_jean import moreau_jean
 from rig.work_precision.motion_study import Point, Study, _compiled, hardest_frequency, motion_study, refused
 from rig.work_precision.steady_study import SteadyStudy, _approximate, steady_study
 from tests.rig.engine.exact import Segment
@@ -47,7 +46,7 @@ def error(outcome: object, exact: np.ndarray) -> float:
     return float(np.abs(outcome.displacement - true).max() / np.abs(true).max())
 
 
-def test_given_a_reference_when_the_first_ride_is_computed_by_other_means_then_thirty_digits_agree(
+def test_reference_agrees_to_thirty_digits(
     case: tuple[FirstOrderForm, np.ndarray, rig.Run],
 ) -> None:
     _, exact, run = case
@@ -63,7 +62,7 @@ def test_given_a_reference_when_the_first_ride_is_computed_by_other_means_then_t
         assert abs(mpf(str(exact[body, sample])) / state[body] - 1) < mpf("1e-30")
 
 
-def test_given_a_reference_when_the_engine_is_compared_then_it_is_right_to_rounding(
+def test_engine_is_right_to_rounding(
     case: tuple[FirstOrderForm, np.ndarray, rig.Run],
 ) -> None:
     _, exact, run = case
@@ -71,17 +70,17 @@ def test_given_a_reference_when_the_engine_is_compared_then_it_is_right_to_round
     assert np.abs(values - exact).max() / np.abs(exact).max() < 1e-13
 
 
-@pytest.mark.parametrize("scheme", [penalty_runge_kutta, penalty_newmark, moreau_jean])
-def test_given_a_fixed_step_scheme_when_its_step_shrinks_twentyfold_then_its_error_does_so_at_least_fivefold(
-    scheme: object, case: tuple[FirstOrderForm, np.ndarray, rig.Run]
+@pytest.mark.parametrize(("scheme", "settings"), [(penalty, (30, 600)), (moreau_jean, (320, 6400))])
+def test_error_shrinks_with_the_step(
+    scheme: object, settings: tuple[int, int], case: tuple[FirstOrderForm, np.ndarray, rig.Run]
 ) -> None:
     problem, exact, _ = case
-    coarse, fine = (error(scheme(problem, steps), exact) for steps in (320, 6400))
+    coarse, fine = (error(scheme(problem, steps), exact) for steps in settings)
     assert fine < 0.2 * coarse
     assert fine < 2e-3
 
 
-def test_given_an_adaptive_solver_when_it_follows_the_motion_then_it_finds_the_events_at_its_tolerance(
+def test_scipy_finds_events_at_its_tolerance(
     case: tuple[FirstOrderForm, np.ndarray, rig.Run],
 ) -> None:
     problem, exact, run = case
@@ -91,7 +90,7 @@ def test_given_an_adaptive_solver_when_it_follows_the_motion_then_it_finds_the_e
 
 
 @pytest.mark.parametrize(("rtol", "allowed"), [(1e-6, 1e-3), (1e-9, 1e-6), (1e-12, 1e-9)])
-def test_given_the_compiled_solver_when_it_follows_the_motion_then_it_finds_the_events_at_its_tolerance(
+def test_compiled_solver_finds_events_at_its_tolerance(
     case: tuple[FirstOrderForm, np.ndarray, rig.Run], rtol: float, allowed: float
 ) -> None:
     problem, exact, run = case
@@ -102,7 +101,7 @@ def test_given_the_compiled_solver_when_it_follows_the_motion_then_it_finds_the_
 
 
 @pytest.mark.thorough
-def test_given_a_periodic_motion_when_ways_to_it_are_measured_then_waiting_converges_to_the_orbit() -> None:
+def test_waiting_converges_to_the_orbit() -> None:
     study = steady_study(rig.load("fig9").replace(converter={}, channels=None), 49.6)
     waits = [point.error for point in study.points if point.method == "waiting"]
     assert study.motion_type == "II"
@@ -114,9 +113,7 @@ def test_given_a_periodic_motion_when_ways_to_it_are_measured_then_waiting_conve
     ("name", "force", "frequency", "motion"),
     [("fig9", 3.3, 49.6, "II"), ("fig5-three-dampers", 8.0, 50.0, "I/II/III")],
 )
-def test_given_a_periodic_orbit_when_improved_to_forty_digits_then_two_precisions_agree_and_shooting_was_right(
-    name: str, force: float, frequency: float, motion: str
-) -> None:
+def test_exact_orbit_confirms_shooting(name: str, force: float, frequency: float, motion: str) -> None:
     scene = rig.load(name)
     scene = scene.replace(test=scene.test.replace(force=force))
     orbit = rig.periodic_orbit(scene, frequency)
@@ -128,7 +125,7 @@ def test_given_a_periodic_orbit_when_improved_to_forty_digits_then_two_precision
 
 
 @pytest.mark.parametrize("contact", [{"duration": 4e-3}, {"stiffness": 1.8e3, "damping": 17.0}])
-def test_given_contact_that_lasts_when_its_orbit_is_improved_to_forty_digits_then_shooting_was_right(
+def test_exact_orbit_confirms_finite_contact(
     contact: dict[str, float],
 ) -> None:
     scene = rig.load("fig9")
@@ -141,9 +138,7 @@ def test_given_contact_that_lasts_when_its_orbit_is_improved_to_forty_digits_the
     assert exact.miss(orbit.compliance) < 1e-12
 
 
-def test_given_contact_that_lasts_beside_others_when_its_motion_is_studied_then_the_engine_is_right_to_rounding() -> (
-    None
-):
+def test_engine_is_right_with_mixed_contacts() -> None:
     scene = rig.load("fig8-two-dampers")
     dampers = [scene.dampers[0], scene.dampers[1].replace(contact={"duration": 3e-3}), *scene.dampers[2:]]
     study = motion_study(scene.replace(dampers=dampers), 34.5, periods=4)
@@ -151,15 +146,13 @@ def test_given_contact_that_lasts_beside_others_when_its_motion_is_studied_then_
     assert study.points[0].error < 1e-12
 
 
-def test_given_a_linear_scene_when_its_orbit_is_improved_then_it_is_the_solution_of_the_equations() -> None:
+def test_linear_orbit_solves_the_equations() -> None:
     scene = rig.load("fig8-no-damper")
     exact = exact_orbit(with_ideal_force(scene), rig.periodic_orbit(scene, 34.8))
     assert exact.miss(receptance(scene, [34.8])[:, 0]) < 1e-12
 
 
-def test_given_a_table_that_is_driven_when_its_orbit_is_improved_then_the_spring_force_is_the_reference() -> (
-    None
-):
+def test_driven_table_refers_to_the_spring_force() -> None:
     scene = rig.loads(
         "structure: {masses: [1 kg], springs: [20 kN/m], damping: {modal: 5 %}}\n"
         "dampers: [{body: 1, mass_ratio: 10 %, clearance: .inf}]\n"
@@ -172,29 +165,25 @@ def test_given_a_table_that_is_driven_when_its_orbit_is_improved_then_the_spring
     assert exact.miss(orbit.compliance) < 1e-12
 
 
-def test_given_an_irregular_motion_when_ways_to_a_steady_state_are_measured_then_one_is_found_near_by() -> (
-    None
-):
+def test_irregular_motion_uses_a_nearby_frequency() -> None:
     study = steady_study(rig.load("fig8-three-dampers"), 33.1275)
     assert 0.0 < abs(study.frequency / 33.1275 - 1.0) < 0.081
     assert study.points and study.motion_type
 
 
-def test_given_a_stepped_test_when_its_hardest_frequency_is_sought_then_it_is_a_resonance_of_its_range() -> (
-    None
-):
+def test_hardest_frequency_is_a_resonance() -> None:
     scene = rig.load("fig9")
     assert hardest_frequency(scene, assemble(scene)) == pytest.approx(49.0, abs=1.0)
 
 
-def test_given_a_scene_without_a_shaker_when_its_cost_is_asked_then_the_error_says_what_is_missing() -> None:
+def test_cost_without_shaker_is_rejected() -> None:
     scene = rig.load("fig10b-three-dampers")
     bare = scene.replace(shaker=None)
     with pytest.raises(SceneError, match="no shaker"):
         hardest_frequency(bare, assemble(bare))
 
 
-def test_given_a_motion_that_the_compiled_peer_cannot_follow_when_studied_then_the_peer_is_listed_all_the_same(
+def test_failing_peer_is_still_listed(
     case: tuple[FirstOrderForm, np.ndarray, rig.Run], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuse(*_: object) -> None:
@@ -204,14 +193,14 @@ def test_given_a_motion_that_the_compiled_peer_cannot_follow_when_studied_then_t
     assert {name for name, _, _ in _compiled(case[0], 0.02)} == {"compiled DP5"}
 
 
-def test_given_restitution_when_the_approximate_method_is_tried_then_it_is_said_not_to_apply() -> None:
+def test_approximate_method_rejects_restitution() -> None:
     scene = rig.load("fig9", {"dampers[1].restitution": 0.2})
     # It refuses before it would be compared.
     point = _approximate(scene, 49.7, cast(ExactOrbit, None))
     assert point.note.startswith("not applicable: damper at body 2: restitution 0.2")
 
 
-def test_given_a_study_with_a_failure_when_written_then_table_and_file_say_so(tmp_path: Path) -> None:
+def test_table_and_file_report_a_failure(tmp_path: Path) -> None:
     points = (
         Point("engine, tone", "warm", 1e-6, 1e-15, float("nan"), True),
         Point(

@@ -1,0 +1,150 @@
+"""Moreau and Jean's time stepping, compiled: impulses on velocity level, without event detection.
+
+M. Jean, The non-smooth contact dynamics method, Comput. Methods Appl. Mech. Engrg. 177 (1999) 235-257.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.errors import RunError
+from rig.numerics.jit import stored
+from rig.work_precision.first_order_form import (
+    FLIGHT,
+    FLOOR,
+    PER_PERIOD,
+    WALLS,
+    Array,
+    FirstOrderForm,
+    Outcome,
+)
+
+#: Contacts are iterated at most this often in a step (Gauss-Seidel).
+ITERATIONS = 50
+
+
+class Step(NamedTuple):
+    """A step of the theta method with theta = 1/2 on z without cosine and sine.
+
+    advance (size, size); cosine and sine (size,), added for both ends of the step; kick (size, dampers), change by a
+    unit impulse; gap and closing (dampers, size), height above the floor and its rate; clearance, restitution
+    (dampers,); omega, length [s].
+    """
+
+    advance: Array
+    cosine: Array
+    sine: Array
+    kick: Array
+    gap: Array
+    closing: Array
+    clearance: Array
+    restitution: Array
+    omega: float
+    length: float
+
+
+def moreau_jean(problem: FirstOrderForm, steps: int) -> Outcome:
+    """Follow the motion with `steps` a period.
+
+    Raises
+    ------
+    RunError
+        If the scheme is unstable.
+    """
+    system, size, dampers = problem.system, problem.one + 1, len(problem.rows)
+    length = 1.0 / (problem.tone.frequency * steps)
+    whole = problem.matrix([FLIGHT] * dampers)
+    matrix, waves = whole[:size, :size], whole[:size, size : size + 2]
+    inverse = np.linalg.inv(np.eye(size) - 0.5 * length * matrix)
+    gap, push = np.zeros((dampers, size)), np.zeros((size, dampers))
+    for j, row in enumerate(problem.rows):
+        gap[j] = problem.gap(j, FLOOR)[:size]
+        push[system.coordinates + row, j] = -problem.inverse_mass[j]
+        push[problem.first + dampers + j, j] = 1.0 / system.damper_mass[j]
+    cosine, sine = np.ascontiguousarray((inverse @ waves * 0.5 * length).T)
+    samples, walls = _follow(
+        Step(
+            inverse @ (np.eye(size) + 0.5 * length * matrix),
+            cosine,
+            sine,
+            inverse @ push,
+            gap,
+            gap @ matrix,
+            np.asarray(system.clearance, dtype=np.float64),
+            np.asarray(system.restitution, dtype=np.float64),
+            problem.omega,
+            length,
+        ),
+        np.array(problem.start[:size]),
+        problem.periods * steps,
+        steps // PER_PERIOD,
+    )
+    if not np.isfinite(samples).all():
+        raise RunError("unstable with this step")
+    events = [
+        ((k + 1) * length, j, WALLS[kind])
+        for j in range(dampers)
+        for k in np.flatnonzero(np.diff(walls[:, j])).tolist()
+        for kind in ([FLIGHT] if walls[k, j] else []) + ([walls[k + 1, j]] if walls[k + 1, j] else [])
+    ]
+    events.sort(key=lambda event: event[0])
+    return Outcome(np.ascontiguousarray(samples[:, : system.coordinates].T), events)
+
+
+@stored
+def _follow(parts: Step, start: Array, steps: int, every: int) -> tuple[Array, NDArray[np.int8]]:
+    """Step; returns every so many states, and the wall of each damper after each step."""
+    advance, cosine, sine, kick, gap, closing, clearance, restitution, omega, length = parts
+    size, dampers = start.shape[0], gap.shape[0]
+    samples = np.zeros((steps // every + 1, size))
+    walls = np.zeros((steps + 1, dampers), dtype=np.int8)
+    z, new = start.copy(), np.zeros(size)
+    side, before, free, impulse = np.zeros(dampers), np.zeros(dampers), np.zeros(dampers), np.zeros(dampers)
+    delassus = closing @ kick
+    samples[0] = z
+    walls[0] = 1
+    for k in range(steps):
+        c = np.cos(omega * k * length) + np.cos(omega * (k + 1) * length)
+        s = np.sin(omega * k * length) + np.sin(omega * (k + 1) * length)
+        for i in range(size):
+            value = cosine[i] * c + sine[i] * s
+            for col in range(size):
+                value += advance[i, col] * z[col]
+            new[i] = value
+        for j in range(dampers):
+            height = 0.0
+            before[j] = 0.0
+            free[j] = 0.0
+            for i in range(size):
+                height += gap[j, i] * z[i]
+                before[j] += closing[j, i] * z[i]
+                free[j] += closing[j, i] * new[i]
+            ahead = height + 0.5 * length * before[j]
+            side[j] = 1.0 if ahead <= 0.0 else (-1.0 if ahead >= clearance[j] else 0.0)
+            impulse[j] = 0.0
+        for _ in range(ITERATIONS):
+            change = 0.0
+            for j in range(dampers):
+                if side[j] == 0.0:
+                    continue
+                value = free[j] + restitution[j] * before[j]
+                for other in range(dampers):
+                    value += delassus[j, other] * impulse[other]
+                wanted = side[j] * max(0.0, side[j] * (impulse[j] - value / delassus[j, j]))
+                change = max(change, abs(wanted - impulse[j]))
+                impulse[j] = wanted
+            if change == 0.0:
+                break
+        for i in range(size):
+            value = new[i]
+            for j in range(dampers):
+                value += kick[i, j] * impulse[j]
+            z[i] = value
+        for j in range(dampers):
+            walls[k + 1, j] = 0 if impulse[j] == 0.0 else (1 if impulse[j] > 0.0 else 2)
+        if (k + 1) % every == 0:
+            samples[(k + 1) // every] = z
+    return samples, walls

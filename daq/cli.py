@@ -160,8 +160,8 @@ def import_recording(
     import_and_report(files, what, path, table, start, stop, overwrite)
 
 
-@app.command(example="daq replay sweep.mcap --screenshot sweep.png")
-def replay(
+@app.command("replay", example="daq replay sweep.mcap --screenshot sweep.png")
+def replay_recording(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="The recording.")],
     save: Annotated[
         Path | None,
@@ -183,52 +183,35 @@ def replay(
     overwrite: Overwrite = False,
 ) -> None:
     """Show a recording in the viewer, or draw a picture of it."""
-    import daq
-    from daq.replay import outputs as show
-    from daq.replay.replay import Replay
-    from rig.provenance import overwriting
+    from daq.viewing.show import replay
 
-    if sum([save is not None, screenshot is not None, web]) > 1:
-        raise typer.BadParameter("choose one of --save, --screenshot and --web")
-    if at is not None and screenshot is None:
-        raise typer.BadParameter("--at requires --screenshot. Add --screenshot FILE.png, or leave out --at")
-    if speed != 1.0 and screenshot is not None:
-        raise typer.BadParameter("--speed cannot be combined with --screenshot. Leave one of them out")
-    with daq.open(file) as recording, overwriting(overwrite), progress(file.stem) as report_progress:
-        part = Replay(recording, start, stop, speed)
-        if save is not None:
-            show.save(part, save, report_progress)
-            print(f"{save}: {save.stat().st_size / 1e6:.1f} MB; to look at it: rerun {save}")
-        elif screenshot is not None:
-            drawn = show.photograph(part, screenshot, at, report_progress)
-            print(f"{screenshot}: the rig at {drawn:.3f} s")
-        elif web:
-            show.in_browser(part, print, report_progress)
-        else:
-            show.in_window(part, report_progress)
+    with progress(file.stem) as report_progress:
+        replay(
+            file,
+            save=save,
+            screenshot=screenshot,
+            web=web,
+            at=at,
+            from_s=start,
+            to_s=stop,
+            speed=speed,
+            overwrite=overwrite,
+            progress=report_progress,
+        )
 
 
-@app.command(example="daq info sweep.mcap --check")
-def info(
+@app.command("info", example="daq info sweep.mcap --check")
+def describe_recordings(
     files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings.")],
     check: Annotated[
         bool, typer.Option("--check", help="Read the whole file and verify every record.")
     ] = False,
 ) -> None:
     """Describe recordings, and name the commands that suit them."""
-    from daq.measurement.run_report import next_steps
-    from daq.recording.info import describe
-    from daq.recording.recording import open as open_recording
+    from daq.viewing.description import info
 
     for file in files:
-        with open_recording(file) as recording:
-            for line in describe(recording):
-                print(line)
-            for number, step in enumerate(next_steps(recording)):
-                print(f"  {'' if number else 'next':9} {step}")
-            if check:
-                recording.check()
-                print("  checked   all checksums match, and all records agree with each other")
+        print(info(file, check))
 
 
 @app.command(example="daq recover torn.mcap -o whole.mcap")
@@ -250,8 +233,8 @@ def recover(
         print(line)
 
 
-@app.command(example="daq scope fig9 --frequency 34 --force 2")
-def scope(
+@app.command("scope", example="daq scope fig9 --frequency 34 --force 2")
+def run_scope(
     scene: SceneName,
     changes: Changes = None,
     output: Annotated[
@@ -273,17 +256,13 @@ def scope(
     web: Annotated[bool, typer.Option("--web", help="Show it in a browser on this machine.")] = False,
 ) -> None:
     """Run a rig live: change frequency and force while you watch it. Everything is recorded."""
+    from daq.live_scope.scope import scope
     from daq.measurement.run_report import summary
-    from daq.replay import outputs as show
-    from daq.scope.scope import knobs_for, live, say
 
     default = Path("recordings") / f"{Path(scene).stem}-scope.mcap"
     path = _free(output if output is not None else default, overwrite)
-    bench = loaded(scene, changes)
-    knobs = knobs_for(bench, frequency, force)
-    viewing = show.server(say) if web else show.window("use --web to look with a browser")
     with waiting():
-        live(bench, path, knobs, viewing, overwrite)
+        scope(loaded(scene, changes), path, frequency=frequency, force=force, web=web, overwrite=overwrite)
     print(summary(path))
 
 

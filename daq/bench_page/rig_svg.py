@@ -8,7 +8,8 @@ import numpy as np
 
 from daq.drawing.cavities import WALL, WIDTH, cavities
 from daq.drawing.palette import DRIVE, GROUND, LEAD, MARK, STEEL, Colour, body_colour
-from daq.drawing.rig_view import COIL_LENGTH, PLATE, Extremes, RigPose, RigView
+from daq.drawing.rig_view import Extremes, RigPose, RigView
+from daq.drawing.stack import COIL_LENGTH, PLATE
 
 if TYPE_CHECKING:
     from rig.scene.scene import Scene

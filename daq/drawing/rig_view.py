@@ -1,7 +1,6 @@
-"""The rig as a drawing in space: where each part stands, and how it moves with the displacements.
+"""The rig as a drawing in space: its parts, and how they move with the displacements.
 
-Lengths of the drawing are metres of the drawing, chosen to be legible: bodies are stacked upward, all alike,
-and every displacement and gap is multiplied by one exaggeration. z points up, x to the right, y away.
+Every displacement and gap is multiplied by one exaggeration. z points up, x to the right, y away.
 """
 
 from __future__ import annotations
@@ -9,12 +8,12 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.drawing.cavities import DEPTH, HEADROOM, HOLLOW_HEIGHT, WALL, WIDTH, Cavity, cavities, walls
+from daq.drawing.cavities import DEPTH, HEADROOM, WALL, WIDTH, Cavity, walls
 from daq.drawing.palette import (
     DARK_STEEL,
     DRIVE,
@@ -28,37 +27,29 @@ from daq.drawing.palette import (
     body_colour,
 )
 from daq.drawing.shapes import Point, arrow, boxes, coils, cylinder, label, lines
+from daq.drawing.stack import COIL_LENGTH, LUG, PLATE, SPRING_LENGTH, Stack, Table, round_factor
 
 if TYPE_CHECKING:
     import rerun as rr
 
     from rig.scene.scene import Scene
 
-SOLID_HEIGHT = 0.060
-SPRING_LENGTH = 0.080
-COIL_LENGTH = 0.110
-PLATE = 0.018
-PLINTH = 0.050
-LUG = 0.050
-# From one shaker that stands beside the rig to the next.
-BESIDE = 0.120
-# The share of a spring's length, or of a cavity's headroom, that the largest motion may take.
+# Share of a spring's length that the largest motion may take.
 FILL = 0.6
-# Beyond it the picture would show the noise of a rig at rest.
+# A larger exaggeration would show the noise of a rig at rest.
 MOST_EXAGGERATION = 1e4
 
 
 @dataclass(frozen=True)
 class RigPose:
-    """What the drawing needs to know at some instants."""
+    """The motion at some instants."""
 
     displacement: NDArray[np.float64]
     """Of each body, metres, up positive; shape (bodies, instants)."""
     tables: NDArray[np.float64]
     """Of each shaker's table, metres; shape (tables, instants)."""
     gap: NDArray[np.float64] | None = None
-    """Height of each damper over its floor, metres; None where it is not known; shape (dampers, instants), or
-    None."""
+    """Height of each damper over its floor, metres; shape (dampers, instants), or None where it is not known."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +79,7 @@ def _largest(values: NDArray[np.float64]) -> float:
 
 
 def exaggeration(extremes: Extremes) -> float:
-    """Pick the factor that makes the motion visible without letting parts pass through each other.
+    """Choose the factor that makes the motion visible without letting parts pass through each other.
 
     The largest 1-2-5 number for which springs stretch by less than `FILL` of their length and dampers stay
     inside the drawn headroom.
@@ -106,29 +97,12 @@ def exaggeration(extremes: Extremes) -> float:
     limits = [space / motion for motion, space in room if motion > 0]
     if not limits:
         return 1.0
-    limit = min(*limits, MOST_EXAGGERATION)
-    decade = 10.0 ** math.floor(math.log10(limit))
-    # A limit that is a round number itself must not fall below it by rounding.
-    return next(step * decade for step in (5.0, 2.0, 1.0, 0.5) if step * decade <= limit * (1 + 1e-9))
+    return round_factor(min(*limits, MOST_EXAGGERATION))
 
 
-def _beside(text: str, height: float) -> Point:
-    """Place of a text, which is centred there, beside a body without covering it."""
+def _label_place(text: str, height: float) -> Point:
+    """Place of a centred text next to a body, without covering it."""
     return (WIDTH / 2 + 0.06 + 0.0045 * len(text), -DEPTH / 2, height)
-
-
-class _Table(NamedTuple):
-    """A shaker's table: its name, kind of shaker, the body (from 1) on its coil spring, and where it stands, metres."""
-
-    point: str
-    kind: str
-    body: int
-    x: float
-    top: float
-
-    def entity(self, part: str) -> str:
-        """Path of a part of the shaker: with its number, where the table has one."""
-        return "_".join([f"rig/{part}", *self.point.split()[1:]])
 
 
 class RigView:
@@ -139,9 +113,9 @@ class RigView:
     extremes : Extremes
         The largest motions to come; they set the exaggeration.
     gaps_known : bool
-        Whether the dampers' motion will be given; if not, they are drawn pale on their floors and say so.
+        Whether the dampers' motion will be given; if not, they are drawn pale on their floors, with a remark.
     unknown : collection of str
-        Points, ``body 1``, ..., ``table``, whose motion nobody knows: drawn pale and at rest, and say so.
+        Points, ``body 1``, ..., ``table``, whose motion is not known: drawn pale and at rest, with a remark.
     """
 
     def __init__(
@@ -156,33 +130,12 @@ class RigView:
         self._unknown = unknown
         self._excursion = extremes.body * self.magnification
         self.bodies = scene.structure.bodies
-        self._cavities = [
-            cavities(scene.dampers, body, self.magnification) for body in range(1, self.bodies + 1)
-        ]
-        self._height = [HOLLOW_HEIGHT if inside else SOLID_HEIGHT for inside in self._cavities]
-        hung = [shaker.body for _, shaker in scene.tables]
-        # A table under body 1 needs room for itself and its coil spring.
-        first = PLINTH + PLATE + COIL_LENGTH if 1 in hung else SPRING_LENGTH
-        self._length = [first] + [SPRING_LENGTH] * (self.bodies - 1)
-        self._bottom: list[float] = []
-        top = 0.0
-        for length, height in zip(self._length, self._height, strict=True):
-            self._bottom.append(top + length)
-            top += length + height
-        self.top = top
-        # Matrices do not say which body hangs on which; a spring of no stiffness is none.
+        self._stack = Stack(scene, self.magnification)
+        self.shaker_tables = self._stack.tables
+        # Matrices do not state which bodies are connected; a spring of no stiffness is not drawn.
         self._sprung = [stiffness > 0 for stiffness in scene.structure.springs or [0.0] * self.bodies]
-        # One table fits under body 1; all others stand side by side at the right, each under a lug of its body.
-        aside = iter(range(len(hung)))
-        self.shaker_tables: list[_Table] = []
-        for (point, shaker), body in zip(scene.tables, hung, strict=True):
-            under = body == 1 and hung.index(1) == len(self.shaker_tables)
-            x = 0.0 if under else WIDTH / 2 + LUG / 2 + BESIDE * next(aside)
-            self.shaker_tables.append(
-                _Table(point, shaker.kind, body, x, self._bottom[body - 1] - COIL_LENGTH)
-            )
 
-    # -- what never changes ------------------------------------------------------------------------------
+    # -- parts at rest -----------------------------------------------------------------------------------
 
     def still_parts(self) -> Iterator[tuple[str, rr.AsComponents]]:
         """Yield entity paths and archetypes that are logged once."""
@@ -192,7 +145,7 @@ class RigView:
         yield "rig/ground", boxes([((0, 0, -0.01), (0.44, 0.24, 0.02))], GROUND)
         for body in range(1, self.bodies + 1):
             yield from self._body(body)
-        for body, (length, sprung) in enumerate(zip(self._length, self._sprung, strict=True), start=1):
+        for body, (length, sprung) in enumerate(zip(self._stack.lengths, self._sprung, strict=True), start=1):
             if sprung:
                 yield f"rig/spring_{body}", coils((-0.3 * WIDTH, 0.3 * WIDTH), length, STEEL)
         for table in self.shaker_tables:
@@ -201,12 +154,12 @@ class RigView:
         yield from self._rest_marks()
 
     def _body(self, body: int) -> Iterator[tuple[str, rr.AsComponents]]:
-        colour, height = self._colour(f"body {body}", body_colour(body)), self._height[body - 1]
+        colour, height = self._colour(f"body {body}", body_colour(body)), self._stack.heights[body - 1]
         name = f"rig/body_{body}"
         masses = self.scene.structure.masses
         text = self.scene.structure.label(body) + (f"  {masses[body - 1]:g} kg" if masses is not None else "")
         text += self._remark(f"body {body}")
-        inside = self._cavities[body - 1]
+        inside = self._stack.cavities[body - 1]
         if inside:
             yield f"{name}/frame", boxes(walls(inside), colour)
             for number in range(len(inside)):
@@ -219,7 +172,7 @@ class RigView:
         if reach:
             middle, length = (reach + WIDTH / 2) / 2, reach - WIDTH / 2
             yield f"{name}/lug", boxes([((middle, 0, WALL / 2), (length, DEPTH / 2, WALL))], colour)
-        yield f"{name}/name", label(_beside(text, 0.75 * height), text, colour)
+        yield f"{name}/name", label(_label_place(text, 0.75 * height), text, colour)
         pointer: list[Point] = [(-WIDTH / 2 - out, -DEPTH / 2, height / 2) for out in (0.0, 0.028)]
         yield f"{name}/pointer", lines([pointer], colour, 0.0012)
 
@@ -232,11 +185,11 @@ class RigView:
     def damper_entity(self, place: int) -> str:
         """Path of a damper: numbered where its body has several."""
         body = self.scene.dampers[place].body
-        inside = [cavity.place for cavity in self._cavities[body - 1]]
+        inside = [cavity.place for cavity in self._stack.cavities[body - 1]]
         return f"rig/body_{body}/damper" + (f"_{inside.index(place) + 1}" if len(inside) > 1 else "")
 
     def _damper(self, body: int, number: int) -> Iterator[tuple[str, rr.AsComponents]]:
-        cavity: Cavity = self._cavities[body - 1][number]
+        cavity: Cavity = self._stack.cavities[body - 1][number]
         damper = self.scene.dampers[cavity.place]
         text = f"damper {self.damper_masses[cavity.place] * 1e3:.3g} g"
         if damper.locked:
@@ -248,11 +201,11 @@ class RigView:
         moves = self.gaps_known and not damper.locked
         name = self.damper_entity(cavity.place)
         yield name, boxes([cavity.damper], LEAD if moves else GLUED)
-        # Names of several dampers stand below each other, beside their body.
-        text_at = _beside(text, (0.45 - 0.2 * number) * self._height[body - 1])
+        # Names of several dampers are below each other, next to their body.
+        text_at = _label_place(text, (0.45 - 0.2 * number) * self._stack.heights[body - 1])
         yield f"{name}_name", label(text_at, text, LEAD if moves else MARK)
 
-    def _shaker(self, table: _Table) -> Iterator[tuple[str, rr.AsComponents]]:
+    def _shaker(self, table: Table) -> Iterator[tuple[str, rr.AsComponents]]:
         height = table.top - PLATE - 0.012
         middle = (table.x, 0.0, height / 2)
         if table.kind == "electrodynamic":
@@ -287,7 +240,10 @@ class RigView:
     def _rest_marks(self) -> Iterator[tuple[str, rr.AsComponents]]:
         """Scale at the left: where each body rests, how long a millimetre is drawn, and the exaggeration."""
         x, y = -WIDTH / 2 - 0.032, -DEPTH / 2
-        middles = [bottom + height / 2 for bottom, height in zip(self._bottom, self._height, strict=True)]
+        middles = [
+            bottom + height / 2
+            for bottom, height in zip(self._stack.bottoms, self._stack.heights, strict=True)
+        ]
         yield "rig/rest", lines([[(x - 0.030, y, z), (x, y, z)] for z in middles], MARK, 0.0008)
         length = _scale_bar(self.magnification)
         height, x, z = length * self.magnification, x - 0.07, middles[0]
@@ -298,7 +254,7 @@ class RigView:
         text = f"{length * 1e3:g} mm, drawn × {self.magnification:g}"
         yield "rig/scale/text", label((x, y, z - 0.006), text, MARK)
 
-    # -- what moves --------------------------------------------------------------------------------------
+    # -- parts in motion ---------------------------------------------------------------------------------
 
     def moving_parts(
         self, motion: RigPose
@@ -311,12 +267,12 @@ class RigView:
         below = np.zeros(moved.shape[1])
         top = 0.0
         for place in range(self.bodies):
-            yield f"rig/body_{place + 1}", _along_z(self._bottom[place] + moved[place]), None
+            yield f"rig/body_{place + 1}", _along_z(self._stack.bottoms[place] + moved[place]), None
             if self._sprung[place]:
-                length = self._length[place]
+                length = self._stack.lengths[place]
                 stretch = (length + moved[place] - below) / length
                 yield f"rig/spring_{place + 1}", _along_z(top + below), _stretched(stretch)
-            below, top = moved[place], self._bottom[place] + self._height[place]
+            below, top = moved[place], self._stack.bottoms[place] + self._stack.heights[place]
         for table, rows in zip(self.shaker_tables, motion.tables * self.magnification, strict=True):
             yield table.entity("table"), _along_z(table.top + rows), None
             stretch = (COIL_LENGTH + moved[table.body - 1] - rows) / COIL_LENGTH
@@ -325,9 +281,14 @@ class RigView:
             for place in range(len(self.scene.dampers)):
                 yield self.damper_entity(place), _along_z(motion.gap[place] * self.magnification), None
 
+    @property
+    def top(self) -> float:
+        """Height of the whole stack."""
+        return self._stack.top
+
     def spring_length(self, body: int) -> float:
         """Length at rest of the spring under a body (from 1)."""
-        return self._length[body - 1]
+        return self._stack.lengths[body - 1]
 
     def sprung(self, body: int) -> bool:
         """Whether a spring is drawn under a body (from 1)."""
@@ -335,12 +296,12 @@ class RigView:
 
     def height(self, body: int) -> float:
         """Height of a body (from 1)."""
-        return self._height[body - 1]
+        return self._stack.heights[body - 1]
 
     @property
     def eye(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-        """Where the camera stands and what it looks at: the whole stack, from the front, a little above."""
-        top = self.top + self._excursion
+        """Position and target of the camera: the whole stack, from the front, a little above."""
+        top = self._stack.top + self._excursion
         distance = 0.25 + 0.85 * top
         return (0.14 * distance, -distance, 0.5 * top - 0.02 + 0.14 * distance), (0.02, 0.0, 0.5 * top - 0.02)
 
@@ -358,7 +319,7 @@ def _stretched(factor: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _scale_bar(magnification: float) -> float:
-    """Length to show beside the rig, metres: a power of ten that is drawn between 8 and 80 mm long.
+    """Length of the scale, metres: a power of ten that is drawn between 8 and 80 mm long.
 
     >>> _scale_bar(50.0), _scale_bar(500.0)
     (0.001, 0.0001)

@@ -1,5 +1,5 @@
-"""Foresight: what a test will do to sensors, converter, amplifier and dampers, stated before it is recorded.
+"""Prediction of a test before it is recorded: maxima of sensors, converter and amplifier, and flights of dampers.
 
-The linear response of the scene says where a long test is largest; a rehearsal of those parts, without a recording,
-says how large. Nothing here writes a file. Start with `foresee`.
+The linear response of the scene locates the maxima of a long test; a rehearsal of these parts, a simulation without a
+recording, gives their size. Start with `foresee`.
 """

@@ -9,7 +9,7 @@ from rig.scene.scene import Scene
 
 
 def foresight_text(scene: Scene) -> str:
-    """Say what the test of a scene will do; empty for a scene without a test."""
+    """Describe the predicted test of a scene; empty for a scene without a test."""
     if scene.test is None:
         return ""
     try:
@@ -19,7 +19,7 @@ def foresight_text(scene: Scene) -> str:
 
 
 def refuse_certain_abort(name: str, foreseen: Foresight) -> None:
-    """Refuse to start a test that will abort.
+    """Reject a test that will abort.
 
     Raises
     ------
@@ -31,6 +31,6 @@ def refuse_certain_abort(name: str, foreseen: Foresight) -> None:
     if foreseen.limited_by is not None and foreseen.largest_level < foreseen.level:
         level = f"Lower {foreseen.key}, raise the limit, or "
     raise SceneError(
-        f"{name}: the test will abort ({foreseen.aborts}). {level or 'Raise the limit, or '}record it up to there "
-        "with --anyway."
+        f"{name}: the test will abort ({foreseen.aborts}). {level or 'Raise the limit, or '}record it up to that "
+        "point with --anyway."
     )

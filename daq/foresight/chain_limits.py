@@ -11,21 +11,21 @@ from rig.scene.measurement_chain import Channel, Converter
 from rig.scene.presets import filled_in
 from rig.scene.scene import Scene
 
-# What no test reaches, in any unit, so that a device keeps its states and has no limit.
+# A limit that no test reaches, in any unit: the device keeps its states.
 _UNREACHED = 1e8
 _MOST_BITS = 32
 
 
 @dataclass(frozen=True)
 class ReadingLimit:
-    """Largest reading that something lets through, in the channel's unit."""
+    """Largest reading of a part of the channel, in the channel's unit."""
 
     size: float
-    what: str
+    part: str
 
 
 def reading_limit(channel: Channel | None, info: ChannelInfo) -> ReadingLimit:
-    """Give the smallest limit of what a channel reads: its input, its integrator, its abort limit; infinite if none."""
+    """Give the smallest limit of a channel: its input, its integrator, its abort limit; infinite if none."""
     limits = [ReadingLimit(np.inf, "")]
     if info.range is not None:
         limits.append(ReadingLimit(info.range / abs(info.sensitivity), f"input of {info.range:g} V"))
@@ -43,7 +43,7 @@ def reading_limit(channel: Channel | None, info: ChannelInfo) -> ReadingLimit:
 
 
 def without_limits(scene: Scene) -> Scene:
-    """Take away what clips a reading or ends a test; noise, resolution and everything linear stay."""
+    """Remove the limits that clip a reading or end a test; noise, resolution and linear parts stay."""
     channels = None
     if scene.channels is not None:
         channels = tuple(_unlimited(channel) for channel in scene.channels)
@@ -63,7 +63,7 @@ def _unlimited(channel: Channel) -> Channel:
 
 
 def _wider(converter: Converter) -> Converter:
-    """Widen the range without a change of the size of a count."""
+    """Widen the range without changing the size of a count."""
     filled = filled_in(converter)
     if filled.range is None:
         return converter

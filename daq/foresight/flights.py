@@ -1,4 +1,4 @@
-"""Which dampers fly in a test, and which modes lie outside its band."""
+"""Dampers in flight during a test, and modes outside its band."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def _at_dampers(scene: Scene, system: HybridSystem, frequencies: Array) -> Array
 def flight_lines(
     scene: Scene, system: HybridSystem, level: float, parts: Sequence[Rehearsal]
 ) -> tuple[str, ...]:
-    """Say of each damper that moves whether it flies, and where."""
+    """State for each moving damper whether it flies, and at which frequencies or time."""
     frequencies = test_frequencies(scene.test, _POINTS)
     above = level * _at_dampers(scene, system, frequencies) > system.gravity
     by_place: dict[str, list[str]] = {}
@@ -62,7 +62,7 @@ def flight_lines(
         times = [time for part in parts for time in part.strikes[number - 1]]
         where = ""
         if above.size:
-            # A frequency counts by the linear response, or because the damper hit there in the rehearsal.
+            # By the linear response, or by an impact in the rehearsal.
             near = [bool(struck) and min(abs(f - tone) for tone in struck) < 1e-3 * f for f in frequencies]
             flags = above[row] | np.array(near)
             where = f"at {frequency_ranges(frequencies.tolist(), flags.tolist())}" if flags.any() else ""
@@ -82,7 +82,7 @@ def _verb(names: Sequence[str], where: str) -> str:
 
 
 def outside_band(scene: Scene) -> tuple[str, ...]:
-    """List the natural frequencies of the structure that a test's band leaves out."""
+    """List the natural frequencies of the structure outside a test's band."""
     band = test_band(scene.test)
     if band is None or isinstance(scene.test, Sine):
         return ()

@@ -1,4 +1,4 @@
-"""Foresee a test: rehearse what decides its extremes, and set them against the limits."""
+"""Prediction of a test: a rehearsal of the parts with its extremes, compared with the limits."""
 
 from __future__ import annotations
 
@@ -37,23 +37,23 @@ from rig.system.assembly import assemble
 
 Array = NDArray[np.float64]
 
-# A test that takes longer than foreseen is left off after so many times what can be afforded.
+# Multiple of the affordable time after which a rehearsal that takes longer than expected is ended.
 _LONGEST = 1.5
-# A gate of a control's limit: a drive this near to it is at it.
+# Share of the drive limit from which the drive is limited.
 _AT_LIMIT = 0.999
-# Rehearsals at other levels to find the largest that fits, where dampers fly; and how near is near enough.
+# Rehearsals at other levels in search of the largest level that fits, where dampers fly; and relative tolerance.
 _TRIALS, _NEAR = 3, 0.02
-# In this share of the time that a bias takes to disappear, what a channel reads is its power-on transient.
+# Share of the settling time of a bias within which a maximum is the power-on transient.
 _POWER_ON_SHARE = 0.5
-# Beyond so many times the test's level, up or down, the level that fits is scaled from there.
+# Ratio to the test's level beyond which the level that fits is extrapolated in proportion.
 _FARTHEST = 4.0
 
 
 def foresee(scene: Scene | str | Path) -> Foresight:
-    """State what a test will do before it is recorded.
+    """Predict the maxima of a test, their margin to the limits, its duration and the size of its recording.
 
-    A short test is rehearsed whole on the scene's own bench, with its noise. Of a long one the parts are that the
-    linear response of the structure shows to be the largest. A bed of grains counts as one mass.
+    A short test is rehearsed completely on the scene's bench, with its noise; of a long test the parts with the
+    largest linear response. A bed of grains is treated as one mass.
 
     Parameters
     ----------
@@ -75,8 +75,8 @@ def foresee(scene: Scene | str | Path) -> Foresight:
     what = _one_mass_beds(scene if isinstance(scene, Scene) else load(scene))
     if what.test is None:
         raise SceneError(
-            f"scene {what.name!r} names no test: add one, such as "
-            "test: {kind: impulse, body: 1, peak: 50 N, width: 4 ms}"
+            f"scene {what.name!r} names no test. Add a test, such as "
+            "test: {kind: impulse, body: 1, peak: 50 N, width: 4 ms}."
         )
     bench = Bench(what)
     played = play(what, bench)
@@ -94,21 +94,21 @@ def _one_mass_beds(scene: Scene) -> Scene:
 
 @dataclass(frozen=True)
 class Played:
-    """Rehearsals of the parts of a test; whether they are all of it, and what they leave out."""
+    """Rehearsals of the parts of a test; whether they are the whole test, and which parts are left out."""
 
     parts: tuple[Rehearsal, ...]
     whole: bool
     left_out: str = ""
     beyond: float = 1.0
-    """Factor on the extremes of a random test of which only the beginning was rehearsed."""
+    """Factor on the extremes of a random test that was rehearsed in part."""
 
     @property
     def aborted(self) -> str | None:
-        """What would end the test before its time."""
+        """Reason for which the test would abort."""
         return next((part.aborted for part in self.parts if part.aborted is not None), None)
 
     def largest(self, what: str, key: int | str) -> tuple[float, float | None, float | None]:
-        """Largest of an extreme over all parts, by attribute and key, with its frequency or its time."""
+        """Largest extreme of all parts, by attribute and key, with its frequency or its time."""
         tops: list[Extreme] = [getattr(part, what)[key] for part in self.parts]
         place = int(np.argmax([top.size for top in tops]))
         part, top = self.parts[place], tops[place]
@@ -123,7 +123,7 @@ class Played:
 
 
 def play(scene: Scene, bench: Bench) -> Played:
-    """Rehearse a test, or those parts of it that can be afforded."""
+    """Rehearse a test, or its affordable parts."""
     chosen, seconds = shortened(scene, bench.channels), affordable_seconds(scene)
     parts = _rehearsed(chosen, _LONGEST * max(seconds, expected_seconds(chosen.scenes[0])))
     test = scene.test
@@ -131,13 +131,13 @@ def play(scene: Scene, bench: Bench) -> Played:
         return Played(parts, True)
     if isinstance(test, SteppedSine | SweptSine):
         if chosen.whole:
-            # It took longer than expected: what is left is rehearsed about its peaks.
+            # It took longer than expected: the rest is rehearsed about its peaks.
             chosen = about_peaks(scene, test, bench.channels, seconds)
             parts += _rehearsed(chosen, _LONGEST * seconds)
         steps = sum(len(part.steps) // 2 for part in parts)
         return Played(parts, False, f"{steps} steps about the peaks of the linear response")
     if parts[0].aborted is not None:
-        # What was left out does not come about.
+        # The rest of the test does not happen.
         return Played(parts, True)
     left_out = f"{sum(part.seconds for part in parts):.3g} s of it"
     if chosen.extends and isinstance(test, Random):
@@ -146,7 +146,7 @@ def play(scene: Scene, bench: Bench) -> Played:
 
 
 def _rehearsed(chosen: Shortened, longest: float) -> tuple[Rehearsal, ...]:
-    """Rehearse the parts one after another, up to what aborts the test."""
+    """Rehearse the parts one after another, up to an abort."""
     parts: list[Rehearsal] = []
     for scene, ahead in zip(chosen.scenes, chosen.ahead, strict=True):
         parts.append(rehearse(scene, longest, ahead))
@@ -156,14 +156,14 @@ def _rehearsed(chosen: Shortened, longest: float) -> tuple[Rehearsal, ...]:
 
 
 def _extension(test: Random, seconds: float) -> float:
-    """By how much a Gaussian process reaches higher in the whole test: expected extremes of its zero crossings."""
+    """Ratio of the expected extremes of a Gaussian process in the whole test and in a part, by its zero crossings."""
     crossings = test.from_ + test.to
     whole, part = (np.log(max(crossings * time, 3.0)) for time in (test.duration, seconds))
     return float(max(np.sqrt(whole / part), 1.0))
 
 
 class _Assessment:
-    """Rehearsals set against the limits of a scene."""
+    """Comparison of rehearsals with the limits of a scene."""
 
     def __init__(self, scene: Scene, bench: Bench, played: Played, free: Played) -> None:
         self.scene, self.bench, self.played, self.free = scene, bench, played, free
@@ -171,7 +171,7 @@ class _Assessment:
         self.key, self.level, self.level_unit = level_key(scene)
 
     def foresight(self) -> Foresight:
-        """Put everything together."""
+        """Assemble the prediction."""
         rows = (*self._channels(), *self._sensors(), *self._outputs(), *self._tables())
         nonlinear = any(any(part.strikes) for part in self.free.parts)
         ranked = sorted(rows, key=lambda row: row.driven_share)
@@ -179,7 +179,7 @@ class _Assessment:
         largest_level = np.nan
         if limiting is not None and limiting.driven_share > 0.0 and self.key:
             largest_level, nonlinear = self._largest_level(limiting, nonlinear)
-            # What is next to its limit may not be overtaken.
+            # The second nearest limit must hold as well.
             following = ranked[-2].driven_share if len(ranked) > 1 else 0.0
             if following > 0.0:
                 largest_level = min(
@@ -214,7 +214,7 @@ class _Assessment:
             driven = None
             limit = reading_limit(settings.get(info.name), info)
             if _POWER_ON_SHARE * settling_time(info) > self.free.time("readings", row):
-                # What a sensor reads while its bias settles is no response to the tone.
+                # The reading of a sensor while its bias settles is no response to the tone.
                 frequency, time = None, self.free.time("readings", row)
                 driven = max((part.readings[row].size for part in self.free.parts[1:]), default=largest)
             recorded = self.played.largest("readings", row)[0]
@@ -225,14 +225,14 @@ class _Assessment:
                 frequency,
                 time,
                 limit.size,
-                limit.what,
+                limit.part,
                 largest > limit.size,
                 min(recorded, limit.size if info.range is not None else np.inf),
                 driven,
             )
 
     def _unread(self, rows: Iterable[Expectation]) -> Iterable[str]:
-        """Name channels whose signal is lost in the resolution of the converter."""
+        """Name channels whose signal is below the resolution of the converter."""
         sizes = {row.name: row.largest for row in rows}
         held = getattr(self.scene.test, "force", None) is not None and self.scene.driven is not None
         shaker = self.scene.driven_shaker
@@ -243,17 +243,17 @@ class _Assessment:
             count = info.unit_per_count
             if info.volts_per_count is not None and sizes[info.name] < 2.0 * count:
                 lost = (
-                    ", so that the force cannot be held and no maximum is certain"
+                    ", so that the force cannot be controlled and all maxima are uncertain"
                     if info.at in places
                     else ""
                 )
                 yield (
                     f"{info.name} reads less than two counts of the converter ({in_words(count, info.unit)} each)"
-                    f"{lost}: choose a smaller range or a higher sensitivity"
+                    f"{lost}. Choose a smaller range or a higher sensitivity."
                 )
 
     def _sensors(self) -> Iterable[Expectation]:
-        """Accelerometers with a limit of their own: what shakes them, by the smooth motion and by landings."""
+        """Compare accelerometers with their limit: acceleration of the smooth motion and of landings."""
         speeds = np.max([part.closing_speed for part in self.free.parts], axis=0)[
             self.system.damper_number - 1
         ]
@@ -275,7 +275,7 @@ class _Assessment:
                 time,
                 sensor.saturation,
                 "sensor",
-                # Which limit a sample met is not known: the sensor's, where what shakes it says so.
+                # A sample does not show which limit it met; the acceleration does.
                 reached and largest > sensor.saturation,
             )
 
@@ -292,7 +292,7 @@ class _Assessment:
             amplifier = shaker.amplifier if isinstance(shaker, ElectrodynamicShaker) else None
             most = np.inf if amplifier is None else amplifier.limit / amplifier.gain
             if drive >= _AT_LIMIT * most:
-                # The control gives no more than the limit; the linear response says what it would take.
+                # The control gives no more than the limit; the linear response gives the required drive.
                 needed = drive_needed(self.scene, self.system)
                 drive, frequency = (needed[0] * self.level, needed[1]) if needed else (drive, frequency)
             volts = drive / DRIVE_PER_VOLT[unit]
@@ -325,7 +325,7 @@ class _Assessment:
         return self._secant(limiting, names.index(limiting.name), level), True
 
     def _secant(self, limiting: Expectation, row: int, level: float) -> float:
-        """Rehearse the part with the largest reading of a channel at other levels: a secant in the logarithms."""
+        """Rehearse the part with the largest reading of a channel at other levels: secant method in logarithms."""
         part = max(self.free.parts, key=lambda each: each.readings[row].size)
         seconds = affordable_seconds(self.scene) / (2 * _TRIALS)
         scene, ahead = near_extreme(part.scene, limiting.frequency, seconds)
@@ -361,7 +361,7 @@ class _Assessment:
             if isinstance(test, SweptSine):
                 return estimate(self.scene).seconds
             return done + max(estimate(self.scene).seconds - shorter, 0.0)
-        # A quiet step between the peaks waits as long as the quicker ones about them.
+        # A step between the peaks waits as long as the quicker steps about them.
         waits = [wait for part in played.parts for wait in self._waits(part, test)] or [1.0]
         steps = len(test.levels) * len(test.order)
         typical = float(np.percentile(waits, 25))
@@ -378,8 +378,8 @@ class _Assessment:
     def _waits(self, part: Rehearsal, test: SteppedSine) -> Iterable[float]:
         """Give the times until the tones of a part are steady, s.
 
-        A tone that a rehearsal leaves off may take a little longer, or all the time that the test gives it where
-        dampers make the motion irregular: the geometric mean of the two is assumed.
+        A tone that did not settle in a rehearsal may take a little longer or, with irregular motion of dampers, all the
+        time that the test allows: the geometric mean of the two is assumed.
         """
         for settle, measure in zip(part.steps[::2], part.steps[1::2], strict=False):
             wait = (settle.stop - settle.first) / self.bench.rate
@@ -412,7 +412,7 @@ def at_level(scene: Scene, level: float) -> Scene:
 
 
 def near_extreme(scene: Scene, frequency: float | None, seconds: float) -> tuple[Scene | None, int]:
-    """Give the scene with the few tones of its test before a frequency, or a test that is short by itself."""
+    """Give the scene with the few tones of its test before a frequency, or with its test if that is short."""
     test = scene.test
     if isinstance(test, SteppedSine) and frequency is not None:
         order = list(test.order)

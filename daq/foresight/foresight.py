@@ -1,4 +1,4 @@
-"""What a test is expected to do: a line, and a table of the largest values next to their limits."""
+"""The predicted test: a summary, and a table of the largest values and their limits."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Expectation:
-    """Largest size that something is to have in a test.
+    """Predicted maximum of a quantity in a test.
 
     Attributes
     ----------
@@ -26,19 +26,19 @@ class Expectation:
         Channel, sensor of a channel, output, amplifier or table.
     unit : str
     largest : float
-        Largest size expected, were nothing to limit it.
+        Predicted maximum without limits.
     frequency, time : float or None
-        Tone at which it is expected, Hz; or when, from the start of the test, s.
+        Its frequency, Hz; or its time from the start of the test, s.
     limit : float
-        Infinite where there is none.
+        Infinite without a limit.
     limited_by : str
-        What has that limit.
+        The part with this limit.
     overloaded : bool
         Whether the limit is reached.
     recorded : float
-        Largest reading that the recording will hold; NaN of what is no channel.
+        Largest reading in the recording; NaN for other quantities than channels.
     driven : float or None
-        Largest size that grows with the level of the test, without the transient of power-on; None: all of it.
+        Part of the maximum that grows with the level of the test, without the transient of power-on; None: all of it.
     """
 
     name: str
@@ -59,7 +59,7 @@ class Expectation:
 
     @property
     def share(self) -> float:
-        """Largest size over the limit; 0 where there is no limit."""
+        """Ratio of the maximum to the limit; 0 without a limit."""
         if not np.isfinite(self.limit):
             return 0.0
         share = self.largest / self.limit
@@ -95,7 +95,7 @@ def in_words(size: float, unit: str) -> str:
 
 @dataclass(frozen=True, repr=False)
 class Foresight(Result):
-    """What a test is expected to do.
+    """Prediction of a test.
 
     Attributes
     ----------
@@ -106,24 +106,24 @@ class Foresight(Result):
     key : str
         Key of the test's level, such as test.force; "" where it has none.
     level, largest_level : float
-        Level of the test (the highest of several), and the largest that fits; NaN where nothing limits it.
+        Level of the test (the highest of several), and the largest level that fits; NaN without a limit.
     level_unit : str
     limited_by : Expectation or None
-        What limits the level.
+        The limit of the level.
     nonlinear : bool
         Whether dampers fly, so that `largest_level` is approximate.
     aborts : str or None
-        What will end the test before its time.
+        Reason for which the test will abort.
     signals : dict of str to LeastSignal
-        Of each channel with noise, the signal above it where that is smallest.
+        Smallest ratio of signal to noise of each channel with noise.
     unread : tuple of str
-        Channels whose signal is smaller than the converter resolves, and what to do.
+        Channels whose signal is below the resolution of the converter, and the remedy.
     flights : tuple of str
-        Which dampers fly, and where.
+        Dampers in flight, with frequency or time.
     seconds, disk : float
         Time that the test takes, s, and the size of its recording, bytes.
     rehearsed : str
-        What was rehearsed, where that was not the whole test; "" otherwise.
+        The rehearsed part of the test; "" if the whole test was rehearsed.
     outside : tuple of str
         Modes outside the band of the test.
     """
@@ -147,7 +147,7 @@ class Foresight(Result):
 
     @property
     def fits(self) -> bool:
-        """Whether nothing is overloaded and nothing ends the test."""
+        """Whether nothing is overloaded and the test does not abort."""
         return self.aborts is None and all(each.share < 1.0 for each in self.expectations)
 
     def __getitem__(self, name: str) -> Expectation:
@@ -157,7 +157,7 @@ class Foresight(Result):
         raise KeyError(f"{name!r}: expected one of {', '.join(each.name for each in self.expectations)}")
 
     def summary(self) -> str:
-        """Say whether the test fits, and what limits it."""
+        """State whether the test fits, and its limit."""
         worst = max(self.expectations, key=lambda each: each.share, default=None)
         if self.aborts is not None:
             head = f"the test will abort: {self.aborts}"

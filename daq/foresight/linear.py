@@ -1,4 +1,4 @@
-"""The linear response of a scene as its channels read it, all dampers on their floors."""
+"""The linear response of a scene in its channels, with all dampers on their floors."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from rig.system.open_loop_drive import drive_per_level, riding_response
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-# Frequencies of a band at which a drive is looked for.
+# Frequencies of a band at which the required drive is computed.
 _POINTS = 400
 _DERIVATIVES = {"displacement": 0, "velocity": 1, "acceleration": 2}
 
@@ -34,7 +34,7 @@ def test_band(test: Test | None) -> tuple[float, float] | None:
 
 
 def test_frequencies(test: Test | None, points: int) -> Array:
-    """Frequencies of a test, rising, Hz: its own tones, or so many over its band; none without a band."""
+    """Frequencies of a test, rising, Hz: its tones, or `points` frequencies over its band; none without a band."""
     if isinstance(test, Sine):
         return np.array([test.frequency])
     if isinstance(test, SteppedSine):
@@ -61,10 +61,10 @@ def states_per_level(
 
 
 def channel_readings(scene: Scene, channels: Sequence[ChannelInfo], frequencies: Array) -> Array:
-    """Amplitude that each channel reads under a tone of one unit of level, (channels, frequencies), in its unit."""
+    """Amplitude of each channel for a tone of one unit of level, (channels, frequencies), in its unit."""
     system = assemble(scene)
     states, gain = states_per_level(scene, system, frequencies)
-    found = np.zeros((len(channels), frequencies.size))
+    readings = np.zeros((len(channels), frequencies.size))
     for row, info in enumerate(channels):
         size: Array
         if info.at in system.points:
@@ -74,15 +74,12 @@ def channel_readings(scene: Scene, channels: Sequence[ChannelInfo], frequencies:
             continue
         else:
             size = np.abs(gain)
-        found[row] = size * abs(info.response(frequencies))
-    return found
+        readings[row] = size * abs(info.response(frequencies))
+    return readings
 
 
 def drive_needed(scene: Scene, system: HybridSystem) -> tuple[float, float] | None:
-    """Largest drive that one unit of the test's level takes, and at which frequency; None without a band.
-
-    A random test needs its root mean square at each frequency, of which this is no bound.
-    """
+    """Largest drive for one unit of the test's level, and its frequency; None for tests other than tones and sweeps."""
     frequencies = test_frequencies(scene.test, _POINTS)
     if not frequencies.size or not isinstance(scene.test, Sine | SteppedSine | SweptSine):
         return None

@@ -1,4 +1,4 @@
-"""Where the response of a test is nearest to the noise of its channel."""
+"""The smallest ratio of signal to noise of each channel in a test."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _INTEGRATIONS = {"displacement": 2, "velocity": 1, "acceleration": 0}
 
 @dataclass(frozen=True)
 class LeastSignal:
-    """Smallest amplitude that a channel reads, over the standard deviation of its noise in a measurement, and where."""
+    """Smallest ratio of a channel's amplitude to the standard deviation of its noise in a measurement."""
 
     ratio: float
     frequency: float  # Hz
@@ -37,8 +37,8 @@ class LeastSignal:
 def least_signals(scene: Scene, channels: tuple[ChannelInfo, ...]) -> dict[str, LeastSignal]:
     """Compare the linear response with the noise of each channel that has any; by name.
 
-    The noise is that of one measured tone (a lock-in over its time: sqrt(2 S / T) for a density S), line or frequency
-    of the spectrum. Hits and free decays have no such measurement.
+    The noise is that of a measured tone (lock-in over its time T: sqrt(2 S / T) for a density S), or of a line of the
+    spectrum. Hits and free decays have no such measurement.
     """
     frequencies = test_frequencies(scene.test, _POINTS)
     settings = {channel.name: channel for channel in scene.channels or ()}
@@ -49,18 +49,18 @@ def least_signals(scene: Scene, channels: tuple[ChannelInfo, ...]) -> dict[str, 
     except SceneError:
         return {}
     scale = _measured(scene, frequencies)
-    found = {}
+    smallest = {}
     for info, amplitude in zip(channels, amplitudes, strict=True):
         density = _density(scene, settings.get(info.name), info, frequencies)
         if density.any() and amplitude.any():
             ratio = amplitude * scale / np.maximum(density, np.finfo(float).tiny)
             place = int(np.argmin(ratio))
-            found[info.name] = LeastSignal(float(ratio[place]), float(frequencies[place]))
-    return found
+            smallest[info.name] = LeastSignal(float(ratio[place]), float(frequencies[place]))
+    return smallest
 
 
 def _measured(scene: Scene, frequencies: Array) -> Array:
-    """Signal over noise in one measurement, for one unit of amplitude per level and of noise density."""
+    """Ratio of signal to noise in one measurement, for one unit of amplitude per level and of noise density."""
     test = scene.test
     level = min(test.levels) if isinstance(test, SteppedSine) else level_of(scene)
     if isinstance(test, Random):
@@ -74,7 +74,7 @@ def _measured(scene: Scene, frequencies: Array) -> Array:
     if isinstance(test, SteppedSine):
         return np.asarray(level * np.sqrt(test.measure.periods / frequencies / 2.0))
     assert isinstance(test, SweptSine)
-    # The time that a sweep stays within the band which that time resolves.
+    # A sweep stays within the band that a measurement resolves for the inverse root of its rate.
     rate = np.full(frequencies.size, abs(test.to - test.from_) / test.duration)
     if test.spacing == "log":
         rate = frequencies * abs(np.log(test.to / test.from_)) / test.duration
@@ -82,7 +82,7 @@ def _measured(scene: Scene, frequencies: Array) -> Array:
 
 
 def _density(scene: Scene, channel: Channel | None, info: ChannelInfo, frequencies: Array) -> Array:
-    """Noise density of a channel, in the unit that it reads, per root of hertz."""
+    """Noise density of a channel, in its unit per root of hertz."""
     converter, power = filled_in(scene.converter), np.zeros(frequencies.size)
     in_volts = (converter.noise or 0.0) ** 2
     if info.volts_per_count is not None:

@@ -1,4 +1,4 @@
-"""How large a recording gets, by writing some of what was rehearsed."""
+"""Predicted size of a recording: a part of the rehearsal is written."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from daq.recording.recorder import Recorder
 from daq.signal_chain.bench import AcquiredBlock, Bench
 from rig.scene.scene import Scene
 
-# The end of a rehearsal that is kept to be written, s: by then the test is under way.
+# Duration of the end of a rehearsal that is written, s.
 _KEPT_S = 4.0
 
 
@@ -22,7 +22,7 @@ class LastBlocks:
     Attributes
     ----------
     most : float
-        Samples that are kept at least, where there are as many.
+        Least number of samples to keep.
     """
 
     most: float
@@ -31,11 +31,11 @@ class LastBlocks:
 
     @classmethod
     def of(cls, rate: float) -> LastBlocks:
-        """Keep what is written of a rehearsal at a sample rate, Hz."""
+        """Keep the part of a rehearsal that is written, at a sample rate in Hz."""
         return cls(_KEPT_S * rate)
 
     def add(self, block: AcquiredBlock) -> None:
-        """Take the next block, and drop those that are no longer needed."""
+        """Take the next block, and drop blocks that are no longer needed."""
         self.blocks.append(block)
         self.samples += block.samples.shape[1]
         while self.samples - self.blocks[0].samples.shape[1] > self.most:
@@ -43,7 +43,7 @@ class LastBlocks:
 
 
 def recording_size(scene: Scene, bench: Bench, blocks: list[LastBlocks], seconds: float) -> float:
-    """Size that the recording of a test gets, bytes, about.
+    """Estimate the size of the recording of a test, bytes.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def recording_size(scene: Scene, bench: Bench, blocks: list[LastBlocks], seconds
     blocks : list of LastBlocks
         Of each part that was rehearsed.
     seconds : float
-        Time that the test takes.
+        Duration of the test.
     """
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "size.mcap"

@@ -1,4 +1,4 @@
-"""A test run ahead on the scene's own bench, without a recording: the extremes of every channel, and what ends it."""
+"""A rehearsal: the test on the scene's bench without a recording, with the extremes of every channel."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from rig.scene.scene import Scene
 
 Array = NDArray[np.float64]
 
-# Of a damper's impacts closer together than this only the first is noted, s.
+# Impacts of a damper within this time after another are not stored, s.
 _PAUSE = 0.5
 
 
 @dataclass
 class Extreme:
-    """Largest size that a quantity has had, and at which sample."""
+    """Largest magnitude of a quantity so far, and its sample."""
 
     size: float = 0.0
     sample: int = 0
 
     def add(self, first: int, values: Array) -> None:
-        """Take the next values, the first of them numbered `first`."""
+        """Take the next values, the first with the number `first`."""
         if values.size:
             place = int(np.argmax(np.abs(values)))
             if abs(values[place]) > self.size:
@@ -40,7 +40,7 @@ class Extreme:
 
 @dataclass(frozen=True)
 class Step:
-    """A tone that was held: its samples and Hz."""
+    """A held tone: its samples, its frequency in Hz, and whether it settled."""
 
     first: int
     stop: int
@@ -50,38 +50,38 @@ class Step:
 
 @dataclass
 class Rehearsal:
-    """What a test did on the bench.
+    """Result of a test on the bench.
 
     Attributes
     ----------
     scene : Scene
-        With the test that was run.
+        With the rehearsed test.
     seconds : float
-        Time that it took on the bench.
+        Duration on the bench.
     complete : bool
-        Whether the test came to its end.
+        Whether the test ended regularly.
     readings : list of Extreme
         Of each channel, in its unit.
     overloaded : list of bool
         Whether each channel was overloaded.
     drives : list of Extreme
-        What the test gave each input of the rig, before its output and amplifier limited it.
+        Of each input of the rig, before the limits of output and amplifier.
     accelerations : dict of str to Extreme
         Of each point, m/s^2.
     tables : dict of str to Extreme
         Displacement of each table, m.
     closing_speed : ndarray, shape (dampers,)
-        Largest speed at which each damper of the scene came to a wall, m/s.
+        Largest closing speed of each damper of the scene, m/s.
     strikes : list of list of float
-        Of each damper of the scene, times at which it hit a wall, at most a few a second, s.
+        Times of impacts of each damper of the scene, at most a few a second, s.
     aborted : str or None
-        What would end the test before its time.
+        Reason for which the test would abort.
     steps : list of Step
-        Tones that were held.
+        Held tones.
     sweep : tuple of int, optional
         First and last sample of a sweep.
     last_blocks : LastBlocks
-        What the channels gave in the last seconds.
+        Samples of the last seconds.
     """
 
     scene: Scene
@@ -101,7 +101,7 @@ class Rehearsal:
     last_blocks: LastBlocks = field(default_factory=lambda: LastBlocks(0.0))
 
     def frequency_at(self, sample: int) -> float | None:
-        """Frequency of the tone that was played at a sample, Hz; None where the test plays no single tone."""
+        """Frequency of the tone at a sample, Hz; None where the test plays no single tone."""
         test = self.scene.test
         if self.sweep is not None and isinstance(test, SweptSine) and sample >= self.sweep[0]:
             share = (sample - self.sweep[0]) / max(1, self.sweep[1] - self.sweep[0])
@@ -117,9 +117,9 @@ def rehearse(scene: Scene, longest: float, ahead: int = 0) -> Rehearsal:
     ----------
     scene : Scene
     longest : float
-        Time on the bench after which to leave off, s.
+        Time on the bench after which the rehearsal ends, s.
     ahead : int
-        Steps at the beginning of a row of tones whose extremes do not count.
+        Steps at the beginning whose extremes are not used.
 
     Raises
     ------
@@ -130,7 +130,7 @@ def rehearse(scene: Scene, longest: float, ahead: int = 0) -> Rehearsal:
 
 
 class _Run:
-    """The loop between excitation and bench, as `daq.measurement.run` has it, with nothing recorded."""
+    """The loop between excitation and bench of `daq.measurement.run`, without a recording."""
 
     def __init__(self, scene: Scene, ahead: int) -> None:
         self._ahead = ahead
@@ -158,7 +158,7 @@ class _Run:
         )
 
     def run(self, longest: float) -> Rehearsal:
-        """Run the test to its end, to what aborts it, or for so long."""
+        """Run the test to its end, to an abort, or up to a duration."""
         test = excitation(self._station)
         drive, found = next(test), self._found
         quantum = self._station.samples(self._limits.interval)
@@ -209,7 +209,7 @@ class _Run:
         return readings
 
     def _follow(self, got: AcquiredBlock) -> None:
-        """Note how far tables and bodies move, and where dampers hit."""
+        """Update the motion of tables and bodies, and the impacts of dampers."""
         motion, found = got.motion, self._found
         for row, point in enumerate(self._points):
             found.accelerations[point].add(motion.first, motion.acceleration[row])

@@ -1,9 +1,8 @@
-"""The parts of a test that decide its extremes, short enough to be rehearsed.
+"""The parts of a test that determine its extremes, short enough for a rehearsal.
 
-A test that is short is rehearsed whole. Of a long row of tones, and of a long sweep, two parts are: the beginning,
-where sensors have just been switched on, and the frequencies about the peaks of the linear response, with the dampers
-on their floors and without them. Of a long random test it is the beginning, of equal hits the first, of periods that
-repeat a single one.
+A short test is rehearsed completely. Of a stepped or swept sine these are the beginning, where sensors have just been
+switched on, and the frequencies about the peaks of the linear response, with the dampers on their floors and without
+them. Of a long random test it is the beginning, of equal hits the first, of repeated periods a single one.
 """
 
 from __future__ import annotations
@@ -26,44 +25,44 @@ from rig.system.structural_model import structural_model
 
 Array = NDArray[np.float64]
 
-#: CPU time that a rehearsal may take, about, s.
+#: CPU time of a rehearsal, approximately, s.
 BUDGET_S = 0.7
-# A random test or multisine is rehearsed whole up to so many times that: extremes of a part scatter by some 10 %.
+# Multiple of that up to which a random test or multisine is rehearsed completely: extremes of a part scatter by 10 %.
 _RANDOM_BUDGETS = 4.0
-# CPU time of a sample, measured on one core of 2 GHz, s: the loop and the rig, each state, each channel; and of the
-# Python code that steers a held sweep, every period of its tone.
+# CPU time measured on one core of 2 GHz, s: of a sample, of each state and of each channel in it, and of each period of
+# a sweep with controlled force.
 _SAMPLE_S, _STATE_S, _CHANNEL_S, _STEERED_PERIOD_S = 130e-9, 6e-9, 130e-9, 1.2e-3
-# A channel with a decimation filter costs so many times as much.
+# Ratio of the CPU time of a channel with a decimation filter to another.
 _FILTERED = 2.0
-# A state matrix beyond this size costs by its elements, s.
+# CPU time of each element of the state matrix, s.
 _ELEMENT_S = 0.6e-9
-# A step of a row of tones takes this long, s, and so many time constants of the slowest mode, on the bundled scenes.
+# Duration of a step: a time, s, and a number of time constants of the slowest mode, on the bundled scenes.
 _STEP_S, _TIME_CONSTANTS = 1.4, 2.0
-# Where parts of a row are rehearsed, the wait for a steady motion ends after this time, s.
+# Longest wait for steady motion in a rehearsal of parts, s.
 _LONGEST_WAIT_S = 10.0
-# Peaks of the linear response below this share of a channel's largest are left out.
+# Share of a channel's largest peak below which peaks of the linear response are left out.
 _LOW_PEAK = 0.15
-# Groups of frequencies with fewer left out between them are run as one.
+# Groups of frequencies with fewer frequencies between them are joined.
 _NARROW_GAP = 4
-# A group begins so many frequencies ahead of those that count: the motion there is not yet that of the whole test.
+# Frequencies before each group whose extremes are not used: the motion is not yet that of the whole test.
 _AHEAD = 2
-# Frequencies of the row of tones that replaces a long sweep.
+# Frequencies of the stepped sine that replaces a long sweep.
 _SWEEP_POINTS = 400
 
 
 @dataclass(frozen=True)
 class Shortened:
-    """What is rehearsed of a test: scenes with tests that are run one after another.
+    """The rehearsed parts of a test: scenes whose tests are run one after another.
 
     Attributes
     ----------
     scenes : tuple of Scene
     ahead : tuple of int
-        Of each scene, steps at its beginning that only lead up to those that count.
+        Steps at the beginning of each scene whose extremes are not used.
     whole : bool
-        Whether it is the test itself.
+        Whether this is the whole test.
     extends : bool
-        Whether the test goes on with more of the same noise, which reaches higher in a longer time.
+        Whether the rest of the test is the same noise, whose extremes are higher in a longer time.
     """
 
     scenes: tuple[Scene, ...]
@@ -73,7 +72,7 @@ class Shortened:
 
 
 def affordable_seconds(scene: Scene) -> float:
-    """Time on the bench that can be rehearsed within the budget, s."""
+    """Duration on the bench that can be rehearsed within the budget, s."""
     clock = SampleClock.of(scene.converter)
     system = assemble(scene)
     channels = system.coordinates if scene.channels is None else len(scene.channels)
@@ -84,13 +83,7 @@ def affordable_seconds(scene: Scene) -> float:
 
 
 def shortened(scene: Scene, channels: tuple[ChannelInfo, ...]) -> Shortened:
-    """Choose what to rehearse of a scene's test.
-
-    Parameters
-    ----------
-    channels : tuple of ChannelInfo
-        As the bench has them.
-    """
+    """Choose the parts of a scene's test to rehearse; `channels` are those of the bench."""
     test, seconds = scene.test, affordable_seconds(scene)
     assert test is not None
     if isinstance(test, Random | Multisine):
@@ -115,10 +108,10 @@ def shortened(scene: Scene, channels: tuple[ChannelInfo, ...]) -> Shortened:
 
 
 def expected_seconds(scene: Scene) -> float:
-    """Time that a test takes with its waits, about, s."""
+    """Estimate the duration of a test with its waits, s."""
     least, test = estimate(scene).seconds, scene.test
     if isinstance(test, Multisine):
-        # A crossfade, and two periods at least until they are alike; of a held force the rounds of shaping it.
+        # A crossfade, and at least two periods until they are equal; with a held force the iterations of its shape.
         return least * (1.0 + 3.0 / test.periods) + (8.0 if _holds_spring_force(scene) else 0.0)
     if not isinstance(test, SteppedSine):
         return least
@@ -126,7 +119,7 @@ def expected_seconds(scene: Scene) -> float:
 
 
 def _wait(scene: Scene) -> float:
-    """Time between the measurements of a row of tones, about, s."""
+    """Estimate the time between the measurements of a stepped sine, s."""
     assert isinstance(scene.test, SteppedSine)
     return _STEP_S + min(_TIME_CONSTANTS * _slowest(scene), scene.test.settle.longest)
 
@@ -143,7 +136,7 @@ def _holds_spring_force(scene: Scene) -> bool:
 
 
 def _fewer_hits(test: Impulse, seconds: float) -> Impulse:
-    """Leave the first hits; later ones are like them."""
+    """Keep the first hits, which later hits repeat."""
     if test.interval >= seconds:
         after = 0.0 if test.double_hit is None else test.double_hit.after
         interval = max(seconds, 2.0 * (test.width + after))
@@ -153,7 +146,7 @@ def _fewer_hits(test: Impulse, seconds: float) -> Impulse:
 
 
 def _bounces(test: Impulse, repeats: int) -> object:
-    """Bounces of the hits that are left."""
+    """Bounces of the hits that are kept."""
     if test.double_hit is None or test.double_hit.hits is None:
         return test.double_hit
     hits = tuple(hit for hit in test.double_hit.hits if hit <= repeats)
@@ -163,7 +156,7 @@ def _bounces(test: Impulse, repeats: int) -> object:
 def about_peaks(
     scene: Scene, test: SteppedSine | SweptSine, channels: tuple[ChannelInfo, ...], seconds: float
 ) -> Shortened:
-    """Rows of neighbouring frequencies about the peaks, at the highest level, each run from rest."""
+    """Give groups of neighbouring frequencies about the peaks, at the highest level, each started from rest."""
     if isinstance(test, SteppedSine):
         rising, direction = np.unique(test.order), test.direction
         settle, periods = test.settle, test.measure.periods
@@ -199,14 +192,14 @@ def about_peaks(
             last = min(last + _AHEAD, rising.size - 1)
         frequencies = np.unique(rising[first : last + 1]).tolist()
         ahead.append(last - int(places[-1]) if direction == "down" else int(places[0]) - first)
-        # What begins with the test's own first tone begins as the test does.
+        # A part with the first tone of the test begins as the test does.
         part = _long_switched_on(scene) if ahead[-1] else scene
         scenes.append(part.replace(test={**row, "frequencies": frequencies}))
     return Shortened(tuple(scenes), tuple(ahead))
 
 
 def _long_switched_on(scene: Scene) -> Scene:
-    """Give a scene whose sensors were switched on long before: the bias has settled, behind a high-pass to zero."""
+    """Give a scene whose sensors were switched on long before: the bias has settled, to zero behind a high-pass."""
     if scene.channels is None:
         return scene
     channels = []
@@ -223,7 +216,7 @@ def _long_switched_on(scene: Scene) -> Scene:
 
 
 def _chosen(scene: Scene, channels: tuple[ChannelInfo, ...], rising: Array, most: int) -> NDArray[np.intp]:
-    """Choose frequencies by their places in a rising list: the peaks of the linear response, then their neighbours."""
+    """Choose positions in a rising list of frequencies: the peaks of the linear response, then their neighbours."""
     seeds: dict[int, float] = {}
     for dampers in {scene.dampers, ()}:
         for curve in channel_readings(scene.replace(dampers=dampers), channels, rising):

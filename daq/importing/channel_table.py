@@ -1,4 +1,4 @@
-"""The table of an import: which column of which file is which channel, and what its numbers mean."""
+"""The table of an import: the column of each channel, and the unit of its numbers."""
 
 from __future__ import annotations
 
@@ -16,6 +16,8 @@ from rig.scene.quantities import FREQUENCY, TIME, parse
 from rig.scene.yaml_reader import read
 
 EXAMPLE = "body1: {column: ai0, unit: g, sign: -1}"
+# Line, channel, and the keys given for it.
+Rows = list[tuple[int, str, Mapping[str, Any]]]
 
 
 @dataclass(frozen=True)
@@ -27,19 +29,19 @@ class Column:
     column : str
         Name of a signal in the files, or its number from 1.
     file : str or None
-        Name of the file it is in, where several files have such a one.
+        Name of the file it is in, where several files have such a signal.
     unit : str or None
-        What one in the file means: a unit, or a number of them, ``5 V``; None: as the file says.
+        Meaning of 1 in the file: a unit, or a number of units, ``5 V``; None: as the file states.
     sensitivity : str or None
-        Volts per unit of the sensor, ``100 mV/g``, where the file's numbers are volts; None: as the scene says.
+        Volts per unit of the sensor, ``100 mV/g``, where the file's numbers are volts; None: as the scene states.
     sign : int
-        -1 turns a sensor round that was mounted upside down.
+        -1 reverses a sensor that was mounted upside down.
     offset : float
         Reading at rest, in the file's unit.
     delay : float or None
-        By how much the signal comes late, s; None: as the file's start times say.
+        Delay of the signal, s; None: as the file's start times state.
     rate : float or None
-        Samples per second, Hz, where the file says none, or a wrong one.
+        Samples per second, Hz, where the file states none, or a wrong value.
     """
 
     column: str
@@ -56,12 +58,12 @@ _KEYS = [field.name for field in fields(Column)]
 
 
 def read_table(path: Path) -> dict[str, Column]:
-    """Read a table, YAML or CSV: what it says of each channel, by the channel's name.
+    """Read a table, YAML or CSV: the column of each channel, by the channel's name.
 
     Raises
     ------
     SceneError
-        If the file cannot be read or says something that no import knows; all that is wrong is said at once.
+        If the file cannot be read or holds mistakes; all of them are reported at once.
     """
     try:
         text = read_whole(path).decode("utf-8-sig")
@@ -69,66 +71,55 @@ def read_table(path: Path) -> dict[str, Column]:
         raise SceneError(f"cannot read {path}: {getattr(error, 'strerror', None) or error}") from None
     rows = _from_csv(path, text) if path.suffix.lower() == ".csv" else _from_yaml(path, text)
     table: dict[str, Column] = {}
-    wrong: list[str] = []
+    mistakes = [] if rows else [f"{path} names no channel; expected lines such as {EXAMPLE}"]
     for line, name, given in rows:
-        where = f"{path}:{line}: {name}"
-        if name in table:
-            wrong.append(f"{where}: there is a line for this channel already")
-            continue
         try:
+            if name in table:
+                raise ValueError("this channel has a line already")
             table[name] = column(given)
         except ValueError as error:
-            wrong.append(f"{where}: {error}")
-    if not rows:
-        wrong.append(f"{path} names no channel; expected lines such as {EXAMPLE}")
-    if wrong:
-        raise SceneError("\n".join(wrong))
+            mistakes.append(f"{path}:{line}: {name}: {error}")
+    if mistakes:
+        raise SceneError("\n".join(mistakes))
     return table
 
 
 def column(given: Mapping[str, Any]) -> Column:
-    """Check what is said of one channel; raise `ValueError` in words.
+    """Check the keys of one channel; raise `ValueError` in words.
 
     >>> column({"column": "ai0", "unit": "g", "sign": "-1", "delay": "2 us"})
     Column(column='ai0', file=None, unit='g', sensitivity=None, sign=-1, offset=0.0, delay=2e-06, rate=None)
     """
-    said = {
-        key: str(value).strip() for key, value in given.items() if value is not None and str(value).strip()
-    }
-    for key in said:
+    texts = {key: text for key, value in given.items() if value is not None and (text := str(value).strip())}
+    for key in texts:
         if key not in _KEYS:
             near = difflib.get_close_matches(key, _KEYS, n=1)
-            raise ValueError(
-                f"unknown key {key!r}; expected one of {', '.join(_KEYS)}" + (f"; {near[0]}?" if near else "")
-            )
-    if "column" not in said:
+            hint = f". Did you mean {near[0]}?" if near else ""
+            raise ValueError(f"unknown key {key!r}; expected one of {', '.join(_KEYS)}{hint}")
+    if "column" not in texts:
         raise ValueError("column missing; expected the name of a signal in the files, or its number from 1")
-    made: dict[str, Any] = {
-        key: said[key] for key in ("column", "file", "unit", "sensitivity") if key in said
-    }
-    if "sign" in said:
-        if said["sign"] not in ("1", "+1", "-1", "+", "-"):
-            raise ValueError(f"sign: got {said['sign']!r}; expected 1 or -1")
-        made["sign"] = -1 if said["sign"].startswith("-") else 1
+    values: dict[str, Any] = dict(texts)
+    if "sign" in texts:
+        if texts["sign"] not in ("1", "+1", "-1", "+", "-"):
+            raise ValueError(f"sign: got {texts['sign']!r}; expected 1 or -1")
+        values["sign"] = -1 if texts["sign"].startswith("-") else 1
     for key, kind in (("delay", TIME), ("rate", FREQUENCY)):
-        if key in said:
+        if key in texts:
+            expected = f"expected {kind.noun} such as {kind.example}"
             try:
-                made[key] = parse(said[key], kind)
+                values[key] = parse(texts[key], kind)
             except ValueError as error:
-                raise ValueError(f"{key}: {error}; expected {kind.noun} such as {kind.example}") from None
-            if not math.isfinite(made[key]) or (key == "rate" and made[key] <= 0):
-                raise ValueError(f"{key}: got {said[key]!r}; expected {kind.noun} such as {kind.example}")
-    if "offset" in said:
+                raise ValueError(f"{key}: {error}; {expected}") from None
+            if not math.isfinite(values[key]) or (key == "rate" and values[key] <= 0):
+                raise ValueError(f"{key}: got {texts[key]!r}; {expected}")
+    if "offset" in texts:
         try:
-            made["offset"] = float(said["offset"])
+            values["offset"] = float(texts["offset"])
         except ValueError:
-            made["offset"] = math.nan
-        if not math.isfinite(made["offset"]):
-            raise ValueError(f"offset: got {said['offset']!r}; expected a number, in the file's unit")
-    return Column(**made)
-
-
-Rows = list[tuple[int, str, Mapping[str, Any]]]
+            values["offset"] = math.nan
+        if not math.isfinite(values["offset"]):
+            raise ValueError(f"offset: got {texts['offset']!r}; expected a number, in the file's unit")
+    return Column(**values)
 
 
 def _from_yaml(path: Path, text: str) -> Rows:
@@ -139,29 +130,25 @@ def _from_yaml(path: Path, text: str) -> Rows:
     content = document.content if document.content is not None else {}
     if not isinstance(content, dict):
         raise SceneError(f"{path}: expected a line for each channel, such as {EXAMPLE}")
-    rows: Rows = []
-    for name, given in content.items():
-        # A channel whose column is all there is to say: body1: ai0
-        said = given if isinstance(given, dict) else {"column": given}
-        rows.append((document.line((name,)), name, said))
-    return rows
+    # A line of a column alone: `body1: ai0`.
+    return [
+        (document.line((name,)), name, given if isinstance(given, dict) else {"column": given})
+        for name, given in content.items()
+    ]
 
 
 def _from_csv(path: Path, text: str) -> Rows:
     try:
         lines = list(csv.reader(text.splitlines()))
     except csv.Error as error:
-        raise SceneError(f"{path} is no table of channels: {error}") from None
+        raise SceneError(f"{path} is not a table of channels: {error}") from None
     if not lines or "channel" not in (heading := [cell.strip() for cell in lines[0]]):
-        raise SceneError(
-            f"{path}:1: expected the heading channel,column,{','.join(_KEYS[1:])}, as far as it is needed"
-        )
+        raise SceneError(f"{path}:1: expected the heading channel,column and any of {','.join(_KEYS[1:])}")
     rows: Rows = []
     for number, line in enumerate(lines[1:], 2):
-        if not any(cell.strip() for cell in line):
-            continue
         if len(line) > len(heading):
             raise SceneError(f"{path}:{number}: {len(line)} cells under a heading of {len(heading)}")
-        given = dict(zip(heading, line, strict=False))
-        rows.append((number, given.pop("channel").strip(), given))
+        if any(cell.strip() for cell in line):
+            given = dict(zip(heading, line, strict=False))
+            rows.append((number, given.pop("channel").strip(), given))
     return rows

@@ -14,15 +14,15 @@ from numpy.typing import NDArray
 from daq.importing.signal import Array
 from daq.signal_chain.channel import ChannelInfo, Quantity
 
-# Lines count whose real part is a larger share of their magnitude.
+# Lines with a smaller real part, as a share of their magnitude, are left out.
 _CLEAR_SHARE = 0.3
 # Share of the real part that must be negative. Errors of phase far from resonances give either sign.
 _REVERSED_SHARE = 0.8
-# Share that lines that count must have of the whole: an antiresonance alone has less.
+# Least share of these lines in the whole: an antiresonance alone has less.
 _LEAST_SHARE = 0.02
-# A line is driven where the force has a larger share of its largest line.
+# Share of its largest line from which the force drives a line.
 _DRIVEN_SHARE = 0.1
-#: How many times a quantity of motion is integrated from acceleration.
+#: Integrations from acceleration to a quantity of motion.
 MOTIONS: dict[Quantity, int] = {"acceleration": 0, "velocity": 1, "displacement": 2}
 
 
@@ -32,7 +32,7 @@ def returns_energy(power: NDArray[np.complex128]) -> bool:
 
 
 def _sums(power: NDArray[np.complex128]) -> Array:
-    """Add up the magnitude of power, and of the lines that count the real part's magnitude and the real part."""
+    """Sum the magnitude of power and, over the lines with a clear sign, the magnitude and value of the real part."""
     clear = power.real[abs(power.real) > _CLEAR_SHARE * abs(power)]
     return np.array([abs(power).sum(), abs(clear).sum(), clear.sum()])
 
@@ -70,7 +70,7 @@ class DrivingPower:
         self._sums += _sums(power)
 
     def warning(self) -> str:
-        """Warn if the structure supplies energy; empty if it does not."""
+        """Give a warning if the structure supplies energy; else an empty text."""
         if not _is_returned(self._sums):
             return ""
         return (

@@ -2,27 +2,33 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import ExitStack
+from importlib import import_module
 from pathlib import Path
 
 from daq.importing.signal import Signal
 from rig.errors import RecordingError
 
-ENDINGS = (
-    ".tdms",
-    ".uff",
-    ".unv",
-    ".wav",
-    ".csv",
-    ".txt",
-    ".tsv",
-    ".lvm",
-    ".dat",
-    ".npz",
-    ".npy",
-    ".mat",
-    ".mcap",
-)
+# Ending: module here and its function; imported when needed, as their packages are optional.
+_TEXT = ("text_table", "text_signals")
+_NUMPY = ("arrays", "numpy_signals")
+_UNIVERSAL = ("uff", "uff_signals")
+READERS = {
+    ".tdms": ("tdms", "tdms_signals"),
+    ".uff": _UNIVERSAL,
+    ".unv": _UNIVERSAL,
+    ".wav": ("wav", "wav_signals"),
+    ".csv": _TEXT,
+    ".txt": _TEXT,
+    ".tsv": _TEXT,
+    ".lvm": _TEXT,
+    ".dat": _TEXT,
+    ".npz": _NUMPY,
+    ".npy": _NUMPY,
+    ".mat": ("arrays", "matlab_signals"),
+    ".mcap": ("float_topics", "mcap_signals"),
+}
 
 
 def signals_of(path: Path, stack: ExitStack) -> list[Signal]:
@@ -38,49 +44,21 @@ def signals_of(path: Path, stack: ExitStack) -> list[Signal]:
     if not path.exists():
         raise RecordingError(f"{path}: no such file")
     if not path.is_file():
-        raise RecordingError(f"{path} is no file")
+        raise RecordingError(f"{path} is not a file")
+    if path.suffix.lower() not in READERS:
+        raise RecordingError(f"{path}: expected a file whose name ends in one of {', '.join(READERS)}")
+    module, function = READERS[path.suffix.lower()]
+    read: Callable[[Path, ExitStack], list[Signal]] = getattr(
+        import_module(f"daq.importing.{module}"), function
+    )
     try:
-        found = _read(path, stack)
+        signals = [signal for signal in read(path, stack) if signal.samples > 1]
     except OSError as error:
         raise RecordingError(f"cannot read {path}: {error.strerror or error}") from error
     except MemoryError:
         raise RecordingError(
-            f"{path} does not fit into memory; export it as TDMS, WAV or CSV, which are read in pieces"
+            f"{path} does not fit into memory. Export it as TDMS, WAV or CSV, which are read in pieces."
         ) from None
-    found = [signal for signal in found if signal.samples > 1]
-    if not found:
+    if not signals:
         raise RecordingError(f"{path} holds no samples")
-    return found
-
-
-def _read(path: Path, stack: ExitStack) -> list[Signal]:
-    ending = path.suffix.lower()
-    if ending == ".tdms":
-        from daq.importing.tdms import tdms_signals
-
-        return tdms_signals(path, stack)
-    if ending in (".uff", ".unv"):
-        from daq.importing.uff import uff_signals
-
-        return uff_signals(path)
-    if ending == ".wav":
-        from daq.importing.wav import wav_signals
-
-        return wav_signals(path)
-    if ending in (".npz", ".npy"):
-        from daq.importing.arrays import numpy_signals
-
-        return numpy_signals(path)
-    if ending == ".mat":
-        from daq.importing.arrays import matlab_signals
-
-        return matlab_signals(path)
-    if ending == ".mcap":
-        from daq.importing.float_topics import mcap_signals
-
-        return mcap_signals(path)
-    if ending in ENDINGS:
-        from daq.importing.text_table import text_signals
-
-        return text_signals(path, stack)
-    raise RecordingError(f"{path}: expected a file whose name ends in one of {', '.join(ENDINGS)}")
+    return signals

@@ -7,6 +7,7 @@ import struct
 from array import array
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from os import SEEK_END
 from pathlib import Path
@@ -14,14 +15,11 @@ from typing import IO, Any
 
 import numpy as np
 
-from daq.importing.signal import Array, Signal, rate_of_interval
-from daq.importing.time_gaps import Missing, clock_with_gaps, with_missing
+from daq.importing.clock import Clock, clock_of_times, rate_of_interval
+from daq.importing.signal import Array, Signal
 from daq.mcap_file.chunk import (
-    CHANNEL,
     CHUNK_HEAD,
-    MESSAGE,
     RECORD_HEAD,
-    SCHEMA,
     Damage,
     Stored,
     parse_message,
@@ -30,27 +28,28 @@ from daq.mcap_file.chunk import (
     unpack_chunk,
 )
 from daq.mcap_file.reader import MAGIC
-from daq.mcap_file.summary import CHUNK, DATA_END, parse
+from daq.mcap_file.summary import CHANNEL, CHUNK, DATA_END, MESSAGE, SCHEMA, parse
 from daq.recording import layout
 from rig.errors import RecordingError, ShotrigError
 from rig.numerics.memory import need_beside_program
 
-# Messages of ROS 2 in CDR that are rows of numbers.
+# Messages of ROS 2 in CDR that are rows of numbers, with the type of the numbers.
 _MULTI_ARRAYS = {"std_msgs/msg/Float32MultiArray": "f4", "std_msgs/msg/Float64MultiArray": "f8"}
+# Fields that state the sample rate.
 _RATES = ("sample_rate_hz", "sample_rate", "sampleRate", "rate", "fs")
 # Memory that a byte of a message takes while it is decoded, bytes; at most, measured: JSON `0.0,` as a list of numbers
 # and an array, protobuf `0` in one byte.
 _DECODED = 20
-# Copies of a schema or channel that are held.
+# Copies of a schema or channel in memory.
 _COPIES = 4
-# What a field, and each of its messages, take besides its numbers, bytes.
+# Memory of a field, and of each of its messages, besides the numbers, bytes.
 _FIELD_BYTES, _MESSAGE_BYTES = 3000, 64
 Decoder = Callable[[bytes], Mapping[str, Any]]
 
 
 @dataclass
 class _Field:
-    """A field of a topic's messages: its numbers, how many each message brought, and when."""
+    """A field of a topic's messages: its numbers, the count and the time of each message, and the stated rate."""
 
     values: array[float] = field(default_factory=lambda: array("d"))
     counts: array[int] = field(default_factory=lambda: array("q"))
@@ -58,10 +57,10 @@ class _Field:
     rate: float | None = None
 
 
-def mcap_signals(path: Path) -> list[Signal]:
+def mcap_signals(path: Path, _stack: ExitStack) -> list[Signal]:
     """List the fields of all topics that hold numbers: an array a message, or one number; they are held in memory.
 
-    The sample rate is what messages say in a field such as ``sample_rate``, or follows from their times.
+    The sample rate is stated by a field such as ``sample_rate``, or follows from the times of the messages.
     """
     try:
         with path.open("rb") as file:
@@ -70,9 +69,9 @@ def mcap_signals(path: Path) -> list[Signal]:
     except (ShotrigError, OSError, MemoryError):
         raise
     except Exception as error:
-        # What decodes messages meets damage as whatever it happens to lead to.
+        # Decoders meet damage as whatever it happens to lead to.
         raise RecordingError(
-            f"{path} is no MCAP file, or it is cut off or damaged: {type(error).__name__} {error}"[:300]
+            f"{path} is not an MCAP file, or it is cut off or damaged: {type(error).__name__} {error}"[:300]
         ) from error
     if not topics.fields:
         raise RecordingError(
@@ -80,8 +79,8 @@ def mcap_signals(path: Path) -> list[Signal]:
         )
     several = Counter(topic for topic, _ in topics.fields)
     return [
-        _signal(path, number, f"{topic}.{name}" if several[topic] > 1 else topic, one, topics.units[topic])
-        for number, ((topic, name), one) in enumerate(topics.fields.items(), 1)
+        _signal(path, number, f"{topic}.{name}" if several[topic] > 1 else topic, each, topics.units[topic])
+        for number, ((topic, name), each) in enumerate(topics.fields.items(), 1)
     ]
 
 
@@ -90,10 +89,9 @@ class _Topics:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._schemas: dict[int, Any] = {}
-        self._channels: dict[int, Any] = {}
+        self._known: dict[int, dict[int, Any]] = {SCHEMA: {}, CHANNEL: {}}
         self._decoders: dict[int, Decoder | None] = {}
-        self._held = 0
+        self._in_memory = 0
         self.fields: dict[tuple[str, str], _Field] = {}
         self.units: dict[str, str] = {}
 
@@ -106,45 +104,41 @@ class _Topics:
 
         end = file.seek(0, SEEK_END)
         if read(0, len(MAGIC)) != MAGIC:
-            raise Damage("it does not begin like one")
+            raise Damage("it does not begin with the MCAP signature")
         place, opcode = len(MAGIC), 0
         while opcode != DATA_END:
             opcode, content = record_at(read, place, end, end)
             place += RECORD_HEAD.size + len(content)
-            if opcode == CHUNK:
-                records = self._unpacked(content)
-                for inside, each in records_in(records, len(records)):
-                    self._record(inside, each, len(content) + len(records))
-            else:
+            if opcode != CHUNK:
                 self._record(opcode, content, len(content))
-
-    def _unpacked(self, content: memoryview) -> memoryview:
-        size = CHUNK_HEAD.unpack_from(content)[2] if len(content) >= CHUNK_HEAD.size else 0
-        self._need(size + len(content))
-        return unpack_chunk(content, largest=size)
+                continue
+            size = CHUNK_HEAD.unpack_from(content)[2] if len(content) >= CHUNK_HEAD.size else 0
+            self._need(size + len(content))
+            records = unpack_chunk(content, largest=size)
+            for inside, each in records_in(records, len(records)):
+                self._record(inside, each, len(content) + len(records))
 
     def _need(self, further: float) -> None:
-        need_beside_program(self._held + further, f"{self._path}: importing it")
+        need_beside_program(self._in_memory + further, f"{self._path}: importing it")
 
     def _record(self, opcode: int, content: memoryview, around: int) -> None:
         """Take a record; `around` is the size of the chunk that is in memory with it, bytes."""
         if opcode in (SCHEMA, CHANNEL):
-            self._held += _COPIES * len(content)
+            self._in_memory += _COPIES * len(content)
             self._need(around)
             record = parse(opcode, content)
-            known = self._schemas if opcode == SCHEMA else self._channels
-            known[record.id] = record
+            self._known[opcode][record.id] = record
         elif opcode == MESSAGE:
             self._message(parse_message(content), around)
 
     def _message(self, message: Stored, around: int) -> None:
-        channel = self._channels.get(message.channel)
+        channel = self._known[CHANNEL].get(message.channel)
         if channel is None:
-            raise Damage(f"a message belongs to channel {message.channel}, which is described nowhere before")
-        schema = self._schemas.get(channel.schema_id)
+            raise Damage(f"a message belongs to channel {message.channel}, which no record before describes")
+        schema = self._known[SCHEMA].get(channel.schema_id)
         if channel.topic.startswith(layout.RAW) and schema is not None and schema.name.startswith("shotrig."):
             raise RecordingError(
-                f"{self._path} is a recording already: `analysis` and `daq` take it as it is"
+                f"{self._path} is a recording already. Use it directly with `analysis` and `daq`."
             )
         if message.channel not in self._decoders:
             self._decoders[message.channel] = _decoder(schema, channel.message_encoding)
@@ -156,43 +150,32 @@ class _Topics:
         self.units.setdefault(channel.topic, str(channel.metadata.get("unit", "")))
         for name, values in _numbers(content):
             if (channel.topic, name) not in self.fields:
-                self._held += _FIELD_BYTES
-            one = self.fields.setdefault((channel.topic, name), _Field())
-            one.values.frombytes(np.ascontiguousarray(values).tobytes())
-            one.counts.append(values.size)
-            one.times.append(message.publish_time or message.log_time)
-            one.rate = one.rate or _rate(content)
-            self._held += values.nbytes + _MESSAGE_BYTES
+                self._in_memory += _FIELD_BYTES
+            each = self.fields.setdefault((channel.topic, name), _Field())
+            each.values.frombytes(np.ascontiguousarray(values).tobytes())
+            each.counts.append(values.size)
+            each.times.append(message.publish_time or message.log_time)
+            each.rate = each.rate or _rate(content)
+            self._in_memory += values.nbytes + _MESSAGE_BYTES
             self._need(around)
 
 
-def _signal(path: Path, number: int, name: str, one: _Field, unit: str) -> Signal:
-    values, counts = np.frombuffer(one.values), np.frombuffer(one.counts, np.int64)
-    times = np.frombuffer(one.times, np.uint64)
-    where = f"{path}: the messages on {name}"
+def _signal(path: Path, number: int, name: str, each: _Field, unit: str) -> Signal:
+    values, counts = np.frombuffer(each.values), np.frombuffer(each.counts, np.int64)
+    times = np.frombuffer(each.times, np.uint64)
     if (times[1:] < times[:-1]).any():
         order = np.argsort(times, kind="stable")
         pieces = np.split(values, np.cumsum(counts)[:-1])
         values, counts, times = np.concatenate([pieces[at] for at in order]), counts[order], times[order]
-    start = int(times[0])
     since = (times - times[0]) * 1e-9
-    missing: list[Missing] = []
-    if one.rate is not None:
-        rate: float | None = one.rate
-    elif values.size == times.size:
-        rate, _, missing = clock_with_gaps(since, 1e-9, where)
-    elif times.size > 1 and since[-1] > 0:
+    clock = Clock(each.rate)
+    if each.rate is None and values.size == times.size:
+        clock = clock_of_times(since, 1e-9, f"{path}: the messages on {name}")._replace(start_s=0.0)
+    elif each.rate is None and times.size > 1 and since[-1] > 0:
         # All but the last array lie between the first time and the last.
         before = values.size - int(counts[-1])
-        rate = rate_of_interval(float(since[-1]) / before, 1e-9 / before)
-    else:
-        rate = None
-
-    def read(first: int, stop: int) -> Array:
-        return values[first:stop]
-
-    signal = Signal(path.name, number, name, unit, values.size, rate, read, start_ns=max(start, 0))
-    return with_missing(signal, missing)
+        clock = Clock(rate_of_interval(float(since[-1]) / before, 1e-9 / before))
+    return Signal.of_array(path, number, name, unit, values, clock, int(times[0]))
 
 
 def _decoder(schema: Any, encoding: str) -> Decoder | None:
@@ -212,7 +195,7 @@ def _decoder(schema: Any, encoding: str) -> Decoder | None:
 
 
 def _numbers(content: Any) -> Iterator[tuple[str, Array]]:
-    """Yield the fields of a message that are numbers or rows of numbers; settings beside a row are none."""
+    """Yield the rows of numbers of a message or, where it has none, its numbers."""
     if not isinstance(content, Mapping):
         return
     rows = {
@@ -225,16 +208,13 @@ def _numbers(content: Any) -> Iterator[tuple[str, Array]]:
     if rows:
         return
     for name, value in content.items():
-        if isinstance(value, float) or (isinstance(value, int) and not isinstance(value, bool)):
+        if isinstance(value, int | float) and not isinstance(value, bool):
             yield name, np.array([value], dtype=float)
 
 
 def _rate(content: Mapping[str, Any]) -> float | None:
-    for name in _RATES:
-        value = content.get(name)
-        if isinstance(value, int | float) and 0 < value < 1e12:
-            return float(value)
-    return None
+    rates = (content.get(name) for name in _RATES)
+    return next((float(rate) for rate in rates if isinstance(rate, int | float) and 0 < rate < 1e12), None)
 
 
 def _multi_array(data: bytes, kind: str) -> Array:
@@ -244,15 +224,12 @@ def _multi_array(data: bytes, kind: str) -> Array:
     def number(at: int) -> int:
         return int(struct.unpack_from(f"{order}I", data, at)[0])
 
-    at = 4
-    dimensions = number(at)
-    at += 4
+    def aligned(at: int, size: int) -> int:
+        """Give the next place, counted behind the four-byte head, that is aligned to a size."""
+        return 4 + -(-(at - 4) // size) * size
+
+    dimensions, at = number(4), 8
     for _ in range(dimensions):
-        at = _aligned(at + 4 + number(at), 4) + 8
+        at = aligned(at + 4 + number(at), 4) + 8
     count, at = number(at + 4), at + 8
-    return np.frombuffer(data, f"{order}{kind}", count, _aligned(at, int(kind[1]))).astype(float)
-
-
-def _aligned(at: int, size: int) -> int:
-    """Next place after the four-byte head of a message that is aligned to a size."""
-    return 4 + -(-(at - 4) // size) * size
+    return np.frombuffer(data, f"{order}{kind}", count, aligned(at, int(kind[1]))).astype(float)

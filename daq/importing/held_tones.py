@@ -1,4 +1,8 @@
-"""Where a tone was held: stretches of one frequency, and from where on all channels are steady in each."""
+"""Detection of held tones: stretches of constant frequency, and their part in steady state.
+
+A held tone has a phase that is linear in time. Stretches are cut from the phase of a `Track`, extended while a straight
+line fits, and rejected where the frequency drifts as in a sweep.
+"""
 
 from __future__ import annotations
 
@@ -11,29 +15,29 @@ from daq.importing.signal import Array
 from daq.importing.tone_track import HOPS, ComplexArray, Track
 from rig.numerics.runs import runs_of
 
-# Fewest blocks of a tone that is held, ten periods and more.
+# Fewest blocks of a held tone: ten periods.
 _FEWEST = 7
-# What the phase may be off a straight line: so many times its scatter, between these, rad.
-_SCATTERS, _LEAST, _MOST = 8.0, 0.02, 0.25
-# At its ends a held tone leaves the line of its middle by more than so many times the scatter there, and by this, rad.
-_OUT, _OUT_LEAST = 4.0, 0.01
-# Change of an amplitude, as log ratio, that ends a tone from one block to the next.
+# Largest deviation of the phase from a straight line: a multiple of its scatter, and bounds, rad.
+_LINE_SIGMAS, _LINE_LEAST, _LINE_MOST = 8.0, 0.02, 0.25
+# Deviation from the line of the middle half at which a tone ends: a multiple of the scatter, and a lower bound, rad.
+_END_SIGMAS, _END_LEAST = 4.0, 0.01
+# Change of an amplitude from one block to the next that ends a tone, as log ratio.
 _JUMP = 0.2
-# By this, as log ratio, the amplitude of a tone that is held may still change in its second half.
+# Largest change of the amplitude in the second half of a held tone, as log ratio.
 _FADES = 0.2
-# A tone that drifts by more than this part of its distance to the next is one that sweeps.
+# Drift of the frequency, as a share of the distance to the next tone, from which the signal is a sweep.
 _DRIFT = 0.25
-# Of the time in which there is more than silence, tones are held for this part at least.
+# Least share of the time with a signal in which tones are held, and amplitude of silence, as a share of theirs.
 _SHARE, _SILENCE = 0.3, 0.05
-# Blocks that have half their samples in common scatter as if they had none.
-_APART = 2
-# A settled channel stays within so many times its scatter.
-_STEADY = 3.0
-# What is left out changes by more than this part of what may still change.
-_WELL = 0.1
-# What is late in a stretch, as parts of it: the next where the motion still changes in one.
+# Blocks this far from each other scatter independently, although they have half their samples in common.
+_INDEPENDENT = 2
+# Scatter within which a settled channel stays, as a multiple.
+_STEADY_SIGMAS = 3.0
+# Share of the tolerance within which samples are kept as settled.
+_WELL_SETTLED = 0.1
+# Last parts of a stretch that are tested for steady state, as shares of it; the second where the first is not steady.
 _LATEST = (0.5, 0.25)
-# Frequencies that differ by less, relative, are the same tone again.
+# Relative difference of frequency below which two tones are the same.
 _SAME = 2e-4
 
 
@@ -61,38 +65,38 @@ class HeldTone:
 
 
 def held_tones(tracks: Sequence[Track], tolerance: float) -> list[HeldTone]:
-    """Find the tones that were held, one after the other; none where the signal holds something else.
+    """Detect the tones that were held one after the other; none where the signal is of another kind.
 
-    A tone is held while its phase runs evenly, for ten periods or more. A sweep's phase does so for a while, but its
-    frequency moves on just as it does from one such stretch to the next; that of noise does so now and then.
+    The phase of a held tone is linear in time for ten periods or more. That of a sweep is so for a while, but its
+    frequency drifts within a stretch as from one stretch to the next; that of noise is so now and then.
 
     Parameters
     ----------
     tracks : sequence of Track
-        Of one signal, see `ToneTracker`.
+        Of one signal, from `ToneTracker`.
     tolerance : float
-        Largest change that a settled amplitude still goes through, relative.
+        Largest relative change of a settled amplitude.
 
     Returns
     -------
     list of HeldTone
         In order of time; they do not overlap.
     """
-    found = [piece for track in tracks for piece in _pieces(track) if not piece.fades]
-    found.sort(key=lambda piece: piece.first - piece.stop)
+    pieces = [piece for track in tracks for piece in _pieces(track) if not piece.fades]
+    pieces.sort(key=lambda piece: piece.first - piece.stop)
     kept: list[_Piece] = []
-    for piece in found:
+    for piece in pieces:
         if all(piece.stop <= other.first or piece.first >= other.stop for other in kept):
             kept.append(piece)
     kept.sort(key=lambda piece: piece.first)
-    # The shortest blocks average over the fewest samples: these see all tones.
+    # The shortest blocks average over the fewest samples and therefore resolve all tones.
     if not kept or _share(kept, tracks[-1]) < _SHARE or _sweeps(kept):
         return []
-    return _last_ones([_settled(piece, tolerance) for piece in kept])
+    return _final_levels([_settled(piece, tolerance) for piece in kept])
 
 
-def _last_ones(tones: Sequence[HeldTone]) -> list[HeldTone]:
-    """Of tones of one frequency in a row, between which a controller changed the level, keep the last that settled."""
+def _final_levels(tones: Sequence[HeldTone]) -> list[HeldTone]:
+    """Keep the last settled of successive tones of one frequency, between which a controller changed the level."""
     kept: list[HeldTone] = []
     for tone in tones:
         again = kept and abs(tone.frequency / kept[-1].frequency - 1.0) < _SAME
@@ -105,7 +109,7 @@ def _last_ones(tones: Sequence[HeldTone]) -> list[HeldTone]:
 
 @dataclass(frozen=True)
 class _Piece:
-    """A stretch of even phase: blocks of a track."""
+    """A stretch of linear phase: blocks of a track."""
 
     track: Track
     begin: int
@@ -114,7 +118,7 @@ class _Piece:
 
     @property
     def first(self) -> int:
-        """Sample in the middle of the first block: what comes before may be another tone."""
+        """Sample in the middle of the first block, before which another tone may be held."""
         return _middle(self.track, self.begin)
 
     @property
@@ -132,7 +136,7 @@ class _Piece:
 
     @property
     def fades(self) -> bool:
-        """Whether it dies away, or comes up, to its end."""
+        """Whether its amplitude still changes in the second half."""
         late = np.log(self.track.amplitude[(self.begin + self.end) // 2 : self.end])
         slope = np.polyfit(np.linspace(0.0, 1.0, late.size), late, 1)[0]
         return bool(abs(slope) > _FADES)
@@ -150,7 +154,7 @@ def _middle(track: Track, block: int) -> int:
 
 
 def _unwrapped(track: Track, begin: int, end: int) -> Array:
-    """Phase at successive blocks, whole turns between them added by the frequency of each."""
+    """Phase of successive blocks, unwrapped by the frequency of each."""
     phase = track.phase[begin:end]
     frequency = track.frequency[begin:end]
     expected = np.pi * (frequency[1:] + frequency[:-1])
@@ -160,7 +164,7 @@ def _unwrapped(track: Track, begin: int, end: int) -> Array:
 
 
 def _pieces(track: Track) -> Iterator[_Piece]:
-    """Cut a track into stretches of even phase."""
+    """Cut a track into stretches of linear phase."""
     if track.number.size < _FEWEST:
         return
     linked = (np.diff(track.number) == 1) & (abs(np.diff(np.log(track.amplitude))) < _JUMP)
@@ -172,12 +176,12 @@ def _pieces(track: Track) -> Iterator[_Piece]:
 
 def _straight(track: Track, begin: int, end: int) -> Iterator[_Piece]:
     phase = _unwrapped(track, begin, end)
-    tolerance = float(np.clip(_SCATTERS * _scatter(phase), _LEAST, _MOST))
+    tolerance = float(np.clip(_LINE_SIGMAS * _scatter(phase), _LINE_LEAST, _LINE_MOST))
     windows = np.lib.stride_tricks.sliding_window_view(phase, _FEWEST)
-    even = abs(windows @ _beside_a_line(_FEWEST)).max(axis=1) < tolerance
+    linear = abs(windows @ _line_residual(_FEWEST)).max(axis=1) < tolerance
     at = 0
-    while at < even.size:
-        if not even[at]:
+    while at < linear.size:
+        if not linear[at]:
             at += 1
             continue
         stop, more = at + _FEWEST, _FEWEST
@@ -192,8 +196,8 @@ def _straight(track: Track, begin: int, end: int) -> Iterator[_Piece]:
         at = stop
 
 
-def _beside_a_line(size: int) -> Array:
-    """Matrix that leaves of values what is beside the straight line through them; symmetric."""
+def _line_residual(size: int) -> Array:
+    """Symmetric matrix from values to their residuals from a straight line."""
     line = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, size), 2))[0]
     return np.eye(size) - line @ line.T
 
@@ -205,8 +209,8 @@ def _is_line(phase: Array, tolerance: float) -> bool:
 
 
 def _scatter(phase: Array) -> float:
-    """Scatter of phases by their third differences, which neither a tone nor a sweep has."""
-    third = np.diff(phase[::_APART], 3)
+    """Estimate the standard deviation of phases by their third differences, which tones and sweeps lack."""
+    third = np.diff(phase[::_INDEPENDENT], 3)
     return float(np.median(abs(third))) / (0.6745 * 20**0.5) if third.size else 0.0
 
 
@@ -215,14 +219,15 @@ def _ends(phase: Array) -> tuple[int, int]:
     size = phase.size
     middle = slice(size // 4, size - size // 4)
     at = np.arange(size)
-    off = phase - np.polyval(np.polyfit(at[middle], phase[middle], 1), at)
-    out = np.flatnonzero(abs(off) > max(_OUT * float(off[middle].std()), _OUT_LEAST))
+    deviation = phase - np.polyval(np.polyfit(at[middle], phase[middle], 1), at)
+    limit = max(_END_SIGMAS * float(deviation[middle].std()), _END_LEAST)
+    out = np.flatnonzero(abs(deviation) > limit)
     before, after = out[out < size // 2], out[out >= size // 2]
     return (int(before[-1]) + 1 if before.size else 0), (int(after[0]) if after.size else size)
 
 
 def _share(pieces: Sequence[_Piece], track: Track) -> float:
-    """For how much of the time with a signal a tone is held."""
+    """Share of the time with a signal in which a tone is held."""
     silence = _SILENCE * float(np.median([piece.amplitude for piece in pieces]))
     return sum(piece.stop - piece.first for piece in pieces) / (
         track.hop * max(int(np.sum(track.levels > silence)), 1)
@@ -230,28 +235,24 @@ def _share(pieces: Sequence[_Piece], track: Track) -> float:
 
 
 def _sweeps(pieces: Sequence[_Piece]) -> bool:
-    """Whether the frequency moves within stretches as it does from one to the next."""
+    """Whether the frequency drifts within stretches as from one to the next."""
     middle, begins, ends = np.array([piece.frequencies() for piece in pieces]).T
-    apart = abs(np.diff(middle))
-    apart[apart < _SAME * middle[1:]] = np.inf
-    nearest = np.minimum(np.append(apart, np.inf), np.insert(apart, 0, np.inf))
+    distance = abs(np.diff(middle))
+    distance[distance < _SAME * middle[1:]] = np.inf
+    nearest = np.minimum(np.append(distance, np.inf), np.insert(distance, 0, np.inf))
     return bool(np.median(abs(ends - begins) / nearest) > _DRIFT)
 
 
 def _settled(piece: _Piece, tolerance: float) -> HeldTone:
-    """Leave out what is seen to settle.
-
-    A channel is settled from where it stays as near to what it is late in the stretch as it is there, and not at all
-    where both halves of what is late differ by more than the tolerance, or chance.
-    """
+    """Leave out the transient at the beginning of a stretch."""
     track, blocks = piece.track, slice(piece.begin, piece.end)
     size = track.amplitude[blocks]
-    looks = np.vstack([track.ratio[:, blocks], (size / np.median(size))[None]])
-    looks = looks[np.isfinite(looks).all(axis=1)]
+    channels = np.vstack([track.ratio[:, blocks], (size / np.median(size))[None]])
+    channels = channels[np.isfinite(channels).all(axis=1)]
     steady, begin = False, 0
     for share in _LATEST:
         if not steady and size.size * share >= _FEWEST:
-            steady, begin = _steady_from(looks, round(size.size * (1.0 - share)), tolerance)
+            steady, begin = _steady_from(channels, round(size.size * (1.0 - share)), tolerance)
     frequency = float(np.polyfit(np.arange(size.size - begin), piece.phase[begin:], 1)[0])
     return HeldTone(
         _middle(track, piece.begin + begin),
@@ -262,14 +263,18 @@ def _settled(piece: _Piece, tolerance: float) -> HeldTone:
     )
 
 
-def _steady_from(looks: ComplexArray, late: int, tolerance: float) -> tuple[bool, int]:
-    """Return whether amplitudes, shape (channels, blocks), are steady from a block on, and since when."""
-    latest = looks[:, late:]
+def _steady_from(channels: ComplexArray, late: int, tolerance: float) -> tuple[bool, int]:
+    """Return whether amplitudes, shape (channels, blocks), are steady from the block `late` on, and since which block.
+
+    They are steady unless the means of both halves differ by more than the tolerance and by more than chance. The
+    earlier blocks that agree with the mean of the late blocks belong to the steady state.
+    """
+    latest = channels[:, late:]
     mean = latest.mean(axis=1, keepdims=True)
     allowed, scatter = tolerance * abs(mean[:, 0]), np.sqrt(np.mean(abs(latest - mean) ** 2, axis=1))
-    within = abs(looks - mean) <= np.maximum(_WELL * allowed, _STEADY * scatter)[:, None]
+    within = abs(channels - mean) <= np.maximum(_WELL_SETTLED * allowed, _STEADY_SIGMAS * scatter)[:, None]
     begin = int(np.max(np.flatnonzero(~within[:, :late].all(axis=0)), initial=-1)) + 1
     half = latest.shape[1] // 2
     drift = abs(latest[:, :half].mean(axis=1) - latest[:, half:].mean(axis=1))
-    by_chance = _STEADY * scatter * np.sqrt(2.0 * _APART / max(half, 1))
+    by_chance = _STEADY_SIGMAS * scatter * np.sqrt(2.0 * _INDEPENDENT / max(half, 1))
     return bool(np.all(drift <= np.maximum(allowed, by_chance))), begin

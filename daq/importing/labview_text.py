@@ -11,49 +11,40 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 from typing import NamedTuple
 
-from daq.importing.signal import rate_of_interval
+from daq.importing.clock import rate_of_interval
 from rig.errors import RecordingError
 
 BEGIN, END = "LabVIEW Measurement", "***End_of_Header***"
-#: With what a further segment begins.
+#: Beginnings of the lines of a further segment.
 SEGMENT = ("Channels", "Notes", "X_Value", END)
+_CLOCK = re.compile(r"(\d{4})/(\d\d)/(\d\d) (\d\d):(\d\d):(\d\d)(\.\d+)?")
 
 
 class LabviewChannel(NamedTuple):
-    """A channel as the heading has it."""
+    """A channel of the heading."""
 
     name: str
     unit: str
-    cell: int
-    """Which cell of a line is its."""
-    samples: int
-    rate: float | None
-    rate_error: float
-    """How far it may be off for the digits of the sample interval, Hz."""
+    cell: int  # Its position in a line
+    samples: int  # -1: not stated
+    rate: float | None  # Hz
+    rate_error: float  # Largest error of the rate by the digits of the sample interval, Hz
     start_s: float
     start_ns: int
 
 
 class LabviewHeading(NamedTuple):
-    """What the heading of a file says."""
+    """The heading of a file."""
 
     separator: str
     decimal_comma: bool
     lines: int
-    times: bool
-    """Whether the first cell of every line is its time."""
+    times: bool  # Whether the first cell of every line is its time
     channels: list[LabviewChannel]
 
 
 def labview_heading(lines: Sequence[str], where: str) -> LabviewHeading:
-    """Read the heading of a LabVIEW measurement file.
-
-    Parameters
-    ----------
-    lines : sequence of str
-        The beginning of the file.
-    where : str
-        Its name, for messages.
+    """Read the heading of a LabVIEW measurement file from its first lines; `where` names the file in messages.
 
     Raises
     ------
@@ -70,9 +61,8 @@ def labview_heading(lines: Sequence[str], where: str) -> LabviewHeading:
     names = [cell.strip() for cell in lines[ends[1] + 1].rstrip("\r\n").split(separator)]
     columns = whole.get("X_Columns", ["One"])[0]
     # Old versions do not state the decimal separator.
-    comma = separator != "," and "," in "".join(
-        [*whole.get("Decimal_Separator", []), *segment.get("Delta_X", [])]
-    )
+    numbers = [*whole.get("Decimal_Separator", []), *segment.get("Delta_X", [])]
+    comma = separator != "," and "," in "".join(numbers)
     step = 2 if columns == "Multi" else 1
     try:
         count = int(segment.get("Channels", ["0"])[0])
@@ -90,27 +80,28 @@ def _keys(lines: Sequence[str], separator: str) -> dict[str, list[str]]:
 
 
 def _channel(segment: dict[str, list[str]], name: str, place: int, comma: bool) -> LabviewChannel:
-    def said(key: str, default: str) -> str:
+    def stated(key: str, default: str) -> str:
         cells = segment.get(key, [])
         text = (cells[place] if place < len(cells) else "") or default
         return text.replace(",", ".") if comma else text
 
-    interval = said("Delta_X", "0")
-    rate = rate_of_interval(float(interval), _half_digit(interval)) if float(interval) else None
+    interval = stated("Delta_X", "0")
+    error = _half_digit(interval)
+    rate = rate_of_interval(float(interval), error) if float(interval) else None
     return LabviewChannel(
         name,
-        said("Y_Unit_Label", ""),
+        stated("Y_Unit_Label", ""),
         place + 1,
-        int(said("Samples", "-1")),
+        int(stated("Samples", "-1")),
         rate,
-        rate**2 * _half_digit(interval) if rate else 0.0,
-        float(said("X0", "0")),
-        _nanoseconds(said("Date", ""), said("Time", "").replace(",", ".")),
+        rate**2 * error if rate else 0.0,
+        float(stated("X0", "0")),
+        _nanoseconds(f"{stated('Date', '')} {stated('Time', '').replace(',', '.')}"),
     )
 
 
 def _half_digit(number: str) -> float:
-    """How far a number may be off for having been written with these digits.
+    """Largest rounding error of a number as it is written.
 
     >>> _half_digit("0.000977"), _half_digit("1.9531E-5")
     (5e-07, 5e-10)
@@ -119,9 +110,9 @@ def _half_digit(number: str) -> float:
     return float(f"0.5e{int(power or 0) - len(mantissa.partition('.')[2])}")
 
 
-def _nanoseconds(date: str, time: str) -> int:
-    """Since 1970; the file states local time without its zone, which is taken as UTC. 0 where there is none."""
-    clock = re.fullmatch(r"(\d{4})/(\d\d)/(\d\d) (\d\d):(\d\d):(\d\d)(\.\d+)?", f"{date} {time}")
+def _nanoseconds(stamp: str) -> int:
+    """Time since 1970; local time without its zone is taken as UTC. 0 where there is none."""
+    clock = _CLOCK.fullmatch(stamp)
     if clock is None:
         return 0
     try:

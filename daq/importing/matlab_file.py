@@ -1,6 +1,6 @@
 """MATLAB files, read in a process of their own: scipy's reader can bring its process down over a damaged file.
 
-Run as a program, it writes what is in the file that its one argument names.
+Run as a program, it writes the content of the file that its first argument names.
 """
 
 from __future__ import annotations
@@ -25,19 +25,13 @@ def matlab_arrays(path: Path) -> dict[str, Any]:
     Raises
     ------
     RecordingError
-        If it is none or damaged.
+        If it is damaged or another kind of file.
     RunError
         If it is of version 7.3 and h5py is not installed.
     """
+    memory = str(int(max(most() - PROGRAM, most() / 2)))
     # Modules are found where this process finds them: -m alone would look in the user's folder first.
-    program = [
-        sys.executable,
-        "-P",
-        "-m",
-        __name__,
-        str(path.resolve()),
-        str(int(max(most() - PROGRAM, most() / 2))),
-    ]
+    program = [sys.executable, "-P", "-m", __name__, str(path.resolve()), memory]
     here = {**os.environ, "PYTHONPATH": os.pathsep.join(str(Path(entry).absolute()) for entry in sys.path)}
     with subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=here) as reader:
         assert reader.stdout is not None
@@ -53,9 +47,8 @@ def matlab_arrays(path: Path) -> dict[str, Any]:
         )
     if content == _TOO_MUCH:
         raise RecordingError(
-            f"{path}: importing it would take more than the {most() / 1e9:.3g} GB of memory that are allowed: save "
-            f"the channels one by one, or as TDMS or WAV; the environment variable {ALLOWED} allows more, such as "
-            f"{ALLOWED}=8GB"
+            f"{path}: importing it takes more than the {most() / 1e9:.3g} GB of memory that are allowed. Save the "
+            f"channels one by one, or as TDMS or WAV, or allow more: {ALLOWED}=8GB in the environment."
         )
     if isinstance(content, str):
         raise RecordingError(f"{path} {content}")
@@ -63,24 +56,29 @@ def matlab_arrays(path: Path) -> dict[str, Any]:
 
 
 def _read(name: str, memory: int) -> dict[str, Any] | str:
-    """Read the variables, taking no more memory than that, bytes; or say what is wrong with the file."""
+    """Read the variables within so many bytes of memory; or say what is wrong with the file."""
     from scipy.io import loadmat
 
     _limit(memory)
     try:
-        content = loadmat(name, squeeze_me=True, struct_as_record=True, chars_as_strings=True)
-    except NotImplementedError:
-        return _read_hdf5(name)
+        try:
+            content = loadmat(name, squeeze_me=True, struct_as_record=True, chars_as_strings=True)
+        except NotImplementedError:
+            from daq.importing.matlab_hdf5 import hdf5_variables
+
+            return hdf5_variables(name)
+    except ImportError:
+        return _NO_HDF5
     except MemoryError:
         return _TOO_MUCH
     except Exception as error:
         # The reader meets damage as whatever it happens to lead to.
-        return f"is no MATLAB file, or it is damaged: {type(error).__name__}: {error}"[:300]
+        return f"is not a MATLAB file, or it is damaged: {type(error).__name__}: {error}"[:300]
     return {key: value for key, value in content.items() if key[:2] != "__"}
 
 
 def _limit(memory: int) -> None:
-    """Let this process take no more than that: a packed file holds a thousand times its size."""
+    """Limit the memory of this process: a packed file holds a thousand times its size."""
     try:
         import resource
     except ImportError:
@@ -89,20 +87,6 @@ def _limit(memory: int) -> None:
     _, hard = resource.getrlimit(resource.RLIMIT_DATA)
     with suppress(ValueError, OSError):
         resource.setrlimit(resource.RLIMIT_DATA, (memory, hard))
-
-
-def _read_hdf5(name: str) -> dict[str, Any] | str:
-    from daq.importing.matlab_hdf5 import hdf5_variables
-
-    try:
-        return hdf5_variables(name)
-    except ImportError:
-        return _NO_HDF5
-    except MemoryError:
-        return _TOO_MUCH
-    except Exception as error:
-        # The reader meets damage as whatever it happens to lead to.
-        return f"is damaged: {type(error).__name__}: {error}"[:300]
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Variables of MATLAB files of version 7.3, which are HDF5, as scipy gives those of older ones."""
+"""Variables of MATLAB files of version 7.3, which are HDF5, in the form that scipy gives those of older versions."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+# Structures within structures that are read.
 _DEEPEST = 8
-# What refers to itself would otherwise be followed for ever.
+# Values that are read: cells may refer to themselves.
 _MOST = 100_000
 
 
@@ -26,19 +27,19 @@ def hdf5_variables(path: str) -> dict[str, Any]:
 
     with h5py.File(path, "r") as file:
         # Names with # are MATLAB's own: what cells and structures refer to.
-        found = _Items(file)
-        return {name: found.value(file[name]) for name in file if not name.startswith("#")}
+        items = _Items(file)
+        return {name: items.value(file[name]) for name in file if not name.startswith("#")}
 
 
 class _Items:
-    """The items of an open file, as far as they refer to each other."""
+    """The items of an open file, which refer to each other."""
 
     def __init__(self, file: Any) -> None:
         self._file = file
         self._count = 0
 
     def value(self, item: Any, depth: int = 0) -> Any:
-        """Turn an item into what MATLAB has there; what lies deeper than data do is left out."""
+        """Give the MATLAB value of an item; None beyond the depth of data."""
         self._count += 1
         if self._count > _MOST:
             raise ValueError(f"its structures and cells hold more than {_MOST} values")
@@ -51,10 +52,10 @@ class _Items:
             return np.array([])
         values: NDArray[Any] = np.asarray(item[()]).T.squeeze()
         if values.dtype.kind == "O":
-            found = np.empty(values.shape, dtype=object)
+            cells = np.empty(values.shape, dtype=object)
             for place, reference in np.ndenumerate(values):
-                found[place] = self.value(self._file[reference], depth + 1) if reference else None
-            return found
+                cells[place] = self.value(self._file[reference], depth + 1) if reference else None
+            return cells
         if _kind(item) == "char":
             return "".join(map(chr, values.ravel().tolist()))
         if values.dtype.names == ("real", "imag"):
@@ -77,7 +78,7 @@ def _is_array_of_structures(group: Any) -> bool:
 def _elements(fields: dict[str, Any]) -> NDArray[Any]:
     """Sort the fields of several structures by structure."""
     count = min(np.size(values) for values in fields.values())
-    found = np.empty(count, dtype=object)
+    structures = np.empty(count, dtype=object)
     for number in range(count):
-        found[number] = {name: values.ravel()[number] for name, values in fields.items()}
-    return found
+        structures[number] = {name: values.ravel()[number] for name, values in fields.items()}
+    return structures

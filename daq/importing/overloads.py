@@ -1,4 +1,4 @@
-"""Where a signal was clipped, detected from its samples, as files do not record it."""
+"""Detection of clipping in the samples of a signal, which files do not record."""
 
 from __future__ import annotations
 
@@ -9,25 +9,31 @@ import numpy as np
 from daq.importing.signal import Array
 from rig.numerics.runs import runs_of
 
-# So many equal samples in a row at the largest value are no peak, if the signal came to it by more than a few counts.
-_FLAT, _COUNTS = 3, 4.0
-# A signal that is beyond the range it is said to have by more has another one.
-_BEYOND, _AT = 1.05, 0.9999
+# Equal samples in a row at the largest value that no smooth peak has.
+_FLAT = 3
+# Counts by which the signal must rise to them: a slow signal in coarse steps has flat peaks too.
+_COUNTS = 4.0
+# Share of the stated range from which a reading is clipped.
+_CLIPPED = 0.9999
+# Readings beyond this multiple of the stated range show that the signal has another range.
+_BEYOND = 1.05
+# Stretches that are stored at most.
 _MOST = 100_000
 
 
 class Rail:
-    """Looks for the flat tops of one side of a signal, block after block."""
+    """The flat tops of one side of a signal, block after block."""
 
     def __init__(self, sign: int) -> None:
         self._sign = sign
         self.top = self._last = -np.inf
+        # First and last sample of each run at the top, and how far the samples next to it are below.
         self._runs: list[tuple[int, int, float]] = []
-        # Where a run began that goes on, and the sample before it.
+        # First sample of a run that continues, and the value before it.
         self._open: tuple[int, float] | None = None
 
     def add(self, first: int, samples: Array) -> None:
-        """Take the next samples of the signal, the first one numbered `first`."""
+        """Take the next samples of the signal, the first with the number `first`."""
         values = self._sign * samples
         top = float(np.fmax.reduce(values, initial=-np.inf))
         if top > self.top:
@@ -52,18 +58,21 @@ class Rail:
     @property
     def at(self) -> int | None:
         """First sample of the largest value."""
-        first = self._runs[0][0] if self._runs else None
-        return self._open[0] if first is None and self._open is not None else first
+        if self._runs:
+            return self._runs[0][0]
+        return None if self._open is None else self._open[0]
 
     def runs(self, stop: int, least: int, drop: float) -> list[tuple[int, int]]:
-        """Give the stretches [first, stop) at the largest value, those with so many samples at least.
+        """Give the stretches [first, stop) at the largest value.
 
         Parameters
         ----------
         stop : int
             Number of samples in all.
+        least : int
+            Fewest samples of a stretch.
         drop : float
-            How much lower the samples beside a stretch must be.
+            Least difference between a stretch and the samples next to it.
         """
         if self._open is not None:
             self._end(stop, np.nan)
@@ -71,7 +80,7 @@ class Rail:
 
 
 class Overloads:
-    """Finds where one signal was clipped.
+    """Detects clipping of one signal.
 
     Parameters
     ----------
@@ -93,40 +102,39 @@ class Overloads:
 
     @property
     def peak_at(self) -> int | None:
-        """First sample of the largest magnitude; None while there is none."""
+        """First sample of the largest magnitude; None before the first number."""
         return max(self._rails, key=lambda rail: rail.top).at
 
     @property
     def span(self) -> float:
-        """Distance between the largest and the smallest value so far."""
+        """Difference between the largest and the smallest value so far."""
         return self._rails[0].top + self._rails[1].top
 
+    @property
+    def beyond_limit(self) -> bool:
+        """Whether readings exceed the limit so far that the limit must be wrong."""
+        return self.limit is not None and self.peak > _BEYOND * self.limit
+
     def add(self, first: int, samples: Array) -> None:
-        """Take the next samples, the first one numbered `first`."""
+        """Take the next samples, the first with the number `first`."""
         self._samples = first + samples.size
         steps = abs(np.diff(samples))
         self._count = min(self._count, float(np.nanmin(np.where(steps > 0, steps, np.inf), initial=np.inf)))
         for rail in self._rails:
             rail.add(first, samples)
         if self.limit is not None and len(self._over) < _MOST:
-            self._over += [(first + a, first + b) for a, b in runs_of(abs(samples) >= _AT * self.limit)]
+            self._over += [(first + a, first + b) for a, b in runs_of(abs(samples) >= _CLIPPED * self.limit)]
 
-    @property
-    def beyond_limit(self) -> bool:
-        """Whether readings are so far beyond the limit that it is not theirs."""
-        return self.limit is not None and self.peak > _BEYOND * self.limit
-
-    def found(self) -> list[tuple[int, int]]:
+    def spans(self) -> list[tuple[int, int]]:
         """Give the stretches [first, stop) in which the signal was clipped, in order."""
         flat = [
             run
             for rail in self._rails
-            # What stays at zero, such as a force between hits, is no top.
+            # Rest at zero, such as a force between hits, is no top.
             if rail.top > 0.5 * self.peak
             for run in rail.runs(self._samples, _FLAT, _COUNTS * self._count)
         ]
-        over = [] if self.beyond_limit else self._over
-        return joined([*flat, *over])
+        return joined([*flat, *([] if self.beyond_limit else self._over)])
 
 
 def joined(spans: Sequence[tuple[int, int]], pause: int = 0) -> list[tuple[int, int]]:
@@ -135,10 +143,10 @@ def joined(spans: Sequence[tuple[int, int]], pause: int = 0) -> list[tuple[int, 
     >>> joined([(5, 7), (0, 2), (2, 3)])
     [(0, 3), (5, 7)]
     """
-    out: list[tuple[int, int]] = []
+    merged: list[tuple[int, int]] = []
     for first, stop in sorted(spans):
-        if out and first <= out[-1][1] + pause:
-            out[-1] = out[-1][0], max(out[-1][1], stop)
+        if merged and first <= merged[-1][1] + pause:
+            merged[-1] = merged[-1][0], max(merged[-1][1], stop)
         else:
-            out.append((first, stop))
-    return out
+            merged.append((first, stop))
+    return merged

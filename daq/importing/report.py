@@ -21,10 +21,10 @@ from rig.scene.scene import Scene
 
 
 def listing(files: Sequence[Path]) -> Iterator[str]:
-    """Yield what files hold, as the beginning of a table for `--table`."""
+    """List the signals of files, in the form of a table for `--table`."""
     with ExitStack() as stack:
         for path in files:
-            yield f"# {path}; put the names of the scene's channels in the place of signal1, ..."
+            yield f"# {path}; replace signal1, ... by the names of the scene's channels"
             for signal in signals_of(path, stack):
                 unit = f", unit: {_quoted(signal.unit)}" if signal.unit else ""
                 rate = "" if signal.rate is None else f" at {signal.rate:.10g} Hz"
@@ -45,8 +45,8 @@ def import_and_report(
     to_s: float | None,
     overwrite: bool,
 ) -> None:
-    """Import files with a progress bar, and say what came of it."""
-    with warnings.catch_warnings(record=True) as heard:
+    """Import files with a progress bar, and print a summary."""
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", RunWarning)
         with progress(f"importing {files[0].name}") as report_progress:
             import_files(
@@ -59,28 +59,28 @@ def import_and_report(
                 overwrite=overwrite,
                 progress=report_progress,
             )
-    for warning in heard:
+    for warning in caught:
         print(f"warning: {warning.message}", file=sys.stderr)
     with open_recording(path) as recording:
-        for line in _found(recording):
+        for line in _detected(recording):
             print(line)
     print(summary(path))
 
 
-def _found(recording: Recording) -> Iterator[str]:
-    """Yield what was found in the samples, which no file says: hits, or steps."""
+def _detected(recording: Recording) -> Iterator[str]:
+    """Describe the hits or steps that were detected in the samples."""
     hits = [marker for marker in recording.markers if marker.kind == "hit"]
     if hits:
         peaks = [float(hit.fields["peak"]) for hit in hits]
-        yield f"{len(hits)} hits found in the force, of {min(peaks):.3g} to {max(peaks):.3g} N"
+        yield f"{len(hits)} hits detected in the force, of {min(peaks):.3g} to {max(peaks):.3g} N"
     steps = [marker for marker in recording.markers if "settled" in marker.fields]
     if steps:
         at = [float(step.fields["frequency"]) for step in steps]
         settled = sum((step.stop - step.first_sample) / recording.rate for step in steps)
         yield (
-            f"{len(steps)} steps found, {min(at):.6g} to {max(at):.6g} Hz; settled, and measured, for {settled:.4g} of "
-            f"{recording.samples / recording.rate:.4g} s"
+            f"{len(steps)} steps detected, {min(at):.6g} to {max(at):.6g} Hz; settled, and measured, for {settled:.4g} "
+            f"of {recording.samples / recording.rate:.4g} s"
         )
         moving = sum(not step.fields["settled"] for step in steps)
         if moving:
-            yield f"{moving} of them are not seen to become steady: marked as such"
+            yield f"{moving} of them did not reach steady state: marked as such"

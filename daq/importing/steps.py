@@ -1,4 +1,4 @@
-"""The steps of a stepped sine, found in the samples: nobody marked them on a real bench."""
+"""Detection of the steps of a stepped sine: a real bench does not mark them."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from daq.signal_chain.channel import ChannelInfo
 from rig.scene.excitation import Sine, SteppedSine
 from rig.scene.scene import Scene
 
-# So far beyond the frequencies of the scene's test, as a ratio, steps are looked for: it may not be all that was run.
-_BEYOND = 1.5
-# Windows whose phases determine a frequency, and the largest number of samples of one.
+# Ratio by which the searched band is wider than that of the scene's test, which may be only a part of the test.
+_WIDER = 1.5
+# Windows whose phases determine a frequency, and the largest number of samples of a window.
 _WINDOWS, _LONGEST = 8, 1 << 16
-# Frequencies that differ by less, relative, are the same step again.
+# Relative difference of frequency below which two steps are the same.
 _SAME = 1e-5
 
 
 class Step(NamedTuple):
-    """One step: samples [first, stop) in which it is settled, and what the marker says of it."""
+    """A step: samples [first, stop) in which it is settled, and the fields of its marker."""
 
     first: int
     stop: int
@@ -38,7 +38,7 @@ class Step(NamedTuple):
 
 
 class StepFinder:
-    """Finds steps in the channel that shows the excitation best, fed piece by piece.
+    """Detects steps in the channel that shows the excitation best, piece by piece.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ class StepFinder:
         return steps
 
     def _level(self, tones: Sequence[HeldTone], number: int) -> float:
-        """Level of the test that a pass ran: the nearest to its force, or else the next one."""
+        """Level of a pass: the test's level nearest to the force, or else the next level."""
         test = self.test
         if isinstance(test, Sine):
             return float(test.force if test.force is not None else test.drive or 0.0)
@@ -100,7 +100,7 @@ class StepFinder:
 
 
 def mark_steps(recorder: Recorder, finder: StepFinder, one: Assigned) -> list[str]:
-    """Mark each step from where it is settled; say so if there is none.
+    """Mark the settled part of each step; give a warning if there is none.
 
     Parameters
     ----------
@@ -129,16 +129,16 @@ def mark_steps(recorder: Recorder, finder: StepFinder, one: Assigned) -> list[st
     if steps:
         return []
     return [
-        f"no step was found: the scene says {finder.test.kind}, but {one.channel.name} holds no tone of one frequency "
-        "for ten periods and more above its noise; are columns swapped, or was it another test (test: kind: "
-        "swept_sine, random)?"
+        f"no step was detected: the scene's test is a {finder.test.kind}, but {one.channel.name} holds no tone of "
+        "constant frequency for ten periods above its noise. Check for swapped columns or another test (test: kind: "
+        "swept_sine, random)."
     ]
 
 
 def _band(test: Sine | SteppedSine) -> tuple[float, float]:
-    """Frequencies in Hz between which steps are looked for."""
+    """Band in which steps are searched, Hz."""
     run = (test.frequency,) if isinstance(test, Sine) else test.order
-    return min(run) / _BEYOND, max(run) * _BEYOND
+    return min(run) / _WIDER, max(run) * _WIDER
 
 
 def _reference(scene: Scene, infos: Sequence[ChannelInfo]) -> int:
@@ -155,7 +155,7 @@ def _reference(scene: Scene, infos: Sequence[ChannelInfo]) -> int:
 
 
 def _passes(frequencies: Sequence[float]) -> list[tuple[str, list[int]]]:
-    """Part steps into passes through the frequencies: which way each goes, and its steps.
+    """Divide steps into passes through the frequencies: direction and steps of each.
 
     >>> _passes([1.0, 2.0, 3.0, 3.0, 2.0, 1.0]), _passes([1.0, 2.0, 1.0, 2.0])
     ([('up', [0, 1, 2]), ('down', [3, 4, 5])], [('up', [0, 1]), ('up', [2, 3])])
@@ -194,17 +194,17 @@ def _refined(tones: Sequence[HeldTone], read: Callable[[int, int], Array], rate:
 
 
 def _frequency(tone: HeldTone, size: int, samples: Iterator[Array], rate: float) -> float:
-    """Frequency by how the phase goes on from window to window, periods per sample."""
+    """Frequency by the advance of the phase from window to window, periods per sample."""
     starts = np.arange(tone.first, tone.stop - size + 1, size)
-    found = np.array([lock_in(next(samples)[None], tone.frequency * rate, rate)[0] for _ in starts])
-    # What is left of the phase after the turns that the frequency so far accounts for.
-    left = np.unwrap(
-        np.angle(found * np.exp(-2j * np.pi * np.fmod(tone.frequency * (starts - starts[0]), 1.0)))
+    phases = np.array([lock_in(next(samples)[None], tone.frequency * rate, rate)[0] for _ in starts])
+    # Residual phase after the turns of the present frequency.
+    residual = np.unwrap(
+        np.angle(phases * np.exp(-2j * np.pi * np.fmod(tone.frequency * (starts - starts[0]), 1.0)))
     )
-    left, starts = left[np.isfinite(left)], starts[np.isfinite(left)]
-    if left.size < 2:
+    residual, starts = residual[np.isfinite(residual)], starts[np.isfinite(residual)]
+    if residual.size < 2:
         return tone.frequency
-    return tone.frequency + float(np.polyfit(starts - starts[0], left, 1)[0]) / (2.0 * np.pi)
+    return tone.frequency + float(np.polyfit(starts - starts[0], residual, 1)[0]) / (2.0 * np.pi)
 
 
 def _stretches(read: Callable[[int, int], Array], bounds: Sequence[tuple[int, int]]) -> Iterator[Array]:

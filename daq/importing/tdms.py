@@ -9,23 +9,23 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from daq.importing.signal import TIME_NAMES, Array, Signal, note, rate_of_interval
-from daq.importing.time_gaps import Missing, clock_with_gaps, with_missing
+from daq.importing.clock import TIME_NAMES, Clock, clock_of_times, rate_of_interval
+from daq.importing.signal import Array, Signal, warn
 from rig.errors import RecordingError, RunError
 from rig.scene.quantities import TIME, parse
 
 if TYPE_CHECKING:
     from logging import LogRecord
 
-# LabVIEW's zero of time, which stands for a date that was not set.
+# A day after LabVIEW's zero of time; earlier dates were not set.
 _NO_DATE = np.datetime64("1904-01-02")
 _EPOCH = np.datetime64("1970-01-01")
 
 
 def tdms_signals(path: Path, stack: ExitStack) -> list[Signal]:
-    """List the waveforms of a TDMS file, scaled as its properties say; the stack closes the file.
+    """List the waveforms of a TDMS file, scaled as its properties state; the stack closes the file.
 
-    Thinned out copies of the data, which SignalExpress keeps beside them, are left out.
+    Decimated copies of the data, which SignalExpress stores with them, are left out.
     """
     try:
         import nptdms
@@ -34,18 +34,18 @@ def tdms_signals(path: Path, stack: ExitStack) -> list[Signal]:
     try:
         stack.enter_context(log_as_warning(path))
         file = stack.enter_context(nptdms.TdmsFile.open(path))
-        groups = file.groups()
-        return _signals(path, [channel for group in groups for channel in group.channels()])
+        channels = [channel for group in file.groups() for channel in group.channels()]
+        return _signals(path, [each for each in channels if not each.properties.get("DecimationLevel")])
     except (OSError, RecordingError):
         raise
     except Exception as error:
         # The reader meets damage as whatever it happens to lead to.
-        raise RecordingError(f"{path} is no TDMS file, or it is damaged: {_cause(error)}") from error
+        raise RecordingError(f"{path} is not a TDMS file, or it is damaged: {_cause(error)}") from error
 
 
 @contextmanager
 def log_as_warning(path: Path) -> Iterator[None]:
-    """Turn what npTDMS logs of a file, by default to standard error, into one warning at the end."""
+    """Turn the log of npTDMS, by default on standard error, into one warning at the end."""
     from nptdms.log import log_manager
 
     messages: list[str] = []
@@ -54,41 +54,39 @@ def log_as_warning(path: Path) -> Iterator[None]:
         messages.append(record.getMessage())
         return False
 
-    with ExitStack() as put_back:
+    with ExitStack() as restored:
         for log in log_manager.loggers.values():
             log.addFilter(take)
-            put_back.callback(log.removeFilter, take)
+            restored.callback(log.removeFilter, take)
         yield
     if messages:
-        note(f"{path} is cut off or damaged ({messages[0]}). What can be read of it is taken")
+        warn(f"{path} is cut off or damaged ({messages[0]}). The readable part is imported.")
 
 
 def _signals(path: Path, channels: list[Any]) -> list[Signal]:
-    whole = [channel for channel in channels if not channel.properties.get("DecimationLevel")]
-    several = len({channel.group_name for channel in whole}) > 1
-    times = {channel.group_name: channel for channel in whole if _is_clock(channel, whole)}
+    several = len({channel.group_name for channel in channels}) > 1
+    times = {channel.group_name: channel for channel in channels if _is_clock(channel, channels)}
     clocks = {group: _clock(path, channel) for group, channel in times.items()}
-    samples = [channel for channel in whole if channel is not times.get(channel.group_name)]
+    samples = [channel for channel in channels if channel is not times.get(channel.group_name)]
     return [
         _signal(path, number, channel, several, clocks.get(channel.group_name))
         for number, channel in enumerate(samples, 1)
     ]
 
 
-def _is_clock(channel: Any, among: list[Any]) -> bool:
-    """Whether a channel holds the times of those of its group, none of which has a clock of its own."""
-    group = [other for other in among if other.group_name == channel.group_name and other is not channel]
+def _is_clock(channel: Any, channels: list[Any]) -> bool:
+    """Whether a channel holds the times of the others of its group, none of which has a clock."""
+    group = [each for each in channels if each.group_name == channel.group_name and each is not channel]
+    name = str(channel.name).partition("[")[0].partition("(")[0].strip()
     return (
-        TIME_NAMES.fullmatch(str(channel.name).partition("[")[0].partition("(")[0].strip()) is not None
+        TIME_NAMES.fullmatch(name) is not None
         and bool(group)
-        and all(
-            other.properties.get("wf_increment") is None and len(other) <= len(channel) for other in group
-        )
+        and all(each.properties.get("wf_increment") is None and len(each) <= len(channel) for each in group)
     )
 
 
-def _clock(path: Path, channel: Any) -> tuple[float, float, list[Missing]]:
-    """Find the rate, the first time and the gaps of a channel of times: seconds, or dates with times of day."""
+def _clock(path: Path, channel: Any) -> Clock:
+    """Estimate the clock from a channel of times: seconds, or dates with times of day."""
     where = f"{path}: the times in {channel.name!r}"
     try:
         times = np.asarray(channel[:])
@@ -97,26 +95,20 @@ def _clock(path: Path, channel: Any) -> tuple[float, float, list[Missing]]:
         seconds = times.astype(float)
     except Exception as error:
         raise RecordingError(f"{where} cannot be read: {_cause(error)}") from error
-    unit = str(channel.properties.get("unit_string") or "s")
     try:
-        seconds = seconds * parse(f"1 {unit}", TIME)
+        seconds = seconds * parse(f"1 {channel.properties.get('unit_string') or 's'}", TIME)
     except ValueError as error:
         raise RecordingError(f"{where}: {error}; expected a unit of time such as s or ms") from None
-    return clock_with_gaps(seconds, 0.0, where)
+    return clock_of_times(seconds, 0.0, where)
 
 
-def _signal(
-    path: Path, number: int, channel: Any, several: bool, clock: tuple[float, float, list[Missing]] | None
-) -> Signal:
+def _signal(path: Path, number: int, channel: Any, several: bool, clock: Clock | None) -> Signal:
     properties: Mapping[str, Any] = channel.properties
     name = f"{channel.group_name}/{channel.name}" if several else str(channel.name)
     where = f"{path}: {name!r}"
     interval, offset = properties.get("wf_increment"), properties.get("wf_start_offset", 0.0)
     try:
-        rate = None if not interval else rate_of_interval(float(interval))
-        start, missing = float(offset), list[Missing]()
-        if clock is not None:
-            rate, start, missing = clock
+        own = Clock(rate_of_interval(float(interval)) if interval else None, float(offset))
     except (TypeError, ValueError):
         raise RecordingError(
             f"{where}: its wf_increment is {interval!r}, its wf_start_offset {offset!r}"
@@ -125,6 +117,7 @@ def _signal(
         raise RecordingError(f"{where}: {error}") from None
     if interval is not None and channel.dtype is not None and channel.dtype.kind not in "fiu":
         raise RecordingError(f"{where} holds {channel.dtype}; expected real numbers")
+    clock = clock or own
 
     def read(first: int, stop: int) -> Array:
         try:
@@ -134,8 +127,8 @@ def _signal(
 
     unit = str(properties.get("unit_string") or properties.get("NI_UnitDescription") or "")
     start_ns = _nanoseconds(properties.get("wf_start_time"))
-    signal = Signal(path.name, number, name, unit, len(channel), rate, read, start, start_ns)
-    return with_missing(signal, missing)
+    signal = Signal(path.name, number, name, unit, len(channel), clock.rate, read, clock.start_s, start_ns)
+    return signal.with_gaps(clock)
 
 
 def _nanoseconds(time: Any) -> int:

@@ -1,4 +1,4 @@
-"""The tone in a signal, block after block: its frequency, phase and amplitude, and the other channels beside it."""
+"""The strongest tone of a signal, block after block: frequency, phase, amplitude, and the ratio of other channels."""
 
 from __future__ import annotations
 
@@ -11,28 +11,28 @@ from daq.importing.signal import Array
 
 ComplexArray = NDArray[np.complex128]
 
-# A block holds so many hops, and a hop about one period of the lowest tone that it resolves.
+# Hops of a block; a hop is about one period of the lowest tone that the block resolves.
 HOPS = 4
-# Samples of a hop, about, after averaging: enough for the tone, few enough for a fast recording to cost little.
+# Samples of a hop after averaging: enough for the tone, few enough for a fast recording to cost little.
 _HOP = 24
-# From one length of blocks to the next, and how far beyond its share each looks, so that none falls between two.
-_SHARE, _BEYOND = 2**0.5, 1.1
-# Highest frequency as part of the rate.
+# Ratio of successive block lengths, and overlap of their bands, so that no tone lies between two.
+_RATIO, _OVERLAP = 2**0.5, 1.1
+# Highest frequency as a share of the rate.
 _HIGHEST = 0.35
 
 
 @dataclass(frozen=True)
 class Track:
-    """Blocks of one length in which the strongest tone of the reference is one that they resolve.
+    """Blocks of one length that resolve the strongest tone of the reference.
 
     Attributes
     ----------
     hop : int
         Samples from one block to the next; a block is `HOPS` as long.
     number : ndarray of int, shape (blocks,)
-        Which block each is, from 0.
+        Numbers of the blocks, from 0.
     frequency : ndarray, shape (blocks,)
-        Of the tone, in periods per hop, roughly.
+        Of the tone, approximately, in periods per hop.
     phase : ndarray, shape (blocks,)
         At the middle of the block, rad.
     amplitude : ndarray, shape (blocks,)
@@ -55,23 +55,23 @@ class Track:
 class ToneTracker:
     """Follows the tone of one channel in blocks of several lengths, fed piece by piece.
 
-    Blocks under Hann's window last four to six periods of the tones that they resolve, so that a higher tone is seen in
-    shorter ones. Each is a row of averages over a few samples.
+    Blocks with a Hann window have four to six periods of the tones that they resolve, so that higher tones are
+    resolved by shorter blocks. A block is a row of averages over a few samples.
 
     Parameters
     ----------
     rate : float
         Hz.
     low, high : float
-        Between which tones are looked for, Hz.
+        Band of the tones, Hz.
     reference : int
         Row of the channel that is followed.
     """
 
     def __init__(self, rate: float, low: float, high: float, reference: int) -> None:
         high = min(high, _HIGHEST * rate)
-        count = max(1, int(np.ceil(np.log(max(high / low, 1.0)) / np.log(_SHARE))))
-        self._lengths = [_OneLength(rate, low * _SHARE**k, reference) for k in range(count)]
+        count = max(1, int(np.ceil(np.log(max(high / low, 1.0)) / np.log(_RATIO))))
+        self._lengths = [_OneLength(rate, low * _RATIO**k, reference) for k in range(count)]
 
     def add(self, samples: Array) -> None:
         """Take the next samples of all channels, shape (channels, samples); NaN where there are none."""
@@ -79,7 +79,7 @@ class ToneTracker:
             each.add(samples)
 
     def tracks(self) -> list[Track]:
-        """Give what was found with each length of blocks, longest first."""
+        """Give the track of each length of blocks, longest first."""
         return [each.track() for each in self._lengths]
 
 
@@ -93,15 +93,15 @@ class _OneLength:
         self._size = HOPS * self._hop
         # A frequency in lines of a block's spectrum.
         lines = self._size * self._averaged / rate
-        self._lowest, self._highest = low / _BEYOND * lines, low * _SHARE * _BEYOND * lines
+        self._lowest, self._highest = low / _OVERLAP * lines, low * _RATIO * _OVERLAP * lines
         window = np.hanning(self._size + 1)[:-1]
         self._window = window
         bins = np.arange(int(self._lowest), int(np.ceil(self._highest)) + 1)
         turn = np.exp(-2j * np.pi * bins[:, None] * np.arange(self._size) / self._size)
-        # Seen from the middle of the block, so that the phase is the same at each line that the tone reaches.
+        # Relative to the middle of the block, so that the phase is the same at each line around the tone.
         self._first_bin, self._kernels = int(bins[0]), window * turn * (-1.0) ** bins[:, None]
         self._rest: Array | None = None
-        self._held: Array | None = None
+        self._averages: Array | None = None
         self._done = 0
         self._levels: list[NDArray[np.float32]] = []
         self._found: list[tuple[NDArray[np.int64], Array, Array, Array, ComplexArray]] = []
@@ -111,15 +111,15 @@ class _OneLength:
         whole = rest.shape[1] // self._averaged
         self._rest = rest[:, whole * self._averaged :].copy()
         averages = rest[:, : whole * self._averaged].reshape(len(rest), whole, self._averaged).mean(axis=2)
-        held = averages if self._held is None else np.concatenate([self._held, averages], axis=1)
+        held = averages if self._averages is None else np.concatenate([self._averages, averages], axis=1)
         blocks = (held.shape[1] - self._size) // self._hop + 1
         if blocks > 0:
-            self._look(held, blocks)
+            self._analyse(held, blocks)
             self._done += blocks
             held = held[:, blocks * self._hop :].copy()
-        self._held = held
+        self._averages = held
 
-    def _look(self, held: Array, blocks: int) -> None:
+    def _analyse(self, held: Array, blocks: int) -> None:
         view = np.lib.stride_tricks.sliding_window_view(held, self._size, axis=1)[:, :: self._hop]
         reference = view[self._reference, :blocks]
         self._levels.append(np.nan_to_num(reference.std(axis=1)).astype(np.float32))
@@ -127,8 +127,8 @@ class _OneLength:
         # A constant is in the first two lines.
         peak = np.argmax(size[:, 2:-1], axis=1) + 2
         rows = np.arange(blocks)
-        at, off = size[rows, peak], _off(size, peak)
-        line = peak + off
+        at, offset = size[rows, peak], _line_offset(size, peak)
+        line = peak + offset
         resolved = np.flatnonzero((at > 0.0) & (line >= self._lowest) & (line < self._highest))
         if not resolved.size:
             return
@@ -138,7 +138,7 @@ class _OneLength:
             here = bins == each
             spectra[:, here] = view[:, resolved[here]] @ self._kernels[each]
         alone = spectra[self._reference]
-        share = off[resolved]
+        share = offset[resolved]
         gain = 0.25 * self._size * np.sinc(share) / (1.0 - share**2)
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio = spectra / alone
@@ -147,7 +147,7 @@ class _OneLength:
         )
 
     def track(self) -> Track:
-        channels = 1 if self._held is None else len(self._held)
+        channels = 1 if self._averages is None else len(self._averages)
         empty = (np.empty(0, np.int64), *(np.empty(0),) * 3, np.empty((channels, 0), complex))
         found = zip(empty, *self._found, strict=True)
         number, frequency, phase, amplitude, ratio = (np.concatenate(each, axis=-1) for each in found)
@@ -155,8 +155,8 @@ class _OneLength:
         return Track(self._hop * self._averaged, number, frequency, phase, amplitude, ratio, levels)
 
 
-def _off(size: Array, peak: NDArray[np.intp]) -> Array:
-    """How far a tone is from its highest line, in lines, by the higher of the neighbours under Hann's window."""
+def _line_offset(size: Array, peak: NDArray[np.intp]) -> Array:
+    """Distance of a tone from its highest line, in lines, by the higher neighbour under a Hann window."""
     rows = np.arange(len(peak))
     below, at, above = (size[rows, peak + k] for k in (-1, 0, 1))
     ratio = np.maximum(below, above) / np.maximum(at, 1e-300)

@@ -4,33 +4,35 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from daq.importing.signal import Signal, held, rate_of_interval
-from daq.importing.time_gaps import Missing, clock_with_gaps, with_missing
+from daq.importing.clock import Clock, clock_of_times, rate_of_interval
+from daq.importing.signal import Signal
 from rig.errors import RecordingError, RunError
 from rig.numerics.memory import need_beside_program
 from rig.results.universal_file import FRF, GENERAL
 
 TIME_RESPONSE, COHERENCE = 1, 6
-# Units that a label leaves out, by the kind of the data, where data set 164 says that the file is in SI.
+# Units by the kind of the data, where a label states none and data set 164 states that the file is in SI.
 UNITS = {8: "m", 11: "m/s", 12: "m/s^2", 9: "N", 13: "N"}
+# Abscissa of time; unit code of SI.
 _TIME, _SI = 17, 1
 # Memory that reading a byte of the file takes, bytes, measured: text, its numbers as objects, and an array of them.
 _READ_BYTES = 6
 _DIRECTIONS = {1: "+X", 2: "+Y", 3: "+Z", 4: "+RX", 5: "+RY", 6: "+RZ"}
 
 
-def uff_signals(path: Path) -> list[Signal]:
+def uff_signals(path: Path, _stack: ExitStack) -> list[Signal]:
     """List the time responses of a Universal File; they are held in memory."""
     sets = functions(path)
     times = [each for each in sets if is_time(each)]
     if not times:
-        other = Counter(int(each["func_type"]) for each in sets)
-        hint = "; it holds frequency responses: `analysis modes` takes it as it is" if other[FRF] else ""
+        kinds = Counter(int(each["func_type"]) for each in sets)
+        hint = ". It holds frequency responses: `analysis modes` takes it as it is." if kinds[FRF] else ""
         raise RecordingError(f"{path} holds no time response (data set 58, function type 1){hint}")
     names = [title(each) for each in times]
     return [
@@ -40,7 +42,7 @@ def uff_signals(path: Path) -> list[Signal]:
 
 
 def functions(path: Path) -> list[dict[str, Any]]:
-    """Read all data sets 58 of a Universal File; in each ``si`` says whether the file states that it is in SI.
+    """Read all data sets 58 of a Universal File; ``si`` in each states whether the file is in SI.
 
     Raises
     ------
@@ -53,97 +55,88 @@ def functions(path: Path) -> list[dict[str, Any]]:
         import pyuff
     except ImportError:
         raise RunError("Universal Files need the package pyuff: pip install 'shotrig[export]'") from None
-    need_beside_program(_READ_BYTES * path.stat().st_size, f"{path}: importing it")
-    found: list[dict[str, Any]] = []
-    units = None
+    size = path.stat().st_size
+    need_beside_program(_READ_BYTES * size, f"{path}: importing it")
     with path.open("rb") as stream:
         # The reader passes over a last data set that does not end.
-        stream.seek(max(0, path.stat().st_size - 4096))
+        stream.seek(max(0, size - 4096))
         if not stream.read().rstrip().endswith(b"-1"):
             raise RecordingError(
-                f"{path} is no Universal File, or it is cut off: it does not end with the mark -1"
+                f"{path} is not a Universal File, or it is cut off: it does not end with the mark -1"
             )
     try:
         file = pyuff.UFF(str(path))
         kinds = [int(kind) for kind in file.get_set_types()]
     except Exception as error:
-        raise RecordingError(f"{path} is no Universal File, or it is damaged: {error!s:.200}") from error
+        raise RecordingError(f"{path} is not a Universal File, or it is damaged: {error!s:.200}") from error
+    sets: list[dict[str, Any]] = []
+    units = None
     for index, kind in enumerate(kinds):
         if kind not in (58, 164):
             continue
         try:
-            one = file.read_sets(index)
+            content = file.read_sets(index)
             if kind == 164:
-                units = int(one["units_code"])
-            else:
-                found.append(_checked(one))
+                units = int(content["units_code"])
+                continue
+            there, stated = np.asarray(content["data"]).size, int(content["num_pts"])
+            if there != stated:
+                raise ValueError(f"{stated} values are stated, {there} are there")
         except Exception as error:
             raise RecordingError(
                 f"{path}: its data set {index + 1}, a {kind}, cannot be read: the file is cut off or damaged "
                 f"({error!s:.100})"
             ) from error
-    if not found:
-        held = ", ".join(map(str, sorted(set(kinds) - {0}))) or "none"
-        raise RecordingError(f"{path} holds no data set 58 (functions); its data sets: {held}")
-    for each in found:
+        sets.append(content)
+    if not sets:
+        others = ", ".join(map(str, sorted(set(kinds) - {0}))) or "none"
+        raise RecordingError(f"{path} holds no data set 58 (functions); its data sets: {others}")
+    for each in sets:
         each["si"] = units == _SI
-    return found
-
-
-def _checked(one: dict[str, Any]) -> dict[str, Any]:
-    data, stated = np.asarray(one["data"]), int(one["num_pts"])
-    if data.size != stated:
-        raise RecordingError(f"{stated} values are stated, {data.size} are there")
-    return one
+    return sets
 
 
 def title(each: Mapping[str, Any]) -> str:
-    """Name a function: what stands first in its first line, or its node and direction."""
+    """Name a function by the beginning of its first line, or by its node and direction."""
     first = str(each["id1"]).partition(":")[0].strip()
     return first if first and first.upper() != "NONE" else point(each, "rsp")
 
 
 def point(each: Mapping[str, Any], which: str) -> str:
     """Name the node and direction of a response (``rsp``) or reference (``ref``): ``3 +Z``."""
-    way = int(each[f"{which}_dir"])
-    sign = _DIRECTIONS.get(abs(way), "")
-    return f"{int(each[f'{which}_node'])} {sign if way >= 0 else sign.replace('+', '-')}".strip()
+    direction = int(each[f"{which}_dir"])
+    sign = _DIRECTIONS.get(abs(direction), "")
+    return f"{int(each[f'{which}_node'])} {sign if direction >= 0 else sign.replace('+', '-')}".strip()
 
 
 def label(each: Mapping[str, Any], axis: str) -> str:
-    """Give the unit of an axis as its label says it, or as its kind does in a file in SI; empty if neither does."""
+    """Give the unit of an axis by its label, or by its kind in a file in SI; empty if neither states it."""
     text = str(each.get(f"{axis}_axis_units_lab", "")).strip()
     if text and text.upper() != "NONE":
-        # Labels of Windows programs are no UTF-8; the character that the reader cannot decode in a unit is the square.
+        # Labels of Windows programs are not UTF-8; the character that the reader cannot decode in a unit is the square.
         return text.replace("\ufffd", "²")
     return UNITS.get(int(each.get(f"{axis}_spec_data_type", 0)), "") if each["si"] else ""
 
 
 def is_time(each: Mapping[str, Any]) -> bool:
-    """Whether a function is one of time."""
+    """Whether a function is a function of time."""
     kind = int(each["func_type"])
     return kind == TIME_RESPONSE or (kind == GENERAL and int(each["abscissa_spec_data_type"]) == _TIME)
 
 
 def _signal(path: Path, number: int, name: str, each: Mapping[str, Any]) -> Signal:
-    data = held(np.asarray(each["data"]), str(path), number, name)
     where = f"{path}: times of {name!r}"
-    missing: list[Missing] = []
     if int(each["abscissa_spacing"]):
-        interval, start = float(each["abscissa_inc"]), float(each["abscissa_min"])
+        interval = float(each["abscissa_inc"])
         try:
             rate = _stated_rate(each) or rate_of_interval(interval, _last_digit(interval) / 2)
         except RecordingError as error:
             raise RecordingError(f"{where}: {error}") from None
+        clock = Clock(rate, float(each["abscissa_min"]))
     else:
         times = np.asarray(each["x"], dtype=float)
-        rate, start, missing = clock_with_gaps(times, _resolution(times, each), where)
-
-    def read(first: int, stop: int) -> np.ndarray:
-        return data[first:stop].astype(np.float64)
-
-    signal = Signal(path.name, number, name, label(each, "ordinate"), data.size, rate, read, start)
-    return with_missing(signal, missing)
+        clock = clock_of_times(times, _resolution(times, each), where)
+    return Signal.of_array(path, number, name, label(each, "ordinate"), np.asarray(each["data"]), clock)
 
 
 def _stated_rate(each: Mapping[str, Any]) -> float | None:
@@ -158,7 +151,7 @@ def _stated_rate(each: Mapping[str, Any]) -> float | None:
 
 
 def _resolution(times: np.ndarray, each: Mapping[str, Any]) -> float:
-    """Return the resolution of times of uneven spacing: six digits in text, numbers of four bytes or of eight."""
+    """Resolution of unevenly spaced times: six digits in text, or that of single precision, s."""
     largest = float(abs(times).max(initial=0.0))
     if not int(each.get("binary", 0)):
         return _last_digit(largest)

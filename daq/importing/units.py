@@ -25,12 +25,12 @@ _SPELLED = {
 
 
 def meaning(unit: str) -> tuple[Quantity, float]:
-    """Say what a unit, or a number of units, measures and how large it is in SI.
+    """Give the quantity and the SI size of a unit, or of a number of units.
 
     Raises
     ------
     ValueError
-        If it is none of acceleration, velocity, displacement, force or voltage.
+        If it is a unit of none of acceleration, velocity, displacement, force or voltage.
 
     Examples
     --------
@@ -49,6 +49,6 @@ def meaning(unit: str) -> tuple[Quantity, float]:
         if size > 0 and known and kind.carries(size) and not re.fullmatch(r"[\d.eE+-]*", known):
             return quantity, size
     raise ValueError(
-        f"unit {unit!r} is none that is known; expected one of acceleration, velocity, displacement, force or voltage, "
-        "such as m/s^2, g, mm, N, mV, or what one in the file means, such as 5 V"
+        f"unknown unit {unit!r}; expected a unit of acceleration, velocity, displacement, force or voltage, such as "
+        "m/s^2, g, mm, N, mV, or the meaning of 1 in the file, such as 5 V"
     )

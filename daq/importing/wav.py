@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -11,66 +12,62 @@ from numpy.typing import NDArray
 from daq.importing.signal import Array, Signal
 from rig.errors import RecordingError
 
-_WHOLE, _FLOAT, _EXTENSIBLE = 1, 3, 0xFFFE
+# Format tags of the `fmt ` chunk.
+_INTEGER, _FLOAT, _EXTENSIBLE = 1, 3, 0xFFFE
+_BYTES = {_INTEGER: (1, 2, 3, 4), _FLOAT: (4, 8)}
+# Size of a chunk whose size is stated elsewhere or nowhere.
 _UNKNOWN = 0xFFFFFFFF
 
 
-def wav_signals(path: Path) -> list[Signal]:
+def wav_signals(path: Path, _stack: ExitStack) -> list[Signal]:
     """List the tracks of a WAV file; 1 in them is full scale, and they have no unit."""
     form, offset, size = _chunks(path)
     tag, tracks, rate, _, frame, bits = struct.unpack_from("<HHIIHH", form)
     if tag == _EXTENSIBLE and len(form) >= 26:
         (tag,) = struct.unpack_from("<H", form, 24)
     depth = frame // tracks if tracks else 0
-    if (
-        tag not in (_WHOLE, _FLOAT)
-        or depth not in ((4, 8) if tag == _FLOAT else (1, 2, 3, 4))
-        or frame != depth * tracks
-    ):
+    if depth not in _BYTES.get(tag, ()) or frame != depth * tracks:
         raise RecordingError(
             f"{path}: a WAV file of format {tag} with {bits} bits and {tracks} tracks; expected uncompressed samples: "
             "whole numbers of 8, 16, 24 or 32 bits, or floats of 32 or 64"
         )
-    if rate < 1:
-        raise RecordingError(f"{path}: its header states {rate} samples per second")
     samples = size // frame
-    if samples < 2:
-        raise RecordingError(f"{path} holds {samples} samples")
+    if rate < 1 or samples < 2:
+        raise RecordingError(f"{path}: its header states {rate} samples per second, and it holds {samples}")
     data = np.memmap(path, np.uint8, "r", offset, (samples, tracks, depth))
+    full_scale = None if tag == _FLOAT else 1.0 - 2.0 ** (1 - 8 * depth)
 
     def track(number: int) -> Signal:
         def read(start: int, stop: int) -> Array:
             return _numbers(np.ascontiguousarray(data[start:stop, number]), tag == _FLOAT)
 
-        scale = None if tag == _FLOAT else 1.0 - 2.0 ** (1 - 8 * depth)
-        return Signal(
-            path.name, number + 1, f"track {number + 1}", "", samples, float(rate), read, full_scale=scale
-        )
+        name = f"track {number + 1}"
+        return Signal(path.name, number + 1, name, "", samples, float(rate), read, full_scale=full_scale)
 
     return [track(number) for number in range(tracks)]
 
 
 def _numbers(raw: NDArray[np.uint8], floats: bool) -> Array:
-    """Turn the bytes of samples, shape (samples, bytes), into numbers, full scale 1."""
+    """Convert the bytes of samples, shape (samples, bytes), into numbers with full scale 1."""
     depth = raw.shape[1]
     if floats:
         return raw.view(f"<f{depth}")[:, 0].astype(np.float64)
     if depth == 1:
         return (raw[:, 0].astype(np.float64) - 128.0) / 128.0
-    # The bytes on top of four: the sign is then where it belongs.
+    # As the most significant bytes of four, so that the sign bit is in its place.
     wide = np.zeros((raw.shape[0], 4), np.uint8)
     wide[:, 4 - depth :] = raw
     return wide.view("<i4")[:, 0] / 2.0**31
 
 
 def _chunks(path: Path) -> tuple[bytes, int, int]:
-    """Find the format, and where the samples begin and how many bytes they take."""
+    """Give the format, and the offset and size in bytes of the samples."""
     form, large = b"", 0
     end = path.stat().st_size
     with path.open("rb") as file:
         head = file.read(12)
         if len(head) < 12 or head[:4] not in (b"RIFF", b"RF64") or head[8:] != b"WAVE":
-            raise RecordingError(f"{path} is no WAV file, or its beginning is damaged")
+            raise RecordingError(f"{path} is not a WAV file, or its beginning is damaged")
         while len(chunk := file.read(8)) == 8:
             name, size = struct.unpack("<4sI", chunk)
             at = file.tell()

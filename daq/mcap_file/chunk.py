@@ -1,4 +1,4 @@
-"""Chunks of an MCAP file, unpacked with suspicion: sizes are bounded, checksums verified."""
+"""Chunks of an MCAP file: sizes are bounded, checksums verified."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ import zlib
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
-# The largest chunk that is unpacked, bytes; what a recorder writes is a thousandth of it.
+# Largest chunk that is unpacked, bytes; a recorder's chunks are a thousandth of it.
 LARGEST_CHUNK = 1 << 26
-# A chunk beyond the first size must not unpack to more than so many times its own; nor may it hold more records than
-# bytes, beyond the first number. Otherwise a small file could keep a reader busy for minutes.
+# Limits against small files that would keep a reader busy for minutes: unpacked size up to which any ratio is accepted,
+# bytes; largest ratio beyond it; and number of records from which there may not be more records than bytes.
 PACKS_FREELY, PACKS_AT_MOST = 1 << 21, 1000
 FEW_RECORDS = 1 << 10
 
@@ -47,10 +47,9 @@ def unpack_chunk(
     content : memoryview
         The record without opcode and length.
     checksum_needed : bool
-        Whether a chunk that was written without one is refused.
+        Whether a chunk without a checksum is rejected.
     largest : int, optional
-        The largest size that is unpacked, bytes, however well it packs; by default `LARGEST_CHUNK`, and a chunk that
-        packs better than samples do is refused.
+        Largest unpacked size, bytes, at any ratio; by default `LARGEST_CHUNK`, with a limit of the ratio.
 
     Returns
     -------
@@ -67,7 +66,7 @@ def unpack_chunk(
     _, _, size, checksum, name_length = CHUNK_HEAD.unpack_from(content)
     begin = CHUNK_HEAD.size + name_length
     if name_length > 16 or len(content) < begin + 8:
-        raise Damage("its compression has no name")
+        raise Damage("its compression is not named")
     compression = bytes(content[CHUNK_HEAD.size : begin])
     (packed,) = struct.unpack_from("<Q", content, begin)
     if size > (LARGEST_CHUNK if largest is None else largest):
@@ -87,7 +86,7 @@ def unpack_chunk(
 
 
 def _unpack(compression: bytes, packed: memoryview, size: int) -> bytes | memoryview:
-    """Unpack at most `size` bytes; what would be more is refused before it is made."""
+    """Unpack at most `size` bytes; a larger result is rejected before it is made."""
     if compression == b"":
         return packed
     if compression == b"zstd":
@@ -110,13 +109,13 @@ def _unpack(compression: bytes, packed: memoryview, size: int) -> bytes | memory
         except (RuntimeError, ValueError, EOFError) as error:
             raise Damage(f"it cannot be unpacked ({error})") from error
         if not unpacker.eof or unpacker.unused_data:
-            raise Damage("it does not unpack to what it should")
+            raise Damage("it does not unpack to the stated size")
         return bytes(records)
     raise Damage(f"its compression {compression!r} is not known")
 
 
 def _decompressor() -> Any:
-    """Give this thread's decompressor: making one takes as long as unpacking ten kilobytes."""
+    """Give this thread's decompressor, which takes as long to make as unpacking ten kilobytes."""
     if not hasattr(_of_thread, "zstd"):
         import zstandard
 
@@ -127,14 +126,14 @@ def _decompressor() -> Any:
 def record_at(
     read: Callable[[int, int], bytes], place: int, end: int, largest: int
 ) -> tuple[int, memoryview]:
-    """Read opcode and content of the record at a place in a file; raise `Damage` where there is none.
+    """Read opcode and content of the record at a place in a file; raise `Damage` if it is malformed.
 
     Parameters
     ----------
     read : callable
         ``read(place, length)`` gives bytes of the file.
     place, end : int
-        Where the record begins, and where the file ends.
+        Beginning of the record, and end of the file.
     largest : int
         The longest content that is accepted, bytes.
     """
@@ -148,7 +147,7 @@ def record_at(
 
 
 def records_in(records: memoryview, stored: int) -> Iterator[tuple[int, memoryview]]:
-    """Yield opcode and content of the records of a chunk; raise `Damage` where they do not fit into it.
+    """Yield opcode and content of the records of a chunk; raise `Damage` if they do not fit into it.
 
     Parameters
     ----------
@@ -169,7 +168,7 @@ def records_in(records: memoryview, stored: int) -> Iterator[tuple[int, memoryvi
         if place > end:
             raise Damage(f"a record in it claims {length} bytes")
         if opcode not in (SCHEMA, CHANNEL, MESSAGE):
-            raise Damage(f"a record of kind {opcode} in it, which belongs into no chunk")
+            raise Damage(f"a record of kind {opcode} in it, which does not belong in a chunk")
         yield opcode, records[begin:place]
 
 

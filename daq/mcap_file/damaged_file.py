@@ -1,7 +1,7 @@
-"""Finding what is intact in an MCAP file that is torn or damaged, from its records alone.
+"""The intact parts of an MCAP file that is torn or damaged, by its records alone.
 
-Nothing is believed without a checksum: chunks and attachments have one, and the metadata records of this
-project's recordings. Where a record's length is damaged, the next record that agrees with itself is sought.
+Only records with a checksum are used: chunks, attachments, and the metadata records of our recordings. Where a record's
+length is damaged, the next consistent record is searched.
 """
 
 from __future__ import annotations
@@ -24,25 +24,22 @@ if TYPE_CHECKING:
     from mcap.records import Attachment, Metadata
 
 _WINDOW = 1 << 20
-# A record begins with its opcode and a length, of which more than four bytes are never used.
+# A record begins with its opcode and a length of eight bytes, the last four of which are zero.
 _BEGIN = re.compile(rb"(?=[\x06\x07\x09\x0c\x0f].{4}\0{4})", re.DOTALL)
 _COMPRESSIONS = (b"", b"zstd", b"lz4")
 
 
 @dataclass(frozen=True)
 class Intact:
-    """A part of the file that passed its checksum: a chunk's records, a metadata record, or an attachment.
-
-    `stored` says how many bytes it takes in the file.
-    """
+    """A part of the file that passed its checksum: a chunk's records, a metadata record, or an attachment."""
 
     content: memoryview | Metadata | Attachment
-    stored: int
+    stored: int  # Its size in the file, bytes
 
 
 @dataclass(frozen=True)
 class Unreadable:
-    """Bytes of the file from which nothing could be had, and why."""
+    """Bytes of the file that cannot be read, and why."""
 
     begin: int
     end: int
@@ -50,7 +47,7 @@ class Unreadable:
 
 
 class DamagedFile:
-    """A file whose records are walked through one by one.
+    """A file whose records are read one by one.
 
     Raises
     ------
@@ -60,7 +57,7 @@ class DamagedFile:
 
     def __init__(self, path: Path) -> None:
         if path.exists() and not path.is_file():
-            raise RecordingError(f"{path} is no file")
+            raise RecordingError(f"{path} is not a file")
         try:
             self._file = path.open("rb", buffering=0)
             self.size = path.stat().st_size
@@ -82,18 +79,18 @@ class DamagedFile:
             return memoryview(b"")
 
     def parts(self) -> Iterator[Intact | Unreadable]:
-        """Yield what the file's data consist of, in order, up to their end or that of the file."""
+        """Yield the parts of the data section in order, up to its end or that of the file."""
         place = len(MAGIC)
         if self._read(0, place) != MAGIC:
             place = self._next_record(0)
-            yield Unreadable(0, place, "it does not begin like an MCAP file")
+            yield Unreadable(0, place, "it does not begin with the MCAP signature")
         while place < self.size:
             if self._is_data_end(place):
                 return
             part, end = self._part(place)
             if end is None:
                 end = self._next_record(place + 1)
-                part = Unreadable(place, end, "no record is to be made out")
+                part = Unreadable(place, end, "no record can be identified")
             if part is not None:
                 yield part
             place = end
@@ -102,7 +99,7 @@ class DamagedFile:
         return self._read(place, RECORD_HEAD.size) == RECORD_HEAD.pack(DATA_END, 4)
 
     def _part(self, place: int) -> tuple[Intact | Unreadable | None, int | None]:
-        """Make out the record at a place, and where it ends: None if it cannot be made out."""
+        """Identify the record at a place, and its end: None if it cannot be identified."""
         head = self._read(place, RECORD_HEAD.size)
         if len(head) < RECORD_HEAD.size:
             return Unreadable(place, self.size, "the file ends within a record"), self.size
@@ -111,21 +108,27 @@ class DamagedFile:
         chunk = self._chunk(place, length)
         if chunk is not None:
             return chunk
-        # A checksum of fields says nothing of the length; one too large would take in what follows.
-        sized = opcode == ATTACHMENT or (opcode == METADATA and self._agrees(place))
+        # The checksum of fields does not cover the length; too large a length would include the next records.
+        sized = opcode == ATTACHMENT or (opcode == METADATA and self._is_consistent(place))
         if sized and length <= LARGEST_RECORD and end <= self.size:
             try:
                 return Intact(_verified(opcode, self._read(place + RECORD_HEAD.size, length)), length), end
             except Damage as damage:
-                return (Unreadable(place, end, str(damage)), end) if self._agrees(end) else (None, None)
-        if opcode in (HEADER, MESSAGE_INDEX) and self._agrees(place) and end <= self.size:
+                return (
+                    (Unreadable(place, end, str(damage)), end) if self._is_consistent(end) else (None, None)
+                )
+        if opcode in (HEADER, MESSAGE_INDEX) and self._is_consistent(place) and end <= self.size:
             return None, end
-        if end > self.size and opcode in (CHUNK, METADATA, ATTACHMENT, MESSAGE_INDEX) and self._agrees(place):
+        if (
+            end > self.size
+            and opcode in (CHUNK, METADATA, ATTACHMENT, MESSAGE_INDEX)
+            and self._is_consistent(place)
+        ):
             return Unreadable(place, self.size, "the file ends within a record"), self.size
         return None, None
 
     def _chunk(self, place: int, length: int) -> tuple[Intact | Unreadable, int] | None:
-        """Try to have a chunk at a place; its length stands there twice, and either may be damaged."""
+        """Try to read a chunk at a place; its length is stated twice, and either may be damaged."""
         begin = place + RECORD_HEAD.size
         head = self._read(begin, CHUNK_HEAD.size + 12)
         if len(head) < CHUNK_HEAD.size + 8:
@@ -147,12 +150,12 @@ class DamagedFile:
                 return Intact(records, content_length), begin + content_length
             except Damage as damage:
                 reason = f"a chunk: {damage}"
-        if length == fixed + packed and begin + length <= self.size and self._agrees(begin + length):
+        if length == fixed + packed and begin + length <= self.size and self._is_consistent(begin + length):
             return Unreadable(place, begin + length, reason or "a chunk that is too large"), begin + length
         return None
 
-    def _agrees(self, place: int) -> bool:
-        """Say whether what begins at a place agrees with itself as a record begins, or is the end."""
+    def _is_consistent(self, place: int) -> bool:
+        """Whether a consistent record begins at a place, or the file ends there."""
         if place == self.size:
             return True
         head = self._read(place, 64)
@@ -183,24 +186,24 @@ class DamagedFile:
         return False
 
     def _next_record(self, place: int) -> int:
-        """Find the next place from which a record can be had; the end of the file if there is none."""
+        """Give the place of the next consistent record; the end of the file if there is none."""
         while place < self.size:
             window = self._read(place, _WINDOW)
             for match in _BEGIN.finditer(window):
-                if self._agrees(place + match.start()):
+                if self._is_consistent(place + match.start()):
                     return place + match.start()
             place += _WINDOW - RECORD_HEAD.size
         return self.size
 
 
 def _verified(opcode: int, content: memoryview) -> Any:
-    """Parse a metadata record or an attachment; raise `Damage` unless its checksum is there and right."""
+    """Parse a metadata record or an attachment; raise `Damage` unless it has the right checksum."""
     record = parse(opcode, content)
     if opcode == METADATA and not is_intact(record.metadata):
-        raise Damage("a metadata record without a right checksum")
+        raise Damage("a metadata record has a wrong checksum, or none")
     if (
         opcode == ATTACHMENT
         and zlib.crc32(content[:-4]) != struct.unpack_from("<I", content, len(content) - 4)[0]
     ):
-        raise Damage("an attachment without a right checksum")
+        raise Damage("an attachment has a wrong checksum, or none")
     return record

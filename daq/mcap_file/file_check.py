@@ -1,10 +1,10 @@
-"""Checking every record of an MCAP file: its own checksum, and all that other records say of it.
+"""The check of every record of an MCAP file: its checksum, and its agreement with other records.
 
-MCAP has checksums for chunks, attachments and the summary. Records without one are compared with what they repeat:
-message indexes and the times of a chunk with its messages, indexes and counts of the summary with the records in the
-file. Two kinds of damage have no effect and are not detected: another name of the writing program in the header, and
-packed bytes that unpack to the same records. A checksum of the data section covers both and is verified where there is
-one. https://mcap.dev/spec describes the records.
+MCAP has checksums for chunks, attachments and the summary. Records without checksum are compared with the records that
+they repeat: message indexes and the times of a chunk with its messages, the summary with the file. Two kinds of damage
+have no effect and are not detected: another name of the writing program in the header, and packed bytes that unpack to
+the same records. A checksum of the data section covers both and is verified where there is one. https://mcap.dev/spec
+describes the records.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def check_file(container: Container) -> None:
 
 @dataclass
 class _Chunk:
-    """A chunk as it stands in the file, in the terms of its index."""
+    """A chunk of the file, in the terms of its index."""
 
     place: int
     length: int
@@ -84,13 +84,13 @@ class _Chunk:
     packed: int
     unpacked: int
     messages: dict[int, NDArray[Any]]
-    """Of each channel the log times and the places of its messages; structured array."""
-    indexes: dict[int, int] = field(default_factory=dict)  # Of each channel the place of its message index
+    """Log times and places of the messages of each channel; structured arrays."""
+    indexes: dict[int, int] = field(default_factory=dict)  # Place of the message index of each channel
     index_length: int = 0
 
 
 class _Check:
-    """One check: `place` is the byte at which the record being checked begins."""
+    """A check: `place` is the first byte of the present record."""
 
     def __init__(self, container: Container) -> None:
         self.place = 0
@@ -98,8 +98,8 @@ class _Check:
         self._ours = container.checksums_needed
         self._schemas: dict[int, Any] = {}
         self._channels: dict[int, Any] = {}
-        # Places of the records that the summary should list, by the kind of their index, with a hash of their fields:
-        # of a million empty chunks the fields themselves would take a gigabyte.
+        # Places of the records that the summary should list, by the kind of their index, with a hash of their fields,
+        # which takes less memory: of a million empty chunks the fields would take a gigabyte.
         self._unlisted: dict[int, dict[int, int]] = {
             CHUNK_INDEX: {}, ATTACHMENT_INDEX: {}, METADATA_INDEX: {}
         }  # fmt: skip
@@ -109,11 +109,11 @@ class _Check:
         self._chunk: _Chunk | None = None
 
     def run(self) -> None:
-        """Walk through the data section and the summary."""
+        """Check the data section and the summary."""
         self.place = len(MAGIC)
         opcode, content = self._next()
         if opcode != HEADER:
-            raise Damage("no header begins the file")
+            raise Damage("the file does not begin with a header")
         self._plain(parse(HEADER, content), content)
         while opcode != DATA_END:
             begin = self.place
@@ -164,14 +164,14 @@ class _Check:
             raise Damage(f"a record of kind {opcode}, which does not belong there")
 
     def _plain(self, record: Any, content: memoryview) -> None:
-        """Refuse a record of ours that is not encoded as we do: lengths in it have no checksum."""
+        """Reject a record that is not encoded as our writer does: its lengths have no checksum."""
         builder = RecordBuilder()
         record.write(builder)
         if self._ours and builder.end()[RECORD_HEAD.size :] != content:
             raise Damage(f"a {type(record).__name__} record is malformed")
 
     def _announce(self, opcode: int, content: memoryview) -> None:
-        """Note a schema or channel; all records of one number must be the same."""
+        """Store a schema or channel; all records of a number must be equal."""
         record = parse(opcode, content)
         known = self._schemas if opcode == SCHEMA else self._channels
         if known.setdefault(record.id, record) != record:
@@ -227,7 +227,7 @@ class _Check:
         chunk.index_length += RECORD_HEAD.size + len(content)
 
     def _end_chunk(self) -> None:
-        """Note a chunk, all its message indexes read."""
+        """Complete a chunk behind its message indexes."""
         chunk, self._chunk = self._chunk, None
         if chunk is None:
             return
@@ -282,7 +282,7 @@ class _Check:
                 raise Damage(f"the summary does not list the record at byte {min(left)}")
 
     def _summary_record(self, opcode: int, record: Any, written: dict[int, int]) -> None:
-        """Compare a record of the summary with what it repeats."""
+        """Compare a record of the summary with the record that it repeats."""
         if opcode == CHUNK_INDEX:
             self._index(
                 opcode, record.chunk_start_offset,
@@ -301,7 +301,7 @@ class _Check:
         elif opcode in (SCHEMA, CHANNEL):
             known = self._schemas if opcode == SCHEMA else self._channels
             if known.get(record.id, record) != record:
-                raise Damage(f"the summary describes the schema or channel {record.id} in another way")
+                raise Damage(f"the summary describes the schema or channel {record.id} differently")
         elif opcode == STATISTICS:
             self._statistics(record, written)
 

@@ -1,4 +1,4 @@
-"""A checksum for the fields of a metadata record, which MCAP itself gives none."""
+"""A checksum for the fields of metadata records, which have none in MCAP."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 
 def checked(fields: Mapping[str, str]) -> dict[str, str]:
-    """Add a checksum to the fields of a metadata record, which MCAP itself gives none.
+    """Add a checksum to the fields of a metadata record.
 
     >>> is_intact(checked({"rate": "5120"})), is_intact(checked({"rate": "5120"}) | {"rate": "5121"})
     (True, False)
@@ -15,7 +15,7 @@ def checked(fields: Mapping[str, str]) -> dict[str, str]:
 
 
 def is_intact(fields: Mapping[str, str]) -> bool:
-    """Say whether a metadata record is as `checked` left it."""
+    """Whether a metadata record agrees with its checksum."""
     rest = {key: value for key, value in fields.items() if key != "crc32"}
     return fields.get("crc32") == _checksum(rest)
 

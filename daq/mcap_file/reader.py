@@ -1,6 +1,6 @@
-"""The MCAP container of a recording. Of the file only the summary at its end is read at first.
+"""The MCAP container of a recording. Only the summary at the end of the file is read at first.
 
-Chunks, metadata and attachments are read when asked for; every length is bounded, every checksum verified.
+Chunks, metadata and attachments are read on demand; every length is bounded, every checksum verified.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from daq.mcap_file.summary import ATTACHMENT, CHUNK, FOOTER, METADATA, Summary, 
 from rig.errors import RecordingError
 
 MAGIC = b"\x89MCAP0\r\n"
-# What a file may ask of the memory besides a chunk: a record outside the chunks, and the summary; bytes.
+# Largest record outside the chunks, and largest summary, that are read, bytes.
 LARGEST_RECORD = 1 << 24
 LARGEST_SUMMARY = 1 << 28
 
@@ -32,24 +32,24 @@ class Container:
     Attributes
     ----------
     summary : Summary
-        What it holds, and where.
+        The content of the file, and its places.
 
     Raises
     ------
     RecordingError
-        If it cannot be opened, is no MCAP file, was not closed properly, or is damaged.
+        If it cannot be opened, is not an MCAP file, was not closed, or is damaged.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self._checksums_needed = False
         if path.exists() and not path.is_file():
-            raise RecordingError(f"{path} is no file")
+            raise RecordingError(f"{path} is not a file")
         try:
             self._file = path.open("rb", buffering=0)
         except OSError as error:
             raise RecordingError(f"cannot open {path}: {error.strerror}") from error
-        # A recording that nobody closes is closed when nobody has it any more.
+        # A recording without a reference is closed.
         weakref.finalize(self, self._file.close)
         try:
             self.size = os.fstat(self._file.fileno()).st_size
@@ -63,7 +63,7 @@ class Container:
 
     @property
     def checksums_needed(self) -> bool:
-        """Whether the file comes from a writer that gives everything a checksum; what has none is damaged then."""
+        """Whether records without a checksum are damaged: our writer gives every record a checksum."""
         return self._checksums_needed
 
     @checksums_needed.setter
@@ -73,9 +73,9 @@ class Container:
             raise self.error("is damaged: its summary has no checksum")
 
     def error(self, what: str) -> RecordingError:
-        """Make the error that says what is wrong with the file, and what to do."""
+        """Make an error with the remedy for a damaged file."""
         return RecordingError(
-            f"{self.path} {what}; `daq recover {self.path} -o FIXED.mcap` salvages what is intact"
+            f"{self.path} {what}; `daq recover {self.path} -o FIXED.mcap` salvages the intact part"
         )
 
     def _summary(self) -> Summary:
@@ -83,7 +83,9 @@ class Container:
         if self.size == 0:
             raise RecordingError(f"{self.path} is empty: it holds no recording")
         if self.read(0, len(MAGIC)) != MAGIC:
-            raise RecordingError(f"{self.path} is no MCAP file: it does not begin like one")
+            raise RecordingError(
+                f"{self.path} is not an MCAP file: it does not begin with the MCAP signature"
+            )
         data = self.read(max(self.size - tail, 0), tail)
         if len(data) < tail or not data.endswith(MAGIC) or data[0] != FOOTER:
             raise self.error("was not closed properly (it has no end; the recording may have been cut off)")
@@ -145,7 +147,7 @@ class Container:
             raise self.error(f"is damaged: the chunk at byte {offset} cannot be used: {damage}") from damage
 
     def metadata(self) -> dict[str, dict[str, str]]:
-        """Read the metadata records by their names; of several with one name the last counts."""
+        """Read the metadata records by their names; the last record of a name is used."""
         try:
             found = {}
             for index in self.summary.metadata:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = range(1, 9)
 ATTACHMENT, ATTACHMENT_INDEX, STATISTICS, METADATA, METADATA_INDEX, SUMMARY_OFFSET, DATA_END = range(9, 16)
 
-# Most records of one kind in a summary, chunk indexes apart; each costs memory.
+# Most records of one kind in a summary, except chunk indexes; each takes memory.
 MOST_RECORDS = 1 << 16
 
 _MAP = struct.Struct("<QQQQI")
@@ -39,7 +39,7 @@ def parse(opcode: int, content: memoryview) -> Any:
     Returns
     -------
     mcap record
-        Schema, Channel, Metadata, Attachment, Statistics, an index of these, or a record that begins or ends a section.
+        Schema, Channel, Metadata, Attachment, Statistics, an index, or the record at an end of a section.
     """
     from mcap import records
     from mcap.data_stream import ReadDataStream
@@ -79,16 +79,16 @@ class Summary:
     """Earliest and latest time in each chunk, ns; uint64, shape (chunks,)."""
     offsets: NDArray[np.int64]
     lengths: NDArray[np.int64]
-    """Where each chunk record lies in the file, in bytes; int64, shape (chunks,)."""
+    """Place and length of each chunk record in the file, bytes; int64, shape (chunks,)."""
     unpacked: NDArray[np.int64]
     """Size of the records in each chunk, bytes; int64, shape (chunks,)."""
     holders: Mapping[int, NDArray[np.int64]]
-    """For each channel the chunks that hold messages of it, in the order of time."""
+    """The chunks with messages of each channel, in the order of time."""
     metadata: list[MetadataIndex]
     attachments: list[AttachmentIndex]
-    """Where they lie."""
+    """Their places."""
     statistics: Statistics | None
-    """Counts, as far as the file gives them."""
+    """Counts; None where the file has none."""
 
 
 def read_summary(data: memoryview, file_size: int) -> Summary:
@@ -99,7 +99,7 @@ def read_summary(data: memoryview, file_size: int) -> Summary:
     data : memoryview
         The section, its checksum verified.
     file_size : int
-        Bytes in the file, which no record may lie beyond.
+        Size of the file, bytes; no record may lie beyond it.
 
     Raises
     ------
@@ -144,7 +144,7 @@ def read_summary(data: memoryview, file_size: int) -> Summary:
 def _chunk_table(
     data: memoryview, places: Mapping[int, list[int]], file_size: int
 ) -> tuple[dict[str, NDArray[Any]], dict[int, NDArray[np.int64]]]:
-    """Parse chunk indexes, many of one length at a time: an hour has tens of thousands of them."""
+    """Parse chunk indexes, those of one length together: an hour has tens of thousands."""
     columns: dict[str, list[NDArray[Any]]] = {column: [] for column in _COLUMNS.values()}
     holders: list[tuple[NDArray[Any], NDArray[np.int64]]] = []
     count = 0
@@ -163,7 +163,7 @@ def _chunk_table(
     joined = {column: np.concatenate([np.empty(0, np.uint64), *parts]) for column, parts in columns.items()}
     place = np.argsort(joined["offset"], kind="stable")
     if (np.diff(joined["offset"][place]) < joined["length"][place][:-1]).any():
-        raise Damage("its chunks lie within each other")
+        raise Damage("its chunks overlap")
     order = np.lexsort((joined["offset"], joined["end"]))
     rank = np.empty(count, np.int64)
     rank[order] = np.arange(count)

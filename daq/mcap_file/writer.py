@@ -1,8 +1,8 @@
-"""Writing an MCAP file chunk by chunk: whoever writes decides what goes into a chunk.
+"""Writing an MCAP file chunk by chunk; the caller determines the content of each chunk.
 
-The records are those of the package mcap. Its own writer takes messages one by one, which took longer than
-all else about the thousand small ones that a second of display holds; here those of one size are encoded and
-indexed together. https://mcap.dev/spec describes the records.
+The records are those of the package mcap. Its writer takes messages one by one, too slow for the thousand small
+messages of a second of display; here messages of one size are encoded and indexed together. https://mcap.dev/spec
+describes the records.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 MAGIC = b"\x89MCAP0\r\n"
-# Samples with noise, and what is displayed of them, pack as well as at zstd's usual level 3, in 70 % of the time.
+# Samples with noise pack as well as at zstd's default level 3, in 70 % of the time.
 PACKING_LEVEL = 1
 
 _RECORD = struct.Struct("<BQ")
@@ -41,7 +41,7 @@ _FOOTER = struct.Struct("<BQQQ")
 
 
 class Stream(Protocol):
-    """Where the bytes go."""
+    """A sink of bytes."""
 
     def write(self, data: bytes) -> object:
         """Take further bytes."""
@@ -56,11 +56,11 @@ class ChunkedFile:
     Parameters
     ----------
     stream : Stream
-        Where to.
+        Sink of the bytes.
     library : str
-        What the file says it was written by.
+        Name of the writing program, for the header.
     compression : {'zstd', 'lz4'}
-        How chunks are packed.
+        Of the chunks.
     """
 
     def __init__(self, stream: Stream, library: str, compression: str) -> None:
@@ -81,7 +81,7 @@ class ChunkedFile:
         self._put(records.Header("", library))
 
     def _put(self, *content: records.McapRecord) -> int:
-        """Write records one after another; give how many bytes they take."""
+        """Write records; give their size in bytes."""
         builder = RecordBuilder()
         for record in content:
             record.write(builder)
@@ -110,7 +110,7 @@ class ChunkedFile:
         return channel.id
 
     def add_chunk(self, messages: Iterable[Message | Messages]) -> bool:
-        """Write messages as a chunk, in their order; say whether there were any."""
+        """Write messages as a chunk, in their order; return False if there are none."""
         announced = self._announced.end()
         parts, place = [announced], len(announced)
         entries: defaultdict[int, list[bytes]] = defaultdict(list)
@@ -247,7 +247,7 @@ class ChunkedFile:
 
 
 def _packer(compression: str) -> Callable[[bytes], bytes]:
-    """Give what packs the chunks of a file: making a compressor takes as long as packing a small chunk."""
+    """Give the compressor of a file, which takes as long to make as packing a small chunk."""
     if compression == "lz4":
         import lz4.frame  # type: ignore[import-untyped]
 
@@ -278,7 +278,7 @@ def _encoded(messages: Messages) -> NDArray[Any]:
 
 
 def _by_channel(channels: NDArray[Any], index: NDArray[Any]) -> Iterator[tuple[int, bytes]]:
-    """Sort the index of messages by their channels, in the order in which these first come."""
+    """Sort the index of messages by channels, in the order of their first messages."""
     channels, index = channels.ravel(), index.ravel()
     order = np.argsort(channels, kind="stable")
     starts = np.flatnonzero(np.diff(channels[order], prepend=-1))
@@ -288,7 +288,7 @@ def _by_channel(channels: NDArray[Any], index: NDArray[Any]) -> Iterator[tuple[i
 
 
 class Message(NamedTuple):
-    """A message on its way into the file: number of its channel, times in ns, content, place in its topic."""
+    """A message: number of its channel, times in ns, content, position in its topic."""
 
     channel: int
     log_time: int
@@ -298,7 +298,7 @@ class Message(NamedTuple):
 
 
 class Messages(NamedTuple):
-    """At least one message, all of one size, on their way into the file together, in the order of `data`.
+    """One or more messages of one size, in the order of `data`.
 
     Numbers and times are broadcast to the messages, as numpy does.
     """
@@ -309,4 +309,4 @@ class Messages(NamedTuple):
     data: NDArray[np.uint8]
     """Their content; uint8, shape (..., bytes)."""
     sequence: NDArray[np.int64] | int
-    """Their places in their topics."""
+    """Their positions in their topics."""

@@ -1,4 +1,4 @@
-"""One channel's samples in a recording, read by sample number; nothing but the chunks it needs is decoded."""
+"""The samples of one channel, read by sample number; only the chunks that are needed are decoded."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from rig.errors import RecordingError
 if TYPE_CHECKING:
     from mcap.records import Channel
 
-# A range is refused when it is larger than this many samples and holds but a sixteenth of them: numbers in a
-# file must not make the memory overflow.
+# Samples of a range from which its content is compared with its size: numbers in a file must not exhaust the memory.
 LARGE_RANGE = 1 << 22
+# Such a range is rejected if it holds less than this part of its samples, 1 / LEAST_SHARE.
 LEAST_SHARE = 16
-# Decoded samples of a channel that stay in memory, 1 MB: a measured window is read several times.
+# Decoded samples of a channel that stay in memory (1 MB): a measured window is read several times.
 RECENT_SAMPLES = 1 << 17
 
 
@@ -50,7 +50,7 @@ class Series:
 
     @property
     def stored(self) -> str:
-        """What a sample is in the file: `float64`, `float32` or `counts`."""
+        """Type of the samples in the file: `float64`, `float32` or `counts`."""
         return next(stored for stored, (schema, _, _) in SCHEMAS.items() if schema == self._schema)
 
     def _error(self, what: str) -> RecordingError:
@@ -60,11 +60,11 @@ class Series:
         try:
             return float(self.metadata.get(key, otherwise))
         except ValueError:
-            raise self._error(f"{key} = {self.metadata[key]!r} is no number") from None
+            raise self._error(f"{key} = {self.metadata[key]!r} is not a number") from None
 
     @cached_property
     def clock(self) -> Timebase:
-        """The sample clock: as the topic's metadata state it, or else as the first block does."""
+        """The sample clock, as the topic's metadata or else the first block state it."""
         if "rate" in self.metadata and "start_ns" in self.metadata:
             try:
                 rate, start_ns = float(self.metadata["rate"]), int(self.metadata["start_ns"])
@@ -89,14 +89,14 @@ class Series:
 
     @cached_property
     def _ends(self) -> NDArray[np.int64]:
-        """For each chunk the sample by which the blocks in it have ended."""
+        """For each chunk the sample after its blocks."""
         if not self._chunks.size:
-            # All was lost, and with it perhaps the clock.
+            # All samples were lost, and perhaps the clock.
             return np.empty(0, np.int64)
         return self.clock.samples_at(self._container.summary.ends[self._chunks])
 
     def _decoded(self, chunk: int, clock: Timebase | None) -> list[SampleBlock]:
-        """Decode this topic's blocks of a chunk; recent chunks are stored for readers that come back to a stretch."""
+        """Decode this topic's blocks of a chunk; recent chunks stay in memory for repeated reading."""
         if clock is not None and chunk in self._recent:
             return self._recent[chunk]
         blocks = []
@@ -111,10 +111,10 @@ class Series:
             if clock is not None:
                 self._check(block, message.log_time, clock)
         if clock is not None:
-            self._keep(chunk, blocks)
+            self._store(chunk, blocks)
         return blocks
 
-    def _keep(self, chunk: int, blocks: list[SampleBlock]) -> None:
+    def _store(self, chunk: int, blocks: list[SampleBlock]) -> None:
         """Store the blocks of a chunk, and drop the oldest ones beyond `RECENT_SAMPLES`."""
         self._recent[chunk] = blocks
         self._recent_samples += sum(block.stop - block.first_sample for block in blocks)
@@ -123,9 +123,9 @@ class Series:
             self._recent_samples -= sum(block.stop - block.first_sample for block in dropped)
 
     def _check(self, block: SampleBlock, log_time: int, clock: Timebase) -> None:
-        """Hold a block against the layout, on which finding samples relies."""
+        """Compare a block with the layout, on which the search for samples relies."""
         if block.stop > MOST_SAMPLES:
-            raise self._error(f"it claims a sample {block.first_sample}, beyond any recording")
+            raise self._error(f"it states a sample {block.first_sample}, beyond the longest recording")
         begins = (block.t0_ns - clock.start_ns) * clock.rate * 1e-9 - block.first_sample
         ends = (log_time - clock.start_ns) * clock.rate * 1e-9 - block.stop
         if block.rate != clock.rate or not (abs(begins) < 0.5 and abs(ends) < 0.5):
@@ -168,7 +168,7 @@ class Series:
         Raises
         ------
         RecordingError
-            If a chunk is damaged, or the range holds next to nothing for its size.
+            If a chunk is damaged, or the range holds almost no samples for its size.
         """
         self.refuse_void(start, stop)
         values = np.empty(stop - start)
@@ -183,7 +183,7 @@ class Series:
         return values
 
     def refuse_void(self, start: int, stop: int) -> None:
-        """Raise `RecordingError` if the file has next to no samples in a long range."""
+        """Raise `RecordingError` if the file has almost no samples in a long range."""
         if stop - start <= LARGE_RANGE:
             return
         begin, end = np.searchsorted(self._ends, [start, stop], side="right")
@@ -192,8 +192,8 @@ class Series:
         most = int(np.minimum(self._container.summary.unpacked[chunks], 1 << 40).sum()) // 4
         if most * LEAST_SHARE < stop - start:
             raise self._error(
-                f"of the samples {start} to {stop - 1} it holds {most} at most: a void; "
-                "choose a stretch beside it (--from, --to)"
+                f"of the samples {start} to {stop - 1} it holds {most} at most: a void. Choose a stretch before or "
+                "after it (--from, --to)."
             )
 
     def holes(self) -> Iterator[tuple[int, int]]:

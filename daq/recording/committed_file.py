@@ -1,6 +1,6 @@
-"""The file under a recording: it grows by whole commits, so that a full disk leaves nothing half-written.
+"""The file of a recording: it grows by whole commits, so that a full disk leaves no half-written record.
 
-One that replaces another grows beside it and takes its place once it is whole.
+A file that replaces another is written next to it and takes its name once it is complete.
 """
 
 from __future__ import annotations
@@ -15,18 +15,18 @@ from typing import IO
 from rig.errors import RecordingError, RunError
 from rig.output_files import destination, put_in_place
 
-# Pieces that are put together for the disk: all at once, those of thousands of channels would be in memory twice.
+# Pieces that are joined for one write: all pieces of thousands of channels would be in memory twice.
 _AT_ONCE = 256
-# Room kept on the disk for the end of the file, and for the display, bytes.
+# Reserve on the disk for the end of the file, and for the display, bytes.
 RESERVE = 1 << 20
 
 
 class DiskError(RunError):
-    """The disk is full or fails; the message says what became of the file."""
+    """The disk is full or fails; the message states the content of the file."""
 
 
 class Disk:
-    """What the MCAP writer writes into: bytes wait here until `commit` puts them into the file together.
+    """The stream of the MCAP writer: bytes wait in memory until `commit` writes them together.
 
     Parameters
     ----------
@@ -36,9 +36,9 @@ class Disk:
     Attributes
     ----------
     failed : bool
-        Whether a commit has failed; the file then ends with the commit before.
+        Whether a commit has failed; the file then ends with the previous commit.
     at : Path
-        Where the bytes are until then: beside an existing file that is to be replaced, else at `path`.
+        Where the bytes are written: next to an existing file that is to be replaced, else at `path`.
 
     Raises
     ------
@@ -60,10 +60,10 @@ class Disk:
             self._file = self.at.open("xb", buffering=0)
         except FileExistsError:
             raise RecordingError(
-                f"{path} has just been made by another process; choose another name"
+                f"{path} was created by another process in the meantime. Choose another name."
             ) from None
         except OSError as error:
-            raise RecordingError(f"cannot make {path}: {_reason(error, path.parent)}") from error
+            raise RecordingError(f"cannot create {path}: {_reason(error, path.parent)}") from error
         _lock(self._file, path)
 
     def write(self, data: bytes) -> None:
@@ -77,15 +77,15 @@ class Disk:
         return self._end
 
     def flush(self) -> None:
-        """Do nothing: the MCAP writer flushes every chunk, but its chunks go to the disk in groups."""
+        """Do nothing: the MCAP writer flushes every chunk, but chunks are committed in groups."""
 
     def commit(self) -> None:
-        """Put what waits into the file.
+        """Write the waiting bytes into the file.
 
         Raises
         ------
         DiskError
-            If the disk is full or fails. The file is cut back to the commit before.
+            If the disk is full or fails. The file is truncated to the previous commit.
         """
         waiting, self._waiting = self._waiting, []
         try:
@@ -104,7 +104,7 @@ class Disk:
         return shutil.disk_usage(self.at).free
 
     def finish(self) -> None:
-        """Put what waits into the file, which is whole with it, and give it its name.
+        """Write the waiting bytes, which complete the file, and give it its name.
 
         Raises
         ------
@@ -117,31 +117,31 @@ class Disk:
         self._whole = True
         if self.at == self._final:
             return
-        # Windows replaces no file that is open: whoever locks the old one from here on replaces the new one in turn.
+        # Windows cannot replace an open file: another process that locks the old file now will replace the new one.
         self.close()
         try:
             put_in_place(self.at, self._final, overwrite=True)
         except OSError as error:
             raise RunError(
-                f"cannot replace {self.path}: {error.strerror}; the new one is {self.at}"
+                f"cannot replace {self.path}: {error.strerror}. The new recording is {self.at}."
             ) from error
         self.at = self._final
 
     def give_up(self) -> None:
-        """Leave the old file as it was, if there is one: nothing came that would be worth its place."""
+        """Keep the old file, if there is one, and remove the new one, which holds no samples."""
         self.close()
         if self.at != self._final:
             self.at.unlink(missing_ok=True)
 
     def close(self) -> None:
-        """Close the file; what was not committed is dropped."""
+        """Close the file; bytes that were not committed are dropped."""
         self._file.close()
         if self._old is not None:
             self._old.close()
 
     @contextmanager
     def removed_on_failure(self) -> Iterator[None]:
-        """Leave no new file behind if the body fails, except a whole one that could not get its name."""
+        """Remove the new file if the body fails, except a complete one that could not get its name."""
         try:
             yield
         except BaseException:
@@ -152,7 +152,7 @@ class Disk:
 
 
 def _unused(path: Path) -> Path:
-    """Find a name beside a file; what an earlier recording that was killed has left there stays.
+    """Give an unused name next to a file; the rest of an earlier recording that was killed stays.
 
     >>> _unused(Path("there-is-no-such-folder/run.mcap")).name
     'run.mcap.part'
@@ -165,24 +165,24 @@ def _unused(path: Path) -> Path:
 
 
 def _lock(file: IO[bytes], path: Path) -> None:
-    """Keep others from recording to the same file; raise `RecordingError` if somebody does already."""
+    """Lock the file against other recorders; raise `RecordingError` if it is locked already."""
     try:
         import fcntl
 
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         file.close()
-        raise RecordingError(f"another process is recording to {path}; choose another name") from None
+        raise RecordingError(f"another process is recording to {path}. Choose another name.") from None
     except (ImportError, OSError):
-        # Not every system and disk knows locks.
+        # Not every system and disk supports locks.
         return
 
 
 def _reason(error: OSError, folder: Path) -> str:
-    """Say why a file could not be made in a folder, and what to do."""
+    """State why a file could not be created in a folder, and the remedy."""
     if not isinstance(error, FileNotFoundError):
-        return f"{error.strerror}; choose a place that can be written to"
+        return f"{error.strerror}. Choose a folder that you can write to."
     if folder.is_dir():
-        # Where the folder is there, it is one of the system's own, such as /proc.
-        return f"the folder {folder} takes no new files; choose another one"
-    return f"there is no folder {folder}; make it first"
+        # A folder of the system, such as /proc.
+        return f"the folder {folder} accepts no new files. Choose another folder."
+    return f"there is no folder {folder}. Create it first."

@@ -1,24 +1,78 @@
-"""Displacement estimated from a motion channel, for pictures: integrated, without the drift."""
+"""Displacement of points for pictures: its source among channels and truth, and its integration without drift."""
 
 from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+if TYPE_CHECKING:
+    from daq.signal_chain.channel import ChannelInfo
+
 # Below this frequency an integrated signal is drift and noise rather than motion.
 HIGH_PASS_HZ = 1.0
+_INTEGRATIONS = {"velocity": "once", "acceleration": "twice"}
+
+
+@dataclass(frozen=True)
+class MotionSource:
+    """Source of the displacement of a point.
+
+    Attributes
+    ----------
+    point : str
+        ``body 1``, ..., ``table``.
+    channel : str or None
+        The channel it is read from; None for truth and for a point that is not measured.
+    quantity : {'displacement', 'velocity', 'acceleration', 'truth', 'nothing'}
+    """
+
+    point: str
+    channel: str | None
+    quantity: str
+
+    @property
+    def sentence(self) -> str:
+        """The source in words."""
+        if self.channel is None:
+            return "recorded truth" if self.quantity == "truth" else "not measured, drawn at rest"
+        if self.quantity == "displacement":
+            return f"channel {self.channel}"
+        times = _INTEGRATIONS[self.quantity]
+        return (
+            f"channel {self.channel}, {self.quantity} integrated {times} (high-passed at {HIGH_PASS_HZ:g} Hz)"
+        )
+
+
+def motion_sources(
+    points: Iterable[str], channels: Sequence[ChannelInfo], truth: bool
+) -> tuple[MotionSource, ...]:
+    """Choose the source of each point: a displacement channel, else truth, else a channel that is integrated."""
+    sources = []
+    for point in points:
+        at = {info.quantity: info.name for info in channels if info.at == point}
+        known = ("displacement",) if truth else ("displacement", "velocity", "acceleration")
+        quantity = next((each for each in known if each in at), None)
+        if quantity is None:
+            sources.append(MotionSource(point, None, "truth" if truth else "nothing"))
+        else:
+            sources.append(MotionSource(point, at[quantity], quantity))
+    return tuple(sources)
 
 
 class DisplacementEstimate:
     """Integrates a sampled signal to a displacement, block by block, high-passed at `HIGH_PASS_HZ`.
 
-    With w the corner, an acceleration goes through ``s^2 / (s^2 + sqrt(2) w s + w^2)^2``, a velocity through
-    ``s / (s^2 + sqrt(2) w s + w^2)``, both by bilinear transform; a displacement is left as it is.
+    With w the corner, an acceleration is filtered by ``s^2 / (s^2 + sqrt(2) w s + w^2)^2``, a velocity by
+    ``s / (s^2 + sqrt(2) w s + w^2)``, both by bilinear transform; a displacement is not changed.
 
     Parameters
     ----------
     quantity : {'acceleration', 'velocity', 'displacement'}
-        What the samples are.
+        Of the samples.
     """
 
     def __init__(self, quantity: str, rate: float) -> None:

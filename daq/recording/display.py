@@ -1,6 +1,6 @@
-"""Signals made for looking at while a recording is written: slow, anti-aliased waveforms, rms and peak.
+"""Signals for viewers, made while a recording is written: decimated, anti-aliased waveforms, rms and peak.
 
-A viewer that knows nothing of this project draws them: one number a message, in an encoding it plots unasked.
+A general viewer draws them: one number a message, in an encoding that it plots by default.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.mcap_file.writer import Message, Messages
+from daq.recording.displacement import DisplacementEstimate, motion_sources
 from daq.recording.layout import DISPLAY, ROBOT, TRANSFORMS
 from daq.recording.protobuf import Schema
 from daq.recording.timebase import Timebase
@@ -30,7 +31,7 @@ TRANSFORM_STEP = 2
 HALF_LENGTH = 8
 KAISER_BETA = 6.8
 CUTOFF = 0.385
-# Signals that are filtered at a time: products of thousands at once would take several times their memory.
+# Signals that are filtered together: products of thousands would take several times their memory.
 _ROWS = 64
 
 _RULE = "=" * 80
@@ -47,7 +48,7 @@ FLOAT_SCHEMA = Schema(
 TEXT_SCHEMA = Schema("std_msgs/msg/String", "ros2msg", b"string data\n", "cdr")
 
 _LITTLE_ENDIAN = b"\x00\x01\x00\x00"
-# What stands before the one element: no dimensions, no offset, one element, padding to eight bytes.
+# Bytes before the one element: no dimensions, no offset, one element, padding to eight bytes.
 _BEFORE = np.frombuffer(struct.pack("<4sIII4x", _LITTLE_ENDIAN, 0, 0, 1), np.uint8)
 
 
@@ -85,8 +86,8 @@ def display_step(rate: float) -> int:
 class DisplayDecimator:
     """Low-passes signals and keeps every `step`-th sample, at sample numbers that are multiples of it.
 
-    Linear phase: a kept sample stands at its own time, and is known half a filter length later. Where samples
-    begin and end, the first and the last are taken to go on for ever.
+    The filter has linear phase without delay: a sample is known half a filter length later. Before the first and after
+    the last sample, these continue as constants.
 
     Parameters
     ----------
@@ -118,14 +119,14 @@ class DisplayDecimator:
         Parameters
         ----------
         first : int
-            Number of the first of them; where they do not follow the last ones, `finish` comes before.
+            Number of the first of them; `finish` is called before a gap.
         samples : ndarray, (signals, samples)
             At least one sample.
 
         Returns
         -------
         places : ndarray of int64, (kept,)
-            Sample numbers of what is known by now.
+            Sample numbers of the new values.
         values : ndarray, (signals, kept)
             The low-passed signals there.
         """
@@ -138,7 +139,7 @@ class DisplayDecimator:
         return self._kept(last)
 
     def finish(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Give what is left of the samples taken so far, at least one; the next ones start afresh."""
+        """Give the remaining values of the samples so far, at least one; the next samples start a new signal."""
         assert self.stop is not None
         self._held = np.concatenate([self._held, np.repeat(self._held[:, -1:], self._half, axis=1)], axis=1)
         kept = self._kept((self.stop - 1) // self.step)
@@ -157,16 +158,16 @@ class DisplayDecimator:
             values = np.concatenate([_filtered(part, self._taps, self.step) for part in parts])
         self._next = last + 1
         forget = max(0, self._next * self.step - self._half - self._first)
-        # A copy of the little that is kept: a view would hold on to all of it.
+        # A copy: a view would keep all of it in memory.
         self._held, self._first = self._held[:, forget:].copy(), self._first + forget
         return places, np.asarray(values)
 
 
 def _filtered(samples: NDArray[np.float64], taps: NDArray[np.float64], step: int) -> NDArray[np.float64]:
-    """Weigh with `taps` what begins at every `step`-th sample, (signals, kept).
+    """Filter at every `step`-th sample, (signals, kept).
 
-    The filter has whole steps and a sample: one product of matrices weighs every step of the signals with every
-    step of the filter, and sums along its diagonals are the result.
+    The filter has a whole number of steps and one sample: a product of matrices weights every step of the signals with
+    every step of the filter, and the sums along its diagonals are the result.
     """
     steps = taps.size // step
     kept = samples.shape[1] // step - steps + 1
@@ -184,13 +185,13 @@ class Display:
     Parameters
     ----------
     scene : Scene
-        Says what the rig looks like.
+        Of the drawn rig.
     channels : sequence of ChannelInfo
         One for each row of samples.
     clock : Timebase
         Of the recording.
     truth : Truth or None
-        The true motion, where recorded: it shows the dampers, and points without a displacement channel.
+        The true motion, where recorded, for dampers and for points without a displacement channel.
     register : callable
         Announces a topic and gives its channel number.
     """
@@ -217,8 +218,16 @@ class Display:
         factor = {"exaggeration": f"{self._robot.exaggeration:g}"}
         self._description = register(ROBOT, TEXT_SCHEMA, factor)
         self._transforms = register(TRANSFORMS, TRANSFORMS_SCHEMA, factor)
-        self._sources = [_Source(point, channels, clock.rate, truth) for point in self._robot.points]
-        # Messages so far on each topic of a kind.
+        self._sources = motion_sources(self._robot.points, channels, truth is not None)
+        rows = {info.name: row for row, info in enumerate(channels)}
+        rate = clock.rate / self._decimator.step
+        # Of each source with a channel its row, and the filter to displacement.
+        self._estimates = {
+            source.point: (rows[source.channel], DisplacementEstimate(source.quantity, rate))
+            for source in self._sources
+            if source.channel is not None
+        }
+        # Number of messages on each topic of a kind.
         self._sent = {"waveform": 0, "level": 0, "transform": 0}
 
     def _sequence(self, kind: str, count: int) -> NDArray[np.int64]:
@@ -227,16 +236,13 @@ class Display:
         return np.arange(self._sent[kind] - count, self._sent[kind])
 
     def introduction(self) -> Message:
-        """Give the message that describes the rig, once, before anything moves."""
+        """Give the message that describes the rig."""
         at = self._clock.time_ns(0)
         return Message(self._description, at, at, encode_text(self._robot.urdf()), 0)
 
     def description(self) -> dict[str, str]:
-        """Say how the signals were made, for the metadata."""
-        sources = {
-            f"motion.{point}": each.said
-            for point, each in zip(self._robot.points, self._sources, strict=True)
-        }
+        """Describe the signals, for the metadata."""
+        sources = {f"motion.{source.point}": source.sentence for source in self._sources}
         rate = self._clock.rate / self._decimator.step
         return {
             "rate_hz": repr(rate),
@@ -257,14 +263,14 @@ class Display:
             At least one: the number of the first sample, and samples, (channels, blocks, samples).
         """
         ends: list[int] = []
-        found = []
+        levels = []
         for first, samples in blocks:
             _, count, size = samples.shape
             rms = np.sqrt(np.add.reduce(samples * samples, axis=2) / size)
             peak = np.maximum(np.maximum.reduce(samples, axis=2), -np.minimum.reduce(samples, axis=2))
-            found.append(np.array([rms, peak]))
+            levels.append(np.array([rms, peak]))
             ends += range(first + size, first + size * count + 1, size)
-        data = encode_floats(np.concatenate(found, axis=2).transpose(2, 1, 0))
+        data = encode_floats(np.concatenate(levels, axis=2).transpose(2, 1, 0))
         times, sequence = self._clock.times_ns(ends)[:, None, None], self._sequence("level", len(ends))
         return Messages(self._levels, times, times, data, sequence[:, None, None])
 
@@ -286,57 +292,15 @@ class Display:
         sequence = self._sequence("waveform", places.size)
         yield Messages(self._waveforms, times, times, encode_floats(values), sequence)
         moves = places // self._decimator.step % TRANSFORM_STEP == 0
-        truth = None if self._truth is None else self._truth.positions(places[moves])
-        moved = np.array([source.displacements(values, moves, truth) for source in self._sources])
+        moved = np.zeros((len(self._sources), np.count_nonzero(moves)))
+        if self._truth is not None:
+            # The parts are those of the truth, in another order.
+            true = dict(zip(self._truth.drawn, self._truth.positions(places[moves]), strict=True))
+            moved[:] = [true[source.point] for source in self._sources]
+        for row, source in zip(moved, self._sources, strict=True):
+            if source.point in self._estimates:
+                channel, estimate = self._estimates[source.point]
+                row[:] = estimate.run(values[channel])[moves]
         if moved.shape[1]:
             now, sequence = times[moves], self._sequence("transform", moved.shape[1])
             yield Messages(self._transforms, now, now, self._robot.transforms(now, moved), sequence)
-
-
-class _Source:
-    """Where the drawn displacement of one point comes from.
-
-    A channel that reads displacement is preferred, then recorded truth, then a channel that is integrated.
-    """
-
-    def __init__(self, point: str, channels: Sequence[ChannelInfo], rate: float, truth: Truth | None) -> None:
-        from daq.recording.displacement import HIGH_PASS_HZ, DisplacementEstimate
-
-        at = {info.quantity: row for row, info in enumerate(channels) if info.at == point}
-        self._row: int | None = at.get("displacement")
-        self._true: int | None = None
-        self.said = "not measured, drawn at rest"
-        if self._row is not None:
-            self.said = f"channel {channels[self._row].name}"
-            self._estimate = DisplacementEstimate("displacement", rate)
-        elif truth is not None:
-            self.said = "recorded truth"
-            self._true = truth.drawn.index(point)
-        else:
-            for quantity in ("velocity", "acceleration"):
-                if self._row is None and quantity in at:
-                    self._row = at[quantity]
-                    self.said = (
-                        f"channel {channels[self._row].name}, {quantity} integrated above {HIGH_PASS_HZ:g} Hz"
-                    )
-                    self._estimate = DisplacementEstimate(quantity, rate / display_step(rate))
-
-    def displacements(
-        self, values: NDArray[np.float64], moves: NDArray[np.bool_], truth: NDArray[np.float64] | None
-    ) -> NDArray[np.float64]:
-        """Give the displacement at some of further display samples.
-
-        Parameters
-        ----------
-        values : ndarray, (channels, samples)
-            All of them.
-        moves : ndarray of bool, (samples,)
-            Which are wanted.
-        truth : ndarray or None, (drawn, wanted)
-            The true positions there.
-        """
-        if self._row is not None:
-            return self._estimate.run(values[self._row])[moves]
-        if self._true is not None and truth is not None:
-            return truth[self._true]
-        return np.zeros(np.count_nonzero(moves))

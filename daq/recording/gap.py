@@ -1,4 +1,4 @@
-"""Samples that a recording lacks, and what is said of them."""
+"""Samples that a recording lacks, with the reason."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Gap:
     channels : tuple of str
         Names of the channels that lack them; of true motion, its topics.
     reason : str
-        `never acquired`, or what became of them.
+        `never acquired`, or how they were lost.
     """
 
     first_sample: int
@@ -36,22 +36,24 @@ def gaps_of(markers: Iterable[Marker], channels: Sequence[str]) -> list[Gap]:
         if marker.kind in ("gap", "lost"):
             names = marker.fields.get("channels", channels)
             if not isinstance(names, list):
-                raise RecordingError(f"a marker {marker.kind} names the channels {names!r}")
+                raise RecordingError(
+                    f"a marker {marker.kind} has the channels {names!r}; expected a list of names"
+                )
             reason = str(marker.fields.get("reason", "never acquired"))
             gaps.append(Gap(marker.first_sample, marker.end, tuple(map(str, names)), reason))
     return gaps
 
 
-def unnoted(holes: Iterable[tuple[int, int]], noted: Sequence[Gap]) -> Iterator[tuple[int, int]]:
-    """Yield the ranges [first, stop) of samples that are missing and are no part of gaps, both in rising order.
+def unmarked(holes: Iterable[tuple[int, int]], gaps: Sequence[Gap]) -> Iterator[tuple[int, int]]:
+    """Yield the missing ranges [first, stop) that no gap explains; both in rising order.
 
-    >>> list(unnoted([(10, 20), (30, 40)], [Gap(12, 15, ("a1",), "lost"), Gap(30, 39, ("a1",), "lost")]))
+    >>> list(unmarked([(10, 20), (30, 40)], [Gap(12, 15, ("a1",), "lost"), Gap(30, 39, ("a1",), "lost")]))
     [(10, 20)]
     """
     place = 0
     for first, stop in holes:
-        while first < stop and place < len(noted) and noted[place].first_sample <= first:
-            end = noted[place].last_sample + 1
+        while first < stop and place < len(gaps) and gaps[place].first_sample <= first:
+            end = gaps[place].last_sample + 1
             first = max(first, end)
             place += end <= stop
         if first < stop:

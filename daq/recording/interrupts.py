@@ -1,4 +1,4 @@
-"""Ctrl-C, or the end of the process, at a moment when a file would be left half-written."""
+"""Ctrl-C, or a signal that ends the process, while a file is being written."""
 
 from __future__ import annotations
 
@@ -12,28 +12,28 @@ from rig.ending_signals import ENDINGS
 
 
 @contextmanager
-def held_back() -> Iterator[None]:
-    """Let an interrupt that comes during the body take effect right after it."""
-    came: list[tuple[int, FrameType | None]] = []
-    with answered(lambda number, frame: came.append((number, frame))) as before:
+def delayed_interrupt() -> Iterator[None]:
+    """Delay an interrupt during the body until the body has ended."""
+    received: list[tuple[int, FrameType | None]] = []
+    with answered(lambda number, frame: received.append((number, frame))) as before:
         yield
-    if came:
-        before[came[0][0]](*came[0])
+    if received:
+        before[received[0][0]](*received[0])
 
 
 @contextmanager
 def answered(
     answer: Callable[[int, FrameType | None], object],
 ) -> Iterator[dict[int, Callable[[int, FrameType | None], object]]]:
-    """Answer interrupts in the body; give who answered them before."""
+    """Handle interrupts in the body; give the handlers before."""
     before: dict[int, Callable[[int, FrameType | None], object]] = {}
-    with ExitStack() as put_back:
-        # Python delivers signals to its main thread only; and what Python did not install it cannot put back.
+    with ExitStack() as restored:
+        # Python delivers signals to its main thread only, and cannot restore handlers that it did not install.
         if threading.current_thread() is threading.main_thread():
             for number in ENDINGS:
                 earlier = signal.getsignal(number)
                 if callable(earlier):
                     before[number] = earlier
-                    put_back.callback(signal.signal, number, earlier)
+                    restored.callback(signal.signal, number, earlier)
                     signal.signal(number, answer)
         yield before

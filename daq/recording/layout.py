@@ -1,6 +1,6 @@
 """The layout of a recording: its topics, schemas and times.
 
-`LAYOUT.md` beside this module says the same for readers who do not use this package.
+`LAYOUT.md` next to this module describes it for readers who do not use this package.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ SCENE_FILE = "scene.yaml"
 BLOCK_S = 0.1
 SHORTEST_BLOCK = 256
 FLUSH_S = 0.5
-# Most groups that are displayed together: with few channels, most of the time goes into what is done once, whatever
-# the number of messages; with many, memory goes into samples that wait.
+# Most groups that are displayed together: with few channels, the cost of a batch hardly depends on its size; with many,
+# samples that wait take memory.
 SHOWN_GROUPS = 4
 _SHOWN_CHANNELS = 64
 
@@ -47,7 +47,7 @@ def block_length(rate: float) -> int:
 
 
 def flush_length(rate: float) -> int:
-    """Give the number of samples after which what was recorded goes to the disk: whole blocks, about 0.5 s.
+    """Give the number of samples that are committed to the disk together: whole blocks, about 0.5 s.
 
     >>> flush_length(5120.0) / 5120.0
     0.5

@@ -1,4 +1,4 @@
-"""Markers: what happened during a test, and when, as JSON on a topic of its own."""
+"""Markers: the events of a test and their samples, as JSON on a separate topic."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ _MARKER_FIELDS = {
     ),
 }
 
-# Touch and release are those of dampers whose contact lasts.
+# Touch and release are those of contacts of finite duration.
 CONTACT_CHANGES = ("separation", "floor", "ceiling", "touch", "release")
 _EVENT_FIELDS = {
     "time": Check(lambda value: is_number(value) and abs(value) < 1e12, "a time in seconds"),
@@ -93,25 +93,25 @@ EVENT_TYPE = np.dtype([("time", "f8"), ("damper", "i4"), ("kind", "U10"), ("spee
 
 @dataclass(frozen=True)
 class Marker:
-    """Something that happened during a test."""
+    """An event of a test."""
 
     kind: str
     """`settle`, `measure`, `hit`, `overload`, `gap`, `lost`, ..."""
     first_sample: int
-    """Sample at which it happened or began."""
+    """Its first sample."""
     last_sample: int | None = None
-    """Its last sample, itself included; None for an instant."""
+    """Its last sample, included; None for an instant."""
     fields: Mapping[str, Any] = field(default_factory=dict)
-    """What this kind of marker says of itself, in SI units."""
+    """Further fields of this kind of marker, in SI units."""
 
     @property
     def end(self) -> int:
-        """Number of the last sample that it is about."""
+        """Number of its last sample."""
         return self.first_sample if self.last_sample is None else self.last_sample
 
     @property
     def stop(self) -> int:
-        """Number of the sample after it, as slices want it.
+        """Number of the sample after it, for slices.
 
         >>> marker = Marker("measure", 100, 199)
         >>> marker.end, marker.stop
@@ -130,7 +130,7 @@ class Marker:
 
     @classmethod
     def from_json(cls, data: memoryview) -> Marker:
-        """Read a marker; raise `RecordingError` if the message is none."""
+        """Read a marker; raise `RecordingError` if the message is malformed."""
         content = _object(data, MARKERS)
         kind, first = content.pop("kind", None), content.pop("first_sample", None)
         last = content.pop("last_sample", None)
@@ -138,21 +138,21 @@ class Marker:
         whole = type(first) is int and type(ends) is int and 0 <= first <= ends <= MOST_SAMPLES
         if not isinstance(kind, str) or not whole:
             raise RecordingError(
-                f"a message on {MARKERS} is no marker: kind {kind!r:.80}, samples {first!r:.40} to {last!r:.40}"
+                f"a message on {MARKERS} is not a marker: kind {kind!r:.80}, samples {first!r:.40} to {last!r:.40}"
             )
         check(content, _MARKER_FIELDS)
         return cls(kind, first, last, _Fields(kind, content))
 
 
 class _Fields(dict[str, Any]):
-    """What a marker from a file says of itself; the file may leave out what somebody needs."""
+    """Fields of a marker from a file, which may lack a field that a reader needs."""
 
     def __init__(self, kind: str, content: Mapping[str, Any]) -> None:
         super().__init__(content)
         self._kind = kind
 
     def __missing__(self, key: str) -> Any:
-        raise RecordingError(f"a marker {self._kind!r} on {MARKERS} says nothing of its {key}")
+        raise RecordingError(f"a marker {self._kind!r} on {MARKERS} lacks the field {key}")
 
 
 def event_to_json(time: float, damper: int, kind: str, speed: float) -> bytes:
@@ -161,17 +161,17 @@ def event_to_json(time: float, damper: int, kind: str, speed: float) -> bytes:
 
 
 def event_from_json(data: memoryview) -> tuple[float, int, str, float]:
-    """Read a change of contact; raise `RecordingError` if the message is none."""
+    """Read a change of contact; raise `RecordingError` if the message is malformed."""
     content: dict[str, Any] = dict.fromkeys(_EVENT_FIELDS) | _object(data, EVENTS)
     try:
         check(content, _EVENT_FIELDS)
     except RecordingError as error:
-        raise RecordingError(f"a message on {EVENTS} is no change of contact: {error}") from error
+        raise RecordingError(f"a message on {EVENTS} is not a change of contact: {error}") from error
     return float(content["time"]), content["damper"], content["kind"], float(content["speed"])
 
 
 def _json(content: Mapping[str, Any]) -> bytes:
-    """Encode compactly and always alike; numpy is welcome, NaN and infinity are refused: JSON has none."""
+    """Encode compactly and reproducibly, numpy included; NaN and infinity, which JSON lacks, are rejected."""
     return json.dumps(
         content, separators=(",", ":"), allow_nan=False, default=_plain, ensure_ascii=False
     ).encode()
@@ -180,7 +180,7 @@ def _json(content: Mapping[str, Any]) -> bytes:
 def _plain(value: Any) -> Any:
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
-    raise TypeError(f"a marker cannot hold {value!r}")
+    raise TypeError(f"a marker cannot hold {value!r}; expected numbers, texts, lists or objects")
 
 
 def _object(data: memoryview, topic: str) -> dict[str, Any]:
@@ -189,5 +189,5 @@ def _object(data: memoryview, topic: str) -> dict[str, Any]:
     except (ValueError, RecursionError) as error:
         raise RecordingError(f"a message on {topic} is not JSON: {error}") from error
     if not isinstance(content, dict):
-        raise RecordingError(f"a message on {topic} is no JSON object but {type(content).__name__}")
+        raise RecordingError(f"a message on {topic} is a JSON {type(content).__name__}; expected an object")
     return content

@@ -1,4 +1,4 @@
-"""Writing a recording while it is made: an MCAP file that can be read up to its last flush, come what may."""
+"""Writing a recording: an MCAP file that is readable up to its last flush, also after a crash."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from daq.mcap_file.metadata_checksum import checked
 from daq.mcap_file.writer import Message, Messages
 from daq.recording import layout
 from daq.recording.committed_file import RESERVE, Disk, DiskError
-from daq.recording.interrupts import held_back
+from daq.recording.interrupts import delayed_interrupt
 from daq.recording.markers import MARKER_SCHEMA, Marker
 from daq.recording.protobuf import Schema
 from daq.recording.sample_block import SCHEMAS, block_schema, encode, scale_of, stored_as
@@ -33,30 +33,30 @@ if TYPE_CHECKING:
     from rig.scene.scene import Scene
     from rig.simulation.motion import Motion
 
-# What packs best for its time: nothing shrinks float64 samples by more than a tenth, and what does not shrink
-# lz4 unpacks eight times as fast as zstd; counts shrink by a fifth under zstd.
+# No compression shrinks float64 samples by more than a tenth, and lz4 unpacks them eight times as fast as zstd. Counts
+# shrink by a fifth with zstd.
 COMPRESSION = {"float64": "lz4", "float32": "zstd", "counts": "zstd"}
 # The index at the end of the file grows with every chunk.
 RESERVE_PER_CHUNK = 256
-# Finding it takes longer than ten groups of samples do.
+# Reading the version takes longer than writing ten groups of samples.
 _version = cache(metadata.version)
 
 
 class Recorder:
     """Writes samples, markers and truth into a new recording.
 
-    Samples are put together into blocks on a fixed grid, and into groups of about half a second that go to
-    the disk together; the bytes of the file do not depend on how `write` calls are split. A process that is killed
-    loses less than one group. Leaving the context by an exception closes the file properly and notes the reason in it.
+    Samples are collected into blocks on a fixed grid, and into groups of about half a second that are committed to the
+    disk together; the bytes of the file do not depend on how `write` calls are split. A process that is killed loses
+    less than one group. Leaving the context by an exception closes the file and records the reason in it.
 
     Parameters
     ----------
     path : str or Path
         File to make, in an existing folder.
     scene : Scene
-        Kept in the file; its `recording` says how samples are stored and what else is recorded.
+        Stored in the file; its `recording` determines how samples are stored and what else is recorded.
     channels : sequence of ChannelInfo
-        One for each row of what is written.
+        One for each row of samples.
     rate : float
         Samples per second, Hz.
     start_ns : int
@@ -64,9 +64,9 @@ class Recorder:
     overwrite : bool
         Whether an existing file may be replaced.
     source : str
-        Names of the files that other instruments made the samples with; empty for those of the virtual rig.
+        Names of the files that the samples were imported from; empty for those of the virtual rig.
     test_kind : TestKind, optional
-        What kind of test is recorded; omitted, readers take it from the markers.
+        Kind of the recorded test; omitted, readers deduce it from the markers.
 
     Raises
     ------
@@ -97,7 +97,7 @@ class Recorder:
         self._scale = np.array([scale_of(info, self._stored) for info in self.channels])[:, None]
         kind = SCHEMAS[self._stored][2]
         self._raw = Grouping(len(self.channels), self._group, kind)
-        # The same once more, for the display.
+        # The same samples, in longer groups, for the display.
         self._together = layout.shown_groups(len(self.channels))
         self._shown = Grouping(len(self.channels), self._together * self._group, kind)
         self._marks: list[tuple[int, Marker]] = []
@@ -120,18 +120,18 @@ class Recorder:
 
     @property
     def free(self) -> int:
-        """Free bytes of its disk, less the room that is kept for its end."""
+        """Free bytes of its disk, less the reserve for the end of the file."""
         return max(0, self._disk.free() - RESERVE - RESERVE_PER_CHUNK * self._chunks)
 
     @property
     def takes_more(self) -> bool:
-        """Whether anything more can be recorded: neither closed nor at the end of its disk."""
+        """Whether more can be recorded: the file is open and its disk is not full."""
         return not (self.closed or self._full or self._disk.failed)
 
     def write(self, samples: NDArray[np.float64] | NDArray[np.int32]) -> None:
         """Write the next samples of all channels.
 
-        A group goes to the disk with its last sample. Where the truth is recorded, it must be written first.
+        A group is committed with its last sample. Where the truth is recorded, it must be written first.
 
         Parameters
         ----------
@@ -143,7 +143,7 @@ class Recorder:
         RunError
             If the truth of the samples was not written, or they are volts where counts are to be stored.
         DiskError
-            If the disk is full or fails; the file then holds everything up to the flush before.
+            If the disk is full or fails; the file then holds all samples up to the previous flush.
         """
         self._need_open()
         if samples.ndim != 2 or samples.shape[0] != len(self.channels):
@@ -152,7 +152,7 @@ class Recorder:
         counts = np.issubdtype(samples.dtype, np.integer)
         if self._stored == "counts" and not counts:
             raise RunError(
-                "the scene records counts, but its converter gives volts; give it bits and a range"
+                "the scene records counts, but its converter gives volts. Give it bits and a range."
             )
         if self._stored != "counts" and counts:
             samples = samples * np.array([[info.volts_per_count or 1.0] for info in self.channels])
@@ -166,7 +166,7 @@ class Recorder:
             self._emit()
 
     def gap(self, lost_samples: int) -> None:
-        """Pass over samples that were never acquired; they read as NaN, and a marker `gap` says so."""
+        """Pass over samples that were not acquired; they read as NaN and have a marker `gap`."""
         self._need_open()
         if lost_samples < 1:
             raise ValueError(f"expected a number of lost samples, at least 1, got {lost_samples}")
@@ -179,9 +179,9 @@ class Recorder:
         self._emit()
 
     def mark(self, kind: str, first_sample: int, last_sample: int | None = None, **fields: Any) -> None:
-        """Note something that happened at a sample, or from a sample to another, both included.
+        """Mark an event at a sample, or from a sample to another, both included.
 
-        However `write` calls are split, bytes are the same as long as marks are made at the same `position`.
+        The bytes of the file do not depend on how `write` calls are split if marks are made at the same `position`.
         """
         self._need_open()
         marker = Marker(kind, int(first_sample), None if last_sample is None else int(last_sample), fields)
@@ -189,19 +189,19 @@ class Recorder:
         self._marks.append((marker.end, marker))
 
     def write_truth(self, motion: Motion) -> None:
-        """Take the next samples of the true motion, for a scene that records it; they are stored with the channels'."""
+        """Take the next samples of the true motion, for a scene that records it."""
         self._need_open()
         if self._truth is None:
             raise ValueError("the scene does not record the truth (recording: {truth: true})")
         self._truth.add(motion)
 
     def close(self, status: str = "complete", reason: str = "") -> None:
-        """Write what is left and end the file.
+        """Write the remaining samples and end the file.
 
         Parameters
         ----------
         status : {'complete', 'interrupted', 'failed'}
-            How the test ended; kept in the file's `outcome`.
+            How the test ended; stored in the file's `outcome`.
         reason : str
             Why, in words.
 
@@ -215,7 +215,7 @@ class Recorder:
         self.closed = True
         try:
             if not self._disk.failed:
-                with held_back():
+                with delayed_interrupt():
                     self._end(status, reason)
         finally:
             self._disk.close()
@@ -234,23 +234,23 @@ class Recorder:
             self.close(status, str(error) or type(error).__name__)
         except RunError as another:
             if isinstance(error, DiskError):
-                # The second error says all that the first one says, and what to do with a file without an end.
+                # The second error includes the first, with the remedy for a file without an end.
                 raise another from error
             error.add_note(str(another))
 
     def _need_open(self) -> None:
         if not self.takes_more:
-            raise RunError(f"the recording {self.path} takes no more: it has ended")
+            raise RunError(f"{self.path}: the recording has ended and accepts no more samples")
 
     def _need_truth(self, samples: int) -> None:
-        """Raise `RunError` unless the truth of the next samples is there: it goes to the disk with them."""
+        """Raise `RunError` unless the truth of the next samples was written: they are committed together."""
         if self._truth is not None and self._truth.position < self._raw.position + samples:
-            raise RunError("the scene records the truth: write it before the samples that belong to it")
+            raise RunError("the scene records the truth. Write it before the samples of the same time.")
 
     # -- the beginning and the end of the file -----------------------------------------------------------
 
     def _begin(self) -> None:
-        """Write what a reader needs before any sample; damage further on cannot orphan the samples then."""
+        """Write all descriptions before any sample, so that later damage cannot separate samples from them."""
         from daq.mcap_file.writer import ChunkedFile
 
         self._file = ChunkedFile(self._disk, f"shotrig {_version('shotrig')}", COMPRESSION[self._stored])
@@ -320,7 +320,7 @@ class Recorder:
             except DiskError as error:
                 if self._disk.failed:
                     raise
-                # There still is room to end the file properly.
+                # The reserve suffices to end the file.
                 full, status, reason = error, "failed", str(error)
         self._write_markers(None)
         outcome = {"status": status, "reason": reason, "samples": str(self._written)}
@@ -336,7 +336,7 @@ class Recorder:
             raise full
 
     def _flush(self) -> None:
-        """Write the groups in progress, and what is left of truth and display."""
+        """Write the incomplete groups, and the rest of truth and display."""
         self._raw.close_group()
         if self._truth is not None:
             self._truth.close_groups()
@@ -349,7 +349,7 @@ class Recorder:
             self._show(None)
             self._send(self._display.finish())
 
-    # -- its middle: group after group -------------------------------------------------------------------
+    # -- the groups of samples ---------------------------------------------------------------------------
 
     def _emit(self, to_the_end: bool = False) -> None:
         """Write the groups that the samples have passed, in order."""
@@ -357,7 +357,7 @@ class Recorder:
         passed = self._raw.position // self._group
         for number in sorted({number for stream in streams for number in stream.complete}):
             if number < passed or to_the_end:
-                with held_back():
+                with delayed_interrupt():
                     self._write_group(number)
 
     def _write_group(self, number: int) -> None:
@@ -382,7 +382,7 @@ class Recorder:
             self._written = raw.spans[-1][1]
 
     def _need_disk_space(self) -> None:
-        """Stop while there still is room to end the file properly."""
+        """Stop while the reserve suffices to end the file."""
         streams = [self._raw, *(() if self._truth is None else self._truth.streams)]
         group = sum(stream.group_bytes for stream in streams)
         if self.free < group:
@@ -401,7 +401,7 @@ class Recorder:
 
     @contextmanager
     def _torn_on_failure(self) -> Iterator[None]:
-        """Say what the file holds, and what to do, where the disk takes no more."""
+        """Add the content of the file and the remedy to an error of the disk."""
         try:
             yield
         except DiskError as error:
@@ -412,7 +412,7 @@ class Recorder:
             ) from error
 
     def _blocks(self, group: Group) -> list[Messages]:
-        """Encode the blocks of a group, all rows together: their topics are still missing."""
+        """Encode the blocks of a group, all rows together, without their topics."""
         encoded = []
         for first, samples in group.blocks(self._block):
             _, blocks, size = samples.shape
@@ -423,7 +423,7 @@ class Recorder:
         return encoded
 
     def _show(self, stop: int | None) -> None:
-        """Write the display's groups before one; None: all that are left."""
+        """Write the display's groups before a number; None: all."""
         for number in sorted(self._shown.complete):
             if stop is None or number < stop:
                 self._send(self._pictures(self._shown.complete.pop(number)))
@@ -439,7 +439,7 @@ class Recorder:
         yield self._display.levels(block for part in read for block in part.blocks(self._block))
 
     def _write_markers(self, stop: int | None) -> None:
-        """Write the markers that end before a sample; None: all that are left."""
+        """Write the markers that end before a sample; None: all."""
         due = [mark for mark in self._marks if stop is None or mark[0] < stop]
         self._marks = [mark for mark in self._marks if stop is not None and mark[0] >= stop]
         messages = []
@@ -450,7 +450,7 @@ class Recorder:
         self._send(messages)
 
     def _send(self, messages: Iterable[Message | Messages]) -> None:
-        """Write messages as a chunk of their own, so that readers of other topics need not decode them."""
+        """Write messages as a separate chunk, so that readers of other topics need not decode them."""
         self._chunks += self._file.add_chunk(messages)
 
 

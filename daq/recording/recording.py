@@ -1,4 +1,4 @@
-"""Reading a recording: its channels in physical units, what happened meanwhile, and the scene it is of."""
+"""Reading a recording: its channels in physical units, its markers, and its scene."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from daq.mcap_file.metadata_checksum import is_intact
 from daq.mcap_file.reader import Container
 from daq.recording import layout
 from daq.recording.channel_series import Series
-from daq.recording.gap import Gap, gaps_of, unnoted
+from daq.recording.gap import Gap, gaps_of, unmarked
 from daq.recording.markers import EVENT_TYPE, Marker, event_from_json
 from daq.recording.recorded_test import RecordedTest, TestKind, kind_of_recording
 from daq.recording.sample_block import SAMPLE_TYPE
@@ -47,12 +47,12 @@ def open(path: str | Path) -> Recording:
     Returns
     -------
     Recording
-        A context manager; what it holds is read when asked for.
+        A context manager; samples are read on demand.
 
     Raises
     ------
     RecordingError
-        If the file cannot be read, is no recording, or is damaged; the message says what to do.
+        If the file cannot be read, is not a recording, or is damaged; the message states the remedy.
     """
     return Recording(path)
 
@@ -70,7 +70,7 @@ class Recording(Result):
     path : Path
         The file.
     channels : dict of str to ChannelInfo
-        What was recorded, in the order of the scene.
+        In the order of the scene.
     rate : float
         Samples per second, Hz.
     start_ns : int
@@ -119,37 +119,41 @@ class Recording(Result):
                 self._truth.setdefault(quantity, {})[point] = series
         if not self._series:
             raise RecordingError(
-                f"{self.path} has no samples on topics {layout.RAW}...; daq/recording/LAYOUT.md describes a recording"
+                f"{self.path} has no samples on topics {layout.RAW}...; expected the layout of daq/recording/LAYOUT.md"
             )
         if not summary.holders and summary.statistics is not None and summary.statistics.message_count:
-            raise RecordingError(f"{self.path} has no index of its chunks; write it again with one")
+            raise RecordingError(f"{self.path} has no index of its chunks. Write it again with an index.")
         self.truth_points = tuple(self._truth.get("displacement", ()))
 
     def _info(self, name: str, series: Series) -> ChannelInfo:
-        """Make a channel of a topic's metadata; another writer may leave out what has a usual value."""
+        """Make a channel of a topic's metadata, with usual values for those that another writer leaves out."""
         where = f"{self.path}: {series.topic!s:.80}"
         given = {"name": name, "at": "", "sensitivity": "1.0"} | series.metadata
         given["rate"] = repr(series.clock.rate)
         if "quantity" not in given:
             given["quantity"] = next((key for key, unit in UNITS.items() if unit == given.get("unit")), "")
         if given["quantity"] not in UNITS:
-            raise RecordingError(f"{where}: its metadata need a quantity; expected one of {', '.join(UNITS)}")
+            raise RecordingError(
+                f"{where}: its metadata state no quantity; expected one of {', '.join(UNITS)}"
+            )
         if series.clock != next(iter(self._series.values())).clock:
-            raise RecordingError(f"{where} has a sample clock of its own; all channels must share one")
+            raise RecordingError(
+                f"{where} has another sample clock; expected the same clock for all channels"
+            )
         try:
             usual = ChannelInfo(name, "", "force", 1.0, 1.0).to_metadata()
             return ChannelInfo.from_metadata(usual | given)
         except RecordingError as error:
-            raise RecordingError(f"{where}: its metadata make no channel: {error}") from error
+            raise RecordingError(f"{where}: its metadata do not describe a channel: {error}") from error
 
     # -- in a notebook -----------------------------------------------------------------------------------
 
     def summary(self) -> str:
-        """Say what it is a recording of."""
+        """Name the file, its duration, its channels and how the test ended."""
         try:
             status = self.status
         except RecordingError:
-            # Somebody looks at it in a debugger or a notebook, where nothing may be raised.
+            # A debugger or notebook shows it, where no error may be raised.
             status = "closed, or its metadata are damaged"
         names = ", ".join(self.channels)
         return f"{self.path}: {self.samples / self.rate:.4g} s of {names} at {self.rate:g} Hz, {status}"
@@ -240,7 +244,7 @@ class Recording(Result):
             yield first, samples
 
     def truth(self, quantity: str, start: int = 0, stop: int | None = None) -> NDArray[np.float64]:
-        """Read what really happened, where the scene had it recorded.
+        """Read the true motion, where the scene has it recorded.
 
         Parameters
         ----------
@@ -263,7 +267,7 @@ class Recording(Result):
         return np.array([series.read(start, stop) for series in self._truth[quantity].values()])
 
     def refuse_void(self, start: int, stop: int) -> None:
-        """Raise `RecordingError` if a channel has next to no samples in a long range: who walks it never ends."""
+        """Raise `RecordingError` if a channel has almost no samples in a long range."""
         for series in self._series.values():
             series.refuse_void(start, stop)
 
@@ -286,14 +290,14 @@ class Recording(Result):
 
     @property
     def _is_ours(self) -> bool:
-        """Whether it follows our layout, in which everything has a checksum."""
+        """Whether it follows our layout, in which every record has a checksum."""
         return any("layout" in series.metadata for series in self._series.values())
 
-    # -- what happened -----------------------------------------------------------------------------------
+    # -- markers and events ------------------------------------------------------------------------------
 
     @cached_property
     def markers(self) -> list[Marker]:
-        """What the test noted, in the order in which it began."""
+        """The markers of the test, by their first samples."""
         with naming(self.path):
             found = [Marker.from_json(data) for data in self._messages(layout.MARKERS)]
         return sorted(
@@ -302,7 +306,7 @@ class Recording(Result):
 
     @cached_property
     def gaps(self) -> list[Gap]:
-        """Samples that are missing, in the order in which they begin."""
+        """Missing samples, by their first samples."""
         if layout.MARKERS not in self._topics:
             holes = [(*hole, name) for name, series in self._series.items() for hole in series.holes()]
             return [Gap(first, stop - 1, (name,), "missing") for first, stop, name in sorted(holes)]
@@ -311,7 +315,7 @@ class Recording(Result):
 
     @property
     def overloads(self) -> list[Marker]:
-        """Markers of the stretches in which a channel was driven beyond its range."""
+        """Markers of the stretches in which a channel exceeded its range."""
         return [marker for marker in self.markers if marker.kind == "overload"]
 
     @cached_property
@@ -329,7 +333,7 @@ class Recording(Result):
                     if message.channel == number:
                         yield message.data
 
-    # -- what it is --------------------------------------------------------------------------------------
+    # -- descriptions ------------------------------------------------------------------------------------
 
     @cached_property
     def metadata(self) -> dict[str, dict[str, str]]:
@@ -380,12 +384,12 @@ class Recording(Result):
 
     @property
     def source(self) -> str:
-        """Files of other instruments that the samples were imported from; empty for those of the virtual rig."""
+        """Files that the samples were imported from; empty for those of the virtual rig."""
         return self.metadata.get("run", {}).get("source", "")
 
     @property
     def stored(self) -> str:
-        """What samples are in the file: `float64`, `float32` or `counts`."""
+        """Type of the samples in the file: `float64`, `float32` or `counts`."""
         return next(iter(self._series.values())).stored
 
     @cached_property
@@ -399,15 +403,15 @@ class Recording(Result):
         try:
             return loads_si(text.decode(), f"{self.path}: {layout.SCENE_FILE}")
         except UnicodeDecodeError as error:
-            raise RecordingError(f"{self.path}: {layout.SCENE_FILE} is no text: {error}") from error
+            raise RecordingError(f"{self.path}: {layout.SCENE_FILE} is not text: {error}") from error
 
     def check(self) -> None:
-        """Read the whole file, check every record, and that what it lacks is noted.
+        """Read the whole file, and check every record and that missing samples are marked.
 
         Raises
         ------
         RecordingError
-            At the first damage, or the first samples that are missing without a word.
+            At the first damage, or the first missing samples without a marker.
         """
         from daq.mcap_file.file_check import check_file
 
@@ -417,12 +421,12 @@ class Recording(Result):
             for _ in series.blocks(0, series.stop):
                 pass
         for name in self._series:
-            noted = [gap for gap in self.gaps if name in gap.channels]
-            for first, stop in unnoted(self._series[name].holes(), noted):
+            marked = [gap for gap in self.gaps if name in gap.channels]
+            for first, stop in unmarked(self._series[name].holes(), marked):
                 if self._is_ours:
                     raise RecordingError(
                         f"{self.path} lacks the samples {first} to {stop - 1} of {name}, which no marker "
-                        "explains: they were taken out, or what follows was moved; what there is can be read"
+                        "explains: they were removed, or later samples were moved. The others can be read."
                     )
 
     def close(self) -> None:

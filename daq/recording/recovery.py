@@ -1,4 +1,4 @@
-"""Making a whole recording of what is intact in a torn or damaged one, and saying exactly what was lost."""
+"""A complete recording of the intact parts of a torn or damaged one, with an exact list of the losses."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ if TYPE_CHECKING:
 
 Span = tuple[int, int]
 
-_ANOTHER_DISK = "Free disk space, or choose a place on another disk with -o"
+_ANOTHER_DISK = "Free disk space, or choose a place on another disk with -o."
 
 
 @dataclass(frozen=True)
 class Salvage:
-    """What `recover` found."""
+    """Result of `recover`."""
 
     source: Path
     fixed: Path
-    """The damaged file, and the whole one."""
+    """The damaged file, and the complete one."""
     rate: float  # Samples per second, Hz
     kept: dict[str, int]  # Samples kept, by topic
     lost: dict[str, list[Span]]
@@ -47,11 +47,11 @@ class Salvage:
     missing: dict[str, int]
     """Lost messages on topics that hold no samples: markers, display, ..."""
     notes: list[str]
-    """What else is not as it was, and what cannot be known."""
+    """Other differences, and facts that cannot be known."""
 
     @property
     def whole(self) -> bool:
-        """Whether nothing was lost as far as can be known."""
+        """Whether nothing is known to be lost."""
         return not (self.lost or self.missing or self.notes)
 
     def report(self) -> Iterator[str]:
@@ -73,22 +73,22 @@ class Salvage:
 
 
 def recover(path: str | Path, fixed: str | Path, overwrite: bool = False) -> Salvage:
-    """Make a whole recording of a torn or damaged one.
+    """Make a complete recording of a torn or damaged one.
 
-    Everything in the new file passed a checksum in the old one; samples stand at their own places, lost ones
+    Everything in the new file passed a checksum in the old one. Samples keep their numbers; lost samples
     read as NaN and are listed in `Recording.gaps`.
 
     Parameters
     ----------
     path : str or Path
-        The damaged file; it is left as it is.
+        The damaged file; it is not changed.
     overwrite : bool
         Whether an existing file may be replaced.
 
     Returns
     -------
     Salvage
-        What was kept and what was lost.
+        Kept and lost samples.
 
     Raises
     ------
@@ -99,36 +99,36 @@ def recover(path: str | Path, fixed: str | Path, overwrite: bool = False) -> Sal
     """
     source, target = path_of(path), path_of(fixed, "fixed")
     if source.exists() and target.exists() and source.samefile(target):
-        raise RecordingError(f"{source} cannot be recovered into itself; name another file")
-    with DamagedFile(source) as wreck:
-        # Two passes: what describes the samples may stand behind them, and must come before them.
-        registry = _Registry.of(source, wreck)
+        raise RecordingError(f"{source} cannot be recovered into itself. Name another file.")
+    with DamagedFile(source) as damaged:
+        # Two passes: the descriptions of samples may be behind them, and must be written before them.
+        registry = _Registry.of(source, damaged)
         disk = Disk(target, overwrite)
         with disk.removed_on_failure():
-            if disk.free() < wreck.size:
+            if disk.free() < damaged.size:
                 raise DiskError(
-                    f"{target}: the recovered recording may take {wreck.size / 1e6:.1f} MB, and its disk has "
+                    f"{target}: the recovered recording may take {damaged.size / 1e6:.1f} MB, and its disk has "
                     f"{disk.free() / 1e6:.1f} MB left. {_ANOTHER_DISK}"
                 )
             try:
-                salvage = _Salvage(source, target, registry, disk).run(wreck)
+                salvage = _Salvage(source, target, registry, disk).run(damaged)
             except DiskError as error:
-                raise DiskError(f"{error}; {source} is left as it is. {_ANOTHER_DISK}") from error
+                raise DiskError(f"{error}; {source} is not changed. {_ANOTHER_DISK}") from error
         disk.close()
     return salvage
 
 
 @dataclass
 class _Registry:
-    """Schemas and channels of the damaged file, and how much of each there should be, as far as known."""
+    """Schemas, channels and message counts of the damaged file, as far as known."""
 
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
     counts: dict[int, int] | None = None
 
     @classmethod
-    def of(cls, source: Path, wreck: DamagedFile) -> _Registry:
-        """Take them from the file's summary or, if that is gone, from its chunks."""
+    def of(cls, source: Path, damaged: DamagedFile) -> _Registry:
+        """Take them from the file's summary or, if it is lost, from its chunks."""
         try:
             with Container(source) as container:
                 summary = container.summary
@@ -136,7 +136,7 @@ class _Registry:
                 return cls(summary.schemas, summary.channels, counts)
         except RecordingError:
             registry = cls()
-        for part in wreck.parts():
+        for part in damaged.parts():
             if isinstance(part, Intact) and isinstance(part.content, memoryview):
                 registry.take(part.content, part.stored)
                 if registry.channels:
@@ -144,7 +144,7 @@ class _Registry:
         return registry
 
     def take(self, records: memoryview, stored: int) -> None:
-        """Take what a chunk announces."""
+        """Take the schemas and channels of a chunk."""
         try:
             for opcode, content in records_in(records, stored):
                 if opcode in (SCHEMA, CHANNEL):
@@ -156,7 +156,7 @@ class _Registry:
 
 
 class _Salvage:
-    """One salvage: parts of the wreck come in, the whole recording goes out."""
+    """Copies the intact parts of a damaged file into a complete recording."""
 
     def __init__(self, source: Path, target: Path, registry: _Registry, disk: Disk) -> None:
         from daq.mcap_file.writer import ChunkedFile
@@ -175,10 +175,10 @@ class _Salvage:
         self._has_scene = False
         self._clock: Timebase | None = None
 
-    def run(self, wreck: DamagedFile) -> Salvage:
-        """Write the whole recording."""
+    def run(self, damaged: DamagedFile) -> Salvage:
+        """Write the complete recording."""
         self._announce()
-        for part in wreck.parts():
+        for part in damaged.parts():
             if isinstance(part, Unreadable):
                 self._notes.append(f"bytes {part.begin} to {part.end - 1} of {self._source}: {part.reason}")
             elif isinstance(part.content, memoryview):
@@ -214,11 +214,11 @@ class _Salvage:
         return "" if schema is None else schema.name
 
     def _chunk(self, records: memoryview, stored: int) -> None:
-        """Copy the messages of a chunk into a chunk of their own."""
+        """Copy the messages of a chunk into a new chunk."""
         try:
             messages = list(messages_in(records, stored))
         except Damage as damage:
-            self._notes.append(f"a chunk with a right checksum was written wrongly: {damage}")
+            self._notes.append(f"a chunk with the right checksum is malformed: {damage}")
             return
         sound = []
         for message in messages:
@@ -232,7 +232,7 @@ class _Salvage:
         self._file.add_chunk(sound)
 
     def _is_sound(self, message: Stored) -> bool:
-        """Note which samples a message brings; say whether it can be read at all."""
+        """Register the samples of a message; return False if it cannot be read."""
         topic = self._registry.channels[message.channel].topic
         try:
             if message.channel in self._spans:
@@ -263,7 +263,7 @@ class _Salvage:
         if record.name != "outcome":
             self._file.add_metadata(record.name, record.metadata)
 
-    # -- what was lost -----------------------------------------------------------------------------------
+    # -- losses ------------------------------------------------------------------------------------------
 
     def _losses(self, clock: Timebase) -> Salvage:
         channels = self._registry.channels
@@ -272,8 +272,8 @@ class _Salvage:
         known_end = int(outcome["samples"]) if _is_count(outcome.get("samples", "")) else None
         if known_end is None and self._registry.counts is None:
             self._notes.append(
-                f"the file has no end: what came after {end / clock.rate:.6g} s, if anything, was never "
-                "flushed to it or has been cut off"
+                f"the file has no end: later samples than {end / clock.rate:.6g} s, if any, were not flushed to it "
+                "or were cut off"
             )
         end = max(end, known_end or 0)
         lost, kept = {}, {}
@@ -288,22 +288,20 @@ class _Salvage:
         for number in self._numbers:
             if number in self._spans:
                 continue
-            # The messages of a topic are numbered; the summary and the outcome hold their count.
+            # The messages of a topic are numbered, and counted in the summary and the outcome.
             expected = max(self._beyond[number], (self._registry.counts or {}).get(number, 0))
             if channels[number].topic == layout.MARKERS and _is_count(outcome.get("markers", "")):
                 expected = max(expected, int(outcome["markers"]))
             if expected > self._seen[number]:
                 messages[channels[number].topic] = expected - self._seen[number]
         if self._orphans:
-            self._notes.append(
-                f"{self._orphans} messages belong to topics that are described nowhere any more"
-            )
+            self._notes.append(f"{self._orphans} messages belong to topics whose description is lost")
         if not self._has_scene:
             self._notes.append(f"the scene ({layout.SCENE_FILE}) is lost")
         return Salvage(self._source, self._target, clock.rate, kept, lost, messages, self._notes)
 
     def _end(self, salvage: Salvage) -> None:
-        """Note the losses in the file, and end it."""
+        """Mark the losses in the file, and end it."""
         channels = self._registry.channels
         numbers = {channels[number].topic: self._numbers[number] for number in self._numbers}
         at: dict[Span, list[str]] = defaultdict(list)
@@ -340,12 +338,12 @@ class _Salvage:
 
 
 def _is_count(text: str) -> bool:
-    """Whether a text of the file is a number of ordinary size."""
+    """Whether a text of the file is a plausible count."""
     return text.isascii() and text.isdecimal() and len(text) < 17
 
 
 def _join(spans: list[Span], span: Span) -> None:
-    """Add a range to ranges in order, in place; it usually continues the last one."""
+    """Add a range to ordered ranges, in place; it usually continues the last one."""
     if spans and spans[-1][1] == span[0]:
         spans[-1] = (spans[-1][0], span[1])
     else:
@@ -353,7 +351,7 @@ def _join(spans: list[Span], span: Span) -> None:
 
 
 def _without(spans: Iterable[Span], holes: Iterable[Span]) -> Iterator[Span]:
-    """Take ranges out of other ranges.
+    """Subtract ranges from other ranges.
 
     >>> list(_without([(0, 100)], [(90, 100), (10, 20)]))
     [(0, 10), (20, 90)]

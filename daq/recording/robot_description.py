@@ -1,7 +1,7 @@
-"""The moving rig for viewers that know nothing of this project: a robot description, and transforms for it.
+"""The moving rig for general viewers: a robot description (URDF), and transforms for it.
 
-The parts have the sizes of the drawing of `daq.drawing.rig_view`; springs have no form here. Every displacement and
-gap is multiplied by one exaggeration, which is chosen before anything has moved.
+The parts have the sizes and places of `daq.drawing.stack`; springs are not drawn. Every displacement and gap is
+multiplied by one exaggeration, which is chosen before the motion is known.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from daq.drawing.cavities import DEPTH, HEADROOM, HOLLOW_HEIGHT, WALL, WIDTH, Cavity, cavities, walls
+from daq.drawing.cavities import DEPTH, HEADROOM, WALL, WIDTH, walls
 from daq.drawing.palette import DRIVE, GROUND, LEAD, Colour, body_colour
-from daq.drawing.rig_view import COIL_LENGTH, PLATE, PLINTH, SOLID_HEIGHT, SPRING_LENGTH
+from daq.drawing.stack import PLATE, Stack, round_factor
 from daq.recording.protobuf import Schema, descriptors, varint, varints
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     Box = tuple[tuple[float, float, float], tuple[float, float, float]]
 
 WORLD = "world"
-# Displacements of the rig are millimetres near a resonance; this draws one of them as two centimetres.
+# Displacements are millimetres near a resonance; a millimetre is drawn as two centimetres.
 EXAGGERATION = 20.0
 
 TRANSFORMS_SCHEMA = Schema(
@@ -54,28 +54,20 @@ TRANSFORMS_SCHEMA = Schema(
     ),
     "protobuf",
 )
+# Bytes of a height.
 _HEIGHT = 8
-# Field 1, a google.protobuf.Timestamp: seconds and nanoseconds in five bytes each, whatever they are, so that all
-# messages have one size.
+# Bytes of seconds and of nanoseconds in a google.protobuf.Timestamp: fixed, so that all messages have one size.
 _WIDE = 5
 _STAMP = bytes([0x0A, 2 + 2 * _WIDE, 0x08, *bytes(_WIDE), 0x10, *bytes(_WIDE)])
-# Translation: x and y, and what stands before z.
+# Translation: x and y, and the tag of z.
 _ABOVE = b"\x22\x1b" + struct.pack("<BdBdB", 0x09, 0.0, 0x11, 0.0, 0x19)
 _UPRIGHT = b"\x2a\x09\x21" + struct.pack("<d", 1.0)
 
 
 def exaggeration(scene: Scene) -> float:
-    """Give the factor on displacements and gaps: 20, or less where a cavity would not fit the drawing.
-
-    Parameters
-    ----------
-    scene : Scene
-        Its finite clearances are drawn at most `HEADROOM` high, by 1, 2 or 5 times a power of ten.
-    """
-    clearances = [damper.clearance for damper in scene.dampers if math.isfinite(damper.clearance)]
-    limit = min([EXAGGERATION, *(HEADROOM / clearance for clearance in clearances if clearance > 0)])
-    decade = 10.0 ** math.floor(math.log10(limit))
-    return next(step * decade for step in (5.0, 2.0, 1.0) if step * decade <= limit)
+    """Give the factor on displacements and gaps: 20, or less so that finite clearances fit the drawing."""
+    clearances = [damper.clearance for damper in scene.dampers if 0 < damper.clearance < math.inf]
+    return round_factor(min([EXAGGERATION, *(HEADROOM / clearance for clearance in clearances)]))
 
 
 class RobotDescription:
@@ -89,7 +81,7 @@ class RobotDescription:
     Attributes
     ----------
     points : tuple of str
-        What moves, in the order in which `transforms` wants it: ``body 1``, ..., ``table``, ``damper 1``, ...
+        Moving parts in the order of `transforms`: ``body 1``, ..., ``table``, ``damper 1``, ...
     exaggeration : float
         Factor on every displacement and gap.
     """
@@ -99,32 +91,25 @@ class RobotDescription:
         self._links: list[str] = []
         self._joints: list[str] = []
         self._rest: list[float] = []
-        # A message, and where in it the stamp and the height of each part are.
+        # A message, and the places of the stamp and the height of each part in it.
         self._message, self._places = b"", list[tuple[int, int]]()
-        points: list[str] = []
+        stack, points = Stack(scene, self.exaggeration), list[str]()
         self._link(WORLD, [((0, 0, -0.01), (0.62, 0.30, 0.02))], GROUND)
-        hung = {shaker.body for _, shaker in scene.tables}
-        bottom, below, at = 0.0, dict[int, float](), dict[int, Cavity]()
-        for body in range(1, scene.structure.bodies + 1):
-            bottom += PLINTH + PLATE + COIL_LENGTH if body == 1 and body in hung else SPRING_LENGTH
-            below[body] = bottom
+        parts = zip(stack.cavities, stack.heights, stack.bottoms, strict=True)
+        for body, (inside, height, bottom) in enumerate(parts, 1):
             points.append(f"body {body}")
-            height, boxes = SOLID_HEIGHT, [((0.0, 0.0, SOLID_HEIGHT / 2), (WIDTH, DEPTH, SOLID_HEIGHT))]
-            inside = cavities(scene.dampers, body, self.exaggeration)
-            if inside:
-                height, boxes = HOLLOW_HEIGHT, walls(inside)
-            at |= {cavity.place: cavity for cavity in inside}
+            boxes = walls(inside) if inside else [((0.0, 0.0, height / 2), (WIDTH, DEPTH, height))]
             self._link(f"body_{body}", boxes, body_colour(body))
             self._joint(WORLD, f"body_{body}", bottom)
-            bottom += height
-        for point, shaker in scene.tables:
-            points.append(point)
-            name = point.replace(" ", "_")
+        for table in stack.tables:
+            points.append(table.point)
+            name = table.point.replace(" ", "_")
             self._link(name, [((0, 0, -PLATE / 2), (0.085, 0.085, PLATE))], DRIVE)
-            self._joint(WORLD, name, below[shaker.body] - COIL_LENGTH)
+            self._joint(WORLD, name, table.top)
+        by_place = {cavity.place: cavity for inside in stack.cavities for cavity in inside}
         for number, damper in enumerate(scene.dampers if with_dampers else (), start=1):
             points.append(f"damper {number}")
-            (x, y, z), size = at[number - 1].damper
+            (x, y, z), size = by_place[number - 1].damper
             self._link(f"damper_{number}", [((x, y, z - WALL), size)], LEAD)
             self._joint(f"body_{damper.body}", f"damper_{number}", WALL)
         self.points = tuple(points)
@@ -187,9 +172,6 @@ def _numbers(values: Sequence[float]) -> str:
     return " ".join(f"{value:g}" for value in values)
 
 
-def _field(number: int, content: bytes) -> bytes:
-    return bytes([number << 3 | 2]) + varint(len(content)) + content
-
-
 def _string(number: int, text: str) -> bytes:
-    return _field(number, text.encode())
+    content = text.encode()
+    return bytes([number << 3 | 2]) + varint(len(content)) + content

@@ -1,6 +1,6 @@
-"""Samples that come in pieces of any size, put together into groups on a fixed grid of sample numbers.
+"""Samples in pieces of any size, collected into groups on a fixed grid of sample numbers.
 
-What is written to the file depends on the grid alone, so its bytes do not depend on the pieces.
+The bytes of the file depend on the grid only, not on the pieces.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class Group:
     def blocks(self, length: int) -> Iterator[tuple[int, NDArray[Any]]]:
         """Yield the acquired samples in blocks that end on multiples of `length`, or where samples end.
 
-        As many of one size as follow each other come together, (rows, blocks, samples), with the number of the first.
+        Successive blocks of one size are given together, (rows, blocks, samples), with the number of the first sample.
         """
         for start, samples in self.acquired():
             stop = start + samples.shape[1]
@@ -58,7 +58,7 @@ class Grouping:
     length : int
         Samples of a group.
     kind : dtype
-        What the samples are kept as.
+        Of the samples.
 
     Attributes
     ----------
@@ -67,7 +67,7 @@ class Grouping:
     group_bytes : int
         Size of a full group.
     complete : dict of int to Group
-        Groups whose cell of the grid has been passed, by their number; cells without samples have none.
+        Groups whose cell of the grid has been passed, by their number; cells without samples are left out.
     """
 
     def __init__(self, rows: int, length: int, kind: np.dtype[Any]) -> None:
@@ -104,7 +104,7 @@ class Grouping:
             self.close_group()
 
     def close_group(self) -> None:
-        """Count the group in progress as complete, however much of it there is."""
+        """Complete the group in progress, also an incomplete one."""
         if self._current.spans:
             self.complete[self._current.first // self._length] = self._current
         self._current = self._empty(self.position // self._length)

@@ -1,4 +1,4 @@
-"""The true motion beside the channels: which topics it takes, and its samples on the way to the file."""
+"""The true motion in a recording: its topics, and its samples on their way to the file."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ MOTION = ("displacement", "velocity", "acceleration")
 
 
 def points_of(scene: Scene) -> tuple[str, ...]:
-    """Give the points of a scene's rig that move: its bodies, and the tables of its shakers."""
+    """Give the moving points of a scene's rig: its bodies, and the tables of its shakers."""
     bodies = tuple(f"body {body}" for body in range(1, scene.structure.bodies + 1))
     return (*bodies, *(name for name, _ in scene.tables))
 
@@ -45,11 +45,11 @@ class Truth:
     Parameters
     ----------
     scene : Scene
-        Says what moves.
+        The rig.
     clock : Timebase
         Of the recording.
     group : int
-        Samples that go to the file together.
+        Samples that are written together.
     register : callable
         Announces a topic and gives its channel number.
 
@@ -58,9 +58,9 @@ class Truth:
     streams : tuple of Grouping
         Real numbers (motion of the points, then gaps), and contacts.
     drawn : tuple of str
-        What `positions` gives a position of: the points, then ``damper 1``, ...
+        Parts whose position `positions` gives: the points, then ``damper 1``, ...
     chunks : list of list of (int, int, int)
-        What belongs in one chunk: stream, row and channel number of each series.
+        Stream, row and channel number of each series of a chunk.
     """
 
     def __init__(self, scene: Scene, clock: Timebase, group: int, register: Register) -> None:
@@ -109,7 +109,7 @@ class Truth:
     def add(self, motion: Motion) -> None:
         """Take the next samples."""
         if motion.first != self.position:
-            raise ValueError(f"expected the motion from sample {self.position} on, got {motion.first}")
+            raise ValueError(f"got the motion from sample {motion.first} on; expected {self.position}")
         parts = (motion.displacement, motion.velocity, motion.acceleration, motion.gap)
         self.streams[0].add(np.concatenate(parts))
         self.streams[1].add(motion.contact)
@@ -119,12 +119,12 @@ class Truth:
             )
 
     def close_groups(self) -> None:
-        """Count the groups in progress as complete."""
+        """Complete the groups in progress."""
         for stream in self.streams:
             stream.close_group()
 
     def take(self, number: int) -> tuple[Group | None, Group | None]:
-        """Give the groups of a cell of the grid, and forget them but for `positions`."""
+        """Remove and give the groups of a cell of the grid; `positions` still uses them."""
         real, whole = (stream.complete.pop(number, None) for stream in self.streams)
         if real is not None:
             self._recent = {n: each for n, each in self._recent.items() if n >= number - SHOWN_GROUPS}
@@ -132,10 +132,9 @@ class Truth:
         return real, whole
 
     def events_before(self, stop: int | None) -> list[Message]:
-        """Give the events before a sample, each once; None: all that are left.
+        """Remove and give the events before a sample; None: all.
 
-        One sample less than that, in truth: which side of a sample a rounded time falls on must not decide
-        what has arrived by now.
+        They end one sample before it, so that rounded times of events do not change the order of writing.
         """
         due = []
         while self._events:
@@ -151,8 +150,7 @@ class Truth:
     def positions(self, samples: NDArray[np.int64]) -> NDArray[np.float64]:
         """Give the positions of all that is `drawn`, (drawn, samples), metres, at further samples.
 
-        They are known in the last groups taken, those that are displayed together and one more. Elsewhere everything
-        stays where it was.
+        Known are those in the last groups taken; elsewhere the position before remains.
         """
         positions = np.empty((len(self.drawn), 1 + samples.size))
         positions[:, 0] = self._last

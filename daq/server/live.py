@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.instrument.chassis import Chassis
+from daq.live_scope.screen import Screen
 from daq.recording.recorder import Recorder
-from daq.scope.screen import Screen
 
 if TYPE_CHECKING:
     import rerun as rr

@@ -80,6 +80,10 @@ def run_script(
     return code
 
 
+#: The call by the name of the command, `daq.run`.
+run = run_script
+
+
 def _run(command: list[str], port: int, real: bool, limit: TimeLimit) -> int:
     paths = [str(STARTUP), *filter(None, [os.environ.get("PYTHONPATH")])]
     environment = os.environ | {SERVER: f"127.0.0.1:{port}", "PYTHONPATH": os.pathsep.join(paths)}

@@ -69,10 +69,10 @@ def _read(path: Path) -> bytes:
 
 
 def serve(
-    scene: Scene | str | None,
-    clock: str | None,
-    host: str,
-    port: int,
+    scene: Scene | str | None = None,
+    clock: str | None = None,
+    host: str = "127.0.0.1",
+    port: int = 31763,
     certificates: Certificates | None = None,
     limits: Limits | None = None,
     record: Path | None = None,
@@ -221,7 +221,7 @@ def wait_for_signal() -> None:
 
 @contextlib.contextmanager
 def _viewing(chassis: Chassis) -> Any:
-    from daq.replay import outputs
+    from daq.viewing import outputs
 
     with (
         outputs.window("leave --viewer out to serve without it") as running,

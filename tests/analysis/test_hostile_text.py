@@ -15,8 +15,8 @@ import analysis.cli
 import daq
 import daq.cli
 from daq.recording.recorder import Recorder
-from daq.replay.info_page import about
-from daq.replay.replay import Replay
+from daq.viewing.info_page import about
+from daq.viewing.replay import Replay
 from tests.analysis.responses import synthetic
 
 MARKUP = "<script>alert(1)</script> **b** [x](http://x) `c` $\\frac$ |d|"

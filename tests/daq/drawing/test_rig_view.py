@@ -38,7 +38,7 @@ def drawn(scene, motion):
 
 
 @pytest.mark.parametrize("amplitude_m", [1e-6, 0.3e-3, 1e-3, 7e-3, 0.2])
-def test_given_any_motion_when_drawn_then_each_spring_ends_at_the_parts_it_joins(amplitude_m):
+def test_springs_end_at_the_parts_they_join(amplitude_m):
     motion = motion_of(SCENE, amplitude_m)
     view, parts = drawn(SCENE, motion)
     rest_of_ground = np.zeros(50)
@@ -56,7 +56,7 @@ def test_given_any_motion_when_drawn_then_each_spring_ends_at_the_parts_it_joins
 
 
 @pytest.mark.parametrize("amplitude_m", [1e-6, 0.3e-3, 1e-3, 7e-3, 0.2])
-def test_given_any_motion_when_drawn_then_no_part_passes_through_another(amplitude_m):
+def test_parts_never_pass_through_each_other(amplitude_m):
     motion = motion_of(SCENE, amplitude_m, seed=1)
     _, parts = drawn(SCENE, motion)
     for path, (move, scale) in parts.items():
@@ -67,7 +67,7 @@ def test_given_any_motion_when_drawn_then_no_part_passes_through_another(amplitu
             assert move.max() <= HEADROOM + 1e-12, path
 
 
-def test_given_a_damper_at_its_ceiling_when_drawn_then_its_top_touches_the_drawn_ceiling():
+def test_damper_at_its_ceiling_touches_it():
     scene = rig.load("fig9")
     clearance = scene.dampers[0].clearance
     still = np.zeros((3, 2))
@@ -79,14 +79,14 @@ def test_given_a_damper_at_its_ceiling_when_drawn_then_its_top_touches_the_drawn
     assert cavity.ceiling == pytest.approx(WALL + DAMPER_HEIGHT + ceiling_gap)
 
 
-def test_given_a_ceiling_far_beyond_the_motion_when_drawn_then_the_cavity_is_open():
+def test_cavity_with_distant_ceiling_is_open():
     scene = SCENE.replace(dampers=[{"body": 2, "mass": "50 g", "clearance": "1 m"}])
     view, _ = drawn(scene, motion_of(scene, 1e-3))
     [cavity] = cavities(scene.dampers, 2, view.magnification)
     assert cavity.ceiling is None
 
 
-def test_given_two_dampers_in_a_body_when_drawn_then_each_moves_in_a_cavity_of_its_own():
+def test_two_dampers_have_separate_cavities():
     pair = [{"body": 2, "mass": f"{mass} g", "clearance": "1 mm"} for mass in (30, 20)]
     scene = SCENE.replace(dampers=[*pair, {"body": 3, "mass": "10 g", "clearance": "1 mm"}])
     _, parts = drawn(scene, motion_of(scene, 1e-3))
@@ -97,7 +97,7 @@ def test_given_two_dampers_in_a_body_when_drawn_then_each_moves_in_a_cavity_of_i
 
 
 @pytest.mark.parametrize("path", sorted(SCENES.glob("*.yaml")), ids=lambda path: path.stem)
-def test_given_a_bundled_scene_when_drawn_then_all_parts_are_distinct_and_moving_parts_are_drawn(path):
+def test_bundled_scene_is_drawn_completely(path):
     scene = rig.load(path)
     view, parts = drawn(scene, motion_of(scene, 1e-3))
     still = [entity for entity, _ in view.still_parts()]
@@ -114,7 +114,7 @@ def test_given_a_bundled_scene_when_drawn_then_all_parts_are_distinct_and_moving
         "{kind: electrodynamic, body: 1, spring: 5 kN/m}",
     ],
 )
-def test_given_other_rigs_when_drawn_then_only_what_is_there_is_drawn(shaker):
+def test_other_rigs_are_drawn_without_missing_parts(shaker):
     scene = rig.loads(CHAIN.format(name="chain", shaker=shaker))
     view, parts = drawn(scene, motion_of(scene, 1e-3))
     still = {entity for entity, _ in view.still_parts()}
@@ -124,7 +124,7 @@ def test_given_other_rigs_when_drawn_then_only_what_is_there_is_drawn(shaker):
     assert ("rig/body_3/lug" in still) == ("body: 3" in shaker)
 
 
-def test_given_matrices_when_drawn_then_bodies_stand_alone():
+def test_matrices_draw_bodies_without_springs():
     matrices = {"mass": [[1.0, 0.0], [0.0, 1.0]], "stiffness": [[2e4, -1e4], [-1e4, 1e4]]}
     scene = rig.loads(f"name: given\nstructure: {{matrices: {matrices}}}\n".replace("'", ""))
     view, parts = drawn(scene, motion_of(scene, 1e-3))
@@ -132,18 +132,18 @@ def test_given_matrices_when_drawn_then_bodies_stand_alone():
     assert not any("spring" in entity for entity, _ in view.still_parts())
 
 
-def test_given_nothing_moves_when_the_exaggeration_is_chosen_then_noise_is_not_blown_up():
+def test_noise_at_rest_is_not_exaggerated():
     assert exaggeration(Extremes()) == 1.0
     assert exaggeration(Extremes(spring=1e-15)) <= 1e4
 
 
-def test_given_lost_samples_when_extremes_are_found_then_they_do_not_count():
+def test_lost_samples_do_not_count_as_extremes():
     motion = RigPose(np.array([[1e-3, np.nan], [0.0, np.nan]]), np.array([[np.nan, 0.0]]), None)
     extremes = Extremes().widened(motion, [1])
     assert extremes.body == extremes.spring == 1e-3
 
 
-def test_given_points_that_nobody_measured_when_drawn_then_their_names_say_so():
+def test_unmeasured_points_are_labelled():
     view = RigView(SCENE, Extremes(), gaps_known=True, unknown=["body 2", "table"])
     names = {path: part for path, part in view.still_parts() if path.endswith("/name")}
     texts = {path: str(part.labels.as_arrow_array()) for path, part in names.items()}

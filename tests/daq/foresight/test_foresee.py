@@ -96,7 +96,7 @@ def test_sensor_limit_is_compared_with_what_shakes_it() -> None:
     assert foreseen["a1 sensor"].share == pytest.approx(0.5, rel=0.02)
 
 
-def test_amplifier_too_weak_for_the_force_states_what_it_takes() -> None:
+def test_weak_amplifier_states_the_drive_it_needs() -> None:
     test = {"kind": "stepped_sine", "frequencies": [30.0, 34.7], "force": "2.6 N"}
     scene = rig.load("fig8-no-damper").replace(test=test)
     needed = daq.foresee(scene)["amplifier"].largest

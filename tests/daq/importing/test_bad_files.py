@@ -102,7 +102,7 @@ ODD = {
 
 
 @pytest.mark.parametrize("name", ODD)
-def test_given_an_odd_file_when_imported_then_it_is_refused_in_words(name, tmp_path):
+def test_odd_file_is_rejected_in_words(name, tmp_path):
     path = tmp_path / name
     if ODD[name] == "folder":
         path.mkdir()
@@ -113,9 +113,7 @@ def test_given_an_odd_file_when_imported_then_it_is_refused_in_words(name, tmp_p
 
 @pytest.mark.parametrize("form", WRITERS)
 @pytest.mark.parametrize("part", [0.02, 0.5, 0.97])
-def test_given_a_file_that_is_cut_off_when_imported_then_it_is_refused_or_what_is_there_comes(
-    form, part, tmp_path
-):
+def test_cut_file_is_rejected_or_partly_imported(form, part, tmp_path):
     ending, make, _ = WRITERS[form]
     rows = histories(600)
     make(tmp_path / f"whole{ending}", rows)
@@ -136,7 +134,7 @@ def test_given_a_file_that_is_cut_off_when_imported_then_it_is_refused_or_what_i
 
 
 @pytest.mark.parametrize("form", WRITERS)
-def test_given_files_with_wrong_bytes_when_imported_then_nothing_but_words_comes(form, tmp_path):
+def test_wrong_bytes_end_in_words_or_samples(form, tmp_path):
     ending, make, _ = WRITERS[form]
     make(tmp_path / f"whole{ending}", histories(300))
     data = (tmp_path / f"whole{ending}").read_bytes()
@@ -157,7 +155,7 @@ def test_given_files_with_wrong_bytes_when_imported_then_nothing_but_words_comes
             recording.check()
 
 
-def test_given_variables_that_are_no_samples_when_imported_then_it_is_said_what_there_is(tmp_path):
+def test_file_without_samples_lists_its_content(tmp_path):
     savemat(tmp_path / "a.mat", {"text": "hello", "few": np.arange(3.0), "fs": 100.0})
     assert "no array of samples; it holds text" in refused(tmp_path / "a.mat", tmp_path)
     savemat(tmp_path / "b.mat", {"a": np.zeros(50) + 1j})
@@ -168,7 +166,7 @@ def test_given_variables_that_are_no_samples_when_imported_then_it_is_said_what_
     assert "d.npz" in refused(tmp_path / "d.npz", tmp_path)
 
 
-def test_given_a_wav_that_states_more_than_there_is_when_imported_then_it_is_said(tmp_path):
+def test_wav_that_states_too_much_is_rejected(tmp_path):
     wavfile.write(tmp_path / "a.wav", int(RATE), np.zeros((500, 3), np.int16))
     data = bytearray((tmp_path / "a.wav").read_bytes())
     data[40:44] = struct.pack("<I", 10**6)
@@ -176,7 +174,7 @@ def test_given_a_wav_that_states_more_than_there_is_when_imported_then_it_is_sai
     assert "cut off" in refused(tmp_path / "a.wav", tmp_path)
 
 
-def test_given_universal_files_without_time_responses_when_imported_then_the_way_is_shown(tmp_path):
+def test_uff_without_time_responses_names_the_command(tmp_path):
     uff(tmp_path / "a.uff", histories(50))
     text = (tmp_path / "a.uff").read_text(encoding="utf-8")
     (tmp_path / "b.uff").write_text(text.replace("    58", "    82"))
@@ -189,12 +187,12 @@ def test_given_universal_files_without_time_responses_when_imported_then_the_way
     assert "`analysis modes` takes it" in refused(tmp_path / "c.uff", tmp_path)
 
 
-def test_given_a_recording_of_ours_when_imported_then_it_is_said_that_it_is_one(tmp_path):
+def test_own_recording_is_not_imported(tmp_path):
     path = write(tmp_path / "a.mcap", signal(600))
     assert "is a recording already" in refused(path, tmp_path)
 
 
-def test_given_a_dead_and_an_absurd_channel_when_imported_then_both_are_told(tmp_path):
+def test_dead_and_absurd_channels_are_reported(tmp_path):
     rows = histories(600)
     rows[0], rows[2] = 3.0, 1e9 * rows[2]
     WRITERS["tdms"][1](tmp_path / "a.tdms", rows)
@@ -244,7 +242,7 @@ def test_file_that_needs_too_much_memory_is_refused(form, tmp_path, monkeypatch)
 
 
 @pytest.mark.parametrize("ending", ["npz", "npy"])
-def test_short_numbers_take_no_more_memory_than_the_file(ending, tmp_path):
+def test_short_numbers_take_little_memory(ending, tmp_path):
     numbers, path = np.zeros(3_000_000, np.int8), tmp_path / f"a.{ending}"
     if ending == "npz":
         np.savez(path, body1=numbers, fs=RATE)
@@ -260,7 +258,7 @@ def test_short_numbers_take_no_more_memory_than_the_file(ending, tmp_path):
     assert peak < 8_000_000
 
 
-def test_given_a_tdms_file_that_scales_by_what_it_does_not_say_when_imported_then_it_is_refused(tmp_path):
+def test_tdms_scaling_without_input_is_rejected(tmp_path):
     scales = {"NI_Number_Of_Scales": 2, "NI_Scale[1]_Scale_Type": "Linear", "wf_increment": 1e-3}
     with nptdms.TdmsWriter(tmp_path / "a.tdms") as file:
         rows = histories(100).astype(np.int16)
@@ -270,7 +268,7 @@ def test_given_a_tdms_file_that_scales_by_what_it_does_not_say_when_imported_the
     assert "is damaged" in refused(tmp_path / "a.tdms", tmp_path)
 
 
-def test_given_a_matlab_file_whose_cells_hold_each_other_when_imported_then_that_ends(tmp_path):
+def test_matlab_cells_that_refer_to_themselves_end(tmp_path):
     with h5py.File(tmp_path / "a.mat", "w", userblock_size=512) as file:
         cell = file.create_dataset("a", (1, 100), h5py.ref_dtype)
         for place in range(100):
@@ -281,9 +279,7 @@ def test_given_a_matlab_file_whose_cells_hold_each_other_when_imported_then_that
     assert "hold more than 100000 values" in refused(tmp_path / "a.mat", tmp_path)
 
 
-def test_given_modules_of_the_users_beside_a_matlab_file_when_imported_then_they_are_not_run(
-    tmp_path, monkeypatch
-):
+def test_modules_of_the_user_are_not_run(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     WRITERS["mat"][1](tmp_path / "a.mat", histories(600))
     for name in ("random", "struct", "scipy", "numpy"):
@@ -293,7 +289,7 @@ def test_given_modules_of_the_users_beside_a_matlab_file_when_imported_then_they
         assert recording.samples == 600
 
 
-def test_log_of_a_cut_tdms_file_is_one_warning(tmp_path, caplog):
+def test_cut_tdms_file_gives_one_warning(tmp_path, caplog):
     WRITERS["tdms"][1](tmp_path / "whole.tdms", histories(600))
     data = (tmp_path / "whole.tdms").read_bytes()
     (tmp_path / "cut.tdms").write_bytes(data[: len(data) - 1000])

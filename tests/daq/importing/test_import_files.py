@@ -31,7 +31,7 @@ def imported(files, scene, path, **options) -> tuple[daq.Recording, list[str]]:
 
 
 @pytest.mark.parametrize("form", WRITERS)
-def test_given_a_file_of_another_program_when_imported_then_its_samples_and_rate_are_there(form, tmp_path):
+def test_foreign_file_gives_its_samples_and_rate(form, tmp_path):
     ending, write, error = WRITERS[form]
     rows = histories()
     write(tmp_path / f"a{ending}", rows)
@@ -51,7 +51,7 @@ def test_given_a_file_of_another_program_when_imported_then_its_samples_and_rate
 
 
 @pytest.mark.parametrize("kind", [np.uint8, np.int16, "int24", np.int32, np.float32, np.float64])
-def test_given_sound_of_any_depth_when_imported_then_full_scale_is_the_converters_range(kind, tmp_path):
+def test_wav_full_scale_is_the_converter_range(kind, tmp_path):
     rows = np.random.default_rng(3).uniform(-0.9, 0.9, (2, 3000))
     path = tmp_path / "a.wav"
     if kind == "int24":
@@ -86,7 +86,7 @@ def _write_24_bits(path, rows):
     path.write_bytes(b"RIFF" + np.array([4 + len(chunk)], "<u4").tobytes() + b"WAVE" + chunk)
 
 
-def test_given_hits_that_nobody_marked_when_imported_then_they_are_found_in_the_force(tmp_path):
+def test_unmarked_hits_are_detected(tmp_path):
     rows = 1e-3 * histories(12000)
     pulse = np.sin(np.pi * np.arange(1, 9) / 9)
     for at, size in ((1000, 80.0), (1060, 20.0), (5000, 50.0), (9000, 30.0)):
@@ -104,7 +104,7 @@ def test_given_hits_that_nobody_marked_when_imported_then_they_are_found_in_the_
     assert not heard
 
 
-def test_given_clipped_and_lost_samples_when_imported_then_each_is_marked_and_told(tmp_path):
+def test_clipped_and_lost_samples_are_marked(tmp_path):
     rows = 20.0 * np.sin(0.05 * np.arange(4000)) + np.zeros((3, 1))
     rows += 0.1 * histories(4000)
     rows[1] = np.clip(rows[1], -15.0, 15.0)
@@ -124,7 +124,7 @@ def test_given_clipped_and_lost_samples_when_imported_then_each_is_marked_and_to
     assert any("clipped" in note for note in heard) and any("lost" in note for note in heard)
 
 
-def test_given_a_smooth_coarse_signal_when_imported_then_its_rounded_tops_are_no_overload(tmp_path):
+def test_rounded_tops_are_no_overload(tmp_path):
     rows = np.round(40.0 * np.sin(0.003 * np.arange(20000))) + np.zeros((3, 1))
     csv(tmp_path / "a.csv", rows)
     recording, _ = imported(tmp_path / "a.csv", bench(), tmp_path / "r.mcap")
@@ -132,7 +132,7 @@ def test_given_a_smooth_coarse_signal_when_imported_then_its_rounded_tops_are_no
         assert not recording.overloads
 
 
-def test_given_files_longer_than_memory_is_to_hold_when_imported_then_pieces_join_without_a_seam(tmp_path):
+def test_long_file_is_imported_without_a_seam(tmp_path):
     rows = histories(200_000)
     tdms(tmp_path / "a.tdms", rows)
     recording, _ = imported(tmp_path / "a.tdms", bench(), tmp_path / "r.mcap")
@@ -140,7 +140,7 @@ def test_given_files_longer_than_memory_is_to_hold_when_imported_then_pieces_joi
         np.testing.assert_allclose(recording.read("force"), rows[2], rtol=1e-15)
 
 
-def test_given_two_files_of_one_test_when_imported_then_channels_come_from_both(tmp_path):
+def test_two_files_give_channels_of_one_test(tmp_path):
     rows = histories()
     tdms(tmp_path / "a.tdms", rows)
     csv(tmp_path / "b.csv", rows[:, :4000])
@@ -158,7 +158,7 @@ def test_given_two_files_of_one_test_when_imported_then_channels_come_from_both(
 
 
 @pytest.mark.parametrize("form", ["csv", "tdms"])
-def test_given_a_release_that_comes_late_when_imported_then_it_is_told_and_can_be_cut_out(form, tmp_path):
+def test_late_release_is_reported_and_can_be_cut(form, tmp_path):
     time = np.arange(6000) / RATE - 1.5
     rows = np.where(time < 0, 0.0, np.exp(-time) * np.cos(60.0 * time)) + 1e-4 * histories(6000)
     ending, write, _ = WRITERS[form]
@@ -177,13 +177,13 @@ def test_given_a_release_that_comes_late_when_imported_then_it_is_told_and_can_b
         np.testing.assert_allclose(recording.read("body2"), rows[1, 3072:5120], rtol=1e-8, atol=1e-9)
 
 
-def test_given_times_that_have_changed_places_when_imported_then_the_error_says_so(tmp_path):
+def test_reversed_times_are_rejected(tmp_path):
     csv(tmp_path / "a.csv", histories(600))
     with pytest.raises(SceneError, match=r"--from 0\.2 s is after --to 0\.1 s"):
         daq.import_files(tmp_path / "a.csv", bench(), tmp_path / "r.mcap", from_s=0.2, to_s=0.1)
 
 
-def test_given_the_table_as_yaml_or_csv_when_imported_then_both_say_the_same(tmp_path):
+def test_yaml_and_csv_tables_agree(tmp_path):
     csv(tmp_path / "a.csv", histories(600))
     (tmp_path / "t.yaml").write_text(
         "body1: 2\nbody2: {column: body1, unit: 2 m/s^2, sign: -1, offset: 0.5, delay: 1 ms}\n"
@@ -212,9 +212,7 @@ END_OF_HEADER = "***End_of_Header***\t\n"
 
 @pytest.mark.parametrize("columns", ["No", "One", "Multi"])
 @pytest.mark.parametrize(("separator", "point"), [("\t", "."), ("\t", ","), (",", ".")])
-def test_given_labviews_text_when_imported_then_names_units_and_clock_are_found(
-    columns, separator, point, tmp_path
-):
+def test_labview_text_has_names_units_and_clock(columns, separator, point, tmp_path):
     rows = histories(400)
     name = "Tab" if separator == "\t" else "Comma"
 
@@ -259,9 +257,7 @@ def test_given_labviews_text_when_imported_then_names_units_and_clock_are_found(
 
 
 @pytest.mark.parametrize("form", ["text", "array"])
-def test_given_numbers_without_names_when_imported_then_an_even_first_column_is_the_clock_and_it_is_told(
-    form, tmp_path
-):
+def test_unnamed_even_column_is_the_clock(form, tmp_path):
     rows = np.vstack([np.arange(400) / RATE - 0.01, histories(400)])
     if form == "text":
         np.savetxt(tmp_path / "a.txt", rows.T, fmt="%.9e")
@@ -278,24 +274,24 @@ def test_given_numbers_without_names_when_imported_then_an_even_first_column_is_
     assert any("rises evenly" in text and "taken for times" in text for text in heard)
 
 
-def test_given_counted_lines_without_names_when_imported_then_the_count_is_no_clock(tmp_path):
+def test_counted_lines_are_no_clock(tmp_path):
     np.savetxt(tmp_path / "a.txt", np.vstack([np.arange(1, 401), histories(400)]).T)
     table = {"body1": Column("2", unit="m/s^2")}
-    with pytest.raises(SceneError, match="nothing says how fast"):
+    with pytest.raises(SceneError, match="sample rate is not stated"):
         imported(tmp_path / "a.txt", bench(), tmp_path / "r.mcap", table=table)
 
 
-def test_given_stated_times_off_an_even_grid_when_imported_then_it_is_told(tmp_path):
+def test_uneven_times_are_reported(tmp_path):
     rows = histories(400)
     off = np.random.default_rng(2).uniform(-0.2, 0.2, 400)
     for name, times in {"even": np.arange(400.0), "uneven": np.arange(400) + off}.items():
         np.savez(tmp_path / f"{name}.npz", time=times / RATE, body1=rows[0])
         table = {"body1": Column("body1", unit="g")}
         _, heard = imported(tmp_path / f"{name}.npz", bench(), tmp_path / f"{name}.mcap", table=table)
-        assert any("off an even grid by up to" in text for text in heard) == (name == "uneven")
+        assert any("from an even grid by up to" in text for text in heard) == (name == "uneven")
 
 
-def test_given_a_last_value_missing_in_the_first_line_when_imported_then_its_column_is_there(tmp_path):
+def test_missing_value_in_first_line_keeps_its_column(tmp_path):
     lines = [f"{k / RATE:.9g},{k % 7},{'' if k == 0 else k % 5}" for k in range(400)]
     (tmp_path / "a.csv").write_text("\n".join(["time [s],body1 [g],body2 [g]", *lines]))
     recording, _ = imported(tmp_path / "a.csv", bench(), tmp_path / "r.mcap")
@@ -305,7 +301,7 @@ def test_given_a_last_value_missing_in_the_first_line_when_imported_then_its_col
 
 
 @pytest.mark.parametrize("name", ["Fs", "sampling_frequency", "samplerate", "sr", "f_s", "sampling_rate_Hz"])
-def test_given_a_sample_rate_by_any_of_its_names_when_imported_then_it_is_the_rate(name, tmp_path):
+def test_sample_rate_is_known_by_any_name(name, tmp_path):
     np.savez(tmp_path / "a.npz", **{name: RATE}, body1=histories(400)[0])
     recording, _ = imported(
         tmp_path / "a.npz", bench(), tmp_path / "r.mcap", table={"body1": Column("body1", unit="g")}
@@ -314,7 +310,7 @@ def test_given_a_sample_rate_by_any_of_its_names_when_imported_then_it_is_the_ra
         assert recording.rate == RATE
 
 
-def test_given_labviews_text_of_several_segments_when_imported_then_the_line_is_named(tmp_path):
+def test_second_labview_segment_is_located(tmp_path):
     heading = LABVIEW.format(name="Tab", point=".", columns="No")
     segment = (
         "Channels\t1\nY_Unit_Label\tg\nX0\t0\nDelta_X\t0.001\n"
@@ -322,11 +318,11 @@ def test_given_labviews_text_of_several_segments_when_imported_then_the_line_is_
         + "X_Value\tbody1\tComment\n\t1.0\n\t2.0\n\n"
     )
     (tmp_path / "a.lvm").write_text(heading + 2 * segment)
-    with pytest.raises(RecordingError, match=r"a.lvm, line 16: another segment"):
+    with pytest.raises(RecordingError, match=r"a.lvm, line 16: a second segment"):
         imported(tmp_path / "a.lvm", bench(), tmp_path / "r.mcap")
 
 
-def test_given_labviews_text_with_a_rough_clock_or_lines_lost_when_imported_then_it_is_told(tmp_path):
+def test_uncertain_labview_clock_is_reported(tmp_path):
     heading = LABVIEW.format(name="Tab", point=".", columns="No")
     heading += (
         "Channels\t1\nSamples\t9\nY_Unit_Label\tg\nX0\t0\nDelta_X\t0.000977\n"
@@ -350,10 +346,10 @@ TABLES = {
     "body1: {column: 1, offset: little}": "expected a number",
     "body1: {column: 1, delay: 2 kg}": "expected a time",
     "body1: {column: 1, rate: -3}": "expected a frequency",
-    "body1: {column: 1, unit: furlong}": "none that is known",
+    "body1: {column: 1, unit: furlong}": "unknown unit 'furlong'",
     "body1: {column: 1, sensitivity: 100 mV/g}": "not in volts",
     "body1: {column: 1, unit: V, sensitivity: 1 kg}": "no unit of voltage per acceleration",
-    "body1: {column: 3}\nforce: {column: 1}": "columns swapped, or a wrong unit",
+    "body1: {column: 3}\nforce: {column: 1}": "swapped columns or a wrong unit",
     "body1: {column: 7}": "no column '7'; there are 1: body1",
     "body1: {column: 1, file: z.csv}": "file 'z.csv' is none of a.csv",
     "bodi1: {column: 1}": r"no channel of the scene.*body1\?",
@@ -363,7 +359,7 @@ TABLES = {
 
 
 @pytest.mark.parametrize("text", TABLES)
-def test_given_a_table_that_is_wrong_when_imported_then_it_is_refused_in_words(text, tmp_path):
+def test_wrong_table_is_rejected_in_words(text, tmp_path):
     csv(tmp_path / "a.csv", histories(100))
     (tmp_path / "t.yaml").write_text(text)
     with pytest.raises(SceneError, match=TABLES[text]):
@@ -371,9 +367,9 @@ def test_given_a_table_that_is_wrong_when_imported_then_it_is_refused_in_words(t
     assert not (tmp_path / "r.mcap").exists()
 
 
-def test_given_rates_that_contradict_when_imported_then_it_is_refused_and_says_what_to_do(tmp_path):
+def test_contradicting_rates_name_the_remedy(tmp_path):
     csv(tmp_path / "a.csv", histories(100))
-    with pytest.raises(SceneError, match=r"files say 2048 Hz.*5120 Hz; correct.*converter.rate=2048Hz"):
+    with pytest.raises(SceneError, match=r"files state 2048 Hz.*5120 Hz. Correct.*converter.rate=2048Hz"):
         imported(tmp_path / "a.csv", bench(more="converter: {rate: 5120 Hz}"), tmp_path / "r.mcap")
     table = {name: Column(name, rate=5120.0) for name in NAMES}
     recording, _ = imported(
@@ -383,7 +379,7 @@ def test_given_rates_that_contradict_when_imported_then_it_is_refused_and_says_w
         assert recording.rate == 5120.0
 
 
-def test_given_files_when_typed_then_listed_imported_and_never_overwritten(tmp_path, monkeypatch):
+def test_import_command_lists_imports_and_never_overwrites(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     csv(tmp_path / "a.csv", histories(3000))
     (tmp_path / "bench.yaml").write_text(bench().to_si_yaml().replace("rate: 5120.0 Hz", "rate: 2048 Hz"))

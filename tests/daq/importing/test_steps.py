@@ -42,9 +42,7 @@ def marks(recording: daq.Recording) -> list:
 
 
 @pytest.mark.parametrize("level", ["1 N", "[0.5 N, 2 N]"])
-def test_given_steps_that_nobody_marked_when_imported_then_each_is_found_settled_and_the_response_is_right(
-    level, tmp_path
-):
+def test_unmarked_steps_are_detected_with_right_response(level, tmp_path):
     frequencies = np.linspace(36.0, 44.0, 5)
     levels = (1.0,) if level == "1 N" else (0.5, 2.0)
     npz(tmp_path / "a.npz", stepped(frequencies, levels))
@@ -72,7 +70,7 @@ def test_given_steps_that_nobody_marked_when_imported_then_each_is_found_settled
     assert not heard
 
 
-def test_given_steps_up_and_down_when_imported_then_each_way_is_a_sweep_of_its_own(tmp_path):
+def test_steps_up_and_down_are_two_sweeps(tmp_path):
     rising = [20.0, 25.0, 31.0]
     npz(tmp_path / "a.npz", stepped([*rising, *rising[::-1]], dwell=2.0))
     scene = bench("{kind: stepped_sine, from: 20 Hz, to: 31 Hz, points: 3, force: 1 N, direction: both}")
@@ -83,7 +81,7 @@ def test_given_steps_up_and_down_when_imported_then_each_way_is_a_sweep_of_its_o
     assert found == [(20.0, "up"), (25.0, "up"), (31.0, "up"), (25.0, "down"), (20.0, "down")]
 
 
-def test_given_a_tone_after_silence_when_imported_then_it_is_one_step(tmp_path):
+def test_tone_after_silence_is_one_step(tmp_path):
     tone = np.zeros(round(20 * RATE))
     tone[round(6 * RATE) :] = np.sin(2 * np.pi * 17.3 * np.arange(round(14 * RATE)) / RATE)
     npz(tmp_path / "a.npz", responded(tone))
@@ -120,7 +118,7 @@ def _forces() -> dict[str, np.ndarray]:
 
 
 @pytest.mark.parametrize("kind", _forces())
-def test_given_no_steps_when_imported_as_a_stepped_sine_then_none_is_found_and_it_is_told(kind, tmp_path):
+def test_signal_without_steps_has_none_detected(kind, tmp_path):
     npz(tmp_path / "a.npz", responded(_forces()[kind]))
     scene = bench("{kind: stepped_sine, from: 10 Hz, to: 60 Hz, points: 5, force: 1 N}")
     recording, heard = imported(tmp_path / "a.npz", scene, tmp_path / "r.mcap")
@@ -128,14 +126,14 @@ def test_given_no_steps_when_imported_as_a_stepped_sine_then_none_is_found_and_i
         assert not marks(recording)
         with pytest.raises(RecordingError, match="no step was found"):
             analysis.frequency_responses(recording)
-    assert any("no step was found" in each for each in heard)
+    assert any("no step was detected" in each for each in heard)
 
 
-def test_given_steps_when_imported_by_the_command_then_it_says_how_many_and_where(tmp_path, monkeypatch):
+def test_import_command_reports_steps(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     npz(tmp_path / "a.npz", stepped([20.0, 25.0], dwell=2.0))
     scene = bench("{kind: stepped_sine, from: 20 Hz, to: 25 Hz, points: 2, force: 1 N}")
     (tmp_path / "bench.yaml").write_text(scene.to_si_yaml().replace("rate: 5120.0 Hz", "rate: 2048 Hz"))
     done = CliRunner().invoke(app, ["import", "a.npz", "--scene", "bench.yaml"])
     assert done.exit_code == 0, done.output
-    assert "2 steps found, 20 to 25 Hz" in done.output
+    assert "2 steps detected, 20 to 25 Hz" in done.output

@@ -12,8 +12,8 @@ import pyuff
 
 import daq
 from daq.importing.channel_table import Column
+from daq.importing.clock import missing_rows
 from daq.importing.text_table import PIECE
-from daq.importing.time_gaps import missing_rows
 from rig.errors import RecordingError
 from tests.daq.importing.files import IN_SI, NAMES, UNITS, bench, histories
 

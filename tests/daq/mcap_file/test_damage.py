@@ -100,7 +100,7 @@ def parts_of(path, data):
         return list(file.parts())
 
 
-def test_given_a_whole_file_when_walked_then_all_it_holds_is_had_in_order(tmp_path):
+def test_whole_file_is_read_in_order(tmp_path):
     parts = parts_of(tmp_path / "a", WHOLE)
     assert all(isinstance(part, Intact) for part in parts)
     assert [held(part) for part in parts] == [each for each in TRUE if each is not None]
@@ -108,9 +108,7 @@ def test_given_a_whole_file_when_walked_then_all_it_holds_is_had_in_order(tmp_pa
 
 
 @pytest.mark.parametrize("damage", ["flip", "ones"])
-def test_given_any_byte_damaged_when_walked_then_the_other_records_are_had_and_nothing_false(
-    tmp_path, damage
-):
+def test_damaged_byte_costs_only_its_record(tmp_path, damage):
     for at in range(len(HEAD) + sum(map(len, RECORDS))):
         data = bytearray(WHOLE)
         data[at] = data[at] ^ (1 << at % 8) if damage == "flip" else 0xFF
@@ -131,7 +129,7 @@ def test_given_any_byte_damaged_when_walked_then_the_other_records_are_had_and_n
             assert spoilt[0].reason
 
 
-def test_given_a_file_cut_at_any_byte_when_walked_then_what_came_before_is_had_and_the_rest_is_told(tmp_path):
+def test_cut_file_keeps_all_records_before_the_cut(tmp_path):
     near = {at + beside for span in SPANS for at in span for beside in (0, *range(-10, 70, 3))}
     for cut in sorted(each for each in near if len(HEAD) <= each <= SPANS[-1][1]):
         parts = parts_of(tmp_path / "a", WHOLE[:cut])
@@ -143,12 +141,12 @@ def test_given_a_file_cut_at_any_byte_when_walked_then_what_came_before_is_had_a
         for begin, part in zip(torn, (each for each in parts if isinstance(each, Unreadable)), strict=True):
             known = cut - begin < 9 or cut - begin >= TELLING[SPANS.index((begin, begin + LONG[begin]))]
             assert part.reason == (
-                "the file ends within a record" if known else "no record is to be made out"
+                "the file ends within a record" if known else "no record can be identified"
             )
 
 
 @pytest.mark.parametrize("length", [1, 8, 9, 200, (1 << 20) - 9, (1 << 20) + 5])
-def test_given_foreign_bytes_between_records_when_walked_then_the_next_record_is_found(tmp_path, length):
+def test_record_behind_foreign_bytes_is_found(tmp_path, length):
     for filler in (b"\0", b"\xff", b"\x06\x0c\x0f\x07"):
         foreign = (filler * length)[:length]
         parts = parts_of(tmp_path / "a", HEAD + RECORDS[0] + foreign + RECORDS[3] + RECORDS[4] + END)
@@ -159,7 +157,7 @@ def test_given_foreign_bytes_between_records_when_walked_then_the_next_record_is
 
 
 @pytest.mark.parametrize("kind", range(len(RECORDS)))
-def test_given_foreign_bytes_when_walked_then_a_record_of_any_kind_is_found_behind_them(tmp_path, kind):
+def test_any_record_behind_foreign_bytes_is_found(tmp_path, kind):
     for tail in (RECORDS[3] + END, END, b""):
         parts = parts_of(tmp_path / "a", HEAD + bytes(20) + RECORDS[kind] + tail)
         assert (parts[0].begin, parts[0].end) == (len(HEAD), len(HEAD) + 20)
@@ -191,9 +189,7 @@ def unlike_itself():
 
 
 @pytest.mark.parametrize("before", [b"", bytes(20)])
-def test_given_what_resembles_a_record_when_walked_then_it_is_passed_over_with_what_is_about_it(
-    tmp_path, before
-):
+def test_lookalike_record_is_passed_over(tmp_path, before):
     for decoy in unlike_itself():
         parts = parts_of(tmp_path / "a", HEAD + RECORDS[2] + before + decoy + RECORDS[3] + RECORDS[4] + END)
         begin = len(HEAD) + len(RECORDS[2])
@@ -205,9 +201,7 @@ def test_given_what_resembles_a_record_when_walked_then_it_is_passed_over_with_w
 @pytest.mark.parametrize(
     ("kind", "told"), [(0, "a chunk: "), (3, "a chunk: "), (4, "an attachment"), (2, "a metadata")]
 )
-def test_given_a_damaged_record_of_right_length_when_walked_then_what_is_wrong_is_told_wherever_it_ends(
-    tmp_path, kind, told
-):
+def test_damaged_record_is_reported_wherever_it_ends(tmp_path, kind, told):
     damaged = RECORDS[kind][:-1] + bytes([RECORDS[kind][-1] ^ 1])
     for tail in (b"", END, *RECORDS):
         parts = parts_of(tmp_path / "a", HEAD + damaged + tail)
@@ -216,13 +210,11 @@ def test_given_a_damaged_record_of_right_length_when_walked_then_what_is_wrong_i
     # Where nothing that agrees with itself follows, its length is not to be believed.
     parts = parts_of(tmp_path / "a", HEAD + damaged + bytes(9) + RECORDS[0])
     assert (parts[0].begin, parts[0].end) == (len(HEAD), len(HEAD) + len(damaged) + 9)
-    assert parts[0].reason == "no record is to be made out" and held(parts[1]) == TRUE[0]
+    assert parts[0].reason == "no record can be identified" and held(parts[1]) == TRUE[0]
 
 
 @pytest.mark.parametrize("kind", [2, 4])
-def test_given_a_record_of_the_largest_size_when_walked_then_it_is_taken_and_a_larger_one_is_not(
-    tmp_path, kind, monkeypatch
-):
+def test_largest_record_is_read_and_larger_rejected(tmp_path, kind, monkeypatch):
     size = len(CONTENTS[kind][1])
     monkeypatch.setattr(walk, "LARGEST_RECORD", size)
     assert held(parts_of(tmp_path / "a", HEAD + RECORDS[kind] + END)[0]) == TRUE[kind]
@@ -232,9 +224,7 @@ def test_given_a_record_of_the_largest_size_when_walked_then_it_is_taken_and_a_l
 
 
 @pytest.mark.parametrize("kind", [0, 3])
-def test_given_a_chunk_of_the_largest_size_when_walked_then_it_is_taken_and_a_larger_one_is_not_read(
-    tmp_path, kind, monkeypatch
-):
+def test_largest_chunk_is_read_and_larger_rejected(tmp_path, kind, monkeypatch):
     content = CONTENTS[kind][1]
     packed = len(content) - CHUNK_HEAD.size - 8 - CHUNK_HEAD.unpack_from(content)[4]
     monkeypatch.setattr(walk, "LARGEST_CHUNK", packed)
@@ -245,10 +235,10 @@ def test_given_a_chunk_of_the_largest_size_when_walked_then_it_is_taken_and_a_la
     assert part.reason == "a chunk that is too large"
 
 
-def test_given_a_file_that_begins_in_another_way_when_walked_then_it_is_told_and_records_are_sought(tmp_path):
+def test_wrong_beginning_is_reported_and_records_searched(tmp_path):
     parts = parts_of(tmp_path / "a", b"not a recording" + RECORDS[0] + END)
     assert (parts[0].begin, parts[0].end) == (0, 15)
-    assert "does not begin like an MCAP file" in parts[0].reason
+    assert "does not begin with the MCAP signature" in parts[0].reason
     assert held(parts[1]) == TRUE[0] and len(parts) == 2
 
 
@@ -260,7 +250,7 @@ def test_given_a_file_that_begins_in_another_way_when_walked_then_it_is_told_and
         (chunk(b"zstd", INSIDE[0], size=60), "instead of 60"),
     ],
 )
-def test_given_a_chunk_that_vouches_for_nothing_when_walked_then_it_is_not_believed(tmp_path, content, why):
+def test_chunk_without_checksum_is_not_used(tmp_path, content, why):
     parts = parts_of(tmp_path / "a", HEAD + record(6, content) + RECORDS[3] + END)
     assert (parts[0].begin, parts[0].end) == (len(HEAD), len(HEAD) + 9 + len(content))
     assert parts[0].reason.startswith("a chunk: ") and why in parts[0].reason
@@ -271,14 +261,14 @@ def test_given_a_chunk_that_vouches_for_nothing_when_walked_then_it_is_not_belie
     ("opcode", "content", "why"),
     [(0x0C, metadata({"seed": "1"}), "metadata"), (9, attachment(b"x")[:-1] + b"\0", "attachment")],
 )
-def test_given_what_has_no_right_checksum_when_walked_then_it_is_not_believed(tmp_path, opcode, content, why):
+def test_records_without_right_checksum_are_not_used(tmp_path, opcode, content, why):
     parts = parts_of(tmp_path / "a", HEAD + record(opcode, content) + RECORDS[3] + END)
     assert why in parts[0].reason or isinstance(parts[0], Unreadable)
     assert [held(part) for part in parts if isinstance(part, Intact)] == [TRUE[3]]
 
 
 @pytest.mark.parametrize("compression", PACKERS)
-def test_given_a_sound_chunk_when_unpacked_then_it_is_what_was_packed(compression):
+def test_sound_chunk_unpacks_to_its_content(compression):
     inside = b"".join(INSIDE)
     assert unpack_chunk(memoryview(chunk(compression, inside)), checksum_needed=True) == inside
     # MCAP lets a chunk go without a checksum.
@@ -287,7 +277,7 @@ def test_given_a_sound_chunk_when_unpacked_then_it_is_what_was_packed(compressio
 
 
 @pytest.mark.parametrize("compression", PACKERS)
-def test_given_a_chunk_damaged_at_any_byte_when_unpacked_then_it_is_refused_or_the_same(compression):
+def test_chunk_damaged_anywhere_is_rejected_or_equal(compression):
     inside = INSIDE[0]
     content = chunk(compression, inside)
     # Nothing vouches for the times in front.
@@ -305,7 +295,7 @@ def test_given_a_chunk_damaged_at_any_byte_when_unpacked_then_it_is_refused_or_t
         unpack_chunk(memoryview(content + b"\0"))
 
 
-def test_given_a_chunk_of_the_largest_size_when_unpacked_then_it_is_taken_and_a_larger_one_is_not(
+def test_unpacked_size_is_limited(
     monkeypatch,
 ):
     monkeypatch.setattr(module, "LARGEST_CHUNK", 1000)
@@ -315,9 +305,7 @@ def test_given_a_chunk_of_the_largest_size_when_unpacked_then_it_is_taken_and_a_
 
 
 @pytest.mark.parametrize("compression", [b"zstd", b"lz4"])
-def test_given_a_chunk_that_packs_as_well_as_is_believed_when_unpacked_then_a_better_one_is_not(
-    compression, monkeypatch
-):
+def test_packing_ratio_is_limited(compression, monkeypatch):
     content = chunk(compression, bytes(10_000))
     monkeypatch.setattr(module, "PACKS_AT_MOST", 3)
     monkeypatch.setattr(module, "PACKS_FREELY", 10_000 - 3 * len(content))
@@ -327,7 +315,7 @@ def test_given_a_chunk_that_packs_as_well_as_is_believed_when_unpacked_then_a_be
         unpack_chunk(memoryview(content))
 
 
-def test_given_sizes_at_the_bounds_that_are_told_when_unpacked_then_only_what_lies_beyond_is_not_believed():
+def test_stated_sizes_are_limited():
     small, large = (len(chunk(b"zstd", each)) for each in (b"", bytes(range(256)) * 9))
     for inside, size, why in (
         (b"", 2**21 + 1000 * small, "instead of"),
@@ -342,7 +330,7 @@ def test_given_sizes_at_the_bounds_that_are_told_when_unpacked_then_only_what_li
 
 
 @pytest.mark.parametrize("name", [b"zst", b"zstd2", b"lz", b"lz4 ", b"a", b"zz", b"brotli", b"x" * 16])
-def test_given_a_compression_of_another_name_when_unpacked_then_the_name_is_told(name):
+def test_unknown_compression_is_named(name):
     content = struct.pack("<QQQI", 1, 2, 4, zlib.crc32(b"abcd")) + text(name) + struct.pack("<Q", 4) + b"abcd"
     with pytest.raises(Damage, match=f"compression {name!r} is not known"):
         unpack_chunk(memoryview(content))
@@ -350,16 +338,14 @@ def test_given_a_compression_of_another_name_when_unpacked_then_the_name_is_told
 
 @pytest.mark.parametrize("size", [len(INSIDE[0]) - 1, len(INSIDE[0]) + 1])
 @pytest.mark.parametrize("compression", PACKERS)
-def test_given_a_chunk_of_another_size_than_it_claims_when_unpacked_then_it_is_refused(compression, size):
+def test_chunk_of_another_size_is_rejected(compression, size):
     with pytest.raises(Damage, match="unpack"):
         unpack_chunk(memoryview(chunk(compression, INSIDE[0], size=size)))
 
 
 @pytest.mark.parametrize("more", [-20, -1, 1, 20])
 @pytest.mark.parametrize("compression", PACKERS)
-def test_given_a_chunk_with_other_bytes_than_it_claims_when_unpacked_then_both_counts_are_told(
-    compression, more
-):
+def test_chunk_length_error_states_both_sizes(compression, more):
     whole = chunk(compression, INSIDE[0])
     begin = CHUNK_HEAD.size + len(compression) + 8
     packed = len(whole) - begin
@@ -368,7 +354,7 @@ def test_given_a_chunk_with_other_bytes_than_it_claims_when_unpacked_then_both_c
         unpack_chunk(memoryview(content))
 
 
-def test_given_the_records_of_a_chunk_when_read_then_messages_are_had_and_what_does_not_fit_is_refused():
+def test_misfit_records_of_a_chunk_are_rejected():
     inside = record(4, b"channel") + INSIDE[0] + record(3, b"") + INSIDE[1]
     found = [(opcode, bytes(content)) for opcode, content in records_in(memoryview(inside), len(inside))]
     assert found == [(4, b"channel"), (5, INSIDE[0][9:]), (3, b""), (5, INSIDE[1][9:])]
@@ -382,11 +368,11 @@ def test_given_the_records_of_a_chunk_when_read_then_messages_are_had_and_what_d
             with pytest.raises(Damage, match=r"cut short|claims"):
                 list(records_in(memoryview(inside[:cut]), cut))
     for wrong in (record(6, b""), record(2, b""), record(5, bytes(21))):
-        with pytest.raises(Damage, match=r"belongs into no chunk|cut short"):
+        with pytest.raises(Damage, match=r"does not belong in a chunk|cut short"):
             list(messages_in(memoryview(wrong), len(wrong)))
 
 
-def test_given_more_records_than_bytes_when_read_then_the_chunk_is_refused(monkeypatch):
+def test_more_records_than_bytes_are_rejected(monkeypatch):
     monkeypatch.setattr(module, "FEW_RECORDS", 3)
     for stored in (0, 1, 2, 7):
         inside = memoryview(record(3, b"") * (4 + stored))

@@ -54,16 +54,14 @@ def theirs(compression):
 
 
 @pytest.mark.parametrize("compression", ["zstd", "lz4"])
-def test_given_the_same_content_when_written_then_the_bytes_are_those_of_the_packages_writer(
-    compression, monkeypatch
-):
+def test_writer_equals_the_package_writer(compression, monkeypatch):
     compressor = zstandard.ZstdCompressor(level=PACKING_LEVEL)
     monkeypatch.setattr("zstandard.compress", compressor.compress)
     assert ours(compression) == theirs(compression)
 
 
 @pytest.mark.parametrize("channels_first", [True, False])
-def test_given_messages_of_one_size_when_written_together_then_the_bytes_are_those_of_one_by_one(
+def test_batched_messages_equal_single_ones(
     channels_first,
 ):
     times, sequence, channels = np.array([7, 9, 2**63], np.uint64), np.arange(3), np.array([2, 1])
@@ -93,7 +91,7 @@ def test_given_messages_of_one_size_when_written_together_then_the_bytes_are_tho
     assert written[0] == written[1]
 
 
-def test_given_no_chunk_at_all_when_finished_then_the_file_can_be_read():
+def test_file_without_chunks_can_be_read():
     stream = BytesIO()
     ChunkedFile(stream, "test 1", "zstd").finish()
     summary = make_reader(BytesIO(stream.getvalue())).get_summary()

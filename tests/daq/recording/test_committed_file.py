@@ -1,4 +1,4 @@
-"""A recording that is to be replaced is there, whole, until the new one is."""
+"""A recording that is to be replaced is there, whole, until The new recording is."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def recorder(path: Path, overwrite: bool = True) -> Recorder:
     return Recorder(path, scene(), channels(), RATE, overwrite=overwrite)
 
 
-def test_given_a_recording_when_its_replacement_is_cut_off_then_both_can_be_had(path: Path) -> None:
+def test_killed_replacement_leaves_both_recordings(path: Path) -> None:
     # A process that is killed closes nothing; here nothing is closed either.
     cut_off = recorder(path)
     cut_off.write(NEW)
@@ -51,16 +51,14 @@ def test_given_a_recording_when_its_replacement_is_cut_off_then_both_can_be_had(
     assert path.with_name("run.mcap.part").exists() and not path.with_name("run.mcap.part2").exists()
 
 
-def test_given_a_recording_when_its_replacement_fails_before_a_sample_then_it_stays(path: Path) -> None:
+def test_failed_replacement_keeps_the_old_recording(path: Path) -> None:
     with pytest.raises(ZeroDivisionError), recorder(path):
         raise ZeroDivisionError
     assert np.allclose(volts(path), OLD, rtol=1e-15) and names(path) == ["run.mcap"]
 
 
 @pytest.mark.parametrize("overwrite", [True, False])
-def test_given_a_recording_being_made_when_another_wants_its_place_then_it_is_told(
-    tmp_path: Path, overwrite: bool
-) -> None:
+def test_second_recorder_of_a_file_is_rejected(tmp_path: Path, overwrite: bool) -> None:
     path = tmp_path / "run.mcap"
     with recorder(path, overwrite=False) as first:
         with pytest.raises(RecordingError, match="another process is recording" if overwrite else "exists"):
@@ -69,7 +67,7 @@ def test_given_a_recording_being_made_when_another_wants_its_place_then_it_is_to
     assert np.allclose(volts(path), NEW, rtol=1e-15)
 
 
-def test_given_a_whole_recording_when_nothing_can_be_recovered_into_its_place_then_it_stays(
+def test_failed_recovery_keeps_the_old_file(
     path: Path,
 ) -> None:
     bad = path.with_name("bad.mcap")
@@ -82,20 +80,20 @@ def test_given_a_whole_recording_when_nothing_can_be_recovered_into_its_place_th
     ]
 
 
-def test_given_a_device_when_recorded_or_recovered_to_then_it_is_refused_and_stays(path: Path) -> None:
+def test_device_is_rejected_as_target(path: Path) -> None:
     for act in (lambda: recorder(Path(os.devnull)), lambda: recover(path, os.devnull, overwrite=True)):
         with pytest.raises(RecordingError, match="no ordinary file"):
             act()
     assert Path(os.devnull).is_char_device()
 
 
-def test_recovered_file_is_kept_where_its_name_was_taken(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_recovered_file_survives_a_taken_name(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     target = write(path.with_name("fixed.mcap"), OLD)
 
     def taken(self: Path, other: Path) -> Path:
         raise PermissionError(13, "Permission denied")
 
     monkeypatch.setattr(Path, "replace", taken)
-    with pytest.raises(RunError, match=r"the new one is .*fixed\.mcap\.part"):
+    with pytest.raises(RunError, match=r"The new recording is .*fixed\.mcap\.part"):
         recover(path, target, overwrite=True)
     assert np.allclose(volts(path.with_name("fixed.mcap.part")), OLD, rtol=1e-15)

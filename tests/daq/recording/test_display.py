@@ -23,7 +23,7 @@ def display_of(tmp_path, samples, topic, **changes):
     return times, np.array([struct.unpack_from("<d", message.data, 20)[0] for message in found])
 
 
-def test_given_a_slow_and_a_fast_tone_when_displayed_then_the_slow_one_is_there_and_nothing_of_the_fast_one(
+def test_display_keeps_slow_tone_and_rejects_fast(
     tmp_path,
 ):
     t = np.arange(8000) / RATE
@@ -38,7 +38,7 @@ def test_given_a_slow_and_a_fast_tone_when_displayed_then_the_slow_one_is_there_
     assert times[-1] > (8000 - 12) / RATE
 
 
-def test_given_blocks_when_displayed_then_rms_and_peak_are_theirs(tmp_path):
+def test_levels_are_rms_and_peak_of_blocks(tmp_path):
     samples = noise(1000)
     for suffix, expected in (("rms", lambda x: np.sqrt(np.mean(x**2))), ("peak", lambda x: np.abs(x).max())):
         folder = tmp_path / suffix
@@ -48,7 +48,7 @@ def test_given_blocks_when_displayed_then_rms_and_peak_are_theirs(tmp_path):
         assert values == pytest.approx([expected(block) for block in blocks], rel=1e-12)
 
 
-def test_given_a_gap_when_displayed_then_the_waveform_stops_and_starts_afresh(tmp_path):
+def test_waveform_restarts_after_a_gap(tmp_path):
     with Recorder(tmp_path / "a.mcap", scene(recording={"display": True}), channels(), RATE) as recorder:
         recorder.write(np.ones((2, 2000)))
         recorder.gap(5000)
@@ -75,7 +75,7 @@ def transforms(path):
     return np.array([message.log_time for message in found]) * 1e-9, links
 
 
-def test_given_a_displacement_channel_when_drawn_then_its_body_stands_there_twenty_times_magnified(tmp_path):
+def test_displacement_channel_moves_its_body(tmp_path):
     t = np.arange(6000) / RATE
     volts = 1e-3 * 500.0 * np.sin(2 * np.pi * 10.0 * t)
     path = write(tmp_path / "a.mcap", np.array([volts, 0 * volts]), scene(recording={"display": True}))
@@ -92,7 +92,7 @@ def test_given_a_displacement_channel_when_drawn_then_its_body_stands_there_twen
     assert np.array(heights)[inside] - rest == pytest.approx(moved, abs=2e-5)
 
 
-def test_given_only_an_acceleration_when_drawn_then_its_body_moves_by_the_double_integral(tmp_path):
+def test_acceleration_alone_moves_its_body(tmp_path):
     t = np.arange(16000) / RATE
     w = 2 * np.pi * 10.0
     volts = -0.01 * w**2 * 1e-3 * np.sin(w * t)
@@ -104,7 +104,7 @@ def test_given_only_an_acceleration_when_drawn_then_its_body_moves_by_the_double
     assert links["body_3"][1] == pytest.approx([links["body_3"][1][0]] * times.size)
 
 
-def test_given_recorded_truth_when_drawn_then_dampers_ride_on_their_bodies(tmp_path):
+def test_dampers_rest_on_their_bodies(tmp_path):
     path = write(tmp_path / "a.mcap", noise(3000), scene(recording=ALL, **DAMPERS))
     times, links = transforms(path)
     parent, heights = links["damper_1"]
@@ -115,7 +115,7 @@ def test_given_recorded_truth_when_drawn_then_dampers_ride_on_their_bodies(tmp_p
     assert np.array(links["body_2"][1]) - links["body_2"][1][0] == pytest.approx(20.0 * true, abs=1e-9)
 
 
-def test_given_truth_no_longer_at_hand_when_drawn_then_everything_stays_where_it_was(tmp_path):
+def test_parts_without_truth_keep_their_place(tmp_path):
     path, of = tmp_path / "a.mcap", scene(recording=ALL, **DAMPERS)
     with Recorder(path, of, channels(), RATE) as recorder:
         recorder.write_truth(motion(0, 9000, dampers=1))
@@ -133,14 +133,14 @@ def test_given_truth_no_longer_at_hand_when_drawn_then_everything_stays_where_it
     assert gap[~held] == pytest.approx(20.0 * 1e-9 * samples[~held], abs=1e-12)
 
 
-def test_given_a_wide_cavity_when_drawn_then_the_exaggeration_is_smaller(tmp_path):
+def test_wide_cavity_has_smaller_exaggeration(tmp_path):
     wide = {"dampers": [{"body": 1, "mass_ratio": 0.1, "clearance": 0.02}]}
     path = write(tmp_path / "a.mcap", noise(1500), scene(recording=ALL, **wide))
     with daq.open(path) as recording:
         assert recording.metadata["display"]["exaggeration"] == "5"
 
 
-def test_given_a_recording_when_rerun_alone_loads_it_then_it_has_plots_and_the_moving_rig(tmp_path):
+def test_rerun_alone_loads_plots_and_moving_rig(tmp_path):
     from rerun.chunk import McapReader
 
     path = write(tmp_path / "a.mcap", noise(1500), scene(recording=ALL, **DAMPERS))
@@ -155,7 +155,7 @@ def test_given_a_recording_when_rerun_alone_loads_it_then_it_has_plots_and_the_m
     assert shapes == {"world", "body_1", "body_2", "body_3", "table", "damper_1"}
 
 
-def test_given_a_display_when_nothing_is_recorded_then_the_file_is_whole_and_empty_of_samples(tmp_path):
+def test_recording_without_samples_has_no_display(tmp_path):
     path = tmp_path / "empty.mcap"
     with Recorder(path, scene(recording={"display": True}), channels(), RATE):
         pass

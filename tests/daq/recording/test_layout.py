@@ -19,7 +19,7 @@ from rig.errors import RecordingError
 
 
 @pytest.mark.parametrize("rate", [1.0, 256.0, 5120.0, 51200.0 / 7, 51200.0, 1e6])
-def test_given_any_rate_when_blocks_are_sized_then_they_last_about_a_tenth_of_a_second(rate):
+def test_blocks_have_about_a_tenth_of_a_second(rate):
     block, flush = block_length(rate), flush_length(rate)
     assert block == 256 or 0.07 < block / rate < 0.15
     assert flush % block == 0
@@ -27,7 +27,7 @@ def test_given_any_rate_when_blocks_are_sized_then_they_last_about_a_tenth_of_a_
 
 
 @given(sample=st.integers(0, 2**50), rate=st.sampled_from([5120.0, 51200.0 / 31, 51200.0, 44100.0]))
-def test_given_any_sample_when_its_time_is_taken_then_the_nearest_sample_at_that_time_is_itself(sample, rate):
+def test_time_of_a_sample_leads_back_to_it(sample, rate):
     clock = Timebase(rate, start_ns=1_700_000_000_000_000_000)
     time = clock.time_ns(sample)
     if time < 2**64:
@@ -38,7 +38,7 @@ def test_given_any_sample_when_its_time_is_taken_then_the_nearest_sample_at_that
 
 
 @pytest.mark.parametrize("rate", [0.0, -1.0, float("nan"), float("inf")])
-def test_given_an_impossible_rate_when_a_clock_is_made_then_it_says_so(rate):
+def test_impossible_rate_is_rejected(rate):
     with pytest.raises(RecordingError, match="positive"):
         Timebase(rate)
 
@@ -46,14 +46,14 @@ def test_given_an_impossible_rate_when_a_clock_is_made_then_it_says_so(rate):
 @given(
     count=st.one_of(st.integers(0, 300), st.integers(2**14 - 9, 2**14 + 9), st.integers(2**21 - 9, 2**21 + 9))
 )
-def test_given_a_message_when_its_length_is_known_then_so_is_what_stands_before_its_samples(count):
+def test_size_prefix_follows_from_message_length(count):
     size = varint(count)
     assert _size_prefix(_HEAD.size + len(size) + count) == size
 
 
 @pytest.mark.parametrize("schema", SAMPLE_TYPE)
 @given(first=st.integers(0, 2**63 - 1), count=st.integers(0, 3000))
-def test_given_a_block_when_protobuf_reads_it_then_it_is_the_same_and_so_the_other_way(schema, first, count):
+def test_blocks_agree_with_protobuf(schema, first, count):
     samples = (np.arange(count) * 7 - 3).astype(SAMPLE_TYPE[schema])
     clock = Timebase(5120.0)
     message = message_class(block_schema(schema).data, schema)()
@@ -70,7 +70,7 @@ def test_given_a_block_when_protobuf_reads_it_then_it_is_the_same_and_so_the_oth
 
 
 @pytest.mark.parametrize("schema", SAMPLE_TYPE)
-def test_given_a_block_of_another_writer_with_zeros_left_out_when_decoded_then_it_is_whole(schema):
+def test_block_with_zero_fields_left_out_is_decoded(schema):
     message = message_class(block_schema(schema).data, schema)(sample_rate_hz=100.0, samples=[1, 2, 3])
     block = decode(memoryview(message.SerializeToString()), schema)
     assert (block.t0_ns, block.first_sample, block.rate, block.stop) == (0, 0, 100.0, 3)
@@ -78,7 +78,7 @@ def test_given_a_block_of_another_writer_with_zeros_left_out_when_decoded_then_i
 
 
 @given(data=st.binary(max_size=80))
-def test_given_random_bytes_when_decoded_as_a_block_then_there_is_a_block_or_a_clear_error(data):
+def test_random_bytes_decode_or_are_rejected(data):
     try:
         decode(memoryview(data), "shotrig.BlockFloat64")
     except RecordingError as error:
@@ -86,7 +86,7 @@ def test_given_random_bytes_when_decoded_as_a_block_then_there_is_a_block_or_a_c
 
 
 @pytest.mark.parametrize("tag", [0, 9, 18, 27])
-def test_given_any_other_byte_in_front_of_a_field_when_decoded_then_it_is_what_protobuf_makes_of_it(tag):
+def test_wrong_tag_decodes_as_protobuf_does(tag):
     schema = "shotrig.BlockFloat64"
     data = bytearray(encode(Timebase(5120.0), 512, np.arange(1.0, 5.0)[None, None]).tobytes())
     for byte in range(256):
@@ -104,7 +104,7 @@ def test_given_any_other_byte_in_front_of_a_field_when_decoded_then_it_is_what_p
             assert block.samples.tolist() == list(message.samples)
 
 
-def test_given_a_block_cut_within_a_sample_when_decoded_then_the_error_says_so():
+def test_block_cut_within_a_sample_is_rejected():
     data = encode(Timebase(5120.0), 0, np.arange(4.0)[None, None]).tobytes()
     cut = data[:25] + bytes([7]) + data[26:34]
     with pytest.raises(RecordingError, match="no"):
@@ -114,7 +114,7 @@ def test_given_a_block_cut_within_a_sample_when_decoded_then_the_error_says_so()
 @pytest.mark.parametrize(
     "schema", [*(block_schema(name) for name, _, _ in SCHEMAS.values()), TRANSFORMS_SCHEMA]
 )
-def test_given_a_protobuf_schema_when_read_back_then_it_describes_its_message_and_all_it_imports(schema):
+def test_protobuf_schema_describes_its_message(schema):
     files = descriptor_pb2.FileDescriptorSet.FromString(schema.data).file
     names = {file.name for file in files}
     assert all(set(file.dependency) <= names for file in files)
@@ -131,7 +131,7 @@ def test_given_a_protobuf_schema_when_read_back_then_it_describes_its_message_an
     )
 
 
-def test_given_a_number_when_encoded_as_cdr_then_it_lies_where_ros_readers_look():
+def test_number_is_encoded_for_ros_readers():
     data = encode_floats(np.array([[0.0, 1.0], [-2.5, 3.0]]))[1, 0].tobytes()
     assert data[:4] == b"\x00\x01\x00\x00"
     assert struct.unpack_from("<III", data, 4) == (0, 0, 1)
@@ -140,18 +140,18 @@ def test_given_a_number_when_encoded_as_cdr_then_it_lies_where_ros_readers_look(
     assert FLOAT_SCHEMA.data.count(b"MSG: ") == 2
 
 
-def test_given_a_text_when_encoded_as_cdr_then_its_length_counts_the_closing_zero():
+def test_cdr_text_length_counts_the_closing_zero():
     assert encode_text("ü")[4:] == struct.pack("<I", 3) + "ü".encode() + b"\0"
 
 
-def test_given_a_marker_with_numpy_fields_when_taken_through_json_then_it_is_the_same():
+def test_marker_with_numpy_fields_survives_json():
     marker = Marker("measure", 5, 9, {"force": np.float64(2.6), "levels": np.array([1.0, 2.0])})
     back = Marker.from_json(memoryview(marker.to_json()))
     assert (back.kind, back.first_sample, back.last_sample, back.end) == ("measure", 5, 9, 9)
     assert back.fields == {"force": 2.6, "levels": [1.0, 2.0]}
 
 
-def test_given_a_field_that_json_cannot_hold_when_marked_then_it_is_refused():
+def test_unsupported_marker_field_is_rejected():
     with pytest.raises(ValueError, match="JSON"):
         Marker("hit", 0, fields={"peak": float("nan")}).to_json()
     with pytest.raises(TypeError, match="marker"):
@@ -163,18 +163,18 @@ def test_given_a_field_that_json_cannot_hold_when_marked_then_it_is_refused():
     [b"", b"[]", b"{}", b"nonsense", b'{"kind":"a","first_sample":-1}', b'{"kind":"a","first_sample":true}',
      b'{"kind":"a","first_sample":5,"last_sample":4}', b"[" * 100_000, b'{"kind":1,"first_sample":0}'],
 )  # fmt: skip
-def test_given_what_is_no_marker_when_read_then_the_error_says_so(data):
+def test_malformed_marker_is_rejected(data):
     with pytest.raises(RecordingError, match="/markers"):
         Marker.from_json(memoryview(data))
 
 
-def test_given_an_event_when_taken_through_json_then_its_time_is_exact():
+def test_event_survives_json_exactly():
     time = 0.1 + 0.2
     assert event_from_json(memoryview(event_to_json(time, 2, "floor", 1e-17))) == (time, 2, "floor", 1e-17)
     with pytest.raises(RecordingError, match="/truth/events"):
         event_from_json(memoryview(b'{"time":"x"}'))
 
 
-def test_given_the_json_schemas_when_read_then_they_name_what_messages_must_have():
+def test_json_schemas_require_message_fields():
     assert json.loads(MARKER_SCHEMA.data)["required"] == ["kind", "first_sample", "last_sample"]
     assert json.loads(EVENT_SCHEMA.data)["required"] == ["time", "damper", "kind", "speed"]

@@ -13,7 +13,7 @@ from mcap.reader import make_reader
 
 import daq
 from daq.recording.committed_file import Disk
-from daq.recording.interrupts import held_back
+from daq.recording.interrupts import delayed_interrupt
 from daq.recording.recorder import Recorder
 from daq.recording.recovery import recover
 from daq.signal_chain.channel import ChannelInfo
@@ -47,15 +47,13 @@ def whole(tmp_path_factory):
 
 @settings(max_examples=12)
 @given(pieces=st.lists(st.integers(1, 3000), min_size=1, max_size=5))
-def test_given_any_split_into_writes_when_recorded_then_the_bytes_are_the_same(
-    whole, tmp_path_factory, pieces
-):
+def test_bytes_do_not_depend_on_the_split(whole, tmp_path_factory, pieces):
     path = tmp_path_factory.mktemp("split") / "split.mcap"
     write(path, noise(4000), scene(recording=ALL, **DAMPERS), pieces=pieces)
     assert path.read_bytes() == whole
 
 
-def test_given_marks_and_gaps_between_writes_when_split_otherwise_then_the_bytes_are_the_same(tmp_path):
+def test_marks_and_gaps_do_not_depend_on_split(tmp_path):
     samples = noise(3 * GROUP)
     for name, step in (("a", 3 * GROUP), ("b", 64)):
         with Recorder(tmp_path / name, scene(recording={"display": True}), channels(), RATE) as recorder:
@@ -69,7 +67,7 @@ def test_given_marks_and_gaps_between_writes_when_split_otherwise_then_the_bytes
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
 
 
-def test_given_a_recording_when_the_reference_reader_reads_it_then_times_and_numbers_follow_the_layout(
+def test_reference_reader_finds_the_layout(
     tmp_path,
 ):
     path = write(tmp_path / "a.mcap", noise(1500))
@@ -87,7 +85,7 @@ def test_given_a_recording_when_the_reference_reader_reads_it_then_times_and_num
     assert summary.statistics.attachment_count == 1
 
 
-def test_given_raw_topics_when_chunked_then_no_chunk_holds_two_of_them(tmp_path):
+def test_no_chunk_holds_two_raw_topics(tmp_path):
     path = write(tmp_path / "a.mcap", noise(4000), scene(recording=ALL))
     summary = summary_of(path)
     raw = {number for number, channel in summary.channels.items() if channel.topic.startswith("/raw/")}
@@ -96,7 +94,7 @@ def test_given_raw_topics_when_chunked_then_no_chunk_holds_two_of_them(tmp_path)
         assert len(held) == 1 or not held & raw
 
 
-def test_given_no_display_wanted_when_recorded_then_nothing_of_it_is_in_the_file(tmp_path):
+def test_recording_without_display_has_no_display_topics(tmp_path):
     path = write(tmp_path / "a.mcap", noise(3000))
     topics = {channel.topic for channel in summary_of(path).channels.values()}
     assert not [topic for topic in topics if topic.startswith(("/display", "/tf", "/robot", "/truth"))]
@@ -107,7 +105,7 @@ def test_given_no_display_wanted_when_recorded_then_nothing_of_it_is_in_the_file
 # -- what can go wrong -----------------------------------------------------------------------------------
 
 
-def test_given_an_existing_file_when_recorded_then_it_is_left_as_it_is_unless_asked(tmp_path):
+def test_existing_file_is_kept_unless_asked(tmp_path):
     path = tmp_path / "a.mcap"
     path.write_bytes(b"precious")
     with pytest.raises(RecordingError, match=r"a\.mcap exists"):
@@ -119,18 +117,18 @@ def test_given_an_existing_file_when_recorded_then_it_is_left_as_it_is_unless_as
         assert recording.samples == 10
 
 
-def test_given_no_folder_when_recorded_then_the_error_names_it(tmp_path):
+def test_missing_folder_is_named_by_the_recorder(tmp_path):
     with pytest.raises(RecordingError, match=r"no folder .*missing"):
         Recorder(tmp_path / "missing" / "a.mcap", scene(), channels(), RATE)
 
 
-def test_given_a_file_as_folder_when_recorded_then_the_error_is_clear(tmp_path):
+def test_file_as_folder_is_rejected(tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(RecordingError, match=r"cannot make .*directory"):
         Recorder(tmp_path / "file" / "a.mcap", scene(), channels(), RATE)
 
 
-def test_given_a_folder_that_may_not_be_written_when_recorded_then_the_error_is_clear(tmp_path):
+def test_write_protected_folder_is_rejected(tmp_path):
     # Made before, as nobody may read a checkout that lies in a private folder.
     given = scene(), channels()
     tmp_path.chmod(0o500)
@@ -146,7 +144,7 @@ def test_given_a_folder_that_may_not_be_written_when_recorded_then_the_error_is_
         tmp_path.chmod(0o700)
 
 
-def test_given_a_disk_that_refuses_when_recorded_then_all_that_was_flushed_can_be_recovered(tmp_path):
+def test_failing_disk_leaves_flushed_samples(tmp_path):
     samples, path = noise(20 * GROUP), tmp_path / "a.mcap"
     with pytest.raises(RunError, match="daq recover"), Recorder(path, scene(), channels(), RATE) as recorder:
         for group in range(20):
@@ -163,7 +161,7 @@ def test_given_a_disk_that_refuses_when_recorded_then_all_that_was_flushed_can_b
         assert recording.read("body1") == pytest.approx(samples[0, : 7 * GROUP] / 500.0, rel=1e-15)
 
 
-def test_given_a_disk_that_fills_up_when_recorded_then_the_recording_is_ended_in_time(tmp_path, monkeypatch):
+def test_full_disk_ends_the_recording_in_time(tmp_path, monkeypatch):
     samples, path = noise(5 * GROUP), tmp_path / "a.mcap"
     usage = shutil.disk_usage(tmp_path)
     said = pytest.raises(RunError, match=r"disk is full.*first 1\.50 s")
@@ -194,7 +192,7 @@ def test_full_disk_is_reported_once(tmp_path, monkeypatch):
     ("error", "status"),
     [(KeyboardInterrupt("stopped by hand"), "interrupted"), (RuntimeError("odd"), "failed")],
 )
-def test_given_an_exception_when_recording_then_the_file_is_whole_and_says_why(tmp_path, error, status):
+def test_exception_closes_the_file_with_its_reason(tmp_path, error, status):
     with pytest.raises(type(error)), Recorder(tmp_path / "a.mcap", scene(), channels(), RATE) as recorder:
         recorder.write(noise(1000))
         raise error
@@ -203,7 +201,7 @@ def test_given_an_exception_when_recording_then_the_file_is_whole_and_says_why(t
         assert (recording.status, recording.metadata["outcome"]["reason"]) == (status, str(error))
 
 
-def test_given_a_scene_that_cannot_be_written_when_recorded_then_no_file_is_left(tmp_path):
+def test_unwritable_scene_leaves_no_file(tmp_path):
     class Unwritable:
         recording = scene().recording
         converter = scene().converter
@@ -216,16 +214,16 @@ def test_given_a_scene_that_cannot_be_written_when_recorded_then_no_file_is_left
     assert list(tmp_path.iterdir()) == []
 
 
-def test_given_ctrl_c_while_a_group_is_written_when_held_back_then_it_comes_right_after():
+def test_interrupt_waits_for_the_end_of_a_group():
     reached = []
-    with pytest.raises(KeyboardInterrupt), held_back():
+    with pytest.raises(KeyboardInterrupt), delayed_interrupt():
         signal.raise_signal(signal.SIGINT)
         reached.append("end")
     assert reached == ["end"]
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
-def test_given_wrong_calls_when_recording_then_they_are_refused(tmp_path):
+def test_wrong_recorder_calls_are_rejected(tmp_path):
     recorder = Recorder(tmp_path / "a.mcap", scene(), channels(), RATE)
     with pytest.raises(ValueError, match=r"\(2, n\)"):
         recorder.write(np.zeros((3, 10)))
@@ -242,7 +240,7 @@ def test_given_wrong_calls_when_recording_then_they_are_refused(tmp_path):
 def test_samples_without_their_truth_are_refused(tmp_path):
     of = scene(recording={"truth": True})
     with (
-        pytest.raises(RunError, match="write it before the samples"),
+        pytest.raises(RunError, match="Write it before the samples"),
         Recorder(tmp_path / "a.mcap", of, channels(), RATE) as recorder,
     ):
         recorder.write(noise(10))
@@ -275,19 +273,19 @@ def test_each_group_is_on_disk_once_complete(tmp_path, truth, monkeypatch):
     recorders[0].close()
 
 
-def test_given_truth_out_of_order_when_recording_then_it_is_refused(tmp_path):
+def test_truth_out_of_order_is_rejected(tmp_path):
     with Recorder(tmp_path / "a.mcap", scene(recording={"truth": True}), channels(), RATE) as recorder:
         recorder.write_truth(motion(0, 100))
-        with pytest.raises(ValueError, match="from sample 100 on"):
+        with pytest.raises(ValueError, match="from sample 50 on; expected 100"):
             recorder.write_truth(motion(50, 100))
 
 
-def test_given_volts_where_counts_are_wanted_when_recorded_then_the_error_says_what_to_do(tmp_path):
+def test_volts_for_counts_name_the_remedy(tmp_path):
     with pytest.raises(RunError, match="bits"):
         write(tmp_path / "a.mcap", noise(10), scene(recording={"samples": "counts"}, **BITS))
 
 
-def test_given_a_converter_with_bits_when_recorded_then_daq_and_sensors_are_described(tmp_path):
+def test_converter_and_sensors_are_described(tmp_path):
     info = [ChannelInfo("a", "body 1", "force", 2.0, RATE, volts_per_count=0.5, sensor={"model": "X"})]
     with Recorder(tmp_path / "a.mcap", scene(**BITS), info, RATE) as recorder:
         recorder.write(np.array([[1, 2, -3]], np.int32))

@@ -15,11 +15,11 @@ import daq
 from daq.mcap_file.chunk import Damage, messages_in, unpack_chunk
 from daq.mcap_file.reader import Container
 from daq.mcap_file.writer import ChunkedFile
-from daq.recording.info import describe
 from daq.recording.markers import Marker, event_from_json
 from daq.recording.sample_block import decode, encode
 from daq.recording.timebase import Timebase
 from daq.signal_chain.channel import ChannelInfo
+from daq.viewing.description import describe
 from rig.errors import RecordingError, naming
 from rig.escaping import is_line
 from tests.daq.recording.recordings import GROUP, signal, write
@@ -41,9 +41,7 @@ SOUND = ChannelInfo(
 
 
 @given(st.sampled_from(sorted(SOUND)), ODD)
-def test_given_odd_metadata_when_a_channel_is_made_of_them_then_it_is_sound_or_refused(
-    key: str, odd: Any
-) -> None:
+def test_odd_channel_metadata_is_sound_or_rejected(key: str, odd: Any) -> None:
     try:
         info = ChannelInfo.from_metadata(SOUND | {key: json.dumps(odd)})
     except RecordingError as error:
@@ -56,7 +54,7 @@ def test_given_odd_metadata_when_a_channel_is_made_of_them_then_it_is_sound_or_r
 @given(
     st.sampled_from(["kind", "first_sample", "last_sample", "frequency", "settled", "channels", "lines"]), ODD
 )
-def test_given_an_odd_marker_when_read_then_it_is_sound_or_refused(key: str, odd: Any) -> None:
+def test_odd_marker_is_sound_or_rejected(key: str, odd: Any) -> None:
     sound = {"kind": "measure", "first_sample": 1, "last_sample": 2, "frequency": 20.0, "settled": True}
     try:
         marker = Marker.from_json(memoryview(json.dumps(sound | {key: odd}).encode()))
@@ -65,12 +63,12 @@ def test_given_an_odd_marker_when_read_then_it_is_sound_or_refused(key: str, odd
         return
     assert 0 <= marker.first_sample <= marker.end < 2**54
     assert float(marker.fields["frequency"]) > 0.0 and isinstance(marker.fields["settled"], bool)
-    with pytest.raises(RecordingError, match="says nothing of its duration"):
+    with pytest.raises(RecordingError, match="lacks the field duration"):
         marker.fields["duration"]
 
 
 @given(st.sampled_from(["time", "damper", "kind", "speed"]), ODD)
-def test_given_an_odd_change_of_contact_when_read_then_it_is_sound_or_refused(key: str, odd: Any) -> None:
+def test_odd_change_of_contact_is_sound_or_rejected(key: str, odd: Any) -> None:
     event = {"time": 0.1, "damper": 1, "kind": "floor", "speed": 0.2} | {key: odd}
     try:
         time, damper, kind, speed = event_from_json(memoryview(json.dumps(event).encode()))
@@ -128,7 +126,7 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write(tmp_path_factory.mktemp("sound") / "a.mcap", signal(4 * GROUP))
 
 
-def test_given_our_layout_without_checksums_when_read_then_it_is_damage(sound: Path) -> None:
+def test_our_layout_requires_checksums(sound: Path) -> None:
     with daq.open(rewritten(sound)) as recording:
         assert np.isfinite(recording.read("body1")).all()
     with (
@@ -139,7 +137,7 @@ def test_given_our_layout_without_checksums_when_read_then_it_is_damage(sound: P
 
 
 @pytest.mark.parametrize("shift", [2**27, 2**40])
-def test_given_a_void_when_the_whole_is_read_then_it_is_told_at_once(sound: Path, shift: int) -> None:
+def test_void_is_reported_at_once(sound: Path, shift: int) -> None:
     with daq.open(rewritten(sound, shift=shift)) as recording:
         assert np.isfinite(recording.read("body1", 0, GROUP)).all()
         for act in (lambda: recording.read("body1"), lambda: list(recording.blocks())):
@@ -149,7 +147,7 @@ def test_given_a_void_when_the_whole_is_read_then_it_is_told_at_once(sound: Path
 
 
 @pytest.mark.parametrize("shift", [1, 2**27, 2**40])
-def test_given_samples_missing_without_a_marker_when_checked_then_it_is_told(sound: Path, shift: int) -> None:
+def test_unmarked_missing_samples_are_reported(sound: Path, shift: int) -> None:
     with daq.open(rewritten(sound, shift=shift)) as recording:
         first, stop = 3 * GROUP, 3 * GROUP + shift
         with pytest.raises(
@@ -159,13 +157,13 @@ def test_given_samples_missing_without_a_marker_when_checked_then_it_is_told(sou
             recording.check()
 
 
-def test_given_a_chunk_that_packs_too_well_when_read_then_it_is_refused() -> None:
+def test_chunk_that_packs_too_well_is_rejected() -> None:
     import struct
 
     many = struct.pack("<BQHIQQ", 5, 22, 1, 0, 0, 0) * 2000
     with pytest.raises(Damage, match="more than"):
         list(messages_in(memoryview(many), stored=100))
-    with pytest.raises(Damage, match="no chunk"):
+    with pytest.raises(Damage, match="does not belong in a chunk"):
         list(messages_in(memoryview(struct.pack("<BQ", 0xEE, 0)), stored=100))
     huge = struct.pack("<QQQII", 0, 0, 1 << 25, 0, 4) + b"zstd" + struct.pack("<Q", 8) + bytes(8)
     with pytest.raises(Damage, match="claims to unpack"):
@@ -173,7 +171,7 @@ def test_given_a_chunk_that_packs_too_well_when_read_then_it_is_refused() -> Non
 
 
 @pytest.mark.parametrize("said", ["a message is no marker", "r.mcap is damaged"])
-def test_given_an_error_that_passes_several_readers_when_told_then_the_file_is_named_once(said: str) -> None:
+def test_nested_error_names_the_file_once(said: str) -> None:
     path = Path("r.mcap")
     with pytest.raises(RecordingError) as told, naming(path), naming(path):
         raise RecordingError(said)

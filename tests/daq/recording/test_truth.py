@@ -16,7 +16,7 @@ def recorded(tmp_path, *dampers):
     return daq.open(daq.record(scene, tmp_path / "a.mcap"))
 
 
-def test_given_held_dampers_when_recorded_with_truth_then_they_stay_on_their_floors_in_rows_of_their_own(
+def test_held_dampers_have_truth_on_their_floors(
     tmp_path,
 ):
     locked = "{body: 1, mass: 50 g, clearance: 1 mm, locked: true}"
@@ -31,7 +31,7 @@ def test_given_held_dampers_when_recorded_with_truth_then_they_stay_on_their_flo
         assert set(rec.events["damper"]) == {2}
 
 
-def test_given_contact_that_lasts_when_recorded_with_truth_then_its_touches_and_releases_are_read(tmp_path):
+def test_finite_contacts_record_touch_and_release(tmp_path):
     with recorded(tmp_path, "{body: 2, mass: 50 g, clearance: 1 mm, contact: {duration: 2 ms}}") as rec:
         rec.check()
         assert {"touch", "release"} <= set(rec.events["kind"])

@@ -13,11 +13,11 @@ from rerun.chunk import RrdReader
 
 import daq
 from daq.instrument.connecting import connect_scene
-from daq.replay.outputs import recording_stream
 from daq.server.grpc_channel import open_channel
 from daq.server.live import LiveRecording, LiveView
 from daq.server.serve import Certificates, _endpoint, _is_loopback, parse_address
 from daq.server.service import Server
+from daq.viewing.outputs import recording_stream
 from rig.errors import SceneError
 
 

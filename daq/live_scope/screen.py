@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from daq.drawing.rig_view import Extremes, RigPose, RigView, exaggeration
 from daq.excitation.manual_tone import ToneReading
-from daq.replay.blueprint import live_layout
-from daq.replay.viewer_stream import Traces, plots
+from daq.viewing.blueprint import live_layout
+from daq.viewing.viewer_stream import Traces, plots
 from rig.escaping import markdown
 
 if TYPE_CHECKING:

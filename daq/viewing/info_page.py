@@ -10,7 +10,7 @@ from rig.escaping import fenced, markdown
 if TYPE_CHECKING:
     from daq.drawing.rig_view import RigView
     from daq.recording.recording import Recording
-    from daq.replay.recorded_motion import RecordedMotion
+    from daq.viewing.recorded_motion import RecordedMotion
 
 
 def about(recording: Recording, motion: RecordedMotion, view: RigView) -> str:

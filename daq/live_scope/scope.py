@@ -14,18 +14,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.excitation.manual_tone import HandTone, Knobs, ToneReading
+from daq.live_scope.screen import Screen, sentence
 from daq.measurement.run import MeasurementRun
 from daq.recording.recorded_test import TestKind
-from daq.replay.outputs import recording_stream
-from daq.scope.screen import Screen, sentence
 from daq.signal_chain.bench import Bench
+from daq.viewing.outputs import recording_stream, server, window
 from rig.errors import SceneError
+from rig.input_files import path_of
+from rig.scene.loading import SceneLike, load
 
 if TYPE_CHECKING:
     import rerun as rr
 
-    from daq.replay.rerun_viewer import Viewer
     from daq.signal_chain.bench import AcquiredBlock
+    from daq.viewing.rerun_viewer import Viewer
     from rig.scene.scene import Scene
 
 BLOCK_S = 0.04
@@ -70,7 +72,7 @@ class Pace:
             self.given_up_s -= early
 
 
-def scope(
+def record_live(
     scene: Scene,
     path: Path,
     stream: rr.RecordingStream,
@@ -155,6 +157,50 @@ def listen(knobs: Knobs, lines: TextIO, report: Callable[[str], None]) -> None:
     threading.Thread(target=obey, name="operator", daemon=True).start()
 
 
+def scope(
+    scene: SceneLike,
+    path: str | Path,
+    *,
+    frequency: float | None = None,
+    force: float = 0.0,
+    web: bool = False,
+    overwrite: bool = False,
+) -> Path:
+    """Run a rig in real time under the operator's hands, with a viewer, and record it.
+
+    Parameters
+    ----------
+    scene : Scene, str, Path or mapping
+        The rig; its test is not run.
+    path : str or Path
+        Recording to write (MCAP).
+    frequency : float, optional
+        Initial drive frequency, Hz; by default that of the scene's test, or of the lowest mode.
+    force : float
+        Initial force amplitude, N.
+    web : bool
+        Whether to show it in a browser on this machine instead of a window.
+    overwrite : bool
+        Whether an existing file may be replaced.
+
+    Returns
+    -------
+    Path
+        The recording. It ends when the viewer is closed, at Ctrl-C, or when standard input ends.
+
+    Raises
+    ------
+    SceneError
+        If the rig has no shaker, or the channels do not give the spring force.
+    RunError
+        If there is no display, a channel exceeds its abort limit, or the recording cannot be written.
+    """
+    what, target = load(scene), path_of(path)
+    knobs = knobs_for(what, frequency, force)
+    live(what, target, knobs, server(say) if web else window("use --web to look with a browser"), overwrite)
+    return target
+
+
 def live(
     scene: Scene, path: Path, knobs: Knobs, viewing: AbstractContextManager[Viewer], overwrite: bool
 ) -> None:
@@ -163,7 +209,7 @@ def live(
     Parameters
     ----------
     scene, path, knobs, overwrite
-        As `scope` takes them.
+        As `record_live` takes them.
     viewing : context manager
         The viewer; closing it turns the knobs off.
     """
@@ -182,7 +228,7 @@ def live(
         say(f"{Knobs.HELP}; recording to {path}")
         listen(knobs, sys.stdin, say)
         try:
-            scope(scene, path, stream, knobs, say, keep, overwrite)
+            record_live(scene, path, stream, knobs, say, keep, overwrite)
         except KeyboardInterrupt as interrupt:
             # Ctrl-C is as good a way to end as any, once the recording is closed.
             if not interrupt.args:

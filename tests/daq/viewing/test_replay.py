@@ -11,13 +11,14 @@ from rerun.chunk import RrdReader
 
 import daq
 import rig
+from daq.recording.displacement import HIGH_PASS_HZ
 from daq.recording.recorder import Recorder
-from daq.replay.marker_log import phases
-from daq.replay.outputs import save
-from daq.replay.recorded_motion import HIGH_PASS_HZ, RecordedMotion
-from daq.replay.replay import Replay
-from daq.replay.viewer_stream import entity
 from daq.signal_chain.chain import Chain
+from daq.viewing.marker_log import phases
+from daq.viewing.outputs import save
+from daq.viewing.recorded_motion import RecordedMotion
+from daq.viewing.replay import Replay
+from daq.viewing.viewer_stream import entity
 from rig.errors import RunError, SceneError
 from rig.provenance import overwriting
 
@@ -76,16 +77,14 @@ def written(recorded, tmp_path_factory):
     return Read(path)
 
 
-def test_given_a_recording_when_saved_then_channels_are_there_at_full_rate_sample_for_sample(
-    recording, written
-):
+def test_saved_channels_have_every_sample(recording, written):
     for name in recording.channels:
         time, shown_mm = written.series(f"/channels/displacement/{name}", "scalars")
         np.testing.assert_allclose(time, np.arange(recording.samples) / recording.rate, atol=1e-9)
         np.testing.assert_array_equal(shown_mm, 1e3 * recording.read(name))
 
 
-def test_given_truth_when_saved_then_gaps_and_contacts_are_those_that_were_recorded(recording, written):
+def test_saved_gaps_and_contacts_match_truth(recording, written):
     time, gap_mm = written.series("/dampers/gap_mm/damper_1", "scalars")
     np.testing.assert_array_equal(gap_mm, 1e3 * recording.truth("gap")[0])
     assert gap_mm.max() == pytest.approx(0.98, rel=1e-6), "the damper should have reached its ceiling"
@@ -96,7 +95,7 @@ def test_given_truth_when_saved_then_gaps_and_contacts_are_those_that_were_recor
     assert set(states) == {"flight", "floor", "ceiling"}
 
 
-def test_given_displacement_channels_when_saved_then_the_drawn_rig_moves_as_they_read(recording, written):
+def test_drawn_rig_follows_displacement_channels(recording, written):
     replay = Replay(recording)
     frames = np.arange(0, recording.samples, replay.step)
     assert 500 <= recording.rate / replay.step <= 1100
@@ -111,7 +110,7 @@ def test_given_displacement_channels_when_saved_then_the_drawn_rig_moves_as_they
     np.testing.assert_allclose(gap[:, 2], true, atol=1e-6)
 
 
-def test_given_a_recording_when_saved_then_marks_and_the_page_of_text_tell_what_it_is(recording, written):
+def test_saved_replay_has_markers_and_description(recording, written):
     (mark,) = (mark for mark in recording.markers if mark.kind == "measure")
     times, texts = written.series("/test/marks", "text")
     (at,) = (place for place, text in enumerate(texts) if text.startswith("measure"))
@@ -125,14 +124,14 @@ def test_given_a_recording_when_saved_then_marks_and_the_page_of_text_tell_what_
     assert "0.98 mm" in page
 
 
-def test_given_a_part_of_a_recording_when_saved_then_only_that_part_is_there(recording, tmp_path):
+def test_only_the_chosen_part_is_saved(recording, tmp_path):
     save(Replay(recording, 0.5, 0.6), tmp_path / "part.rrd")
     time, _ = Read(tmp_path / "part.rrd").series("/channels/displacement/body1", "scalars")
     assert time[0] == pytest.approx(0.5)
     assert time[-1] == pytest.approx(0.6)
 
 
-def test_given_lost_samples_when_saved_then_curves_have_a_hole_and_the_rig_stands_still(recording, tmp_path):
+def test_lost_samples_leave_a_hole_in_curves(recording, tmp_path):
     path, lost = tmp_path / "gap.mcap", range(1000, 1600)
     scene = recording.scene.replace(dampers=(), recording={"truth": False, "display": False})
     infos = list(recording.channels.values())
@@ -154,7 +153,7 @@ def test_given_lost_samples_when_saved_then_curves_have_a_hole_and_the_rig_stand
         assert any("gap" in text for text in rows.series("/test/marks", "text")[1])
 
 
-def test_given_accelerations_only_when_replayed_then_the_motion_is_integrated_and_said_to_be(tmp_path):
+def test_accelerations_are_integrated_and_described(tmp_path):
     scene = rig.load("bare-structure").replace(
         channels=None,
         shaker={"kind": "table", "body": 1, "spring": "6.6 kN/m"},
@@ -187,14 +186,12 @@ def test_given_accelerations_only_when_replayed_then_the_motion_is_integrated_an
         (None, None, 0.0, "--speed 0"),
     ],
 )
-def test_given_a_part_or_speed_that_cannot_be_when_replayed_then_the_error_says_so(
-    recording, begin, end, speed, said
-):
+def test_impossible_part_or_speed_is_rejected(recording, begin, end, speed, said):
     with pytest.raises(SceneError, match=said):
         Replay(recording, begin, end, speed)
 
 
-def test_given_a_name_that_is_no_rrd_when_saved_then_nothing_is_overwritten(recording, recorded):
+def test_wrong_ending_overwrites_nothing(recording, recorded):
     before = recorded.read_bytes()
     with pytest.raises(SceneError, match=r"ends in \.rrd"):
         save(Replay(recording), recorded)
@@ -203,9 +200,7 @@ def test_given_a_name_that_is_no_rrd_when_saved_then_nothing_is_overwritten(reco
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no limits to the size of a file")
 @pytest.mark.parametrize("most", [10, 30_000])
-def test_given_a_disk_that_takes_no_more_when_saved_then_it_says_so_and_leaves_what_was_there(
-    recording, tmp_path, most, capfd
-):
+def test_full_disk_keeps_the_old_replay_file(recording, tmp_path, most, capfd):
     import resource
 
     (tmp_path / "x.rrd").write_text("before")
@@ -227,12 +222,12 @@ def test_a_file_that_exists_is_not_replaced(recording, tmp_path):
     assert (tmp_path / "x.rrd").read_text(encoding="utf-8") == "before"
 
 
-def test_given_no_folder_when_saved_then_the_error_names_it(recording, tmp_path):
+def test_missing_folder_is_named_by_the_replay(recording, tmp_path):
     with pytest.raises(RunError, match="there is no folder"):
         save(Replay(recording), tmp_path / "nowhere" / "x.rrd")
 
 
-def test_given_hits_when_phases_are_shown_then_each_lasts_to_the_next_and_overloads_do_not_cut_it(tmp_path):
+def test_hits_last_to_the_next_despite_overloads(tmp_path):
     scene = rig.load("bare-structure").replace(shaker=None, test=None)
     path = tmp_path / "hits.mcap"
     channels = Chain(scene, 5120.0, ["body 1", "body 2", "body 3"]).channels
@@ -246,7 +241,7 @@ def test_given_hits_when_phases_are_shown_then_each_lasts_to_the_next_and_overlo
     assert found == [("hit 1", 512, 2560), ("hit 2", 2560, 5120)]
 
 
-def test_given_an_overloaded_channel_when_saved_then_a_lane_shows_when(tmp_path):
+def test_overloaded_channel_has_a_lane(tmp_path):
     scene = rig.load("bare-structure").replace(shaker=None, test=None)
     channels = Chain(scene, 5120.0, ["body 1", "body 2", "body 3"]).channels
     with Recorder(tmp_path / "overload.mcap", scene, channels, 5120.0) as recorder:
@@ -260,12 +255,12 @@ def test_given_an_overloaded_channel_when_saved_then_a_lane_shows_when(tmp_path)
     assert shown == {0.1: "0", 0.2: "none", 0.8: "1", 0.850195: "none"}
 
 
-def test_given_a_name_with_spaces_and_slashes_when_it_becomes_an_entity_then_it_is_one_part_of_its_path():
+def test_entity_of_odd_name_is_one_path_part():
     assert entity("acceleration", "top left/2") == r"/channels/acceleration/top\ left\/2"
 
 
 @pytest.mark.parametrize("change", [{"structure": "more"}, {"dampers": "more"}])
-def test_given_truth_of_another_rig_than_the_scene_when_replayed_then_it_is_left_aside(change, recording):
+def test_truth_of_another_rig_is_ignored(change, recording):
     scene = recording.scene
     if "structure" in change:
         springs = {"masses": [1.0] * 4, "springs": [1e4] * 4}

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.drawing.palette import body_colour, channel_colour
-from daq.replay.blueprint import TIMELINE
+from daq.viewing.blueprint import TIMELINE
 
 if TYPE_CHECKING:
     import rerun as rr

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq.drawing.rig_view import RigPose
-from daq.recording.displacement import HIGH_PASS_HZ, DisplacementEstimate
+from daq.recording.displacement import DisplacementEstimate, motion_sources
 from daq.recording.truth import points_of
 
 if TYPE_CHECKING:
@@ -20,59 +19,21 @@ if TYPE_CHECKING:
 BLOCK = 1 << 16
 
 
-@dataclass(frozen=True)
-class MotionSource:
-    """Where the displacement of one point comes from."""
-
-    point: str  # 'body 1', ..., 'table'
-    channel: str | None
-    """The channel it is read from; None for truth and for a point nobody watched."""
-    quantity: str
-    """'displacement', 'velocity', 'acceleration', 'truth' or 'nothing'."""
-
-    @property
-    def sentence(self) -> str:
-        """Notes for the viewer."""
-        if self.quantity == "truth":
-            return "recorded truth"
-        if self.quantity == "nothing":
-            return "not measured, drawn at rest"
-        if self.quantity == "displacement":
-            return f"channel {self.channel}"
-        times = {"velocity": "once", "acceleration": "twice"}[self.quantity]
-        return (
-            f"channel {self.channel}, {self.quantity} integrated {times} (high-passed at {HIGH_PASS_HZ:g} Hz)"
-        )
-
-
 class RecordedMotion:
     """Displacements of bodies and table, and the dampers' gaps, read from a recording in stretches.
-
-    A displacement channel is preferred, then recorded truth, then a velocity or acceleration channel that is
-    integrated here.
 
     Parameters
     ----------
     recording : Recording
-        Its scene says which points there are.
+        Its scene determines the points.
     """
 
     def __init__(self, recording: Recording) -> None:
         self.recording = recording
         scene = recording.scene
-        self.sources = tuple(self._source(point) for point in points_of(scene))
+        channels = list(recording.channels.values())
+        self.sources = motion_sources(points_of(scene), channels, recording.has_truth)
         self.gaps_known = bool(scene.dampers) and recording.has_truth
-
-    def _source(self, point: str) -> MotionSource:
-        at = {info.quantity: name for name, info in self.recording.channels.items() if info.at == point}
-        if "displacement" in at:
-            return MotionSource(point, at["displacement"], "displacement")
-        if self.recording.has_truth:
-            return MotionSource(point, None, "truth")
-        for quantity in ("velocity", "acceleration"):
-            if quantity in at:
-                return MotionSource(point, at[quantity], quantity)
-        return MotionSource(point, None, "nothing")
 
     def stretches(self, start: int, stop: int, step: int) -> Iterator[tuple[NDArray[np.int64], RigPose]]:
         """Yield sample numbers and the motion there, for every `step`-th sample of [start, stop).

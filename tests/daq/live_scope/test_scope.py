@@ -14,13 +14,13 @@ import pytest
 from rerun.chunk import RrdReader
 
 import daq
-import daq.replay.outputs
+import daq.viewing.outputs
 import rig
 from analysis.responses.frequency_responses import frequency_responses
 from daq.cli import main
 from daq.excitation.manual_tone import Knobs
-from daq.replay.outputs import recording_stream
-from daq.scope.scope import knobs_for, scope
+from daq.live_scope.scope import knobs_for, record_live
+from daq.viewing.outputs import recording_stream
 from rig.errors import RunError, SceneError
 from rig.system.structural_model import receptance
 
@@ -44,7 +44,7 @@ def run_scope(scene, folder, plan, **options):
 
     with recording_stream() as stream:
         stream.save(folder / "scope.rrd")
-        path = scope(scene, folder / "scope.mcap", stream, knobs, told.append, keep, **options)
+        path = record_live(scene, folder / "scope.mcap", stream, knobs, told.append, keep, **options)
         stream.flush()
     return path, told
 
@@ -57,7 +57,7 @@ def turned(tmp_path_factory):
     return folder, path, told
 
 
-def test_given_knobs_turned_when_running_then_each_setting_is_reached_held_and_marked(turned):
+def test_turned_knobs_are_reached_held_and_marked(turned):
     _, path, told = turned
     k0 = SCENE.shaker.spring
     with daq.open(path) as recording:
@@ -77,7 +77,7 @@ def test_given_knobs_turned_when_running_then_each_setting_is_reached_held_and_m
     assert [line.split(" held")[0].split(" Hz")[0] for line in told] == ["12", "12", "20.5"]
 
 
-def test_given_a_run_when_shown_then_curves_and_rig_are_those_of_the_recording(turned):
+def test_shown_curves_and_rig_match_the_recording(turned):
     folder, path, _ = turned
     values, frames, pages = [], 0, []
     for chunk in RrdReader(folder / "scope.rrd").stream():
@@ -102,16 +102,14 @@ def interrupt(*ignored):
     signal.raise_signal(signal.SIGINT)
 
 
-def test_given_a_held_tone_when_interrupted_then_it_is_marked_up_to_the_ramp_and_nothing_else_is_said(
-    tmp_path, monkeypatch
-):
+def test_interrupted_tone_is_marked_up_to_the_ramp(tmp_path, monkeypatch):
     unheard = []
     monkeypatch.setattr(sys, "unraisablehook", unheard.append)
     scene = SCENE.replace(test={"kind": "sine", "frequency": 12.0, "force": 1.5})
     knobs = knobs_for(scene, None, 1.5)
     with recording_stream() as stream, pytest.raises(KeyboardInterrupt, match="holds the"):
         stream.save(tmp_path / "scope.rrd")
-        scope(scene, tmp_path / "scope.mcap", stream, knobs, interrupt, lambda position: None)
+        record_live(scene, tmp_path / "scope.mcap", stream, knobs, interrupt, lambda position: None)
     gc.collect()
     assert unheard == []
     with daq.open(tmp_path / "scope.mcap") as recording:
@@ -127,20 +125,18 @@ def test_given_a_held_tone_when_interrupted_then_it_is_marked_up_to_the_ramp_and
         assert curve.frequency.tolist() == [12.0]
 
 
-def test_given_a_file_that_exists_when_scoped_with_a_force_then_nothing_goes_wrong_beside_the_refusal(
-    tmp_path, monkeypatch
-):
+def test_scope_rejects_existing_file_before_the_force(tmp_path, monkeypatch):
     unheard = []
     monkeypatch.setattr(sys, "unraisablehook", unheard.append)
     (tmp_path / "scope.mcap").write_bytes(b"precious")
     with recording_stream() as stream, pytest.raises(rig.errors.RecordingError, match="exists"):
         knobs = knobs_for(SCENE, None, 2.0)
-        scope(SCENE, tmp_path / "scope.mcap", stream, knobs, str, lambda position: None)
+        record_live(SCENE, tmp_path / "scope.mcap", stream, knobs, str, lambda position: None)
     gc.collect()
     assert unheard == []
 
 
-def test_given_a_force_shaker_when_scoped_then_the_force_itself_is_turned(tmp_path):
+def test_force_shaker_sets_the_force_itself(tmp_path):
     scene = SCENE.replace(shaker={"kind": "force", "body": 1})
     path, _ = run_scope(scene, tmp_path, {0.1: "F 2", 4.0: "q"})
     with daq.open(path) as recording:
@@ -148,23 +144,21 @@ def test_given_a_force_shaker_when_scoped_then_the_force_itself_is_turned(tmp_pa
         assert held.fields["level"] == held.fields["drive"] == 2.0
 
 
-def test_given_no_shaker_when_scoped_then_it_is_said_and_nothing_is_left_behind(tmp_path):
+def test_scope_without_shaker_leaves_nothing_behind(tmp_path):
     with pytest.raises(SceneError, match="no drive input"):
         run_scope(SCENE.replace(shaker=None), tmp_path, {0.1: "q"})
     assert not (tmp_path / "scope.mcap").exists()
 
 
-def test_given_a_recording_that_exists_when_scoped_then_it_is_kept(tmp_path):
+def test_existing_recording_is_not_overwritten_by_scope(tmp_path):
     (tmp_path / "scope.mcap").write_bytes(b"precious")
     with pytest.raises((RunError, rig.errors.RecordingError), match="exists"):
         run_scope(SCENE, tmp_path, {0.1: "q"})
     assert (tmp_path / "scope.mcap").read_bytes() == b"precious"
 
 
-def test_given_a_recording_that_exists_when_the_command_scopes_then_no_viewer_starts_and_overwrite_is_named(
-    tmp_path, monkeypatch, capsys
-):
-    monkeypatch.setattr(daq.replay.outputs, "viewer", lambda *options: pytest.fail("the viewer was started"))
+def test_scope_command_names_overwrite_before_the_viewer(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(daq.viewing.outputs, "viewer", lambda *options: pytest.fail("the viewer was started"))
     (tmp_path / "scope.mcap").write_bytes(b"precious")
     words = ["daq", "scope", "bare-structure", "--web", "-o", str(tmp_path / "scope.mcap")]
     monkeypatch.setattr(sys, "argv", words)
@@ -188,7 +182,7 @@ def test_given_a_recording_that_exists_when_the_command_scopes_then_no_viewer_st
         ("q now", "expected"),
     ],
 )
-def test_given_a_line_that_makes_no_sense_when_turned_then_the_setting_stays(line, said):
+def test_nonsense_line_keeps_the_setting(line, said):
     knobs = Knobs(10.0, 1.0, highest=100.0)
     with pytest.raises(SceneError, match=said):
         knobs.turn(line)
@@ -196,14 +190,14 @@ def test_given_a_line_that_makes_no_sense_when_turned_then_the_setting_stays(lin
     assert not knobs.off
 
 
-def test_given_a_test_in_the_scene_when_scoped_then_the_knobs_start_at_its_frequency():
+def test_knobs_start_at_the_frequency_of_the_test():
     assert knobs_for(rig.load("fig8-three-dampers"), None, 0.0).asked == (8.0, 0.0)
     assert knobs_for(SCENE, None, 0.0).asked[0] == pytest.approx(13.9, abs=0.1)
     assert knobs_for(SCENE, 33.0, 1.0).asked == (33.0, 1.0)
 
 
 @pytest.mark.thorough
-def test_given_the_end_of_input_when_scoped_live_then_the_recording_is_closed_and_summed_up(tmp_path):
+def test_end_of_input_closes_the_scope_recording(tmp_path):
     (tmp_path / "mine.yaml").write_text(SCENE.to_yaml())
     code = "from daq.cli import main; main()"
     command = [sys.executable, "-c", code, "scope", "mine.yaml", "--web", "-o", "live.mcap"]
@@ -220,9 +214,7 @@ def test_given_the_end_of_input_when_scoped_live_then_the_recording_is_closed_an
 
 
 @pytest.mark.parametrize("remove_delay", [False, True])
-def test_given_a_shaker_that_is_the_force_behind_a_filter_when_held_then_phases_are_those_of_the_receptance(
-    tmp_path, remove_delay
-):
+def test_force_behind_a_filter_has_receptance_phases(tmp_path, remove_delay):
     converter = {"rate": "5.12 kHz", "filter": "delta_sigma", "remove_delay": remove_delay}
     scene = SCENE.replace(shaker={"kind": "force", "body": 1}, dampers=[], converter=converter)
     _, told = run_scope(scene, tmp_path, {0.3: "f 20", 0.5: "F 1.5", 12.0: "q"})

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 from urllib.parse import quote
 from uuid import uuid4
 
-from daq.replay.replay import Progress, Replay
-from daq.replay.rerun_viewer import (
+from daq.viewing.replay import Progress, Replay
+from daq.viewing.rerun_viewer import (
     LOOPBACK,
     Viewer,
     can_open_windows,

@@ -11,11 +11,11 @@ import numpy as np
 
 from daq.drawing.rig_view import Extremes, RigView
 from daq.recording.timebase import refuse_reversed
-from daq.replay.blueprint import OVERLOADS, Content, layout
-from daq.replay.info_page import about
-from daq.replay.marker_log import MarkedSlice, log_lines, overloads, phases
-from daq.replay.recorded_motion import BLOCK, RecordedMotion
-from daq.replay.viewer_stream import Traces, plots
+from daq.viewing.blueprint import OVERLOADS, Content, layout
+from daq.viewing.info_page import about
+from daq.viewing.marker_log import MarkedSlice, log_lines, overloads, phases
+from daq.viewing.recorded_motion import BLOCK, RecordedMotion
+from daq.viewing.viewer_stream import Traces, plots
 from rig.errors import SceneError
 
 if TYPE_CHECKING:
@@ -140,7 +140,7 @@ class Replay:
         """
         import rerun as rr
 
-        from daq.replay.spectrum_picture import spectrum_picture
+        from daq.viewing.spectrum_picture import spectrum_picture
 
         stream.send_recording_name(self.recording.scene.name)
         for path, part in self.view.still_parts():

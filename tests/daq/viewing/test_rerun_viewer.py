@@ -15,9 +15,9 @@ import pytest
 
 import daq
 import rig
-from daq.replay.outputs import photograph
-from daq.replay.replay import Replay
-from daq.replay.rerun_viewer import LOOPBACK, free_port, picture, viewer
+from daq.viewing.outputs import photograph
+from daq.viewing.replay import Replay
+from daq.viewing.rerun_viewer import LOOPBACK, free_port, picture, viewer
 from rig.errors import RunError, SceneError
 
 DRIVERS = ("/usr/share/vulkan/icd.d", "/etc/vulkan/icd.d", "/usr/local/share/vulkan/icd.d")
@@ -57,7 +57,7 @@ def png_size(png):
 
 
 @pytest.mark.thorough
-def test_given_a_damper_recording_when_photographed_then_every_view_is_drawn(recorded, tmp_path):
+def test_photograph_draws_every_view(recorded, tmp_path):
     file = tmp_path / "replay.png"
     with daq.open(recorded) as recording:
         replay = Replay(recording)
@@ -70,7 +70,7 @@ def test_given_a_damper_recording_when_photographed_then_every_view_is_drawn(rec
 
 
 @pytest.mark.thorough
-def test_given_a_recording_as_it_is_when_rerun_opens_it_then_plots_and_rig_are_drawn(recorded):
+def test_rerun_opens_a_recording_with_plots_and_rig(recorded):
     if not has_vulkan():
         with pytest.raises(RunError, match=NAMED):
             picture(recorded, 0.3, (1000, 700))
@@ -83,16 +83,14 @@ def test_given_a_recording_as_it_is_when_rerun_opens_it_then_plots_and_rig_are_d
     assert kinds.count("TimeSeries") >= 4
 
 
-def test_given_no_graphics_device_when_photographed_then_the_packages_to_install_are_named(
-    recorded, tmp_path, monkeypatch
-):
+def test_missing_graphics_device_names_the_packages(recorded, tmp_path, monkeypatch):
     for name in ("VK_DRIVER_FILES", "VK_ICD_FILENAMES"):
         monkeypatch.setenv(name, str(tmp_path / "none.json"))
     with pytest.raises(RunError, match=NAMED):
         picture(recorded, None, (400, 300))
 
 
-def test_given_a_viewer_when_it_runs_then_it_listens_on_loopback_only_and_ends_with_its_context():
+def test_viewer_listens_on_loopback_and_ends():
     page = free_port()
     with viewer("--serve-web", "--web-viewer-port", str(page)) as running:
         for port in (running.port, page):
@@ -106,12 +104,12 @@ def test_given_a_viewer_when_it_runs_then_it_listens_on_loopback_only_and_ends_w
         assert gone.connect_ex((LOOPBACK, running.port)) != 0
 
 
-def test_given_options_the_viewer_refuses_when_started_then_its_own_words_are_passed_on():
+def test_viewer_error_is_passed_on():
     with pytest.raises(RunError, match="--no-such-option"), viewer("--no-such-option"):
         pass
 
 
-def test_given_a_browser_session_when_interrupted_then_it_ends_quietly(recorded):
+def test_browser_session_ends_quietly_on_interrupt(recorded):
     command = [sys.executable, "-c", "from daq.cli import main; main()", "replay", str(recorded), "--web"]
     with subprocess.Popen(
         command,
@@ -133,7 +131,7 @@ def test_given_a_browser_session_when_interrupted_then_it_ends_quietly(recorded)
 @pytest.mark.parametrize(
     ("content", "said"), [(None, "cannot open"), (b"", "is empty"), (bytes(range(256)) * 8, "MCAP")]
 )
-def test_given_no_recording_when_replayed_then_exit_code_2_and_one_line(tmp_path, content, said):
+def test_missing_recording_ends_with_one_line(tmp_path, content, said):
     file = tmp_path / "what.mcap"
     if content is not None:
         file.write_bytes(content)
@@ -144,19 +142,19 @@ def test_given_no_recording_when_replayed_then_exit_code_2_and_one_line(tmp_path
     assert not (tmp_path / "x.rrd").exists()
 
 
-def test_given_no_display_when_replayed_then_the_other_ways_are_named(recorded):
+def test_missing_display_names_other_outputs(recorded):
     ended = run_daq("replay", recorded)
     assert ended.returncode == 1
     for way in ("--web", "--screenshot", "--save"):
         assert way in ended.stderr
 
 
-def test_given_two_ways_at_once_when_replayed_then_one_is_asked_for(recorded, tmp_path):
+def test_two_outputs_at_once_are_rejected(recorded, tmp_path):
     ended = run_daq("replay", recorded, "--web", "--save", tmp_path / "x.rrd")
     assert ended.returncode == 2
     assert "choose one" in ended.stderr
 
 
-def test_given_an_instant_outside_when_photographed_then_the_error_says_what_there_is(recorded, tmp_path):
+def test_instant_outside_the_recording_is_rejected(recorded, tmp_path):
     with daq.open(recorded) as recording, pytest.raises(SceneError, match=r"outside the replay .*0\.5 s"):
         photograph(Replay(recording), tmp_path / "x.png", at_s=9.0)

@@ -1,0 +1,274 @@
+"""The sample clock of a file: its rate from intervals or times, which programs round, and rows that are missing."""
+
+from __future__ import annotations
+
+import math
+import re
+import warnings
+from collections.abc import Iterable, Sequence
+from fractions import Fraction
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.errors import RecordingError, RunWarning
+
+Array = NDArray[np.float64]
+
+# Names of a column of times.
+TIME_NAMES = re.compile(r"(time|zeit|t|x_value)(stamp)?", re.IGNORECASE)
+
+# Relative rounding error of a rate that is stated in full.
+_ROUNDING = 1e-12
+# Largest deviation of a time from the even grid, in samples; beyond it samples are missing or the times are no clock.
+_OFF_GRID = 0.5
+# Share of a sample from which deviations beyond rounding are reported.
+_JITTERY = 0.02
+# A step of the times is a gap from this many sample intervals on.
+_GAP = 1.5
+# Share of an interval by which other steps may differ from the usual one, and a gap from a whole number of intervals.
+_SAME = 0.25
+# With more gaps the times are no clock.
+_MOST_GAPS = 10_000
+
+#: Row before which samples are missing, and their number.
+Missing = tuple[int, int]
+
+
+class Clock(NamedTuple):
+    """The clock of a signal: rate in Hz (None: not stated), time of the first sample in s, missing rows."""
+
+    rate: float | None
+    start_s: float = 0.0
+    missing: Sequence[Missing] = ()
+
+
+def rate_of_interval(interval: float, resolution: float = 0.0) -> float:
+    """Estimate the intended rate from a rounded sample interval.
+
+    Parameters
+    ----------
+    interval : float
+        Time from sample to sample, s.
+    resolution : float
+        Largest rounding error of the interval, s.
+
+    Returns
+    -------
+    float
+        Of all rates within the rounding the one with the fewest digits; 1 / interval where the interval has fewer.
+
+    Examples
+    --------
+    >>> rate_of_interval(1.52588e-05, 5e-11), rate_of_interval(1.95312e-05, 5e-11)
+    (65536.0, 51200.0)
+    >>> rate_of_interval(1.9999999999999998e-05), rate_of_interval(1e-4, 5e-10)
+    (50000.0, 10000.0)
+    >>> rate_of_interval(1e-4, 1e305)
+    Traceback (most recent call last):
+    rig.errors.RecordingError: a sample interval of 0.0001 s with an error of 1e+305 s determines no rate
+    """
+    if not (math.isfinite(interval) and 1e-9 < interval < 1e7):
+        raise RecordingError(f"a sample interval of {interval!r} s; expected a time above 0")
+    if resolution >= interval:
+        raise RecordingError(
+            f"a sample interval of {interval!r} s with an error of {resolution!r} s determines no rate"
+        )
+    error = max(resolution / interval, _ROUNDING)
+    stated = 1.0 / interval
+    rate, digits = _roundest(stated * (1.0 - error), stated * (1.0 + error))
+    # An interval of few digits, such as 39 µs, is exact itself.
+    _, digits_of_interval = _roundest(interval * (1.0 - _ROUNDING), interval * (1.0 + _ROUNDING))
+    return rate if digits <= digits_of_interval else stated
+
+
+def _roundest(low: float, high: float) -> tuple[float, int]:
+    """Give the number with the fewest decimal digits between two, and its number of digits."""
+    highest = math.floor(math.log10(high))
+    for digits in range(1, 17):
+        step = Fraction(10) ** (highest - digits + 1)
+        number = float(round(Fraction((low + high) / 2) / step) * step)
+        if low <= number <= high:
+            return number, digits
+    return (low + high) / 2, 17
+
+
+def clock_of_times(times: Array, resolution: float, where: str) -> Clock:
+    """Estimate the clock of stated times; warn where rows are missing or times jitter.
+
+    Parameters
+    ----------
+    times : ndarray, shape (samples,)
+        s, of all samples.
+    resolution : float
+        Of the times as they are written, s.
+    where : str
+        Name of the times, for messages.
+
+    Raises
+    ------
+    RecordingError
+        If they are not evenly spaced.
+    """
+    missing = missing_rows([times], resolution)
+    if times.size < 2:
+        raise RecordingError(f"{where}: {times.size} samples; expected at least 2")
+    first, last = float(times[0]), float(times[-1])
+    # Deviations from an even grid show the rounding of the times.
+    deviation = 0.0 if missing else float(abs(times - np.linspace(first, last, times.size)).max())
+    tolerated = (last - first) * _JITTERY / (times.size - 1) + resolution
+    if last > first and deviation > tolerated:
+        rate, first, deviation = _clock_of_jittery(times, where)
+        _warn(
+            f"{where} deviate from an even grid by up to {deviation * rate:.0%} of a sample: taken for jitter of the "
+            "writing, not of the sampling"
+        )
+    else:
+        rate = rate_with_gaps(first, last, times.size, missing, max(resolution, 2.0 * deviation), where)
+    require_even(times, sample_numbers(np.arange(times.size), missing), first, rate, resolution, where)
+    return Clock(rate, first, missing)
+
+
+def _clock_of_jittery(times: Array, where: str) -> tuple[float, float, float]:
+    """Fit an even grid by least squares: rate, first time, largest deviation."""
+    number = np.arange(times.size) - (times.size - 1) / 2.0
+    spread = float(number @ number)
+    interval, middle = float(number @ times) / spread, float(times.mean())
+    residual = times - middle - interval * number
+    # Four standard errors of the slope.
+    error = 4.0 * float(np.std(residual)) / math.sqrt(spread)
+    try:
+        rate = rate_of_interval(interval, error)
+    except RecordingError as wrong:
+        raise RecordingError(f"{where}: {wrong}") from None
+    return rate, middle + float(number[0]) / rate, float(abs(residual).max())
+
+
+def missing_rows(times: Iterable[Array], resolution: float) -> list[Missing]:
+    """Detect rows that are missing in otherwise evenly spaced times.
+
+    Parameters
+    ----------
+    times : iterable of ndarray
+        The times in pieces, s; the first of at least two.
+    resolution : float
+        Of the times as they are written, s.
+
+    Returns
+    -------
+    list of (int, int)
+        In order; empty where the times have no gaps, or are uneven otherwise, so that no gap can be measured.
+
+    Examples
+    --------
+    >>> missing_rows([np.array([0.0, 0.1, 0.2, 0.5, 0.6])], 0.0)
+    [(3, 2)]
+    """
+    step, rows, even_time, even_steps = 0.0, 0, 0.0, 0
+    before = np.empty(0)
+    jumps: list[tuple[int, float]] = []
+    for piece in times:
+        steps = np.diff(np.concatenate([before, piece]))
+        if not rows:
+            step = float(np.median(steps)) if steps.size else 0.0
+            if not (step > 0.0 and resolution <= _SAME * step):
+                return []
+        wide = steps > _GAP * step
+        regular = steps[~wide]
+        if not (abs(regular - step) <= _SAME * step + 2.0 * resolution).all():
+            return []
+        # The step to the first row of a further piece begins in the piece before.
+        first = rows if before.size else 1
+        jumps += [(first + int(at), float(steps[at])) for at in np.flatnonzero(wide)]
+        if len(jumps) > _MOST_GAPS:
+            return []
+        even_time, even_steps = even_time + float(regular.sum()), even_steps + regular.size
+        rows, before = rows + piece.size, piece[-1:]
+    if not jumps or not even_steps:
+        return []
+    try:
+        rate = rate_of_interval(even_time / even_steps, 2.0 * resolution * (len(jumps) + 1) / even_steps)
+    except RecordingError:
+        return []
+    lost = [round(jump * rate) - 1 for _, jump in jumps]
+    errors = [abs(jump * rate - count - 1) for (_, jump), count in zip(jumps, lost, strict=True)]
+    if max(errors) > _SAME + 2.0 * resolution * rate or sum(lost) > rows:
+        return []
+    return [(row, count) for (row, _), count in zip(jumps, lost, strict=True)]
+
+
+def sample_numbers(rows: NDArray[np.int64], missing: Sequence[Missing]) -> NDArray[np.int64]:
+    """Give the sample numbers of rows.
+
+    >>> sample_numbers(np.arange(5), [(3, 2)])
+    array([0, 1, 2, 5, 6])
+    """
+    before = np.array([row for row, _ in missing], np.int64)
+    lost = np.cumsum([0, *(count for _, count in missing)])
+    return rows + lost[np.searchsorted(before, rows, side="right")]
+
+
+def rate_with_gaps(
+    first: float, last: float, rows: int, missing: Sequence[Missing], resolution: float, where: str
+) -> float:
+    """Estimate the rate in Hz from the first and the last time, s; warn where rows are missing."""
+    if not last > first:
+        raise RecordingError(f"{where} do not rise: from {first!r} s to {last!r} s")
+    lost = sum(count for _, count in missing)
+    intervals = rows + lost - 1
+    rate = rate_of_interval((last - first) / intervals, resolution / intervals)
+    if missing:
+        places = "one place" if len(missing) == 1 else f"{len(missing)} places"
+        _warn(
+            f"{where} have gaps in {places}, the first before line {missing[0][0] + 1} of the numbers: {lost} samples "
+            f"are missing at {rate:.6g} Hz and are imported as lost"
+        )
+    return rate
+
+
+def require_even(
+    times: Array, numbers: NDArray[np.int64], start: float, rate: float, resolution: float, where: str
+) -> None:
+    """Raise `RecordingError` for times, in s, that are not those of samples with the given numbers."""
+    deviation = abs(times - start - numbers / rate)
+    wrong = np.flatnonzero(~(deviation * rate <= _OFF_GRID + resolution * rate))
+    if wrong.size:
+        at = int(wrong[0])
+        raise RecordingError(
+            f"{where} are not evenly spaced: sample {numbers[at] + 1} is at {float(times[at]):.9g} s instead of "
+            f"{start + numbers[at] / rate:.9g} s ({rate:.6g} Hz from {start:.6g} s on). Resample the file, or import "
+            "the stretches before and after with --from and --to."
+        )
+
+
+def looks_like_times(begin: Array, last: float, samples: int) -> bool:
+    """Whether unnamed numbers can only be times: they rise evenly, and are no count.
+
+    Parameters
+    ----------
+    begin : ndarray
+        The first numbers, at least two.
+    last : float
+        The last number.
+    samples : int
+        How many numbers there are.
+
+    Examples
+    --------
+    >>> looks_like_times(np.array([0.0, 0.01, 0.02]), 0.09, 10), looks_like_times(np.array([1.0, 2.0]), 10.0, 10)
+    (True, False)
+    """
+    step = (last - begin[0]) / max(samples - 1, 1)
+    if not (np.isfinite(step) and step > 0.0) or step == 1.0:
+        return False
+    return bool((abs(begin - begin[0] - step * np.arange(begin.size)) < 0.1 * step).all())
+
+
+def warn_of_times(what: str, step: float) -> None:
+    """Warn that unnamed numbers are taken for times."""
+    _warn(f"{what} rises evenly, by {step:.6g}: taken for times in s")
+
+
+def _warn(text: str) -> None:
+    warnings.warn(text, RunWarning, stacklevel=3)

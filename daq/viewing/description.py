@@ -1,0 +1,178 @@
+"""The description of a recording: `daq.info` and the command `daq info`."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.measurement.run_report import next_steps
+from daq.recording.recording import Recording
+from daq.signal_chain.channel import ChannelInfo
+from rig.errors import RecordingError, ShotrigError
+from rig.results import Result
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+MOST_LINES = 10
+_SAMPLING = {
+    "point": "samples at instants",
+    "average": "samples are averages over their intervals",
+    "filter": "samples behind a decimation filter",
+}
+
+
+@dataclass(frozen=True, repr=False)
+class Info(Result):
+    """Description of a recording.
+
+    Attributes
+    ----------
+    path : Path
+    lines : tuple of str
+        The description, a fact a line.
+    channels : dict of str to ChannelInfo
+    next_steps : tuple of str
+        Commands that have something to work on in the recording, the most informative first.
+    checked : bool
+        Whether every record of the file was verified.
+    """
+
+    path: Path
+    lines: tuple[str, ...]
+    channels: dict[str, ChannelInfo]
+    next_steps: tuple[str, ...]
+    checked: bool = False
+
+    def summary(self) -> str:
+        """Name the file, its duration, its size and how the test ended."""
+        return self.lines[0]
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Name, place, quantity, unit and sensitivity (V per unit) of each channel."""
+        infos = self.channels.values()
+        return {
+            "name": np.array(list(self.channels), dtype=np.str_),
+            "at": np.array([info.at for info in infos], dtype=np.str_),
+            "quantity": np.array([info.quantity for info in infos], dtype=np.str_),
+            "unit": np.array([info.unit for info in infos], dtype=np.str_),
+            "sensitivity": np.array([info.sensitivity for info in infos]),
+        }
+
+    def draw(self, ax: Axes, **style: Any) -> None:
+        """Draw all channels over time."""
+        with Recording(self.path) as recording:
+            recording.draw(ax, **style)
+
+    def __str__(self) -> str:
+        steps = [f"  {'' if place else 'next':9} {step}" for place, step in enumerate(self.next_steps)]
+        checked = (
+            ["  checked   all checksums match, and all records agree with each other"] if self.checked else []
+        )
+        return "\n".join([*self.lines, *steps, *checked])
+
+
+def info(path: str | Path, check: bool = False) -> Info:
+    """Describe a recording without reading its samples.
+
+    Parameters
+    ----------
+    path : str or Path
+        The recording.
+    check : bool
+        Whether to read the whole file and verify every record.
+
+    Raises
+    ------
+    RecordingError
+        If the file cannot be read, is no recording, or is damaged; the message states the remedy.
+
+    Examples
+    --------
+    >>> import tempfile, daq, rig
+    >>> scene = rig.load("fig10b-no-damper", {"test.repeats": 1, "test.interval": "0.3s"})
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     found = daq.info(daq.record(scene, f"{folder}/hit.mcap"))
+    >>> list(found.channels), len(found.next_steps)
+    (['body1', 'body2', 'body3', 'hammer'], 4)
+    """
+    with Recording(path) as recording:
+        lines, steps = tuple(describe(recording)), tuple(next_steps(recording))
+        if check:
+            recording.check()
+        return Info(recording.path, lines, recording.channels, steps, check)
+
+
+def describe(recording: Recording) -> Iterator[str]:
+    """Yield lines that describe an open recording; facts that another program left out are left out here."""
+    size = recording.path.stat().st_size
+    run, outcome = recording.metadata.get("run", {}), recording.metadata.get("outcome", {})
+    yield f"{recording.path}: {_duration(recording)}, {size / 1e6:.1f} MB, {recording.status}"
+    if outcome.get("reason"):
+        yield f"  reason    {outcome['reason']}"
+    yield f"  scene     {_scene(recording)}"
+    if run:
+        test, seed, version = (run.get(key, "?") for key in ("test", "seed", "shotrig"))
+        yield f"  run       test {test}, seed {seed}, shotrig {version}"
+    if recording.source:
+        yield f"  imported  from {recording.source}"
+    yield f"  rate      {recording.rate:.10g} Hz, stored as {recording.stored}"
+    wide = max(map(len, recording.channels))
+    for place, (name, info) in enumerate(recording.channels.items()):
+        label = "channels" if place == 0 else ""
+        sensor = f"{info.quantity}, {info.sensitivity:.6g} V per {info.unit}"
+        yield f"  {label:9} {name:{wide}}  {_place(recording, info.at)}, {sensor}, {_SAMPLING[info.sampling]}"
+    if recording.truth_points:
+        points, events = ", ".join(recording.truth_points), recording.events.size
+        yield f"  truth     of {points}; {events} changes of contact"
+    counts = Counter(marker.kind for marker in recording.markers)
+    yield f"  markers   {', '.join(f'{count} {kind}' for kind, count in counts.items()) or 'none'}"
+    gaps = recording.gaps
+    yield f"  lost      {_stretches(len(gaps))}{_void(recording)}"
+    for gap in gaps[:MOST_LINES]:
+        first, last = gap.first_sample / recording.rate, (gap.last_sample + 1) / recording.rate
+        yield f"            {first:.6g} s to {last:.6g} s of {', '.join(gap.channels)}: {gap.reason}"
+    if len(gaps) > MOST_LINES:
+        yield f"            and {len(gaps) - MOST_LINES} more"
+
+
+def _stretches(count: int) -> str:
+    if count == 0:
+        return "none noted"
+    return "1 stretch of samples" if count == 1 else f"{count} stretches of samples"
+
+
+def _void(recording: Recording) -> str:
+    try:
+        recording.refuse_void(0, recording.samples)
+    except RecordingError as error:
+        return f"; but {error}"
+    return ""
+
+
+def _duration(recording: Recording) -> str:
+    seconds = recording.samples / recording.rate
+    if seconds < 120:
+        return f"{seconds:.3f} s"
+    return f"{int(seconds // 60)} min {seconds % 60:.1f} s"
+
+
+def _place(recording: Recording, at: str) -> str:
+    """Name the place of a channel, a body by its name if the scene has one."""
+    try:
+        return recording.outline.label(at)
+    except ShotrigError:
+        return at
+
+
+def _scene(recording: Recording) -> str:
+    try:
+        return recording.outline.scene
+    except ShotrigError as error:
+        return f"not usable: {str(error).splitlines()[0]}"

@@ -1,0 +1,95 @@
+"""The call `daq.replay`: a recording in the viewer, as a file for it, or as a picture."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from daq.recording.recording import Recording
+from daq.viewing import outputs
+from daq.viewing.replay import Progress, Replay
+from rig.errors import SceneError
+from rig.input_files import path_of
+from rig.provenance import overwriting
+
+
+def replay(
+    recording: Recording | str | Path,
+    *,
+    save: str | Path | None = None,
+    screenshot: str | Path | None = None,
+    web: bool = False,
+    at: float | None = None,
+    from_s: float | None = None,
+    to_s: float | None = None,
+    speed: float = 1.0,
+    overwrite: bool = False,
+    announce: Callable[[str], None] = print,
+    progress: Progress | None = None,
+) -> Path | None:
+    """Show a recording in the viewer, write a file for it, or draw a picture.
+
+    Parameters
+    ----------
+    recording : Recording, str or Path
+        An open recording, or a file.
+    save : str or Path, optional
+        File (.rrd) to write for the viewer instead of opening a window.
+    screenshot : str or Path, optional
+        Picture (.png) to draw instead; needs no display.
+    web : bool
+        Whether to show it in a browser on this machine, until interrupted.
+    at : float, optional
+        Time of the picture, s; by default where the dampers fly highest.
+    from_s, to_s : float, optional
+        Stretch of the recording, s.
+    speed : float
+        Playback speed; 0.1 is slow motion.
+    overwrite : bool
+        Whether an existing file may be replaced.
+    announce : callable
+        Called with a line for the user: what was written, or the address for the browser.
+    progress : callable, optional
+        ``progress(fraction, message)``.
+
+    Returns
+    -------
+    Path or None
+        The file that was written; None after a window was closed.
+
+    Raises
+    ------
+    SceneError
+        If the stretch holds no sample, or options contradict each other.
+    RunError
+        If there is no display, the viewer does not start, or the file cannot be written.
+    """
+    if sum([save is not None, screenshot is not None, web]) > 1:
+        raise SceneError("choose one of --save, --screenshot and --web")
+    if at is not None and screenshot is None:
+        raise SceneError("--at requires --screenshot. Add --screenshot FILE.png, or leave out --at.")
+    if speed != 1.0 and screenshot is not None:
+        raise SceneError("--speed cannot be combined with --screenshot. Leave one of them out.")
+    if not isinstance(recording, Recording):
+        with Recording(recording) as opened:
+            return replay(
+                opened, save=save, screenshot=screenshot, web=web, at=at, from_s=from_s, to_s=to_s, speed=speed,
+                overwrite=overwrite, announce=announce, progress=progress,
+            )  # fmt: skip
+    part = Replay(recording, from_s, to_s, speed)
+    with overwriting(overwrite):
+        if save is not None:
+            target = path_of(save, "save")
+            outputs.save(part, target, progress)
+            announce(f"{target}: {target.stat().st_size / 1e6:.1f} MB; to look at it: rerun {target}")
+            return target
+        if screenshot is not None:
+            target = path_of(screenshot, "screenshot")
+            drawn = outputs.photograph(part, target, at, progress)
+            announce(f"{target}: the rig at {drawn:.3f} s")
+            return target
+    if web:
+        outputs.in_browser(part, announce, progress)
+    else:
+        outputs.in_window(part, progress)
+    return None

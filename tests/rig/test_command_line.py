@@ -73,17 +73,13 @@ def caused(error: Exception, cause: BaseException) -> Exception:
         (SystemExit(7), 7, ""),
     ],
 )
-def test_given_an_error_when_a_command_ends_in_it_then_it_says_so_in_a_line(
-    command, capsys, error, code, said
-):
+def test_error_ends_a_command_with_one_line(command, capsys, error, code, said):
     assert command(raising(error)) == code
     told = capsys.readouterr().err
     assert said in told and told.count("\n") == bool(said) and "Traceback" not in told
 
 
-def test_given_an_interrupt_with_a_note_when_a_command_ends_in_it_then_the_note_is_told(
-    command, capsys
-) -> None:
+def test_interrupt_prints_its_note(command, capsys) -> None:
     interrupt = KeyboardInterrupt()
     interrupt.add_note("run.npz.kept holds the rest")
     assert command(raising(interrupt)) == 130
@@ -98,9 +94,7 @@ def test_interrupted_study_says_that_it_goes_on() -> None:
     assert "goes on where it stopped" in kept.value.__notes__[0] and not hasattr(lost.value, "__notes__")
 
 
-def test_given_a_module_that_makes_an_interrupt_a_failure_of_its_own_when_loaded_then_the_command_is_interrupted(
-    command, capsys
-):
+def test_interrupt_wrapped_by_a_module_interrupts_the_command(command, capsys):
     def act() -> None:
         with suppress(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
@@ -110,9 +104,7 @@ def test_given_a_module_that_makes_an_interrupt_a_failure_of_its_own_when_loaded
     assert capsys.readouterr().err == "interrupted\n"
 
 
-def test_given_an_unexpected_error_when_a_command_ends_in_it_then_a_file_has_the_details(
-    command, capsys, monkeypatch, tmp_path
-):
+def test_unexpected_error_writes_its_details_to_a_file(command, capsys, monkeypatch, tmp_path):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     assert command(raising(ZeroDivisionError("by \x1b[31m zero"))) == 1
     told = capsys.readouterr().err
@@ -129,9 +121,7 @@ def test_given_an_unexpected_error_when_a_command_ends_in_it_then_a_file_has_the
 
 
 @pytest.mark.parametrize("words", ["--at nan", "--at=-inf", "--each 1 --each 1e300"])
-def test_given_an_option_that_nothing_can_measure_when_a_command_gets_it_then_it_is_refused_by_name(
-    command, capsys, monkeypatch, words
-):
+def test_bad_number_of_an_option_is_rejected(command, capsys, monkeypatch, words):
     def act(at: float = 0.0, each: list[float] = []) -> None:  # noqa: B006
         raise AssertionError("not reached")
 
@@ -142,9 +132,7 @@ def test_given_an_option_that_nothing_can_measure_when_a_command_gets_it_then_it
 
 
 @pytest.mark.parametrize("words", [["--name", ""], ["--each", "x", "--each", " "], [""]])
-def test_given_an_option_that_is_empty_when_a_command_gets_it_then_it_is_refused(
-    command, capsys, monkeypatch, words
-):
+def test_empty_option_is_rejected(command, capsys, monkeypatch, words):
     def act(what: Annotated[str, typer.Argument()] = "x", name: str = "x", each: list[str] = []) -> None:  # noqa: B006
         raise AssertionError("not reached")
 
@@ -153,7 +141,7 @@ def test_given_an_option_that_is_empty_when_a_command_gets_it_then_it_is_refused
     assert "expected something" in capsys.readouterr().err
 
 
-def test_given_text_of_a_file_when_printed_then_what_a_terminal_would_obey_is_shown(command, capsys):
+def test_control_characters_are_escaped_in_a_terminal(command, capsys):
     assert command(lambda: print("red\x1b[31m\udcff \u202e")) == 0
     assert capsys.readouterr().out == "red\\x1b[31m\\udcff \\u202e\n"
 
@@ -165,7 +153,7 @@ def test_signal_to_end_gives_its_exit_code(command, capsys, ending):
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="the system knows no such signal")
-def test_given_a_command_that_is_to_outlive_its_terminal_when_that_is_closed_then_it_goes_on(command):
+def test_command_outlives_its_closed_terminal(command):
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
         assert command(lambda: os.kill(os.getpid(), signal.SIGHUP)) == 0
@@ -173,7 +161,7 @@ def test_given_a_command_that_is_to_outlive_its_terminal_when_that_is_closed_the
         signal.signal(signal.SIGHUP, before)
 
 
-def test_given_a_disk_that_fails_while_a_file_is_closed_when_at_work_then_it_is_said(command, capsys):
+def test_disk_failure_on_close_is_reported(command, capsys):
     def fail() -> None:
         raise OSError(errno.EDQUOT, "Disk quota exceeded")
 
@@ -181,7 +169,7 @@ def test_given_a_disk_that_fails_while_a_file_is_closed_when_at_work_then_it_is_
     assert capsys.readouterr().err == "error: the system reports: Disk quota exceeded\n"
 
 
-def test_given_a_signal_while_a_command_puts_things_back_when_it_has_done_its_work_then_no_traceback_is_seen():
+def test_signal_during_cleanup_prints_no_traceback():
     late = """
 import signal, sys
 from rig import command_line, console
@@ -197,7 +185,7 @@ command_line.run("rig.cli")
     assert done.returncode == -signal.SIGINT and not done.stderr
 
 
-def test_given_long_silence_when_at_work_then_it_says_so(command, capsys, monkeypatch):
+def test_long_silence_prints_a_notice(command, capsys, monkeypatch):
     monkeypatch.setattr(console, "SILENCE", -1.0)
     told = []
 
@@ -211,9 +199,7 @@ def test_given_long_silence_when_at_work_then_it_says_so(command, capsys, monkey
     assert "a long test, 50 %, 20 Hz" in "".join(told)
 
 
-def test_given_a_compilation_when_a_script_has_the_terminal_then_it_is_said_until_it_is_over(
-    command, capsys, monkeypatch
-):
+def test_compilation_is_reported_until_it_ends(command, capsys, monkeypatch):
     from numba.core.event import trigger_event
 
     import rig.numerics.jit  # noqa: F401 - listens
@@ -239,20 +225,20 @@ def outcome(code: str, **how: object) -> tuple[int, str]:
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="a device of Linux")
-def test_given_a_full_disk_when_printing_then_the_command_fails_in_words() -> None:
+def test_full_disk_while_printing_is_reported() -> None:
     with Path("/dev/full").open("w") as full:
         code, told = outcome("schema", stdout=full)
     assert code == 1 and "standard output cannot be written: No space left on device" in told
 
 
-def test_given_a_folder_that_is_gone_when_a_command_runs_in_it_then_it_says_so(tmp_path: Path) -> None:
+def test_missing_working_folder_is_reported(tmp_path: Path) -> None:
     gone = tmp_path / "gone"
     gone.mkdir()
     code, told = outcome("scenes", stdout=subprocess.DEVNULL, cwd=gone, preexec_fn=gone.rmdir)
     assert code == 1 and "the working folder is not there any more" in told
 
 
-def test_given_help_or_version_when_asked_for_then_it_is_plain_text(command, capsys, monkeypatch) -> None:
+def test_help_and_version_are_plain_text(command, capsys, monkeypatch) -> None:
     for word, said in (("--help", "Usage: rig"), ("--version", "shotrig ")):
         monkeypatch.setattr(sys, "argv", ["rig", word])
         assert command(lambda: None) == 0

@@ -12,7 +12,7 @@ from rig.escaping import fenced, html, markdown, shown
 
 
 @given(st.text())
-def test_given_any_text_when_shown_then_only_lines_and_tabs_move_a_cursor(text: str) -> None:
+def test_escaped_text_keeps_the_cursor_in_its_lines(text: str) -> None:
     assert all(letter.isprintable() or letter in "\n\t" or ord(letter) > 0x7F for letter in shown(text))
     assert not any(letter in shown(text) for letter in "\x1b\x9b\x07\r\u202e")
     assert not text.isprintable() or shown(text) == text
@@ -36,13 +36,13 @@ class Seen(HTMLParser):
 
 
 @given(st.text())
-def test_given_any_text_when_in_a_page_then_a_browser_shows_it(text: str) -> None:
+def test_escaped_text_is_shown_by_a_browser(text: str) -> None:
     seen = Seen(f"<p>{html(text)}</p>")
     assert seen.tags == ["p"] and seen.text == shown(text)
 
 
 @given(st.text())
-def test_given_any_text_when_in_markdown_then_no_mark_is_bare_and_fences_hold(text: str) -> None:
+def test_escaped_markdown_has_no_bare_mark(text: str) -> None:
     line = markdown(text)
     assert "\n" not in line
     assert not any(line[at] in "*_<>[]`#|" and line[at - 1 : at] != "\\" for at in range(len(line)))

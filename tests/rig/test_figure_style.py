@@ -11,9 +11,7 @@ from rig.figure_style import decades, drawing
 
 
 @pytest.mark.parametrize("size", [0.0, 5e-324, 1e-310, 1e308, np.inf, np.nan])
-def test_given_numbers_at_the_ends_of_floats_when_their_decades_are_drawn_then_a_figure_comes(
-    size: float, tmp_path: Path
-) -> None:
+def test_decades_are_drawn_for_extreme_numbers(size: float, tmp_path: Path) -> None:
     with drawing(3.0) as figure:
         axes = figure.subplots()
         axes.plot([1.0, 2.0], [size, 0.5 * size])

@@ -14,9 +14,7 @@ from rig.errors import SceneError
 from rig.input_files import read_whole
 
 
-def test_given_a_file_when_read_then_all_of_it_comes_up_to_the_largest(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_file_is_read_whole_up_to_the_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "a"
     path.write_bytes(b"12345")
     monkeypatch.setattr(input_files, "MOST_BYTES", 5)
@@ -29,7 +27,7 @@ def test_given_a_file_when_read_then_all_of_it_comes_up_to_the_largest(
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="pipes with names")
-def test_given_a_pipe_or_a_device_when_named_as_a_file_then_it_is_refused_without_waiting(
+def test_pipe_or_device_is_rejected_without_waiting(
     tmp_path: Path,
 ) -> None:
     pipe, endless = tmp_path / "pipe.yaml", tmp_path / "zero.yaml"

@@ -42,7 +42,7 @@ def test_signal_at_import_ends_without_traceback(program, moment, ending):
     assert done.stderr in ("", "interrupted\n") and not done.stdout
 
 
-def test_given_a_script_when_it_imports_the_packages_then_it_answers_ctrl_c_as_before():
+def test_script_keeps_its_ctrl_c_handler():
     script = "import signal, rig, daq, analysis; print(signal.getsignal(signal.SIGINT).__name__)"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert done.stdout == "default_int_handler\n"

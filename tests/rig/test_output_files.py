@@ -11,7 +11,7 @@ from rig.errors import RunError, SceneError
 from rig.output_files import make_ready, replacing
 
 
-def test_given_an_old_file_when_writing_fails_then_it_is_as_it_was(tmp_path: Path) -> None:
+def test_failed_write_keeps_the_old_file(tmp_path: Path) -> None:
     path = tmp_path / "table.csv"
     path.write_text("old")
     with pytest.raises(ZeroDivisionError), replacing(path) as part:
@@ -21,7 +21,7 @@ def test_given_an_old_file_when_writing_fails_then_it_is_as_it_was(tmp_path: Pat
 
 
 @pytest.mark.parametrize("overwrite", [False, True])
-def test_given_a_name_when_written_then_the_file_is_there_alone(tmp_path: Path, overwrite: bool) -> None:
+def test_written_file_is_alone_in_its_folder(tmp_path: Path, overwrite: bool) -> None:
     path = tmp_path / "table.csv"
     with replacing(path, overwrite) as part:
         part.write_text("new")
@@ -39,7 +39,7 @@ def test_result_is_kept_where_its_name_was_taken(tmp_path: Path) -> None:
     assert contents == {"table.csv": "another's", "table-2.csv": "older", "table-3.csv": "new"}
 
 
-def test_result_is_kept_where_a_folder_took_its_name(tmp_path: Path) -> None:
+def test_result_survives_a_folder_of_its_name(tmp_path: Path) -> None:
     path = tmp_path / "table.csv"
     with pytest.raises(RunError, match=r"table-2\.csv"), replacing(path, overwrite=True) as part:
         part.write_text("new")
@@ -47,7 +47,7 @@ def test_result_is_kept_where_a_folder_took_its_name(tmp_path: Path) -> None:
     assert path.is_dir() and (tmp_path / "table-2.csv").read_text(encoding="utf-8") == "new"
 
 
-def test_given_a_link_when_overwritten_then_what_it_points_to_is_replaced(tmp_path: Path) -> None:
+def test_overwriting_a_link_replaces_its_target(tmp_path: Path) -> None:
     target, link = tmp_path / "target.csv", tmp_path / "link.csv"
     target.write_text("old")
     target.chmod(0o640)
@@ -62,7 +62,7 @@ def test_given_a_link_when_overwritten_then_what_it_points_to_is_replaced(tmp_pa
 
 
 @pytest.mark.parametrize("kind", ["folder", "fifo", "device", "file", "nowhere"])
-def test_given_what_must_not_be_replaced_when_asked_to_then_it_is_refused(tmp_path: Path, kind: str) -> None:
+def test_protected_file_is_not_replaced(tmp_path: Path, kind: str) -> None:
     path = tmp_path / "out.csv"
     match kind:
         case "folder":
@@ -81,7 +81,7 @@ def test_given_what_must_not_be_replaced_when_asked_to_then_it_is_refused(tmp_pa
     assert path.exists() == (kind != "nowhere")
 
 
-def test_given_a_folder_named_like_a_figure_when_made_ready_then_it_is_refused_unless_it_is_there(
+def test_folder_named_like_a_figure_is_rejected(
     tmp_path: Path,
 ) -> None:
     folder = tmp_path / "two.png"

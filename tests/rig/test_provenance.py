@@ -64,7 +64,7 @@ def test_a_users_file_stays_unless_overwritten(tmp_path: Path) -> None:
     assert path.read_text(encoding="utf-8") == "mine" and list(tmp_path.iterdir()) == [path]
 
 
-def test_a_file_without_mark_stays_if_it_comes_out_the_same(tmp_path: Path) -> None:
+def test_equal_file_without_mark_is_kept(tmp_path: Path) -> None:
     path = tmp_path / "out.uff"
     written(path, b"a")
     written(path, b"a")

@@ -39,7 +39,7 @@ def results():
         ]
 
 
-def test_given_any_result_when_shown_then_it_is_a_line_a_page_a_drawing_and_a_table(results) -> None:
+def test_result_shows_line_page_drawing_and_table(results) -> None:
     for result in results:
         line, ax = repr(result), Figure().subplots()
         assert line.startswith(f"<{type(result).__name__}: ") and "\n" not in line and len(line) < 300
@@ -60,7 +60,7 @@ def test_given_any_result_when_shown_then_it_is_a_line_a_page_a_drawing_and_a_ta
             np.testing.assert_array_equal(table[name].to_numpy(), columns[name])
 
 
-def test_given_a_curve_when_tabulated_then_its_numbers_are_those_of_the_curve(results) -> None:
+def test_table_of_a_curve_has_its_numbers(results) -> None:
     frfs, frf = results[:2]
     assert frf is frfs["body3"] is frfs[2] and len(frfs[:2]) == 2
     table = frf.to_dataframe()
@@ -71,7 +71,7 @@ def test_given_a_curve_when_tabulated_then_its_numbers_are_those_of_the_curve(re
     )
 
 
-def test_given_an_orbit_when_tabulated_then_it_closes_within_its_cavity_and_moves_as_it_says(results) -> None:
+def test_table_of_an_orbit_closes_and_moves(results) -> None:
     (orbit,) = (result for result in results if isinstance(result, rig.Orbit))
     columns = orbit.columns()
     gap, time, body2 = columns["gap 1_m"], columns["time_s"], columns["body 2_m"]
@@ -81,12 +81,12 @@ def test_given_an_orbit_when_tabulated_then_it_closes_within_its_cavity_and_move
     assert np.ptp(body2) / 2 == pytest.approx(orbit.peak[1], rel=1e-3)
 
 
-def test_given_nothing_found_when_tabulated_then_the_table_is_empty() -> None:
+def test_empty_curve_has_an_empty_table() -> None:
     nothing = rig.approximate_response("fig9", 3, ("49.4 Hz", "49.8 Hz"), force="1 uN")
     assert nothing.branches == () and len(nothing.to_dataframe()) == 0 and nothing._repr_html_()
 
 
-def test_given_no_pandas_when_a_table_is_asked_for_then_what_to_install_is_said(results, monkeypatch) -> None:
+def test_missing_pandas_says_what_to_install(results, monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "pandas", None)
     monkeypatch.setitem(sys.modules, "xarray", None)
     for convert in (results[0].to_dataframe, results[0].to_xarray):
@@ -94,7 +94,7 @@ def test_given_no_pandas_when_a_table_is_asked_for_then_what_to_install_is_said(
             convert()
 
 
-def test_given_a_free_vibration_of_less_than_a_sample_when_simulated_then_the_error_says_how_long() -> None:
+def test_too_short_free_vibration_says_how_long() -> None:
     scene = rig.loads(
         "{structure: {masses: [1 kg], springs: [40 kN/m]}, test: {kind: free, displacement: [1 mm], duration: 1 s}}"
     )
@@ -105,12 +105,12 @@ def test_given_a_free_vibration_of_less_than_a_sample_when_simulated_then_the_er
 @pytest.mark.parametrize(
     ("duration", "said"), [("2 kg", "duration: 'kg' is no unit of time"), ("soon", "number")]
 )
-def test_given_text_that_is_no_such_quantity_when_an_argument_then_it_is_named(duration, said) -> None:
+def test_invalid_quantity_of_an_argument_is_named(duration, said) -> None:
     with pytest.raises(SceneError, match=said):
         rig.simulate("fig9", duration)
 
 
-def test_given_quantities_or_numbers_when_arguments_then_the_result_is_the_same(results) -> None:
+def test_quantities_and_numbers_give_the_same_result(results) -> None:
     run = rig.simulate("fig9", 0.1, 1000.0, frequency=49.0)
     np.testing.assert_array_equal(
         run.displacement, next(result for result in results if isinstance(result, rig.Run)).displacement

@@ -3,7 +3,7 @@ from __future__ import annotations
 from rig.shadowing import shadowed
 
 
-def test_given_files_named_like_modules_when_looked_for_then_only_these_are_told_with_what_they_hide(
+def test_only_shadowing_files_are_listed(
     tmp_path,
 ):
     for name in ("json.py", "my_test.py", "notes.txt", "2.py"):

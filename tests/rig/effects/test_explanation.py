@@ -13,7 +13,7 @@ from rig.system.assembly import assemble
 
 
 @pytest.mark.parametrize("name", bundled())
-def test_given_a_bundled_scene_when_explained_then_the_states_of_the_motion_are_those_of_its_system(
+def test_motion_states_equal_those_of_the_system(
     name: str,
 ) -> None:
     scene = rig.load(name)
@@ -21,7 +21,7 @@ def test_given_a_bundled_scene_when_explained_then_the_states_of_the_motion_are_
     assert rig.explain(scene).states["motion"] == system.states + 2 * system.dampers
 
 
-def test_given_effects_taken_away_one_by_one_when_compiled_then_states_and_inputs_go_with_them() -> None:
+def test_removed_effects_remove_their_states_and_inputs() -> None:
     full = rig.load("fig9")
     no_coil = full.replace(
         shaker={
@@ -42,7 +42,7 @@ def test_given_effects_taken_away_one_by_one_when_compiled_then_states_and_input
     assert {"particle dampers", "ceilings", "restitution"} <= set(rig.explain(no_damper).absent)
 
 
-def test_given_channels_when_explained_then_each_is_listed_with_its_own_stages() -> None:
+def test_each_channel_is_listed_with_its_stages() -> None:
     ideal = rig.explain(rig.load("fig9").replace(channels=None, converter={}))
     sensed = rig.explain("fig9")
     part = "channel body1 (displacement at body 1)"
@@ -52,14 +52,14 @@ def test_given_channels_when_explained_then_each_is_listed_with_its_own_stages()
     assert "truth" not in {effect.name for effect in sensed.effects}
 
 
-def test_given_an_explanation_when_printed_then_channels_that_are_alike_share_one_list() -> None:
+def test_channels_with_equal_effects_share_one_list() -> None:
     text = str(rig.explain("fig8-three-dampers"))
     assert text.count("quantisation") == 1
     assert text.count("channel body") == 3
 
 
 @pytest.mark.thorough
-def test_given_a_scene_when_its_effects_are_measured_then_each_named_one_is_there_and_states_add_up() -> None:
+def test_cost_lists_each_effect_and_its_states() -> None:
     scene = rig.load("fig9")
     costs = effect_costs(scene)
     names = [cost.name for cost in costs]
@@ -83,18 +83,14 @@ def test_given_a_scene_when_its_effects_are_measured_then_each_named_one_is_ther
     assert text(costs).splitlines()[-1].startswith("everything on runs at")
 
 
-def test_given_a_bare_scene_when_its_effects_are_measured_then_there_is_nothing_but_structure_and_ideal_channels() -> (
-    None
-):
+def test_bare_scene_costs_structure_and_ideal_channels_only() -> None:
     scene = rig.loads(
         "structure: {masses: [1 kg], springs: [4 kN/m]}\nrecording: {display: false}", where="test"
     )
     assert [cost.name for cost in effect_costs(scene)] == ["structure", "channels, ideal", "recording"]
 
 
-def test_given_a_structure_when_explained_then_its_natural_frequencies_are_told_of_many_the_first_and_last() -> (
-    None
-):
+def test_natural_frequencies_are_listed_first_and_last() -> None:
     many = rig.load("bare-structure").replace(
         structure={"masses": [1.0] * 9, "springs": [4e3] * 9}, channels=None
     )

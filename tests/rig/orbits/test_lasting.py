@@ -18,7 +18,7 @@ def fig9(**contact: float) -> Scene:
 
 @pytest.mark.parametrize("parameter", PARAMETERS)
 @pytest.mark.parametrize("contact", [{"duration": 4e-3}, {"stiffness": 1e5, "damping": 300.0}])
-def test_given_contact_that_lasts_when_differentiated_then_finite_differences_give_the_same_jacobian(
+def test_finite_contact_jacobian_equals_finite_differences(
     contact: dict[str, float], parameter: Parameter
 ) -> None:
     scene = fig9(**contact)
@@ -35,7 +35,7 @@ def test_given_contact_that_lasts_when_differentiated_then_finite_differences_gi
         np.testing.assert_allclose(jacobian[:, column] * following.scale[column], slope, atol=5e-8)
 
 
-def test_given_frequencies_through_the_resonance_when_swept_then_settled_simulation_gives_the_same() -> None:
+def test_finite_contact_sweep_equals_settled_simulation() -> None:
     scene, frequencies = fig9(duration=4e-3), [44.0, 47.0, 49.1, 49.4, 49.8]
     orbits, settled = rig.orbit_response(scene, frequencies), rig.frequency_response(scene, frequencies)
     assert not orbits.simulated.any()
@@ -47,7 +47,7 @@ def test_given_frequencies_through_the_resonance_when_swept_then_settled_simulat
     )
 
 
-def test_given_ever_shorter_landings_when_solved_then_the_orbit_tends_to_that_of_instant_contact() -> None:
+def test_ever_shorter_contacts_tend_to_instant_contact() -> None:
     instant = rig.periodic_orbit(rig.load("fig9"), 49.7)
     away = [
         float(
@@ -67,7 +67,7 @@ def test_given_ever_shorter_landings_when_solved_then_the_orbit_tends_to_that_of
         ({"stiffness": 2.1e5, "damping": 115.0}, 41.7, 6.0),
     ],
 )
-def test_given_a_bed_pressed_again_before_it_has_left_its_floor_when_solved_then_the_engine_returns_to_the_orbit(
+def test_bed_pressed_again_before_separation_returns_to_orbit(
     contact: dict[str, float], frequency: float, force: float
 ) -> None:
     scene = fig9(**contact).replace(test={"kind": "sine", "frequency": frequency, "force": force})
@@ -83,9 +83,7 @@ def test_given_a_bed_pressed_again_before_it_has_left_its_floor_when_solved_then
     )
 
 
-def test_given_contact_that_lasts_when_followed_over_frequency_then_every_point_solves_its_equations() -> (
-    None
-):
+def test_finite_contact_curve_solves_its_equations_everywhere() -> None:
     curve = rig.follow_orbits(fig9(duration=4e-3), "frequency", (47.0, 50.0), searches=2)
     # Where neither type is stable the motion does not repeat.
     assert all("no periodic motion found" in failure for failure in curve.failures)

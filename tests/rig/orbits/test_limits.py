@@ -23,7 +23,7 @@ def at_body(scene: Scene, body: int, frequency: float, acceleration: float, **da
 
 @pytest.mark.parametrize(("body", "frequency"), [(2, 47.0), (3, 30.0), (1, 20.0)])
 @pytest.mark.parametrize("acceleration", [1.02, 1.5, 2.4, 3.2])
-def test_given_a_damper_without_mass_when_it_sticks_then_it_flies_as_the_inelastic_ball_does(
+def test_sticking_massless_damper_flies_as_the_inelastic_ball(
     acceleration: float, body: int, frequency: float
 ) -> None:
     scene = at_body(rig.load("fig9"), body, frequency, acceleration, mass_ratio=1e-9, clearance=float("inf"))
@@ -43,9 +43,7 @@ def test_given_a_damper_without_mass_when_it_sticks_then_it_flies_as_the_inelast
     assert np.abs(orbit.compliance - bare).max() < 1e-6 * np.abs(bare).max()
 
 
-def test_given_a_damper_without_mass_when_the_ball_flies_a_whole_period_then_it_bounces_without_a_stay() -> (
-    None
-):
+def test_massless_damper_flying_a_period_bounces_without_stay() -> None:
     acceleration = FULL_PERIOD + 0.1
     scene = at_body(rig.load("fig9"), 2, 47.0, acceleration, mass_ratio=1e-9, clearance=float("inf"))
 
@@ -57,9 +55,7 @@ def test_given_a_damper_without_mass_when_the_ball_flies_a_whole_period_then_it_
     assert np.cos(phase) * acceleration == pytest.approx(np.pi, abs=1e-6)
 
 
-def test_given_a_damper_without_mass_when_the_acceleration_passes_a_whole_period_flight_then_the_border_is_there() -> (
-    None
-):
+def test_massless_damper_border_is_at_whole_period_flight() -> None:
     scene = at_body(rig.load("fig9"), 2, 47.0, 1.0, mass_ratio=1e-9, clearance=float("inf"))
     unit = scene.test.force
 
@@ -77,9 +73,7 @@ def test_given_a_damper_without_mass_when_the_acceleration_passes_a_whole_period
 @pytest.mark.parametrize(
     ("name", "frequency"), [("fig9", 49.7), ("fig5-three-dampers", 48.0), ("fig8-two-dampers", 13.0)]
 )
-def test_given_no_clearance_when_solved_then_the_response_is_linear_with_the_dampers_masses(
-    name: str, frequency: float
-) -> None:
+def test_zero_clearance_response_is_linear_with_damper_masses(name: str, frequency: float) -> None:
     scene = with_ideal_force(rig.load(name))
     tight = scene.replace(dampers=[d.replace(clearance=0.0) for d in scene.dampers])
 
@@ -91,7 +85,7 @@ def test_given_no_clearance_when_solved_then_the_response_is_linear_with_the_dam
     assert orbit.motion_type == "linear"
 
 
-def test_given_ever_smaller_clearances_when_solved_then_the_orbit_tends_to_the_linear_response() -> None:
+def test_small_clearances_tend_to_the_linear_response() -> None:
     scene = with_ideal_force(rig.load("fig9"))
     exact = receptance(scene, [49.5], riding=[1])[:, 0]
 
@@ -109,9 +103,7 @@ def test_given_ever_smaller_clearances_when_solved_then_the_orbit_tends_to_the_l
 
 
 @pytest.mark.parametrize(("name", "frequency"), [("fig9", 30.0), ("fig8-three-dampers", 40.0)])
-def test_given_accelerations_below_gravity_when_solved_then_dampers_ride_and_the_response_is_linear(
-    name: str, frequency: float
-) -> None:
+def test_dampers_ride_below_gravity_with_linear_response(name: str, frequency: float) -> None:
     scene = with_ideal_force(rig.load(name))
 
     orbit = rig.periodic_orbit(scene, frequency)

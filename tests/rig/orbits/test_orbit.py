@@ -91,9 +91,7 @@ each_case = pytest.mark.parametrize(("scene", "frequency"), CASES.values(), ids=
 
 
 @each_case
-def test_given_an_orbit_when_the_engine_runs_it_then_it_returns_after_a_period(
-    scene: Scene, frequency: float
-) -> None:
+def test_engine_returns_to_the_orbit_after_a_period(scene: Scene, frequency: float) -> None:
     orbit = periodic_orbit(scene, frequency)
 
     march, steps = on_orbit(scene, orbit)
@@ -112,9 +110,7 @@ def test_given_an_orbit_when_the_engine_runs_it_then_it_returns_after_a_period(
 
 
 @each_case
-def test_given_an_orbit_when_disturbed_in_the_engine_then_it_answers_by_its_multipliers(
-    scene: Scene, frequency: float
-) -> None:
+def test_disturbed_orbit_responds_by_its_multipliers(scene: Scene, frequency: float) -> None:
     orbit = periodic_orbit(scene, frequency)
     system = OrbitProblem(scene).system
     ns, nq = system.states, system.coordinates
@@ -146,7 +142,7 @@ def test_given_an_orbit_when_disturbed_in_the_engine_then_it_answers_by_its_mult
     assert away.min(axis=1).max() < 1e-5
 
 
-def test_given_stable_branches_when_simulated_to_steady_state_then_the_responses_agree() -> None:
+def test_stable_branches_equal_steady_simulation() -> None:
     scene = with_ideal_force(rig.load("fig9"))
     frequencies = np.array([48.3, 49.0, 49.9, 50.6, 51.2])
 
@@ -162,7 +158,7 @@ def test_given_stable_branches_when_simulated_to_steady_state_then_the_responses
 
 
 @pytest.mark.thorough
-def test_given_fig_9_when_followed_over_frequency_then_types_follow_one_another_without_a_gap() -> None:
+def test_fig_9_types_follow_each_other_without_gap() -> None:
     curve = fig9_curve()
 
     spans = sorted(
@@ -180,7 +176,7 @@ def test_given_fig_9_when_followed_over_frequency_then_types_follow_one_another_
     assert all("no periodic motion found" in failure for failure in curve.failures)
 
 
-def test_given_a_period_doubling_when_located_then_a_multiplier_is_minus_one_there() -> None:
+def test_multiplier_is_minus_one_at_a_period_doubling() -> None:
     scene = rig.load("fig9")
     (branch,) = [b for b in fig9_curve().branches if b.motion_type == "II" and 50 < b.value.mean() < 50.9]
 
@@ -192,7 +188,7 @@ def test_given_a_period_doubling_when_located_then_a_multiplier_is_minus_one_the
     assert any(len(b.doublings) and not b.stable.all() for b in fig9_curve().branches)
 
 
-def test_given_a_fold_when_passed_then_a_multiplier_passes_one() -> None:
+def test_multiplier_passes_one_at_a_fold() -> None:
     folded = [b for b in fig9_curve().branches if len(b.folds) and b.plan.repetition == 1]
     assert folded
 
@@ -205,7 +201,7 @@ def test_given_a_fold_when_passed_then_a_multiplier_passes_one() -> None:
         assert np.abs(branch.value[i : i + 2] - fold).max() < 0.05
 
 
-def test_given_other_parameters_when_followed_then_the_curve_passes_through_the_same_orbit() -> None:
+def test_curves_over_other_parameters_share_an_orbit() -> None:
     scene = rig.load("fig9")
     orbit = periodic_orbit(scene, 49.7)
     ranges = {"force": (3.0, 3.6), "clearance": (0.95e-3, 1.0e-3), "mass_ratio": (0.95, 1.05)}
@@ -232,7 +228,7 @@ FOLLOWED: list[tuple[Scene, Parameter, tuple[float, float], float | None]] = [
 @pytest.mark.parametrize(
     ("scene", "parameter", "bounds", "frequency"), FOLLOWED, ids=[case[1] for case in FOLLOWED]
 )
-def test_given_scenes_with_one_to_three_dampers_when_followed_then_branches_end_on_borders_and_nothing_is_missing(
+def test_branches_end_on_borders_without_failures(
     scene: Scene, parameter: Parameter, bounds: tuple[float, float], frequency: float | None
 ) -> None:
     curve = follow_orbits(scene, parameter, bounds, frequency=frequency, searches=1)
@@ -252,7 +248,7 @@ def test_given_scenes_with_one_to_three_dampers_when_followed_then_branches_end_
             assert end in ("range", "closed") or (end in orbit.plan.borders and orbit.margin < 1e-5)
 
 
-def test_given_a_locked_damper_when_solved_then_the_orbit_is_the_exact_linear_response() -> None:
+def test_locked_damper_orbit_is_the_linear_response() -> None:
     scene = rig.load("fig9")
     locked = scene.replace(dampers=[scene.dampers[0].replace(locked=True)])
 
@@ -294,7 +290,7 @@ def one_mode_scene(mode: SingleMode) -> Scene:
         ("III", 6.0, 0.1, 0.8e-3),
     ],
 )
-def test_given_an_approximate_motion_when_run_by_the_engine_with_one_mode_then_it_repeats_to_1e_10(
+def test_approximate_motion_repeats_in_a_one_mode_engine(
     kind: str, force: float, mass_ratio: float, clearance: float
 ) -> None:
     found = approximation(force, mass_ratio, clearance)
@@ -330,7 +326,7 @@ def test_given_an_approximate_motion_when_run_by_the_engine_with_one_mode_then_i
             assert abs(end[1]) < 1e-10 * size * omega
 
 
-def test_given_a_frequency_that_is_none_when_asked_for_an_orbit_then_it_says_what_is_expected() -> None:
+def test_invalid_frequency_of_an_orbit_is_named() -> None:
     with pytest.raises(SceneError, match=r"frequency: got -1\.0; expected a list of positive"):
         periodic_orbit(rig.load("fig9"), -1.0)
     with pytest.raises(SceneError, match="two rising values"):
@@ -339,7 +335,7 @@ def test_given_a_frequency_that_is_none_when_asked_for_an_orbit_then_it_says_wha
         follow_orbits(rig.load("fig9"), "force", (1.0, 2.0))
 
 
-def test_given_rebounds_without_end_when_asked_for_an_orbit_then_it_says_so_and_what_to_do() -> None:
+def test_endless_rebounds_are_rejected_with_a_remedy() -> None:
     scene = rig.load("fig9")
     bouncy = scene.replace(dampers=[scene.dampers[0].replace(restitution=0.3)])
 
@@ -347,14 +343,12 @@ def test_given_rebounds_without_end_when_asked_for_an_orbit_then_it_says_so_and_
         periodic_orbit(bouncy, 49.0)
 
 
-def test_given_an_impact_that_kicks_a_neighbour_when_asked_for_an_orbit_then_it_says_so_and_what_to_do() -> (
-    None
-):
+def test_impact_that_kicks_a_neighbour_is_rejected() -> None:
     with pytest.raises(RunError, match="is felt by another at once"):
         periodic_orbit(coupled(0.05), 51.2)
 
 
-def test_given_a_start_far_from_any_orbit_when_solved_then_it_says_where_it_failed() -> None:
+def test_far_start_reports_where_the_solution_failed() -> None:
     scene = rig.load("fig9")
     near = periodic_orbit(scene, 49.7)
 
@@ -362,7 +356,7 @@ def test_given_a_start_far_from_any_orbit_when_solved_then_it_says_where_it_fail
         periodic_orbit(scene, 20.0, start=near)
 
 
-def test_given_a_march_when_asked_for_its_steps_then_a_period_is_a_whole_number_of_them() -> None:
+def test_period_is_a_whole_number_of_steps() -> None:
     problem = OrbitProblem(rig.load("fig9"))
     setting = problem.setting(49.0)
 

@@ -15,7 +15,7 @@ from rig.orbits.problem import PARAMETERS, OperatingPoint, OrbitProblem, Paramet
 @pytest.mark.parametrize(
     ("name", "frequency"), [("fig9", 49.1), ("fig5-three-dampers", 49.5), ("fig5-single-damper", 48.5)]
 )
-def test_given_an_orbit_when_differentiated_then_finite_differences_give_the_same_jacobian(
+def test_shooting_jacobian_equals_finite_differences(
     name: str, frequency: float, parameter: Parameter
 ) -> None:
     problem = OrbitProblem(rig.load(name))
@@ -35,7 +35,7 @@ def test_given_an_orbit_when_differentiated_then_finite_differences_give_the_sam
         np.testing.assert_allclose(jacobian[:, column] * following.scale[column], slope, atol=2e-8)
 
 
-def test_given_a_table_that_is_driven_when_the_frequency_changes_then_the_drive_changes_with_it() -> None:
+def test_drive_of_a_table_changes_with_frequency() -> None:
     scene = rig.load("fig9").replace(
         shaker={"kind": "table", "body": 1, "spring": 6600.0},
         test={"kind": "stepped_sine", "frequencies": [51.0], "drive": 1.0e-3},
@@ -54,7 +54,7 @@ def test_given_a_table_that_is_driven_when_the_frequency_changes_then_the_drive_
 
 
 @pytest.mark.parametrize("time", [1e-9, 1e-3, 0.02, 0.3])
-def test_given_an_unbalanced_matrix_when_exponentiated_then_it_agrees_with_another_method(
+def test_unbalanced_matrix_exponential_equals_another_method(
     time: float,
 ) -> None:
     stiff, soft = 6.1e4, 1.0e3

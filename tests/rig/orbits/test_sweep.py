@@ -28,7 +28,7 @@ CURVES = [
 
 
 @pytest.mark.parametrize(("name", "mass_ratio", "clearance", "force", "frequencies"), CURVES)
-def test_given_a_curve_when_swept_as_orbits_then_settled_simulation_gives_the_same(
+def test_orbit_sweep_equals_settled_simulation(
     name: str, mass_ratio: float, clearance: float, force: float, frequencies: np.ndarray
 ) -> None:
     scene = scene_with(name, mass_ratio, clearance, force)
@@ -48,9 +48,7 @@ def test_given_a_curve_when_swept_as_orbits_then_settled_simulation_gives_the_sa
         assert orbit is None or (orbit.stable and not orbit.flaw and orbit.residual < 1e-11)
 
 
-def test_given_irregular_motion_when_swept_then_it_is_simulated_and_averaged_and_the_reason_is_given() -> (
-    None
-):
+def test_irregular_motion_is_averaged_with_the_reason() -> None:
     scene = with_ideal_force(rig.load("fig8-three-dampers"))
 
     swept = rig.orbit_response(scene, [33.2, 33.3, 33.6])
@@ -74,9 +72,7 @@ def test_given_irregular_motion_when_swept_then_it_is_simulated_and_averaged_and
         ("mass_ratio", [0.9, 1.0, 1.1]),
     ],
 )
-def test_given_another_parameter_when_swept_then_each_orbit_is_that_of_the_changed_scene(
-    parameter: str, values: list[float]
-) -> None:
+def test_swept_parameter_orbits_are_those_of_changed_scenes(parameter: str, values: list[float]) -> None:
     scene = with_ideal_force(rig.load("fig9"))
     damper = scene.dampers[0]
 
@@ -92,9 +88,7 @@ def test_given_another_parameter_when_swept_then_each_orbit_is_that_of_the_chang
         assert np.abs(orbit.compliance - compliance).max() < 1e-10 * np.abs(compliance).max()
 
 
-def test_given_points_close_together_when_swept_far_beyond_them_then_the_motion_there_is_the_same_and_soon_told() -> (
-    None
-):
+def test_close_points_give_the_same_motion_far_away() -> None:
     scene = with_ideal_force(rig.load("fig9"))
 
     swept = rig.orbit_response(scene, [49.2, 49.2003, 49.2006, 49.2009, 49.8])
@@ -103,7 +97,7 @@ def test_given_points_close_together_when_swept_far_beyond_them_then_the_motion_
     assert np.abs(orbit.compliance - swept.compliance[:, -1]).max() < 1e-10 * np.abs(orbit.compliance).max()
 
 
-def test_given_values_that_make_no_sense_when_swept_then_it_says_what_is_expected() -> None:
+def test_invalid_sweep_values_are_named() -> None:
     scene = rig.load("fig9")
     with pytest.raises(SceneError, match="expected a list of positive, finite numbers"):
         rig.orbit_response(scene, [49.0, -1.0])

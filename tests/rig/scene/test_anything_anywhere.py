@@ -29,9 +29,7 @@ def put(content: Any, place: tuple[Any, ...], thing: Any) -> None:
 @pytest.mark.filterwarnings("ignore::rig.errors.SceneWarning")
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
-def test_given_anything_at_any_place_of_a_scene_when_loaded_then_it_loads_or_the_error_says_where(
-    data: st.DataObject, tmp_path: Path
-) -> None:
+def test_any_value_anywhere_loads_or_names_its_place(data: st.DataObject, tmp_path: Path) -> None:
     content = yaml.safe_load(yaml.safe_dump(data.draw(st.sampled_from(BASES))))
     put(content, data.draw(st.sampled_from(list(_places(content)))), data.draw(anything))
     path = tmp_path / "odd.yaml"

@@ -27,7 +27,7 @@ def file(tmp_path):
     return str(path)
 
 
-def test_given_changes_when_loaded_then_the_scene_is_as_if_written_so(file) -> None:
+def test_changes_load_as_if_written_in_the_file(file) -> None:
     changes = [
         "structure.masses[2]=3kg",
         "dampers[2].body=2",
@@ -40,7 +40,7 @@ def test_given_changes_when_loaded_then_the_scene_is_as_if_written_so(file) -> N
     assert loaded(file, ["dampers="]).dampers == () == rig.load(file, {"dampers": None}).dampers
 
 
-def test_given_an_alias_when_one_of_its_places_is_changed_then_the_other_stays(file) -> None:
+def test_changing_an_alias_keeps_its_other_place(file) -> None:
     scene = rig.load(file, {"dampers[1].clearance": 2e-3, "dampers[2].body": 2})
     assert [damper.clearance for damper in scene.dampers] == [2e-3, 1e-3]
 
@@ -62,14 +62,14 @@ def test_given_an_alias_when_one_of_its_places_is_changed_then_the_other_stays(f
         ("structure.masses=[1 kg", "expected KEY=VALUE"),
     ],
 )
-def test_given_a_wrong_change_when_loaded_then_it_is_named_with_what_was_expected(file, change, said) -> None:
+def test_wrong_change_is_named_with_the_expected_value(file, change, said) -> None:
     with pytest.raises(SceneError) as wrong:
         loaded(file, [change])
     assert said in str(wrong.value)
 
 
 @pytest.mark.parametrize("package", ["rig", "daq", "analysis"])
-def test_given_a_command_that_takes_a_scene_when_asked_then_it_takes_changes_too(package) -> None:
+def test_scene_commands_take_changes(package) -> None:
     group = typer.main.get_command(import_module(f"{package}.cli").app)
     for name, command in group.commands.items():
         keys = {parameter.name for parameter in command.params}
@@ -101,7 +101,7 @@ def test_mistake_of_the_file_keeps_its_line(file) -> None:
         loaded(file, ["gravity=1 kg"])
 
 
-def test_scene_is_loaded_from_a_mapping_or_a_scene(file) -> None:
+def test_scene_loads_from_mapping_or_scene(file) -> None:
     scene = rig.load(file)
     assert rig.load({"structure": {"masses": [1], "springs": ["1 kN/m"]}}).structure.springs == (1e3,)
     assert rig.load(scene) is scene

@@ -11,9 +11,7 @@ from rig.scene.scene_files import SCENES
 from rig.system.structural_model import natural_modes, structure_matrices
 
 
-def test_given_the_script_beside_the_scene_when_run_then_its_matrices_are_the_scenes_and_those_of_a_beam() -> (
-    None
-):
+def test_beam_script_reproduces_the_matrices_of_the_scene() -> None:
     script = runpy.run_path(str(SCENES / "fe_beam.py"))
     mass, _, stiffness = structure_matrices(rig.load("fe-beam").structure)
     for printed, made in zip((mass, stiffness), script["reduced"](), strict=True):

@@ -19,7 +19,7 @@ def engines(found: Module) -> list[Rates]:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_given_a_module_when_found_then_its_facts_agree_with_the_settings_that_scenes_take(name: str) -> None:
+def test_module_facts_agree_with_scene_settings(name: str) -> None:
     found, sheet = module(name.lower()), data_sheets()[name]
     assert sheet.sources and found.product_type
     for engine, settings in ((found.inputs, "converter"), (found.outputs, "output")):
@@ -33,9 +33,7 @@ def test_given_a_module_when_found_then_its_facts_agree_with_the_settings_that_s
 
 
 @given(name=st.sampled_from(NAMES), share=st.floats(1e-3, 1.0))
-def test_given_any_rate_when_asked_for_then_it_is_the_next_one_not_below_that_the_clock_makes(
-    name: str, share: float
-) -> None:
+def test_requested_rate_becomes_the_next_higher_clock_rate(name: str, share: float) -> None:
     for rates in engines(module(name)):
         asked = share * rates.fastest
         made = rates.at_least(asked)
@@ -54,16 +52,14 @@ def test_given_any_rate_when_asked_for_then_it_is_the_next_one_not_below_that_th
         ("NI 9250", (102400.0, 51200.0, 102400.0 / 3, 13107200.0 / 4 / 1024 / 12)),
     ],
 )
-def test_given_a_delta_sigma_module_when_its_rates_are_listed_then_they_are_those_of_its_clock(
-    name: str, rates: tuple[float, ...]
-) -> None:
+def test_delta_sigma_rates_are_those_of_the_clock(name: str, rates: tuple[float, ...]) -> None:
     inputs = module(name).inputs
     assert inputs is not None and set(rates) <= set(inputs.rates.ladder)
     assert inputs.rates.ladder[-1] == rates[0] and inputs.rates.ladder[0] == rates[-1]
 
 
 @pytest.mark.parametrize("rate", [0.0, -1.0, 60e3, float("nan")])
-def test_given_a_rate_that_a_clock_cannot_make_when_asked_for_then_the_error_names_what_it_can(
+def test_impossible_rate_error_names_possible_rates(
     rate: float,
 ) -> None:
     inputs = module("NI 9234").inputs
@@ -72,12 +68,12 @@ def test_given_a_rate_that_a_clock_cannot_make_when_asked_for_then_the_error_nam
         inputs.rates.at_least(rate)
 
 
-def test_given_a_sensor_when_a_module_is_asked_for_then_it_is_none() -> None:
+def test_sensor_preset_is_not_a_module() -> None:
     with pytest.raises(SceneError, match="unknown module"):
         module("PCB 352C33")
 
 
-def test_given_a_shaker_by_its_name_when_loaded_then_coil_and_armature_are_those_of_its_data_sheet() -> None:
+def test_shaker_preset_fills_coil_and_armature() -> None:
     shaker = "{kind: electrodynamic, body: 1, spring: 6.6 kN/m, preset: LDS V203, armature: {mass: 40 g}}"
     scene = rig.loads(f"structure: {{masses: [1 kg], springs: [10 kN/m]}}\nshaker: {shaker}")
     assert scene.shaker.coil.force_factor == 3.744

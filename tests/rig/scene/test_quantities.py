@@ -37,7 +37,7 @@ from rig.scene.quantities import (
 )
 
 
-def test_given_the_units_written_out_when_looked_up_then_pint_says_the_same() -> None:
+def test_listed_units_equal_those_of_pint() -> None:
     for (unit, si), factor in USUAL.items():
         kind = next(kind for kind in KINDS if kind.si == si)
         assert by_pint(unit, kind) == factor, unit
@@ -87,17 +87,15 @@ KINDS = [value for value in vars(quantities).values() if isinstance(value, Kind)
         (0.25, LENGTH, 0.25),
     ],
 )
-def test_given_a_quantity_as_people_write_it_when_parsed_then_it_is_the_nearest_double_in_si(
-    written: str | float, kind: Kind, value: float
-) -> None:
+def test_written_quantity_is_the_nearest_double_in_si(written: str | float, kind: Kind, value: float) -> None:
     assert parse(written, kind) == value
 
 
-def test_given_sensitivity_per_g_when_parsed_then_g_is_standard_gravity() -> None:
+def test_g_in_a_sensitivity_is_standard_gravity() -> None:
     assert parse("100 mV/g", ACCELERATION_SENSITIVITY) == float(Fraction("0.1") / Fraction("9.80665"))
 
 
-def test_given_angular_frequency_when_parsed_then_it_is_in_hertz() -> None:
+def test_angular_frequency_becomes_hertz() -> None:
     assert parse("312.4 rad/s", FREQUENCY) == pytest.approx(312.4 / (2.0 * math.pi), rel=3e-16)
 
 
@@ -135,20 +133,20 @@ def test_given_angular_frequency_when_parsed_then_it_is_in_hertz() -> None:
         (10**400, LENGTH),
     ],
 )
-def test_given_what_is_no_such_quantity_when_parsed_then_it_is_refused(written: object, kind: Kind) -> None:
+def test_text_that_is_no_quantity_is_rejected(written: object, kind: Kind) -> None:
     with pytest.raises(ValueError, match=r"\w"):
         parse(written, kind)
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.noun)
-def test_given_the_example_of_a_kind_when_parsed_then_it_is_of_that_kind(kind: Kind) -> None:
+def test_example_of_a_kind_is_of_that_kind(kind: Kind) -> None:
     for example in kind.example.split(" or "):
         assert math.isfinite(parse(example, kind))
     assert parse(f"1 {kind.si.replace('/', ' / ')}", kind) == 1.0
 
 
 @given(st.floats(allow_nan=False), st.sampled_from(KINDS))
-def test_given_any_double_when_written_and_parsed_then_it_is_the_same(value: float, kind: Kind) -> None:
+def test_any_double_survives_writing_and_parsing(value: float, kind: Kind) -> None:
     assert parse(text(value, kind), kind) == value
 
 
@@ -158,13 +156,13 @@ def test_given_millimetres_when_parsed_then_rounded_once_only(number: object) ->
 
 
 @given(st.floats(min_value=1e-3, max_value=1e6))
-def test_given_one_frequency_in_three_units_when_parsed_then_they_agree(hertz: float) -> None:
+def test_frequency_in_three_units_is_equal(hertz: float) -> None:
     assert parse(f"{2.0 * math.pi * hertz!r} rad/s", FREQUENCY) == pytest.approx(hertz, rel=1e-15)
     assert parse(f"{60.0 * hertz!r} rpm", FREQUENCY) == pytest.approx(hertz, rel=1e-15)
 
 
 @given(st.text(max_size=40) | st.from_regex(r"\A[0-9]{1,3} ?([kmNsHzg]{1,3}|[*/^() %-]|[0-9]){0,12}\Z"))
-def test_given_any_text_when_parsed_then_a_number_or_a_refusal(written: str) -> None:
+def test_any_text_is_a_number_or_rejected(written: str) -> None:
     try:
         value = parse(written, LENGTH)
     except ValueError:

@@ -23,9 +23,7 @@ NUMBERS = st.sampled_from([-3.0, -1.0, 0.0, 1.0, 2.0, 5.0, float("inf"), -float(
     below=st.none() | NUMBERS,
     infinite=st.fixed_dictionaries({}, optional={"infinite": st.booleans()}),
 )
-def test_given_bounds_when_a_number_is_read_then_it_is_taken_just_where_they_let_it(
-    value, above, at_least, below, infinite
-):
+def test_bounds_accept_exactly_the_allowed_numbers(value, above, at_least, below, infinite):
     quantity = Quantity(LENGTH, above=above, at_least=at_least, below=below, **infinite)
     allowed = infinite.get("infinite", False) or abs(value) < float("inf")
     allowed = allowed and not (above is not None and value <= above)
@@ -38,7 +36,7 @@ def test_given_bounds_when_a_number_is_read_then_it_is_taken_just_where_they_let
             quantity.read(value)
 
 
-def test_given_bounds_when_told_then_each_is_named_with_what_a_bare_number_is():
+def test_bounds_are_described_with_the_bare_unit():
     quantity = Quantity(LENGTH, above=0.0, at_least=1e-3, below=2.5, infinite=False)
     assert (
         quantity.bounded
@@ -50,14 +48,14 @@ def test_given_bounds_when_told_then_each_is_named_with_what_a_bare_number_is():
     assert either.offered.endswith("; a bare number is in m or kg")
 
 
-def test_given_two_kinds_when_read_then_the_first_that_fits_counts():
+def test_first_fitting_kind_of_a_quantity_counts():
     either = Quantity(LENGTH, MASS)
     assert (either.read("2 mm"), either.read("2 g")) == (2e-3, 2e-3)
     with pytest.raises(PydanticCustomError, match=r'got "2 Hz"; expected a length or a mass'):
         either.read("2 Hz")
 
 
-def test_given_a_list_when_it_may_be_one_then_every_number_is_read_and_none_is_too_few():
+def test_list_of_quantities_reads_each_number():
     listed = Quantity(LENGTH, above=0.0, listed=True)
     assert listed.read(["1 mm", 2.0]) == (1e-3, 2.0)
     assert listed.read("1 mm") == 1e-3
@@ -70,16 +68,16 @@ def test_given_a_list_when_it_may_be_one_then_every_number_is_read_and_none_is_t
         Quantity(LENGTH).read([1.0])
 
 
-def test_given_minus_zero_when_read_then_it_is_zero():
+def test_minus_zero_is_read_as_zero():
     assert str(Quantity(LENGTH).read(-0.0)) == "0.0"
 
 
-def test_given_a_number_that_arithmetic_cannot_carry_when_read_then_the_range_is_told():
+def test_number_beyond_arithmetic_reports_its_range():
     with pytest.raises(PydanticCustomError, match=r"expected a length .*"):
         Quantity(LENGTH).read(1e200)
 
 
-def test_given_a_quantity_when_described_for_editors_then_bounds_and_lists_are_there():
+def test_quantity_schema_has_bounds_and_lists():
     def schema(**bounds):
         return TypeAdapter(Annotated[float, Quantity(LENGTH, **bounds)]).json_schema()
 
@@ -91,14 +89,14 @@ def test_given_a_quantity_when_described_for_editors_then_bounds_and_lists_are_t
     assert many == {"type": "array", "items": {"anyOf": [number, text]}, "minItems": 1}
 
 
-def test_given_a_type_when_its_quantity_is_sought_then_it_is_found_inside_unions():
+def test_quantity_is_detected_inside_unions():
     quantity = Quantity(LENGTH)
     assert quantity_of(Annotated[float, quantity] | None) is quantity
     assert quantity_of(tuple[Annotated[float, quantity], ...]) is quantity
     assert quantity_of(float | None) is None
 
 
-def test_given_any_value_when_shown_then_it_is_short_and_says_what_it_is():
+def test_shown_value_is_short_and_recognisable():
     assert [got(each) for each in (None, {}, {"a": 1, "b": 2}, "x", 1.5)] == [
         "nothing",
         "no keys",

@@ -11,7 +11,7 @@ from rig.scene.scene_files import bundled, text_of
 from rig.scene.yaml_reader import read
 
 
-def test_given_every_key_when_explained_then_its_meaning_and_values_are_told() -> None:
+def test_every_key_is_explained_with_its_values() -> None:
     whole = page()
     for key in keys():
         assert len(key.about) > 5 and key.takes and key.without, key
@@ -21,7 +21,7 @@ def test_given_every_key_when_explained_then_its_meaning_and_values_are_told() -
         assert key.about in whole
 
 
-def test_given_the_bundled_scenes_when_their_keys_are_looked_up_then_all_are_explained() -> None:
+def test_keys_of_bundled_scenes_are_explained() -> None:
     known = {key.name.replace("[]", "") for key in keys()} | {"shaker.kind", "test.kind"}
 
     def names(node: object, path: str) -> set[str]:
@@ -47,11 +47,11 @@ def test_given_the_bundled_scenes_when_their_keys_are_looked_up_then_all_are_exp
         ("accelerometer.q", "left out: 30"),
     ],
 )
-def test_given_a_key_or_its_end_when_asked_then_it_is_explained(key, said) -> None:
+def test_key_is_explained_by_full_name_or_end(key, said) -> None:
     assert said in help_on(key)
 
 
-def test_given_a_misspelt_key_when_asked_then_the_nearest_is_named() -> None:
+def test_misspelt_key_is_answered_with_the_nearest() -> None:
     with pytest.raises(SceneError, match="did you mean clearance"):
         help_on("clearence")
 
@@ -130,9 +130,7 @@ ON: dict[str, tuple[dict[str, object], dict[str, object]]] = {
 }
 
 
-def test_given_every_key_that_turns_something_on_when_it_does_then_explain_shows_that_effect_and_its_states() -> (
-    None
-):
+def test_every_optional_key_adds_its_effect_and_states() -> None:
     assert {key.replace("[1]", "") for key in ON} == set(EFFECTS)
     for key, (without, with_it) in ON.items():
         effect, states = EFFECTS[key.replace("[1]", "")]

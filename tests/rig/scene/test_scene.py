@@ -51,7 +51,7 @@ seed: 1
 SMALL = "structure: {masses: [1 kg], springs: [1 kN/m]}\n"
 
 
-def test_given_the_whole_format_when_loaded_then_every_value_is_in_si() -> None:
+def test_whole_format_loads_in_si() -> None:
     scene = rig.loads(WHOLE_FORMAT)
     assert scene.name == "three dampers, no ceiling"
     assert scene.structure.masses == (0.74, 0.71, 0.64)
@@ -88,12 +88,12 @@ def test_given_the_whole_format_when_loaded_then_every_value_is_in_si() -> None:
         ("{dashpots: [0.5 N s/m, 0.4 N s/m, 0.3 N s/m]}", Dashpots(dashpots=(0.5, 0.4, 0.3))),
     ],
 )
-def test_given_each_form_of_damping_when_loaded_then_it_is_understood(written: str, damping: object) -> None:
+def test_each_form_of_damping_is_loaded(written: str, damping: object) -> None:
     scene = rig.loads(WHOLE_FORMAT.replace("{modal: 0.5 %}", written))
     assert scene.structure.damping == damping
 
 
-def test_given_a_tone_and_an_impulse_as_printed_when_loaded_then_understood() -> None:
+def test_printed_tone_and_impulse_tests_are_loaded() -> None:
     tone = rig.loads(
         SMALL + "shaker: {kind: force, body: 1}\n"
         "test: {kind: sine, frequency: 218.8 rad/s, force: 2.6 N, start: empty}"
@@ -107,7 +107,7 @@ def test_given_a_tone_and_an_impulse_as_printed_when_loaded_then_understood() ->
     assert hit.test == Impulse(body=1, peak=50.0, width=0.004, repeats=3, interval=6.0)
 
 
-def test_given_an_electrodynamic_shaker_when_loaded_then_its_parts_have_their_defaults() -> None:
+def test_electrodynamic_shaker_has_default_parts() -> None:
     scene = rig.loads(
         SMALL + "shaker: {kind: electrodynamic, body: 1, spring: 6.6 kN/m, amplifier: {limit: 40 V}}"
     )
@@ -118,7 +118,7 @@ def test_given_an_electrodynamic_shaker_when_loaded_then_its_parts_have_their_de
     assert (shaker.amplifier.mode, shaker.amplifier.gain, shaker.amplifier.limit) == ("voltage", 1.0, 40.0)
 
 
-def test_given_every_sensor_key_when_loaded_then_it_has_a_place() -> None:
+def test_every_sensor_key_is_loaded() -> None:
     scene = rig.loads(
         SMALL
         + """
@@ -158,15 +158,13 @@ recording: {samples: counts}
 @pytest.mark.parametrize(
     ("written", "value"), [("1e-5", 1e-5), ("010", 10.0), ("1_000", 1000.0), ("1.5e3 N/m", 1500.0)]
 )
-def test_given_numbers_that_yaml_itself_reads_otherwise_when_loaded_then_they_are_what_they_look_like(
-    written: str, value: float
-) -> None:
+def test_numbers_that_yaml_misreads_load_as_written(written: str, value: float) -> None:
     scene = rig.loads(f"structure: {{masses: [1], springs: [{written}]}}")
     assert scene.structure.springs == (value,)
 
 
 @pytest.mark.parametrize("name", ["off", "2024-01-01", "1:30", "1e5", "true", "007", "a#b", "Ω µ"])
-def test_given_a_name_that_yaml_itself_takes_for_something_else_when_loaded_then_it_stays_a_name(
+def test_names_that_yaml_misreads_stay_names(
     name: str,
 ) -> None:
     scene = rig.loads(f"name: {name}\n{SMALL}")
@@ -177,11 +175,11 @@ def test_given_a_name_that_yaml_itself_takes_for_something_else_when_loaded_then
 @pytest.mark.parametrize(
     ("written", "value"), [("on", True), ("yes", True), ("false", False), ("off", False)]
 )
-def test_given_a_switch_in_words_when_loaded_then_it_is_understood(written: str, value: bool) -> None:
+def test_switches_in_words_are_loaded(written: str, value: bool) -> None:
     assert rig.loads(f"{SMALL}recording: {{truth: {written}}}").recording.truth is value
 
 
-def test_given_stepped_sine_settings_when_asked_then_frequencies_come_in_the_order_they_are_run() -> None:
+def test_stepped_sine_frequencies_keep_their_order() -> None:
     up = SteppedSine.model_validate({"from": 8, "to": 60, "points": 5, "force": [1.0, 2.0]})
     assert up.order == (8.0, 21.0, 34.0, 47.0, 60.0)
     assert up.levels == (1.0, 2.0)
@@ -193,21 +191,21 @@ def test_given_stepped_sine_settings_when_asked_then_frequencies_come_in_the_ord
 
 
 @pytest.mark.parametrize("name", [name for name in bundled() if name != "fe-beam"])
-def test_given_a_scene_of_the_paper_when_loaded_then_it_is_the_papers_structure(name: str) -> None:
+def test_paper_scene_has_the_structure_of_the_paper(name: str) -> None:
     structure = rig.load(name).structure
     assert structure.masses == (0.74, 0.71, 0.64)
     assert structure.springs == (24300.0, 21800.0, 19800.0)
 
 
 @pytest.mark.parametrize("name", bundled())
-def test_given_a_bundled_scene_when_loaded_then_it_says_what_it_is_and_can_be_written(name: str) -> None:
+def test_bundled_scene_is_described_and_writable(name: str) -> None:
     scene = rig.load(name)
     assert scene.test is not None
     assert len(summary(name)) > 20
     assert rig.loads(scene.to_yaml()) == scene
 
 
-def test_given_the_paper_when_bundled_scenes_are_listed_then_its_settings_are_there() -> None:
+def test_bundled_scenes_cover_the_settings_of_the_paper() -> None:
     wanted = {"bare-structure", "fig9", "fig10a", "reference-A", "reference-B", "reference-C"}
     wanted |= {f"fig8-{word}" for word in ("no-damper", "one-damper", "two-dampers", "three-dampers")}
     wanted |= {"fig5-single-damper", "fig5-three-dampers", "fig10b-no-damper", "fig10b-three-dampers"}
@@ -222,7 +220,7 @@ def test_given_the_paper_when_bundled_scenes_are_listed_then_its_settings_are_th
         ("reference-C", 10.0, 312.4, [1, 2, 3], 0.1, 1e-3),
     ],
 )
-def test_given_a_reference_case_when_loaded_then_it_is_the_published_problem(
+def test_reference_case_is_the_published_problem(
     name: str, force: float, speed: float, bodies: list[int], ratio: float, clearance: float
 ) -> None:
     scene = rig.load(name)
@@ -236,14 +234,14 @@ def test_given_a_reference_case_when_loaded_then_it_is_the_published_problem(
     assert {(d.mass_ratio, d.clearance, d.restitution) for d in scene.dampers} == {(ratio, clearance, 0.0)}
 
 
-def test_given_a_file_without_a_name_when_loaded_then_it_is_named_after_the_file(tmp_path: Path) -> None:
+def test_nameless_scene_is_named_after_its_file(tmp_path: Path) -> None:
     path = tmp_path / "my rig.yaml"
     path.write_text(SMALL)
     assert rig.load(path).name == "my rig"
     assert rig.load(str(path)) == rig.load(path)
 
 
-def test_given_matrices_beside_the_scene_file_when_loaded_then_read_and_written_inline(
+def test_matrix_files_are_read_and_written_inline(
     tmp_path: Path,
 ) -> None:
     mass = np.array([[2.0, 0.1], [0.1, 1.0]])
@@ -258,7 +256,7 @@ def test_given_matrices_beside_the_scene_file_when_loaded_then_read_and_written_
     assert rig.loads(scene.to_yaml()) == scene
 
 
-def test_given_a_variant_when_made_then_the_original_stays_and_the_variant_is_checked() -> None:
+def test_variant_is_checked_and_the_original_unchanged() -> None:
     scene = rig.load("fig9")
     variant = scene.replace(gravity="0 m/s^2", dampers=())
     assert (variant.gravity, variant.dampers) == (0.0, ())
@@ -270,26 +268,26 @@ def test_given_a_variant_when_made_then_the_original_stays_and_the_variant_is_ch
         scene.test.replace(force=-1)
 
 
-def test_given_a_loaded_scene_when_changed_in_place_then_refused() -> None:
+def test_loaded_scene_is_frozen() -> None:
     with pytest.raises(ValueError, match="frozen"):
         rig.load("fig9").seed = 2  # type: ignore[misc]
 
 
-def test_given_a_fresh_process_when_rig_is_imported_then_heavy_packages_stay_out() -> None:
+def test_import_of_rig_leaves_heavy_packages_out() -> None:
     heavy = "{'numba', 'pint', 'pydantic', 'matplotlib', 'scipy', 'yaml', 'numpy'}"
     code = f"import sys, rig; print(sorted({heavy} & set(sys.modules)))"
     seen = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert seen.stdout.strip() == "[]"
 
 
-def test_given_a_scene_in_si_when_loaded_in_a_fresh_process_then_no_unit_is_looked_up() -> None:
+def test_scene_in_si_loads_without_pint() -> None:
     text = rig.load("fig8-three-dampers").to_yaml()
     code = f"import sys, rig; rig.loads({text!r}); print('pint' in sys.modules)"
     seen = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert seen.stdout.strip() == "False"
 
 
-def test_given_a_shaker_by_its_data_sheet_when_loaded_then_what_the_scene_says_goes_before_it() -> None:
+def test_scene_overrides_the_preset_of_its_shaker() -> None:
     shaker = {"kind": "electrodynamic", "preset": "lds v203", "body": 1, "spring": "6.6 kN/m"}
     scene = rig.load("fig9", {"shaker": {**shaker, "coil": {"resistance": "2 ohm"}}})
     assert (scene.shaker.coil.resistance, scene.shaker.coil.inductance) == (2.0, 764e-6)

@@ -465,21 +465,19 @@ MISTAKES = [
 
 
 @pytest.mark.parametrize(("text", "message"), MISTAKES, ids=[message for _, message in MISTAKES])
-def test_given_one_mistake_when_loaded_then_place_value_and_expectation_are_named(
-    text: str, message: str
-) -> None:
+def test_single_mistake_names_place_value_and_expectation(text: str, message: str) -> None:
     said = complaints(text)
     assert f"scene.yaml{message}" in said
     assert len(said.splitlines()) == 1
 
 
-def test_given_a_module_that_samples_faster_than_asked_when_loaded_then_its_own_rate_counts() -> None:
+def test_faster_module_counts_with_its_own_rate() -> None:
     module = "converter: {preset: NI 9234, rate: 8 kHz}"
     scene = rig.loads(STRUCTURE + FORCE + "test: {kind: sine, frequency: 4.2 kHz, force: 1}\n" + module)
     assert scene.converter.sample_rate == pytest.approx(51200 / 6)
 
 
-def test_given_wrong_presets_and_a_wrong_unit_when_loaded_then_all_are_named_at_once() -> None:
+def test_wrong_presets_and_units_are_all_named() -> None:
     said = complaints(
         STRUCTURE
         + """gravity: heavy
@@ -498,7 +496,7 @@ converter:
     ]
 
 
-def test_given_many_mistakes_when_loaded_then_each_has_its_line_and_none_is_invented() -> None:
+def test_many_mistakes_each_have_their_line() -> None:
     said = complaints(
         """name: wrong in many ways
 structure:
@@ -536,14 +534,14 @@ sed: 4
 
 
 @pytest.mark.parametrize("content", [b"\x89PNG\r\n\x1a\n\x00\x00", b"\xff\xfe\x00", bytes(range(256))])
-def test_given_a_binary_file_when_loaded_then_said_so(tmp_path: Path, content: bytes) -> None:
+def test_binary_file_is_rejected(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "scene.yaml"
     path.write_bytes(content)
     with pytest.raises(SceneError, match="no text file; expected a scene in YAML"):
         rig.load(path)
 
 
-def test_given_an_empty_file_a_folder_and_nothing_when_loaded_then_each_is_told_apart(tmp_path: Path) -> None:
+def test_empty_file_folder_and_nothing_are_distinguished(tmp_path: Path) -> None:
     (tmp_path / "empty.yaml").touch()
     with pytest.raises(SceneError, match=r"empty\.yaml is empty"):
         rig.load(tmp_path / "empty.yaml")
@@ -559,7 +557,7 @@ def test_given_an_empty_file_a_folder_and_nothing_when_loaded_then_each_is_told_
         rig.load("a\0b")
 
 
-def test_given_matrix_files_that_cannot_be_used_when_loaded_then_each_says_why(tmp_path: Path) -> None:
+def test_unusable_matrix_file_says_why(tmp_path: Path) -> None:
     scene = tmp_path / "s.yaml"
     scene.write_text("structure: {matrices: {mass: M.npy, stiffness: K.npy, damping: C.npy}}\n")
     (tmp_path / "K.npy").write_bytes(b"\x93NUMPY nonsense")
@@ -575,9 +573,7 @@ def test_given_matrix_files_that_cannot_be_used_when_loaded_then_each_says_why(t
 @pytest.mark.parametrize(
     ("kind", "shape"), [("'<f8'", "(1000000, 1000000)"), ("'<f8'", f"({10**30}, 1)"), ("(" * 500, "(1, 1)")]
 )
-def test_given_a_matrix_file_that_promises_too_much_when_loaded_then_refused_unread(
-    kind: str, shape: str, tmp_path: Path
-) -> None:
+def test_oversized_matrix_file_is_rejected_unread(kind: str, shape: str, tmp_path: Path) -> None:
     header = f"{{'descr': {kind}, 'fortran_order': False, 'shape': {shape}, }}"
     raw = b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header.encode()
     (tmp_path / "M.npy").write_bytes(raw)
@@ -607,7 +603,7 @@ BOMB = "a0: &a0 [x, x, x, x, x, x, x, x, x]\n" + "".join(
         ("structure: {masses: [" + "9" * 100_000 + "], springs: [1]}", "expected a mass"),
     ],
 )
-def test_given_a_hostile_text_when_loaded_then_refused_in_no_time(text: str, message: str) -> None:
+def test_hostile_text_is_rejected_quickly(text: str, message: str) -> None:
     assert message in complaints(text)
 
 
@@ -635,7 +631,7 @@ words = st.sampled_from(
 
 
 @given(st.text(max_size=60) | st.lists(words, max_size=30).map("".join))
-def test_given_any_text_when_loaded_then_a_scene_or_a_scene_error(text: str) -> None:
+def test_any_text_gives_a_scene_or_scene_error(text: str) -> None:
     try:
         scene = rig.loads(text)
     except SceneError as error:

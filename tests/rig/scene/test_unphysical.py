@@ -43,21 +43,21 @@ def matrices(stiffness: str, damping: str = "[[0, 0], [0, 0]]", mass: str = "[[1
         ),
     ],
 )
-def test_given_a_structure_that_cannot_be_when_loaded_then_the_error_says_why(text: str, said: str) -> None:
+def test_impossible_structure_says_why(text: str, said: str) -> None:
     assert said in complaint(text)
 
 
-def test_given_damping_that_is_no_sum_of_dashpots_but_stable_when_loaded_then_it_is_taken() -> None:
+def test_stable_general_damping_matrix_is_accepted() -> None:
     # The gyroscopic part does no work; the symmetric part of the second is indefinite, yet every motion decays.
     for damping in ("[[0.1, 5], [-5, 0.1]]", "[[0.3, 0.32], [0.32, 0.3]]"):
         assert rig.loads(matrices(HELD, damping)).structure.bodies == 2
 
 
-def test_given_a_free_structure_when_loaded_then_its_rigid_body_motion_is_no_mistake() -> None:
+def test_free_structure_may_move_as_rigid_body() -> None:
     assert rig.loads(matrices("[[1000, -1000], [-1000, 1000]]")).structure.bodies == 2
 
 
-def test_given_a_clearance_without_unit_that_no_cavity_has_when_loaded_then_the_value_is_told_in_mm() -> None:
+def test_improbable_clearance_without_unit_is_reported_in_mm() -> None:
     chain = "structure: {masses: [1 kg], springs: [1 kN/m]}\ndampers: [{body: 1, mass: 1 g, clearance: %s}]"
     with pytest.warns(
         SceneWarning, match=r"scene:2: dampers\[1\].clearance: got 0.98 .* 980 mm; .* such as 0.98 mm"
@@ -76,9 +76,7 @@ def test_given_a_clearance_without_unit_that_no_cavity_has_when_loaded_then_the_
         ("damping: {modal: 0.005}", None),
     ],
 )
-def test_given_a_damping_ratio_that_looks_like_percent_when_loaded_then_it_is_told_as_a_share(
-    meant, said
-) -> None:
+def test_damping_ratio_like_a_percentage_is_questioned(meant, said) -> None:
     chain = f"structure: {{masses: [1 kg, 1 kg], springs: [1 kN/m, 1 kN/m], {meant}}}"
     with pytest.warns(SceneWarning, match=said) if said else nullcontext():
         rig.loads(chain)
@@ -95,7 +93,7 @@ recording: {display: false}
 """
 
 
-def test_given_a_motion_that_diverges_when_run_then_it_stops_with_the_time_and_the_quantity(tmp_path) -> None:
+def test_diverging_motion_stops_with_time_and_quantity(tmp_path) -> None:
     scene, said = (
         rig.loads(RUNS_AWAY),
         r"diverges: body [12] is [0-9.]+e\+06 m away from rest 1[0-9][0-9.]* s after",
@@ -112,9 +110,7 @@ WRONG = st.sampled_from(
 
 
 @given(body=st.integers(3, 999), wrong=WRONG)
-def test_given_a_wrong_reference_in_a_part_that_is_wrong_itself_when_loaded_then_both_are_told_at_once(
-    body: int, wrong: str
-) -> None:
+def test_wrong_reference_in_a_wrong_part_is_reported(body: int, wrong: str) -> None:
     said = complaint(
         "structure: {masses: [1 kg, 2 kg], springs: [1 kN/m, 1 kN/m]}\n"
         f"dampers: [{{body: {body}, mass: 1 g, {wrong}}}]\n"

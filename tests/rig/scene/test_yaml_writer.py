@@ -122,16 +122,14 @@ def scenes(draw: st.DrawFn) -> Scene:
 # A ratio is written without a unit, which is asked about where a person might have forgotten it.
 @pytest.mark.filterwarnings("ignore::rig.errors.SceneWarning")
 @given(scenes())
-def test_given_any_scene_when_written_and_loaded_then_it_is_equal_to_the_last_bit(scene: Scene) -> None:
+def test_any_scene_survives_writing_to_the_last_bit(scene: Scene) -> None:
     again = rig.loads(scene.to_yaml())
     assert again == scene
     assert again.to_yaml() == scene.to_yaml()
 
 
 @given(st.integers(1, 4), st.integers(0, 2**32))
-def test_given_any_matrices_when_written_and_loaded_then_they_are_equal_to_the_last_bit(
-    n: int, seed: int
-) -> None:
+def test_any_matrices_survive_writing_to_the_last_bit(n: int, seed: int) -> None:
     random = np.random.default_rng(seed)
     root = random.standard_normal((n, n))
     mass = root @ root.T + np.eye(n)
@@ -142,7 +140,7 @@ def test_given_any_matrices_when_written_and_loaded_then_they_are_equal_to_the_l
     assert rig.loads(scene.to_yaml()) == scene == rig.loads(scene.to_si_yaml())
 
 
-def test_given_minus_zero_when_written_then_it_is_zero() -> None:
+def test_minus_zero_is_written_as_zero() -> None:
     channel = {"name": "a", "at": "body 1", "accelerometer": {"bias": -0.0}}
     scene = Scene(structure={"masses": (1.0,), "springs": (1.0,)}, channels=[channel])
     assert "bias: 0.0 V" in scene.to_si_yaml() and "bias: 0 V" in scene.to_yaml()
@@ -208,14 +206,14 @@ def test_spelled_quantity_is_the_same_double(value: float, kind: Kind) -> None:
     assert parse(spelled(value, kind, f"1 {kind.si}"), kind) == value
 
 
-def test_given_the_schema_in_the_package_when_compared_then_it_is_current() -> None:
+def test_packaged_schema_is_current() -> None:
     shipped = (SCENES.parent / "scene.schema.json").read_text(encoding="utf-8")
     assert json.loads(shipped) == json.loads(schema_text()), (
         "run: rig schema > rig/scene/data/scene.schema.json"
     )
 
 
-def test_given_the_command_line_when_scenes_are_listed_then_one_to_a_line_with_what_it_is() -> None:
+def test_scene_list_has_one_described_scene_per_line() -> None:
     result = CliRunner().invoke(app, ["scenes"])
     assert result.exit_code == 0
     listed = dict(line.split("\t") for line in result.stdout.splitlines())
@@ -223,6 +221,6 @@ def test_given_the_command_line_when_scenes_are_listed_then_one_to_a_line_with_w
     assert listed["fig9"].startswith("Fig 9")
 
 
-def test_given_the_command_line_when_the_schema_is_printed_then_it_is_json() -> None:
+def test_printed_schema_is_json() -> None:
     result = CliRunner().invoke(app, ["schema"])
     assert json.loads(result.stdout)["title"] == "shotrig scene"

@@ -71,7 +71,7 @@ def pick(branch: Branch, how_many: int) -> list[int]:
 
 
 @pytest.mark.parametrize("kind", ["I", "II", "III"])
-def test_given_a_motion_when_integrated_independently_then_every_condition_holds_to_1e_10(kind: str) -> None:
+def test_integrated_motion_meets_every_condition(kind: str) -> None:
     for branch in branches(single_damper(), kind):
         for i in pick(branch, 3):
             mode = single_damper().mode
@@ -101,7 +101,7 @@ def test_given_a_motion_when_integrated_independently_then_every_condition_holds
             assert abs(after[1] - u0) < 1e-10 * size * system.omega
 
 
-def test_given_fig_9_when_solved_then_type_ii_is_stable_at_the_resonance_and_type_i_on_its_flanks() -> None:
+def test_fig_9_has_type_ii_at_resonance() -> None:
     found = fig9()
 
     (second,) = branches(found, "II")
@@ -116,7 +116,7 @@ def test_given_fig_9_when_solved_then_type_ii_is_stable_at_the_resonance_and_typ
 
 
 @pytest.mark.thorough
-def test_given_fig_5_when_solved_then_the_single_damper_shows_type_iii_at_resonance() -> None:
+def test_fig_5_has_type_iii_at_resonance() -> None:
     found = approximate_response(rig.load("fig5-single-damper"), 3, (48.0, 49.0))
 
     (third,) = branches(found, "III")
@@ -125,7 +125,7 @@ def test_given_fig_5_when_solved_then_the_single_damper_shows_type_iii_at_resona
     assert (third.tau_1 < third.tau_2).all()
 
 
-def test_given_type_ii_and_iii_when_the_stay_vanishes_then_one_ends_where_the_other_begins() -> None:
+def test_type_ii_ends_where_type_iii_begins() -> None:
     found = fig9()
 
     (second,) = branches(found, "II")
@@ -139,7 +139,7 @@ def test_given_type_ii_and_iii_when_the_stay_vanishes_then_one_ends_where_the_ot
 
 
 @pytest.mark.parametrize("kind", ["I", "II", "III"])
-def test_given_conditions_when_differentiated_then_they_agree_with_finite_differences(
+def test_condition_derivatives_equal_finite_differences(
     kind: MotionType,
 ) -> None:
     setting = dimensionless(single_damper().mode, 0.97)
@@ -157,7 +157,7 @@ def test_given_conditions_when_differentiated_then_they_agree_with_finite_differ
 
 
 @pytest.mark.parametrize("kind", ["I", "II", "III"])
-def test_given_a_motion_when_disturbed_then_it_answers_by_its_floquet_multipliers(kind: str) -> None:
+def test_disturbed_motion_responds_by_floquet_multipliers(kind: str) -> None:
     branch = branches(single_damper(), kind)[-1]
     (i,) = pick(branch, 1)
     mode = single_damper().mode
@@ -224,7 +224,7 @@ def test_given_a_motion_when_disturbed_then_it_answers_by_its_floquet_multiplier
 
 
 @pytest.mark.parametrize("acceleration", [1.2, 2.0, 3.0])
-def test_given_a_vanishing_damper_when_solved_then_it_is_the_inelastic_bouncing_ball(
+def test_vanishing_damper_is_the_inelastic_bouncing_ball(
     acceleration: float,
 ) -> None:
     mode = single_mode(rig.load("fig8-one-damper"), 3, force=1.0, at=1)
@@ -245,7 +245,7 @@ def test_given_a_vanishing_damper_when_solved_then_it_is_the_inelastic_bouncing_
     assert np.angle(np.exp(1j * (landing - flight.end))) == pytest.approx(0, abs=1e-6)
 
 
-def test_given_no_clearance_when_solved_then_only_the_linear_response_with_the_damper_remains() -> None:
+def test_zero_clearance_leaves_the_linear_response() -> None:
     scene = rig.load("fig9")
     locked = scene.replace(dampers=[scene.dampers[0].replace(clearance=0.0)])
 
@@ -259,7 +259,7 @@ def test_given_no_clearance_when_solved_then_only_the_linear_response_with_the_d
     assert np.abs(ridden).max() == pytest.approx(np.abs(exact).max(), rel=0.02)
 
 
-def test_given_a_narrowing_clearance_when_solved_then_it_tends_to_the_damper_riding() -> None:
+def test_small_clearance_tends_to_the_riding_damper() -> None:
     scene = rig.load("fig9")
     away = []
     for clearance in (2e-5, 1e-5, 5e-6):
@@ -275,7 +275,7 @@ def test_given_a_narrowing_clearance_when_solved_then_it_tends_to_the_damper_rid
 
 
 @pytest.mark.parametrize("kind", ["I", "II", "III"])
-def test_given_a_motion_when_its_energy_is_summed_then_the_force_pays_for_damping_and_impacts(
+def test_input_energy_equals_damping_and_impact_losses(
     kind: str,
 ) -> None:
     mode = single_damper().mode
@@ -304,7 +304,7 @@ def test_given_a_motion_when_its_energy_is_summed_then_the_force_pays_for_dampin
     assert lost == pytest.approx(work, rel=1e-9)
 
 
-def test_given_a_low_ceiling_when_type_i_would_hit_it_then_it_is_called_impossible() -> None:
+def test_type_i_that_hits_the_ceiling_is_impossible() -> None:
     setting = dimensionless(single_damper().mode, 0.93)._replace(height=0.1)
     motions = solutions("I", setting).T
     batch = Batch("I", motions, MotionParameters(*(np.full(motions.shape[1], value) for value in setting)))
@@ -312,7 +312,7 @@ def test_given_a_low_ceiling_when_type_i_would_hit_it_then_it_is_called_impossib
     assert set(flaws(batch)) == {"hits the ceiling early"}
 
 
-def test_given_a_damper_moving_against_the_largest_body_when_weighted_as_printed_then_it_refuses() -> None:
+def test_printed_weighting_rejects_a_damper_moving_in_antiphase() -> None:
     scene = rig.load("fig8-one-damper")
 
     with pytest.raises(SceneError, match="Eq 13 as printed"):
@@ -322,7 +322,7 @@ def test_given_a_damper_moving_against_the_largest_body_when_weighted_as_printed
     assert by_energy.mass_ratio == pytest.approx(at_damper.mass_ratio, rel=1e-12)
 
 
-def test_given_different_clearances_when_lumped_then_it_asks_for_a_common_one() -> None:
+def test_lumping_requires_a_common_clearance() -> None:
     scene = rig.load("fig5-three-dampers")
     first, *others = scene.dampers
     mixed = scene.replace(dampers=[first.replace(clearance=2e-3), *others])
@@ -331,7 +331,7 @@ def test_given_different_clearances_when_lumped_then_it_asks_for_a_common_one() 
         single_mode(mixed, 3)
 
 
-def test_given_restitution_when_reduced_then_it_says_that_the_method_has_none() -> None:
+def test_restitution_is_rejected_by_the_approximate_method() -> None:
     scene = rig.load("fig9")
     bouncy = scene.replace(dampers=[scene.dampers[0].replace(restitution=0.3)])
 
@@ -339,7 +339,7 @@ def test_given_restitution_when_reduced_then_it_says_that_the_method_has_none() 
         single_mode(bouncy, 3)
 
 
-def test_given_contact_that_lasts_when_reduced_then_it_says_that_the_method_knows_landings_at_once() -> None:
+def test_finite_contact_is_rejected_by_the_approximate_method() -> None:
     scene = rig.load("fig9")
     soft = scene.replace(dampers=[scene.dampers[0].replace(contact={"duration": 5e-3})])
 

@@ -17,6 +17,7 @@ from analysis.modal.order_selection import MOST_MODES, hidden, in_band, preferre
 from analysis.modal.pole_errors import pole_errors, refined_pole_errors, systematic_pole_errors
 from analysis.modal.pole_residue import Curves, Fit, fit, residual_terms
 from analysis.modal.refinement import Refined, refined
+from analysis.modal.several_references import separated
 from analysis.responses.systematic import ALIASING, ROUGH
 from rig.errors import RecordingError, SceneError
 from rig.results.response import Response, stack
@@ -55,7 +56,8 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
     Parameters
     ----------
     frfs : sequence of Response
-        Several responses to one reference at the same frequencies.
+        Several responses to one reference at the same frequencies; or a `Response` to several inputs, which separates
+        close and repeated modes.
     count : int, optional
         Most modes wanted. Omitted: all that the curves hold.
 
@@ -75,6 +77,14 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
     ):
         raise SceneError(
             f"identify: got {frfs!r:.60}; expected several curves, as analysis.frfs or read_frfs gives them"
+        )
+    if isinstance(frfs, Response) and len(frfs.inputs) > 1:
+        matrix = frfs
+        return separated(
+            identify(list(matrix), count),
+            matrix.keys(),
+            tuple(f"{point.quantity} at {point.place or point.name}" for point in matrix.inputs),
+            tuple(point.place for point in matrix.outputs),
         )
     curves = _bounded(thinned([frf.to("displacement").sorted() for frf in frfs]))
     measured, sigma = _measured(curves)

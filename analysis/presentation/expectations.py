@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from analysis.recordings.names import opened
-from analysis.responses.frequency_responses import BLOCK_OPTIONS, TAKEN, Blocks
+from analysis.responses.frequency_responses import BY_KIND, Blocks
 from analysis.responses.frf_files import is_frf_file
 from daq.recording.recorded_test import TestKind
 from rig.errors import RecordingError, SceneError
@@ -81,7 +81,7 @@ def expect_all(
             with opened(path) as rec:
                 expect(rec, path, command)
                 kind = rec.test.kind
-            acting, why = ("theory", *BLOCK_OPTIONS.get(kind, ())), TAKEN.get(kind, "")
+            acting, why = ("theory", *BY_KIND[kind].options), BY_KIND[kind].method
         for name in idle.keys() - {*acting}:
             idle[name].append(f"{path.name}: {why if name != 'unit' else 'a recording knows its units'}")
     for name, where in idle.items():

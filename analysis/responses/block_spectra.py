@@ -41,6 +41,8 @@ class CrossSpectra:
     """What spoilt others."""
     left: float
     """Largest part of any channel's motion that is left at the end of a block."""
+    squares: Array
+    """Mean square of each channel within a block, less its mean; shape (channels,)."""
 
     def averages(
         self,
@@ -48,9 +50,10 @@ class CrossSpectra:
         resolution: float,
         label: str,
         warnings: tuple[str, ...],
+        gain: Array,
         unsmeared: WholeStretches | None = None,
     ) -> Averages:
-        """Give what responses are made of; blocks begin every `step` samples."""
+        """Give what responses are made of; blocks begin every `step` samples; `gain` is as in `rounding_part`."""
         independent = independent_blocks(self.window, step, self.used) * self.weight
         return Averages(
             self.channels,
@@ -60,6 +63,7 @@ class CrossSpectra:
             resolution,
             label,
             warnings,
+            gain=gain,
             unsmeared=unsmeared,
         )
 
@@ -95,6 +99,7 @@ def cross_spectra(
     keep = (frequency >= low) & (frequency <= min(high, 0.45 * rec.rate)) & (frequency > 0)
     cross: ComplexArray = np.zeros((int(keep.sum()), len(names), len(names)), dtype=complex)
     total = squares = left = 0.0
+    power = np.zeros(len(names))
     used = 0
     fade = 1.0 if forgetting is None else forgetting
     blocks = read_slices(rec, names, ((begin, begin + size) for begin in starts))
@@ -108,11 +113,14 @@ def cross_spectra(
         cross = cross * fade + np.einsum("in,jn->nij", spectra, spectra.conj())
         total, squares = fade * total + 1.0, fade * fade * squares + 1.0
         used += 1
+        power += np.mean(np.square(samples), axis=1)
         size_now = np.maximum(abs(samples).max(axis=1), 1e-300)
         left = max(left, float(np.max(abs(samples[:, -max(1, size // 50) :]).max(axis=1) / size_now)))
     weight = total**2 / squares / used if used else 0.0
     mean = np.asarray(cross / max(total, 1e-300), dtype=complex)
-    return CrossSpectra(tuple(names), frequency[keep], mean, window, used, weight, found, left)
+    return CrossSpectra(
+        tuple(names), frequency[keep], mean, window, used, weight, found, left, power / max(used, 1)
+    )
 
 
 def window_of(name: str, size: int) -> Array:

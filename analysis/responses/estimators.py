@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -81,13 +81,18 @@ class Averages:
     unsmeared: WholeStretches | None = None
     """The same test without windows, where these leak: what the two differ by is stated as leakage."""
 
+    estimator: str = "H1"  # Or ``"H2"``, ``"Hv"``
+
+    def by(self, estimator: str | None) -> Averages:
+        """Choose the estimator; None: H1."""
+        return replace(self, estimator=estimator or "H1")
+
     def frf(
         self,
         rec: Recording,
         response: str,
         reference: str = "force",
         motion: str = "displacement",
-        estimator: str = "H1",
     ) -> Response:
         """Frequency response with coherence; error bars after Bendat and Piersol, eq. 9.90."""
         above = motion_of(rec, response, motion)
@@ -99,7 +104,7 @@ class Averages:
         sxx, sff = (np.sum(np.square(np.abs(each)), axis=1) for each in (x, f))
         sxf = np.sum(x * f.conj(), axis=1)
         driven(reference, sff)
-        value = estimate(estimator, sxx, sff, sxf)
+        value = estimate(self.estimator, sxx, sff, sxf)
         # Power of the response that does not follow the reference, over that which does.
         with np.errstate(divide="ignore", invalid="ignore"):
             other = np.sum(np.square(np.abs(x - (sxf / sff)[:, None] * f)), axis=1) / (abs(sxf) ** 2 / sff)

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 from analysis.recordings.names import takes_path
-from analysis.responses.estimators import ESTIMATORS, Averages
+from analysis.responses.estimators import ESTIMATORS
 from analysis.responses.measurands import chosen, concerned, input_place, place
 from analysis.responses.passivity import reversed_force
+from analysis.responses.several_inputs import driven_forces, response_matrix
 from daq.recording.recorded_test import TestKind
 from rig.errors import RecordingError, SceneError
 from rig.results.response import MOTIONS, stack
@@ -17,26 +18,14 @@ from rig.results.response import Response as Response
 from rig.scene.quantities import FORCE, number
 
 if TYPE_CHECKING:
-    from analysis.responses.multisine import BestLinearApproximation
-    from analysis.responses.spectral_lines import Lines
-    from analysis.responses.swept_sine import SweptTone
-    from analysis.responses.whole_stretches import WholeStretches
+    from daq.recording.markers import Marker
     from daq.recording.recording import Recording
 
 Progress = Callable[[int, int], None]
-
-
-# Which options of blocks can act on what a recording holds, and how it is taken where they cannot.
-BLOCK_OPTIONS = {
-    "random": ("estimator", "block", "overlap", "window"),
-    "hits": ("estimator", "block", "window"),
-}
-TAKEN = {
-    "multisine": "whole periods of a multisine are averaged",
-    "sweep": "a sweep is taken whole, by the local rational method",
-    "hits": "a block belongs to one hit",
-    "tones": "held tones are averaged over whole periods",
-}
+# Kinds of tests whose markers must show what was measured.
+_MARKED = (TestKind.MULTISINE, TestKind.SWEEP, TestKind.RANDOM)
+# Kinds that have no method of their own.
+_UNTESTED = (TestKind.NONE, TestKind.FREE)
 
 
 @dataclass(frozen=True)
@@ -57,9 +46,146 @@ class Blocks:
         """Whether it is asked for."""
         return self != Blocks()
 
-    def acting_on(self, kind: str) -> Blocks:
+    def acting_on(self, kind: TestKind) -> Blocks:
         """Leave out what cannot act on a kind of test."""
-        return Blocks(**{name: getattr(self, name) for name in BLOCK_OPTIONS.get(kind, ())})
+        return Blocks(**{name: getattr(self, name) for name in BY_KIND[kind].options})
+
+
+@dataclass(frozen=True)
+class Request:
+    """Responses that are wanted of a recording."""
+
+    rec: Recording
+    names: Sequence[str]
+    reference: str
+    motion: str
+    blocks: Blocks
+    progress: Progress | None
+
+    @property
+    def channels(self) -> list[str]:
+        """Channels of the responses and their reference."""
+        return concerned(self.rec, self.names, self.reference)
+
+    @property
+    def measured(self) -> list[Marker]:
+        """Markers of what was measured."""
+        return [marker for marker in self.rec.markers if marker.kind == "measure"]
+
+    def of(self, sources: Iterable[Source]) -> list[Response]:
+        """Give the response of each pass, with all outputs."""
+        out = []
+        for source in sources:
+            curves = []
+            for done, name in enumerate(self.names, 1):
+                curves.append(source.frf(self.rec, name, self.reference, self.motion))
+                if self.progress is not None:
+                    self.progress(done, len(self.names))
+            out.append(stack(checked(self.rec, curves)))
+        return out
+
+
+class Source(Protocol):
+    """Readings of one pass of a test, of which responses are made."""
+
+    def frf(
+        self, rec: Recording, response: str, reference: str = "force", motion: str = "displacement"
+    ) -> Response:
+        """Estimate one response."""
+
+
+@dataclass(frozen=True)
+class Estimator:
+    """How the responses of one kind of test are estimated.
+
+    Attributes
+    ----------
+    estimate : callable
+        From a request to the response of each pass.
+    method : str
+        In words.
+    options : frozenset of str
+        Which fields of `Blocks` act.
+    """
+
+    estimate: Callable[[Request], list[Response]]
+    method: str
+    options: frozenset[str] = frozenset()
+
+    def takes(self, blocks: Blocks) -> bool:
+        """Whether all options that are asked for act."""
+        wanted = {name for name, value in vars(blocks).items() if value is not None}
+        return wanted <= self.options
+
+
+def _tones(request: Request) -> list[Response]:
+    from analysis.responses.stepped_sine import sweeps
+
+    return request.of(sweep.lines for sweep in sweeps(request.rec, request.channels, request.progress))
+
+
+def _sweep(request: Request) -> list[Response]:
+    from analysis.responses.swept_sine import tracked
+
+    return request.of(
+        tracked(request.rec, marker, request.channels, request.progress) for marker in request.measured
+    )
+
+
+def _random(request: Request) -> list[Response]:
+    from analysis.responses import random
+
+    blocks, rec, channels = request.blocks, request.rec, request.channels
+    if not blocks.wanted:
+        return request.of(random.whole(rec, marker, channels) for marker in request.measured)
+    overlap, window = 0.5 if blocks.overlap is None else blocks.overlap, blocks.window or "hann"
+    return request.of(
+        random.averages(rec, marker, channels, blocks.block, overlap, None, request.progress, window).by(
+            blocks.estimator
+        )
+        for marker in request.measured
+    )
+
+
+def _multisine(request: Request) -> list[Response]:
+    from analysis.responses.multisine import best_linear_approximation
+
+    return request.of(
+        [
+            best_linear_approximation(
+                request.rec, request.measured, request.channels, request.reference, request.progress
+            )
+        ]
+    )
+
+
+def _hits(request: Request) -> list[Response]:
+    from analysis.responses import impact
+
+    blocks = request.blocks
+    if not blocks.wanted:
+        return request.of([impact.whole(request.rec, request.channels)])
+    averages = impact.averages(request.rec, request.channels, blocks.block, blocks.window or "none")
+    return request.of([averages.by(blocks.estimator)])
+
+
+_TONES = Estimator(_tones, "held tones are averaged over whole periods")
+#: The estimator of each kind of test.
+BY_KIND = {
+    TestKind.TONES: _TONES,
+    TestKind.NONE: _TONES,
+    TestKind.FREE: _TONES,
+    TestKind.SWEEP: Estimator(_sweep, "a sweep is taken whole, by the local rational method"),
+    TestKind.RANDOM: Estimator(
+        _random,
+        "random is taken whole, by the local rational method",
+        frozenset({"estimator", "block", "overlap", "window"}),
+    ),
+    TestKind.MULTISINE: Estimator(_multisine, "whole periods of a multisine are averaged"),
+    TestKind.HITS: Estimator(
+        _hits, "a block belongs to one hit", frozenset({"estimator", "block", "window"})
+    ),
+}
 
 
 @takes_path
@@ -116,24 +242,23 @@ def frequency_responses(
     if not names:
         raise RecordingError("no channel on a body: there is no response to divide")
     kind = rec.test.kind
-    if blocks.acting_on(kind) != blocks:
-        raise SceneError(
-            f"blocks, H1, H2 and Hv are for random and hits; {rec.path}: {TAKEN.get(kind, rec.test.name)}"
+    if not BY_KIND[kind].takes(blocks):
+        method = BY_KIND[kind].method if kind in TestKind and kind not in _UNTESTED else rec.test.name
+        raise SceneError(f"blocks, H1, H2 and Hv are for random and hits; {rec.path}: {method}")
+    request = Request(rec, names, reference, motion, blocks, progress)
+    if kind in _MARKED and not request.measured:
+        raise RecordingError(
+            f"{rec.path}: {rec.test.name} that ended before anything was measured. Record it again."
         )
-    out: list[list[Response]] = []
-    channels = concerned(rec, names, reference)
-    for source in _sources(rec, kind, channels, reference, blocks, progress):
-        if isinstance(source, Averages):
-            out.append([source.frf(rec, name, reference, motion, estimator or "H1") for name in names])
-        else:
-            curves = []
-            for done, name in enumerate(names, 1):
-                curves.append(source.frf(rec, name, reference, motion))
-                if progress is not None:
-                    progress(done, len(names))
-            out.append(curves)
-    said = _unfiltered(rec, channels)
-    return [stack(checked(rec, [curve.warn(*said) for curve in each])) for each in out]
+    inputs = driven_forces(rec) if reference == "force" else ()
+    if len(inputs) > 1:
+        found = [
+            response_matrix(rec, names, inputs, motion, estimator, block, overlap or 0.5, window or "hann")
+        ]
+        channels = [*names, *(point.name for point in inputs)]
+    else:
+        found, channels = BY_KIND[kind].estimate(request), request.channels
+    return [response.warn(*_unfiltered(rec, channels)) for response in found]
 
 
 def checked(rec: Recording, curves: Sequence[Response]) -> list[Response]:
@@ -157,50 +282,6 @@ def _unfiltered(rec: Recording, channels: Sequence[str]) -> tuple[str, ...]:
         f"{', '.join(bare)}: imported, and the scene names no filter of the converter (converter: preset, or filter): "
         "what folds back from beyond half the sample rate is in no bound.",
     )
-
-
-def _sources(
-    rec: Recording,
-    kind: TestKind,
-    channels: Sequence[str],
-    reference: str,
-    blocks: Blocks,
-    progress: Progress | None,
-) -> Sequence[Lines | Averages | BestLinearApproximation | WholeStretches | SweptTone]:
-    """Take what was measured: tones, periods, blocks of noise, a sweep, or hits."""
-    measured = [marker for marker in rec.markers if marker.kind == "measure"]
-    if kind in (TestKind.MULTISINE, TestKind.SWEEP, TestKind.RANDOM) and not measured:
-        raise RecordingError(
-            f"{rec.path}: {rec.test.name} that ended before anything was measured. Record it again."
-        )
-    if kind is TestKind.MULTISINE:
-        from analysis.responses.multisine import best_linear_approximation
-
-        return [best_linear_approximation(rec, measured, channels, reference, progress)]
-    if kind is TestKind.SWEEP:
-        from analysis.responses.swept_sine import tracked
-
-        return [tracked(rec, marker, channels, progress) for marker in measured]
-    if kind is TestKind.RANDOM:
-        from analysis.responses import random
-
-        if not blocks.wanted:
-            return [random.whole(rec, marker, channels) for marker in measured]
-        overlap = 0.5 if blocks.overlap is None else blocks.overlap
-        window = blocks.window or "hann"
-        return [
-            random.averages(rec, marker, channels, blocks.block, overlap, None, progress, window)
-            for marker in measured
-        ]
-    if kind is TestKind.HITS:
-        from analysis.responses import impact
-
-        if blocks.wanted:
-            return [impact.averages(rec, channels, blocks.block, blocks.window or "none")]
-        return [impact.whole(rec, channels)]
-    from analysis.responses.stepped_sine import sweeps
-
-    return [sweep.lines for sweep in sweeps(rec, channels, progress)]
 
 
 @takes_path

@@ -5,16 +5,23 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from analysis.responses.block_spectra import bins_of, cross_spectra, window_of
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+from analysis.responses.block_spectra import CrossSpectra, bins_of, cross_spectra, window_of
 from analysis.responses.clean_stretches import describe_flaws
 from analysis.responses.estimators import Averages
 from analysis.responses.hits import Hits
+from analysis.responses.local_models.local_spectra import SIDE
 from analysis.responses.whole_stretches import WholeStretches, dampers_move
 from rig.errors import RecordingError, SceneError
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
+
+Array = NDArray[np.float64]
 
 # Part of a block in front of its hit.
 _LEAD = 50
@@ -36,6 +43,16 @@ def whole(rec: Recording, channels: Sequence[str]) -> WholeStretches:
         label=rec.scene.name,
         warnings=dampers_move(rec),
     )
+
+
+def _rounding(rec: Recording, hits: Hits, summed: CrossSpectra, starts: Sequence[int], size: int) -> Array:
+    """How far rounding to counts can change each channel's gain, shape (channels, lines)."""
+    names, stretches = summed.channels, [(start, start + size) for start in starts]
+    blocks = [np.stack([rec.read(name, *each) for name in names]) for each in stretches]
+    blocks = [np.nan_to_num(block - np.nanmean(block, axis=1, keepdims=True)) for block in blocks]
+    spectra = [fft.rfft(block, axis=1) for block in blocks]
+    lines = np.rint(summed.frequency * size / rec.rate).astype(np.int64)
+    return hits.rounding(rec, names, stretches, blocks, spectra, lines, SIDE)
 
 
 def averages(
@@ -82,5 +99,6 @@ def averages(
         bins_of(weights) * rec.rate / size if leaks else 0.0,
         rec.scene.name,
         tuple(notes),
+        _rounding(rec, hits, summed, starts, size),
         whole(rec, channels) if leaks else None,
     )

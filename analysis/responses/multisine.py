@@ -194,8 +194,20 @@ class _Realisation:
     """Variance of the samples from period to period; shape (channels,)."""
 
 
-def _realisation(rec: Recording, names: Sequence[str], marker: Marker, reference: str) -> _Realisation:
-    """Average the periods in which nothing was overloaded or lost."""
+@dataclass(frozen=True)
+class PeriodSpectra:
+    """Amplitudes of each clean period of a multisine."""
+
+    frequency: Array
+    spectra: ComplexArray
+    """Shape (periods, channels, lines)."""
+    samples: Array
+    """Shape (periods, channels, samples)."""
+    notes: tuple[str, ...]
+
+
+def period_spectra(rec: Recording, names: Sequence[str], marker: Marker) -> PeriodSpectra:
+    """Transform the periods in which nothing was overloaded or lost; none if these are fewer than two."""
     number = marker.fields["realisation"]
     size, periods = int(marker.fields["period"]), int(marker.fields["periods"])
     low, high = marker.fields["lines"]
@@ -214,17 +226,27 @@ def _realisation(rec: Recording, names: Sequence[str], marker: Marker, reference
         notes.append(f"{periods - len(clean)} of {periods} periods of realisation {number} left out: {why}.")
     if len(clean) < 2:
         notes.append(f"Realisation {number} left out: fewer than two whole periods.")
-        empty = np.zeros(0, dtype=complex)
-        return _Realisation(frequency, 0, tuple(notes), empty, empty, empty.real, empty.real)
+        empty = np.zeros((0, len(names), 0))
+        return PeriodSpectra(frequency, empty.astype(complex), empty, tuple(notes))
     whole = np.stack(list(read_slices(rec, names, clean)))
     level = _without_drift(whole, np.array([(first - marker.first_sample) // size for first, _ in clean]))
     spectra = fft.rfft(level, axis=2)[:, :, lines] * (2.0 / size)
+    return PeriodSpectra(frequency, spectra, whole, tuple(notes))
+
+
+def _realisation(rec: Recording, names: Sequence[str], marker: Marker, reference: str) -> _Realisation:
+    """Average the clean periods of a realisation."""
+    found = period_spectra(rec, names, marker)
+    spectra, periods = found.spectra, len(found.spectra)
+    if not periods:
+        empty = np.zeros(0, dtype=complex)
+        return _Realisation(found.frequency, 0, found.notes, empty, empty, empty.real, empty.real)
     mean = spectra.mean(axis=0)
-    turn = np.sum(reference_of(rec, reference).row(rec, names, frequency) * mean, axis=0)
+    turn = np.sum(reference_of(rec, reference).row(rec, names, found.frequency) * mean, axis=0)
     turn = turn.conj() / np.maximum(abs(turn), 1e-300)
-    noise = (spectra - mean) * turn / np.sqrt(len(clean) * (len(clean) - 1.0))
-    varies = whole.var(axis=0, ddof=1).mean(axis=1)
-    return _Realisation(frequency, len(clean), tuple(notes), mean * turn, noise, remainder(spectra), varies)
+    noise = (spectra - mean) * turn / np.sqrt(periods * (periods - 1.0))
+    varies = found.samples.var(axis=0, ddof=1).mean(axis=1)
+    return _Realisation(found.frequency, periods, found.notes, mean * turn, noise, remainder(spectra), varies)
 
 
 def _without_drift(periods: Array, numbers: NDArray[np.int64]) -> Array:

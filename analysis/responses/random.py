@@ -11,6 +11,7 @@ from analysis.responses.block_spectra import bins_of, cross_spectra, window_of
 from analysis.responses.clean_stretches import cure, describe_flaws
 from analysis.responses.estimators import Averages
 from analysis.responses.sensor_settling import settling
+from analysis.responses.systematic import in_counts, noise_gain
 from analysis.responses.whole_stretches import WholeStretches, dampers_move
 from rig.errors import RecordingError, SceneError
 
@@ -126,5 +127,8 @@ def averages(
         resolution=width if leaks else 0.0,
         label=rec.scene.name,
         warnings=tuple(notes),
+        gain=np.repeat(
+            noise_gain(in_counts(rec, channels, summed.squares))[:, None], summed.frequency.size, axis=1
+        ),
         unsmeared=whole(rec, marker, channels) if leaks else None,
     )

@@ -71,10 +71,34 @@ class MeanErrors:
     def covariance(self, error: Array, shared: float) -> LineCovariance:
         """Covariance over elements, with the stated variances: those hold what the lines around say of theirs."""
         lines = np.einsum("kai,kij,kcj->kac", self.weights, self.means, self.weights.conj(), optimize=True)
-        stated, own = 2.0 * error**2, np.einsum("kaa->ka", lines).real
-        with np.errstate(invalid="ignore"):
-            ratio = np.sqrt(np.divide(stated, own, out=np.ones_like(own), where=own > 0.0))
-        return LineCovariance(_shrunk(lines * ratio[:, :, None] * ratio[:, None]), shared)
+        return LineCovariance(_shrunk(_with_variances(lines, error)), shared)
+
+
+@dataclass(frozen=True)
+class MatrixErrors:
+    """Errors of all elements of a matrix, by their covariance at each line."""
+
+    lines: ComplexArray
+    """Shape (lines, elements, elements)."""
+
+    def at(self, lines: Lines) -> MatrixErrors:
+        """Select some lines."""
+        return MatrixErrors(self.lines[lines])
+
+    def select(self, elements: Sequence[int]) -> MatrixErrors:
+        """Select some elements."""
+        return MatrixErrors(self.lines[:, elements][:, :, elements])
+
+    def scaled(self, factor: ComplexArray) -> MatrixErrors:
+        """Multiply by a factor at each line."""
+        return MatrixErrors(self.lines * np.square(abs(factor))[:, None, None])
+
+    def joined(self, others: Sequence[RandomErrors]) -> None:
+        """Give nothing: how they depend on other elements is not known."""
+
+    def covariance(self, error: Array, shared: float) -> LineCovariance:
+        """Covariance over elements, with the stated variances."""
+        return LineCovariance(_shrunk(_with_variances(self.lines, error)), shared)
 
 
 @dataclass(frozen=True)
@@ -222,6 +246,14 @@ class LocalCovariance:
         own = np.einsum("kaa->ka", self.lines).real * (0.5 * self.shared * _SHRUNK / (1.0 + _SHRUNK))
         total += np.einsum("kap,ka,kaq->pq", weights.conj(), own, weights, optimize=True).real
         return np.asarray(total + np.outer(alike.real, alike.real) + np.outer(alike.imag, alike.imag))
+
+
+def _with_variances(lines: ComplexArray, error: Array) -> ComplexArray:
+    """Scale covariances to stated standard uncertainties of either quadrature."""
+    stated, own = 2.0 * error**2, np.einsum("kaa->ka", lines).real
+    with np.errstate(invalid="ignore"):
+        ratio = np.sqrt(np.divide(stated, own, out=np.ones_like(own), where=own > 0.0))
+    return np.asarray(lines * ratio[:, :, None] * ratio[:, None])
 
 
 def _shrunk(lines: ComplexArray) -> ComplexArray:

@@ -79,10 +79,21 @@ class WholeStretches:
     ) -> Response:
         """Frequency response with coherence, random and systematic errors."""
         above, below = motion_of(rec, response, motion), reference_of(rec, reference)
-        # Whether hits come upon rest, each response's own channels say.
+        # Whether hits come upon rest, each response's own channels show.
         names = (
             self.channels if self.hits is None else tuple(dict.fromkeys([*above.channels, *below.channels]))
         )
+        spectra, moving, stretches, notes = self.prepared(rec, names, below.channels)
+        noise = None
+        if self.hits is not None:
+            noise = self.hits.force_noise(rec, stretches, spectra.frequency[spectra.lines])
+        frf = spectra.frf(rec, above, below, reference, motion, self.label, (*self.warnings, *notes), noise)
+        return _with_motion_before(frf, moving)
+
+    def prepared(
+        self, rec: Recording, names: tuple[str, ...], references: Sequence[str]
+    ) -> tuple[LocalSpectra, list[float], list[tuple[int, int]], list[str]]:
+        """Spectra of some channels, the motion before the hits of each stretch, the stretches, and notes on them."""
         found = flaws(rec, self.channels, self.first, self.stop)
         found = sorted([*found, *self.missed], key=lambda flaw: flaw.first)
         stretches, notes = self._worth_fitting(rec, clean_stretches(found, self.first, self.stop))
@@ -95,7 +106,7 @@ class WholeStretches:
             advice = f"{cure(rec, found)}, and record again"
             spoilt = {flaw.channel for flaw in found}
             others = [name for name in responses(rec) if name in self.channels and name not in spoilt]
-            if others and not spoilt & set(below.channels):
+            if others and not spoilt & set(references):
                 advice += f"; or take the others alone: --response {' --response '.join(others)}"
             if not found:
                 advice = "the test is too short to average; record longer"
@@ -103,11 +114,7 @@ class WholeStretches:
         if names not in self.made:
             before = [] if self.hits is None else [self.hits.moving(rec, names, *each) for each in stretches]
             self.made[names] = self._spectra(rec, names, stretches, before), before
-        (spectra, moving), noise = self.made[names], None
-        if self.hits is not None:
-            noise = self.hits.force_noise(rec, stretches, spectra.frequency[spectra.lines])
-        frf = spectra.frf(rec, above, below, reference, motion, self.label, (*self.warnings, *notes), noise)
-        return _with_motion_before(frf, moving)
+        return *self.made[names], stretches, notes
 
     def _worth_fitting(
         self, rec: Recording, clean: Sequence[tuple[int, int]]

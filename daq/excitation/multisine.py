@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Generator, Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -46,55 +46,82 @@ def excite(station: Station, test: Multisine) -> Excitation:
 def _run(station: Station, test: Multisine, lines: Lines, period: int, closed: bool) -> Excitation:
     level = test.force or test.drive or 0.0
     random = generator(station, "multisine")
-    playing = np.zeros(period)
+    shakers = station.shakers
+    playing = np.zeros((len(shakers), period))
     amplitudes = flat(level, lines)
     for realisation in range(1, test.realisations + 1):
         phases = random.uniform(0.0, 2 * np.pi, lines.size)
         if closed and realisation == 1:
             shaped = yield from equalise(station, lines, period, level, phases)
-            amplitudes, playing = shaped.amplitudes, shaped.wave
-        wave = wave_of(lines, amplitudes, phases, period)
-        factor = within_limit(station, wave)
-        wave *= factor
-        message = f"realisation {realisation} of {test.realisations}"
-        share = (realisation - 1) / test.realisations
-        if factor < 1.0:
-            station.warn(
-                f"{message}: the amplifier's limit keeps the drive at {factor:.0%} of what was asked"
+            amplitudes, playing[0] = shaped.amplitudes, shaped.wave
+        others = [
+            generator(station, f"multisine {number} {realisation}").uniform(0.0, 2 * np.pi, lines.size)
+            for number in shakers[1:]
+        ]
+        for experiment in range(len(shakers)):
+            turn = 2.0 * np.pi * experiment / len(shakers)
+            waves = np.stack(
+                [
+                    wave_of(lines, amplitudes, each + turn * k, period)
+                    for k, each in enumerate([phases, *others])
+                ]
             )
-        station.report(share, f"{message}, settling")
-        first = station.now
-        yield station.drive(crossfade(playing, wave))
-        playing = wave
-        settled = yield from _settle(station, wave)
-        station.mark("settle", first, station.now, realisation=realisation, settled=settled)
-        if not settled:
-            station.warn(f"{message}: not periodic within {_longest(station, period) / station.rate:g} s")
-        first = station.now
-        for turn in range(test.periods):
-            station.report(share + turn / test.periods / test.realisations, f"{message}, period {turn + 1}")
-            yield station.drive(wave)
-        station.mark(
-            "measure",
-            first,
-            station.now,
-            realisation=realisation,
-            period=period,
-            periods=test.periods,
-            lines=[int(lines[0]), int(lines[-1])],
-            level=level,
-            settled=settled,
-        )
-    yield station.drive(crossfade(playing, np.zeros(period)))
+            factor = min(within_limit(station, wave) for wave in waves)
+            number = realisation if len(shakers) == 1 else f"{realisation}, experiment {experiment + 1}"
+            message = f"realisation {number} of {test.realisations}"
+            done = (realisation - 1 + experiment / len(shakers)) / test.realisations
+            step = 1.0 / test.realisations / len(shakers)
+            if factor < 1.0:
+                station.warn(
+                    f"{message}: the amplifier's limit keeps the drive at {factor:.0%} of what was asked"
+                )
+            several = {} if len(shakers) == 1 else {"experiment": experiment, "shakers": list(shakers)}
+            yield from _measured(
+                station, test, lines, playing, factor * waves, message, (done, step),
+                {"realisation": realisation, **several}, level,
+            )  # fmt: skip
+            playing = factor * waves
+    yield station.drives(np.stack([crossfade(each, np.zeros(period)) for each in playing]))
 
 
-def _settle(station: Station, wave: Array) -> Generator[Array, Array, bool]:
+def _measured(
+    station: Station, test: Multisine, lines: Lines, playing: Array, waves: Array, message: str,
+    progress: tuple[float, float], fields: Mapping[str, object], level: float,
+) -> Generator[Array, Array, None]:  # fmt: skip
+    """Play waves of the driven shakers until they are periodic, then measure their periods."""
+    done, step = progress
+    period = waves.shape[1]
+    station.report(done, f"{message}, settling")
+    first = station.now
+    yield station.drives(np.stack([crossfade(a, b) for a, b in zip(playing, waves, strict=True)]))
+    settled = yield from _settle(station, waves)
+    station.mark("settle", first, station.now, realisation=fields["realisation"], settled=settled)
+    if not settled:
+        station.warn(f"{message}: not periodic within {_longest(station, period) / station.rate:g} s")
+    first = station.now
+    for turn in range(test.periods):
+        station.report(done + turn / test.periods * step, f"{message}, period {turn + 1}")
+        yield station.drives(waves)
+    station.mark(
+        "measure",
+        first,
+        station.now,
+        **fields,
+        period=period,
+        periods=test.periods,
+        lines=[int(lines[0]), int(lines[-1])],
+        level=level,
+        settled=settled,
+    )
+
+
+def _settle(station: Station, waves: Array) -> Generator[Array, Array, bool]:
     """Play periods until one is like the one before, or until what they differ by is noise."""
-    end = station.now + _longest(station, wave.size)
-    before = yield station.drive(wave)
+    end = station.now + _longest(station, waves.shape[1])
+    before = yield station.drives(waves)
     smallest, level = np.inf, 0
     while station.now < end:
-        now = yield station.drive(wave)
+        now = yield station.drives(waves)
         size = np.sqrt(np.mean((now - now.mean(axis=1, keepdims=True)) ** 2, axis=1))
         change = float(np.max(np.sqrt(np.mean((now - before) ** 2, axis=1)) / np.maximum(size, 1e-300)))
         ratio = change / smallest if smallest > 0.0 else 0.0

@@ -52,31 +52,34 @@ def _run(station: Station, test: Random, lines: Lines, period: int, closed: bool
     length = slower * next_fast_len(-(-(2 * period - 1) // slower), real=True)
     spectrum = rfft(shape, length)[: length // slower // 2 + 1] * np.sqrt(slower)
 
-    def shaped_noise() -> Array:
-        white = rfft(random.standard_normal(period // slower), length // slower)
-        return np.asarray(irfft(white * spectrum, length)[: 2 * period - 1])
+    sources = [random, *(generator(station, f"random {number}") for number in station.shakers[1:])]
 
-    tail = shaped_noise()[period:]
+    def shaped_noise() -> Array:
+        white = [rfft(each.standard_normal(period // slower), length // slower) for each in sources]
+        return np.asarray([irfft(each * spectrum, length)[: 2 * period - 1] for each in white])
+
+    tails = shaped_noise()[:, period:]
     facts = {"from": test.from_, "to": test.to}
     burst = {} if test.burst is None else {"burst": test.burst, "block": block}
+    several = {"shakers": list(station.shakers)} if len(station.shakers) > 1 else {}
     try:
         while done < total:
             # Convolution adds up overlapping pieces, so that the noise goes on across windows without a seam.
-            piece = shaped_noise()
-            piece[: tail.size] += tail
-            wave, tail = piece[:period], piece[period:]
+            pieces = shaped_noise()
+            pieces[:, : tails.shape[1]] += tails
+            wave, tails = pieces[:, :period], pieces[:, period:]
             size = min(period, total - done)
             places = np.arange(done, done + size)
-            wave = wave[:size] * gate[places % block]
+            wave = wave[:, :size] * gate[places % block]
             wave *= np.minimum(1.0, np.minimum(places, total - 1 - places) / station.samples(_EDGE))
             clipped += int(np.sum(abs(wave) > station.drive_limit))
-            yield station.drive(np.clip(wave, -station.drive_limit, station.drive_limit))
+            yield station.drives(np.clip(wave, -station.drive_limit, station.drive_limit))
             done += size
             station.report(done / total, f"{done / station.rate:.0f} s of {test.duration:g} s")
     finally:
         # A test that is ended early has measured up to there.
         if done:
-            station.mark("measure", first, first + done, level=level, **facts, **burst)
+            station.mark("measure", first, first + done, level=level, **facts, **burst, **several)
     if clipped:
         station.warn(f"the amplifier's limit clipped {clipped} of {total} drive samples")
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.errors import SceneError
+from rig.scene.shaker import at_shaker
 
 if TYPE_CHECKING:
     from daq.signal_chain.channel import ChannelInfo
@@ -64,6 +65,21 @@ class Station:
         rows = np.zeros((len(self.inputs), wave.size))
         rows[list(self.inputs).index(name)] = wave
         return rows
+
+    @property
+    def shakers(self) -> tuple[int, ...]:
+        """Numbers of the shakers that the test drives, the main one first."""
+        return (self.scene.driven or 1, *(getattr(self.scene.test, "also", None) or ()))
+
+    def drives(self, waves: Array) -> Array:
+        """Give each driven shaker its wave, shape (shakers, samples), and the other inputs zeros."""
+        count = len(self.scene.shakers)
+        return np.asarray(
+            sum(
+                self.drive(wave, at_shaker("shaker", number, count))
+                for number, wave in zip(self.shakers, waves, strict=True)
+            )
+        )
 
     def quiet(self, samples: int) -> Array:
         """Give no drive at all, for so many samples."""

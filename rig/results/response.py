@@ -79,7 +79,7 @@ class Response(Result, Sequence["Response"]):
 
     Indexing by a name selects, as in xarray: ``response["body3"]`` is the curve of that output, whose arrays have one
     axis; with several inputs it has one output and all inputs, and ``response["body3", "force2"]`` is a curve.
-    Iteration and integers select outputs.
+    Iteration and integers give all elements as curves, output by output.
 
     Attributes
     ----------
@@ -325,24 +325,36 @@ class Response(Result, Sequence["Response"]):
         return tuple(point.name for point in self.outputs)
 
     @cached_property
-    def _by_output(self) -> tuple[Response, ...]:
-        return tuple(self._select([k], range(len(self.inputs))) for k in range(len(self.outputs)))
+    def _curves(self) -> tuple[Response, ...]:
+        if self.is_curve:
+            return (self,)
+        return tuple(
+            self._select([i], [k]) for i in range(len(self.outputs)) for k in range(len(self.inputs))
+        )
+
+    def curves(self) -> tuple[Response, ...]:
+        """All elements as curves, output by output."""
+        return self._curves
 
     def __len__(self) -> int:
-        return len(self.outputs)
+        return len(self._curves)
 
     def __iter__(self) -> Iterator[Response]:
-        return iter((self,) if self.is_curve else self._by_output)
+        return iter(self._curves)
 
     def __getitem__(self, which: int | str | slice | tuple[str, str]) -> Response:
-        """Select outputs by number or name, and an input by its name."""
+        """Select an element by its number, outputs by name or slice, an input by its name."""
         if isinstance(which, slice):
             return self._select(range(len(self.outputs))[which], range(len(self.inputs)), keep=True)
         if isinstance(which, tuple):
             output, force = _index(self.outputs, which[0], "response"), _index(self.inputs, which[1], "input")
             return self._select([output], [force])
-        index = which if isinstance(which, int) else _index(self.outputs, which, "response")
-        return self if self.is_curve else self._by_output[index]
+        if isinstance(which, int):
+            return self._curves[which]
+        index = _index(self.outputs, which, "response")
+        return (
+            self._curves[index] if len(self.inputs) == 1 else self._select([index], range(len(self.inputs)))
+        )
 
     def _select(self, outputs: Sequence[int], inputs: Sequence[int], keep: bool = False) -> Response:
         """Select elements; a single one becomes a curve, unless the axes are to be kept."""
@@ -523,14 +535,6 @@ class Response(Result, Sequence["Response"]):
         low = np.maximum(size - bound, 1e-3 * size)
         ax.fill_between(curve.frequency, low, size + bound, color=line.get_color(), alpha=0.2, lw=0)
         ax.set(xlabel="frequency / Hz", ylabel=f"|{self.name}| / ({unit})")
-
-    def curves(self) -> tuple[Response, ...]:
-        """All elements as curves, output by output."""
-        if self.is_curve:
-            return (self,)
-        return tuple(
-            self._select([i], [k]) for i in range(len(self.outputs)) for k in range(len(self.inputs))
-        )
 
     def to(self, motion: str) -> Response:
         """Express the outputs as displacement, velocity or acceleration.

@@ -89,6 +89,12 @@ def _test(
         yield Mistake(
             ("test", "shaker"), f"shaker {test.shaker} of {len(shakers)}; expected 1 to {len(shakers)}"
         )
+    elif any(number > len(shakers) for number in getattr(test, "also", None) or ()):
+        yield Mistake(
+            ("test", "also"), f"names a shaker that is missing; expected numbers up to {len(shakers)}"
+        )
+    elif len({test.shaker, *(also := getattr(test, "also", None) or ())}) <= len(also):
+        yield Mistake(("test", "also"), "names a shaker twice; expected those beside test: shaker, each once")
     elif isinstance(shakers[(test.shaker or 1) - 1], ForceShaker) and test.drive is not None:
         yield Mistake(
             ("test", "drive"), "a shaker of kind force is driven by its force; expected force instead"

@@ -198,6 +198,8 @@ class Random(Settings):
     """Instead of `force`: root mean square of the drive [V or m, as the shaker's kind takes]."""
     shaker: ShakerNumber | None = None
     """Where there are several shakers: the number of the one to drive; the outputs of the others stay at zero."""
+    also: Annotated[tuple[ShakerNumber, ...], Field(min_length=1)] | None = None
+    """Other shakers to drive at the same time, by their numbers: with noise of the same spectrum, uncorrelated."""
 
     def relations(self) -> Iterable[Mistake]:
         """Check the band."""
@@ -228,6 +230,9 @@ class Multisine(Settings):
     """Instead of `force`: root mean square of the drive [V or m, as the shaker's kind takes]."""
     shaker: ShakerNumber | None = None
     """Where there are several shakers: the number of the one to drive; the outputs of the others stay at zero."""
+    also: Annotated[tuple[ShakerNumber, ...], Field(min_length=1)] | None = None
+    """Other shakers to drive at the same time, by their numbers: each realisation is then as many experiments,
+    with orthogonal phases."""
 
     def relations(self) -> Iterable[Mistake]:
         """Check the band."""

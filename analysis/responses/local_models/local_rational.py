@@ -93,6 +93,7 @@ def local_fit(
     lines: Lines,
     side: int,
     used: float = 1.0,
+    others: ComplexArray | None = None,
 ) -> LocalFit:
     """Fit the response at some lines.
 
@@ -112,6 +113,8 @@ def local_fit(
     used : float
         Share of the samples behind the spectra that was measured, the rest being zeros: neighbouring lines then
         depend on each other, and count for less.
+    others : ndarray of complex, shape (inputs, stretches, bins), optional
+        True spectra of other inputs: each has a numerator of its own, with the common denominator.
 
     Examples
     --------
@@ -125,7 +128,7 @@ def local_fit(
     True
     """
     plain, rational, more = (
-        _fits(reading, reference, ends, lines, side, used, order, poles)
+        _fits(reading, reference, ends, lines, side, used, order, poles, others)
         for order, poles in ((ORDER, 0), (ORDER, ORDER), (ORDER + 1, ORDER + 1))
     )
     simple = plain.criterion < rational.criterion
@@ -173,14 +176,16 @@ def _fits(
     used: float,
     order: int,
     poles: int,
+    others: ComplexArray | None,
 ) -> _Fits:
     count = len(reference)
     begins = [s for s in range(count) if np.any(ends[s]) and not np.all(ends[s] == 1.0)]
-    unknowns = order + 1 + poles + (count + len(begins)) * (order + 1 + len(reading.slow))
+    inputs = 1 if others is None else 1 + len(others)
+    unknowns = inputs * (order + 1) + poles + (count + len(begins)) * (order + 1 + len(reading.slow))
     equations = count * (2 * side + 1)
     step = max(1, _AT_ONCE // (equations * (unknowns // count)))
     parts = [
-        _fit(reading, reference, ends, begins, lines[first : first + step], side, order, poles)
+        _fit(reading, reference, ends, begins, lines[first : first + step], side, order, poles, others)
         for first in range(0, lines.size, step)
     ]
     found = _Solution(*(np.concatenate(each) for each in zip(*parts, strict=True)))
@@ -238,6 +243,7 @@ def _fit(
     side: int,
     order: int,
     poles: int,
+    others: ComplexArray | None,
 ) -> _Solution:
     stretches, width = len(reference), 2 * side + 1
     near = _first(lines, side, reference.shape[1])[:, None] + np.arange(width)
@@ -255,7 +261,11 @@ def _fit(
         # Where a stretch has no beginning of its own the columns are zero, and the faint wish leaves them out.
         begun = np.where(np.isin(np.arange(stretches), begins)[:, None], e, 0.0)[..., None]
         own = np.concatenate([np.broadcast_to(own, (*x.shape, own.shape[-1])), begun * own], axis=-1)
-    terms = _Terms(f[..., None] * powers, own, at[..., None] ** np.arange(1, poles + 1))
+    shared = [f[..., None] * powers]
+    for other in () if others is None else others:
+        near_other = np.moveaxis(other[:, near], 1, 0) * response_near
+        shared.append((near_other / np.maximum(_rms(near_other), _NOTHING))[..., None] * powers)
+    terms = _Terms(np.concatenate(shared, axis=-1), own, at[..., None] ** np.arange(1, poles + 1))
     # Multiplied by the denominator the problem is linear, but what is noise is weighted, too, and fitted by poles of
     # its own: a step of Gauss and Newton sets both right.
     unknown, influence = _solved(terms, x, x)
@@ -270,7 +280,8 @@ def _fit(
         unknown = unknown.where(better, stepped)
         left = np.where(better[:, None, None], changed, left)
     # The response at all lines of the fit: its model of a reference of one.
-    curve = terms._replace(shared=powers).response(unknown)
+    first = unknown._replace(numerator=unknown.numerator[:, : order + 1])
+    curve = terms._replace(shared=powers).response(first)
     through = _power(influence * curve * response_near) / 2.0
     # Of the reference's power, a mean square of one at each line, that part is independent of all columns which are
     # not its own: with these alone the constant would scatter as that of a polynomial.

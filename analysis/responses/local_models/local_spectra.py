@@ -105,7 +105,7 @@ class LocalSpectra:
                 rec, above, below, reference, motion, label, warnings, reference_noise
             )
         at = self.frequency[self.lines]
-        force = self._spectrum(rec, below)
+        force = self.spectrum(rec, below)
         driven(reference, force)
         upper, lower = above.row(rec, names, at), below.row(rec, names, at)
         # Of every channel, how much it reads per unit of the reference.
@@ -169,7 +169,7 @@ class LocalSpectra:
             motion=motion,
             uncertainty=assemble_budget(
                 rec, shares, np.sqrt(variance), of_response.degrees, causes, doubts,
-                errors=errors, shared=self._shared, scale=common_scale(rec, above.channels, below.channels),
+                errors=errors, shared=self.shared, scale=common_scale(rec, above.channels, below.channels),
             ),
             coherence=of_response.coherence,
             label=label,
@@ -177,17 +177,27 @@ class LocalSpectra:
         )  # fmt: skip
 
     @property
-    def _shared(self) -> float:
+    def shared(self) -> float:
         """How many neighbouring lines have one error: a fit turns the lines it takes in into one value."""
         step = float(np.median(np.diff(self.lines))) if self.lines.size > 1 else 1.0
         return max((2 * self.side + 1) / (3 * ORDER + 2) / step, 1.0)
 
-    def _spectrum(self, rec: Recording, measurand: Measurand) -> ComplexArray:
+    def spectrum(self, rec: Recording, measurand: Measurand) -> ComplexArray:
         """Spectra of a measurand, shape (stretches, bins)."""
         if measurand not in self.spectra:
             row = measurand.row(rec, self.channels, self.frequency)
             self.spectra[measurand] = np.einsum("cn,scn->sn", row, self.samples)
         return self.spectra[measurand]
+
+    def reading(self, rec: Recording, name: str) -> Reading:
+        """Spectra of a channel, its response, and the transients of its high-passes."""
+        info = rec.channels[name]
+        slow = [1.0 / (2j * np.pi * self.frequency - pole) for pole in slow_and_fast(info)[0]]
+        return Reading(
+            self.samples[:, self.channels.index(name)],
+            info.response(self.frequency),
+            np.array(slow).reshape(-1, self.frequency.size),
+        )
 
     def _power(self, spectra: ComplexArray, side: int) -> Array:
         """Mean square of spectra at each line and so many to either side of it; shape (lines,)."""
@@ -198,15 +208,9 @@ class LocalSpectra:
     def _fit(self, rec: Recording, name: str, to: Measurand) -> LocalFit:
         """Response of what a channel measures to a measurand."""
         if (name, to) not in self.fits:
-            info = rec.channels[name]
-            slow = [1.0 / (2j * np.pi * self.frequency - pole) for pole in slow_and_fast(info)[0]]
-            reading = Reading(
-                self.samples[:, self.channels.index(name)],
-                info.response(self.frequency),
-                np.array(slow).reshape(-1, self.frequency.size),
-            )
+            reading = self.reading(rec, name)
             side = min(self.side, (self.frequency.size - 1) // 2)
-            spectrum = self._spectrum(rec, to)
+            spectrum = self.spectrum(rec, to)
             self.fits[name, to] = local_fit(reading, spectrum, self.ends, self.lines, side, self.used)
         return self.fits[name, to]
 

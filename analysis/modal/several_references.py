@@ -1,0 +1,90 @@
+"""Modes from responses to several inputs: repeated and close modes, which one input cannot separate.
+
+All elements of the matrix share their poles. The residue of a pole is the outer product of a shape and its
+participation in the inputs; where the pole is repeated, it is a sum of such products, whose number is the rank of the
+residue matrix [1]_.
+
+References
+----------
+.. [1] D. J. Ewins, Modal Testing, 2nd ed., Research Studies Press 2000, section 4.6.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.modal.modes import Modes
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+# A further singular value of a residue counts from so many times its uncertainty, and from this share of the largest.
+_SURE = 5.0
+_LEAST_SHARE = 0.02
+
+
+class _Part(NamedTuple):
+    """A mode of a pole."""
+
+    pole: int
+    shape: ComplexArray
+    participation: ComplexArray
+
+
+def separated(
+    modes: Modes, outputs: tuple[str, ...], inputs: tuple[str, ...], places: tuple[str, ...]
+) -> Modes:
+    """Separate the modes of each pole by the singular values of its residues.
+
+    Parameters
+    ----------
+    modes : Modes
+        Identified from all elements of a matrix, output by output.
+    outputs, inputs : tuple of str
+        Channels and inputs of the matrix.
+    places : tuple of str
+        Of the outputs.
+
+    Returns
+    -------
+    Modes
+        With the residues of the input in which the modes take part most.
+    """
+    o, i = len(outputs), len(inputs)
+    parts: list[_Part] = []
+    for k in range(modes.frequency.size):
+        residue = modes.residue[:, k].reshape(o, i)
+        noise = float(np.linalg.norm(modes.shape_error[:, k])) * float(abs(residue).max())
+        left, size, right = np.linalg.svd(residue, full_matrices=False)
+        for r in range(size.size):
+            if r == 0 or size[r] > max(_SURE * noise, _LEAST_SHARE * size[0]):
+                parts.append(_Part(k, left[:, r] * size[r], right[r]))
+    poles = [part.pole for part in parts]
+    participation = np.stack([part.participation for part in parts], axis=1)
+    reference = int(np.argmax(np.min(abs(participation), axis=1)))
+    rows = np.arange(o) * i + reference
+    shapes = np.stack([part.shape for part in parts], axis=1)
+    error = np.sqrt(np.mean(np.square(modes.shape_error[:, poles].reshape(o, i, -1)), axis=1))
+    top = np.argmax(abs(shapes), axis=0)
+    error[top, np.arange(len(parts))] = 0.0
+    repeated = [f"{modes.frequency[k]:.5g} Hz" for k in dict.fromkeys(poles) if poles.count(k) > 1]
+    notes = (f"Repeated modes, with one pole each: {', '.join(repeated)}.",) if repeated else ()
+    return replace(
+        modes,
+        **{
+            name: getattr(modes, name)[poles]
+            for name in ("frequency", "frequency_error", "damping", "damping_error")
+        },
+        shape_error=error,
+        residue=shapes * participation[reference],
+        responses=outputs,
+        places=places,
+        lower=modes.lower[rows],
+        upper=modes.upper[rows],
+        input=inputs[reference],
+        warnings=(*modes.warnings, *notes),
+    )

@@ -1,0 +1,157 @@
+"""Two shakers at once against closed form: bounds, coherences, reciprocity, close modes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import analysis
+import daq
+import rig
+from analysis.responses.several_inputs import driven_forces, input_output_spectra, reciprocity
+from rig.errors import SceneError
+from rig.system.structural_model import structure_matrices
+
+pytestmark = pytest.mark.filterwarnings("ignore::daq.RunWarning")
+
+SCENE = """
+name: two shakers
+structure: {{masses: {masses}, springs: {springs}, damping: {{modal: 0.8 %}}}}
+shaker: [{{kind: force, body: 1}}, {{kind: force, body: 3}}]
+test: {test}
+seed: {seed}
+channels:
+  - {{name: a1, at: body 1, accelerometer: &s {{sensitivity: 100 mV/g, noise: {noise} ug/sqrt(Hz)}}}}
+  - {{name: a2, at: body 2, accelerometer: *s}}
+  - {{name: a3, at: body 3, accelerometer: *s}}
+  - {{name: f1, at: shaker 1, hammer: {{sensitivity: 100 mV/N}}}}
+  - {{name: f3, at: shaker 2, hammer: {{sensitivity: 100 mV/N}}}}
+converter: {{rate: 2048 Hz, bits: 24, range: 10 V}}
+"""
+RANDOM = "{kind: random, shaker: 1, also: [2], from: 8 Hz, to: 60 Hz, duration: 30 s, force: 1 N}"
+MULTISINE = (
+    "{kind: multisine, shaker: 1, also: [2], from: 8 Hz, to: 60 Hz, period: 4 s, periods: 4, realisations: 2, "
+    "force: 1 N}"
+)
+MASSES, SPRINGS = "[0.74 kg, 0.71 kg, 0.64 kg]", "[24.3 kN/m, 21.8 kN/m, 19.8 kN/m]"
+
+
+def recorded(path, test, seed=0, noise=200, masses=MASSES, springs=SPRINGS):
+    text = SCENE.format(test=test, seed=seed, noise=noise, masses=masses, springs=springs)
+    return daq.record(rig.loads(text, where="two shakers"), path)
+
+
+def exact(scene, frequency, bodies=(0, 2)):
+    mass, damping, stiffness = structure_matrices(scene.structure)
+    w = 2 * np.pi * frequency[:, None, None]
+    return np.linalg.inv(stiffness + 1j * w * damping - w**2 * mass)[:, :, list(bodies)]
+
+
+def share_within(path, **options):
+    with daq.open(path) as rec:
+        (response,) = analysis.frequency_responses(rec, **options)
+        truth = exact(rec.scene, response.frequency)
+    assert response.value.shape == truth.shape
+    return response, float(np.mean(abs(response.value - truth) <= response.bound()))
+
+
+@pytest.fixture(scope="module")
+def random_path(tmp_path_factory):
+    return recorded(tmp_path_factory.mktemp("random") / "a.mcap", RANDOM)
+
+
+@pytest.mark.parametrize("estimator", [None, "H1", "Hv"])
+def test_bounds_hold_for_two_random_shakers(random_path, estimator):
+    response, share = share_within(random_path, estimator=estimator)
+    # Leakage of block averages is bounded by its largest size, which holds at all lines.
+    assert 0.9 < share < (0.99 if estimator is None else 1.01)
+    assert response.coherence.shape == (response.frequency.size, 3) and np.nanmedian(response.coherence) > 0.9
+
+
+def test_bounds_hold_for_orthogonal_multisines(tmp_path):
+    response, share = share_within(recorded(tmp_path / "a.mcap", MULTISINE))
+    assert 0.9 < share < 0.995 and np.nanmedian(response.coherence) > 0.9
+
+
+@pytest.mark.thorough
+def test_bounds_hold_for_twenty_random_structures(tmp_path):
+    dice, shares = np.random.default_rng(20), []
+    for number in range(20):
+        masses, springs = dice.uniform(0.5, 1.5, 3), dice.uniform(10.0, 40.0, 3)
+        path = recorded(
+            tmp_path / f"{number}.mcap", (RANDOM, MULTISINE)[number % 2], number, noise=dice.uniform(20, 500),
+            masses=[f"{mass:.4f} kg" for mass in masses], springs=[f"{spring:.3f} kN/m" for spring in springs],
+        )  # fmt: skip
+        shares.append(share_within(path)[1])
+    assert 0.9 < np.mean(shares) < 0.99 and min(shares) > 0.85
+
+
+def test_shaker_that_is_off_leaves_one_input(tmp_path):
+    one = recorded(tmp_path / "one.mcap", RANDOM.replace("also: [2], ", ""))
+    with daq.open(one) as rec:
+        (alone,) = analysis.frequency_responses(rec)
+        inputs = driven_forces(rec)
+    assert not inputs and alone.value.shape[2] == 1
+    marks = lambda markers: [  # noqa: E731
+        type(each)(each.kind, each.first_sample, each.last_sample, {**each.fields, "shakers": [1, 2]})
+        if each.kind == "measure" else each
+        for each in markers
+    ]  # fmt: skip
+    with daq.open(one) as rec:
+        object.__setattr__(rec, "markers", marks(rec.markers))
+        assert [point.name for point in driven_forces(rec)] == ["f1"]
+        (both,) = analysis.frequency_responses(rec)
+    np.testing.assert_array_equal(both.value, alone.value)
+    np.testing.assert_array_equal(both.bound(), alone.bound())
+
+
+def test_spectra_show_coherences_and_condition(random_path):
+    with daq.open(random_path) as rec:
+        spectra = input_output_spectra(rec, ["a1", "a2", "a3"], driven_forces(rec))
+    assert np.median(spectra.condition()) < 3.0
+    multiple, partial = spectra.multiple_coherence(), spectra.partial_coherence()
+    assert partial.shape == (spectra.frequency.size, 3, 2) and (partial <= 1.0).all()
+    # Of uncorrelated inputs each output's multiple coherence exceeds both partial shares.
+    assert np.median(multiple) > 0.9 and np.median(partial) > 0.7
+
+
+def test_matrix_is_reciprocal(random_path):
+    with daq.open(random_path) as rec:
+        (response,) = analysis.frequency_responses(rec)
+    (pair,) = reciprocity(response)
+    assert pair.within > 0.95 and not response.warnings
+    turned = response.value.copy()
+    turned[:, 0] *= 1.5
+    (pair,) = reciprocity(analysis.Response(response.frequency, turned, response.outputs, response.inputs))
+    assert pair.within < 0.1 and pair.deviation == pytest.approx(0.4, rel=0.1)
+
+
+def test_element_is_selected_by_output_and_input(random_path):
+    with daq.open(random_path) as rec:
+        (response,) = analysis.frequency_responses(rec)
+    curve = response["a2", "f3"]
+    np.testing.assert_array_equal(curve.value, response.value[:, 1, 1])
+    assert response["a2"].value.shape == (response.frequency.size, 1, 2) and len(response) == 6
+    assert curve.input == "force at body 3"
+    with pytest.raises(SceneError, match="force missing; expected one of f1, f3"):
+        response.budget("a2", 20.0)
+    assert "a2 / force at body 3" in str(response.budget("a2", 20.0, "f3"))
+
+
+@pytest.mark.parametrize(("coupling", "noise"), [(180.0, 20), (0.0, 200)])
+def test_close_modes_are_separated_by_two_references(coupling, noise, tmp_path):
+    # Two equal oscillators, coupled weakly, modes 0.2 Hz apart of 0.36 Hz width each, or not at all: one pole, twice.
+    stiffness = [[20e3 + coupling, 0.0, -coupling], [0.0, 4e4, 0.0], [-coupling, 0.0, 20e3 + coupling]]
+    matrices = f"{{mass: [[1, 0, 0], [0, 1, 0], [0, 0, 1]], stiffness: {stiffness}}}"
+    text = SCENE.format(test=RANDOM, seed=1, noise=noise, masses=[], springs=[]).splitlines()
+    text[2] = f"structure: {{matrices: {matrices}, damping: {{modal: 0.8 %}}}}"
+    path = daq.record(rig.loads("\n".join(text), where="oscillators"), tmp_path / "a.mcap")
+    with daq.open(path) as rec:
+        (response,) = analysis.frequency_responses(rec, ["a1", "a3"])
+    modes = analysis.identify(response)
+    natural = np.sqrt(np.array([20e3, 20e3 + 2.0 * coupling])) / (2 * np.pi)
+    np.testing.assert_allclose(np.sort(modes.frequency), natural, rtol=3e-4)
+    np.testing.assert_allclose(modes.damping, 0.008, rtol=0.03)
+    # Both shapes together span all motions of the two bodies.
+    assert np.linalg.svd(modes.shapes)[1][1] > 0.5
+    assert any("Repeated modes" in text for text in modes.warnings) == (coupling == 0.0)

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.paper.kept_study import Row, Table, complete, rows
+from analysis.paper.kept_study import Row, Table, complete
 from analysis.paper.store import Arrays
 from rig.bed_response.steady_bed import SteadyBed, steady_grains, steady_mass
 from rig.grains.packing import highest, settled
@@ -175,7 +175,7 @@ def follow(path: Path, points: int | None, say: Callable[[str], None], cluster: 
     RunError
         If the file is another one, or cannot be written.
     """
-    complete(path, TABLE, settings()[:points], setting_of, compared, _words, say, cluster)
+    complete(path, TABLE.study(compared, setting_of), settings()[:points], _words, say, cluster)
 
 
 def table(path: Path | None = None) -> Arrays:
@@ -189,7 +189,7 @@ def table(path: Path | None = None) -> Arrays:
         there is one) for each NAME of `MEASURES`, with ``grains_type`` and ``mass_type``.
     """
     groups: dict[tuple[float, float, float, int], list[Row]] = {}
-    for row in rows(path or TABLE.kept, TABLE):
+    for row in TABLE.read(path):
         groups.setdefault(point_of(setting_of(row)), []).append(row)
     keys = sorted(groups)
     out: Arrays = {

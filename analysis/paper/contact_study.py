@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.paper.bed_study import BEDS, FREQUENCY, SETTINGS, Setting, compliance_at_peak, scene_of_bed
-from analysis.paper.kept_study import Row, Table, complete, rows
+from analysis.paper.kept_study import Row, Table, complete
 from analysis.paper.store import Arrays
 from rig.bed_response.steady_bed import as_one_mass
 from rig.scene.scene import Scene
@@ -71,7 +71,7 @@ def contacts() -> list[Contact]:
 
 def follow(path: Path, say: Callable[[str], None], cluster: str | None = None) -> None:
     """Follow one mass on every contact at every setting; see `analysis.paper.kept_study.complete`."""
-    complete(path, TABLE, contacts(), _contact_of, followed, _words, say, cluster)
+    complete(path, TABLE.study(followed, _contact_of), contacts(), _words, say, cluster)
 
 
 def followed(contact: Contact) -> Row:
@@ -114,7 +114,7 @@ def _ceiling_force(scene: Scene, run: Run) -> float:
 
 def table(path: Path | None = None) -> Arrays:
     """Read a table of contacts: an array for each column, shape (points,)."""
-    read = rows(path or TABLE.kept, TABLE)
+    read = TABLE.read(path)
     return {name: np.array([float(row[name]) for row in read]) for name in TABLE.header}
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -17,19 +16,17 @@ from rig.errors import SceneError
 from rig.grains.lammps_library import lammps_version
 from rig.grains.packing import settled
 from rig.grains.spheres import spheres_of
-from rig.kept_table import KeptTable
 from rig.results import Result, styled
 from rig.scene.loading import SceneLike, scene_of
 from rig.scene.quantities import FREQUENCY, positives
 from rig.scene.scene import Scene
-from rig.workers import Workers
+from rig.study import Study, digest
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 #: Of a block in which a motion is averaged, and of the longest wait for a steady one.
 PERIODS, MOST_BLOCKS = 20, 20
-_HEADER = ["question", "frequency_hz", "grains", "mass"]
 
 
 class _Piece(NamedTuple):
@@ -136,25 +133,13 @@ def bed_response(
             f"scene {scene.name!r} has no bed of grains that can move; expected dampers with grains: {{diameter: 2 mm}}"
         )
     pieces = [_Piece(scene, float(frequency), periods) for frequency in asked]
-    kept = None if table is None else KeptTable(table, _HEADER, "beds")
-    known = {} if kept is None else _known(kept.rows)
-    missing = [piece for piece in pieces if _digest(piece) not in known]
-    done = len(pieces) - len(missing)
-    if progress is not None:
-        progress(done, len(pieces))
-    if missing:
+
+    def pack() -> None:
+        # Packed here, once and kept, the beds are available to all workers.
         for spheres in spheres_of(scene).values():
-            # Packed here, once and kept, it is there for all workers.
             settled(spheres)
-        with Workers(cluster) as workers:
-            for number, both in workers.compute(_followed, missing):
-                known[_digest(missing[number])] = both
-                if kept is not None:
-                    kept.append(_row(missing[number], both))
-                done += 1
-                if progress is not None:
-                    progress(done, len(pieces))
-    found = [known[_digest(piece)] for piece in pieces]
+
+    found = _STUDY.run(pieces, table, cluster, progress, pack)
     return BedResponse(asked, tuple(grains for grains, _ in found), tuple(mass for _, mass in found))
 
 
@@ -181,23 +166,7 @@ def _followed(piece: _Piece) -> tuple[SteadyBed, SteadyBed]:
 
 
 def _digest(piece: _Piece) -> str:
-    """Name a piece by all that its result depends on."""
-    stored = (piece.scene.to_si_yaml(), piece.frequency, piece.periods, lammps_version())
-    return hashlib.sha256(repr(stored).encode()).hexdigest()[:16]
-
-
-def _known(rows: Sequence[Sequence[str]]) -> dict[str, tuple[SteadyBed, SteadyBed]]:
-    known = {}
-    for digest, _, grains, mass in rows:
-        try:
-            known[digest] = _motion(grains), _motion(mass)
-        except (ValueError, KeyError, TypeError):
-            continue
-    return known
-
-
-def _row(piece: _Piece, both: tuple[SteadyBed, SteadyBed]) -> list[str]:
-    return [_digest(piece), repr(piece.frequency), *(json.dumps(_stored(each)) for each in both)]
+    return digest(repr((piece.scene.to_si_yaml(), piece.frequency, piece.periods, lammps_version())))
 
 
 def _stored(motion: SteadyBed) -> dict[str, Any]:
@@ -211,3 +180,13 @@ def _motion(stored: str) -> SteadyBed:
     values["compliance"] = [complex(*pair) for pair in values["compliance"]]
     lists = {name: np.array(value) for name, value in values.items() if isinstance(value, list)}
     return SteadyBed(**(values | lists))
+
+
+_STUDY: Study[_Piece, tuple[SteadyBed, SteadyBed]] = Study(
+    "beds",
+    ("question", "frequency_hz", "grains", "mass"),
+    _followed,
+    lambda piece: (_digest(piece), piece.frequency),
+    lambda key, both: [key[0], repr(key[1]), *(json.dumps(_stored(each)) for each in both)],
+    lambda row: ((row[0], float(row[1])), (_motion(row[2]), _motion(row[3]))),
+)

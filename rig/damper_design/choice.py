@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -19,6 +18,7 @@ from rig.orbits.problem import OrbitProblem
 from rig.results import plainly
 from rig.scene.damper import Damper
 from rig.scene.scene import Scene
+from rig.study import digest
 from rig.system.structural_model import structural_model
 
 Array = NDArray[np.float64]
@@ -215,7 +215,7 @@ class Question:
         asked = scenes, self.levels, self.band, self.bodies, self.landings.restitution, self.density
         contact = self.landings.contact
         lasting = "" if contact is None else repr(contact)
-        return hashlib.sha256(f"{asked}{lasting}".encode()).hexdigest()[:16]
+        return digest(f"{asked}{lasting}")
 
     def worst(self, choice: Choice) -> Peak:
         """Worst peak of a choice over levels and structures."""

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -15,16 +14,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from rig.engine.trajectory import Array
 from rig.figure_style import cell_edges, plain_logarithmic
-from rig.kept_table import KeptTable
 from rig.motion_map.grid import KIND_OF_UNIT, columns, rows_of, take_off, vertical_axis
 from rig.response.frequency_response import Follower
 from rig.results import Result
 from rig.scene.loading import SceneLike, scene_of
 from rig.scene.quantities import FREQUENCY, positives
 from rig.scene.scene import Scene
+from rig.study import Study, digest
 from rig.system.open_loop_drive import level_of, with_ideal_force
 from rig.system.structural_model import structural_model
-from rig.workers import Workers
 
 if TYPE_CHECKING:
     import xarray
@@ -38,7 +36,6 @@ TOLERANCE = 1e-6
 PATIENCE = 3.0
 #: Fewest and most periods that are waited.
 FEWEST, MOST = 2000, 20_000
-_HEADER = ["row", "points"]
 #: From tame to wild: grey, three blues to green for the paper's types, warm colours for the rest.
 COLOURS = ("#e4e4e4", "#a6cee3", "#3f8fc4", "#1b4f7e", "#f2c14e", "#e07b39", "#8c1c3a")
 LEGEND = ("riding", "Type I", "Type II", "Type III", *KINDS[4:])
@@ -207,27 +204,13 @@ def map_motion(
     value = np.unique(positives(levels, KIND_OF_UNIT[unit], "values"))
     longest = _longest(scene, frequency)
     rows = [_Row(_with(scene, over, float(each)), frequency, longest) for each in value]
-    digests = [_digest(row) for row in rows]
-    table = None if kept is None else KeptTable(kept, _HEADER, "rows of a map")
-    known = {} if table is None else _known(table.rows)
-    missing = [number for number, digest in enumerate(digests) if digest not in known]
-
-    def report() -> None:
-        if progress is not None:
-            done = sum(digest in known for digest in digests)
-            progress(done * frequency.size, value.size * frequency.size)
-
-    if missing:
-        with Workers(cluster) as workers:
-            for number, row in workers.compute(_followed, [rows[k] for k in missing]):
-                digest = digests[missing[number]]
-                known[digest] = row
-                if table is not None:
-                    table.append([digest, json.dumps(row)])
-                report()
-    else:
-        report()
-    points = [known[digest] for digest in digests]
+    count = frequency.size
+    points = _STUDY.run(
+        rows,
+        kept,
+        cluster,
+        None if progress is None else lambda done, total: progress(done * count, total * count),
+    )
     return MotionMap(
         scene=scene,
         over=over,
@@ -293,19 +276,17 @@ def _followed(row: _Row) -> list[_Point]:
 
 
 def _digest(row: _Row) -> str:
-    """Name a row by all that its points depend on."""
-    parts = row.scene.to_yaml(), row.frequency.tolist(), row.longest
-    return hashlib.sha256(repr(parts).encode()).hexdigest()[:16]
+    return digest(repr((row.scene.to_yaml(), row.frequency.tolist(), row.longest)))
 
 
-def _known(rows: Sequence[Sequence[str]]) -> dict[str, list[_Point]]:
-    known = {}
-    for digest, points in rows:
-        try:
-            known[digest] = [_Point(*point) for point in json.loads(points)]
-        except (ValueError, TypeError):
-            continue
-    return known
+_STUDY: Study[_Row, list[_Point]] = Study(
+    "rows of a map",
+    ("row", "points"),
+    _followed,
+    _digest,
+    lambda key, points: [key, json.dumps(points)],
+    lambda row: (row[0], [_Point(*point) for point in json.loads(row[1])]),
+)
 
 
 def _kind(damper_motion: str) -> int:

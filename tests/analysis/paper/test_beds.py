@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analysis.paper import bed_chart, bed_study, contact_study, kept_study
+from analysis.paper import bed_chart, bed_study, contact_study
 from analysis.paper.bed_claim import NOT_FAR, apart, bed_claim, certain, verdict
 from analysis.paper.bed_study import (
     DAMPING,
@@ -29,7 +29,6 @@ from analysis.paper.bed_study import (
     summary_row,
     table,
 )
-from analysis.paper.kept_study import rows
 from rig.bed_response.steady_bed import as_one_mass, steady_mass
 from rig.damper_design.one_mass import BELOW_CEILING, MIDDLE_HALF, WITHOUT_CEILING
 from rig.errors import RunError
@@ -64,7 +63,7 @@ class BackToFront(Workers):
 def done(monkeypatch: pytest.MonkeyPatch) -> list[Setting]:
     """Settings that were followed; what they give is made up."""
     followed: list[Setting] = []
-    monkeypatch.setattr(kept_study, "Workers", BackToFront)
+    monkeypatch.setattr("rig.study.Workers", BackToFront)
     monkeypatch.setattr(bed_study, "compared", lambda setting: followed.append(setting) or made(setting))
     return followed
 
@@ -91,7 +90,7 @@ def test_table_order_is_independent_of_completion(tmp_path: Path, done: list[Set
         follow(by_parts, points, lambda line: None)
 
     assert by_parts.read_bytes() == at_once.read_bytes()
-    assert [setting_of(row) for row in rows(at_once, TABLE)] == settings()[:5]
+    assert [setting_of(row) for row in TABLE.read(at_once)] == settings()[:5]
 
 
 def test_foreign_file_is_left_alone(tmp_path: Path) -> None:
@@ -154,7 +153,7 @@ def test_claim_c7_quotes_the_kept_table() -> None:
 
 
 def test_kept_table_has_every_setting() -> None:
-    assert [setting_of(row) for row in rows(TABLE.kept, TABLE)] == settings()
+    assert [setting_of(row) for row in TABLE.read()] == settings()
 
 
 def test_other_resonances_are_drawn_for_each_setting() -> None:

@@ -24,7 +24,6 @@ from analysis.paper.contact_study import (
     table,
     where_followed,
 )
-from analysis.paper.kept_study import rows
 from rig.bed_response.steady_bed import steady_mass
 
 
@@ -55,7 +54,7 @@ def test_short_stiff_contact_equals_instant_landing() -> None:
 
 
 def test_kept_table_is_ordered_and_reproducible() -> None:
-    read = rows(TABLE.kept, TABLE)
+    read = TABLE.read()
     points = contacts()
     place = points.index(Contact(1.7, math.inf, 0.1, 3e-3))
 

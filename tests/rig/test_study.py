@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from rig.errors import RunError
-from rig.kept_table import KeptTable, rows_of
+from rig.study import KeptTable, rows_of
 
 HEADER = ["level", "gap, m", "found"]
 
@@ -92,6 +92,6 @@ def test_ordered_rows_replace_the_table(tmp_path: Path) -> None:
     table.append([4, 5, 6])
     table.append([1, 2, 3])
 
-    table.put_in_order([[1, 2, 3], [4, 5, 6]])
+    table.replace([[1, 2, 3], [4, 5, 6]])
 
     assert path.read_text() == 'level,"gap, m",found\n1,2,3\n4,5,6\n'

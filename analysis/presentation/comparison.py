@@ -8,7 +8,10 @@ from dataclasses import dataclass, field
 from itertools import product
 from math import isinf
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from analysis.damper_motion.comparison import (
     PeakChange,
@@ -29,9 +32,13 @@ from analysis.responses.frequency_responses import frequency_responses
 from analysis.responses.measurands import reference_of, responses
 from rig.errors import SceneError
 from rig.results.response import Response
+from rig.results.result import Result as ResultBase
+from rig.results.result import styled
 from rig.results.uncertainty import SENSITIVITY
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
     from daq.recording.recording import Recording
 
 _HEADING = (
@@ -46,24 +53,66 @@ _JUMPS = (
 )
 
 
-def present_compare(
-    paths: Sequence[Path], output: Path | None = None, progress: Progress | None = None
-) -> Result:
-    """List and tabulate how far each resonance peak of the first recording is lowered and shifted in the others.
+@dataclass(frozen=True, repr=False)
+class Comparison(ResultBase):
+    """Changes of resonance peaks from the first recording to the others.
+
+    Attributes
+    ----------
+    changes : tuple of (Response, Response, PeakChange)
+        First response, the other, and the change of one peak.
+    lines : tuple of str
+        The changes in words, and which peaks are not compared.
+    warnings : tuple of str
+    """
+
+    changes: tuple[tuple[Response, Response, PeakChange], ...]
+    lines: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """One row for each peak, as in the table of `analysis compare`."""
+        rows = list(zip(*(_row(*change) for change in self.changes), strict=True)) or [()] * len(_HEADING)
+        return {name: np.array(column) for name, column in zip(_HEADING, rows, strict=True)}
+
+    def summary(self) -> str:
+        """Count the peaks that changed by more than their bounds."""
+        changed = sum(
+            not low <= 0.0 <= high for _, _, each in self.changes for _, low, high in [each.decibel]
+        )
+        return f"{changed} of {len(self.changes)} resonance peaks changed by more than their 95 % bounds"
+
+    def draw(self, ax: Axes, **style: Any) -> None:
+        """Draw the change of each peak with its 95 % bounds over the mode's frequency."""
+        groups: dict[str, list[PeakChange]] = {}
+        for _, after, change in self.changes:
+            groups.setdefault(f"{after.label}: {change.response}", []).append(change)
+        for label, changes in groups.items():
+            value, low, high = np.array([change.decibel for change in changes]).T
+            bars = np.where(np.isfinite([low, high]), abs(np.array([low, high]) - value), 0.0)
+            mode = [change.mode for change in changes]
+            ax.errorbar(mode, value, yerr=bars, **styled(style, label=label, fmt="o", capsize=3))
+        ax.set(xlabel="natural frequency / Hz", ylabel="change of the peak / dB")
+
+
+def compare_peaks(paths: Sequence[Path], progress: Progress | None = None) -> Comparison:
+    """Compare each resonance peak of the first recording with those of the others.
 
     Parameters
     ----------
     paths : sequence of Path
         Recordings with frequency responses of one structure, first the one to compare with. Of several sweeps in it
         (levels, directions) the first counts; of the others all do.
-    output : Path, optional
-        Folder for the table; default beside the first recording.
     progress : callable, optional
         Called with (done, in all) of each recording's analysis.
+
+    Raises
+    ------
+    SceneError
+        If there is only one recording, or they have no response in common.
     """
     if len(paths) < 2:
         raise SceneError("one recording: expected at least two, first the one to compare with")
-    check_outputs(paths, output, "compare", "csv")
     found: list[list[list[Response]]] = []
     places: list[Places] = []
     for path, label in zip(paths, scene_labels(paths), strict=True):
@@ -77,7 +126,7 @@ def present_compare(
     modes = identify(bare)
     notes = repeats(paths) + noted(paths[0], (*modes.warnings, *highest_left_out(modes, bare)))
     lines: list[str] = []
-    rows: list[tuple[str | float, ...]] = []
+    every: list[tuple[Response, Response, PeakChange]] = []
     jumps = False
     for place, group in [
         (place, group) for place, groups in zip(places[1:], found[1:], strict=True) for group in groups
@@ -96,10 +145,19 @@ def present_compare(
             )
         lines += _without_peaks(changes, ((paths[0], bare), (path, group)), modes)
         jumps |= any(isinf(one.bare.bound + one.damped.bound) for one in changes)
-        rows += [_row(bare[0], group[0], change) for change in changes]
+        every += [(bare[0], group[0], change) for change in changes]
+    return Comparison(tuple(every), tuple(lines), (*dict.fromkeys(notes), *((_JUMPS,) if jumps else ())))
+
+
+def present_compare(
+    paths: Sequence[Path], output: Path | None = None, progress: Progress | None = None
+) -> Result:
+    """List and tabulate what `compare_peaks` returns; the table goes beside the first recording by default."""
+    check_outputs(paths, output, "compare", "csv")
+    found = compare_peaks(paths, progress)
     with output_stem(paths, output, "compare", "csv") as stem:
-        table = write_table(with_ending(stem, "csv"), _HEADING, rows)
-    return Result((table,), tuple(lines), (*dict.fromkeys(notes), *((_JUMPS,) if jumps else ())))
+        table = write_table(with_ending(stem, "csv"), _HEADING, (_row(*change) for change in found.changes))
+    return Result((table,), found.lines, found.warnings)
 
 
 def _without_peaks(

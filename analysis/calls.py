@@ -1,0 +1,319 @@
+"""The commands of `analysis` as Python calls: same names and arguments; each returns a result that plots itself.
+
+The commands print, draw and tabulate what these calls estimate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar
+
+import numpy as np
+
+from rig.results.result import Result, joined
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from numpy.typing import NDArray
+
+    from analysis.chain_cost.study import ChainStudy
+    from analysis.damper_motion.dampers import Dampers
+    from analysis.modal.modes import Modes
+    from analysis.presentation.comparison import Comparison
+    from daq.recording.recording import Recording
+    from rig.results.response import Response
+    from rig.scene.loading import SceneLike
+
+R = TypeVar("R", bound=Result)
+Progress = Callable[[int, int], None]
+OneRecording: TypeAlias = "Recording | str | Path"
+Recordings: TypeAlias = "OneRecording | Sequence[OneRecording]"
+
+
+class Results(Result, Sequence[R], Generic[R]):
+    """Results of one kind in the order of the recordings, one for each sweep (level and direction).
+
+    A sequence that plots all of them in one figure and joins their tables.
+    """
+
+    def __init__(self, results: Iterable[R]) -> None:
+        self._each = tuple(results)
+
+    def __getitem__(self, index: Any) -> Any:
+        """Return one result, or a selection of them."""
+        return Results(self._each[index]) if isinstance(index, slice) else self._each[index]
+
+    def __len__(self) -> int:
+        return len(self._each)
+
+    def __iter__(self) -> Iterator[R]:
+        return iter(self._each)
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Join the columns that all results have; the column `label` names the recording and sweep."""
+        every = [dict(each.columns()) for each in self._each]
+        names = [name for name in (every[0] if every else {}) if all(name in each for each in every)]
+        tables = []
+        for each, columns in zip(self._each, every, strict=True):
+            count = len(next(iter(columns.values()), ()))
+            label = np.full(count, str(getattr(each, "label", "")))
+            tables.append({name: columns[name] for name in names} | {"label": label})
+        return joined(tables)
+
+    def summary(self) -> str:
+        """Summaries of all results, a line each."""
+        return "\n".join(each.summary() for each in self._each)
+
+    def draw(self, ax: Axes, **style: Any) -> None:
+        """Draw all results into the same axes."""
+        for each in self._each:
+            each.draw(ax, **style)
+
+    def _repr_html_(self) -> str:
+        """Show each result, as notebooks do."""
+        return "".join(each._repr_html_() for each in self._each)
+
+
+def frf(
+    recordings: Recordings,
+    response: Sequence[str] | None = None,
+    reference: str = "force",
+    motion: str = "displacement",
+    estimator: str | None = None,
+    block: float | None = None,
+    overlap: float | None = None,
+    window: str | None = None,
+    unit: str | None = None,
+    progress: Progress | None = None,
+) -> Results[Response]:
+    """Estimate frequency responses with 95 % bounds and coherence, as `analysis frf`.
+
+    Parameters
+    ----------
+    recordings : daq.Recording, str, Path or a sequence of these
+        Recordings, or .uff and .csv files with responses that other programs have estimated.
+    response : sequence of str, optional
+        Channels; omitted, all on bodies.
+    reference : {'force', 'table'}
+        Input: force on the structure, or displacement of the table.
+    motion : {'displacement', 'velocity', 'acceleration'}
+        Receptance, mobility or accelerance.
+    estimator : {'H1', 'H2', 'Hv'}, optional
+        Average spectra of blocks, for random tests and hits; omitted, the whole record, without leakage.
+    block, overlap, window
+        Length of blocks in s, overlap as a share, and window, as `scipy.signal.get_window` names it.
+    unit : str, optional
+        Of files that state none, such as ``"g/N"``.
+    progress : callable, optional
+        Called with (done, in all).
+
+    Returns
+    -------
+    Results of Response
+        One for each sweep, with all outputs.
+
+    Examples
+    --------
+    >>> import analysis
+    >>> found = analysis.frf("recordings/demo-sweep-no-damper.mcap")
+    >>> found[0].keys()
+    ('body1', 'body2', 'body3')
+    """
+    from analysis.presentation.inputs import read_curves
+    from analysis.responses.frequency_responses import frequency_responses
+    from rig.results.response import stack
+
+    found = []
+    for source, label in _sources(recordings):
+        if isinstance(source, Path):
+            curves = read_curves(source, reference, response, unit)
+            found.append(_labelled(stack([curve.to(motion) for curve in curves]), label))
+            continue
+        with source as rec:
+            for each in frequency_responses(
+                rec, response, reference, motion, estimator, block, progress, overlap, window
+            ):
+                found.append(_labelled(each, label, rec.scene.name))
+    return Results(found)
+
+
+def modes(
+    recordings: Recordings,
+    reference: str = "force",
+    modes: int | None = None,
+    block: float | None = None,
+    unit: str | None = None,
+    progress: Progress | None = None,
+) -> Results[Modes]:
+    """Estimate natural frequencies, damping ratios and mode shapes, as `analysis modes`.
+
+    Parameters
+    ----------
+    recordings, reference, block, unit, progress
+        As of `frf`.
+    modes : int, optional
+        Number of modes to keep; omitted, all stable ones.
+
+    Returns
+    -------
+    Results of Modes
+        One for each sweep. `analysis.mac` compares the shapes of two of them.
+    """
+    from analysis.modal.identification import identify
+
+    found = frf(recordings, None, reference, block=block, unit=unit, progress=progress)
+    return Results(_labelled(identify(each, modes), each.label) for each in found)
+
+
+def dampers(recordings: Recordings, progress: Progress | None = None) -> Results[Dampers]:
+    """Estimate impacts and dissipated energy of dampers in stepped sines, as `analysis dampers`.
+
+    Returns
+    -------
+    Results of Dampers
+        One for each sweep.
+    """
+    from analysis.damper_motion.dampers import dampers_in
+    from analysis.presentation.expectations import expect
+
+    found: list[Dampers] = []
+    for source, label in _sources(recordings):
+        with _only_recordings(source) as rec:
+            expect(rec, rec.path, "dampers")
+            found += dampers_in(rec, label, progress)
+    return Results(found)
+
+
+def compare(recordings: Sequence[OneRecording], progress: Progress | None = None) -> Comparison:
+    """Compare height and frequency of resonance peaks with those of the first recording, as `analysis compare`."""
+    from analysis.presentation.comparison import compare_peaks
+
+    return compare_peaks(_paths(recordings), progress)
+
+
+def report(
+    recordings: Recordings,
+    output: str | Path | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> Path:
+    """Write an interactive HTML page about recordings, as `analysis report`; return its path.
+
+    Parameters
+    ----------
+    output : str or Path, optional
+        Folder, or .html file; omitted, the folder of the first recording.
+    overwrite : bool
+        Replace a page that exists.
+    """
+    from analysis.reporting.report import write_report
+    from rig.provenance import overwriting
+
+    with overwriting(overwrite):
+        return write_report(_paths(recordings), None if output is None else Path(output), progress).files[0]
+
+
+def export(
+    recording: OneRecording,
+    output: str | Path,
+    channel: Sequence[str] | None = None,
+    start: float | None = None,
+    stop: float | None = None,
+    speed: float = 1.0,
+    overwrite: bool = False,
+    what: str = "samples",
+    progress: Progress | None = None,
+) -> Path:
+    """Export a recording as UFF, MATLAB, CSV, NPZ or WAV file, as `analysis export`; return its path.
+
+    Parameters
+    ----------
+    output : str or Path
+        File to write: .uff, .mat, .csv, .npz or .wav.
+    channel : sequence of str, optional
+        Omitted, all.
+    start, stop : float, optional
+        Times in s; omitted, from end to end.
+    speed : float
+        Of sound files.
+    what : {'samples', 'frfs', 'modes'}
+        The last two go into .uff or .mat.
+    """
+    from analysis.exporting.export import export as export_stretch
+    from analysis.exporting.results import export_results
+    from analysis.recordings.names import opened
+    from analysis.recordings.slices import Slice
+
+    [path], target = _paths(recording), Path(output)
+    if what != "samples":
+        export_results(path, target, what, overwrite, progress)
+        return target
+    with opened(path) as rec:
+        export_stretch(Slice.of(rec, channel, start, stop), target, speed, overwrite, progress)
+    return target
+
+
+def cost(
+    scene: SceneLike, frequency: Sequence[float] | None = None, progress: Progress | None = None
+) -> ChainStudy:
+    """Measure error and computing time of the measurement chain, one effect at a time, as `analysis cost`.
+
+    Parameters
+    ----------
+    frequency : sequence of float, optional
+        Hz; omitted, both ends of the test and the hardest.
+    """
+    from analysis.chain_cost.study import chain_study
+    from rig.scene.loading import scene_of
+
+    return chain_study(scene_of(scene), frequency, progress)
+
+
+def _each(recordings: Recordings) -> list[OneRecording]:
+    one = isinstance(recordings, str | Path) or hasattr(recordings, "channels")
+    return [recordings] if one else list(recordings)  # type: ignore[arg-type, list-item]
+
+
+def _paths(recordings: Recordings) -> list[Path]:
+    return [Path(each) if isinstance(each, str | Path) else each.path for each in _each(recordings)]
+
+
+def _sources(recordings: Recordings) -> Iterator[tuple[Any, str]]:
+    """Each recording as a context, or the path of a file with responses, with its label."""
+    from analysis.presentation.inputs import labels
+    from analysis.responses.frf_files import is_frf_file
+
+    each, paths = _each(recordings), _paths(recordings)
+    for source, path, label in zip(each, paths, labels(paths), strict=True):
+        yield path if is_frf_file(path) else _opened(source), label
+
+
+@contextmanager
+def _opened(recording: OneRecording) -> Iterator[Recording]:
+    """Open a path while it is used; a recording that is open stays open."""
+    from analysis.recordings.names import opened
+
+    if isinstance(recording, str | Path):
+        with opened(Path(recording)) as rec:
+            yield rec
+    else:
+        yield recording
+
+
+def _only_recordings(source: Any) -> Any:
+    from rig.errors import RecordingError
+
+    if isinstance(source, Path):
+        raise RecordingError(f"{source}: this file contains frequency responses. Give a recording (.mcap)")
+    return source
+
+
+def _labelled(result: Any, label: str, scene: str | None = None) -> Any:
+    """Name a result after its recording, instead of the scene."""
+    from dataclasses import replace
+
+    from analysis.recordings.names import relabelled
+
+    return relabelled(result, scene, label) if scene is not None else replace(result, label=label)

@@ -1,0 +1,77 @@
+"""The commands as Python calls give what the commands write, and plot themselves."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import analysis
+import daq
+from analysis.cli import app
+from rig.errors import RecordingError
+
+BARE = Path("recordings/demo-sweep-no-damper.mcap")
+DAMPED = Path("recordings/demo-sweep-three-dampers.mcap")
+
+
+@pytest.fixture
+def axes():
+    figure, axes = plt.subplots()
+    yield axes
+    plt.close(figure)
+
+
+def test_frf_joins_recordings_in_one_table(axes):
+    with daq.open(DAMPED) as rec:
+        found = analysis.frf([BARE, rec], ["body3"])
+    assert [each.keys() for each in found] == [("body3",), ("body3",)]
+    columns = found.columns()
+    assert {len(column) for column in columns.values()} == {sum(each.frequency.size for each in found)}
+    assert np.unique(columns["label"]).size == 2
+    found.plot(axes)
+    assert len(axes.get_legend().get_texts()) == 2 and found[1].label in found._repr_html_()
+
+
+def test_modes_of_two_recordings_are_compared_by_mac():
+    found = analysis.modes([BARE, DAMPED], modes=3)
+    assert found[0].frequency == pytest.approx([13.04, 34.78, 49.66], rel=1e-3)
+    assert np.diag(analysis.mac(found[0].shapes, found[1].shapes)).min() > 0.99
+
+
+def test_dampers_returns_the_rows_of_the_command(tmp_path, axes):
+    [found] = analysis.dampers(DAMPED)
+    assert CliRunner().invoke(app, ["dampers", str(DAMPED), "-o", str(tmp_path)]).exit_code == 0
+    [table] = tmp_path.glob("*.csv")
+    with table.open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    columns = found.columns()
+    assert [row["motion"] for row in rows] == columns["motion"].tolist()
+    assert [float(row["dampers_J"]) for row in rows] == pytest.approx(columns["dampers_J"].tolist(), rel=1e-8)
+    found.plot(axes)
+    assert "dissipate most at 12.64 Hz" in found.summary()
+
+
+def test_compare_returns_the_changes_of_the_peaks(axes):
+    found = analysis.compare([BARE, DAMPED])
+    assert found.columns()["change_dB"].size == len(found.changes) > 0
+    found.plot(axes)
+    assert f"of {len(found.changes)} resonance peaks changed" in found.summary()
+
+
+def test_export_and_report_return_their_files(tmp_path):
+    target = analysis.export(BARE, tmp_path / "a.npz", ["body1"], stop=1.0)
+    assert target.exists()
+    page = analysis.report(Path("recordings/demo-impulse-no-damper.mcap"), tmp_path / "page.html")
+    assert page == tmp_path / "page.html" and page.exists()
+
+
+def test_dampers_rejects_a_file_of_responses(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("frequency,real,imag\n1,1,0\n", encoding="utf-8")
+    with pytest.raises(RecordingError, match=r"a\.csv.*frequency responses"):
+        analysis.dampers(path)

@@ -57,22 +57,27 @@ def number_of(body: int | str, names: Sequence[str] | None, bodies: int) -> int:
 
 
 def numbered(scene: Mapping[str, Any]) -> tuple[dict[str, Any], list[Mistake]]:
-    """Put the number of a body in the place of its name, wherever a scene refers to one.
+    """Put the number of a body in the place of its name, wherever a scene refers to one, and check the number.
 
     Returns
     -------
     dict
         The scene; what refers to no body is as it was.
     list of Mistake
-        One for each name that no body has.
+        One for each name or number that no body has.
     """
     names, bodies = _names(scene.get("structure"))
     mistakes: list[Mistake] = []
+
+    def check(number: Any, place: Place) -> None:
+        if bodies and str(number).isdecimal() and int(number) > bodies:
+            mistakes.append(Mistake(place, no_body(int(number), bodies)))
 
     def body(value: Any, place: Place) -> Any:
         if isinstance(value, list | tuple):
             return [body(item, (*place, k)) for k, item in enumerate(value)]
         if not isinstance(value, str) or re.fullmatch(r"[-+\d.,\s]*", value):
+            check(value, place)
             return value
         if names is not None and value in names:
             return names.index(value) + 1
@@ -83,6 +88,7 @@ def numbered(scene: Mapping[str, Any]) -> tuple[dict[str, Any], list[Mistake]]:
 
     def sensor(value: Any, place: Place) -> Any:
         if not isinstance(value, str) or _PLACE.fullmatch(value) or (bodies and names is None):
+            check(str(value).removeprefix("body "), place)
             return value
         if names is None:
             return "body 1"
@@ -110,6 +116,11 @@ def numbered(scene: Mapping[str, Any]) -> tuple[dict[str, Any], list[Mistake]]:
         for part, value in scene.items()
     }
     return found, mistakes
+
+
+def no_body(number: int, bodies: int) -> str:
+    """Say that there is no body of a number."""
+    return f"body {number} of {bodies}; expected a body of the structure, 1 to {bodies}"
 
 
 def _names(structure: Any) -> tuple[list[str] | None, int]:

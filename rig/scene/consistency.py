@@ -1,163 +1,128 @@
-"""References between the parts of a scene: does what is named exist, and is it named once."""
+"""References between the parts of a scene: whether a named body, shaker or channel exists.
+
+Each check compares a part with the parts above it in `Scene`, as far as those are valid: `known` has no key for a part
+with mistakes of its own.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterable, Mapping
+from typing import TYPE_CHECKING, Any
 
+from pydantic import AfterValidator, ValidationInfo
+
+from rig.scene.body_names import no_body
 from rig.scene.excitation import Free, Impulse, Sine, SteppedSine
 from rig.scene.measurement_chain import Channel, Converter
-from rig.scene.settings import Mistake, Place
-from rig.scene.shaker import ForceShaker, at_shaker
+from rig.scene.settings import Mistake, Place, report
+from rig.scene.shaker import ForceShaker, Shaker, at_shaker
 
 if TYPE_CHECKING:
     from rig.scene.damper import Damper
     from rig.scene.excitation import Test
     from rig.scene.measurement_chain import RecordingSettings
-    from rig.scene.shaker import Shaker
+
+Known = Mapping[str, Any]
 
 
-def mistakes_between(
-    bodies: int | None,
-    dampers: Sequence[Damper | None],
-    shakers: Sequence[Shaker | None],
-    test: Test | None,
-    channels: Sequence[Channel | None] | None,
-    converter: Converter | None,
-    recording: RecordingSettings | None,
-    given: frozenset[str] = frozenset(),
-) -> list[Mistake]:
-    """List the mistakes between parts.
-
-    Parts that are wrong in themselves come as far as they are right, with None for what is not, so that their own
-    mistakes and these can be reported together; `given` names the parts that are there, right or wrong.
-    """
-    return [
-        *_dampers(bodies, dampers),
-        *_shakers(bodies, shakers, given),
-        *_test(bodies, shakers, test, given),
-        *_channels(bodies, shakers, test, channels or (), given),
-        *_sampling(channels, converter, recording, given),
-        *_too_high(test, converter),
-    ]
+def _damper(damper: Damper, known: Known) -> Iterable[Mistake]:
+    yield from _no_body(known, damper.body, ("body",))
 
 
-def _no_body(count: int | None, body: int | None, place: Place) -> Iterable[Mistake]:
-    if count is not None and body is not None and body > count:
-        yield Mistake(place, f"body {body} of {count}; expected a body of the structure, 1 to {count}")
-
-
-def _dampers(count: int | None, dampers: Sequence[Damper | None]) -> Iterable[Mistake]:
-    for k, damper in enumerate(dampers):
-        yield from _no_body(count, None if damper is None else damper.body, ("dampers", k, "body"))
-
-
-def _shakers(count: int | None, shakers: Sequence[Shaker | None], given: frozenset[str]) -> Iterable[Mistake]:
-    for number, shaker in enumerate(shakers):
-        if shaker is None:
-            continue
-        key: Place = ("shaker", "body") if len(shakers) == 1 else ("shaker", number, "body")
+def _shakers(value: Shaker | tuple[Shaker, ...] | None, known: Known) -> Iterable[Mistake]:
+    for number, shaker in enumerate(_listed(value)):
+        place: Place = (number, "body") if isinstance(value, tuple) else ("body",)
         for k, body in enumerate(shaker.bodies):
-            yield from _no_body(count, body, (*key, k) if isinstance(shaker.body, tuple) else key)
+            yield from _no_body(known, body, (*place, k) if isinstance(shaker.body, tuple) else place)
 
 
-def _test(
-    count: int | None, shakers: Sequence[Shaker | None], test: Test | None, given: frozenset[str]
-) -> Iterable[Mistake]:
-    if test is None:
-        return
+def _test(test: Test | None, known: Known) -> Iterable[Mistake]:
     if isinstance(test, Impulse):
-        yield from _no_body(count, test.body, ("test", "body"))
+        yield from _no_body(known, test.body, ("body",))
     elif isinstance(test, Free):
-        for key, values in (("displacement", test.displacement), ("velocity", test.velocity)):
-            if count is not None and values is not None and len(values) != count:
-                yield Mistake(("test", key), f"got {len(values)} values; expected {count}, one for each body")
-        if count is not None and test.mode is not None and test.mode > count:
-            yield Mistake(("test", "mode"), f"mode {test.mode} of {count}; expected 1 to {count}")
-    elif not shakers:
-        if "shaker" not in given:
-            yield Mistake(
-                ("test", "kind"), f"{test.kind} has nothing to drive with; expected a shaker in the scene"
-            )
-    elif len(shakers) > 1 and test.shaker is None:
-        yield Mistake(
-            ("test",),
-            f"shaker missing; there are {len(shakers)}, expected shaker: with the number of the one to drive, 1 to "
-            f"{len(shakers)}",
-        )
-    elif (test.shaker or 1) > len(shakers):
-        yield Mistake(
-            ("test", "shaker"), f"shaker {test.shaker} of {len(shakers)}; expected 1 to {len(shakers)}"
-        )
-    elif any(number > len(shakers) for number in getattr(test, "also", None) or ()):
-        yield Mistake(
-            ("test", "also"), f"names a shaker that is missing; expected numbers up to {len(shakers)}"
-        )
-    elif len({test.shaker, *(also := getattr(test, "also", None) or ())}) <= len(also):
-        yield Mistake(("test", "also"), "names a shaker twice; expected those beside test: shaker, each once")
-    elif isinstance(shakers[(test.shaker or 1) - 1], ForceShaker) and test.drive is not None:
-        yield Mistake(
-            ("test", "drive"), "a shaker of kind force is driven by its force; expected force instead"
-        )
+        yield from _initial_state(test, known)
+    elif test is not None and "shaker" in known:
+        yield from _driven_shaker(test, _listed(known["shaker"]))
 
 
-def _channels(
-    count: int | None,
-    shakers: Sequence[Shaker | None],
-    test: Test | None,
-    channels: Sequence[Channel | None],
-    given: frozenset[str],
-) -> Iterable[Mistake]:
+def _initial_state(test: Free, known: Known) -> Iterable[Mistake]:
+    if "structure" not in known:
+        return
+    count = known["structure"].bodies
+    for key, values in (("displacement", test.displacement), ("velocity", test.velocity)):
+        if values is not None and len(values) != count:
+            yield Mistake((key,), f"got {len(values)} values; expected {count}, one for each body")
+    if test.mode is not None and test.mode > count:
+        yield Mistake(("mode",), f"mode {test.mode} of {count}; expected 1 to {count}")
+
+
+def _driven_shaker(test: Any, shakers: tuple[Shaker, ...]) -> Iterable[Mistake]:
+    count, number, also = len(shakers), test.shaker or 1, getattr(test, "also", None) or ()
+    if not shakers:
+        message = f"{test.kind} has nothing to drive with; expected a shaker in the scene"
+        yield Mistake(("kind",), message, absent="shaker")
+    elif count > 1 and test.shaker is None:
+        yield Mistake(
+            (),
+            f"shaker missing; there are {count}, expected shaker: with the number of the one to drive, 1 to {count}",
+        )
+    elif number > count:
+        yield Mistake(("shaker",), f"shaker {number} of {count}; expected 1 to {count}")
+    elif any(other > count for other in also):
+        yield Mistake(("also",), f"names a shaker that is missing; expected numbers up to {count}")
+    elif len({test.shaker, *also}) <= len(also):
+        yield Mistake(("also",), "names a shaker twice; expected those beside test: shaker, each once")
+    elif isinstance(shakers[number - 1], ForceShaker) and test.drive is not None:
+        yield Mistake(("drive",), "a shaker of kind force is driven by its force; expected force instead")
+
+
+def _channel(channel: Channel, known: Known) -> Iterable[Mistake]:
+    if channel.body is not None:
+        yield from _no_body(known, channel.body, ("at",))
+    elif channel.at == "hammer":
+        if "test" in known and not isinstance(known["test"], Impulse):
+            message = "there is no hammer; expected a body or the table, or a test of kind impulse"
+            yield Mistake(("at",), message, absent="" if known["test"] else "test")
+    elif "shaker" in known:
+        yield from _at_shaker(channel, _listed(known["shaker"]), known.get("test"), ("at",))
+
+
+def _channels(channels: tuple[Channel, ...] | None, known: Known) -> Iterable[Mistake]:
     first: dict[str, int] = {}
-    for k, channel in enumerate(channels):
-        if channel is None or channel.at is None:
-            continue
-        place = ("channels", k, "at")
-        if channel.body is not None:
-            yield from _no_body(count, channel.body, place)
-        elif channel.at == "hammer":
-            if "test" not in given and not isinstance(test, Impulse):
-                yield Mistake(
-                    place, "there is no hammer; expected a body or the table, or a test of kind impulse"
-                )
-        elif shakers or "shaker" not in given:
-            yield from _at_shaker(channel, shakers, test, place)
-        if channel.name is None:
-            continue
+    for k, channel in enumerate(channels or ()):
         if channel.name in first:
             other = first[channel.name] + 1
-            yield Mistake(
-                ("channels", k, "name"),
-                f'"{channel.name}" is the name of channels[{other}]; expected each once',
-            )
+            message = f'"{channel.name}" is the name of channels[{other}]; expected each once'
+            yield Mistake((k, "name"), message)
         first.setdefault(channel.name, k)
 
 
 def _at_shaker(
-    channel: Channel, shakers: Sequence[Shaker | None], test: Test | None, place: Place
+    channel: Channel, shakers: tuple[Shaker, ...], test: Test | None, place: Place
 ) -> Iterable[Mistake]:
-    """Check that there is the shaker that a channel sits at, and that it has what the channel measures there."""
-    what, several = channel.what, len(shakers) > 1
-    if several and channel.number is None:
-        expected = ", ".join(at_shaker(what, number, len(shakers)) for number in range(1, len(shakers) + 1))
-        yield Mistake(place, f"there are {len(shakers)} shakers; expected one of {expected}")
+    """Check that the shaker at which a channel measures exists, and that it has the quantity to measure."""
+    what, count = channel.what, len(shakers)
+    if count > 1 and channel.number is None:
+        names = ", ".join(at_shaker(what, number, count) for number in range(1, count + 1))
+        yield Mistake(place, f"there are {count} shakers; expected one of {names}")
         return
-    if channel.number is not None and (not several or channel.number > len(shakers)):
-        count = f"{len(shakers)} shaker{'s' if several else ''}"
-        expected = f"{what} 1 to {what} {len(shakers)}" if several else what
-        yield Mistake(place, f"got {channel.at} with {count} in the scene; expected {expected}")
+    if channel.number is not None and (count < 2 or channel.number > count):
+        name = f"{what} 1 to {what} {count}" if count > 1 else what
+        shown = f"{count} shaker{'s' if count > 1 else ''}"
+        yield Mistake(place, f"got {channel.at} with {shown} in the scene; expected {name}")
         return
     shaker = shakers[(channel.number or 1) - 1] if shakers else None
-    if what == "table" and (not shakers or isinstance(shaker, ForceShaker)):
-        yield Mistake(
-            place, "there is no table; expected a body, or a shaker of kind table or electrodynamic"
-        )
-    elif what == "drive" and not shakers:
-        yield Mistake(place, "there is no drive; expected a shaker in the scene")
-    elif what == "shaker" and not shakers:
-        yield Mistake(place, "there is no shaker; expected a body, or a shaker of kind force in the scene")
+    absent = "" if shakers else "shaker"
+    if what == "table" and (shaker is None or isinstance(shaker, ForceShaker)):
+        message = "there is no table; expected a body, or a shaker of kind table or electrodynamic"
+        yield Mistake(place, message, absent)
+    elif what == "drive" and shaker is None:
+        yield Mistake(place, "there is no drive; expected a shaker in the scene", absent)
+    elif what == "shaker" and shaker is None:
+        message = "there is no shaker; expected a body, or a shaker of kind force in the scene"
+        yield Mistake(place, message, absent)
     elif what == "shaker" and shaker is not None and not isinstance(shaker, ForceShaker):
-        table = at_shaker("table", channel.number or 1, len(shakers))
+        table = at_shaker("table", channel.number or 1, count)
         yield Mistake(
             place,
             f"a shaker of kind {shaker.kind} acts through its coil spring, whose force is measured by channels at its "
@@ -167,29 +132,48 @@ def _at_shaker(
         yield Mistake(place, "the shaker rests while the hammer hits; expected at: hammer")
 
 
-def _sampling(
-    channels: Sequence[Channel | None] | None,
-    converter: Converter | None,
-    recording: RecordingSettings | None,
-    given: frozenset[str],
-) -> Iterable[Mistake]:
-    if converter is None:
-        return
+def _converter(converter: Converter, known: Known) -> Iterable[Mistake]:
+    channels = known.get("channels")
     if channels is not None and isinstance(converter.skew, tuple) and len(converter.skew) != len(channels):
         yield Mistake(
-            ("converter", "skew"),
-            f"got {len(converter.skew)} values; expected {len(channels)}, one for each channel",
-        )
-    if recording is not None and recording.samples == "counts" and not (converter.bits or converter.preset):
-        yield Mistake(
-            ("recording", "samples"), "counts of a converter without bits; expected bits in converter"
+            ("skew",), f"got {len(converter.skew)} values; expected {len(channels)}, one for each channel"
         )
 
 
-def _too_high(test: Test | None, converter: Converter | None) -> Iterable[Mistake]:
+def _recording(recording: RecordingSettings, known: Known) -> Iterable[Mistake]:
+    converter = known.get("converter")
+    if converter is not None and recording.samples == "counts" and not (converter.bits or converter.preset):
+        yield Mistake(("samples",), "counts of a converter without bits; expected bits in converter")
+
+
+Check = Callable[[Any, Known], Iterable[Mistake]]
+
+
+def _validator(check: Check) -> AfterValidator:
+    """Make a check of a field of `Scene`, or of an item in it, that pydantic runs with the others."""
+
+    def validate(part: Any, info: ValidationInfo) -> Any:
+        mistakes = list(check(part, info.data))
+        if mistakes:
+            raise report("references", mistakes)
+        return part
+
+    return AfterValidator(validate)
+
+
+DAMPER = _validator(_damper)
+SHAKERS = _validator(_shakers)
+TEST = _validator(_test)
+CHANNEL = _validator(_channel)
+CHANNELS = _validator(_channels)
+CONVERTER = _validator(_converter)
+RECORDING = _validator(_recording)
+
+
+def too_high_frequency(test: Test | None, converter: Converter) -> Iterable[Mistake]:
     """Check that the sample rate resolves the test's frequencies, and that the drive can be made of samples."""
     highest = _highest(test)
-    if highest is None or converter is None:
+    if highest is None:
         return
     (place, frequency), rate = highest, converter.sample_rate
     if frequency >= rate / 2:
@@ -210,3 +194,14 @@ def _highest(test: Test | None) -> tuple[Place, float] | None:
         return ("test", "frequencies", len(test.frequencies) - 1), test.frequencies[-1]
     first, last = test.from_ or 0.0, test.to or 0.0
     return (("test", "to"), last) if last > first else (("test", "from"), first)
+
+
+def _listed(shaker: Shaker | tuple[Shaker, ...] | None) -> tuple[Shaker, ...]:
+    return shaker if isinstance(shaker, tuple) else () if shaker is None else (shaker,)
+
+
+def _no_body(known: Known, body: int, place: Place) -> Iterable[Mistake]:
+    # Most wrong numbers are reported earlier; here the structure may be that of matrix files.
+    count = known["structure"].bodies if "structure" in known else body
+    if body > count:
+        yield Mistake(place, no_body(body, count))

@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
-from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, get_args
+from typing import Any
 
-from pydantic import TypeAdapter, ValidationError
+from pydantic import ValidationError
 
 from rig.errors import SceneError, SceneWarning
-from rig.scene.body_names import numbered
 from rig.scene.changes import Change, changes_of, parsed
-from rig.scene.consistency import mistakes_between
 from rig.scene.doubtful_units import doubts
 from rig.scene.matrices import FOLDER
 from rig.scene.scene import Scene
 from rig.scene.scene_files import find, read_text
-from rig.scene.settings import Mistake, Place, Settings, at, describe, dotted, mistakes_of, nearest
+from rig.scene.settings import Mistake, Place, describe, dotted, mistakes_of
 from rig.scene.yaml_reader import Document, read
 
 # Where a scene's content comes from no file.
@@ -165,8 +162,7 @@ def _checked(content: dict[str, Any], folder: Path | None) -> tuple[Scene | None
     try:
         return Scene.model_validate(content, context={FOLDER: folder}), []
     except ValidationError as error:
-        mistakes = mistakes_of(error)
-        return None, mistakes + [wrong for wrong in _references(content, folder) if wrong not in mistakes]
+        return None, mistakes_of(error)
 
 
 def _described(
@@ -179,94 +175,3 @@ def _described(
     if made:
         return describe([mistake], f"{where} with {', '.join(map(str, made))}")
     return describe([mistake], where, None if document.lines == _NO_LINES else document.line)
-
-
-def _references(content: dict[str, Any], folder: Path | None) -> list[Mistake]:
-    """Check what can be checked between the parts, as far as they are right in themselves."""
-    content, _ = numbered(content)
-
-    def part(key: str) -> Any:
-        return _valid(key, content.get(key), folder)
-
-    def parts(key: str) -> list[Any]:
-        items = content.get(key)
-        return [_valid(f"{key}[]", item, folder) for item in items] if isinstance(items, list) else []
-
-    structure, shaker = part("structure"), content.get("shaker")
-    masses = at(content, ("structure", "masses")) or at(content, ("structure", "matrices", "mass"))
-    several = shaker if isinstance(shaker, list) else [] if shaker is None else [shaker]
-    return mistakes_between(
-        structure.bodies if structure else len(masses) if isinstance(masses, list | dict) else None,
-        parts("dampers"),
-        [_valid("shaker", item, folder) for item in several],
-        part("test"),
-        parts("channels") or None,
-        part("converter"),
-        part("recording"),
-        frozenset(nearest(key, Scene.keys()) or "" for key, value in content.items() if value is not None),
-    )
-
-
-def _valid(key: str, value: Any, folder: Path | None) -> Any:
-    """Read a part; where it is wrong, one that others refer to comes as far as it is right, any other as None."""
-    if value is None and key not in ("converter", "recording"):
-        return None
-    try:
-        return _adapter(key).validate_python({} if value is None else value, context={FOLDER: folder})
-    except ValidationError:
-        if key in ("converter", "recording", "structure") or not isinstance(value, dict):
-            return None
-        for cls in _classes(key):
-            kind = cls.model_fields.get("kind")
-            if kind is None or kind.default == value.get("kind"):
-                return _as_far_as_right(cls, value)
-        return None
-
-
-def _as_far_as_right(cls: type[Settings], given: dict[str, Any]) -> Settings:
-    """Make settings of the keys that are right one by one, with None for each other key that is needed."""
-    fields: dict[str, Any] = {}
-    for name, field in cls.model_fields.items():
-        try:
-            fields[name] = _field_adapter(cls, name).validate_python(given[field.alias or name])
-        except (KeyError, ValidationError):
-            fields[name] = None if field.is_required() else field.default
-    return cls.model_construct(**fields)
-
-
-@cache
-def _field_adapter(cls: type[Settings], name: str) -> TypeAdapter[Any]:
-    field = cls.model_fields[name]
-    # Annotated takes at least one note; pydantic passes over the name.
-    return TypeAdapter(Annotated[field.annotation, *field.metadata, name])  # type: ignore[arg-type]
-
-
-def _classes(key: str) -> tuple[type[Settings], ...]:
-    """List the settings that a part may be."""
-    kind = _types()[key]
-    union = get_args(kind)
-    return get_args(union[0]) if union else (kind,)
-
-
-@cache
-def _adapter(key: str) -> TypeAdapter[Any]:
-    return TypeAdapter(_types()[key])
-
-
-@cache
-def _types() -> dict[str, Any]:
-    from rig.scene.damper import Damper
-    from rig.scene.excitation import Test
-    from rig.scene.measurement_chain import Channel, Converter, RecordingSettings
-    from rig.scene.shaker import Shaker
-    from rig.scene.structure import Structure
-
-    return {
-        "structure": Structure,
-        "dampers[]": Damper,
-        "shaker": Shaker,
-        "test": Test,
-        "channels[]": Channel,
-        "converter": Converter,
-        "recording": RecordingSettings,
-    }

@@ -139,9 +139,9 @@ def expected(value: Any, what: str) -> str:
     return f"got {got(value)}; expected {what}"
 
 
-def mistake(message: str) -> PydanticCustomError:
-    """Give the form in which pydantic carries one of our messages."""
-    return PydanticCustomError("mistake", "{message}", {"message": message})
+def mistake(message: str, absent: str = "") -> PydanticCustomError:
+    """Give the form in which pydantic carries one of our messages, and the key of the absent part that caused it."""
+    return PydanticCustomError("mistake", "{message}", {"message": message, "absent": absent})
 
 
 def printable(text: str) -> str:

@@ -7,8 +7,8 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, Field
 
+from rig.scene import consistency
 from rig.scene.body_names import numbered
-from rig.scene.consistency import mistakes_between
 from rig.scene.damper import Damper
 from rig.scene.excitation import Test
 from rig.scene.measurement_chain import Channel, Converter, RecordingSettings
@@ -38,17 +38,19 @@ class Scene(Settings):
     """Keys masses and springs, or matrices."""
     gravity: Annotated[float, Quantity(ACCELERATION, at_least=0.0)] = STANDARD_GRAVITY
     """Downward acceleration [m/s^2]."""
-    dampers: tuple[Damper, ...] = ()
+    dampers: tuple[Annotated[Damper, consistency.DAMPER], ...] = ()
     """Particle dampers, one or several in a body."""
-    shaker: Shakers | None = None
+    shaker: Annotated[Shakers | None, consistency.SHAKERS] = None
     """One, or a list of several, each with its own body, spring, amplifier and output."""
-    test: Test | None = None
+    test: Annotated[Test | None, consistency.TEST] = None
     """What the bench does to the structure, and for how long; `daq record` runs it."""
-    channels: tuple[Channel, ...] | None = Field(None, min_length=1, max_length=MOST_CHANNELS)
+    channels: Annotated[tuple[Annotated[Channel, consistency.CHANNEL], ...] | None, consistency.CHANNELS] = (
+        Field(None, min_length=1, max_length=MOST_CHANNELS)
+    )
     """What is measured where. None: ideal acceleration of every body and the table."""
-    converter: Converter = Converter()
+    converter: Annotated[Converter, consistency.CONVERTER] = Converter()
     """The analogue-to-digital converter and its clock; ideal, at 5120 Hz, where nothing is given."""
-    recording: RecordingSettings = RecordingSettings()
+    recording: Annotated[RecordingSettings, consistency.RECORDING] = RecordingSettings()
     """What goes into the recording besides the channels."""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
     """Where all random numbers of a run start."""
@@ -109,16 +111,8 @@ class Scene(Settings):
         return at_shaker(what, self.driven or 1, len(self.shakers) or 1)
 
     def relations(self) -> Iterable[Mistake]:
-        """Check references from one part to another."""
-        return mistakes_between(
-            self.structure.bodies,
-            self.dampers,
-            self.shakers,
-            self.test,
-            self.channels,
-            self.converter,
-            self.recording,
-        )
+        """Check the frequencies of the test against the sample rate."""
+        return consistency.too_high_frequency(self.test, self.converter)
 
     def to_yaml(self) -> str:
         """Write a scene file that loads back as an equal scene.

@@ -41,6 +41,8 @@ class Mistake:
 
     place: Place
     message: str
+    #: Key of the absent part of the scene that is the reason, if any: not reported where that key is misspelt.
+    absent: str = ""
 
 
 def mistakes_of(error: ValidationError) -> list[Mistake]:
@@ -72,7 +74,7 @@ def dotted(place: Place) -> str:
 
 def report(title: str, mistakes: Iterable[Mistake]) -> ValidationError:
     """Make one pydantic error of several mistakes."""
-    lines = [InitErrorDetails(type=mistake(m.message), loc=m.place, input=None) for m in mistakes]
+    lines = [InitErrorDetails(type=mistake(m.message, m.absent), loc=m.place, input=None) for m in mistakes]
     return ValidationError.from_exception_data(title, lines)
 
 
@@ -214,10 +216,12 @@ class Settings(BaseModel):
 
     @classmethod
     def _misspelt(cls, item: Any, items: Iterable[Any]) -> bool:
-        """Whether a key is missing only because it is misspelt, which is an error of its own."""
+        """Whether a key, or a part to refer to, is missing only because it is misspelt, which is reported itself."""
         unknowns = [str(other["loc"][0]) for other in items if other["type"] == "extra_forbidden"]
         meant = {nearest(key, cls.keys()) for key in unknowns if key}
-        return item["type"] == "missing" and len(item["loc"]) == 1 and item["loc"][0] in meant
+        if item["type"] == "missing" and len(item["loc"]) == 1:
+            return item["loc"][0] in meant
+        return item.get("ctx", {}).get("absent", "") in meant
 
     @classmethod
     def _explain(cls, item: Any) -> Mistake:

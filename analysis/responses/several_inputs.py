@@ -7,8 +7,8 @@ there are shakers with orthogonal phases, so that their inputs form a matrix tha
 References
 ----------
 .. [1] J. S. Bendat, A. G. Piersol, Random Data, 4th ed., Wiley 2010, chapter 7.
-.. [2] R. J. Allemang, D. L. Brown, A correlation coefficient for modal vector analysis; D. J. Ewins, Modal Testing,
-   2nd ed., section 3.9.
+.. [2] G. T. Rocklin, J. Crowley, H. Vold, A comparison of H1, H2 and Hv frequency response functions, Proceedings of
+   the 3rd International Modal Analysis Conference (1985).
 .. [3] R. Pintelon, J. Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., Wiley 2012, section 2.7.
 """
 

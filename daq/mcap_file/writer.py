@@ -21,6 +21,9 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 MAGIC = b"\x89MCAP0\r\n"
+# Opcodes as plain numbers: those of the package are enumerations, slow to convert.
+_MESSAGE_CODE, _CHUNK_CODE = int(Opcode.MESSAGE), int(Opcode.CHUNK)
+_INDEX_CODE, _CHUNK_INDEX_CODE = int(Opcode.MESSAGE_INDEX), int(Opcode.CHUNK_INDEX)
 # Samples with noise pack as well as at zstd's default level 3, in 70 % of the time.
 PACKING_LEVEL = 1
 
@@ -133,7 +136,7 @@ class ChunkedFile:
                 continue
             channel, log_time, publish_time, data, sequence = each
             size = _MESSAGE_FIELDS + len(data)
-            parts += _MESSAGE.pack(Opcode.MESSAGE, size, channel, sequence, log_time, publish_time), data
+            parts += _MESSAGE.pack(_MESSAGE_CODE, size, channel, sequence, log_time, publish_time), data
             entries[channel].append(_ENTRY.pack(log_time, place))
             times.append(log_time)
             place += _RECORD.size + size
@@ -147,7 +150,7 @@ class ChunkedFile:
         name, size = self._compression, len(content)
         length = self._chunk.size + len(packed)
         head = self._chunk.pack(
-            Opcode.CHUNK, length - _RECORD.size, earliest, latest, size, zlib.crc32(content),
+            _CHUNK_CODE, length - _RECORD.size, earliest, latest, size, zlib.crc32(content),
             len(name), name, len(packed),
         )  # fmt: skip
         self._stream.write(head + packed)
@@ -155,7 +158,7 @@ class ChunkedFile:
         for channel, pieces in entries.items():
             places.append(_PLACE.pack(channel, end))
             listed = sum(map(len, pieces))
-            indexes.append(_INDEX.pack(Opcode.MESSAGE_INDEX, _INDEX_FIELDS + listed, channel, listed))
+            indexes.append(_INDEX.pack(_INDEX_CODE, _INDEX_FIELDS + listed, channel, listed))
             indexes += pieces
             end += _INDEX.size + listed
             self._counts[channel] = self._counts.get(channel, 0) + listed // _ENTRY.size
@@ -166,7 +169,7 @@ class ChunkedFile:
         )
         known = _CHUNK_INDEX.size - _RECORD.size + _PLACE.size * len(places) + self._chunk_sizes.size
         front = _CHUNK_INDEX.pack(
-            Opcode.CHUNK_INDEX, known, earliest, latest, begin, length, _PLACE.size * len(places)
+            _CHUNK_INDEX_CODE, known, earliest, latest, begin, length, _PLACE.size * len(places)
         )
         sizes = self._chunk_sizes.pack(end - begin - length, len(name), name, len(packed), size)
         self._chunks.append(b"".join((front, *places, sizes)))
@@ -270,7 +273,7 @@ def _encoded(messages: Messages) -> NDArray[Any]:
     """Encode messages of one size as records."""
     size = messages.data.shape[-1]
     encoded = np.empty(messages.data.shape[:-1], _record_of(size))
-    encoded["opcode"], encoded["length"] = Opcode.MESSAGE, _MESSAGE_FIELDS + size
+    encoded["opcode"], encoded["length"] = _MESSAGE_CODE, _MESSAGE_FIELDS + size
     encoded["channel"], encoded["sequence"] = messages.channel, messages.sequence
     encoded["log_time"], encoded["publish_time"] = messages.log_time, messages.publish_time
     encoded["data"] = messages.data

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from daq.dsp.block_buffers import BlockBuffers
 from daq.dsp.circuit import INTEGRATION, Circuit
-from daq.dsp.discretisation import Entry, discretise
+from daq.dsp.discretisation import Entry, Tables, discretise
 from daq.dsp.disturbances import Disturbance, Disturbances, Offset, SettlingOffset
 from daq.dsp.interpolation import CubicInput
 from daq.dsp.limiting import limits_of
@@ -69,7 +69,7 @@ class SignalPath:
         self.noise_states = sum(source.states for source in sources if isinstance(source, Noise))
         direct = np.array([0.0 if filtered else circuit.d[entry.section] for entry in entries])
         self._disturbances = Disturbances(sources, direct, [entry.degree for entry in entries], oversampling)
-        self._tables = discretise(circuit, gain, rate, self._reading.integrals, entries)
+        self._tables = _tables(circuit, gain, rate, self._reading.integrals, entries)
         limited = len(sensor.sections)
         self._limits = limits_of(
             sections, limited, sensor.limit, _rails(stages), gain, rate, entries, self._tables
@@ -153,6 +153,22 @@ def _rails(stages: Sequence[Stage]) -> Array:
             limited = stage.rails is not None and section.name == INTEGRATION
             rails += [stage.rails if limited and stage.rails is not None else np.inf] * section.states
     return np.array(rails)
+
+
+# Tables by the circuit's content: channels with equal data sheets, and further benches of a scene, share them.
+_CACHE: dict[tuple[object, ...], Tables] = {}
+_MOST_TABLES = 64
+
+
+def _tables(circuit: Circuit, gain: float, rate: float, integrals: int, entries: Sequence[Entry]) -> Tables:
+    """Discretise a circuit, or take the tables of an equal one."""
+    matrices = (np.asarray(each).tobytes() for each in (circuit.a, circuit.b, circuit.c, circuit.d))
+    key = (*matrices, np.asarray(circuit.sections).tobytes(), gain, rate, integrals, tuple(entries))
+    if key not in _CACHE:
+        if len(_CACHE) >= _MOST_TABLES:
+            _CACHE.clear()
+        _CACHE[key] = discretise(circuit, gain, rate, integrals, entries)
+    return _CACHE[key]
 
 
 def _disturbances(

@@ -345,7 +345,7 @@ def paper(
     overwrite: Overwrite = False,
 ) -> None:
     """Reproduce the figures of the paper and judge its claims. A second call continues the first."""
-    from analysis.paper.reproduce import reproduce
+    from analysis.reproduction.reproduce import reproduce
 
     with goes_on(), overwriting(overwrite):
         reproduce(output, _say, fresh or (), cluster)
@@ -364,7 +364,7 @@ def beds(
 
     For the claim of the paper. Takes over half an hour.
     """
-    from analysis.paper.bed_study import follow
+    from analysis.reproduction.bed_study import follow
 
     with goes_on():
         follow(output, points, _say, cluster)
@@ -380,7 +380,7 @@ def contacts(
 
     At the settings of `analysis beds`. Takes minutes.
     """
-    from analysis.paper.contact_study import follow
+    from analysis.reproduction.contact_study import follow
 
     with goes_on():
         follow(output, _say, cluster)

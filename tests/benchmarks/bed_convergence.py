@@ -14,7 +14,7 @@ from itertools import product
 
 import numpy as np
 
-from analysis.paper.bed_study import MODULUS, Setting, scene_of_bed
+from analysis.reproduction.bed_study import MODULUS, Setting, scene_of_bed
 from rig.bed_response.steady_bed import steady_grains
 from rig.grains.spheres import rayleigh_time
 from rig.scene.damper import Grains

@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from analysis.paper.bed_study import BEDS, FREQUENCY, Setting, scene_of_bed, summary_row
+from analysis.reproduction.bed_study import BEDS, FREQUENCY, Setting, scene_of_bed, summary_row
 from rig.bed_response.steady_bed import steady_grains
 from rig.grains.packing import highest, settled
 from rig.grains.spheres import Spheres, rayleigh_time, spheres_of

@@ -7,19 +7,19 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.paper.bed_study import BEDS, BLOCK, BLOCK_WITH_CEILING, FREQUENCY, point_of, settings
-from analysis.paper.charts import trust_error
-from analysis.paper.claim import Claim, Evidence
-from analysis.paper.contact_study import (
-    apart_on,
-    apart_unseen,
-    below_ceiling,
-    ceiling_on,
-    some,
-    stand_in,
-    where_followed,
+from analysis.reproduction.bed_study import BEDS, BLOCK, BLOCK_WITH_CEILING, FREQUENCY, point_of, settings
+from analysis.reproduction.charts import trust_error
+from analysis.reproduction.claim import Claim, Evidence
+from analysis.reproduction.contact_study import (
+    at_shaking_frequency,
+    ceiling_impulse_on_contact,
+    cross_validated_deviation,
+    deviation_on_contact,
+    fit_contact,
+    select,
+    with_ceiling,
 )
-from analysis.paper.figures import Parts
+from analysis.reproduction.figures import Parts
 
 Arrays = Mapping[str, np.ndarray]
 Cells = NDArray[np.bool_]
@@ -37,7 +37,7 @@ def bed_claim(parts: Parts, consequences: Sequence[Claim]) -> Claim:
     beds = parts["beds"]
     error = trust_error(parts)
     became = ", ".join(f"{claim.name} {claim.verdict.split(':')[0]}" for claim in consequences)
-    off = apart(beds, "compliance")
+    off = deviation(beds, "compliance")
     return Claim(
         "C7",
         "Restitution zero and a single mass describe the bed of 2 mm lead shot well enough.",
@@ -71,7 +71,7 @@ def bed_claim(parts: Parts, consequences: Sequence[Claim]) -> Claim:
                 for frequency in np.unique(beds["frequency"]).tolist()
                 if frequency != FREQUENCY
             ),
-            Evidence(_on_contact(where_followed(beds), parts["contacts"]), ("beds", "contacts")),
+            Evidence(_on_contact(at_shaking_frequency(beds), parts["contacts"]), ("beds", "contacts")),
             Evidence(
                 f"The model's consequences, which the paper measured and our experiment with that model: {became}.", ()
             ),
@@ -87,13 +87,13 @@ def bed_claim(parts: Parts, consequences: Sequence[Claim]) -> Claim:
     )  # fmt: skip
 
 
-def apart(beds: Arrays, name: str) -> NDArray[np.float64]:
+def deviation(beds: Arrays, name: str) -> NDArray[np.float64]:
     """Say by what share of the mass's value that of grains is above it, shape (settings,); NaN where it has none."""
     return _over(beds[f"grains_{name}"] - beds[f"mass_{name}"], beds[f"mass_{name}"])
 
 
-def certain(beds: Arrays, name: str) -> NDArray[np.float64]:
-    """Give the standard error of `apart` over seeds, shape (settings,)."""
+def deviation_error(beds: Arrays, name: str) -> NDArray[np.float64]:
+    """Give the standard error of `deviation` over seeds, shape (settings,)."""
     return _over(beds[f"error_{name}"], beds[f"mass_{name}"])
 
 
@@ -103,7 +103,7 @@ def _over(values: np.ndarray, of_mass: np.ndarray) -> NDArray[np.float64]:
 
 def verdict(beds: Arrays) -> str:
     """Say what becomes of the claim: by the compliance, which is what a damper is for."""
-    off = np.abs(apart(beds, "compliance"))
+    off = np.abs(deviation(beds, "compliance"))
     count, near, far = len(off), int((off <= NEAR).sum()), int((off <= NOT_FAR).sum())
     words = (
         f"the body's compliance is that of one mass within {100 * NEAR:g} % in {near}, within {100 * NOT_FAR:g} % in "
@@ -147,8 +147,8 @@ def _frequencies(beds: Arrays) -> str:
 
 def _at_mode(beds: Arrays, frequency: float) -> str:
     """Say what grains are beside one mass at another resonance."""
-    own = some(beds, beds["frequency"] == frequency)
-    off, high = 100.0 * apart(own, "compliance"), np.isinf(own["clearance"])
+    own = select(beds, beds["frequency"] == frequency)
+    off, high = 100.0 * deviation(own, "compliance"), np.isinf(own["clearance"])
     parts = (
         f"{words} {_within(off[where], 100 * NOT_FAR)} of {int(where.sum())} within {100 * NOT_FAR:g} %, median "
         f"{np.median(off[where]):+.0f} %, from {off[where].min():+.0f} to {off[where].max():+.0f} %"
@@ -159,7 +159,7 @@ def _at_mode(beds: Arrays, frequency: float) -> str:
 
 
 def _deviation(beds: Arrays, name: str, words: str) -> str:
-    off, error = apart(beds, name), certain(beds, name)
+    off, error = deviation(beds, name), deviation_error(beds, name)
     seen = np.isfinite(off)
     off, error = off[seen], error[seen]
     known = np.isfinite(error)
@@ -179,12 +179,14 @@ def _deviation(beds: Arrays, name: str, words: str) -> str:
 
 def _on_contact(beds: Arrays, contacts: Arrays) -> str:
     """Say how good the rung between one mass that lands at once and grains is."""
-    below = below_ceiling(beds)
-    one = stand_in(below, contacts)
-    off, unseen = apart_on(one, below, contacts), apart_unseen(below, contacts)
-    everywhere, lumped = apart_on(one, beds, contacts), apart(beds, "compliance")
+    below = with_ceiling(beds)
+    one = fit_contact(below, contacts)
+    off, unseen = deviation_on_contact(one, below, contacts), cross_validated_deviation(below, contacts)
+    everywhere, lumped = deviation_on_contact(one, beds, contacts), deviation(beds, "compliance")
     under = np.isfinite(beds["clearance"])
-    floor = (1.0 + below["grains_ceiling_impulse"]) / (1.0 + ceiling_on(one, below, contacts)) - 1.0
+    floor = (1.0 + below["grains_ceiling_impulse"]) / (
+        1.0 + ceiling_impulse_on_contact(one, below, contacts)
+    ) - 1.0
     return (
         f"One mass on a floor and a ceiling that give way: of those tried, {1e3 * one.duration:g} ms a landing with a "
         f"restitution of {one.restitution:g}, and {100 * one.share:g} % of the bed moving, stand best for the beds "

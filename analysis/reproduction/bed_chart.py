@@ -8,10 +8,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.paper.bed_claim import NOT_FAR, apart, certain
-from analysis.paper.bed_study import FREQUENCY
-from analysis.paper.contact_study import apart_on, below_ceiling, on_contact, some, stand_in, where_followed
-from analysis.paper.figures import BLACK, Parts
+from analysis.reproduction.bed_claim import NOT_FAR, deviation, deviation_error
+from analysis.reproduction.bed_study import FREQUENCY
+from analysis.reproduction.contact_study import (
+    at_shaking_frequency,
+    compliance_on_contact,
+    deviation_on_contact,
+    fit_contact,
+    select,
+    with_ceiling,
+)
+from analysis.reproduction.figures import BLACK, Parts
 from rig.figure_style import drawing
 
 if TYPE_CHECKING:
@@ -24,16 +31,18 @@ _MOST = 40.0  # Per cent at the ends of the colours
 
 def beds(parts: Parts) -> Figure:
     """Deviation of grains at 50 Hz from a mass that lands at once and on a contact that lasts; a row for each depth."""
-    data = where_followed(parts["beds"])
+    data = at_shaking_frequency(parts["beds"])
     layers = np.unique(data["layers"])
-    one = stand_in(below_ceiling(data), parts["contacts"])
+    one = fit_contact(with_ceiling(data), parts["contacts"])
     columns = (
-        ("Compliance, landing at once", apart(data, "compliance"), certain(data, "compliance")),
-        ("Energy, landing at once", apart(data, "energy"), certain(data, "energy")),
+        ("Compliance, landing at once", deviation(data, "compliance"), deviation_error(data, "compliance")),
+        ("Energy, landing at once", deviation(data, "energy"), deviation_error(data, "energy")),
         (
             f"Compliance, landing in {1e3 * one.duration:g} ms",
-            apart_on(one, data, parts["contacts"]),
-            certain(data, "compliance") * data["mass_compliance"] / on_contact(one, data, parts["contacts"]),
+            deviation_on_contact(one, data, parts["contacts"]),
+            deviation_error(data, "compliance")
+            * data["mass_compliance"]
+            / compliance_on_contact(one, data, parts["contacts"]),
         ),
     )
     with drawing(2.3 * len(layers), 10.0) as figure:
@@ -55,13 +64,13 @@ def beds(parts: Parts) -> Figure:
 
 def modes(parts: Parts) -> Figure:
     """Deviation of the compliance with grains from that with one mass at the other resonances; a row for each depth."""
-    own = some(parts["beds"], parts["beds"]["frequency"] != FREQUENCY)
+    own = select(parts["beds"], parts["beds"]["frequency"] != FREQUENCY)
     frequencies, layers = np.unique(own["frequency"]), np.unique(own["layers"])
     with drawing(2.3 * len(layers), 4.0 * len(frequencies)) as figure:
         panels = figure.subplots(len(layers), len(frequencies), squeeze=False)
         for (row, depth), (column, frequency) in product(enumerate(layers), enumerate(frequencies)):
-            axes, data = panels[row, column], some(own, own["frequency"] == frequency)
-            off, error = apart(data, "compliance"), certain(data, "compliance")
+            axes, data = panels[row, column], select(own, own["frequency"] == frequency)
+            off, error = deviation(data, "compliance"), deviation_error(data, "compliance")
             image = _panel(axes, data, data["layers"] == depth, 100.0 * off, 100.0 * error)
             axes.set(ylabel=f"{depth:g} layers: acceleration / g" if column == 0 else "")
             axes.set(xlabel="clearance / mm" if row == len(layers) - 1 else "")

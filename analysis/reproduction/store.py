@@ -1,7 +1,7 @@
-"""Results on disk, so that a long reproduction goes on where it stopped.
+"""Results on disk, so that a long reproduction continues where it stopped.
 
-Each part of the work has a name and a text that says all it depends on. Its arrays are kept under that name
-with a digest of the text; a part whose digest is there already is read, not computed.
+Each part of the work has a name and a text with all inputs. Its arrays are stored under that name with a digest of the
+text; a part whose digest is already stored is read, not computed.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ Arrays = dict[str, np.ndarray]
 
 
 def partial_name(target: Path) -> Path:
-    """Name of a file while it is written; one for each process, as a run that was killed may leave one at work."""
+    """Name of a file while it is written, with the process: a killed run may leave a worker running."""
     return target.with_name(f"{target.stem}.{os.getpid()}.partial{target.suffix}")
 
 
 def remove_partial(folder: Path) -> None:
-    """Remove what earlier runs left half written."""
+    """Remove files that earlier runs left half written."""
     for place in (folder / "data", folder / "recordings"):
         for path in place.glob("*.partial.*"):
             path.unlink(missing_ok=True)
@@ -39,19 +39,19 @@ class PaperPart:
 
     name: str  # File stem of its results
     depends: str
-    """Everything that its results depend on: scenes, grids, choices."""
+    """All inputs of its results: scenes, grids, choices."""
     compute: Callable[..., Arrays]
     """Takes `arguments`, returns arrays by name; a function of a module, so that another process can run
     it."""
     arguments: Mapping[str, Any]
-    """What `compute` is called with."""
+    """Arguments of `compute`."""
     title: str  # For the progress report
     effort: float = 1.0
-    """About how long it takes compared with the others; for the order, and for the time that is left."""
+    """Approximate time relative to other parts; for the order, and to estimate the remaining time."""
 
     @property
     def digest(self) -> str:
-        """What the stored result must carry to be used."""
+        """Digest of the inputs that a stored result must have."""
         return hashlib.sha256(f"{version('shotrig')}\n{self.depends}".encode()).hexdigest()
 
     def path(self, folder: Path) -> Path:
@@ -64,16 +64,16 @@ class PaperPart:
             with self.path(folder).open("rb") as file, np.load(file, allow_pickle=False) as archive:
                 arrays = {key: archive[key] for key in archive.files}
         except Exception:
-            # Absent or damaged, which leads the reader to whatever it happens to: computed anew.
+            # Absent or damaged, for which numpy raises all kinds of errors: computed again.
             return None
         return arrays if str(arrays.pop("digest", "")) == self.digest else None
 
     def computed(self) -> Arrays:
-        """Compute the results; in another process, as may be."""
+        """Compute the results, possibly in another process."""
         return self.compute(**self.arguments)
 
     def store(self, folder: Path, arrays: Arrays) -> None:
-        """Store results; the file appears when it is whole."""
+        """Store results; the file appears when it is complete."""
         target = self.path(folder)
         partial = partial_name(target)
         try:

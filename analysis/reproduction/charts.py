@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.paper.figures import BLACK, BLUE, GREEN, GREY, RED, Parts
+from analysis.reproduction.figures import BLACK, BLUE, GREEN, GREY, RED, Parts
 from rig.figure_style import drawing
 
 if TYPE_CHECKING:

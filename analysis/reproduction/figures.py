@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from analysis.decays.free_decay import outline
-from analysis.paper.parts import FIGURE_5
+from analysis.reproduction.parts import FIGURE_5
 from rig.figure_style import COLOURS, decades, drawing, frequency_axis, plain_logarithmic
 from rig.scene.scene import STANDARD_GRAVITY
 

@@ -1,10 +1,10 @@
-"""One mass against grains, setting by setting: what claim C7 is judged by.
+"""One mass compared with grains, setting by setting: the evidence for claim C7.
 
-A cavity shaken at 50 Hz, near the paper's third resonance, and at its first and second, by a body a thousand times
-heavier than the bed, so that both beds meet the same motion and the body has nothing to settle. What counts is its
-acceleration, the clearance and the depth of the bed; a narrow cavity with few grains and a smooth side stands for a
-piece of a wide one. What such a bed takes from the motion gives the compliance, at that amplitude, of a body ten times
-as heavy as its bed at resonance. Results of all settings are kept in the package; `analysis beds` makes them again.
+A body a thousand times heavier than the bed shakes a cavity at 50 Hz, near the paper's third resonance, and at its
+first and second resonance. Both beds therefore meet the same motion, and the body has no transient. The parameters are
+its acceleration, the clearance and the depth of the bed; a narrow cavity with few grains and a smooth side represents
+a piece of a wide one. The energy that the bed dissipates gives the compliance, at that amplitude, of a body ten times
+as heavy as its bed at resonance. The package brings the results of all settings; `analysis beds` computes them again.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.paper.kept_study import Row, Table, complete
-from analysis.paper.store import Arrays
+from analysis.reproduction.kept_study import Row, Table, complete
+from analysis.reproduction.store import Arrays
 from rig.bed_response.steady_bed import SteadyBed, steady_grains, steady_mass
 from rig.grains.packing import highest, settled
 from rig.grains.spheres import rayleigh_time, spheres_of
@@ -30,8 +30,7 @@ from rig.scene.scene import STANDARD_GRAVITY, Scene
 
 Values = NDArray[np.float64]
 
-#: Acceleration in g, and clearances in m; those that one mass does not fly through are left out but for no ceiling, as
-#: they are all the same.
+#: Acceleration in g, and clearances in m. Clearances that one mass does not cross equal no ceiling and are left out.
 SETTINGS = {
     0.9: (math.inf,),
     1.3: (math.inf,),
@@ -62,16 +61,16 @@ LAYERS_OF_MODES = (4, 6)
 SHAKEN = 1e-3
 #: Of the body whose compliance is listed: damping ratio, and the mass of the bed over its mass.
 DAMPING, MASS_RATIO = 0.005, 0.1
-#: Periods of a block; there are three, of which the last two are averaged. Grains that a ceiling throws back pack
-#: themselves anew for tens of periods, deep beds most of all: at 7 g below 2 mm, six layers took 10 weights times a
-#: millimetre in the periods up to the 18th, and 7 in those up to the 60th.
+#: Periods of a block; there are three, of which the last two are averaged. Grains that a ceiling throws back rearrange
+#: for tens of periods, most of all in deep beds: at 7 g below 2 mm, six layers dissipated 10 weights times 1 mm in the
+#: periods up to the 18th, and 7 in those up to the 60th.
 BLOCK, BLOCK_WITH_CEILING = 6, 20
 #: Young's modulus of the grains, Pa.
 MODULUS = 1e8
-#: Rayleigh's times in a step: statistics of a bed do not ask for the rebound of each grain to 1 %. Twice that is too
-#: much: beds of four and six layers that seldom meet a ceiling of 2 mm then take 10 to 80 % less.
+#: Rayleigh's times in a step: statistics of a bed do not need the rebound of each grain to 1 %. Twice that is too much:
+#: beds of four and six layers that seldom meet a ceiling at 2 mm then dissipate 10 to 80 % less.
 STEP = 0.1
-#: What is kept of each of both motions.
+#: Results for each of both motions.
 MEASURES = ("compliance", "floor_impulse", "ceiling_impulse", "energy", "landing", "flight")
 _HEADER = (
     "frequency_hz", "level", "clearance_m", "layers", "seed", "depth_diameters",
@@ -121,7 +120,7 @@ def settings() -> list[Setting]:
 
 
 def scene_of_bed(setting: Setting, **grains: float) -> Scene:
-    """Make the scene of a setting; what is given of the grains goes before the defaults."""
+    """Make the scene of a setting; arguments override the defaults of the grains."""
     count, cavity = BEDS[setting.layers]
     chosen = {"diameter": 2e-3, "cavity": cavity, "side_friction": 0.0, "modulus": MODULUS}
     bed = Grains.model_validate(chosen | grains)
@@ -144,7 +143,7 @@ def scene_of_bed(setting: Setting, **grains: float) -> Scene:
 
 
 def compared(setting: Setting) -> Row:
-    """Follow the bed of a setting as grains and as one mass; gives a row of the table."""
+    """Simulate the bed of a setting as grains and as one mass; returns a row of the table."""
     scene = scene_of_bed(setting)
     (spheres,) = spheres_of(scene).values()
     depth = highest(spheres, settled(spheres)) / spheres.settings.diameter
@@ -157,7 +156,7 @@ def compared(setting: Setting) -> Row:
 
 
 def follow(path: Path, points: int | None, say: Callable[[str], None], cluster: str | None = None) -> None:
-    """Follow the first so many settings and add each to a table as soon as it is there; what is in it stays.
+    """Simulate the first settings and add each to a table as soon as it is known; settings in the table are kept.
 
     Parameters
     ----------
@@ -222,7 +221,7 @@ def table(path: Path | None = None) -> Arrays:
 
 @cache
 def _of_mass(frequency: float, level: float, clearance: float) -> list[str]:
-    """Follow the bed as one mass: it moves the same whatever the depth."""
+    """Simulate the bed as one mass, whose motion does not depend on the depth."""
     scene = scene_of_bed(Setting(level, clearance, min(BEDS), 1, frequency))
     return summary_row(scene, steady_mass(scene, frequency))
 
@@ -260,13 +259,13 @@ def compliance_at_peak(level: Values, energy: Values) -> Values:
 
 
 def setting_of(row: Row) -> Setting:
-    """Give the setting of a row."""
+    """Return the setting of a row."""
     level, clearance, frequency = (float(row[name]) for name in ("level", "clearance_m", "frequency_hz"))
     return Setting(level, clearance, int(row["layers"]), int(row["seed"]), frequency)
 
 
 def point_of(setting: Setting) -> tuple[float, float, float, int]:
-    """Give what seeds of a setting have in common: frequency, acceleration, clearance, layers."""
+    """Return the setting without its seed: frequency, acceleration, clearance, layers."""
     return setting.frequency, setting.level, setting.clearance, setting.layers
 
 
@@ -275,5 +274,5 @@ def _words(row: Row) -> str:
     ratio = float(row["grains_compliance"]) / float(row["mass_compliance"])
     return (
         f"{level:g} g at {frequency:g} Hz, clearance {1e3 * clearance:g} mm, {layers} layers, seed {seed}: compliance "
-        f"of grains {100 * (ratio - 1.0):+.1f} % off that of one mass"
+        f"of grains {100 * (ratio - 1.0):+.1f} % relative to that of one mass"
     )

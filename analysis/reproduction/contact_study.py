@@ -1,10 +1,10 @@
-"""One mass on floor and ceiling that give way: which contact stands best for a bed of grains, and how well.
+"""One mass on a floor and ceiling with contacts of finite duration: the contact that describes a bed of grains best.
 
-At the settings of `analysis.paper.bed_study` at 50 Hz one mass is followed on contacts of several restitutions and
-durations. Of a bed of which a share moves and the rest is held, the moving share takes its share of the energy. The
-contact that stands for the bed is the one, of these and for all settings below a ceiling alike, with which the body's
-compliance is nearest to that with grains; without a ceiling a landing at once is nearer. It is judged where it was not
-fitted, too: each acceleration in turn by a fit to the others.
+At the settings of `bed_study` at 50 Hz one mass is simulated on contacts of several restitutions and durations. A share
+of the bed may move and the rest be held; the moving share dissipates its share of the energy. The contact that is
+chosen minimizes the deviation of the body's compliance from that with grains, over all settings below a ceiling;
+without a ceiling an instant landing is closer. Its deviation is cross-validated: each acceleration is judged by the
+contact fitted to the other accelerations.
 """
 
 from __future__ import annotations
@@ -17,9 +17,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.paper.bed_study import BEDS, FREQUENCY, SETTINGS, Setting, compliance_at_peak, scene_of_bed
-from analysis.paper.kept_study import Row, Table, complete
-from analysis.paper.store import Arrays
+from analysis.reproduction.bed_study import (
+    BEDS,
+    FREQUENCY,
+    SETTINGS,
+    Setting,
+    compliance_at_peak,
+    scene_of_bed,
+)
+from analysis.reproduction.kept_study import Row, Table, complete
+from analysis.reproduction.store import Arrays
 from rig.bed_response.steady_bed import as_one_mass
 from rig.scene.scene import Scene
 from rig.simulation.simulate import Run, simulate
@@ -27,13 +34,17 @@ from rig.system.assembly import assemble
 
 Values = NDArray[np.float64]
 
-#: Of the contacts that are tried: ratio of separation to approach speed, and duration of a landing, s.
+#: Restitutions of the contacts that are tried.
 RESTITUTIONS = (0.0, 0.05, 0.1, 0.2, 0.35, 0.5)
+#: Durations of a landing, s.
 DURATIONS = (1e-3, 2e-3, 3e-3, 4e-3, 5e-3, 7e-3)
 #: Shares of the bed that move.
 SHARES = tuple(np.round(np.arange(0.5, 1.001, 0.05), 2).tolist())
-#: Periods in which the mass is let settle, and those looked at then; samples in a period.
-_SETTLING, _WATCHED, _MARKS = 40, 40, 128
+#: Periods in which the transient decays, before those that are averaged.
+_SETTLING = 40
+_WATCHED = 40
+#: Samples in a period.
+_MARKS = 128
 TABLE = Table(
     ("level", "clearance_m", "restitution", "duration_s", "energy", "ceiling_impulse"),
     "one mass on contacts that last",
@@ -50,8 +61,8 @@ class Contact(NamedTuple):
     duration: float
 
 
-class StandIn(NamedTuple):
-    """A contact that stands for a bed: restitution, duration in s, share of the bed's mass that moves."""
+class FittedContact(NamedTuple):
+    """A contact fitted to beds: restitution, duration in s, share of the bed's mass that moves."""
 
     restitution: float
     duration: float
@@ -70,14 +81,15 @@ def contacts() -> list[Contact]:
 
 
 def follow(path: Path, say: Callable[[str], None], cluster: str | None = None) -> None:
-    """Follow one mass on every contact at every setting; see `analysis.paper.kept_study.complete`."""
+    """Simulate one mass on every contact at every setting; see `kept_study.complete`."""
     complete(path, TABLE.study(followed, _contact_of), contacts(), _words, say, cluster)
 
 
 def followed(contact: Contact) -> Row:
-    """Follow one mass on a contact; gives a row of the table.
+    """Simulate one mass on a contact; returns a row of the table.
 
-    Energy taken in a period by the bed's weight over a millimetre, impulse of the ceiling by its weight over a period.
+    Energy dissipated in a period is relative to the bed's weight times 1 mm, the impulse of the ceiling to its weight
+    times a period.
     """
     scene = scene_on_contact(contact)
     mass = scene.dampers[0].mass
@@ -118,69 +130,75 @@ def table(path: Path | None = None) -> Arrays:
     return {name: np.array([float(row[name]) for row in read]) for name in TABLE.header}
 
 
-def stand_in(beds: Mapping[str, np.ndarray], contacts: Mapping[str, np.ndarray]) -> StandIn:
-    """Give the contact that stands best for beds: least mean ratio of compliances, as logarithms.
+def fit_contact(beds: Mapping[str, np.ndarray], contacts: Mapping[str, np.ndarray]) -> FittedContact:
+    """Fit a contact to beds: smallest mean logarithmic ratio of the compliances.
 
     Parameters
     ----------
     beds : mapping
-        As `analysis.paper.bed_study.table` gives it, or some of its settings.
+        As `analysis.reproduction.bed_study.table` gives it, or some of its settings.
     contacts : mapping
         As `table` gives it.
     """
     tried = [
-        StandIn(restitution, duration, share)
+        FittedContact(restitution, duration, share)
         for restitution in np.unique(contacts["restitution"]).tolist()
         for duration in np.unique(contacts["duration_s"]).tolist()
         for share in SHARES
     ]
-    misses = [float(np.abs(np.log1p(apart_on(one, beds, contacts))).mean()) for one in tried]
+    misses = [float(np.abs(np.log1p(deviation_on_contact(one, beds, contacts))).mean()) for one in tried]
     return tried[int(np.argmin(misses))]
 
 
-def apart_on(one: StandIn, beds: Mapping[str, np.ndarray], contacts: Mapping[str, np.ndarray]) -> Values:
-    """Say by what share of the compliance on a contact that with grains is above it, shape (settings,)."""
-    return np.asarray(beds["grains_compliance"] / on_contact(one, beds, contacts) - 1.0)
+def deviation_on_contact(
+    one: FittedContact, beds: Mapping[str, np.ndarray], contacts: Mapping[str, np.ndarray]
+) -> Values:
+    """Relative deviation of the compliance with grains from that on a contact, shape (settings,)."""
+    return np.asarray(beds["grains_compliance"] / compliance_on_contact(one, beds, contacts) - 1.0)
 
 
-def on_contact(one: StandIn, beds: Mapping[str, np.ndarray], contacts: Mapping[str, np.ndarray]) -> Values:
-    """Give the compliance of the body at its peak with one mass on a contact, shape (settings,)."""
+def compliance_on_contact(
+    one: FittedContact, beds: Mapping[str, np.ndarray], contacts: Mapping[str, np.ndarray]
+) -> Values:
+    """Compliance of the body at its peak with one mass on a contact, shape (settings,)."""
     energy = one.share * _of_setting("energy", one, beds, contacts)
     return compliance_at_peak(beds["level"], energy)
 
 
-def ceiling_on(one: StandIn, beds: Mapping[str, np.ndarray], contacts: Mapping[str, np.ndarray]) -> Values:
-    """Impulse of the ceiling in a period by the bed's weight over a period, shape (settings,)."""
+def ceiling_impulse_on_contact(
+    one: FittedContact, beds: Mapping[str, np.ndarray], contacts: Mapping[str, np.ndarray]
+) -> Values:
+    """Impulse of the ceiling in a period, relative to the bed's weight times a period, shape (settings,)."""
     return one.share * _of_setting("ceiling_impulse", one, beds, contacts)
 
 
-def apart_unseen(beds: Mapping[str, np.ndarray], contacts: Mapping[str, np.ndarray]) -> Values:
-    """Give `apart_on` where each acceleration is judged by the contact fitted to all others."""
+def cross_validated_deviation(beds: Mapping[str, np.ndarray], contacts: Mapping[str, np.ndarray]) -> Values:
+    """Compute `deviation_on_contact` with the contact fitted to the other accelerations, shape (settings,)."""
     found = np.empty(len(beds["level"]))
     for level in np.unique(beds["level"]):
         own = beds["level"] == level
-        fitted = stand_in(some(beds, ~own), contacts)
-        found[own] = apart_on(fitted, some(beds, own), contacts)
+        fitted = fit_contact(select(beds, ~own), contacts)
+        found[own] = deviation_on_contact(fitted, select(beds, own), contacts)
     return found
 
 
-def where_followed(beds: Mapping[str, np.ndarray]) -> Arrays:
-    """Give the settings at which contacts were followed: those at 50 Hz."""
-    return some(beds, beds["frequency"] == FREQUENCY)
+def at_shaking_frequency(beds: Mapping[str, np.ndarray]) -> Arrays:
+    """Select the settings at which contacts were simulated: those at 50 Hz."""
+    return select(beds, beds["frequency"] == FREQUENCY)
 
 
-def below_ceiling(beds: Mapping[str, np.ndarray]) -> Arrays:
-    """Give the settings that have a ceiling."""
-    return some(beds, np.isfinite(beds["clearance"]))
+def with_ceiling(beds: Mapping[str, np.ndarray]) -> Arrays:
+    """Select the settings with a ceiling."""
+    return select(beds, np.isfinite(beds["clearance"]))
 
 
-def some(beds: Mapping[str, np.ndarray], chosen: NDArray[np.bool_]) -> Arrays:
-    """Give some of the settings."""
+def select(beds: Mapping[str, np.ndarray], chosen: NDArray[np.bool_]) -> Arrays:
+    """Select settings."""
     return {name: values[chosen] for name, values in beds.items()}
 
 
 def _of_setting(
-    name: str, one: StandIn, beds: Mapping[str, np.ndarray], contacts: Mapping[str, np.ndarray]
+    name: str, one: FittedContact, beds: Mapping[str, np.ndarray], contacts: Mapping[str, np.ndarray]
 ) -> Values:
     same = (contacts["restitution"] == one.restitution) & (contacts["duration_s"] == one.duration)
     found = {

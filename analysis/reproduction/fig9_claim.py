@@ -6,8 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from analysis.paper.claim import Claim, Evidence
-from analysis.paper.figures import Parts
+from analysis.reproduction.claim import Claim, Evidence
+from analysis.reproduction.figures import Parts
 
 Arrays = Mapping[str, np.ndarray]
 

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analysis.paper import bed_chart, bed_study, contact_study
-from analysis.paper.bed_claim import NOT_FAR, apart, bed_claim, certain, verdict
-from analysis.paper.bed_study import (
+from analysis.reproduction import bed_chart, bed_study, contact_study
+from analysis.reproduction.bed_claim import NOT_FAR, bed_claim, deviation, deviation_error, verdict
+from analysis.reproduction.bed_study import (
     DAMPING,
     FREQUENCY,
     MASS_RATIO,
@@ -78,7 +78,7 @@ def test_only_missing_settings_are_computed(tmp_path: Path, done: list[Setting])
 
     assert done == [settings()[1], settings()[0], settings()[2]]
     assert "[1/2]" in said[0]
-    assert "+2.0 % off" in said[0]
+    assert "+2.0 %" in said[0]
     assert len(table(path)["level"]) == 3
 
 
@@ -114,8 +114,8 @@ def test_two_seeds_give_mean_and_standard_error(tmp_path: Path) -> None:
 
     beds = table(path)
 
-    assert apart(beds, "compliance") == pytest.approx([0.03])
-    assert certain(beds, "compliance") == pytest.approx([0.01])
+    assert deviation(beds, "compliance") == pytest.approx([0.03])
+    assert deviation_error(beds, "compliance") == pytest.approx([0.01])
     assert beds["grains_landing"] == pytest.approx([101.5])
 
 
@@ -145,7 +145,7 @@ def test_claim_c7_quotes_the_kept_table() -> None:
 
     claim = bed_claim(known, [])
 
-    assert set(np.unique(contact_study.where_followed(beds)["level"])) <= set(SETTINGS)
+    assert set(np.unique(contact_study.at_shaking_frequency(beds)["level"])) <= set(SETTINGS)
     for mode in ("At 13 Hz", "At 34.8 Hz"):
         assert any(evidence.text.startswith(mode) for evidence in claim.evidence)
     assert claim.verdict == verdict(beds)
@@ -163,7 +163,7 @@ def test_other_resonances_are_drawn_for_each_setting() -> None:
 
     written = [text.get_text() for axes in figure.axes for text in axes.texts]
     others = beds["frequency"] != FREQUENCY
-    assert [f"{100 * off:+.0f}" for off in np.sort(apart(beds, "compliance")[others])] == sorted(
+    assert [f"{100 * off:+.0f}" for off in np.sort(deviation(beds, "compliance")[others])] == sorted(
         (text.split(" ")[0] for text in written), key=float
     )
 
@@ -200,7 +200,7 @@ def test_repeated_setting_agrees_but_for_chaos() -> None:
 
 def test_design_quotes_counts_of_the_kept_table() -> None:
     kept = table()
-    off, high = apart(kept, "compliance"), np.isinf(kept["clearance"])
+    off, high = deviation(kept, "compliance"), np.isinf(kept["clearance"])
     for found, where in ((WITHOUT_CEILING, high), (BELOW_CEILING, ~high)):
         assert found == (int((np.abs(off[where]) <= NOT_FAR).sum()), int(where.sum()))
     assert tuple(np.round(100 * np.quantile(off[~high], [0.25, 0.75]))) == MIDDLE_HALF

@@ -38,7 +38,7 @@ class Table(NamedTuple):
     @property
     def kept(self) -> Path:
         """The table that the package brings."""
-        return Path(str(files("analysis.paper") / "data" / self.file))
+        return Path(str(files("analysis.reproduction") / "data" / self.file))
 
     def study(self, compute: Callable[[Piece], Row], piece_of: Callable[[Row], Piece]) -> Study[Piece, Row]:
         """Give the study whose values are the rows of this table."""

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 import rig
-from analysis.paper import bed_study, contact_study
-from analysis.paper import experiment as paper_experiment
-from analysis.paper import scan as paper_scan
-from analysis.paper import simulation as paper_simulation
-from analysis.paper.store import PaperPart
+from analysis.reproduction import bed_study, contact_study
+from analysis.reproduction import experiment as paper_experiment
+from analysis.reproduction import scan as paper_scan
+from analysis.reproduction import simulation as paper_simulation
+from analysis.reproduction.store import PaperPart
 from rig.scene.scene import Scene
 
 BAND = (45.0, 54.0)

@@ -9,8 +9,8 @@ from string import Template
 
 import numpy as np
 
-from analysis.paper.claim import Claim, Evidence
-from analysis.paper.figures import Parts
+from analysis.reproduction.claim import Claim, Evidence
+from analysis.reproduction.figures import Parts
 from rig.escaping import html
 from rig.output_files import replacing
 
@@ -55,7 +55,7 @@ def _more_mass(both: Mapping[str, np.ndarray]) -> str:
 def write_pages(folder: Path, judged: Sequence[Claim], parts: Parts) -> list[Path]:
     """Write index.md and index.html; the figures lie beside them."""
     beyond = beyond_the_paper(parts)
-    page = Template((files("analysis.paper") / "page.html").read_text(encoding="utf-8"))
+    page = Template((files("analysis.reproduction") / "page.html").read_text(encoding="utf-8"))
     written = []
     for name, text in (
         ("index.md", _markdown(judged, beyond)),

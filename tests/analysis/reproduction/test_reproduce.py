@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 
 import rig
-from analysis.paper.charts import holds_c2, short
-from analysis.paper.claim import Claim, Evidence
-from analysis.paper.claims import differences
-from analysis.paper.experiment import damper_sweep
-from analysis.paper.fig9_claim import both_ways
-from analysis.paper.page import CAPTIONS, write_pages
-from analysis.paper.parts import FIGURE_5, TYPES, all_parts
-from analysis.paper.reproduce import FIGURES, compute, reproduce
-from analysis.paper.scan import LEVELS, best_damper, least_affected, scan, stays_over_damping
-from analysis.paper.simulation import approximated, exact_orbits, structure_numbers, waveforms
-from analysis.paper.store import Arrays, PaperPart, partial_name, remove_partial
+from analysis.reproduction.charts import holds_c2, short
+from analysis.reproduction.claim import Claim, Evidence
+from analysis.reproduction.claims import differences
+from analysis.reproduction.experiment import damper_sweep
+from analysis.reproduction.fig9_claim import both_ways
+from analysis.reproduction.page import CAPTIONS, write_pages
+from analysis.reproduction.parts import FIGURE_5, TYPES, all_parts
+from analysis.reproduction.reproduce import FIGURES, compute, reproduce
+from analysis.reproduction.scan import LEVELS, best_damper, least_affected, scan, stays_over_damping
+from analysis.reproduction.simulation import approximated, exact_orbits, structure_numbers, waveforms
+from analysis.reproduction.store import Arrays, PaperPart, partial_name, remove_partial
 from rig.errors import SceneError
 from rig.system.open_loop_drive import with_ideal_force
 

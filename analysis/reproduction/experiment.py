@@ -12,7 +12,7 @@ import daq
 from analysis.damper_motion.impact_detection import impacts
 from analysis.decays.free_decay import decay
 from analysis.modal.identification import identify
-from analysis.paper.store import Arrays, partial_name
+from analysis.reproduction.store import Arrays, partial_name
 from analysis.responses.frequency_responses import frequency_responses
 from analysis.responses.measurands import reference_of
 from daq.recording.recording import Recording

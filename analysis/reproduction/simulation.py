@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.paper.scan import BODY
-from analysis.paper.store import Arrays
+from analysis.reproduction.scan import BODY
+from analysis.reproduction.store import Arrays
 from rig.damper_design.worst_peak import curve, resonance
 from rig.errors import SceneError
 from rig.orbits.branches import follow_orbits

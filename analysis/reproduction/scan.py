@@ -10,7 +10,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from analysis.paper.store import Arrays
+from analysis.reproduction.store import Arrays
 from rig.damper_design.worst_peak import curve, resonance
 from rig.orbits.problem import OrbitProblem
 from rig.response.motion_type import overall

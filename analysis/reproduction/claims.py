@@ -6,12 +6,12 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from analysis.paper.bed_claim import bed_claim
-from analysis.paper.charts import holds_c2
-from analysis.paper.claim import Claim, Evidence
-from analysis.paper.fig9_claim import fig9_claim
-from analysis.paper.figures import Parts
-from analysis.paper.parts import FIGURE_5, NOISES
+from analysis.reproduction.bed_claim import bed_claim
+from analysis.reproduction.charts import holds_c2
+from analysis.reproduction.claim import Claim, Evidence
+from analysis.reproduction.fig9_claim import fig9_claim
+from analysis.reproduction.figures import Parts
+from analysis.reproduction.parts import FIGURE_5, NOISES
 from rig.scene.scene import STANDARD_GRAVITY
 
 Arrays = Mapping[str, np.ndarray]

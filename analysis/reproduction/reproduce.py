@@ -7,13 +7,13 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from analysis.paper import bed_chart
-from analysis.paper import charts as paper_charts
-from analysis.paper import figures as paper_figures
-from analysis.paper.claims import claims
-from analysis.paper.page import write_pages
-from analysis.paper.parts import all_parts
-from analysis.paper.store import Arrays, PaperPart, remove_partial
+from analysis.reproduction import bed_chart
+from analysis.reproduction import charts as paper_charts
+from analysis.reproduction import figures as paper_figures
+from analysis.reproduction.claims import claims
+from analysis.reproduction.page import write_pages
+from analysis.reproduction.parts import all_parts
+from analysis.reproduction.store import Arrays, PaperPart, remove_partial
 from rig.errors import SceneError
 from rig.figure_style import save
 from rig.provenance import made_from

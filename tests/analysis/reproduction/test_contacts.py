@@ -7,38 +7,38 @@ import math
 import numpy as np
 import pytest
 
-from analysis.paper import bed_study
-from analysis.paper.bed_study import FREQUENCY, compliance_at_peak
-from analysis.paper.contact_study import (
+from analysis.reproduction import bed_study
+from analysis.reproduction.bed_study import FREQUENCY, compliance_at_peak
+from analysis.reproduction.contact_study import (
     TABLE,
     Contact,
-    StandIn,
-    apart_on,
-    apart_unseen,
-    ceiling_on,
+    FittedContact,
+    at_shaking_frequency,
+    ceiling_impulse_on_contact,
+    compliance_on_contact,
     contacts,
+    cross_validated_deviation,
+    deviation_on_contact,
+    fit_contact,
     followed,
-    on_contact,
     scene_on_contact,
-    stand_in,
     table,
-    where_followed,
 )
 from rig.bed_response.steady_bed import steady_mass
 
 
 def test_fit_recovers_a_finite_contact() -> None:
-    kept_contacts, true = table(), StandIn(0.1, 3e-3, 0.85)
+    kept_contacts, true = table(), FittedContact(0.1, 3e-3, 0.85)
     level, clearance = np.array([(3.0, 3e-4), (4.5, 6e-4), (7.0, 2e-3), (7.0, math.inf)]).T
     beds = {"level": level, "clearance": clearance}
-    beds["grains_compliance"] = on_contact(true, beds, kept_contacts)
+    beds["grains_compliance"] = compliance_on_contact(true, beds, kept_contacts)
 
-    found = stand_in(beds, kept_contacts)
+    found = fit_contact(beds, kept_contacts)
 
     assert found == true
-    assert apart_on(found, beds, kept_contacts) == pytest.approx(np.zeros(4), abs=1e-12)
-    assert apart_unseen(beds, kept_contacts) == pytest.approx(np.zeros(4), abs=1e-12)
-    assert ceiling_on(found, beds, kept_contacts)[-1] == 0.0
+    assert deviation_on_contact(found, beds, kept_contacts) == pytest.approx(np.zeros(4), abs=1e-12)
+    assert cross_validated_deviation(beds, kept_contacts) == pytest.approx(np.zeros(4), abs=1e-12)
+    assert ceiling_impulse_on_contact(found, beds, kept_contacts)[-1] == 0.0
 
 
 def test_short_stiff_contact_equals_instant_landing() -> None:
@@ -66,7 +66,7 @@ def test_kept_table_is_ordered_and_reproducible() -> None:
 
 
 def test_mass_compliance_follows_from_energy() -> None:
-    beds = where_followed(bed_study.table())
+    beds = at_shaking_frequency(bed_study.table())
 
     # The table rounds both, and takes the body's own acceleration.
     assert compliance_at_peak(beds["level"], beds["mass_energy"]) == pytest.approx(

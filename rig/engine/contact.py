@@ -1,9 +1,9 @@
 """Contact laws: landing, rebound, separation, and what they set off in neighbouring dampers.
 
-A damper is in `FLIGHT`, or rides on the `FLOOR` or at the `CEILING` of its cavity. Contact is unilateral: it
+A damper is in `FLIGHT`, or at rest on the `FLOOR` or at the `CEILING` of its cavity. Contact is unilateral: it
 pushes and never pulls. With a diagonal mass matrix and one damper in a body each contact decides for itself; with a
-full one, or several dampers in a body, an impact may lift riding neighbours, and all contacts of the instant are
-solved together (`rig.numerics.complementarity`).
+full one, or several dampers in a body, an impact may lift neighbours at rest, and all contacts of the instant are
+one problem (`rig.numerics.complementarity`).
 
 References
 ----------
@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 
 @inlined
 def _lift(flow: Flow, model: Model, state: State, j: int, speed: float, multiplicity: int) -> None:
-    """Damper j leaves the wall it rides on, with the given velocity."""
+    """Damper j leaves its wall with the given velocity."""
     height = state.z[model.position[j]]
     if state.mode[j] == CEILING:
         height += model.clearance[j]
@@ -41,12 +41,10 @@ def _lift(flow: Flow, model: Model, state: State, j: int, speed: float, multipli
 
 
 @inlined
-def separate(
-    flow: Flow, model: Model, state: State, log: Log, segment: int, offset: float, j: int, multiplicity: int
-) -> None:
+def separate(flow: Flow, model: Model, state: State, log: Log, j: int, multiplicity: int) -> None:
     """Damper j leaves its wall at the velocity of the wall."""
     _lift(flow, model, state, j, state.z[model.velocity[j]], multiplicity)
-    note(log, segment, offset, j, SEPARATION, 0.0)
+    note(log, j, SEPARATION, 0.0)
 
 
 @inlined
@@ -56,7 +54,7 @@ def _sign(mode: int) -> float:
 
 @inlined
 def _forces(model: Model, state: State, force: Array) -> None:
-    """Sum the forces on every coordinate: of springs, dashpots, drive and contacts that last, not of riding dampers."""
+    """Sum the forces on every coordinate: of springs, dashpots, drive and finite-duration contacts."""
     combine(model.force, model.force_constant, 0, state.z, model.force.shape[1], force)
     for j in range(model.mass.shape[0]):
         if model.bed[j] >= 0 and state.mode[j] != FLIGHT:
@@ -85,7 +83,7 @@ def _stays(model: Model, state: State, j: int, rebound: float, force: Array) -> 
 
 @inlined
 def _land(flow: Flow, model: Model, state: State, j: int, rebound: float) -> None:
-    """Damper j, in `mode` FLOOR or CEILING by now, has been hit: it rides, or rebounds at the given speed."""
+    """Damper j, in `mode` FLOOR or CEILING by now, was hit: it comes to rest, or rebounds at the given speed."""
     sign = _sign(state.mode[j])
     if rebound > 0.0:
         height = state.z[model.position[j]]
@@ -120,13 +118,11 @@ def _impact_alone(
     model: Model,
     state: State,
     log: Log,
-    segment: int,
-    offset: float,
     j: int,
     wall: int,
     work: ContactWork,
 ) -> None:
-    """Impact of damper j where the mass matrix couples it to nobody."""
+    """Impact of damper j where the mass matrix couples it to no other."""
     body = model.velocity[j]
     state.mode[j] = wall
     sign = _sign(wall)
@@ -137,7 +133,7 @@ def _impact_alone(
     inverse_mass = model.inverse_mass[model.position[j], model.position[j]]
     impulse = (closing + rebound) / (inverse_mass + 1.0 / model.mass[j])
     state.z[body] -= sign * impulse * inverse_mass
-    note(log, segment, offset, j, wall, closing)
+    note(log, j, wall, closing)
     _land(flow, model, state, j, rebound)
 
 
@@ -168,8 +164,6 @@ def _impact_together(
     model: Model,
     state: State,
     log: Log,
-    segment: int,
-    offset: float,
     j: int,
     wall: int,
     work: ContactWork,
@@ -211,24 +205,22 @@ def _impact_together(
             rebound = work.sign[a] * (own - body)
             if work.active[a] and work.right[a] == work.opening[a]:
                 rebound = 0.0
-            # Its guard found its gap at zero and falling: what opens it now, and nobody's blow, is within rounding.
+            # Its guard is at zero and falling: an opening that no other impact caused is within rounding.
             if i == j and 0.0 < rebound <= work.opening[a]:
                 rebound = 0.0
-            # Another's blow may take the wall away before it is touched.
+            # Another impact may take the wall away before it is touched.
             if work.pressure[a] > 0.0 or rebound <= 0.0:
-                note(log, segment, offset, i, state.mode[i], -work.opening[a])
+                note(log, i, state.mode[i], -work.opening[a])
             _land(flow, model, state, i, rebound)
         elif not work.active[a]:
             opening = work.sign[a] * (work.before[a] - body)
             if opening > ROUNDING * (abs(work.before[a]) + abs(body)):
                 _lift(flow, model, state, i, work.before[a], 1)
-                note(log, segment, offset, i, SEPARATION, 0.0)
+                note(log, i, SEPARATION, 0.0)
 
 
 @inlined
-def _release_alone(
-    flow: Flow, model: Model, state: State, log: Log, segment: int, offset: float, work: ContactWork
-) -> None:
+def _release_alone(flow: Flow, model: Model, state: State, log: Log, work: ContactWork) -> None:
     force = work.force
     for i in range(model.mass.shape[0]):
         if model.bed[i] >= 0 or state.mode[i] == FLIGHT:
@@ -241,14 +233,12 @@ def _release_alone(
         for c in range(model.force.shape[1]):
             size += abs(model.force[0, c, row] * state.z[c]) * model.inverse_mass[row, row]
         if abs(pressure) > ROUNDING * size:
-            separate(flow, model, state, log, segment, offset, i, 2)
+            separate(flow, model, state, log, i, 2)
 
 
 @compiled
-def _release_together(
-    flow: Flow, model: Model, state: State, log: Log, segment: int, offset: float, work: ContactWork
-) -> None:
-    """Decide every riding contact at once from the accelerations that the bodies would have without them."""
+def _release_together(flow: Flow, model: Model, state: State, log: Log, work: ContactWork) -> None:
+    """Decide every contact at rest at once, from the accelerations of the bodies without them."""
     count = 0
     for i in range(model.mass.shape[0]):
         if model.bed[i] >= 0 or state.mode[i] == FLIGHT:
@@ -273,7 +263,7 @@ def _release_together(
             for b in range(count):
                 acceleration += work.matrix[a, b] * work.pressure[b]
             if acceleration > ROUNDING * work.before[a]:
-                separate(flow, model, state, log, segment, offset, work.member[a], 2)
+                separate(flow, model, state, log, work.member[a], 2)
 
 
 @inlined
@@ -282,21 +272,14 @@ def release_tensile(
     model: Model,
     state: State,
     log: Log,
-    segment: int,
-    offset: float,
     work: ContactWork,
-    coupling: bool | None,
 ) -> None:
-    """Let go of every riding damper whose contact would have to pull; zero within rounding is left to the step.
-
-    `coupling` is None where the mass matrix couples nobody; then the code for contacts decided together is not
-    even compiled, which takes longer than all the rest.
-    """
+    """Release every damper at rest whose contact would have to pull; zero within rounding is left to the step."""
     _forces(model, state, work.force)
-    if coupling is None:
-        _release_alone(flow, model, state, log, segment, offset, work)
+    if model.coupled:
+        _release_together(flow, model, state, log, work)
     else:
-        _release_together(flow, model, state, log, segment, offset, work)
+        _release_alone(flow, model, state, log, work)
 
 
 @inlined
@@ -305,17 +288,14 @@ def impact(
     model: Model,
     state: State,
     log: Log,
-    segment: int,
-    offset: float,
     j: int,
     wall: int,
     work: ContactWork,
-    coupling: bool | None,
 ) -> None:
-    """Damper j meets a wall; velocities jump, and every contact of the instant is decided anew."""
-    _forces(model, state, work.force)
-    if coupling is None:
-        _impact_alone(flow, model, state, log, segment, offset, j, wall, work)
+    """Damper j meets a wall and velocities jump; `release_tensile` is due next."""
+    if model.coupled or model.restitution[j] > 0.0:
+        _forces(model, state, work.force)
+    if model.coupled:
+        _impact_together(flow, model, state, log, j, wall, work)
     else:
-        _impact_together(flow, model, state, log, segment, offset, j, wall, work)
-    release_tensile(flow, model, state, log, segment, offset, work, coupling)
+        _impact_alone(flow, model, state, log, j, wall, work)

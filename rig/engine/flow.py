@@ -26,8 +26,8 @@ class Flow(NamedTuple):
     rates: nonzero elements of A in compressed rows (pointer, column). neighbour[slot, i]: slot after the change i of
     `HybridSystem.toggles`, or -1.
 
-    The guard of a damper goes with the position of its body in flight, with the body's acceleration while riding; where
-    contact lasts, with the gap, and with the wall's force.
+    The guard of a damper depends on the position of its body in flight, and on the body's acceleration at rest; that of
+    a finite-duration contact on the gap, and on the wall's force.
     """
 
     tabulated: bool

@@ -81,7 +81,7 @@ class FlowTables:
         self.flow = self._empty(4)
 
     def slot(self, configuration: int) -> int:
-        """Slot of a configuration (bit j set: damper j rides), made now if it is new."""
+        """Slot of a configuration (bit j set: damper j at rest), made now if it is new."""
         with self._lock:
             known = self.slots.get(configuration)
             if known is not None:
@@ -261,17 +261,17 @@ class FlowTables:
     def _fill_bounds(self, slot: int, configuration: int, terms: np.ndarray, constants: np.ndarray) -> None:
         """Bound and margin tables, from the series of every guard."""
         flow, system, dampers = self.flow, self.system, self.system.dampers
-        rides = np.array([configuration >> j & 1 for j in range(dampers)], dtype=bool)
-        rows = system.damper_coordinate + system.coordinates * rides
+        at_rest = np.array([configuration >> j & 1 for j in range(dampers)], dtype=bool)
+        rows = system.damper_coordinate + system.coordinates * at_rest
         used, used_constant = (np.abs(part[:, rows]).astype(np.float64) for part in (terms, constants))
         # The acceleration's series is (k + 1) terms[k + 1] / h.
         k = np.arange(TERMS)[:, None]
-        size = np.where(rides, k / self.step, 1.0)
-        power = np.where(rides, k - 1, k)
+        size = np.where(at_rest, k / self.step, 1.0)
+        power = np.where(at_rest, k - 1, k)
         fourth = size * np.abs(power * (power - 1) * (power - 2) * (power - 3))
         # Between its values at both ends a guard sags by at most an eighth of its second derivative's bound.
         sag = size * np.abs(power * (power - 1)) / 8 + 2 * ROUNDING * size
-        fall = np.where(rides, 0.0, float(system.gravity) * self.step**2 / 8)
+        fall = np.where(at_rest, 0.0, float(system.gravity) * self.step**2 / 8)
         for table, constant, weight, place in (
             (flow.bound, flow.bound_constant, fourth, slice(0, dampers)),
             (flow.bound, flow.bound_constant, size, slice(dampers, 2 * dampers)),
@@ -286,7 +286,7 @@ class FlowTables:
     def _fill_lasting_bounds(
         self, slot: int, configuration: int, j: int, terms: np.ndarray, constants: np.ndarray
     ) -> None:
-        """Do the same for the gap of a bed whose contact lasts, or for the force of the wall that it touches."""
+        """Do the same for the gap of a finite-duration contact, or for the force of the wall that it touches."""
         flow, system = self.flow, self.system
         closed, wall = configuration >> j & 1, configuration >> system.dampers + j & 1
         on_gap, on_speed = (

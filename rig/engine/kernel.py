@@ -1,46 +1,36 @@
-"""The one kernel: it advances a compiled system through flights, rides and impacts.
+"""The kernel: it advances a compiled system through flights, contacts and impacts.
 
 Between contact changes the state z = (coordinates, velocities, coil current, drive) obeys z' = A z + b exactly,
-with A and b of the contact configuration. A step of length h is a matrix product. Every guard (gap, contact
-force) is proven free of zeros over the step, or its first crossing is isolated and the step ends there: first by
-an envelope (`rig.engine.guards`), then guard by guard (`rig.engine.guards`). Each proof is rigorous, so which
-of them served has no influence on the motion.
+with A and b of the contact configuration. A step of length h is a matrix product. Every guard (gap, contact force) is
+proven free of zeros over the step (`rig.engine.screening`), or its first crossing is isolated (`rig.engine.guards`)
+and the step ends there. Each proof is rigorous, so which of them succeeded has no influence on the motion.
 
 Everything is float64 and allocates nothing; the tables come from `rig.engine.flow`, the contact laws from
-`rig.engine.contact`.
+`rig.engine.contact`. What is inlined here has one call site: compiling takes in proportion to the code.
 """
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
 from rig.engine.contact import impact, release_tensile, separate
 from rig.engine.flow import Flow, Model
-from rig.engine.guards import (
-    CONTACT_FORCE,
-    above_margins,
-    bound_by_series,
-    bound_by_tables,
-    draw_envelope,
-    first_event,
-)
+from rig.engine.guards import bound_by_series, bound_by_tables, first_event
 from rig.engine.lasting import FREE, change_lasting
-from rig.engine.power_series import CLEAR, CURRENT, STALE, differentiate, expand, sum_series
+from rig.engine.power_series import CLEAR, CURRENT, STALE, UNSETTLED, differentiate, expand, sum_series
+from rig.engine.screening import CONTACT_FORCE, above_margins, draw_envelope, screen
 from rig.engine.state import FLIGHT, IN_A_ROW, SLOT, Log, State, close_break, open_break
 from rig.engine.workspace import Workspace
 from rig.numerics.bernstein import NONE
 from rig.numerics.jit import inlined
 from rig.numerics.simd import combine_many, copy, exceeds
 
-Array = NDArray[np.float64]
-
 #: Why the kernel came back.
 DONE, NEED_TABLE, LOG_FULL, STUCK = 0, 1, 2, 3
-#: This many events at one instant, per damper, is no motion of the system any more.
+#: Events at one instant, per damper, beyond which the contact law is contradicted.
 EVENTS_AT_ONE_INSTANT = 100
-#: From this many on, the step is halved for each: what its rounding hides of a motion that only begins is seen then.
+#: Events at one instant, per damper, from which each halves the step: a motion that rounding hides then shows itself.
 MANY_AT_ONE_INSTANT = 8
+#: What is left to do after the contacts of an instant have changed.
+_NOTHING, _CLOSE_BREAK, _RELEASE = 0, 1, 2
 
 
 @inlined
@@ -63,8 +53,8 @@ def advance(
     segment: int,
     steps: float,
     left: float,
-    coupling: bool | None,
     known: int,
+    shown: bool,
 ) -> tuple[int, float, int]:
     """Advance to the end of a segment of `steps` step lengths (a real number), or come back earlier.
 
@@ -73,30 +63,44 @@ def advance(
     segment : int
         Label for the log: events get it, and their time since the start of the segment in seconds.
     steps, left : float
-        Step lengths in the segment, and how many of them are still to go. The times of events are made of both,
-        so that they have the same bits wherever the kernel came back in between.
-    coupling : bool or None
-        None where the mass matrix couples no dampers at an impact.
+        Step lengths in the segment, and those left. The times of events are computed from both, so that they have the
+        same bits wherever the kernel came back in between.
     known : int
-        STALE, CURRENT or CLEAR: what is known of the state.
+        `UNSETTLED`, `STALE`, `CURRENT` or `CLEAR`: what is known of the state.
+    shown : bool
+        Whether the accelerations at the end are needed, behind the state.
 
     Returns
     -------
     status : int
-        DONE, or NEED_TABLE / LOG_FULL / STUCK: call again with what is left when that is seen to.
+        `DONE`, or `NEED_TABLE`, `LOG_FULL`, `STUCK`: call again with what is left when that is handled.
     left : float
-        Steps still to go.
+        Step lengths left.
     known : int
-        Of the state now.
+        What is known of the state now.
     """
     columns = flow.rates_constant.shape[1]
+    dampers = model.mass.shape[0]
     has_room = columns + 2 * model.first_velocity <= flow.propagate_constant.shape[1]
-    while left > 0.0:
+    pending = _NOTHING
+    if known == UNSETTLED:
+        pending = _RELEASE
+    while True:
+        if pending != _NOTHING:
+            if pending == _RELEASE:
+                release_tensile(flow, model, state, log, workspace.contact)
+            if known != UNSETTLED:
+                close_break(model, state, log)
+            pending = _NOTHING
+            known = STALE
+        finished = left <= 0.0
+        if finished and not (shown and known == STALE):
+            return DONE, 0.0, known
         slot = state.counters[SLOT]
         if slot < 0:
             return NEED_TABLE, left, STALE
         length = min(left, 1.0)
-        repeated = state.counters[IN_A_ROW] - MANY_AT_ONE_INSTANT * model.mass.shape[0]
+        repeated = state.counters[IN_A_ROW] - MANY_AT_ONE_INSTANT * dampers
         if repeated > 0:
             length *= 0.5**repeated
         duration = length * model.step
@@ -113,11 +117,13 @@ def advance(
                 _fly(model, state, duration)
                 left -= 1.0
                 continue
-        if (
-            log.filled[0] + 4 * model.mass.shape[0] > log.segment.shape[0]
-            or log.filled[1] == log.before.shape[0]
+        if not finished and (
+            log.filled[0] + 4 * dampers > log.segment.shape[0] or log.filled[1] == log.before.shape[0]
         ):
             return LOG_FULL, left, STALE
+        if finished:
+            differentiate(flow, model, slot, state.z, workspace.derivative, STALE)
+            return DONE, 0.0, STALE
         if not whole:
             expand(flow, model, slot, state.z, workspace.tableau)
             sum_series(workspace, length, workspace.new)
@@ -133,7 +139,10 @@ def advance(
             bound_by_series(
                 model, state.mode, workspace.tableau, length, state.z, workspace.new, columns, workspace.bound
             )
-        tau, j, guard = first_event(flow, model, state, workspace, slot, length, duration, not whole)
+        near, ceilings = screen(model, state, workspace, columns, length, duration)
+        if whole and near | ceilings != 0:
+            expand(flow, model, slot, state.z, workspace.tableau)
+        tau, j, guard = first_event(model, state, workspace, length, near, ceilings)
         if tau == NONE:
             copy(workspace.new, state.z)
             _fly(model, state, duration)
@@ -156,22 +165,25 @@ def advance(
             state.counters[IN_A_ROW] = 0
         else:
             state.counters[IN_A_ROW] += 1
-            if state.counters[IN_A_ROW] > EVENTS_AT_ONE_INSTANT * model.mass.shape[0]:
+            if state.counters[IN_A_ROW] > EVENTS_AT_ONE_INSTANT * dampers:
                 return STUCK, left, known
-        offset = (steps - left) * model.step
-        if model.bed[j] >= 0 and guard == FREE:
-            change_lasting(flow, model, state, log, segment, offset, j, guard)
-            continue
-        open_break(model, state, log, segment, offset)
-        if model.bed[j] >= 0:
-            change_lasting(flow, model, state, log, segment, offset, j, guard)
-            # The gap is of another size in contact.
-            workspace.envelope[model.bed[j]] = workspace.envelope[model.first_velocity + model.bed[j]] = 0.0
-            if coupling is not None:
-                release_tensile(flow, model, state, log, segment, offset, workspace.contact, coupling)
+        log.filled[2] = segment
+        log.now[0] = (steps - left) * model.step
+        lasting = model.bed[j] >= 0
+        if not (lasting and guard == FREE):
+            open_break(model, state, log)
+            pending = _CLOSE_BREAK
+        if lasting:
+            change_lasting(flow, model, state, log, j, guard)
+            if guard != FREE:
+                # The gap is of another size in contact.
+                workspace.envelope[model.bed[j]] = workspace.envelope[model.first_velocity + model.bed[j]] = (
+                    0.0
+                )
+                if model.coupled:
+                    pending = _RELEASE
         elif guard == CONTACT_FORCE:
-            separate(flow, model, state, log, segment, offset, j, 3)
+            separate(flow, model, state, log, j, 3)
         else:
-            impact(flow, model, state, log, segment, offset, j, guard, workspace.contact, coupling)
-        close_break(model, state, log)
-    return DONE, 0.0, known
+            impact(flow, model, state, log, j, guard, workspace.contact)
+            pending = _RELEASE

@@ -131,7 +131,8 @@ def _series_of(
 
 
 @inlined
-def _crossing(workspace: Workspace, start: int, size: float) -> tuple[float, int]:
+def crossing(workspace: Workspace, start: int, size: float) -> tuple[float, int]:
+    """First crossing of the guard in `workspace.series`, whose terms have a size: (tau, ambiguous)."""
     return first_crossing(
         workspace.series, start, ROUNDING * size, workspace.work, workspace.spans, workspace.bernstein
     )
@@ -147,11 +148,11 @@ def examine_lasting(
     clearance = model.clearance[j]
     if mode == FLIGHT and wall == FLIGHT:
         size = _series_of(model, workspace, j, length, 1.0, 0.0, 0.0)
-        tau, ambiguous = _crossing(workspace, max(known, 0), size)
+        tau, ambiguous = crossing(workspace, max(known, 0), size)
         what = FLOOR
         if clearance < np.inf:
             size = _series_of(model, workspace, j, length, -1.0, 0.0, clearance)
-            at_ceiling, more = _crossing(workspace, max(-known, 0), size)
+            at_ceiling, more = crossing(workspace, max(-known, 0), size)
             ambiguous += more
             if at_ceiling < tau:
                 tau, what = at_ceiling, CEILING
@@ -162,21 +163,19 @@ def examine_lasting(
     offset = 0.0 if wall == FLOOR else clearance
     stiffness, damping = model.wall_stiffness[j, wall - 1], model.wall_damping[j, wall - 1]
     size = _series_of(model, workspace, j, length, away * stiffness, away * damping, offset)
-    tau, ambiguous = _crossing(workspace, max(known, 0), size)
+    tau, ambiguous = crossing(workspace, max(known, 0), size)
     if mode != FLIGHT:
         return tau, RELEASED, ambiguous
     what = wall
     size = _series_of(model, workspace, j, length, -up, 0.0, offset)
-    undone, more = _crossing(workspace, 0, size)
+    undone, more = crossing(workspace, 0, size)
     if undone <= tau:
         tau, what = undone, FREE
     return tau, what, ambiguous + more
 
 
 @compiled
-def change_lasting(
-    flow: Flow, model: Model, state: State, log: Log, segment: int, offset: float, j: int, what: int
-) -> None:
+def change_lasting(flow: Flow, model: Model, state: State, log: Log, j: int, what: int) -> None:
     """Damper j touches a wall, is released by it, or has left it altogether."""
     if what == FREE:
         state.multiplicity[j] = 1 if state.recovering[j] == FLOOR else -1
@@ -193,11 +192,11 @@ def change_lasting(
             state.multiplicity[j] = forceless
         else:
             state.multiplicity[j] = -1 if ceiling else 1
-        note(log, segment, offset, j, RELEASE, 0.0)
+        note(log, j, RELEASE, 0.0)
     else:
         closing = opening(model, state.z, j) if ceiling else -opening(model, state.z, j)
         state.mode[j] = wall
         state.recovering[j] = FLIGHT
         state.multiplicity[j] = forceless
-        note(log, segment, offset, j, CEILING_TOUCH if ceiling else FLOOR_TOUCH, closing)
+        note(log, j, CEILING_TOUCH if ceiling else FLOOR_TOUCH, closing)
     toggle(flow, model, state, j + model.mass.shape[0] if ceiling else j)

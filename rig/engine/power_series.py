@@ -16,9 +16,9 @@ from rig.numerics.simd import combine, combine_many
 
 Array = NDArray[np.float64]
 
-#: What is known of the present state: nothing; the accelerations, which stand behind it, and the margins of its
-#: configuration; and also that every guard lies above its margin.
-STALE, CURRENT, CLEAR = 0, 1, 2
+#: What is known of the present state: not even that its contacts push; nothing more; the accelerations, which are
+#: behind it, and the margins of its configuration; and also that every guard lies above its margin.
+UNSETTLED, STALE, CURRENT, CLEAR = -1, 0, 1, 2
 
 
 @inlined

@@ -2,7 +2,7 @@
 
 Sampled drive: one segment for each sample interval, the drive exact inside (first-order hold). Pure tone:
 segments between marks; a mark is a sample instant, or the start of a period, where the drive's phase is set
-exactly anew, so that a million periods keep it.
+exactly again, so that a million periods keep it.
 """
 
 from __future__ import annotations
@@ -12,12 +12,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.engine.contact import release_tensile
 from rig.engine.flow_tables import REACH, tables_for
-from rig.engine.guards import fold_envelope
 from rig.engine.kernel import DONE, LOG_FULL, NEED_TABLE, STUCK, advance
-from rig.engine.power_series import STALE, differentiate
-from rig.engine.samples import MotionSamples, StateSamples, keep_state, show_motion, show_motion_now
+from rig.engine.power_series import STALE, UNSETTLED, differentiate
+from rig.engine.samples import MotionSamples, StateSamples, keep_state, show_motion
+from rig.engine.screening import fold_envelope
 from rig.engine.state import CONFIGURATION, SLOT, empty_log, state_at_rest
 from rig.engine.trajectory import Array, Trajectory
 from rig.engine.workspace import Workspace, workspace_for
@@ -31,10 +30,12 @@ from rig.system.hybrid_system import Drive, HybridSystem, sampled, tone
 LOG_ROWS = 1024
 # Steps in a sample interval or a period; a processor takes some seconds for as many.
 MOST_STEPS = 1e7
-#: Every segment begins with the drive set anew.
+#: Every segment begins with the drive set again.
 EVERY = np.ones(1, dtype=bool)
 #: The row of the only segment.
 _FIRST = np.zeros(1, dtype=np.int64)
+# A segment in which no time passes.
+_NO_TIME, _NEVER, _NOWHERE = np.zeros(1), np.zeros(1, dtype=bool), np.full(1, -1)
 
 
 class Segments(NamedTuple):
@@ -59,11 +60,11 @@ class Segments(NamedTuple):
 @compiled
 def _propagate(
     flow: Any, model: Any, state: Any, workspace: Any, log: Any, way: Segments, begin: int, left: float,
-    kept: StateSamples, seen: MotionSamples, coupling: bool | None, known: int,
+    kept: StateSamples, seen: MotionSamples, known: int,
 ) -> tuple[int, int, float]:  # fmt: skip
-    """March along a way, filling the rows (columns) of what is kept (seen).
+    """Propagate through segments, filling the rows (columns) of what is kept (seen).
 
-    Comes back with the segment and the steps left in it (negative: not begun) if the kernel needs something.
+    Returns early, with the segment and the steps left in it (negative: not begun), if the kernel needs something.
     """
     steps, renew, drive, row = way
     inputs, segments = drive.shape[0], drive.shape[1] - 1
@@ -71,21 +72,19 @@ def _propagate(
     stride = 1 if steps.shape[0] > 1 else 0
     fold_envelope(flow, workspace)
     for k in range(begin, segments):
-        whole = steps[stride * k]
+        whole, shown = steps[stride * k], row[k] >= 0
         if left < 0.0:
             left = whole
             if renew[stride * k]:
                 for i in range(inputs):
                     state.z[first + i] = drive[i, k]
                     state.z[first + inputs + i] = drive[i, k + 1] - drive[i, k]
-        status, left, known = advance(flow, model, state, workspace, log, k, whole, left, coupling, known)
+        status, left, known = advance(flow, model, state, workspace, log, k, whole, left, known, shown)
         if status != DONE:
             return status, k, left
         if state.counters[SLOT] < 0:
             return NEED_TABLE, k, 0.0
-        if row[k] >= 0:
-            if known == STALE:
-                differentiate(flow, model, state.counters[SLOT], state.z, workspace.derivative, STALE)
+        if shown:
             if kept.slot.shape[0] > 0:
                 keep_state(state, row[k], kept)
             if seen.rows.shape[1] > 0:
@@ -98,11 +97,6 @@ def _propagate(
 def _accelerations(flow: Any, model: Any, states: Array, slots: NDArray[np.int64], work: Array) -> None:
     for k in range(states.shape[0]):
         differentiate(flow, model, slots[k], states[k], work, STALE)
-
-
-@compiled
-def _let_go(flow: Any, model: Any, state: Any, workspace: Any, log: Any, coupling: bool | None) -> None:
-    release_tensile(flow, model, state, log, 0, 0.0, workspace.contact, coupling)
 
 
 #: Bodies farther from rest than this have run away, m: no length in a scene is larger.
@@ -127,7 +121,6 @@ class Propagator:
             )
         self.system, self.drive = system, drive
         self.tables = tables_for(system, drive, step)
-        self._coupling = True if system.coupled else None
         dampers, size = system.dampers, padded(self.tables.size + 2 * system.coordinates)
         self.state = state_at_rest(size, dampers)
         self.log = empty_log(max(LOG_ROWS, 16 * dampers), size, dampers)
@@ -135,6 +128,7 @@ class Propagator:
         self.state.counters[CONFIGURATION] = system.at_rest
         self._window = zeros(LANES, padded(3 * system.coordinates + dampers))
         self._unseen, self._unkept = self.motion_samples(0), self.room(0)
+        self._no_drive = np.zeros((len(system.inputs), 2))
         self._elapsed = 0.0
         self._find_table()
 
@@ -159,7 +153,7 @@ class Propagator:
         """
         self.state.z[: self.system.states] = state
         self.state.z[self.system.states : self.tables.size] = drive
-        _let_go(self.tables.flow, self.tables.model, self.state, self.workspace, self.log, self._coupling)
+        self._go(Segments(_NO_TIME, _NEVER, self._no_drive, _NOWHERE), self._unkept, self._unseen, UNSETTLED)
         lifted = self.log.damper[: self.log.filled[0]].copy()
         self.log.filled[:] = 0
         self._find_table()
@@ -210,12 +204,9 @@ class Propagator:
         Trajectory or None
             None if nothing happened.
         """
-        pages = self._go(Segments(interval_steps, EVERY, drive, _FIRST), kept, self._unseen)
+        self._go(Segments(interval_steps, EVERY, drive, _FIRST), kept, self._unseen)
         self._elapsed += float(interval_steps[0]) * self.tables.step
-        if not pages and not self.log.filled.any():
-            return None
-        pages.append(self._page())
-        return Trajectory(*kept, *(np.concatenate(parts) for parts in zip(*pages, strict=True)))
+        return Trajectory(*kept, *self._page()) if self.log.filled[:2].any() else None
 
     def sample_motion(
         self, drive: Array, interval_steps: float, seen: MotionSamples, column: int
@@ -242,8 +233,8 @@ class Propagator:
 
     def sample_present(self, seen: MotionSamples, column: int) -> None:
         """Fill one column of what is seen with the present motion."""
-        work = self.workspace.derivative
-        show_motion_now(self.tables.flow, self.tables.model, self.state, work, column, seen)
+        seen.begin[0] = column
+        self._go(Segments(_NO_TIME, _NEVER, self._no_drive, np.array([column])), self._unkept, seen)
 
     def through_marks(
         self,
@@ -289,28 +280,23 @@ class Propagator:
         )
 
     def _run(self, way: Segments, kept: StateSamples, seen: MotionSamples) -> Trajectory:
-        pages = self._go(way, kept, seen)
+        self._go(way, kept, seen)
         self._need_bounded(way, kept, seen)
         self._elapsed += float(way.steps.sum()) * (way.row.size // way.steps.size) * self.tables.step
-        last = self._page()
-        if not pages:
-            return Trajectory(*kept, *last)
-        pages.append(last)
-        return Trajectory(*kept, *(np.concatenate(parts) for parts in zip(*pages, strict=True)))
+        return Trajectory(*kept, *self._page())
 
-    def _go(self, way: Segments, kept: StateSamples, seen: MotionSamples) -> list[tuple[Any, ...]]:
-        """Run; gives what the log held each time that it was full."""
-        pages: list[tuple[Any, ...]] = []
+    def _go(self, way: Segments, kept: StateSamples, seen: MotionSamples, known: int = STALE) -> None:
         begin, left = 0, -1.0
         while True:
             status, begin, left = _propagate(
                 self.tables.flow, self.tables.model, self.state, self.workspace, self.log, way, begin, left,
-                kept, seen, self._coupling, STALE,
+                kept, seen, known,
             )  # fmt: skip
+            known = STALE
             if status == NEED_TABLE:
                 self._find_table()
             elif status == LOG_FULL:
-                pages.append(self._page())
+                self._double_log()
             elif status == STUCK:
                 self._need_bounded(way, kept, seen)
                 damper = self.system.damper_number[self.log.damper[self.log.filled[0] - 1]]
@@ -319,7 +305,13 @@ class Propagator:
                     "contradicted; report it with the scene"
                 )
             else:
-                return pages
+                return
+
+    def _double_log(self) -> None:
+        full = self.log
+        self.log = empty_log(2 * len(full.segment), self.state.z.size, self.system.dampers)
+        for before, after in zip(full, self.log, strict=True):
+            after[: len(before)] = before
 
     def _need_bounded(self, way: Segments, kept: StateSamples, seen: MotionSamples) -> None:
         """Refuse a motion that has run away, saying where it was first seen to."""
@@ -346,18 +338,14 @@ class Propagator:
 
     def _page(self) -> tuple[Any, ...]:
         """Take what the log holds and empty it."""
-        events, breaks = self.log.filled
-        log = self.log
-        slots = self.tables.slots_of(log.configuration[:breaks]).T
+        log, (events, breaks, _) = self.log, self.log.filled
         page = (
-            *(
-                column[:events].copy()
-                for column in (log.segment, log.offset, log.damper, log.kind, log.closing)
-            ),
-            *(column[:breaks].copy() for column in log[6:12]),
-            *slots,
+            *(part[:events].copy() for part in (log.segment, log.offset, log.damper, log.kind, log.closing)),
+            *(part[:breaks].copy() for part in (log.break_segment, log.break_offset, log.before, log.after)),
+            *(part[:breaks].copy() for part in (log.speed_before, log.speed_after)),
+            *self.tables.slots_of(log.configuration[:breaks]).T,
         )
-        log.filled[:] = 0
+        log.filled[:2] = 0
         return page
 
 

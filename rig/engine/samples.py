@@ -5,17 +5,16 @@ Both are filled inside the kernel, row by row, so that a march of any length cos
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rig.engine.flow import Flow, Model
 from rig.engine.lasting import gap_of
-from rig.engine.power_series import STALE, differentiate
 from rig.engine.state import FLIGHT, FLOOR, SLOT, State
 from rig.engine.trajectory import Array
-from rig.numerics.jit import compiled, inlined
+from rig.numerics.jit import inlined
 from rig.numerics.simd import LANES, transpose
 
 
@@ -77,10 +76,3 @@ def show_motion(flow: Flow, model: Model, state: State, seen: MotionSamples, col
         for there in range(max(first, seen.begin[0]), column + 1):
             for i in range(seen.rows.shape[0]):
                 seen.rows[i, there] = seen.window[there % LANES, i]
-
-
-@compiled
-def show_motion_now(flow: Any, model: Any, state: Any, work: Array, column: int, seen: MotionSamples) -> None:
-    """Show a motion whose accelerations are not known yet."""
-    differentiate(flow, model, state.counters[SLOT], state.z, work, STALE)
-    show_motion(flow, model, state, seen, column, True)

@@ -26,7 +26,7 @@ class State(NamedTuple):
 
     `multiplicity[j]` counts the leading coefficients of damper j's guard that are exactly zero at this instant:
     1 after a rebound, 2 after a release, 3 after a separation at zero contact force; negative for the ceiling.
-    `recovering[j]` is the wall that a bed whose contact lasts has been released by and still overlaps.
+    `recovering[j]` is the wall that has released a bed of finite-duration contact which still overlaps it.
     """
 
     z: np.ndarray
@@ -39,13 +39,17 @@ class State(NamedTuple):
 
 
 class Log(NamedTuple):
-    """Events and breaks as they happen; `filled` holds how many rows of each are filled.
+    """Events and breaks as they happen.
+
+    `filled` holds the number of events, of breaks, and the segment of the present instant; `now` its time after the
+    start of the segment, s.
 
     A break is an instant at which velocities or accelerations jump, with the state and the dampers' own speeds
     before and after it.
     """
 
     filled: np.ndarray
+    now: np.ndarray
     segment: np.ndarray
     offset: np.ndarray
     damper: np.ndarray
@@ -76,7 +80,8 @@ def state_at_rest(size: int, dampers: int) -> State:
 def empty_log(rows: int, size: int, dampers: int) -> Log:
     """Log with room for a number of rows."""
     return Log(
-        filled=np.zeros(2, dtype=np.int64),
+        filled=np.zeros(3, dtype=np.int64),
+        now=np.zeros(1),
         segment=np.zeros(rows, dtype=np.int64),
         offset=np.zeros(rows),
         damper=np.zeros(rows, dtype=np.int64),
@@ -93,11 +98,11 @@ def empty_log(rows: int, size: int, dampers: int) -> Log:
 
 
 @inlined
-def note(log: Log, segment: int, offset: float, damper: int, kind: int, closing: float) -> None:
-    """Log an event."""
+def note(log: Log, damper: int, kind: int, closing: float) -> None:
+    """Log an event of the present instant."""
     row = log.filled[0]
-    log.segment[row] = segment
-    log.offset[row] = offset
+    log.segment[row] = log.filled[2]
+    log.offset[row] = log.now[0]
     log.damper[row] = damper
     log.kind[row] = kind
     log.closing[row] = max(closing, 0.0)
@@ -122,12 +127,12 @@ def _own_speeds(model: Model, state: State, out: Array) -> None:
 
 
 @inlined
-def open_break(model: Model, state: State, log: Log, segment: int, offset: float) -> None:
+def open_break(model: Model, state: State, log: Log) -> None:
     """Keep the state before the contacts change."""
     row = log.filled[1]
     _own_speeds(model, state, log.speed_before[row])
-    log.break_segment[row] = segment
-    log.break_offset[row] = offset
+    log.break_segment[row] = log.filled[2]
+    log.break_offset[row] = log.now[0]
     log.configuration[row, 0] = state.counters[CONFIGURATION]
     for i in range(state.z.shape[0]):
         log.before[row, i] = state.z[i]

@@ -28,7 +28,7 @@ class Trajectory:
     slot: NDArray[np.int64]
     """The table of the configuration at each sample; shape (samples,)."""
     height: Array
-    """Of dampers in flight, m; meaningless for riding ones; shape (samples, dampers)."""
+    """Of dampers in flight, m; meaningless at rest; shape (samples, dampers)."""
     mode: NDArray[np.int8]
     """FLIGHT, FLOOR or CEILING; shape (samples, dampers)."""
     event_segment: NDArray[np.int64]

@@ -41,7 +41,7 @@ def _bernstein_matrices() -> np.ndarray:
 
 
 BERNSTEIN = _bernstein_matrices()
-#: Behind the coefficients that a deflated series has stands infinity.
+#: Infinity after the coefficients of a deflated series.
 BEYOND = np.where(np.add.outer(np.arange(LENGTH), np.arange(LENGTH)) > DEGREE, np.inf, 0.0)
 
 
@@ -80,7 +80,7 @@ def _polish(series: Array, start: int, left: float, right: float, tau: float) ->
             left = tau
         else:
             right = tau
-        # Between two roots close together the slope vanishes, and Halley's step with it: there the bracket is halved.
+        # Between two neighbouring roots the slope vanishes, and Halley's step with it: there the bracket is halved.
         curved = value * bend
         following = right
         if slope < 0.0 and abs(curved) < 0.5 * slope * slope:

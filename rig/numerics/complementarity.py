@@ -1,4 +1,4 @@
-"""Contacts of one instant decided together: a linear complementarity problem.
+"""All contacts of one instant: a linear complementarity problem.
 
 Find p >= 0 with A p + q >= 0 and p (A p + q) = 0, where
 

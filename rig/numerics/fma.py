@@ -1,7 +1,7 @@
 """Sums of products in vector registers, each product rounded once with its sum.
 
 For signals that come in blocks: every sum has one fixed order, so that a sample comes out the same to the last bit
-wherever it stands in a block.
+wherever in a block it is.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from numba.extending import intrinsic
 from rig.numerics.jit import compiled, inlined
 from rig.numerics.simd import LANES, WIDE, broadcast, load, store
 
-#: Registers worked on together: enough for one sum not to wait for another, and no more than the processor has. Where
-#: eight lanes take two of its sixteen, eight sums would be kept in memory, which takes three times as long.
+#: Registers in use at a time: enough that no sum waits for another, and no more than the processor has. Where eight
+#: lanes take two of its sixteen, eight sums would be in memory, which takes three times as long.
 TOGETHER = 8 if get_host_cpu_features().get("avx512f") else 4
 #: Sums that `weigh` forms at least.
 WEIGHED = TOGETHER * LANES
@@ -42,13 +42,13 @@ def fused(one: float, other: float, third: float) -> float:
 
 
 def _fused_lanes(builder: Any) -> Any:
-    """Give the function that does this in all lanes of a register."""
+    """Return the function of LLVM that does this in all lanes of a register."""
     kind = ir.FunctionType(WIDE, [WIDE] * 3)
     return cgutils.get_or_insert_function(builder.module, kind, f"llvm.fma.v{LANES}f64")
 
 
 def _sums(same_rows: bool) -> Any:
-    """Make sums for several registers beside each other.
+    """Make sums for several registers at a time.
 
     out[place + 8 c + i] = sum_e rows[row + e stride + 8 c + i] factors[factor + e step] for the lanes i of all
     registers c; or, where all have the same rows and each its factors,
@@ -130,7 +130,7 @@ def weigh(rows: Any, first: int, column: int, weights: Any, count: int, out: Any
 def spread(
     rows: Any, factors: Any, start: int, step: int, apart: int, out: Any, first: int, count: int
 ) -> None:
-    """Sum up the same rows with ever other factors.
+    """Sum up the same rows with factors that differ from sum to sum.
 
     out[8 (first + b) + i] = sum_e rows[e, i] factors[start + e step + b apart] for all lanes i and b < count;
     flat indices of `factors` and `out`. The count is rounded up to a multiple of `TOGETHER`: factors and `out`
@@ -182,7 +182,7 @@ def _follow(typing_context: Any, states: Any, keep: Any, weights: Any, value: An
 
 @inlined
 def follow(states: Any, keep: Any, weights: Any, value: float) -> float:
-    """Sum up weights times states, and let each state keep its share of itself and take on a value.
+    """Sum up weights times states; then each state keeps its share of itself and adds a value.
 
     All are float64 of shape (multiple of LANES,); `states` is updated.
     """

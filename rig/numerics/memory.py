@@ -1,4 +1,4 @@
-"""Memory that a computation is going to take, weighed before it begins."""
+"""Limit on the memory of a computation, checked before it begins."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def need(size: float, what: str) -> None:
 
 
 def need_beside_program(size: float, what: str) -> None:
-    """Refuse what would take more memory than is allowed, together with what a process takes at its start.
+    """Refuse what would take more memory than is allowed, the program's own memory included.
 
     Parameters and errors as `need`; 0 bytes are never refused.
     """
@@ -64,7 +64,7 @@ def most() -> float:
     written = os.environ.get(ALLOWED, "")
     if not written:
         return USUAL
-    found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([MGT]?)B\s*", written, re.IGNORECASE)
-    if found is None:
+    match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([MGT]?)B\s*", written, re.IGNORECASE)
+    if match is None:
         raise RunError(f"{ALLOWED}={written[:40]!r}: expected an amount of memory such as 8GB")
-    return float(found[1]) * _PREFIXES[found[2].upper()]
+    return float(match[1]) * _PREFIXES[match[2].upper()]

@@ -20,7 +20,7 @@ from rig.numerics.jit import compiled, inlined
 
 #: Rows are padded to a multiple of this.
 LANES = 8
-#: Sums that run beside each other in a product, a power of two.
+#: Sums that run at the same time in a product, a power of two.
 SUMS = 4
 
 
@@ -66,72 +66,114 @@ def store(context: Any, builder: Any, kind: Any, array: Any, index: Any, registe
 def broadcast(builder: Any, value: Any) -> Any:
     """Fill a register with one number."""
     undefined, lane = ir.Constant(WIDE, ir.Undefined), ir.VectorType(ir.IntType(32), LANES)
-    one = builder.insert_element(undefined, value, ir.Constant(ir.IntType(32), 0))
-    return builder.shuffle_vector(one, undefined, ir.Constant(lane, [0] * LANES))
+    first = builder.insert_element(undefined, value, ir.Constant(ir.IntType(32), 0))
+    return builder.shuffle_vector(first, undefined, ir.Constant(lane, [0] * LANES))
 
 
-def _lane_sums(registers: int) -> Any:
-    """Make the product for a number of registers of rows, a divisor of `SUMS`.
+_DOUBLES = ir.DoubleType().as_pointer()
+_INDEX = ir.IntType(64)
 
-    out[row + i] = constant[offset + i] + sum_c matrix[start + c stride + i] vector[c], flat indices, for the rows
-    i of all registers. An addition takes longer than the next may be started, so `SUMS` of them run beside each
-    other: of several registers, or of several columns.
+
+def _add_product(builder: Any, arguments: list[Any], row: Any, registers: int) -> None:
+    """Add the code of a product for the rows of a number of registers, a divisor of `SUMS`.
+
+    out[row + i] = constant[row + i] + sum_c matrix[c rows + row + i] vector[c]. An addition takes longer than the next
+    may be started, so `SUMS` of them run at a time: of several registers, or of several columns.
     """
-    beside = SUMS // registers
+    matrix, constant, vector, out, columns, rows = arguments
+    at_once = SUMS // registers
+
+    def number(value: int) -> Any:
+        return ir.Constant(_INDEX, value)
+
+    def lanes(pointer: Any, index: Any, register: int) -> Any:
+        place = builder.gep(pointer, [builder.add(index, number(register * LANES))])
+        return builder.bitcast(place, WIDE.as_pointer())
+
+    def add_column(column: Any, count: int) -> None:
+        factors = broadcast(builder, builder.load(builder.gep(vector, [column])))
+        place = builder.add(builder.mul(column, rows), row)
+        for register in range(registers):
+            total = totals[register][count]
+            product = builder.fmul(
+                builder.load(lanes(matrix, place, register), align=8), factors, flags=("contract",)
+            )
+            builder.store(builder.fadd(builder.load(total), product, flags=("contract",)), total)
+
+    others = [ir.Constant(WIDE, [0.0] * LANES)] * (at_once - 1)
+    totals = []
+    for register in range(registers):
+        first = builder.load(lanes(constant, row, register), align=8)
+        totals.append([cgutils.alloca_once_value(builder, value) for value in (first, *others)])
+    whole = builder.sub(columns, builder.srem(columns, number(at_once)))
+    with cgutils.for_range_slice(builder, number(0), whole, number(at_once), _INDEX) as (column, _):
+        for count in range(at_once):
+            add_column(builder.add(column, number(count)), count)
+    if at_once > 1:
+        with cgutils.for_range_slice(builder, whole, columns, number(1), _INDEX) as (column, _):
+            add_column(column, 0)
+    for register in range(registers):
+        sums = [builder.load(total) for total in totals[register]]
+        while len(sums) > 1:
+            sums = [builder.fadd(*pair) for pair in zip(sums[::2], sums[1::2], strict=True)]
+        builder.store(sums[0], lanes(out, row, register), align=8)
+
+
+def _many_rows(module: Any) -> Any:
+    """Return the function for the rows of `SUMS` registers at a time; inlined, its loop would be short of registers."""
+    name = "shotrig_many_rows"
+    if name not in module.globals:
+        function = ir.Function(module, ir.FunctionType(ir.VoidType(), [_DOUBLES] * 4 + [_INDEX] * 3), name)
+        function.linkage = "linkonce_odr"
+        function.attributes.add("noinline")
+        for pointer in function.args[:4]:
+            pointer.add_attribute("noalias")
+        builder = ir.IRBuilder(function.append_basic_block("entry"))
+        *arguments, stop = function.args
+        begin, step = ir.Constant(_INDEX, 0), ir.Constant(_INDEX, SUMS * LANES)
+        with cgutils.for_range_slice(builder, begin, stop, step, _INDEX) as (row, _):
+            _add_product(builder, arguments, row, SUMS)
+        builder.ret_void()
+    return module.globals[name]
+
+
+def _product(many: bool) -> Any:
+    """Make the product for one register from `row` on, or for many of them up to `row`."""
 
     @intrinsic
-    def lane_sums(
+    def product(
         typing_context: Any, matrix: Any, start: Any, constant: Any, offset: Any, vector: Any, columns: Any,
-        stride: Any, out: Any, row: Any,
+        rows: Any, out: Any, row: Any,
     ) -> Any:  # fmt: skip
-        signature = types.void(
-            matrix, types.intp, constant, types.intp, vector, types.intp, types.intp, out, types.intp
-        )
+        whole = types.intp
+        signature = types.void(matrix, whole, constant, whole, vector, whole, whole, out, whole)
 
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            matrix, start, constant, offset, vector, columns, stride, out, row = arguments
-            kinds, number = signature.args, columns.type
-            zero = ir.Constant(WIDE, [0.0] * LANES)
-            data = context.make_array(kinds[4])(context, builder, vector).data
-
-            def at(index: Any, register: int) -> Any:
-                return builder.add(index, ir.Constant(number, register * LANES))
-
-            def add_column(column: Any, count: int) -> None:
-                factors = broadcast(builder, builder.load(builder.gep(data, [column])))
-                place = builder.add(start, builder.mul(column, stride))
-                for register in range(registers):
-                    total = totals[register][count]
-                    rows = load(context, builder, kinds[0], matrix, at(place, register))
-                    product = builder.fmul(rows, factors, flags=("contract",))
-                    builder.store(builder.fadd(builder.load(total), product, flags=("contract",)), total)
-
-            totals = []
-            for register in range(registers):
-                first = load(context, builder, kinds[2], constant, at(offset, register))
-                values = (first, *[zero] * (beside - 1))
-                totals.append([cgutils.alloca_once_value(builder, value) for value in values])
-            step, one = ir.Constant(number, beside), ir.Constant(number, 1)
-            whole = builder.sub(columns, builder.srem(columns, step))
-            with cgutils.for_range_slice(builder, ir.Constant(number, 0), whole, step, number) as (column, _):
-                for count in range(beside):
-                    add_column(builder.add(column, ir.Constant(number, count)), count)
-            if beside > 1:
-                with cgutils.for_range_slice(builder, whole, columns, one, number) as (column, _):
-                    add_column(column, 0)
-            for register in range(registers):
-                sums = [builder.load(total) for total in totals[register]]
-                while len(sums) > 1:
-                    sums = [builder.fadd(*pair) for pair in zip(sums[::2], sums[1::2], strict=True)]
-                store(context, builder, kinds[7], out, at(row, register), sums[0])
+            _, start, _, offset, _, columns, rows, _, row = arguments
+            matrix, constant, vector, out = (
+                context.make_array(signature.args[place])(context, builder, arguments[place]).data
+                for place in (0, 2, 4, 7)
+            )
+            parts = [
+                builder.gep(matrix, [start]),
+                builder.gep(constant, [offset]),
+                vector,
+                out,
+                columns,
+                rows,
+            ]
+            if many:
+                builder.call(_many_rows(builder.module), [*parts, row])
+            else:
+                _add_product(builder, parts, row, 1)
             return context.get_dummy_value()
 
         return signature, generate
 
-    return lane_sums
+    return product
 
 
-_one, _four = _lane_sums(1), _lane_sums(4)
+_one, _many = _product(many=False), _product(many=True)
 
 
 @intrinsic
@@ -192,10 +234,10 @@ def lowest(vector: Any) -> float:
 @inlined
 def negatives(vector: Any) -> int:
     """Bit i is set where element i of a vector of shape (multiple of LANES, at most 56,) is below zero."""
-    found = 0
+    bits = 0
     for row in range(0, vector.shape[0], LANES):
-        found |= _negative_lanes(vector, row) << row  # type: ignore[call-arg]
-    return found
+        bits |= _negative_lanes(vector, row) << row  # type: ignore[call-arg]
+    return bits
 
 
 @intrinsic
@@ -233,9 +275,9 @@ def _transpose_tile(
         def along(begin: Any, count: int, step: Any) -> Any:
             return builder.add(begin, builder.mul(number[count], step))
 
-        def choose(one: Any, other: Any, lanes: list[int]) -> Any:
+        def choose(left: Any, right: Any, lanes: list[int]) -> Any:
             return builder.shuffle_vector(
-                one, other, ir.Constant(ir.VectorType(ir.IntType(32), LANES), lanes)
+                left, right, ir.Constant(ir.VectorType(ir.IntType(32), LANES), lanes)
             )
 
         tile = [
@@ -244,10 +286,10 @@ def _transpose_tile(
         # Exchange blocks of one, two and four lanes across the diagonal.
         for size in (1, 2, 4):
             for i in (i for i in range(LANES) if not i & size):
-                one, other = tile[i], tile[i + size]
+                upper, lower = tile[i], tile[i + size]
                 low = [lane if not lane & size else LANES + lane - size for lane in range(LANES)]
                 high = [lane + size if not lane & size else LANES + lane for lane in range(LANES)]
-                tile[i], tile[i + size] = choose(one, other, low), choose(one, other, high)
+                tile[i], tile[i + size] = choose(upper, lower, low), choose(upper, lower, high)
         for i, register in enumerate(tile):
             store(context, builder, signature.args[3], target, along(place, i, stride), register)
         return context.get_dummy_value()
@@ -267,10 +309,10 @@ def transpose(window: Any, rows: Any, column: int) -> None:
 @inlined
 def exceeds(vector: Any, bound: Any) -> bool:
     """Whether any element is larger than its bound in size, or not a number; shapes (multiple of LANES,)."""
-    found = False
+    any_exceeds = False
     for row in range(0, bound.shape[0], LANES):
-        found |= _lanes_exceed(vector, bound, row)  # type: ignore[call-arg]
-    return found
+        any_exceeds |= _lanes_exceed(vector, bound, row)  # type: ignore[call-arg]
+    return any_exceeds
 
 
 @inlined
@@ -293,10 +335,9 @@ def combine(matrix: Any, constant: Any, slot: int, vector: Any, columns: int, ou
 def combine_many(matrix: Any, constant: Any, slot: int, vector: Any, columns: int, out: Any) -> None:
     """Do the same for many rows: longer code, which reads the vector a quarter as often."""
     rows = constant.shape[1]
-    most = rows - rows % (4 * LANES)
-    for row in range(0, most, 4 * LANES):
-        place = slot * matrix.shape[1] * rows + row
-        _four(matrix, place, constant, slot * rows + row, vector, columns, rows, out, row)
+    start, most = slot * matrix.shape[1] * rows, rows - rows % (SUMS * LANES)
+    if most > 0:
+        _many(matrix, start, constant, slot * rows, vector, columns, rows, out, most)
     _combine_from(matrix, constant, slot, vector, columns, out, most)
 
 
@@ -305,9 +346,9 @@ def _combine_from(
     matrix: Any, constant: Any, slot: int, vector: Any, columns: int, out: Any, first: int
 ) -> None:
     rows = constant.shape[1]
+    start = slot * matrix.shape[1] * rows
     for row in range(first, rows, LANES):
-        place = slot * matrix.shape[1] * rows + row
-        _one(matrix, place, constant, slot * rows + row, vector, columns, rows, out, row)
+        _one(matrix, start, constant, slot * rows, vector, columns, rows, out, row)
 
 
 @compiled
@@ -323,4 +364,4 @@ def multiply(matrix: Any, slot: int, vector: Any, constant: Any, out: Any) -> No
     """
     columns, rows = matrix.shape[1], matrix.shape[2]
     for row in range(0, rows, LANES):
-        _one(matrix, slot * columns * rows + row, constant, row, vector, columns, rows, out, row)
+        _one(matrix, slot * columns * rows, constant, 0, vector, columns, rows, out, row)

@@ -55,6 +55,14 @@ def engine(coupling: float, restitution: float = 0.0, lasting: int = 0, apart: i
     return Propagator(assemble(scene), tone(np.ones(1), 60.0), 2e-3)
 
 
+def strike(run: Propagator, damper: int, wall: int) -> None:
+    """Let a damper hit a wall 0.25 s after the start of segment 7."""
+    flow, model, work = run.tables.flow, run.tables.model, run.workspace.contact
+    run.log.filled[2], run.log.now[0] = 7, 0.25
+    impact(flow, model, run.state, run.log, damper, wall, work)
+    release_tensile(flow, model, run.state, run.log, work)
+
+
 def scatter(run: Propagator, modes: list[int], seed: int) -> State:
     """Put it in some motion with dampers in given modes, flying ones away from their walls."""
     chance, state, model = np.random.default_rng(seed), run.state, run.tables.model
@@ -72,9 +80,7 @@ MODES = st.lists(st.sampled_from([FLIGHT, FLOOR, CEILING]), min_size=3, max_size
 
 
 @given(modes=MODES, lasting=st.integers(0, 3), seed=st.integers(0, 10_000))
-def test_given_contacts_that_last_beside_others_when_forces_are_summed_then_they_are_those_of_the_system(
-    modes: list[int], lasting: int, seed: int
-) -> None:
+def test_finite_contact_forces_are_those_of_the_system(modes: list[int], lasting: int, seed: int) -> None:
     run = engine(0.1, lasting=lasting)
     state, model, system = scatter(run, modes, seed), run.tables.model, run.system
     bits = sum((mode != FLIGHT) << j | (mode == CEILING) << 3 + j for j, mode in enumerate(modes))
@@ -96,7 +102,7 @@ def test_given_contacts_that_last_beside_others_when_forces_are_summed_then_they
     seed=st.integers(0, 10_000),
 )
 @settings(deadline=None)
-def test_given_a_damper_at_a_wall_when_it_hits_then_momentum_goes_over_and_all_part_as_their_laws_say(
+def test_hit_transfers_momentum_by_contact_laws(
     coupled: bool, restitution: float, wall: int, modes: list[int], struck: int, seed: int
 ) -> None:
     run = engine(0.15 if coupled else 0.0, restitution)
@@ -107,10 +113,7 @@ def test_given_a_damper_at_a_wall_when_it_hits_then_momentum_goes_over_and_all_p
     state.height[struck] = at = position[struck] + (CLEARANCE if wall == CEILING else 0.0)
     closing = 0.1 + abs(own[struck])
     own[struck] = state.speed[struck] = body[struck] - sign * closing
-    impact(
-        run.tables.flow, model, state, run.log, 7, 0.25, struck, wall,
-        run.workspace.contact, True if coupled else None,
-    )  # fmt: skip
+    strike(run, struck, wall)
     after = state.z[model.velocity]
     own_after = np.where(state.mode == FLIGHT, state.speed, after)
     impulse = model.mass * (own_after - own)
@@ -143,9 +146,7 @@ def test_given_a_damper_at_a_wall_when_it_hits_then_momentum_goes_over_and_all_p
 
 @given(coupled=st.booleans(), modes=MODES, seed=st.integers(0, 10_000))
 @settings(deadline=None)
-def test_given_riding_dampers_when_those_that_would_be_pulled_are_let_go_then_trying_all_combinations_agrees(
-    coupled: bool, modes: list[int], seed: int
-) -> None:
+def test_release_agrees_with_trying_all_combinations(coupled: bool, modes: list[int], seed: int) -> None:
     run = engine(0.15 if coupled else 0.0)
     state, model, system = scatter(run, modes, seed), run.tables.model, run.system
     work = run.workspace.contact
@@ -157,7 +158,7 @@ def test_given_riding_dampers_when_those_that_would_be_pulled_are_let_go_then_tr
     right = sign * (-model.gravity - free[riding])
     matrix = sign[:, None] * inverse[np.ix_(riding, riding)] * sign + np.diag(1.0 / model.mass[riding])
     pressure = by_trying(matrix, right)
-    release_tensile(run.tables.flow, model, state, run.log, 1, 0.5, work, True if coupled else None)
+    release_tensile(run.tables.flow, model, state, run.log, work)
     lifted = riding[(pressure == 0.0) & (matrix @ pressure + right > 1e-9)]
     assert set(np.flatnonzero(state.mode == FLIGHT)) - set(np.flatnonzero(np.array(modes) == FLIGHT)) == set(
         lifted
@@ -172,9 +173,7 @@ def test_given_riding_dampers_when_those_that_would_be_pulled_are_let_go_then_tr
 
 @pytest.mark.parametrize("wall", [FLOOR, CEILING])
 @pytest.mark.parametrize("coupled", [False, True])
-def test_given_a_rebound_when_it_rises_less_than_the_rounding_of_its_wall_then_it_stays_there(
-    wall: int, coupled: bool
-) -> None:
+def test_rebound_within_rounding_stays_at_its_wall(wall: int, coupled: bool) -> None:
     run = engine(0.2 if coupled else 0.0)
     state, model, work = run.state, run.tables.model, run.workspace.contact
     state.mode[1], row = wall, model.position[1]
@@ -199,9 +198,7 @@ def test_given_a_rebound_when_it_rises_less_than_the_rounding_of_its_wall_then_i
 @pytest.mark.parametrize("wall", [FLOOR, CEILING])
 @pytest.mark.parametrize("coupled", [False, True])
 @pytest.mark.parametrize(("part", "lifts"), [(-2.0, False), (0.0, False), (0.99, False), (1.01, True)])
-def test_given_a_pull_when_it_is_within_the_rounding_of_its_terms_then_it_is_left_to_the_step(
-    wall: int, coupled: bool, part: float, lifts: bool
-) -> None:
+def test_pull_within_rounding_is_left_to_the_step(wall: int, coupled: bool, part: float, lifts: bool) -> None:
     run = engine(0.2 if coupled else 0.0)
     state, model, system = scatter(run, [FLIGHT, wall, FLIGHT], 3), run.tables.model, run.system
     # Far from rest, so that the terms are large and add up to next to nothing.
@@ -214,7 +211,8 @@ def test_given_a_pull_when_it_is_within_the_rounding_of_its_terms_then_it_is_lef
     work = run.workspace.contact
     work.force[:3] = 0.0, (acceleration - model.gravity) / inverse[1], 0.0
     release = _release_together if coupled else _release_alone
-    release(run.tables.flow, model, state, run.log, 7, 0.25, work)
+    run.log.filled[2], run.log.now[0] = 7, 0.25
+    release(run.tables.flow, model, state, run.log, work)
     assert (state.mode[1] == FLIGHT) == lifts and run.log.filled[0] == lifts
     if lifts:
         log = run.log
@@ -224,9 +222,7 @@ def test_given_a_pull_when_it_is_within_the_rounding_of_its_terms_then_it_is_lef
 @pytest.mark.parametrize("wall", [FLOOR, CEILING])
 @pytest.mark.parametrize("coupled", [False, True])
 @pytest.mark.parametrize(("closing", "stays"), [(1e-9, True), (1e-3, False)])
-def test_given_a_damper_that_hits_when_its_rebound_is_too_low_to_see_then_it_rides(
-    wall: int, coupled: bool, closing: float, stays: bool
-) -> None:
+def test_low_rebound_comes_to_rest(wall: int, coupled: bool, closing: float, stays: bool) -> None:
     run = engine(0.2 if coupled else 0.0, restitution=0.4)
     state, model = run.state, run.tables.model
     state.mode[:], state.counters[0] = FLIGHT, -1
@@ -237,10 +233,7 @@ def test_given_a_damper_that_hits_when_its_rebound_is_too_low_to_see_then_it_rid
     state.height[0] = state.z[model.position[0]] + (CLEARANCE if wall == CEILING else 0.0)
     state.speed[0] = 0.25 - SIGN[wall] * closing
     before = run.system.mass @ state.z[model.velocity] + model.mass * state.speed
-    impact(
-        run.tables.flow, model, state, run.log, 7, 0.25, 0, wall,
-        run.workspace.contact, True if coupled else None,
-    )  # fmt: skip
+    strike(run, 0, wall)
     assert state.mode.tolist() == [wall if stays else FLIGHT, FLIGHT, FLIGHT]
     assert state.multiplicity[0] == (0 if stays else SIGN[wall])
     body = state.z[model.velocity]
@@ -250,24 +243,20 @@ def test_given_a_damper_that_hits_when_its_rebound_is_too_low_to_see_then_it_rid
     assert rebound == (0.0 if stays else pytest.approx(0.4 * closing, rel=1e-9))
 
 
-def test_given_a_damper_at_rest_in_a_body_that_an_impact_does_not_reach_when_it_happens_then_it_stays() -> (
-    None
-):
+def test_unreached_damper_stays_at_rest() -> None:
     run = engine(0.2, apart=1)
     state, model = run.state, run.tables.model
     state.mode[:], state.counters[0] = (FLIGHT, FLIGHT, FLOOR), -1
     state.height[:], state.speed[:] = state.z[model.position] + 0.5 * CLEARANCE, 0.0
     state.height[0], state.speed[0] = state.z[model.position[0]], -0.5
-    impact(run.tables.flow, model, state, run.log, 7, 0.25, 0, FLOOR, run.workspace.contact, True)
+    strike(run, 0, FLOOR)
     assert state.z[model.velocity[2]] == 0.0 and state.mode.tolist() == [FLOOR, FLIGHT, FLOOR]
     assert run.log.filled[0] == 1
 
 
 @pytest.mark.parametrize("wall", [FLOOR, CEILING])
 @pytest.mark.parametrize(("part", "held"), [(0.999, True), (1.001, False)])
-def test_given_a_contact_that_an_impact_opens_when_it_opens_too_slowly_to_see_then_it_is_held(
-    wall: int, part: float, held: bool
-) -> None:
+def test_slowly_opened_contact_is_held(wall: int, part: float, held: bool) -> None:
     run = engine(0.2)
     state, model, work = run.state, run.tables.model, run.workspace.contact
     state.mode[:], row = wall, model.position[1]
@@ -304,9 +293,7 @@ def test_given_a_contact_that_an_impact_opens_when_it_opens_too_slowly_to_see_th
         (CLEARANCE, -1.0, 1, CEILING),
     ],
 )
-def test_given_a_flying_damper_when_it_is_at_a_wall_and_comes_nearer_then_it_touches(
-    gap: float, closing: float, known: int, wall: int
-) -> None:
+def test_flying_damper_touches_a_wall_when_closing(gap: float, closing: float, known: int, wall: int) -> None:
     run = engine(0.1)
     state, model = run.state, run.tables.model
     state.mode[1] = FLIGHT
@@ -316,7 +303,7 @@ def test_given_a_flying_damper_when_it_is_at_a_wall_and_comes_nearer_then_it_tou
     assert _touches(model, state, 1) == wall
 
 
-def test_given_masses_coupled_by_less_than_rounding_when_run_then_events_are_those_without_coupling() -> None:
+def test_negligible_coupling_changes_no_event() -> None:
     events = []
     for coupling in (0.0, 4e-16):
         scene = rig.Scene.model_validate(

@@ -12,16 +12,10 @@ from hypothesis import strategies as st
 from scipy.interpolate import BPoly
 
 import rig
-from rig.engine.guards import (
-    _margin,
-    above_margins,
-    bound_by_series,
-    bound_by_tables,
-    draw_envelope,
-    first_event,
-    fold_envelope,
-)
+from rig.engine.guards import bound_by_series, bound_by_tables, first_event
+from rig.engine.power_series import expand
 from rig.engine.propagator import Propagator, sampled_propagator
+from rig.engine.screening import _margin, above_margins, draw_envelope, fold_envelope, screen
 from rig.engine.state import CEILING, FLIGHT, FLOOR
 from rig.numerics.bernstein import LENGTH, NONE
 from rig.system.assembly import assemble
@@ -49,7 +43,7 @@ def engine(
 
 
 @given(start=VALUES, slope=VALUES, end=VALUES, slope_end=VALUES, error=st.floats(0.0, 500.0))
-def test_given_a_cubic_when_it_is_said_to_stay_positive_then_all_within_the_error_of_it_does(
+def test_positive_margin_proves_guards_within_error(
     start: float, slope: float, end: float, slope_end: float, error: float
 ) -> None:
     cubic = BPoly.from_derivatives([0.0, 1.0], [[start, slope], [end, slope_end]])
@@ -63,9 +57,7 @@ def test_given_a_cubic_when_it_is_said_to_stay_positive_then_all_within_the_erro
 
 
 @given(curve=VALUES, end=st.floats(0.01, 3.0), share=st.floats(0.1, 2.0))
-def test_given_a_guard_that_begins_as_a_double_zero_when_said_to_rise_then_it_does_and_only_then(
-    curve: float, end: float, share: float
-) -> None:
+def test_double_zero_margin_is_exact(curve: float, end: float, share: float) -> None:
     # tau^2 (curve (1 - tau) + end tau), and the most that the error takes from it.
     assume(abs(share - 1.0) > 1e-6 and abs(curve) > 1e-3)
     error = share * 24 * abs(curve)
@@ -78,7 +70,7 @@ def test_given_a_guard_that_begins_as_a_double_zero_when_said_to_rise_then_it_do
 
 
 @pytest.mark.parametrize("length", [1.0, 0.3])
-def test_given_a_power_series_when_guards_are_bounded_then_its_ends_and_its_bounds_are_theirs(
+def test_series_bounds_contain_the_guard(
     length: float,
 ) -> None:
     run = engine()
@@ -103,7 +95,7 @@ def test_given_a_power_series_when_guards_are_bounded_then_its_ends_and_its_boun
         assert bound[3 + j] == pytest.approx(sizes(1.0))
 
 
-def test_given_a_contact_that_lasts_when_bounded_by_its_series_then_there_is_no_bound() -> None:
+def test_finite_contact_has_no_series_bound() -> None:
     run = engine("2 ms")
     model, work = run.tables.model, run.workspace
     bound_by_series(
@@ -187,9 +179,11 @@ class Course:
         flow = run.tables.flow
         bound_by_tables(flow, self.slot, state.z, work)
         np.testing.assert_allclose(work.bound, self.bound, rtol=1e-12)
-        work.tableau[:] = np.inf
-        tau, j, _ = first_event(flow, model, state, work, self.slot, length, length * model.step, False)
-        return bool(np.isfinite(work.tableau).any()), tau, j
+        near, ceilings = screen(model, state, work, size, length, length * model.step)
+        if near | ceilings:
+            expand(flow, model, self.slot, state.z, work.tableau)
+        tau, j, _ = first_event(model, state, work, length, near, ceilings)
+        return bool(near | ceilings), tau, j
 
 
 def draw(run: Propagator, chance: np.random.Generator) -> np.ndarray:
@@ -203,9 +197,7 @@ def draw(run: Propagator, chance: np.random.Generator) -> np.ndarray:
     length=st.sampled_from([1.0, 0.4]),
 )
 @settings(max_examples=50, deadline=None)
-def test_given_any_state_when_a_step_is_looked_at_then_the_first_guard_to_fall_is_found(
-    contact: str, modes: list[int], seed: int, length: float
-) -> None:
+def test_first_falling_guard_is_located(contact: str, modes: list[int], seed: int, length: float) -> None:
     run = engine(contact)
     course = Course(run, modes, draw(run, np.random.default_rng(seed)))
     parts = np.linspace(0.0, length, 400)
@@ -226,9 +218,7 @@ def test_given_any_state_when_a_step_is_looked_at_then_the_first_guard_to_fall_i
 @pytest.mark.parametrize("contact", ["", "10 ms"])
 @pytest.mark.parametrize("mode", [FLIGHT, FLOOR, CEILING])
 @pytest.mark.parametrize("length", [1.0, 0.4])
-def test_given_a_guard_when_it_is_only_just_proven_to_stay_above_zero_then_it_is_left_alone_and_else_examined(
-    contact: str, mode: int, length: float
-) -> None:
+def test_proven_guard_is_not_examined(contact: str, mode: int, length: float) -> None:
     chance = np.random.default_rng(8)
     for clearance in (CLEARANCE, np.inf) if mode == FLIGHT else (CLEARANCE,):
         run = engine(contact, (2,), clearance)
@@ -260,7 +250,7 @@ def test_given_a_guard_when_it_is_only_just_proven_to_stay_above_zero_then_it_is
     duration=st.sampled_from([0.0, 1e-3]),
     missed=st.integers(-1, 2),
 )
-def test_given_margins_just_below_every_guard_when_looked_at_then_all_lie_above_and_with_one_above_not(
+def test_margins_are_compared_guard_by_guard(
     modes: list[int], seed: int, duration: float, missed: int
 ) -> None:
     run, chance = engine(), np.random.default_rng(seed)
@@ -283,7 +273,7 @@ def test_given_margins_just_below_every_guard_when_looked_at_then_all_lie_above_
     assert above_margins(model, state, margin, z, columns, duration) == (missed < 0)
 
 
-def test_given_states_when_an_envelope_is_drawn_then_it_holds_them_all_until_it_begins_anew() -> None:
+def test_envelope_contains_all_states_until_restart() -> None:
     run = engine()
     flow, work, columns = run.tables.flow, run.workspace, run.tables.size
     states = np.zeros((5, len(work.size)))

@@ -68,7 +68,7 @@ def scenes(draw: st.DrawFn) -> rig.Scene:
 
 @settings(max_examples=40)
 @given(scene=scenes())
-def test_given_any_scene_when_run_then_dampers_stay_between_their_walls_and_energy_is_accounted_for(
+def test_dampers_stay_in_cavities_and_energy_balances(
     scene: rig.Scene,
 ) -> None:
     frequency = scene.test.frequency
@@ -91,7 +91,7 @@ def test_given_any_scene_when_run_then_dampers_stay_between_their_walls_and_ener
 
 @settings(max_examples=40)
 @given(scene=scenes())
-def test_given_any_scene_when_a_damper_rides_then_its_contact_pushes(scene: rig.Scene) -> None:
+def test_contact_of_a_damper_at_rest_pushes(scene: rig.Scene) -> None:
     frequency = scene.test.frequency
     run = rig.simulate(scene, 20 / frequency, rate=40 * frequency)
     sign = np.select([run.contact == 1, run.contact == 2], [1.0, -1.0], 0.0)
@@ -103,9 +103,7 @@ def test_given_any_scene_when_a_damper_rides_then_its_contact_pushes(scene: rig.
 @pytest.mark.thorough
 @settings(max_examples=15)
 @given(scene=scenes(), seed=st.integers(0, 2**32 - 1))
-def test_given_any_scene_when_every_guard_is_looked_at_in_every_step_then_no_more_is_found_than_behind_an_envelope(
-    scene: rig.Scene, seed: int
-) -> None:
+def test_envelope_hides_no_event(scene: rig.Scene, seed: int) -> None:
     # A block begins without an envelope, so in blocks of one sample none is ever drawn.
     random = np.random.default_rng(seed)
     rate = 800 * scene.test.frequency
@@ -123,9 +121,7 @@ def test_given_any_scene_when_every_guard_is_looked_at_in_every_step_then_no_mor
 
 @settings(max_examples=40)
 @given(scene=scenes(), seed=st.integers(0, 2**32 - 1))
-def test_given_any_scene_and_drive_when_cut_into_blocks_then_every_bit_is_the_same(
-    scene: rig.Scene, seed: int
-) -> None:
+def test_block_size_changes_no_bit(scene: rig.Scene, seed: int) -> None:
     random = np.random.default_rng(seed)
     drive = scene.test.force * random.standard_normal((1, 300))
     rate = 30 * scene.test.frequency
@@ -152,9 +148,7 @@ def test_given_any_scene_and_drive_when_cut_into_blocks_then_every_bit_is_the_sa
 
 @settings(max_examples=40)
 @given(scene=scenes(), seed=st.integers(0, 2**32 - 1))
-def test_given_any_impact_when_velocities_jump_then_momentum_is_kept_and_contacts_only_push(
-    scene: rig.Scene, seed: int
-) -> None:
+def test_impact_conserves_momentum_and_contacts_only_push(scene: rig.Scene, seed: int) -> None:
     scene = scene.replace(dampers=[damper.replace(restitution=0.0) for damper in scene.dampers])
     drive = scene.test.force * np.random.default_rng(seed).standard_normal((1, 400))
     rate = 30 * scene.test.frequency
@@ -239,7 +233,7 @@ def _let_go(mode: int, change: float) -> bool:
 
 
 @pytest.mark.parametrize("name", ["fig8-three-dampers", "fig9", "bare-structure"])
-def test_given_a_bundled_scene_when_driven_hard_then_the_ledger_of_its_shaker_closes(name: str) -> None:
+def test_energy_of_a_bundled_shaker_balances(name: str) -> None:
     scene = rig.load(name)
     run = rig.simulate(scene, 1.0, rate=2000.0, frequency=35.0)
     turnover = run.energy.dissipated + run.energy.impacts + abs(run.energy.stored)
@@ -247,7 +241,7 @@ def test_given_a_bundled_scene_when_driven_hard_then_the_ledger_of_its_shaker_cl
     assert abs(run.energy.residual) < 1e-10 * turnover
 
 
-def test_given_no_drive_when_time_passes_then_every_damper_rests_on_its_floor_at_the_static_sag() -> None:
+def test_dampers_settle_on_floors_at_static_sag() -> None:
     scene = rig.loads(
         """
         structure: {masses: [0.74, 0.71], springs: [24.3 kN/m, 21.8 kN/m], damping: {modal: 2 %}}
@@ -267,9 +261,7 @@ def test_given_no_drive_when_time_passes_then_every_damper_rests_on_its_floor_at
 
 
 @pytest.mark.parametrize(("body", "clearance"), [(1, 0.5e-3), (2, 0.98e-3), (3, float("inf"))])
-def test_given_a_damper_cut_in_two_equal_pieces_when_run_then_they_move_as_the_whole(
-    body: int, clearance: float
-) -> None:
+def test_damper_in_two_equal_parts_moves_alike(body: int, clearance: float) -> None:
     whole = {"body": body, "mass_ratio": 0.1, "clearance": clearance}
     piece = whole | {"mass_ratio": 0.05}
     scene = rig.load("fig8-three-dampers").replace(

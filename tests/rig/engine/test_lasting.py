@@ -64,9 +64,7 @@ def random_scene(seed: int, bodies: int) -> rig.Scene:
 
 @pytest.mark.usefixtures("tabulated")
 @pytest.mark.parametrize(("seed", "bodies"), [(0, 1), (4, 1), (5, 2), (7, 1), (7314, 1)])
-def test_given_a_random_scene_when_simulated_then_it_is_the_motion_to_forty_digits(
-    seed: int, bodies: int
-) -> None:
+def test_finite_contact_motion_agrees_to_forty_digits(seed: int, bodies: int) -> None:
     scene = random_scene(seed, bodies)
     run = rig.simulate(scene, 3 / scene.test.frequency, rate=PER_PERIOD * scene.test.frequency)
     states = 2 * (bodies + len(scene.dampers))
@@ -83,9 +81,7 @@ def test_given_a_random_scene_when_simulated_then_it_is_the_motion_to_forty_digi
 
 @pytest.mark.parametrize("ratio", [0.0, 1e-14, 1e-11, 1e-9, 1e-7])
 @pytest.mark.parametrize("seed", [9000, 9147, 9149])
-def test_given_springs_with_next_to_no_dashpot_when_simulated_then_a_bed_that_leaves_does_not_land(
-    seed: int, ratio: float
-) -> None:
+def test_weak_dashpot_does_not_land_again(seed: int, ratio: float) -> None:
     scene = random_scene(seed, 2)
     beds = [0.03 * mass for mass in scene.structure.masses]
     rates = [2e3, 5e3]
@@ -102,15 +98,13 @@ def test_given_springs_with_next_to_no_dashpot_when_simulated_then_a_bed_that_le
 
 
 @given(st.floats(1e-5, 0.1), st.floats(1e-3, 0.999), st.floats(1e-3, 10.0))
-def test_given_a_duration_and_a_restitution_when_made_a_spring_and_a_dashpot_then_it_lands_so(
-    duration: float, restitution: float, mass: float
-) -> None:
+def test_spring_damper_has_duration_and_restitution(duration: float, restitution: float, mass: float) -> None:
     found = landing(*spring_damper(duration, restitution, mass), mass)
     np.testing.assert_allclose(found, (duration, restitution), rtol=1e-11)
 
 
 @pytest.mark.parametrize("ratio", [0.05, 0.3, 0.499, 0.7, 1.0, 4.0])
-def test_given_a_contact_when_landed_on_then_its_largest_force_is_that_of_the_motion(ratio: float) -> None:
+def test_largest_contact_force_is_closed_form(ratio: float) -> None:
     mass, stiffness, speed = 0.07, 3e4, 1.7
     rate = math.sqrt(stiffness / mass)
     damping = 2.0 * ratio * mass * rate
@@ -120,14 +114,14 @@ def test_given_a_contact_when_landed_on_then_its_largest_force_is_that_of_the_mo
     assert peak_force(stiffness, damping, mass, speed) == pytest.approx(largest, rel=1e-6)
 
 
-def test_given_ever_shorter_landings_without_restitution_when_made_then_they_give_ever_less_back() -> None:
+def test_shorter_landings_without_restitution_give_less_back() -> None:
     shares = [landing(*spring_damper(t, 0.0, 0.05), 0.05)[1] for t in (1e-2, 1e-3, 1e-4, 1e-5)]
     assert shares[0] == pytest.approx(math.exp(-2.0))
     assert all(later < 0.2 * earlier for earlier, later in pairwise(shares))
 
 
 @pytest.mark.parametrize("restitution", [0.3, 0.6, 0.9])
-def test_given_a_landing_under_no_other_force_when_simulated_then_it_is_the_closed_form(
+def test_free_landing_is_closed_form(
     restitution: float,
 ) -> None:
     # A hammer throws a free body at its bed; without gravity only the walls act between hits.
@@ -152,7 +146,7 @@ def test_given_a_landing_under_no_other_force_when_simulated_then_it_is_the_clos
     assert np.abs(run.acceleration[0, during]).max() == pytest.approx(peak / 0.8, rel=2e-3)
 
 
-def test_given_ever_shorter_landings_when_simulated_then_the_motion_converges_to_the_instant_one() -> None:
+def test_short_landings_converge_to_instant_contact() -> None:
     instant = rig.load("reference-A")
     reference = rig.simulate(instant, 0.3, rate=2000.0).displacement
     errors = []
@@ -165,7 +159,7 @@ def test_given_ever_shorter_landings_when_simulated_then_the_motion_converges_to
     assert (orders > 0.7).all()
 
 
-def test_given_dampers_at_rest_on_soft_floors_when_left_alone_then_they_stay_at_their_sag() -> None:
+def test_dampers_rest_on_soft_floors() -> None:
     scene = rig.load("reference-A").replace(shaker=None, test={"kind": "free", "displacement": [0.0] * 3})
     scene = scene.replace(dampers=[d.replace(contact={"duration": 5e-3}) for d in scene.dampers])
     run = rig.simulate(scene, 0.5, rate=500.0)
@@ -176,7 +170,7 @@ def test_given_dampers_at_rest_on_soft_floors_when_left_alone_then_they_stay_at_
     np.testing.assert_allclose(run.displacement, run.displacement[:, :1] * np.ones(len(run.time)), rtol=1e-9)
 
 
-def test_given_a_drive_in_blocks_when_the_plant_runs_then_the_motion_has_the_same_bits() -> None:
+def test_finite_contact_blocks_change_no_bit() -> None:
     scene = rig.load("reference-C")
     scene = scene.replace(
         dampers=[d.replace(contact={"duration": 1e-3}, restitution=0.2) for d in scene.dampers]

@@ -36,7 +36,7 @@ def free(masses: list[float], springs: list[float], velocity: list[float], **cha
     )
 
 
-def test_given_three_identical_uncoupled_oscillators_when_they_hit_then_they_hit_in_exact_unison() -> None:
+def test_identical_oscillators_hit_in_unison() -> None:
     scene = rig.Scene.model_validate(
         {
             "structure": {
@@ -64,7 +64,7 @@ def test_given_three_identical_uncoupled_oscillators_when_they_hit_then_they_hit
     assert np.abs(run.displacement - run.displacement[0]).max() < 1e-15
 
 
-def test_given_a_hundred_thousand_periods_when_run_then_the_motion_has_not_drifted() -> None:
+def test_hundred_thousand_periods_do_not_drift() -> None:
     scene = single({"clearance": 1.5e-3}, frequency=8.0)
     every, late = 128, 102_400
     run = rig.simulate(scene, late / 8.0, rate=8.0 / every)
@@ -73,7 +73,7 @@ def test_given_a_hundred_thousand_periods_when_run_then_the_motion_has_not_drift
     assert np.ptp(settled) < 1e-16
 
 
-def test_given_a_million_periods_of_a_linear_structure_when_run_then_amplitude_and_phase_are_exact() -> None:
+def test_million_linear_periods_are_exact() -> None:
     scene = rig.load("bare-structure").replace(
         test={"kind": "sine", "frequency": 32.0, "force": 2.6}, shaker={"kind": "force", "body": 1}
     )
@@ -83,7 +83,7 @@ def test_given_a_million_periods_of_a_linear_structure_when_run_then_amplitude_a
     assert np.abs(run.displacement[:, -100:] - exact.imag).max() < 1e-12 * np.abs(exact).min()
 
 
-def test_given_a_vanishing_mass_when_run_then_the_damper_is_the_inelastic_bouncing_ball() -> None:
+def test_vanishing_mass_is_inelastic_bouncing_ball() -> None:
     scene = single({"mass": 1e-9}, damping=0.1, force=25.0)
     run = rig.simulate(scene, 12.0, rate=100.0)
     omega = 2 * np.pi * scene.test.frequency
@@ -99,14 +99,14 @@ def test_given_a_vanishing_mass_when_run_then_the_damper_is_the_inelastic_bounci
     assert omega * (landings[-1] - off) == pytest.approx(flight.end - flight.start, abs=1e-7)
 
 
-def test_given_a_damper_ten_times_its_body_when_run_then_the_energy_is_accounted_for() -> None:
+def test_heavy_damper_balances_energy() -> None:
     scene = single({"mass": 10.0, "clearance": 1e-3}, force=120.0, frequency=3.2)
     run = rig.simulate(scene, 20.0, rate=500.0)
     assert {"floor", "separation"} <= set(run.events["kind"])
     assert abs(run.energy.residual) < 1e-12 * (run.energy.dissipated + run.energy.impacts)
 
 
-def test_given_a_clearance_of_a_nanometre_when_run_then_the_motion_is_that_of_the_locked_damper() -> None:
+def test_nanometre_clearance_moves_as_locked() -> None:
     scene = single({"clearance": 1e-9}, force=8.0)
     locked = rig.simulate(scene.replace(dampers=[scene.dampers[0].replace(locked=True)]), 1.0, rate=500.0)
     run = rig.simulate(scene, 1.0, rate=500.0)
@@ -115,7 +115,7 @@ def test_given_a_clearance_of_a_nanometre_when_run_then_the_motion_is_that_of_th
     assert np.abs(run.displacement - locked.displacement).max() < 2e-7 * np.abs(locked.displacement).max()
 
 
-def test_given_a_floating_chain_when_its_dampers_fly_then_momentum_changes_by_weight_and_time_alone() -> None:
+def test_floating_chain_momentum_changes_by_weight_alone() -> None:
     scene = free(
         [1.0, 0.8],
         [0.0, 4e3],
@@ -134,9 +134,7 @@ def test_given_a_floating_chain_when_its_dampers_fly_then_momentum_changes_by_we
     np.testing.assert_allclose(momentum[riding], expected[riding], rtol=1e-12, atol=1e-12)
 
 
-def test_given_a_floating_chain_without_dampers_when_set_free_then_it_drifts_and_swings_as_the_closed_form() -> (
-    None
-):
+def test_free_floating_chain_is_closed_form() -> None:
     run = rig.simulate(free([1.0, 3.0], [0.0, 4e3], [1.0, 0.0]), 2.0, rate=100.0)
     swing = np.sqrt(4e3 * (1 + 1 / 3))
     centre = 0.25 * run.time
@@ -144,7 +142,7 @@ def test_given_a_floating_chain_without_dampers_when_set_free_then_it_drifts_and
     np.testing.assert_allclose(run.displacement[0], exact, atol=1e-12 * np.abs(exact).max())
 
 
-def test_given_a_spring_of_1e9_newtons_per_metre_beside_ours_when_run_then_its_motion_is_exact() -> None:
+def test_extremely_stiff_spring_is_exact() -> None:
     scene = free([0.74, 0.71, 0.64], [24.3e3, 1e9, 19.8e3], [0.1, 0.2, -0.1])
     run = rig.simulate(scene, 0.01, rate=1000.0)
     segment = Segment(scene, ())
@@ -158,9 +156,7 @@ def test_given_a_spring_of_1e9_newtons_per_metre_beside_ours_when_run_then_its_m
     assert abs(rattling.energy.residual) < 1e-10 * turnover
 
 
-def test_given_restitution_095_when_the_body_has_come_to_rest_then_the_damper_bounces_out_in_finite_time() -> (
-    None
-):
+def test_restitution_bounces_end_in_finite_time() -> None:
     # A light ball over a body that damping stops at once: a geometric sequence of flights.
     scene = rig.Scene.model_validate(
         {
@@ -181,7 +177,7 @@ def test_given_restitution_095_when_the_body_has_come_to_rest_then_the_damper_bo
 
 
 @pytest.mark.thorough
-def test_given_a_hundred_bodies_with_twenty_dampers_when_driven_then_the_ledger_closes() -> None:
+def test_hundred_bodies_balance_energy() -> None:
     bodies = 100
     scene = rig.Scene.model_validate(
         {
@@ -205,9 +201,7 @@ def test_given_a_hundred_bodies_with_twenty_dampers_when_driven_then_the_ledger_
     assert abs(run.energy.residual) < 1e-10 * turnover
 
 
-def test_given_no_weight_and_a_motion_that_only_begins_when_run_then_it_goes_on_past_its_first_instants() -> (
-    None
-):
+def test_weightless_motion_passes_its_first_instants() -> None:
     # Within a step what comes through the chain grows from 1e-44 m: rounding at its end hides its beginning.
     scene = rig.Scene.model_validate(
         {

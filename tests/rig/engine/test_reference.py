@@ -50,7 +50,7 @@ def proven_events() -> list[tuple[mpf, int, str]]:
 
 
 @pytest.mark.usefixtures("tabulated")
-def test_given_reference_case_a_when_run_then_all_463_proven_events_come_within_1e_12_s() -> None:
+def test_reference_case_a_events_are_exact() -> None:
     proven = proven_events()
     events = run_of("reference-A").events
     assert len(proven) == len(events) == 463
@@ -59,7 +59,7 @@ def test_given_reference_case_a_when_run_then_all_463_proven_events_come_within_
 
 
 @pytest.mark.thorough
-def test_given_case_a_when_carried_on_to_40_digits_through_its_events_then_positions_agree_to_1e_12() -> None:
+def test_case_a_positions_agree_to_forty_digits() -> None:
     scene = rig.load("reference-A")
     run = run_of("reference-A")
     segments: dict[tuple[int, ...], Segment] = {}
@@ -85,15 +85,13 @@ def test_given_case_a_when_carried_on_to_40_digits_through_its_events_then_posit
 
 @pytest.mark.usefixtures("tabulated")
 @pytest.mark.parametrize(("name", "count"), [("reference-B", 273), ("reference-C", 984)])
-def test_given_reference_cases_b_and_c_when_run_then_the_counts_are_the_known_ones(
-    name: str, count: int
-) -> None:
+def test_reference_cases_b_and_c_event_counts(name: str, count: int) -> None:
     run = run_of(name)
     assert len(run.events) == count
     assert run.ambiguous == 0
 
 
-def test_given_case_b_when_its_ceiling_graze_at_period_80_comes_then_it_is_hit_at_7_mm_per_s() -> None:
+def test_case_b_hits_its_grazed_ceiling() -> None:
     events = run_of("reference-B").events
     period = events["time"] * 312.4 / (2 * np.pi)
     graze = events[(period > 80) & (period < 81) & (events["kind"] == "ceiling")]
@@ -102,7 +100,7 @@ def test_given_case_b_when_its_ceiling_graze_at_period_80_comes_then_it_is_hit_a
 
 
 @pytest.mark.thorough
-def test_given_random_scenes_when_an_independent_solver_runs_them_then_it_finds_the_same_events() -> None:
+def test_independent_solver_has_the_same_events() -> None:
     random = np.random.default_rng(11)
     for _ in range(4):
         scene = _random_scene(random)
@@ -170,7 +168,7 @@ def _highest_gap(scene: rig.Scene) -> tuple[mpf, mpf]:
 
 
 @pytest.mark.parametrize("depth", [1e-6, 1e-9, 1e-12, 1e-15])
-def test_given_a_ceiling_just_below_or_above_the_highest_gap_when_run_then_only_the_lower_one_is_hit(
+def test_only_the_lower_ceiling_is_hit(
     depth: float,
 ) -> None:
     scene = single(start="empty")
@@ -186,7 +184,7 @@ def test_given_a_ceiling_just_below_or_above_the_highest_gap_when_run_then_only_
 
 
 @pytest.mark.parametrize("depth", [1e-2, 1e-6, 1e-10, 1e-12])
-def test_given_a_contact_force_that_dips_below_zero_or_not_when_run_then_it_separates_only_if_it_does(
+def test_separates_only_where_the_force_dips_below_zero(
     depth: float,
 ) -> None:
     # From its static equilibrium the riding damper's acceleration is F a(t), whatever gravity is: with the
@@ -210,7 +208,7 @@ def test_given_a_contact_force_that_dips_below_zero_or_not_when_run_then_it_sepa
     assert 0.0 < float(when) - found[1]["time"][0] < 0.05 * np.sqrt(depth)
 
 
-def test_given_zero_damping_at_exact_resonance_when_run_then_it_grows_as_the_closed_form() -> None:
+def test_undamped_resonance_grows_as_closed_form() -> None:
     scene = single().replace(dampers=())
     structure = scene.structure.replace(damping=None)
     natural = np.sqrt(structure.springs[0]) / (2 * np.pi)
@@ -225,7 +223,7 @@ def test_given_zero_damping_at_exact_resonance_when_run_then_it_grows_as_the_clo
         assert abs(run.displacement[0, k] - exact) < 1e-12 * envelope
 
 
-def test_given_critical_damping_when_set_free_then_it_returns_as_the_closed_form() -> None:
+def test_critically_damped_return_is_closed_form() -> None:
     omega = 2 * np.pi * 10.0
     scene = rig.loads(
         f"""
@@ -239,7 +237,7 @@ def test_given_critical_damping_when_set_free_then_it_returns_as_the_closed_form
     np.testing.assert_allclose(run.displacement[0], exact, rtol=1e-12, atol=1e-28)
 
 
-def test_given_no_dampers_when_response_is_followed_then_it_is_the_linear_receptance() -> None:
+def test_response_without_dampers_is_linear_receptance() -> None:
     from rig.system.structural_model import receptance
 
     scene = rig.load("reference-C").replace(dampers=())
@@ -260,18 +258,14 @@ def test_given_no_dampers_when_response_is_followed_then_it_is_the_linear_recept
         ({"drive": np.zeros((2, 100))}, "expected (1, samples)"),
     ],
 )
-def test_given_bad_arguments_when_simulated_then_the_error_names_them(
-    change: dict[str, object], words: str
-) -> None:
+def test_bad_arguments_are_named(change: dict[str, object], words: str) -> None:
     arguments = {"duration": 0.1, "rate": 1000.0, **change}
     with pytest.raises(SceneError) as error:
         rig.simulate("reference-A", **arguments)
     assert words in str(error.value)
 
 
-def test_given_a_drive_with_a_sample_that_is_no_number_when_advanced_then_sample_and_input_are_named() -> (
-    None
-):
+def test_drive_sample_that_is_not_finite_is_named() -> None:
     plant = rig.Plant(rig.load("fig9"), 5120.0)
     plant.advance(np.zeros((1, 10)))
     drive = np.zeros((1, 10))
@@ -288,9 +282,7 @@ def test_given_a_drive_with_a_sample_that_is_no_number_when_advanced_then_sample
         ({"mass": [[1.0, 0.0], [0.0, 1.0]], "stiffness": [[float("nan"), 0.0], [0.0, 1e3]]}, "stiffness"),
     ],
 )
-def test_given_impossible_matrices_when_the_scene_is_made_then_they_are_named(
-    matrices: dict[str, object], words: str
-) -> None:
+def test_impossible_matrices_are_named(matrices: dict[str, object], words: str) -> None:
     with pytest.raises(SceneError, match=words):
         rig.load("bare-structure").replace(structure={"matrices": matrices}, channels=None)
 
@@ -298,7 +290,7 @@ def test_given_impossible_matrices_when_the_scene_is_made_then_they_are_named(
 @pytest.mark.parametrize(
     ("key", "value"), [("clearance", -1e-3), ("restitution", 1.0), ("mass", float("nan"))]
 )
-def test_given_an_impossible_damper_when_the_scene_is_made_then_it_is_named(key: str, value: float) -> None:
+def test_impossible_damper_is_named(key: str, value: float) -> None:
     damper = {"body": 1, "mass": 0.1, "clearance": 1e-3, key: value}
     with pytest.raises(SceneError, match=key):
         rig.load("reference-B").replace(dampers=[damper])

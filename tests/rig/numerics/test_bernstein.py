@@ -24,11 +24,11 @@ def padded(*coefficients: float) -> np.ndarray:
     return series
 
 
-def test_given_a_positive_guard_when_searched_then_there_is_no_crossing() -> None:
+def test_positive_guard_has_no_crossing() -> None:
     assert crossing(padded(1.0, -0.5, 0.2)) == (NONE, 0)
 
 
-def test_given_two_roots_when_searched_then_the_first_one_is_found() -> None:
+def test_first_of_two_roots_is_returned() -> None:
     tau, ambiguous = crossing(padded(0.3 * 0.7, -1.0, 1.0))
 
     assert tau == pytest.approx(0.3, abs=1e-15)
@@ -36,7 +36,7 @@ def test_given_two_roots_when_searched_then_the_first_one_is_found() -> None:
 
 
 @pytest.mark.parametrize("depth", [1e-3, 1e-6, 1e-9, 1e-12, 1e-13])
-def test_given_a_graze_of_some_depth_when_searched_then_it_is_found(depth: float) -> None:
+def test_deep_graze_is_detected(depth: float) -> None:
     tau, ambiguous = crossing(padded(0.25 - depth, -1.0, 1.0))
 
     assert tau == pytest.approx(0.5 - np.sqrt(depth), abs=1e-7)
@@ -44,28 +44,28 @@ def test_given_a_graze_of_some_depth_when_searched_then_it_is_found(depth: float
 
 
 @pytest.mark.parametrize("height", [1e-3, 1e-9, 1e-13])
-def test_given_a_near_miss_when_searched_then_nothing_is_found(height: float) -> None:
+def test_near_miss_is_not_detected(height: float) -> None:
     assert crossing(padded(0.25 + height, -1.0, 1.0)) == (NONE, 0)
 
 
-def test_given_a_dip_within_rounding_when_searched_then_it_is_no_event_and_is_counted() -> None:
+def test_dip_within_rounding_is_ambiguous() -> None:
     tau, ambiguous = crossing(padded(0.25, -1.0, 1.0))
 
     assert tau == NONE
     assert ambiguous == 1
 
 
-def test_given_a_guard_at_zero_and_falling_when_searched_then_it_is_an_event_now() -> None:
+def test_falling_zero_is_an_event_now() -> None:
     assert crossing(padded(1e-17, -0.3, 0.1))[0] == 0.0
 
 
-def test_given_a_guard_at_zero_and_rising_when_searched_then_its_return_is_found() -> None:
+def test_rising_zero_returns_later() -> None:
     tau, _ = crossing(padded(0.0, 0.4, -1.0))
 
     assert tau == pytest.approx(0.4, abs=1e-15)
 
 
-def test_given_a_triple_root_at_the_start_when_deflated_then_the_landing_is_found() -> None:
+def test_deflated_triple_root_lands() -> None:
     # What a damper does after it separates: tau^3 (0.6 - tau), its low coefficients at rounding level.
     series = padded(3e-18, -2e-18, 1e-18, 0.6, -1.0)
 
@@ -74,9 +74,7 @@ def test_given_a_triple_root_at_the_start_when_deflated_then_the_landing_is_foun
 
 
 @given(st.lists(st.floats(-1.5, 2.5), min_size=2, max_size=8), st.integers(0, 3))
-def test_given_random_roots_when_searched_then_the_first_sign_change_in_reach_is_found(
-    roots: list[float], multiplicity: int
-) -> None:
+def test_first_sign_change_of_random_roots(roots: list[float], multiplicity: int) -> None:
     roots = [r for r in roots if abs(r) > 1e-2]
     inside = sorted(r for r in roots if 0.0 < r <= 1.0)
     if any(b - a < 1e-3 for a, b in pairwise(inside)) or any(abs(r - 1) < 1e-6 for r in inside):

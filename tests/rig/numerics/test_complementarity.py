@@ -30,9 +30,7 @@ def by_trying(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
 
 
 @given(st.integers(0, 10_000), st.integers(1, 6))
-def test_given_a_positive_definite_problem_when_solved_then_every_combination_agrees(
-    seed: int, count: int
-) -> None:
+def test_solution_agrees_with_every_combination(seed: int, count: int) -> None:
     rng = np.random.default_rng(seed)
     factor = rng.standard_normal((count, count))
     matrix = factor @ factor.T + 0.1 * np.eye(count)
@@ -48,5 +46,5 @@ def test_given_separating_contacts_when_solved_then_none_pushes() -> None:
     assert (solved(np.eye(3), np.ones(3)) == 0.0).all()
 
 
-def test_given_one_contact_when_solved_then_it_closes_exactly() -> None:
+def test_single_contact_closes_exactly() -> None:
     assert solved(np.array([[4.0]]), np.array([-2.0]))[0] == 0.5

@@ -10,7 +10,7 @@ def circle(x: Vector) -> tuple[Vector, Vector]:
     return np.array([x @ x - 1]), 2 * x[None, :]
 
 
-def test_given_a_circle_when_followed_then_the_curve_closes_and_its_folds_are_at_plus_and_minus_one() -> None:
+def test_circle_closes_with_folds_at_unit_radius() -> None:
     curve = trace(circle, np.array([1.0, 0.0]), (-2, 2), np.ones(2))
 
     assert curve.ends == ("closed", "closed")
@@ -18,7 +18,7 @@ def test_given_a_circle_when_followed_then_the_curve_closes_and_its_folds_are_at
     np.testing.assert_allclose(sorted(locate_folds(circle, curve)[:, 1]), [-1, 1], atol=1e-12)
 
 
-def test_given_a_range_when_the_curve_leaves_it_then_it_ends_on_the_bound_exactly() -> None:
+def test_curve_ends_on_its_bound_exactly() -> None:
     curve = trace(circle, np.array([1.0, 0.0]), (-0.5, 0.75), np.ones(2))
 
     assert curve.ends == ("range", "range")
@@ -27,7 +27,7 @@ def test_given_a_range_when_the_curve_leaves_it_then_it_ends_on_the_bound_exactl
     assert np.abs(np.hypot(*curve.points.T) - 1).max() < 1e-12
 
 
-def test_given_a_border_when_the_curve_crosses_it_then_it_ends_just_before_with_the_borders_name() -> None:
+def test_curve_ends_just_before_a_border() -> None:
     curve = trace(
         circle,
         np.array([1.0, 0.0]),
@@ -40,7 +40,7 @@ def test_given_a_border_when_the_curve_crosses_it_then_it_ends_just_before_with_
     assert 0.3 - 1e-9 < curve.points[-1, 1] <= 0.3
 
 
-def test_given_a_curve_that_ends_in_nowhere_when_followed_then_the_last_good_point_is_told() -> None:
+def test_lost_curve_reports_its_last_point() -> None:
     def half_parabola(x: Vector) -> tuple[Vector, Vector]:
         with np.errstate(invalid="ignore"):
             root = np.sqrt(x[1]) if x[1] >= 0 else np.nan
@@ -54,6 +54,6 @@ def test_given_a_curve_that_ends_in_nowhere_when_followed_then_the_last_good_poi
     assert 0 <= curve.points[0, -1] < 1e-6
 
 
-def test_given_no_solution_when_the_parameter_is_held_then_it_says_so() -> None:
+def test_unsolvable_parameter_is_reported() -> None:
     with pytest.raises(NoConvergence):
         solve_at(circle, np.array([0.1, 0.0]), 2.0, np.ones(2), Steps())

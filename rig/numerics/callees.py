@@ -1,0 +1,60 @@
+"""Faster compiling, and faster kernels with the same bits, by internals of numba: see `rig.numerics.jit`.
+
+A callee gets no wrapper for Python, is optimized in its callers, and is compiled once per type, not per constant.
+Kernels create no arrays: they need no reference counting (`_nrt`), and no registries of numba when they are loaded.
+"""
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import numba
+from numba.core import types
+from numba.core.caching import FunctionCache
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Compiler
+
+# An `AttributeError` here selects the public options alone.
+getattr(JITCodeLibrary, "_optimize_final_module"), getattr(FunctionCache, "_load_overload")  # noqa: B009
+
+
+class _CalleeLibrary(JITCodeLibrary):
+    def _optimize_final_module(self) -> None: ...
+
+    def _finalize_final_module(self) -> None:
+        self._finalized = True
+
+
+class _CalleeCompiler(Compiler):
+    def define_pipelines(self) -> Any:
+        state, flags = self.state, self.state.flags
+        flags.no_compile = flags.no_cpython_wrapper = flags.no_cfunc_wrapper = True
+        state.library = _CalleeLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
+        return super().define_pipelines()
+
+
+def _callee(function: Callable[..., object], options: dict[str, Any]) -> Any:
+    dispatcher: Any = numba.njit(**options, pipeline_class=_CalleeCompiler)(function)
+
+    def add_overload(result: Any) -> None:
+        dispatcher.overloads[tuple(result.signature.args)] = result
+        result.target_context.insert_user_function(result.fndesc, result.fndesc, [result.library])
+
+    dispatcher.add_overload = add_overload
+    return dispatcher
+
+
+def njit(function: Callable[..., object], kernel: bool, cache: bool, **options: Any) -> Any:
+    """Compile a function; a kernel creates no arrays."""
+    options |= {"_nrt": False} if kernel else {}
+    dispatcher: Any = numba.njit(cache=cache, **options)(function)
+    callee = functools.cache(lambda: _callee(function, options))
+
+    def get_call_template(args: tuple[Any, ...], kws: dict[str, Any]) -> Any:
+        return callee().get_call_template(tuple(map(types.unliteral, args)), kws)
+
+    dispatcher.get_call_template = get_call_template
+    dispatcher.get_overload = lambda args: callee().overloads[args].fndesc
+    if kernel and cache:
+        dispatcher._cache.load_overload = dispatcher._cache._load_overload  # noqa: SLF001
+    return dispatcher

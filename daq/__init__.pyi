@@ -1,5 +1,6 @@
 # The public names and where they live; `__init__.py` imports each when it is first used.
 
+from .compiling import warm_up
 from .foresight.foresee import foresee
 from .importing.import_files import import_, import_files
 from .live_scope.scope import scope
@@ -30,4 +31,5 @@ __all__ = [
     "run",
     "scope",
     "serve",
+    "warm_up",
 ]

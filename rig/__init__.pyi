@@ -1,5 +1,6 @@
 # The public names and where they live; `__init__.py` imports each when it is first used.
 
+from .compiling import warm_up
 from .damper_design.design import Design, design
 from .effects.explanation import Explanation, explain
 from .motion_map.motion_map import MotionMap, map_motion
@@ -40,4 +41,5 @@ __all__ = [
     "orbit_response",
     "periodic_orbit",
     "simulate",
+    "warm_up",
 ]

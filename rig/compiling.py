@@ -1,0 +1,36 @@
+"""Compile machine code ahead of its use: the first result on a machine otherwise waits for it."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from rig.errors import SceneError
+from rig.orbits.sweep import orbit_response
+from rig.scene.loading import load
+from rig.simulation.simulate import simulate
+
+Part = Literal["engine", "orbits"]
+
+
+def warm_up(*parts: Part) -> None:
+    """Compile the kernels of the given parts now, or of all parts.
+
+    Parameters
+    ----------
+    parts : "engine" or "orbits"
+        `simulate`, `frequency_response` and `daq.record` use the engine alone; the other functions on periodic
+        orbits use both.
+
+    Raises
+    ------
+    SceneError
+        If a part does not exist.
+    """
+    scene = load("fig9")
+    for part in parts or ("engine", "orbits"):
+        if part == "engine":
+            simulate(scene, 0.01)
+        elif part == "orbits":
+            orbit_response(scene, [49.0])
+        else:
+            raise SceneError(f"warm_up: there is no part {part!r}. Name engine or orbits.")

@@ -1,0 +1,33 @@
+"""What is warmed up needs no compiling afterwards."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+import rig
+from rig.errors import SceneError
+
+AFTERWARDS = """
+import daq
+daq.warm_up()
+import numpy as np
+from numba.core.event import install_recorder
+from daq.signal_chain.bench import Bench
+from tests.benchmarks.chain import full_scene
+with install_recorder("numba:compile") as recorder:
+    Bench(full_scene()).acquire(np.zeros((1, 10)))
+print(sorted({event.data["dispatcher"].py_func.__qualname__ for _, event in recorder.buffer}))
+"""
+
+
+def test_nothing_compiles_after_warm_up() -> None:
+    done = subprocess.run([sys.executable, "-c", AFTERWARDS], check=True, capture_output=True, text=True)
+    assert done.stdout == "[]\n"
+
+
+def test_unknown_part_is_rejected() -> None:
+    with pytest.raises(SceneError, match="no part 'wheels'"):
+        rig.warm_up("wheels")  # type: ignore[arg-type]

@@ -8,14 +8,13 @@ from rig.scene.measurement_chain import Integrator
 
 
 def integrating_amplifier(settings: Integrator) -> Stage:
-    """Describe an integrating amplifier of order n.
+    """Describe an integrating amplifier of order n, ``gain / (s + w)^n`` with w = 2 pi corner.
 
-    Its transfer function is ``gain / (s + w)^n`` with w = 2 pi corner: above the corner it integrates n
-    times, and output = gain x integral of input, volts and seconds; below, each integration turns into plain
-    gain 1 / w, as if a high pass ``s / (s + w)`` followed it. With corner 0 it integrates down to zero
-    frequency, and any offset in front of it grows without end. A low cut-off puts one more high pass at the
-    input. Each integration takes an equal share of the gain, and neither stage's output can exceed the
-    saturation voltage. Noise is that of its output.
+    Above the corner it integrates n times, and output = gain x integral of input, volts and seconds; below, each
+    integration becomes a plain gain 1 / w, as if a high pass ``s / (s + w)`` followed it. With corner 0 it integrates
+    down to zero frequency, and any offset in front of it grows without bound. A low cut-off adds a high pass at the
+    input. Each integration has an equal share of the gain, and neither output exceeds the saturation voltage. The noise
+    is that of the output.
 
     Examples
     --------

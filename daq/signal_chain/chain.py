@@ -33,16 +33,15 @@ Array = NDArray[np.float64]
 class Chain:
     """All channels of a scene, up to the converter's input.
 
-    Between samples a point's acceleration is taken as cubics joined at samples and breaks (`daq.dsp.interpolation`);
-    impacts enter as impulses at their own instants. The analogue stages are linear and carried exactly for
-    that input (`daq.dsp.propagation`). What a sample holds depends on the channel
-    (`daq.signal_chain.sampling`): a decimation filter is applied where the scene names one; without it, unless the
-    scene says how it samples, a signal that has passed an integrator is read at the instant of the sample; any other,
-    which may hold impulses and the ringing of a resonance, is averaged over the interval that ends at the sample.
-    Everything is at rest before sample 0, where only changes of position count.
+    Between samples a point's acceleration is a row of cubics joined at samples and breaks (`daq.dsp.interpolation`);
+    impacts enter as impulses at their instants. The analogue stages are linear and propagated exactly for that input
+    (`daq.dsp.propagation`). How a sample is taken depends on the channel (`daq.signal_chain.sampling`): behind a
+    decimation filter where the scene names one; otherwise, unless the scene says how, a signal behind an integrator is
+    read at the instant of the sample, and any other, which may hold impulses and the ringing of a resonance, is
+    averaged over the interval that ends at the sample. Everything is at rest before sample 0.
 
-    Each channel has its own random numbers, from the seed and its name: what another channel or stage does
-    cannot change them. Results do not depend on how a motion is split into blocks.
+    Each channel has its own random numbers, from the seed and its name, which no other channel or stage changes.
+    Results do not depend on how a motion is split into blocks.
 
     Parameters
     ----------
@@ -56,21 +55,21 @@ class Chain:
     Attributes
     ----------
     channels : tuple of ChannelInfo
-        The channels; sizes of counts are the converter's business.
+        The channels, without the converter's counts.
     effects : dict of str to dict of str to int
-        For each channel the effects that are on, in the order of the signal, each with the states it adds.
+        For each channel its effects, in the order of the signal, each with the states it adds.
     wiring : tuple of Channel
         The channels of the scene as they are set now, see `rewire`.
     latency : int
-        By how many samples the numbers of the samples given lag behind those of the motion: the decimation
-        filter's delay where the scene has it removed. So many samples fewer come out at first.
+        Samples by which the readings lag behind the motion, and by which fewer come out at first: the decimation
+        filter's delay where the scene has it removed.
     overload : ndarray of bool, shape (channels, samples)
-        In which of the samples that `measure` gave last a limit of sensor or amplifier has a part.
+        Whether a limit of sensor or amplifier has affected each of the latest samples of `measure`.
 
     Raises
     ------
     SceneError
-        If a channel sits where nothing is, or a preset is unknown.
+        If a channel is at a place that does not exist, or a preset is unknown.
 
     Examples
     --------
@@ -100,7 +99,7 @@ class Chain:
         self.effects = {info.name: effects for _, info, effects in wired}
 
     def _wire(self, row: int, channel: Channel) -> tuple[SignalPath, ChannelInfo, dict[str, int]]:
-        """Set a channel up, from rest."""
+        """Set up a channel, from rest."""
         scene, clock, delay = self._scene, self._clock, self._late[row]
         settings, converter = input_settings(scene.converter, channel), filled_in(scene.converter)
         line = stages(channel, settings, scene.seed)
@@ -114,9 +113,9 @@ class Chain:
         return path, info, effects
 
     def rewire(self, wiring: Sequence[Channel]) -> None:
-        """Set couplings and supplies of the channels anew.
+        """Change couplings and supplies of the channels.
 
-        A channel that changes begins from rest with the next block, its sensor just switched on; the others go on.
+        A channel that changes restarts from rest with the next block, its sensor just switched on.
 
         Parameters
         ----------
@@ -159,7 +158,7 @@ class Chain:
         return volts[:, max(self.latency - first, 0) :]
 
     def _from_outside(self, name: str, factor: float, forces: Array | None, count: int) -> Array:
-        """Force or voltage at a channel, a factor times the input of a name; a hammer that is not used lies still."""
+        """Force or voltage at a channel: a factor times an input; zero of a hammer that is not used."""
         if forces is None or name not in self._inputs:
             return np.zeros(count)
         return np.ascontiguousarray(factor * forces[self._inputs.index(name)], dtype=float)
@@ -208,7 +207,7 @@ def stages(channel: Channel, converter: Converter, seed: int) -> tuple[Stage, ..
 
 
 def _source(channel: Channel, scene: Scene) -> tuple[str, float]:
-    """Name the input that a channel measures, and what it reads per unit of it."""
+    """Return the input that a channel measures, and its reading per unit."""
     if not channel.measures_voltage:
         return channel.at, 1.0
     number = channel.number or 1

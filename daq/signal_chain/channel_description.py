@@ -1,4 +1,4 @@
-"""What is known of a channel: data sheets of its parts as text, its response, the effects that are on."""
+"""Description of a channel: data sheets of its parts as text, its response, its effects."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _BY_SENSOR: dict[str, Quantity] = {"hammer": "force", "cable": "voltage"}
 def channel_info(
     name: str, at: str, stages: Sequence[Stage], converter: Converter, clock: SampleClock, delay: float
 ) -> ChannelInfo:
-    """Say how a channel's readings relate to what is there.
+    """Describe how a channel's readings relate to the quantity at its place.
 
     Parameters
     ----------
@@ -36,8 +36,7 @@ def channel_info(
     gain = float(np.prod([section.gain for section in sections]))
     for stage in stages[1:]:
         gain /= stage.nominal
-    # From acceleration to what is read: one more zero at zero frequency for each integration. Those that meet
-    # a pole there cancel it.
+    # From acceleration to the reading: one more zero at 0 Hz for each integration, which cancels a pole there.
     zeros += [0j] * order
     for _ in range(min(zeros.count(0j), poles.count(0j))):
         zeros.remove(0j)
@@ -62,23 +61,17 @@ def channel_info(
 
 
 def channel_effects(stages: Sequence[Stage], converter: Converter, delay: float) -> dict[str, int]:
-    """List the effects that are on in a channel, in the order of the signal, with the states each adds.
-
-    Parameters
-    ----------
-    stages, converter, delay
-        As in `channel_info`.
-    """
-    found: dict[str, int] = {}
+    """List the effects in a channel, in the order of the signal, with the states each adds."""
+    effects: dict[str, int] = {}
     for stage in stages:
         for name, states in stage.effects.items():
-            found[f"{stage.name} {name}" if name in found else name] = states
+            effects[f"{stage.name} {name}" if name in effects else name] = states
     if converter.filter is not None:
-        found["decimation filter"] = 2 * DELAY
+        effects["decimation filter"] = 2 * DELAY
     elif is_averaged(stages, converter):
-        found["averaging"] = 1
+        effects["averaging"] = 1
     else:
-        found["point sampling"] = 0
+        effects["point sampling"] = 0
     named = {
         "skew": delay or None,
         "jitter": converter.jitter,
@@ -86,4 +79,4 @@ def channel_effects(stages: Sequence[Stage], converter: Converter, delay: float)
         "clipping": converter.range,
         "quantisation": converter.bits,
     }
-    return found | {name: 0 for name, value in named.items() if value is not None}
+    return effects | {name: 0 for name, value in named.items() if value is not None}

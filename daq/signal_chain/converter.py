@@ -24,11 +24,9 @@ class SampleClock:
     """The rate of the samples."""
 
     rate: float
-    """As stated: what was asked for or, from a module, the next rate above it that its clock can be divided
-    to, Hz."""
+    """As stated: the requested rate or, of a module, the next rate above it that its clock divides to, Hz."""
     true_rate: float
-    """What it really is, the clock's error included, Hz. Everything on the bench runs at it, drive as
-    well."""
+    """With the clock's error, Hz. Everything on the bench runs at it, the drive as well."""
 
     @classmethod
     def of(cls, settings: Settings) -> SampleClock:
@@ -51,7 +49,7 @@ class SampleClock:
 
 
 def coupling(settings: Settings) -> tuple[Stage, ...]:
-    """Describe what lies between a converter's connector and its input: a capacitor, if it is AC coupled."""
+    """Describe the circuit between a converter's connector and its input: a capacitor, if it is AC coupled."""
     if settings.coupling != "AC":
         return ()
     corner = DEFAULT_AC_CORNER if settings.ac_corner is None else settings.ac_corner
@@ -60,7 +58,7 @@ def coupling(settings: Settings) -> tuple[Stage, ...]:
 
 @dataclass(frozen=True)
 class Conversion:
-    """What a converter made of a block."""
+    """Converted samples of a block."""
 
     samples: Array | NDArray[np.int32]
     """Counts (int32) where the converter has bits, else volts (float64); shape (channels, samples)."""

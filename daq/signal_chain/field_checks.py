@@ -1,4 +1,4 @@
-"""What a file says of itself, held against what it may be, where it is read; it is trusted from there on."""
+"""Checks of the fields that a file states about itself, where it is read; they are trusted from there on."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from rig.errors import RecordingError
 from rig.escaping import is_line
 
 LONGEST_NAME = 200
-# Numbers up to here are exact as floats, which sample numbers become wherever times are made of them.
+# Numbers up to this are exact as floats, which sample numbers become when times are computed from them.
 MOST_SAMPLES = 2**53
 
 
 class Check(NamedTuple):
-    """What a value may be: whether one is, and in words."""
+    """Condition on a value: a test, and in words."""
 
     holds: Callable[[Any], bool]
     expected: str
 
 
 def check(fields: Mapping[str, Any], checks: Mapping[str, Check]) -> None:
-    """Check those of the fields that are known; raise `RecordingError` at the first that is not what it may be.
+    """Check the fields that are known; raise `RecordingError` at the first invalid one.
 
     >>> check({"rate": 0.0}, {"rate": POSITIVE})
     Traceback (most recent call last):

@@ -1,4 +1,4 @@
-"""Samples in which a limit of sensor or amplifier has a part: overloads, though the converter was not at its own."""
+"""Samples that a limit of the sensor or the amplifier has affected, though the converter was within its own range."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from daq.signal_chain.stage import Stage
 
 Array = NDArray[np.float64]
 
-# A shift of zero below this share of the limit is over.
-_OVER = 1e-3
+# Share of the limit below which the shift of zero after an overload is negligible: the last digit of a data sheet.
+NEGLIGIBLE_ZERO_SHIFT = 1e-3
 
 
 class Overloads:
-    """Marks samples, block after block, from the intervals in which a limit was reached.
+    """Flags samples, block after block, from the intervals in which a limit was reached.
 
-    A sample counts as overloaded if a limit was reached in any interval that it is made of, or if the shift of zero
-    that is left behind is still more than a thousandth of the limit.
+    A sample is flagged if a limit was reached in any interval that it is made of, or if the shift of zero that an
+    overload left behind is not negligible yet.
 
     Parameters
     ----------
@@ -34,28 +34,29 @@ class Overloads:
 
     def __init__(self, stages: Sequence[Stage], rate: float, intervals: int) -> None:
         fades = [-section.a[0, 0] for section in stages[0].sections if section.name == RECOVERY]
-        self._fading = rate / fades[0] if fades else 0.0
-        self._intervals = intervals
-        self._reached = np.zeros(1)
-        # Intervals from the start of the block for which the last overload still counts.
-        self._lasts = 0
+        self._decay_intervals = rate / fades[0] if fades else 0.0
+        self._intervals_per_sample = intervals
+        self._severity = np.zeros(1)
+        self._flagged_ahead = 0
 
     def place(self, intervals: int) -> Array:
-        """Give the place for what came of the intervals; see `daq.dsp.propagation.propagate`."""
-        last, self._reached = self._reached[-1], np.empty(1 + intervals)
-        self._reached[0] = last
-        return self._reached
+        """Return the place for the severity of each interval; see `daq.dsp.propagation.propagate`."""
+        last, self._severity = self._severity[-1], np.empty(1 + intervals)
+        self._severity[0] = last
+        return self._severity
 
-    def read(self, ends: slice) -> NDArray[np.bool_]:
-        """Give the flags of the samples that end at some of these intervals."""
-        reached = self._reached[1:]
-        if self._lasts <= 0 and not reached.any():
-            return np.zeros(reached[ends].size, dtype=bool)
-        places = np.flatnonzero(reached)
-        shift = np.maximum((reached[places] - 1.0) / _OVER, 1.0)
-        until = np.zeros(reached.size + 1, dtype=np.int64)
-        until[0] = self._lasts
-        until[1 + places] = places + self._intervals + np.ceil(self._fading * np.log(shift)).astype(np.int64)
-        until = np.maximum.accumulate(until)
-        self._lasts = int(until[-1]) - reached.size
-        return (until[1:] > np.arange(reached.size))[ends]
+    def flags(self, ends: slice) -> NDArray[np.bool_]:
+        """Return the flag of each sample that ends at one of the intervals `ends`."""
+        severity = self._severity[1:]  # 0: within the limit; otherwise 1 + zero shift / limit
+        if self._flagged_ahead <= 0 and not severity.any():
+            return np.zeros(severity[ends].size, dtype=bool)
+        overloaded = np.flatnonzero(severity)
+        # The zero shift decays exponentially; count the intervals until it is negligible.
+        excess = np.maximum((severity[overloaded] - 1.0) / NEGLIGIBLE_ZERO_SHIFT, 1.0)
+        recovery = np.ceil(self._decay_intervals * np.log(excess)).astype(np.int64)
+        valid_from = np.zeros(severity.size + 1, dtype=np.int64)
+        valid_from[0] = self._flagged_ahead  # carried over from the previous block
+        valid_from[overloaded + 1] = overloaded + self._intervals_per_sample + recovery
+        valid_from = np.maximum.accumulate(valid_from)
+        self._flagged_ahead = int(valid_from[-1]) - severity.size
+        return (valid_from[1:] > np.arange(severity.size))[ends]

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 
 class Sampler(Protocol):
-    """A way to take samples."""
+    """Takes samples."""
 
     integrals: int
     """Moments of the voltage over each interval that it needs."""
@@ -30,25 +30,17 @@ class Sampler(Protocol):
     (outputs,)."""
 
     def place(self, intervals: int) -> Array:
-        """Give the place for moments, shape (at least intervals + TOGETHER, LANES).
-
-        The first `integrals` lanes of the first rows are needed.
-        """
+        """Return the place for moments, shape (at least intervals + TOGETHER, LANES); `integrals` lanes are needed."""
 
     def read(self, points: Array, ends: slice) -> Array:
-        """Give the samples, the moments being in the `place` that was given last.
+        """Return the samples in V, valid until the next call; the moments are in the latest `place`.
 
         Parameters
         ----------
         points : ndarray, shape (outputs, intervals)
-            What `rows` gave.
+            Voltages that `rows` gave.
         ends : slice
-            Those of the intervals that end at a sample.
-
-        Returns
-        -------
-        ndarray, shape (samples,)
-            V, until the next call.
+            Intervals that end at a sample.
         """
 
 
@@ -69,13 +61,14 @@ class PointSampler:
         self.rows, self.rows_input = circuit.c[None], np.array([circuit.d[0] * gain])
         self.intervals = oversampling + late
         self._late, self._voltage = late, History(late)
+        self._no_moments = np.zeros((0, LANES))
 
     def place(self, intervals: int) -> Array:
-        """Give no place: no moments are needed."""
-        return np.zeros((0, LANES))
+        """Return no place: no moments are needed."""
+        return self._no_moments
 
     def read(self, points: Array, ends: slice) -> Array:
-        """Give the samples; see `Sampler.read`."""
+        """Return the samples; see `Sampler.read`."""
         if not self._late:
             return np.asarray(points[0, ends])
         self._voltage.place(points.shape[1])[:] = points[0]
@@ -85,12 +78,7 @@ class PointSampler:
 class AverageSampler:
     """Averages the voltage over the interval that ends at the sample: for a signal that may hold impulses.
 
-    Parameters
-    ----------
-    oversampling, late : int
-        As for `FilteredSampler`.
-    buffers : BlockBuffers
-        For the averages of a block.
+    Parameters are those of `FilteredSampler`.
     """
 
     integrals = 1
@@ -103,12 +91,12 @@ class AverageSampler:
         self._averages = buffers.rows(0)
 
     def place(self, intervals: int) -> Array:
-        """Give the place for the averages; see `Sampler.place`."""
+        """Return the place for the averages; see `Sampler.place`."""
         self._averages = self._buffers.rows(intervals + TOGETHER)
         return self._averages
 
     def read(self, points: Array, ends: slice) -> Array:
-        """Give the samples; see `Sampler.read`."""
+        """Return the samples; see `Sampler.read`."""
         self._past.place(points.shape[1])[:] = self._averages[: points.shape[1], 0]
         samples = self._past.samples[ends].copy()
         for later in range(1, self._oversampling):
@@ -125,7 +113,7 @@ class FilteredSampler:
     oversampling : int
         Intervals per sample.
     late : int
-        Intervals by which what is read lies further back.
+        Intervals by which the reading lies further back.
     buffers : BlockBuffers
         For the moments of a block.
     """
@@ -140,11 +128,11 @@ class FilteredSampler:
         self.intervals = low_pass.length * oversampling + late
 
     def place(self, intervals: int) -> Array:
-        """Give the place for the moments; see `Sampler.place`."""
+        """Return the place for the moments; see `Sampler.place`."""
         return self._filter.place(intervals)
 
     def read(self, points: Array, ends: slice) -> Array:
-        """Give the samples; see `Sampler.read`."""
+        """Return the samples; see `Sampler.read`."""
         return self._filter.filter(points.shape[1])
 
 
@@ -152,12 +140,12 @@ class Jitter:
     """Takes samples early or late, through the slope of the voltage.
 
     The slope is that between samples, so that jitter acts a little less than it should on fast signals (by
-    sinc(f / rate)); its second order is left out, and so is a delay of whole intervals.
+    sinc(f / rate)); its second order is neglected, and so is a delay of whole intervals.
 
     Parameters
     ----------
     gain : float
-        Volts per unit of the input in front of them.
+        Volts per unit of the input in front of the circuit.
     deviation : float
         Standard deviation of the sampling instants, in sample intervals.
     wait : int
@@ -170,12 +158,12 @@ class Jitter:
         self._voltage = History(wait + 1)
 
     def error(self, voltage: Array, late: Array) -> Array:
-        """Give what it adds to the samples.
+        """Return the change of each sample, V.
 
         Parameters
         ----------
         voltage : ndarray, shape (samples,)
-            At the nominal sampling instants, V; what `row` and `row_input` gave.
+            At the nominal sampling instants, V, from `row` and `row_input`.
         late : ndarray, shape (samples,)
             Lateness, in standard deviations.
         """

@@ -1,4 +1,4 @@
-"""Accelerometers and force sensors: from a data sheet to what they do to the signal."""
+"""Accelerometers and force sensors: from a data sheet to their effects on the signal."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from daq.dsp.noise import generator
 from daq.signal_chain.stage import Stage, data_sheet
 from rig.scene.measurement_chain import Accelerometer, Hammer
 
-# What belongs to an effect that is named without it.
+# Values of effects that a scene names without them.
 DEFAULT_Q = 30.0
 DEFAULT_LATERAL = 0.1
 
@@ -19,12 +19,10 @@ DEFAULT_LATERAL = 0.1
 def accelerometer(settings: Accelerometer, seed: int, channel: str) -> Stage:
     """Describe an accelerometer.
 
-    Behind the mounted resonance and the low cut-off, in this order, the output may be limited; noise and
-    offset come on top. Three figures of a data sheet act as one deviation of the sensitivity, unknown to the
-    user of the channel: the tolerance (drawn evenly between its ends), the drift with temperature, and the
-    transverse sensitivity. The last lets a share of the sideways acceleration in; the rig moves vertically,
-    so that the sideways acceleration is taken as a share of the vertical one, in phase, at an angle that is
-    drawn.
+    Behind the mounted resonance and the low cut-off, in this order, the output may be limited; noise and offset are
+    added. Three figures of a data sheet act as one deviation of the sensitivity, unknown to the user of the channel:
+    the tolerance (drawn evenly between its ends), the drift with temperature, and the transverse sensitivity. The rig
+    moves vertically, so that the sideways acceleration is a share of the vertical one, in phase, at a random angle.
 
     Examples
     --------
@@ -92,5 +90,5 @@ def force_sensor(settings: Hammer, seed: int, channel: str) -> Stage:
 
 
 def unfed(sensor: Stage) -> Stage:
-    """Describe a sensor whose amplifier gets no current: it gives nothing, whatever its data sheet says."""
+    """Describe a sensor whose amplifier gets no current: its output is zero."""
     return replace(sensor, deviation=-1.0, noise=None, noise_corner=None, offset=None, settling=None)

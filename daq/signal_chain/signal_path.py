@@ -1,4 +1,4 @@
-"""One channel's way from the input to the converter."""
+"""Signal path of one channel, from the input to the converter."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ NOISE_TERMS = 3
 class SignalPath:
     """Sensor, amplifier, coupling and sampling of one channel.
 
-    What a sensor can follow and what an amplifier reaches limits the signal itself, in front of filter and samples.
+    The limits of sensor and amplifier act on the signal itself, in front of filter and samples.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ class SignalPath:
     delay : float
         Delay of what is sampled, s.
     buffers : BlockBuffers
-        That it shares with the other channels.
+        Shared with the other channels.
     """
 
     def __init__(
@@ -61,7 +61,7 @@ class SignalPath:
         circuit = Circuit.series(sections)
         sensor, rate = stages[0], clock.true_rate * oversampling
         gain = sensor.nominal * (1.0 + sensor.deviation)
-        # Whole intervals of a delay are the filter's business.
+        # The filter delays by whole intervals.
         late = int(delay * rate)
         filtered, self._oversampling, self._interval = converter.filter is not None, oversampling, 0
         self._reading = _reading(stages, circuit, gain, converter, clock, oversampling, late, buffers)
@@ -93,17 +93,12 @@ class SignalPath:
             self._noise = Noise(converter.noise, None, clock.true_rate, random)
 
     def measure(self, pieces: CubicInput, late: Array | None) -> tuple[Array, NDArray[np.bool_]]:
-        """Give the volts at the samples that end the intervals of a block, and where a limit has a part in them.
+        """Return the volts at the samples that end intervals of a block, and where a limit has affected them.
 
         Parameters
         ----------
         late : ndarray, shape (samples,), or None
-            How late each sample is taken, in standard deviations of the jitter.
-
-        Returns
-        -------
-        volts : ndarray, shape (samples,)
-        overload : ndarray of bool, shape (samples,)
+            Lateness of each sample, in standard deviations of the jitter.
         """
         if self._delay is not None:
             pieces = self._delay.shift(pieces)
@@ -125,7 +120,7 @@ class SignalPath:
             noise = np.empty(volts.size)
             self._noise.fill(noise)
             volts += noise
-        return volts, self._overloads.read(ends)
+        return volts, self._overloads.flags(ends)
 
 
 def _reading(
@@ -146,12 +141,12 @@ def _reading(
 
 
 def _rails(stages: Sequence[Stage]) -> Array:
-    """Give the voltage that each state cannot exceed."""
+    """Return the largest voltage of each state."""
     rails: list[float] = []
     for stage in stages:
+        limit = np.inf if stage.rails is None else stage.rails
         for section in stage.sections:
-            limited = stage.rails is not None and section.name == INTEGRATION
-            rails += [stage.rails if limited and stage.rails is not None else np.inf] * section.states
+            rails += [limit if section.name == INTEGRATION else np.inf] * section.states
     return np.array(rails)
 
 
@@ -174,7 +169,7 @@ def _tables(circuit: Circuit, gain: float, rate: float, integrals: int, entries:
 def _disturbances(
     stages: Sequence[Stage], channel: str, rate: float, seed: int, filtered: bool
 ) -> tuple[list[Entry], list[Disturbance]]:
-    """List the disturbances, each with the section in front of which it enters."""
+    """List the disturbances and where each enters."""
     entries: list[Entry] = []
     sources: list[Disturbance] = []
     behind = 0

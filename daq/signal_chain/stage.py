@@ -1,4 +1,4 @@
-"""What a device in a channel does to the signal, as far as a scene names it."""
+"""Effects of a device in a channel on the signal, as far as a scene names them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from rig.scene.settings import Settings
 
 @dataclass(frozen=True)
 class Stage:
-    """One device of a channel: its linear circuit and what departs from that."""
+    """One device of a channel: its linear circuit, and its deviations from that."""
 
     name: str
     """The device: accelerometer, hammer, integrator, converter."""
@@ -26,10 +26,10 @@ class Stage:
     """True sensitivity relative to the nominal one, less 1."""
     noise: float | None = None
     noise_corner: float | None = None
-    """Density of the noise at its output, V/sqrt(Hz), and below which frequency it rises as 1/f, Hz."""
+    """Density of the noise at its output, V/sqrt(Hz), and the corner below which it rises as 1/f, Hz."""
     offset: float | None = None
     settling: float | None = None
-    """Offset of its output, V, and with which time constant it settles from zero after power-on, s."""
+    """Offset of its output, V, and the time constant with which it settles from zero after power-on, s."""
     limit: float | None = None
     """Largest output the signal can reach, V."""
     rails: float | None = None
@@ -39,10 +39,10 @@ class Stage:
 
     @property
     def effects(self) -> dict[str, int]:
-        """What it does besides passing the signal on: each effect with the number of states it adds."""
-        found: dict[str, int] = {}
+        """Each effect, with the number of states it adds."""
+        effects: dict[str, int] = {}
         for section in self.sections:
-            found[section.name] = found.get(section.name, 0) + section.states
+            effects[section.name] = effects.get(section.name, 0) + section.states
         named = {
             "sensitivity deviation": (self.deviation or None, 0),
             "saturation": (self.limit or self.rails, 0),
@@ -51,22 +51,22 @@ class Stage:
             "offset": (self.offset, 0),
             "offset settling": (self.settling, 1),
         }
-        return found | {name: states for name, (there, states) in named.items() if there is not None}
+        return effects | {name: states for name, (there, states) in named.items() if there is not None}
 
 
-#: What stands in for a sensor where a voltage is measured.
+#: In place of a sensor where a voltage is measured.
 CABLE = Stage("cable")
 
 
 def is_averaged(stages: Sequence[Stage], converter: Converter) -> bool:
-    """Say whether a sample is an average over its interval: by default where the signal may hold impulses."""
+    """Whether a sample is an average over its interval: by default where the signal may hold impulses."""
     if converter.filter is not None or converter.sampling is not None:
         return converter.filter is None and converter.sampling == "average"
     return not any(section.name == INTEGRATION for stage in stages for section in stage.sections)
 
 
 def data_sheet(device: str, settings: Settings) -> dict[str, str]:
-    """List what is given of a device, as far as it is not the default, with units.
+    """List the settings of a device that are not the default, with units.
 
     >>> from rig.scene.measurement_chain import Accelerometer
     >>> data_sheet("accelerometer", Accelerometer(resonance="30 kHz"))

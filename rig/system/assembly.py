@@ -1,4 +1,4 @@
-"""From a scene to the hybrid linear system that the kernel runs; what a scene does not name adds nothing."""
+"""From a scene to the hybrid linear system of the kernel; parts that a scene does not name add nothing."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ def assemble(scene: Scene) -> HybridSystem:
     Returns
     -------
     HybridSystem
-        Coordinates are the bodies, then the tables of the shakers that have one, then the beds of dampers whose contact
-        lasts. Dampers that are locked or have no clearance are part of the mass matrix.
+        Coordinates are the bodies, then the tables of the shakers that have one, then the beds of finite-duration
+        contacts. Dampers that are locked or have no clearance are part of the mass matrix.
 
     Raises
     ------
     SceneError
         If there are more free dampers than `MOST_DAMPERS`, or the test asks for a start from the static
-        equilibrium of a structure that is not held.
+        equilibrium of a structure without support.
     """
     model = structural_model(scene)
     bodies = len(model.mass)
@@ -42,8 +42,8 @@ def assemble(scene: Scene) -> HybridSystem:
     # A finite-duration contact takes a second bit, which distinguishes the ceiling from the floor.
     most = MOST_DAMPERS // 2 if lasting else MOST_DAMPERS
     if len(free) > most:
-        beside = " where a contact lasts" if lasting else ""
-        raise SceneError(f"{len(free)} dampers that move; expected at most {most}{beside}")
+        where = " where a contact lasts" if lasting else ""
+        raise SceneError(f"{len(free)} dampers that move; expected at most {most}{where}")
     weight = np.zeros(bodies)
     np.subtract.at(weight, at_body[held], masses[held] * scene.gravity)
     parts = _Parts(bodies, model.with_riding(), weight)
@@ -85,7 +85,7 @@ class _Coil(NamedTuple):
 
 
 class _Parts:
-    """The equations while they are being put together: rows are coordinates, columns states."""
+    """The equations during assembly: rows are coordinates, columns states."""
 
     def __init__(self, bodies: int, structure: StructuralModel, weight: Array) -> None:
         self.points = [f"body {j + 1}" for j in range(bodies)]
@@ -97,12 +97,12 @@ class _Parts:
         self.coils: list[_Coil] = []
 
     def add_table(self, name: str, mass: float) -> int:
-        """Add a table, which nothing holds yet; returns its row."""
+        """Add a table without support; returns its row."""
         self.points.append(name)
         return self._add_coordinate(mass)
 
     def add_bed(self, body: int, mass: float, gravity: float) -> int:
-        """Add the bed of a damper whose contact lasts, by its gap above its body; returns its row. It falls freely."""
+        """Add the bed of a finite-duration contact, by its gap above its body, in free fall; returns its row."""
         row = self._add_coordinate(mass)
         self.mass[body, body] += mass
         self.mass[body, row] = self.mass[row, body] = mass
@@ -119,13 +119,13 @@ class _Parts:
         return row
 
     def add_input(self, name: str, unit: str, push: dict[int, float]) -> None:
-        """Add an input and the forces that one unit of it puts on the coordinates."""
+        """Add an input and its force on the coordinates per unit."""
         self.inputs.append(name)
         self.units.append(unit)
         self.pushes.append(push)
 
     def add_spring(self, first: int, second: int, stiffness: float) -> None:
-        """Put a spring between two coordinates."""
+        """Add a spring between two coordinates."""
         self.stiffness[[first, second], [first, second]] += stiffness
         self.stiffness[[first, second], [second, first]] -= stiffness
 
@@ -134,7 +134,7 @@ class _Parts:
         restitution: Array, number: NDArray[np.intp], bed: NDArray[np.intp], walls: tuple[Array, Array],
         grains: NDArray[np.bool_],
     ) -> HybridSystem:  # fmt: skip
-        """Put everything into first-order form."""
+        """Return the first-order form."""
         n, extra = len(self.mass), len(self.coils)
         force_state = np.hstack([-self.stiffness, -self.damping, np.zeros((n, extra))])
         force_drive = np.zeros((n, len(self.inputs)))
@@ -173,12 +173,12 @@ class _Parts:
 
 
 def _add_shaker(parts: _Parts, shaker: Shaker, drive: str, name: str) -> None:
-    """Add a shaker whose input and table bear the names given."""
+    """Add a shaker with the names of its input and its table."""
     match shaker:
         case ForceShaker():
             parts.add_input(drive, "N", {body - 1: 1.0 for body in shaker.bodies})
         case TableShaker():
-            # The servo is driven, not loaded: the spring pulls at the body, never at the table.
+            # A servo is not loaded: the spring acts on the body, never on the table.
             table = parts.add_table(name, 1.0)
             body = shaker.body - 1
             corner = 2.0 * np.pi * shaker.bandwidth
@@ -205,12 +205,7 @@ def _add_shaker(parts: _Parts, shaker: Shaker, drive: str, name: str) -> None:
 def _walls(mass: Array, dampers: list[Damper], bed_mass: Array) -> tuple[Array, Array]:
     """Stiffness and damping of floor and ceiling of each damper, (dampers, 2); zeros where contact is instant.
 
-    Parameters
-    ----------
-    mass : float64 (coordinates, coordinates)
-        Mass matrix without the dampers that move.
-    dampers : list of Damper
-    bed_mass : float64 (dampers,)
+    `mass` is the mass matrix without the dampers that move.
     """
     stiffness, damping = np.zeros((2, len(dampers), 2))
     mobility = np.diag(np.linalg.inv(mass))
@@ -256,7 +251,7 @@ def static_equilibrium(scene: Scene, system: HybridSystem) -> Array:
     Raises
     ------
     SceneError
-        If nothing holds the structure up.
+        If nothing supports the structure.
     """
     n = system.coordinates
     load = system.force_constant.copy()

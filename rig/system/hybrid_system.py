@@ -9,7 +9,7 @@ import numpy as np
 
 from rig.system.landing import landing
 
-#: What an input is called, before the damper's number, that is the force of a bed of grains on its body.
+#: Name, before the damper's number, of the input that is the force of a bed of grains on its body.
 FORCE_OF_BED = "grains"
 
 
@@ -28,7 +28,7 @@ class HybridSystem:
     inputs, drive_units : tuple of str
         What can be driven, and its unit.
     mass : float64 (coordinates, coordinates)
-        Mass matrix without the dampers whose contact is instant; locked ones are in it.
+        Mass matrix without the dampers of instant contact; locked dampers are in it.
     force_state, force_drive, force_constant : float64
         F_q (coordinates, states), F_u (coordinates, inputs) and F_1 (coordinates,).
     rate_state, rate_drive : float64
@@ -36,11 +36,11 @@ class HybridSystem:
     damper_coordinate, damper_mass, clearance, restitution, damper_number : arrays (dampers,)
         The free dampers; `damper_number` is the 1-based position in the scene's list.
     bed : int array (dampers,)
-        Coordinate of a damper whose contact lasts, behind those of the points: its gap. -1 where contact is instant.
+        Coordinate of a damper of finite-duration contact, behind those of the points: its gap. -1: instant contact.
     wall_stiffness, wall_damping : float64 (dampers, 2)
-        Of floor and ceiling where contact lasts [N/m, N s/m].
+        Of floor and ceiling where contact has a duration [N/m, N s/m].
     grains : bool array (dampers,)
-        Whether a damper is a bed of grains. Here it is one mass, as which it rides; `rig.grains` follows its motion.
+        Whether a damper is a bed of grains. Here it is one mass, at rest; `rig.grains` computes its motion.
     fastest : float
         Bound on the fastest rate in any configuration, rad/s.
     """
@@ -83,31 +83,32 @@ class HybridSystem:
 
     @property
     def coupled(self) -> bool:
-        """Whether an impact of one damper is felt at once by another, in the same body, or by another coordinate."""
+        """Whether an impact of a damper acts at once on another in the same body, or on another coordinate."""
         struck = self.damper_coordinate[~self.lasting]
         return bool(np.count_nonzero(self.mass[struck]) > np.unique(struck).size)
 
     @property
     def lasting(self) -> np.ndarray:
-        """Whether the contact of each damper lasts, bool (dampers,)."""
+        """Whether the contact of each damper has a duration, bool (dampers,)."""
         return self.bed >= 0
 
     @property
     def reduced_mass(self) -> np.ndarray:
-        """Reduced mass of each damper whose contact lasts and its body, kg; NaN where contact is instant."""
+        """Reduced mass of each damper of finite-duration contact and its body, kg; NaN where contact is instant."""
         mobility = np.append(np.diag(np.linalg.inv(self.mass)), np.nan)
         return np.asarray(1.0 / mobility[self.bed])
 
     def landing(self, damper: int, wall: int) -> tuple[float, float]:
-        """Duration [s] and restitution of a lasting contact: of damper j (from 0) with its floor (1) or ceiling (2)."""
+        """Duration [s] and restitution of the contact of damper j (from 0) with its floor (1) or ceiling (2)."""
         stiffness, damping = self.wall_stiffness[damper, wall - 1], self.wall_damping[damper, wall - 1]
         return landing(float(stiffness), float(damping), float(self.reduced_mass[damper]))
 
     @property
     def toggles(self) -> list[int]:
-        """Changes of a configuration: every damper's contact (with its floor, if it lasts), then those with ceilings.
+        """Changes of a configuration: every damper's contact (with its floor, if it has a duration), then ceilings.
 
-        Bit j of a configuration is set while damper j is in contact, bit `dampers` + j while that lasts at a ceiling.
+        Bit j of a configuration is set while damper j is in contact, bit `dampers` + j while a contact that has a
+        duration is with the ceiling.
         """
         floors = [1 << j for j in range(self.dampers)]
         ceilings = [1 << j | 1 << self.dampers + j for j in range(self.dampers)]
@@ -119,13 +120,7 @@ class HybridSystem:
         return (1 << self.dampers) - 1
 
     def contact_forces(self, configuration: int) -> tuple[np.ndarray, np.ndarray]:
-        """Give the forces of the lasting contacts that are closed: rows for the state, and constants.
-
-        Returns
-        -------
-        force : float64 (coordinates, states)
-        constant : float64 (coordinates,)
-        """
+        """Return the forces of closed finite-duration contacts: (coordinates, states), and constants (coordinates,)."""
         n = self.coordinates
         force, constant = np.zeros((n, self.states)), np.zeros(n)
         for j in np.flatnonzero(self.lasting):
@@ -139,7 +134,7 @@ class HybridSystem:
         return force, constant
 
     def matrix(self, configuration: int = 0) -> np.ndarray:
-        """State matrix (states, states) while the given lasting contacts are closed, no damper riding."""
+        """State matrix (states, states) with the given finite-duration contacts closed and no other."""
         n, ns = self.coordinates, self.states
         matrix = np.zeros((ns, ns))
         matrix[:n, n : 2 * n] = np.eye(n)
@@ -156,7 +151,7 @@ class HybridSystem:
 
     @cached_property
     def fastest(self) -> float:
-        """Fastest rate of the system, rad/s: riding dampers only slow it down, contacts that last make it faster."""
+        """Fastest rate of the system, rad/s: dampers at rest make it slower, finite-duration contacts faster."""
         configurations = {0}
         if self.lasting.any():
             stiffer = np.argmax(self.wall_stiffness, axis=1)

@@ -1,4 +1,4 @@
-"""A landing on a spring-damper that pushes and never pulls: duration and restitution, stiffness and damping.
+"""Landing on a spring-damper that pushes and never pulls: duration and restitution, stiffness and damping.
 
 A bed of mass m_d meets a wall of a body of mass m_b at the relative speed v, both free otherwise. With the reduced
 mass m = m_d m_b / (m_d + m_b), w^2 = k / m and the damping ratio z = c / (2 m w), the wall's force is
@@ -9,7 +9,7 @@ mass m = m_d m_b / (m_d + m_b), w^2 = k / m and the damping ratio z = c / (2 m w
 
     T = 2 acos(z) / (w sqrt(1 - z^2)),     acosh and sqrt(z^2 - 1) for z > 1,
 
-before the overlap is undone: there the bed leaves, at e = exp(-z w T) times the speed at which it came.
+before the overlap is zero: there the bed leaves, at e = exp(-z w T) times its approach speed.
 
 References
 ----------
@@ -43,7 +43,7 @@ def damping_ratio(duration: float, restitution: float) -> float:
     >>> damping_ratio(2e-3, 1.0), round(damping_ratio(2e-3, math.exp(-2.0)), 12), damping_ratio(RECOVERY, 0.0)
     (0.0, 1.0, 1.0)
     """
-    # Only few scenes need it, and it takes long to import.
+    # Few scenes need it, and its import is slow.
     from scipy.optimize import brentq
 
     if restitution == 0.0:
@@ -58,14 +58,14 @@ def damping_ratio(duration: float, restitution: float) -> float:
 
 
 def spring_damper(duration: float, restitution: float, mass: float) -> tuple[float, float]:
-    """Stiffness [N/m] and damping [N s/m] of the contact whose landings last so long and rebound so fast.
+    """Stiffness [N/m] and damping [N s/m] of the contact with a duration and a restitution.
 
     Parameters
     ----------
     duration : float
         From touch to release of a landing under no other force, s.
     restitution : float
-        Ratio of separation to approach speed; 0: as little as a wall can have that recovers in `RECOVERY`.
+        Ratio of separation to approach speed; 0: the lowest that is possible with `RECOVERY`.
     mass : float
         Reduced mass of damper and body, kg.
 

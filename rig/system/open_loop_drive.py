@@ -1,4 +1,4 @@
-"""The drive of a scene's test when nobody controls it."""
+"""The drive of a scene's test without a controller."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def tone_drive(scene: Scene, system: HybridSystem, frequency: float | None = Non
     Raises
     ------
     SceneError
-        If a frequency is given but no level or no shaker to drive with.
+        If a frequency is given but no level or no shaker.
     """
     test = scene.test
     if frequency is None:
@@ -57,7 +57,7 @@ def tone_drive(scene: Scene, system: HybridSystem, frequency: float | None = Non
     amplitudes[system.inputs.index(scene.at_driven("shaker"))] = amplitude
     state = system.initial.copy()
     if isinstance(scene.driven_shaker, TableShaker):
-        # The table's own motion is the prescribed tone from the start, not its servo's response to it.
+        # The table's motion is the prescribed tone from the start, not its servo's response.
         position = amplitude / _servo_inverse(scene.driven_shaker, omega)
         table = system.points.index(scene.at_driven("table"))
         state[table] = position.real
@@ -121,17 +121,17 @@ def accelerations_per_level(scene: Scene, system: HybridSystem, omega: float | A
 
 
 def with_ideal_force(scene: Scene) -> Scene:
-    """Put the force that the test holds on the body as a pure tone, without coil spring, table and channels.
+    """Replace coil spring, table and channels by the test's force as a pure tone on the body.
 
-    This saves the motions that a controller of the spring force needs to find its drive. Scenes whose tests give a
-    drive, or whose shaker is a force already, stay as they are.
+    This needs no controller of the spring force. Scenes whose tests give a drive, or whose shaker is a force already,
+    do not change.
     """
     shaker = scene.driven_shaker
     if shaker is None or isinstance(shaker, ForceShaker) or getattr(scene.test, "force", None) is None:
         return scene
     force = ForceShaker(body=shaker.bodies[0])
-    all_of_them = [force if number == scene.driven else each for number, each in enumerate(scene.shakers, 1)]
-    return scene.replace(shaker=all_of_them if len(all_of_them) > 1 else force, channels=None)
+    shakers = [force if number == scene.driven else each for number, each in enumerate(scene.shakers, 1)]
+    return scene.replace(shaker=shakers if len(shakers) > 1 else force, channels=None)
 
 
 def riding_equations(system: HybridSystem, name: str) -> tuple[Array, Array, Array]:
@@ -187,7 +187,7 @@ def sampled_drive(scene: Scene, system: HybridSystem, samples: int, rate: float)
     Raises
     ------
     SceneError
-        For tests whose signal only the bench makes.
+        For tests whose signal only the bench generates.
     """
     drive = np.zeros((len(system.inputs), samples))
     test = scene.test

@@ -33,12 +33,12 @@ SECTIONS = [
 
 
 @pytest.mark.parametrize(("section", "transfer"), SECTIONS)
-def test_given_a_circuit_when_its_states_or_roots_are_followed_then_it_is_the_formula(section, transfer):
+def test_circuit_obeys_its_formula(section, transfer):
     np.testing.assert_allclose(of_states(section), transfer, rtol=1e-9)
     np.testing.assert_allclose(of_roots(section), transfer, rtol=1e-9)
 
 
-def test_given_any_circuits_in_series_when_something_enters_in_front_of_one_then_it_passes_what_follows():
+def test_series_circuit_passes_an_entry():
     random = np.random.default_rng(1)
     for _ in range(20):
         chosen = random.integers(0, len(SECTIONS), random.integers(0, 6))
@@ -56,7 +56,7 @@ def test_given_any_circuits_in_series_when_something_enters_in_front_of_one_then
             np.testing.assert_allclose(found[entry], follows, rtol=1e-8)
 
 
-def test_given_an_overload_when_it_has_shifted_zero_then_the_shift_fades_with_its_time_constant():
+def test_zero_shift_fades_with_its_time_constant():
     section = recovery(0.1)
     # Driven by the overload alone; its state lowers what is read and halves in 0.1 ln 2 seconds.
     assert not section.b.any()

@@ -12,9 +12,7 @@ from daq.signal_chain.decimation_filter import DELAY, MOMENTS, PASS, STOP, Decim
 
 
 @pytest.mark.parametrize(("oversampling", "late"), [(1, 0), (1, 3), (3, 0), (4, 5)])
-def test_given_moments_in_blocks_when_filtered_then_each_sample_is_the_weighted_sum_of_those_before_it(
-    oversampling, late
-):
+def test_filtered_sample_is_the_weighted_sum(oversampling, late):
     random = np.random.default_rng(oversampling)
     length, intervals = 7, 211
     taps = random.standard_normal((oversampling, MOMENTS, length))
@@ -39,7 +37,7 @@ def test_given_moments_in_blocks_when_filtered_then_each_sample_is_the_weighted_
 
 
 @pytest.mark.parametrize("oversampling", [1, 3])
-def test_given_the_standard_filter_when_a_polynomial_is_weighed_then_it_is_the_integral_with_the_kernel(
+def test_weighed_polynomial_is_the_integral(
     oversampling,
 ):
     low_pass = Decimation.standard(1000.0)
@@ -66,13 +64,13 @@ def test_given_the_standard_filter_when_a_polynomial_is_weighed_then_it_is_the_i
         assert taps[p, k, j] == pytest.approx(expected, rel=1e-6, abs=1e-9)
 
 
-def test_given_the_standard_filter_when_its_kernel_is_summed_then_a_steady_value_passes_as_it_is():
+def test_steady_value_passes_the_filter():
     time = np.linspace(-DELAY, DELAY, 100 * DELAY + 1)
     kernel = Decimation.standard(5120.0).impulse_response(time)
     assert trapezoid(kernel, time) == pytest.approx(1.0, abs=1e-5)
 
 
-def test_given_the_standard_filter_when_its_response_is_asked_for_then_it_is_the_kernels_fourier_integral():
+def test_filter_response_is_the_fourier_integral():
     low_pass = Decimation.standard(5120.0)
     assert low_pass.design == {
         "rate": 5120.0,

@@ -23,7 +23,7 @@ class Given:
 
 @pytest.mark.parametrize("each", [1, 2, 5])
 @pytest.mark.parametrize("cuts", [[], [1], [1, 2, 3, 9], [0, 7, 7, 20]])
-def test_given_polynomials_over_samples_when_cut_into_intervals_then_they_are_the_same_curves(each, cuts):
+def test_cut_polynomials_are_the_same_curves(each, cuts):
     samples = np.random.default_rng(each).standard_normal((4, 30))
     of = Disturbances([Given(row) for row in samples], np.zeros(4), (0, 1, 2, 0), each)
     held = np.concatenate([of.hold(int(n)) for n in np.diff([0, *cuts, 29 * each + 1])], axis=1)
@@ -39,7 +39,7 @@ def test_given_polynomials_over_samples_when_cut_into_intervals_then_they_are_th
         assert held[3, interval] == samples[3, sample]
 
 
-def test_given_shares_when_disturbances_reach_the_output_at_once_then_they_are_added_to_it():
+def test_direct_disturbances_are_added():
     of = Disturbances([Offset(1.0), Offset(2.0), Offset(5.0)], np.array([0.5, 0.0, -1.0]), (0, 0, 0), 1)
     volts = np.array([10.0, 20.0])
     of.add_direct(of.hold(2), volts)
@@ -48,7 +48,7 @@ def test_given_shares_when_disturbances_reach_the_output_at_once_then_they_are_a
     assert none.hold(3).shape == (0, 3)
 
 
-def test_given_power_switched_on_when_the_offset_settles_then_it_is_the_exponential_in_blocks_of_any_size():
+def test_settling_offset_is_exponential():
     source, level, time, rate = SettlingOffset(-3.0, 0.25, 100.0), -3.0, 0.25, 100.0
     samples = np.empty(200)
     for start, stop in ((0, 1), (1, 1), (1, 60), (60, 200)):
@@ -66,9 +66,7 @@ def test_given_power_switched_on_when_the_offset_settles_then_it_is_the_exponent
         (2e-3, 1e-3, 0.03, 0.06),
     ],
 )
-def test_given_a_corner_when_noise_is_shaped_then_its_density_rises_as_the_square_root_of_1_plus_corner_over_f(
-    corner, rate, near, at_the_end
-):
+def test_shaped_noise_density_follows_the_corner(corner, rate, near, at_the_end):
     loss, weight, gain = shape(corner, rate)
     frequency = np.geomspace(10 * min(LOWEST, 0.1 * corner, 0.01 * rate), 0.5 * rate, 200)
     delay = np.exp(-2j * np.pi * frequency / rate)[:, None]
@@ -81,7 +79,7 @@ def test_given_a_corner_when_noise_is_shaped_then_its_density_rises_as_the_squar
     assert loss.size <= 2 + np.log(0.25 * rate / (0.1 * frequency[0])) / np.log(4.0)
 
 
-def test_given_a_shaped_source_when_white_numbers_pass_then_each_state_follows_as_designed():
+def test_shaping_states_follow_their_design():
     corner, rate = 20.0, 5120.0
     loss, weight, gain = shape(corner, rate)
     samples = np.empty(500)
@@ -95,7 +93,7 @@ def test_given_a_shaped_source_when_white_numbers_pass_then_each_state_follows_a
 
 
 @pytest.mark.parametrize("degree", [1, 2])
-def test_given_noise_within_an_interval_when_drawn_then_it_has_the_power_that_its_polynomial_takes_of_the_density(
+def test_polynomial_noise_has_its_share_of_power(
     degree,
 ):
     density, samples = 2e-6, np.empty(200_000)

@@ -23,7 +23,7 @@ def band(frequency, value, low, high):
     return np.sqrt(np.mean(value[inside] ** 2))
 
 
-def test_given_a_white_source_when_its_density_is_measured_then_it_is_that_of_the_data_sheet():
+def test_white_density_is_that_of_the_data_sheet():
     samples = drawn(Noise(3e-6, None, 5120.0, generator(1, "c", "noise")), 400_000)
     frequency, value = density(samples, 5120.0, 512)
     for low, high in ((20.0, 300.0), (300.0, 1500.0), (1500.0, 2540.0)):
@@ -31,7 +31,7 @@ def test_given_a_white_source_when_its_density_is_measured_then_it_is_that_of_th
 
 
 @pytest.mark.parametrize(("corner", "rate"), [(10.0, 5120.0), (100.0, 5120.0), (300.0, 51200.0)])
-def test_given_a_corner_when_the_density_is_measured_then_power_rises_as_1_over_f_below_it(corner, rate):
+def test_density_rises_below_the_corner(corner, rate):
     samples = drawn(Noise(1.0, corner, rate, generator(2, "c", "noise")), 3_000_000)
     frequency, value = density(samples, rate, int(rate / corner * 100))
     for low, high in ((0.08, 0.12), (0.3, 0.5), (0.9, 1.1), (3.0, 5.0), (10.0, 15.0)):
@@ -40,14 +40,14 @@ def test_given_a_corner_when_the_density_is_measured_then_power_rises_as_1_over_
         assert band(frequency, value, low * corner, high * corner) == pytest.approx(expected, rel=0.05)
 
 
-def test_given_a_source_when_sampled_in_blocks_then_the_samples_are_the_same():
+def test_noise_in_blocks_is_the_same():
     whole = drawn(Noise(1.0, 10.0, 5120.0, generator(5, "c", "noise")), 1000)
     source = Noise(1.0, 10.0, 5120.0, generator(5, "c", "noise"))
     parts = [drawn(source, count) for count in (1, 0, 7, 128, 864)]
     assert np.array_equal(np.concatenate(parts), whole)
 
 
-def test_given_other_seeds_channels_or_stages_when_sampled_then_the_noise_differs():
+def test_noise_differs_by_seed_channel_and_stage():
     def first(*key):
         return generator(*key).standard_normal()
 
@@ -55,7 +55,7 @@ def test_given_other_seeds_channels_or_stages_when_sampled_then_the_noise_differ
 
 
 @pytest.mark.parametrize("order", [1, 2])
-def test_given_sensor_and_amplifier_noise_when_integrated_then_each_has_its_density_through_what_follows(
+def test_integrated_noise_has_density_of_each_stage(
     order,
 ):
     rate, corner, gain = 5120.0, 5.0, 500.0
@@ -75,7 +75,7 @@ def test_given_sensor_and_amplifier_noise_when_integrated_then_each_has_its_dens
             assert found == pytest.approx(band(frequency, expected, low, high), rel=0.05)
 
 
-def test_given_a_noisy_converter_when_nothing_moves_then_its_density_is_read():
+def test_converter_noise_density_is_read():
     chain, rate = chain_of(scene_of("", converter="{noise: 2 uV/sqrt(Hz)}"))
     volts = chain.measure(at_rest(1, rate, 200_000))[0]
     assert volts.std() == pytest.approx(2e-6 * np.sqrt(rate / 2), rel=0.01)
@@ -83,9 +83,7 @@ def test_given_a_noisy_converter_when_nothing_moves_then_its_density_is_read():
 
 @pytest.mark.parametrize("integrator", ["", ", integrator: {order: 1, corner: 20 Hz, gain: 500}"])
 @pytest.mark.parametrize("oversampling", [1, 2])
-def test_given_noise_in_front_of_a_decimation_filter_when_read_then_it_is_filtered_like_a_signal(
-    integrator, oversampling
-):
+def test_noise_before_decimation_is_filtered(integrator, oversampling):
     keys = ", accelerometer: {sensitivity: 2, noise: 0.01}" + integrator
     chain, fine = chain_of(scene_of(keys, converter="{filter: delta_sigma}"), oversampling)
     rate = fine / oversampling

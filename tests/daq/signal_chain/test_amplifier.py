@@ -4,7 +4,7 @@ import pytest
 from tests.daq.dsp.analytic_motion import Path, at_rest, chain_of, motion_of, scene_of
 
 
-def test_given_a_gain_when_integrated_then_volts_are_gain_times_the_integral_and_readings_the_quantity():
+def test_gain_scales_the_integral():
     path = Path(tones=((7.0, 20.0, 0.4),), impacts=((0.0312, 0.1),))
     for order, quantity, row in ((1, "velocity", 1), (2, "displacement", 0)):
         keys = f", accelerometer: {{sensitivity: 2}}, integrator: {{order: {order}, gain: 30}}"
@@ -17,14 +17,14 @@ def test_given_a_gain_when_integrated_then_volts_are_gain_times_the_integral_and
         assert chain.measure(motion)[0] / 60.0 == pytest.approx(truth, abs=1e-13)
 
 
-def test_given_a_corner_when_the_input_is_constant_then_the_output_settles_at_gain_over_corner():
+def test_constant_input_settles_at_corner():
     keys = ", accelerometer: {bias: 0.5 V}, integrator: {order: 1, corner: 3 Hz, gain: 10}"
     chain, rate = chain_of(scene_of(keys))
     read = chain.measure(at_rest(1, rate, 5120))[0]
     assert read[-1] == pytest.approx(0.5 * 10 / (2 * np.pi * 3.0), rel=1e-6)
 
 
-def test_given_a_low_cutoff_when_the_sensor_has_a_bias_then_nothing_of_it_is_left():
+def test_low_cutoff_removes_bias():
     keys = ", accelerometer: {bias: 0.5 V}, integrator: {order: 2, corner: 5 Hz, low_cutoff: 5 Hz, gain: 10}"
     chain, rate = chain_of(scene_of(keys))
     read = chain.measure(at_rest(1, rate, 10240))[0]
@@ -34,7 +34,7 @@ def test_given_a_low_cutoff_when_the_sensor_has_a_bias_then_nothing_of_it_is_lef
 
 
 @pytest.mark.parametrize("order", [1, 2])
-def test_given_rails_when_driven_beyond_them_then_the_output_stays_there_and_comes_back_without_wind_up(
+def test_rails_limit_without_wind_up(
     order,
 ):
     keys = f", integrator: {{order: {order}, gain: 400, saturation: 2 V}}"
@@ -54,7 +54,7 @@ def test_given_rails_when_driven_beyond_them_then_the_output_stays_there_and_com
     assert leaves / rate - 0.25 == pytest.approx(0.0 if order == 1 else 1e-3, abs=3e-4)
 
 
-def test_given_an_hour_of_noise_when_integrated_twice_without_corner_then_it_grows_as_time_to_the_three_halves():
+def test_double_integrated_noise_grows():
     rate, density = 16.0, 1e-3
     finals = []
     for seed in range(40):

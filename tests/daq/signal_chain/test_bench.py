@@ -16,7 +16,7 @@ def drive_of(samples: int, level: float, rate: float = 5120.0) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", ["fig8-three-dampers", "fig9", "bare-structure", "reference-C"])
-def test_given_any_block_size_when_acquired_then_the_samples_are_the_same_bit_for_bit(name: str) -> None:
+def test_block_size_changes_no_sample(name: str) -> None:
     scene = rig.load(name)
     level = {"V": 3.0, "m": 2e-3, "N": 10.0}[Bench(scene).drive_units[0]]
     drive = drive_of(600, level)
@@ -29,7 +29,7 @@ def test_given_any_block_size_when_acquired_then_the_samples_are_the_same_bit_fo
         np.testing.assert_array_equal(np.concatenate([b.overload for b in blocks], axis=1), whole.overload)
 
 
-def test_given_a_converter_with_bits_when_acquired_then_counts_come_out_that_read_as_physical_units() -> None:
+def test_counts_read_as_physical_units() -> None:
     bench = Bench(rig.load("fig8-no-damper"))
     block = bench.acquire(drive_of(2000, 1.0))
     assert block.samples.dtype == np.int32
@@ -41,7 +41,7 @@ def test_given_a_converter_with_bits_when_acquired_then_counts_come_out_that_rea
     assert np.abs(readings[body]).max() == pytest.approx(np.abs(truth).max(), rel=0.05)
 
 
-def test_given_ideal_sensors_when_acquired_then_the_cumulative_sum_of_acceleration_is_the_velocity() -> None:
+def test_summed_acceleration_is_velocity() -> None:
     scene = rig.load("fig8-three-dampers").replace(channels=None, converter={"rate": "5120 Hz"})
     bench = Bench(scene)
     block = bench.acquire(drive_of(5120, 3.0))
@@ -50,7 +50,7 @@ def test_given_ideal_sensors_when_acquired_then_the_cumulative_sum_of_accelerati
     np.testing.assert_allclose(velocity, block.motion.velocity[:3], rtol=0, atol=1e-9)
 
 
-def test_given_an_overload_when_acquired_then_it_is_flagged_where_it_is() -> None:
+def test_overload_is_flagged_where_it_is() -> None:
     scene = rig.load("fig8-no-damper")
     scene = scene.replace(converter={"rate": "5120 Hz", "bits": 16, "range": "5 mV"})
     block = Bench(scene).acquire(drive_of(3000, 5.0))
@@ -61,19 +61,19 @@ def test_given_an_overload_when_acquired_then_it_is_flagged_where_it_is() -> Non
 
 
 @pytest.mark.parametrize("shape", [(2, 10), (0, 10), (10,)])
-def test_given_a_drive_of_the_wrong_shape_when_acquired_then_the_shape_wanted_is_told(
+def test_wrong_drive_shape_is_reported(
     shape: tuple[int, ...],
 ) -> None:
     with pytest.raises(SceneError, match=r"expected a drive of shape \(1, samples\)"):
         Bench(rig.load("bare-structure")).acquire(np.zeros(shape))
 
 
-def test_given_a_drive_that_is_not_finite_when_acquired_then_it_is_refused() -> None:
+def test_infinite_drive_is_rejected() -> None:
     with pytest.raises(SceneError, match="not finite"):
         Bench(rig.load("bare-structure")).acquire(np.full((1, 4), np.nan))
 
 
-def test_given_a_clock_with_an_error_when_acquired_then_the_stated_rate_is_what_the_bench_goes_by() -> None:
+def test_clock_error_keeps_the_stated_rate() -> None:
     scene = rig.load("bare-structure").replace(converter={"rate": "5 kHz", "clock_error": "1 %"})
     bench = Bench(scene)
     assert bench.rate == 5000.0

@@ -54,7 +54,7 @@ CHANNELS = {
 
 
 @pytest.mark.parametrize("keys", CHANNELS.values(), ids=CHANNELS)
-def test_given_slow_tones_when_measured_then_amplitude_and_phase_are_those_of_the_stated_response(keys):
+def test_slow_tones_follow_the_stated_response(keys):
     for rate, frequencies in ((5120.0, (97.0, 307.0)), (51200.0, (211.0, 1000.0))):
         for frequency in frequencies:
             measured, stated = reading_over_truth(keys, rate, frequency)
@@ -63,9 +63,7 @@ def test_given_slow_tones_when_measured_then_amplitude_and_phase_are_those_of_th
 
 @pytest.mark.parametrize("rate", [5120.0, 51200.0])
 @pytest.mark.parametrize("order", [1, 2])
-def test_given_an_integrator_when_measured_from_1_hz_to_1_khz_then_gain_and_phase_follow_its_transfer_function(
-    order, rate
-):
+def test_integrator_follows_its_transfer_function(order, rate):
     keys = f", integrator: {{order: {order}, corner: 1 Hz, gain: 50}}"
     for frequency in (1.0, 7.0, 60.0, 450.0, 1000.0):
         seconds = 6.0 if frequency < 10 else 2.0
@@ -77,7 +75,7 @@ def test_given_an_integrator_when_measured_from_1_hz_to_1_khz_then_gain_and_phas
 
 
 @pytest.mark.parametrize("keys", ["sensor", "velocity", "displacement"])
-def test_given_ever_faster_tones_when_measured_then_the_cubics_between_samples_miss_them_by_as_little_as_stated(
+def test_fast_tones_deviate_as_stated(
     keys,
 ):
     for frequency, bound in ((400.0, 1e-6), (1000.0, 1e-4), (2000.0, 1e-3)):
@@ -87,7 +85,7 @@ def test_given_ever_faster_tones_when_measured_then_the_cubics_between_samples_m
 
 @pytest.mark.parametrize("rate", [5120.0, 51200.0])
 @pytest.mark.parametrize("order", [1, 2])
-def test_given_impacts_at_any_instant_when_measured_then_every_sample_is_that_of_the_closed_form(order, rate):
+def test_impact_samples_are_closed_form(order, rate):
     samples = 150
     hits = list(impacts(25, samples / rate, seed=order))
     # Two all but together, two a millionth of a sample apart, one on a sample.
@@ -113,7 +111,7 @@ def test_given_impacts_at_any_instant_when_measured_then_every_sample_is_that_of
 
 
 @pytest.mark.parametrize("rate", [5120.0, 51200.0])
-def test_given_ideal_sensors_and_impacts_when_integrated_twice_then_the_true_displacement_comes_back(rate):
+def test_double_integration_returns_displacement(rate):
     path = Path(tones=((300.0, 34.8, 0.3), (90.0, 13.0, 2.0)), impacts=impacts(300, 1.0, seed=7))
     chain, _ = chain_of(scene_of(", integrator: {order: 2}", converter=f"{{rate: {rate} Hz}}"))
     motion = motion_of([path], rate, round(rate))
@@ -121,7 +119,7 @@ def test_given_ideal_sensors_and_impacts_when_integrated_twice_then_the_true_dis
     assert chain.measure(motion)[0] == pytest.approx(truth, abs=1e-11 * np.abs(truth).max())
 
 
-def test_given_an_ideal_accelerometer_and_impacts_when_summed_up_then_the_true_velocity_comes_back():
+def test_summed_impacts_return_velocity():
     rate = 5120.0
     path = Path(tones=((300.0, 34.8, 0.3),), impacts=impacts(100, 0.5, seed=3), start_velocity=0.4)
     chain, _ = chain_of(scene_of())
@@ -129,7 +127,7 @@ def test_given_an_ideal_accelerometer_and_impacts_when_summed_up_then_the_true_v
     assert np.cumsum(chain.measure(motion)[0]) / rate == pytest.approx(motion.velocity[0], abs=1e-12)
 
 
-def test_given_everything_named_when_measured_in_blocks_then_not_a_bit_depends_on_their_size():
+def test_complete_chain_blocks_change_no_bit():
     scene = scene_of(EVERYTHING, SENSOR, converter=EVERYTHING_CONVERTED)
     paths = [
         Path(tones=((200.0, 60.0, 0.0),), impacts=impacts(30, 0.1, seed=1)),
@@ -144,7 +142,7 @@ def test_given_everything_named_when_measured_in_blocks_then_not_a_bit_depends_o
         assert np.array_equal(np.concatenate(blocks, axis=1), expected)
 
 
-def test_given_an_oversampled_motion_when_measured_in_blocks_then_not_a_bit_depends_on_their_size():
+def test_oversampled_chain_blocks_change_no_bit():
     scene = scene_of(EVERYTHING, converter=EVERYTHING_CONVERTED)
     _, rate = chain_of(scene, oversampling=3)
     motion = motion_of([Path(tones=((200.0, 60.0, 0.0),), impacts=impacts(30, 0.05, seed=1))], rate, 600)
@@ -156,7 +154,7 @@ def test_given_an_oversampled_motion_when_measured_in_blocks_then_not_a_bit_depe
         assert np.array_equal(np.concatenate(blocks, axis=1), expected)
 
 
-def test_given_an_effect_taken_from_one_channel_when_measured_then_the_others_keep_every_bit():
+def test_channels_are_independent():
     paths = [Path(tones=((200.0, 60.0, 0.0),), impacts=impacts(30, 0.1, seed=1))] * 3
     alone = scene_of("", EVERYTHING, SENSOR)
     together = scene_of(SENSOR, EVERYTHING, SENSOR)
@@ -164,7 +162,7 @@ def test_given_an_effect_taken_from_one_channel_when_measured_then_the_others_ke
     assert np.array_equal(chain_of(alone)[0].measure(motion)[1:], chain_of(together)[0].measure(motion)[1:])
 
 
-def test_given_effects_named_or_not_when_the_chain_is_made_then_it_lists_just_those():
+def test_effects_list_is_complete():
     assert chain_of(scene_of())[0].effects == {"body1": {"averaging": 1}}
     sensor = {"resonance": 2, "low cut-off": 1}
     chain, _ = chain_of(
@@ -182,20 +180,20 @@ def test_given_effects_named_or_not_when_the_chain_is_made_then_it_lists_just_th
     )
 
 
-def test_given_a_settled_start_when_nothing_moves_then_every_channel_reads_zero():
+def test_settled_start_reads_zero():
     chain, rate = chain_of(scene_of(*CHANNELS.values()))
     motion = at_rest(len(CHANNELS), rate, 50)
     motion.displacement[:] = 0.3
     assert not chain.measure(motion).any()
 
 
-def test_given_an_initial_velocity_when_measured_then_it_is_read_as_if_struck_at_the_start():
+def test_initial_velocity_reads_as_impulse():
     chain, rate = chain_of(scene_of(", integrator: {order: 1}"))
     read = chain.measure(motion_of([Path(start_velocity=0.25)], rate, 10))[0]
     assert read == pytest.approx(np.full(10, 0.25), rel=1e-12)
 
 
-def test_given_no_channels_when_the_scene_drives_by_force_then_the_force_is_measured_too():
+def test_force_drive_adds_a_force_channel():
     text = "structure: {masses: [1 kg], springs: [1 kN/m]}\n"
     hammer = rig.loads(text + "test: {kind: impulse, body: 1, peak: 5 N, width: 4 ms}")
     shaker = rig.loads(text + "shaker: {kind: force, body: 1}")
@@ -210,25 +208,25 @@ def test_given_no_channels_when_the_scene_drives_by_force_then_the_force_is_meas
         assert read == pytest.approx([0.0, *(np.arange(11.0) + 0.5)])
 
 
-def test_given_a_hammer_that_is_not_driven_when_measured_then_it_reads_nothing():
+def test_unused_hammer_reads_zero():
     scene = rig.loads(
         "structure: {masses: [1 kg], springs: [1 kN/m]}\ntest: {kind: impulse, body: 1, peak: 5 N, width: 4 ms}"
     )
     assert not Chain(scene, 5120.0, ["body 1"]).measure(at_rest(1, 5120.0, 5)).any()
 
 
-def test_given_a_place_that_is_not_there_when_the_chain_is_made_then_the_error_names_it():
+def test_unknown_place_is_named():
     with pytest.raises(SceneError, match=r"sits at body 2.*body 1"):
         Chain(scene_of("", ""), 5120.0, ["body 1"])
 
 
 @pytest.mark.parametrize("factor", [0.5, 1.01])
-def test_given_a_motion_at_another_rate_when_the_chain_is_made_then_it_is_refused(factor):
+def test_other_motion_rate_is_rejected(factor):
     with pytest.raises(SceneError, match="rate"):
         Chain(scene_of(), 5120.0 * factor, ["body 1"])
 
 
-def test_given_an_empty_block_when_measured_then_nothing_comes_out_and_nothing_changes():
+def test_empty_block_changes_nothing():
     scene = scene_of(EVERYTHING, SENSOR, converter=EVERYTHING_CONVERTED)
     chain, rate = chain_of(scene)
     motion = motion_of([Path(tones=((200.0, 60.0, 0.0),))] * 2, rate, 20)

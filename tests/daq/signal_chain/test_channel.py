@@ -11,19 +11,19 @@ def channel(**fields):
     )
 
 
-def test_given_poles_and_zeros_when_asked_for_the_response_then_it_is_their_product():
+def test_response_is_the_product_of_roots():
     info = channel(zeros=(0.0,), poles=(-3.0 + 4.0j, -3.0 - 4.0j), gain=25.0)
     s = 2j * np.pi * 7.0
     assert info.response(7.0) == pytest.approx(25.0 * s / (s * s + 6.0 * s + 25.0), rel=1e-14)
 
 
-def test_given_an_averaging_channel_with_delay_when_asked_then_sinc_and_both_delays_are_in():
+def test_averaging_and_delay_are_in_the_response():
     info = channel(average=True, delay=2e-3)
     expected = np.sinc(0.2) * np.exp(-2j * np.pi * 20.0 * (0.5 / 100.0 + 2e-3))
     assert info.response([20.0, 0.0]) == pytest.approx(np.array([expected, 1.0]), rel=1e-14)
 
 
-def test_given_awkward_figures_when_taken_through_metadata_then_nothing_is_lost():
+def test_metadata_is_lossless():
     info = channel(
         poles=(-0.1 + 1e-17j, -1.0 / 3.0), volts_per_count=10.0 / 2**24, range=5.0, sensor={"model": "0.1 µg"}
     )
@@ -33,12 +33,12 @@ def test_given_awkward_figures_when_taken_through_metadata_then_nothing_is_lost(
 
 
 @pytest.mark.parametrize("damage", [{"gain": "one"}, {"gain": None}])
-def test_given_damaged_metadata_when_read_then_the_error_names_the_field(damage):
+def test_damaged_metadata_names_the_field(damage):
     metadata = channel().to_metadata() | damage
     with pytest.raises(RecordingError, match="gain"):
         ChannelInfo.from_metadata({key: value for key, value in metadata.items() if value is not None})
 
 
-def test_given_counts_when_asked_then_their_size_is_in_the_unit_read():
+def test_count_size_is_in_the_unit():
     assert channel(volts_per_count=0.5).unit_per_count == 0.25
     assert channel().unit_per_count == 0.5

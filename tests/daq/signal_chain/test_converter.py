@@ -10,7 +10,7 @@ from rig.scene.presets import filled_in
 from tests.daq.dsp.analytic_motion import Path, at_rest, chain_of, motion_of, scene_of
 
 
-def test_given_bits_and_range_when_converted_then_a_count_is_twice_the_range_over_the_codes():
+def test_count_is_range_over_codes():
     chain, _ = chain_of(scene_of("", converter="{bits: 16, range: 5 V}"))
     converter = Quantiser(Settings(bits=16, range=5.0), chain.channels)
     assert converter.channels[0].volts_per_count == 10.0 / 65536
@@ -21,26 +21,26 @@ def test_given_bits_and_range_when_converted_then_a_count_is_twice_the_range_ove
     assert block.overload.tolist() == [[False, False, False, True, True, True]]
 
 
-def test_given_a_range_without_bits_when_converted_then_volts_are_clipped_and_flagged():
+def test_range_without_bits_clips():
     block = Quantiser(Settings(range=5.0), []).convert(np.array([[1.25, -6.0]]))
     assert block.samples.tolist() == [[1.25, -5.0]]
     assert block.overload.tolist() == [[False, True]]
 
 
-def test_given_neither_when_converted_then_volts_go_through_untouched():
+def test_ideal_converter_passes_volts():
     volts = np.array([[1e6, -3.3]])
     block = Quantiser(Settings(), []).convert(volts)
     assert np.array_equal(block.samples, volts)
     assert not block.overload.any()
 
 
-def test_given_32_bits_when_driven_beyond_the_range_then_counts_stay_in_32_bits():
+def test_full_range_stays_in_32_bits():
     block = Quantiser(Settings(bits=32, range=1.0), []).convert(np.array([[2.0, -2.0]]))
     assert block.samples.tolist() == [[2**31 - 1, -(2**31)]]
 
 
 @pytest.mark.parametrize("bits", [8, 16, 24])
-def test_given_a_busy_signal_when_quantised_then_the_noise_has_a_variance_of_a_twelfth_of_a_squared_count(
+def test_quantisation_noise_is_a_twelfth(
     bits,
 ):
     volts = 3.0 * np.sin(np.arange(400_000) * 0.1234567)[None]
@@ -61,30 +61,30 @@ def test_given_a_busy_signal_when_quantised_then_the_noise_has_a_variance_of_a_t
         (100.0, 51200 / 31),
     ],
 )
-def test_given_a_module_when_a_rate_is_asked_for_then_its_clock_gives_the_next_one_above(asked, given):
+def test_module_clock_gives_next_rate(asked, given):
     assert SampleClock.of(Settings(preset="NI 9234", rate=asked)).rate == pytest.approx(given, rel=1e-12)
 
 
-def test_given_a_module_when_asked_for_more_than_it_can_then_the_error_names_its_rates():
+def test_too_fast_module_rate_is_named():
     with pytest.raises(SceneError, match=r"rate: got 60000 Hz; expected 1651\.61 to 51200 Hz"):
         Settings(preset="NI 9234").replace(rate=60e3)
 
 
-def test_given_no_module_when_a_rate_is_asked_for_then_it_is_taken_as_it_is():
+def test_rate_without_module_is_kept():
     assert SampleClock.of(Settings(rate=1234.5)) == SampleClock(1234.5, 1234.5)
 
 
-def test_given_a_clock_error_when_the_rate_is_asked_for_then_it_is_stated_without_and_true_with_it():
+def test_clock_error_separates_true_rate():
     clock = SampleClock.of(Settings(preset="NI 9234", rate=8000.0, clock_error=50e-6))
     assert (clock.rate, clock.true_rate) == (51200 / 6, 51200 / 6 * 1.00005)
 
 
-def test_given_blocks_to_drop_when_made_then_it_says_which_samples_are_lost():
+def test_dropped_blocks_are_listed():
     blocks = [{"at": 0.2, "samples": 10}, {"at": 0.1, "samples": 5}, {"at": 0.1005, "samples": 6}]
     assert Quantiser(Settings(rate=1000.0, dropped_blocks=blocks), []).lost == ((100, 105), (200, 209))
 
 
-def test_given_a_preset_module_when_connected_then_its_figures_are_in_force():
+def test_preset_module_figures_apply():
     scene = scene_of("", converter="{preset: NI 9234, rate: 5120 Hz}")
     chain, rate = chain_of(scene)
     converter = Quantiser(scene.converter, chain.channels)
@@ -96,7 +96,7 @@ def test_given_a_preset_module_when_connected_then_its_figures_are_in_force():
     assert volts.std() == pytest.approx(0.31e-6 * np.sqrt(rate / 2), rel=0.02)
 
 
-def test_given_presets_for_sensor_and_module_when_measured_then_the_bias_has_settled_and_the_tone_is_there():
+def test_presets_settle_and_read_a_tone():
     scene = scene_of(", accelerometer: {preset: pcb 352c33}", converter="{preset: NI 9234, rate: 5120 Hz}")
     chain, rate = chain_of(scene)
     read = chain.measure(motion_of([Path(tones=((10.0, 80.0, 0.0),))], rate, round(12 * rate)))[0]
@@ -108,7 +108,7 @@ def test_given_presets_for_sensor_and_module_when_measured_then_the_bias_has_set
 
 @pytest.mark.parametrize("keys", ["", ", integrator: {order: 1, corner: 1 Hz}", ", integrator: {order: 2}"])
 @pytest.mark.parametrize("more", ["", ", filter: delta_sigma"])
-def test_given_skew_when_struck_then_earlier_channels_read_what_was_there_before_by_exactly_that(keys, more):
+def test_skewed_channels_read_earlier(keys, more):
     rate = 5120.0
     impacts = ((0.0123, 0.3), (0.01234, -0.1), (70.0 / rate, 0.2), (0.0301, 0.4))
     skewed, _ = chain_of(scene_of(keys, keys, keys, converter=f"{{skew: 40 us{more}}}"))
@@ -121,7 +121,7 @@ def test_given_skew_when_struck_then_earlier_channels_read_what_was_there_before
     assert read == pytest.approx(expected, abs=1e-11 * np.abs(expected).max())
 
 
-def test_given_skew_when_a_tone_is_measured_then_its_phase_is_that_of_the_stated_response():
+def test_skewed_tone_has_stated_phase():
     skewed, rate = chain_of(scene_of("", "", converter="{skew: 60 us}"))
     straight, _ = chain_of(scene_of("", ""))
     motion = motion_of([Path(tones=((50.0, 60.0, -np.pi / 2),))] * 2, rate, 5120)
@@ -133,14 +133,14 @@ def test_given_skew_when_a_tone_is_measured_then_its_phase_is_that_of_the_stated
         assert early[row] / last[row] == pytest.approx(complex(stated), rel=1e-9)
 
 
-def test_given_skew_beyond_a_sample_interval_when_the_chain_is_made_then_it_is_refused():
+def test_skew_beyond_an_interval_is_rejected():
     with pytest.raises(SceneError, match=r"converter\.skew"):
         chain_of(scene_of("", "", "", converter="{rate: 5120 Hz, skew: 100 us}"))
 
 
 @pytest.mark.parametrize("keys", ["", ", integrator: {order: 1}"])
 @pytest.mark.parametrize("more", ["", ", filter: delta_sigma"])
-def test_given_jitter_when_a_tone_is_measured_then_the_noise_is_its_slope_times_the_jitter(keys, more):
+def test_jitter_noise_is_slope_times_jitter(keys, more):
     rate, frequency, jitter = 5120.0, 200.0, 1e-6
     w = 2 * np.pi * frequency
     path = Path(tones=((100.0, frequency, 0.0),))
@@ -163,25 +163,25 @@ SHEETS = [
 
 
 @pytest.mark.parametrize(("sheet", "kind"), SHEETS, ids=lambda value: getattr(value, "name", value))
-def test_given_a_part_when_named_in_a_scene_then_its_figures_are_valid_and_their_sources_stated(sheet, kind):
+def test_preset_figures_are_valid_and_sourced(sheet, kind):
     settings = {"accelerometer": Accelerometer, "hammer": Hammer, "converter": Settings}[kind]
     filled = filled_in(settings(preset=sheet.name.lower().replace(" ", "-")))
     assert {key for key in sheet.settings[kind] if getattr(filled, key) is None} == set()
     assert sheet.sources
 
 
-def test_given_a_figure_beside_a_preset_when_filled_in_then_the_given_one_holds():
+def test_explicit_figure_overrides_preset():
     settings = filled_in(Accelerometer(preset="PCB 352C33", sensitivity="98 mV/g"))
     assert settings.sensitivity == pytest.approx(0.098 / 9.80665)
     assert settings.resonance == 50e3
 
 
-def test_given_a_figure_that_does_not_go_with_its_preset_when_filled_in_then_the_error_names_both():
+def test_contradicting_figure_names_both():
     with pytest.raises(SceneError, match="PCB 086C03"):
         filled_in(Hammer(preset="PCB 086C03").model_copy(update={"saturation": -1.0}))
 
 
-def test_given_parts_in_a_channel_when_described_then_their_data_sheets_go_with_it():
+def test_data_sheets_are_described():
     scene = scene_of(
         ", accelerometer: {resonance: 30 kHz}, integrator: {order: 1, corner: 1 Hz}",
         converter="{excitation: 2 mA}",

@@ -16,7 +16,7 @@ def amplitude(read, frequency, rate):
     return 2 * np.sum(read[k] * window * turns) / window.sum()
 
 
-def test_given_tones_in_the_pass_band_when_filtered_then_they_come_through_flat_and_late_by_the_stated_delay():
+def test_pass_band_is_flat_and_delayed():
     chain, rate = chain_of(scene_of("", converter=FILTERED), oversampling=8)
     info = chain.channels[0]
     assert info.delay == 38 / RATE
@@ -31,13 +31,13 @@ def test_given_tones_in_the_pass_band_when_filtered_then_they_come_through_flat_
 
 
 @pytest.mark.parametrize("share", [STOP, 0.62, 0.97, 1.2, 1.9, 2.45, 3.3])
-def test_given_a_tone_out_of_band_when_filtered_then_its_alias_stays_below_minus_100_db(share):
+def test_out_of_band_tone_is_suppressed(share):
     chain, rate = chain_of(scene_of("", converter=FILTERED), oversampling=16)
     read = chain.measure(motion_of([Path(tones=((1.0, share * RATE, 0.7),))], rate, 16 * 1500))[0]
     assert np.abs(read[300:]).max() < 1e-5
 
 
-def test_given_a_ringing_sensor_struck_at_any_instant_when_filtered_then_samples_are_the_integral_of_the_filter():
+def test_struck_sensor_samples_are_the_filter_integral():
     rate, resonance, q = 51200.0, 30e3, 30.0
     sensor = f", accelerometer: {{resonance: {resonance}, q: {q}}}"
     chain, _ = chain_of(scene_of(sensor, converter=f"{{rate: {rate}, filter: delta_sigma}}"))
@@ -57,7 +57,7 @@ def test_given_a_ringing_sensor_struck_at_any_instant_when_filtered_then_samples
     assert read == pytest.approx(np.array(expected), abs=2e-5 * np.abs(expected).max())
 
 
-def test_given_an_ideal_sensor_when_struck_then_the_filtered_samples_add_up_to_the_jump_of_velocity():
+def test_filtered_impulse_sums_to_velocity():
     chain, _ = chain_of(scene_of("", converter=FILTERED))
     for instant in (10.0, 20.0001, 29.5):
         chain, _ = chain_of(scene_of("", converter=FILTERED))
@@ -65,7 +65,7 @@ def test_given_an_ideal_sensor_when_struck_then_the_filtered_samples_add_up_to_t
         assert read.sum() / RATE == pytest.approx(0.5, rel=1e-5)
 
 
-def test_given_the_delay_removed_when_measured_then_samples_are_the_same_numbered_38_lower():
+def test_removed_delay_renumbers_samples():
     path = [Path(tones=((1.0, 41.0, 0.3),), impacts=((0.0517, 0.2),))]
     motion = motion_of(path, RATE, 200)
     late, _ = chain_of(scene_of("", converter=FILTERED))
@@ -77,7 +77,7 @@ def test_given_the_delay_removed_when_measured_then_samples_are_the_same_numbere
     assert np.array_equal(np.concatenate(blocks, axis=1), late.measure(motion)[:, 38:])
 
 
-def test_given_white_noise_in_the_sensor_when_filtered_then_it_has_the_density_of_the_data_sheet_up_to_the_edge():
+def test_filtered_white_noise_keeps_its_density():
     sensor = ", accelerometer: {noise: 0.01}"
     chain, rate = chain_of(scene_of(sensor, converter="{rate: 1 kHz, filter: delta_sigma, coupling: AC}"))
     read = chain.measure(at_rest(1, rate, 200_000))[0, 100:]

@@ -28,7 +28,7 @@ def averaged(volts: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("shaker", PER_VOLT)
-def test_given_a_shaker_of_any_kind_when_driven_then_the_channel_reads_the_volts_of_its_output(
+def test_drive_channel_reads_output_volts(
     shaker: str,
 ) -> None:
     volts = np.random.default_rng(1).standard_normal(200)
@@ -38,7 +38,7 @@ def test_given_a_shaker_of_any_kind_when_driven_then_the_channel_reads_the_volts
     assert found[0, 1:] == pytest.approx(averaged(volts), abs=1e-12)
 
 
-def test_given_several_shakers_when_driven_then_each_channel_reads_its_own_output() -> None:
+def test_each_drive_channel_reads_its_output() -> None:
     volts = np.random.default_rng(2).standard_normal((3, 200))
     text = f"shaker: [{FORCE}, {TABLE}, {COIL}]\nchannels: [{{name: c, at: drive 3}}, {{name: b, at: drive 2}}]\n"
     found, _ = read(text, volts * np.array([[1.0], [1e-3], [1.0]]))
@@ -46,7 +46,7 @@ def test_given_several_shakers_when_driven_then_each_channel_reads_its_own_outpu
     assert found[1, 1:] == pytest.approx(averaged(volts[1]), abs=1e-12)
 
 
-def test_given_a_module_at_the_output_when_driven_beyond_it_then_it_clips_and_quantises() -> None:
+def test_output_module_clips_and_quantises() -> None:
     volts = np.array([[0.1001, 12.0, -12.0, 0.0]])
     text = "shaker: {kind: force, body: 1, output: {preset: NI 9263}}\nchannels: [{name: drive, at: drive}]\n"
     found, _ = read(text, np.repeat(volts, 2, axis=1))
@@ -54,9 +54,7 @@ def test_given_a_module_at_the_output_when_driven_beyond_it_then_it_clips_and_qu
     assert found[0, 1::2] == pytest.approx([round(0.1001 / step) * step, 10.0 - step, -10.0, 0.0], abs=1e-12)
 
 
-def test_given_a_module_at_the_input_when_driven_then_the_voltage_passes_the_converter_like_any_channel() -> (
-    None
-):
+def test_input_module_converts_the_drive() -> None:
     volts = np.full((1, 3000), 4.0)
     text = f"shaker: {FORCE}\nchannels: [{{name: drive, at: drive, coupling: DC}}]\nconverter: {{preset: NI 9234}}\n"
     found, channels = read(text, volts)

@@ -32,7 +32,7 @@ def scene_of(test: str, *channels: str, shaker: str = "{kind: force, body: 1}") 
     return rig.loads(text + f"channels: [{', '.join(channels)}]\n")
 
 
-def test_given_a_force_sensor_at_the_shaker_when_analysed_then_responses_are_divided_by_what_it_reads(
+def test_measured_force_divides_the_responses(
     tmp_path,
 ) -> None:
     scene = scene_of(STEPS, BODY, FORCE)
@@ -47,7 +47,7 @@ def test_given_a_force_sensor_at_the_shaker_when_analysed_then_responses_are_div
     np.testing.assert_allclose(curve.value, exact, rtol=2e-3)
 
 
-def test_given_noise_at_a_force_sensor_when_analysed_then_the_response_is_coherent(tmp_path) -> None:
+def test_force_noise_keeps_coherence(tmp_path) -> None:
     scene = scene_of(NOISE, BODY, FORCE)
     with daq.open(daq.record(scene, tmp_path / "a.mcap")) as recording:
         ((curve,),) = frequency_responses(recording)
@@ -56,7 +56,7 @@ def test_given_noise_at_a_force_sensor_when_analysed_then_the_response_is_cohere
     assert curve.value[near] == pytest.approx(exact[near], rel=0.1)
 
 
-def test_given_no_channel_that_tells_the_force_when_recorded_then_it_is_said_before_the_test_begins(
+def test_missing_force_channel_is_announced(
     tmp_path,
 ) -> None:
     scene = scene_of(STEPS, BODY)
@@ -75,9 +75,7 @@ def test_given_no_channel_that_tells_the_force_when_recorded_then_it_is_said_bef
     assert len(told) == 2
 
 
-def test_given_a_force_sensor_by_preset_when_its_chain_is_studied_then_its_tolerance_and_noise_are_taken_off() -> (
-    None
-):
+def test_chain_study_corrects_force_sensor_preset() -> None:
     scene = scene_of(STEPS, BODY, "{name: f, at: shaker, hammer: {preset: PCB 086C03, noise: 1 mN/sqrt(Hz)}}")
     written = plain(scene).channels
     assert written is not None and written[1].hammer is not None
@@ -105,15 +103,13 @@ def test_given_a_force_sensor_by_preset_when_its_chain_is_studied_then_its_toler
         ),
     ],
 )
-def test_given_channels_when_asked_for_the_force_then_what_is_missing_is_named(
-    shaker, test, channels, missing
-) -> None:
+def test_missing_force_settings_are_named(shaker, test, channels, missing) -> None:
     bench = Bench(scene_of(test, *channels, shaker=shaker))
     said = missing_force_reference(bench.scene, bench.channels)
     assert said is None if missing is None else missing in said
 
 
-def test_given_a_recording_that_does_not_tell_the_force_when_analysed_then_the_channel_to_add_is_named(
+def test_analysis_names_the_missing_force_channel(
     tmp_path,
 ) -> None:
     with pytest.warns(daq.RunWarning):

@@ -56,7 +56,7 @@ def landing(rate: float, limit: float) -> tuple[Bench, np.ndarray, np.ndarray, f
 
 
 @pytest.mark.parametrize("rate", [20480.0, 51200.0])
-def test_given_a_landing_when_measured_then_duration_and_peak_are_the_closed_form(rate: float) -> None:
+def test_landing_pulse_is_closed_form(rate: float) -> None:
     bench, samples, _, offset, peak = landing(rate, 10.0)
     pulse = np.abs(bench.physical(samples[None])[0])
     assert pulse.max() == pytest.approx(peak, rel=0.02)
@@ -68,9 +68,7 @@ def test_given_a_landing_when_measured_then_duration_and_peak_are_the_closed_for
 
 
 @pytest.mark.parametrize(("share", "clips"), [(0.9, True), (1.1, False)])
-def test_given_a_landing_near_full_scale_when_measured_at_any_rate_then_it_saturates_alike(
-    share: float, clips: bool
-) -> None:
+def test_near_full_scale_landing_saturates_alike(share: float, clips: bool) -> None:
     peak = landing(51200.0, 10.0)[-1]
     for rate in (5120.0, 20480.0, 51200.0):
         assert landing(rate, share * peak * SENSITIVITY)[2].any() == clips

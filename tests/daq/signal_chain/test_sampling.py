@@ -14,7 +14,7 @@ from tests.daq.dsp.analytic_motion import Path, chain_of, motion_of, scene_of
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_given_random_sensors_and_impacts_when_sampled_in_points_then_each_is_the_voltage_at_its_instant(
+def test_point_samples_are_instant_voltages(
     seed,
 ):
     dice = np.random.default_rng([16, seed])
@@ -40,7 +40,7 @@ def test_given_random_sensors_and_impacts_when_sampled_in_points_then_each_is_th
     assert "point sampling" in chain.effects["c1"]
 
 
-def test_given_an_ideal_sensor_when_sampled_in_points_then_impulses_are_lost_and_averaged_they_are_not():
+def test_averages_keep_impulses_and_points_lose_them():
     hit = Path(impacts=((0.01234, 0.7),))
     for sampling, velocity in (("point", 0.0), ("average", 0.7)):
         chain, rate = chain_of(scene_of(converter=f"{{rate: 1 kHz, sampling: {sampling}}}"))
@@ -48,7 +48,7 @@ def test_given_an_ideal_sensor_when_sampled_in_points_then_impulses_are_lost_and
         assert read.sum() / rate == pytest.approx(velocity, abs=1e-12)
 
 
-def test_given_landings_shorter_than_a_sample_interval_when_averaged_then_their_momentum_is_whole():
+def test_short_landing_momentum_is_averaged_whole():
     scene = rig.loads(
         """
         structure: {masses: [0.8 kg], springs: [4 kN/m]}
@@ -67,7 +67,7 @@ def test_given_landings_shorter_than_a_sample_interval_when_averaged_then_their_
 
 
 @pytest.mark.parametrize("filtered", ["filter: delta_sigma", "preset: NI 9234"])
-def test_given_a_filter_when_samples_are_to_be_points_then_that_is_refused(filtered):
+def test_point_samples_behind_a_filter_are_rejected(filtered):
     with pytest.raises(SceneError, match="sampling: point with the filter delta_sigma"):
         rig.loads(
             f"structure: {{masses: [1], springs: [1]}}\nconverter: {{rate: 5120, sampling: point, {filtered}}}"

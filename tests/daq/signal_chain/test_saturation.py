@@ -83,7 +83,7 @@ def sampled(case, voltage):
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_given_random_sensors_limits_and_shocks_when_measured_then_samples_are_those_of_small_steps(seed):
+def test_limited_samples_agree_with_small_steps(seed):
     case = draw(seed)
     limit = float(case["limit"] * small_steps(case, np.inf, np.inf)[1])
     rail = float(case["rail"]) * small_steps(case, limit, np.inf)[2] if case["order"] else np.inf
@@ -118,7 +118,7 @@ def test_given_random_sensors_limits_and_shocks_when_measured_then_samples_are_t
 
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("filtered", ["", ", filter: delta_sigma"])
-def test_given_a_shock_when_measured_at_any_rate_then_it_saturates_alike(seed, filtered):
+def test_shock_saturates_alike_at_any_rate(seed, filtered):
     dice = np.random.default_rng([1617, seed])
     frequency, q, jump = np.exp(dice.uniform(np.log([5e3, 2.0, 0.01]), np.log([6e4, 40.0, 1.0])))
     decay = np.arctan(np.sqrt(4 * q * q - 1)) / np.sqrt(4 * q * q - 1)
@@ -133,7 +133,7 @@ def test_given_a_shock_when_measured_at_any_rate_then_it_saturates_alike(seed, f
             assert chain.overload.any() == (share < 1.0)
 
 
-def test_given_a_sensor_without_bandwidth_when_struck_then_it_is_overloaded_and_the_impulse_is_lost():
+def test_sensor_without_bandwidth_loses_the_impulse():
     for rate in RATES:
         scene = scene_of(
             ", accelerometer: {saturation: 50}, integrator: {order: 1}", converter=f"{{rate: {rate}}}"
@@ -144,7 +144,7 @@ def test_given_a_sensor_without_bandwidth_when_struck_then_it_is_overloaded_and_
         assert np.flatnonzero(chain.overload[0]).tolist() == [int(np.ceil(0.0123 * rate))]
 
 
-def test_given_an_overloaded_sensor_when_its_zero_shift_lasts_then_so_does_the_mark():
+def test_zero_shift_keeps_the_flag():
     scene = scene_of(", accelerometer: {resonance: 20 kHz, saturation: 100, overload_recovery: 5 ms}")
     chain, rate = chain_of(scene)
     read = chain.measure(motion_of([Path(impacts=((0.01, 0.05),))], rate, 600))[0]
@@ -155,7 +155,7 @@ def test_given_an_overloaded_sensor_when_its_zero_shift_lasts_then_so_does_the_m
     assert 0.01 < (flagged[-1] - flagged[0]) / rate < 0.04
 
 
-def test_given_landings_when_acquired_then_the_bench_marks_what_the_sensor_could_not_follow():
+def test_bench_flags_saturating_landings():
     scene = rig.load("fig8-three-dampers")
     drive = 3.0 * np.sin(2 * np.pi * 34.8 / 5120.0 * np.arange(1500))[None]
     for saturation, overloads in (("5 g", True), ("5000 g", False)):

@@ -19,7 +19,7 @@ def read_constant(keys, acceleration, count, converter="{rate: 5120 Hz}"):
     return chain.measure(motion)[0] / chain.channels[0].sensitivity
 
 
-def test_given_a_tolerance_when_sensors_are_made_then_true_sensitivities_spread_evenly_within_it():
+def test_sensitivities_spread_evenly_within_tolerance():
     settings = Accelerometer(sensitivity="100 mV/g", sensitivity_tolerance="10 %")
     stages = [accelerometer(settings, seed, "c") for seed in range(400)]
     deviation = np.array([stage.deviation for stage in stages])
@@ -29,7 +29,7 @@ def test_given_a_tolerance_when_sensors_are_made_then_true_sensitivities_spread_
     assert accelerometer(settings, 3, "c") == accelerometer(settings, 3, "c")
 
 
-def test_given_a_tolerance_when_measured_then_readings_are_off_by_it_and_the_stated_response_does_not_know():
+def test_tolerance_deviates_readings_not_the_response():
     keys = ", accelerometer: {sensitivity: 100 mV/g, sensitivity_tolerance: 10 %}"
     read = read_constant(keys, 3.0, 5)
     deviation = accelerometer(Accelerometer(sensitivity_tolerance=0.1), 1, "c1").deviation
@@ -37,12 +37,12 @@ def test_given_a_tolerance_when_measured_then_readings_are_off_by_it_and_the_sta
     assert read[1:] == pytest.approx(np.full(4, 3.0 * (1 + deviation)), rel=1e-12)
 
 
-def test_given_a_warm_sensor_when_measured_then_its_sensitivity_has_drifted():
+def test_warm_sensor_drifts():
     keys = ", accelerometer: {temperature_drift: 0.05 %/K, temperature_change: 20 K}"
     assert read_constant(keys, 2.0, 3)[-1] == pytest.approx(2.02, rel=1e-12)
 
 
-def test_given_transverse_sensitivity_when_sensors_are_made_then_it_lets_in_that_share_of_the_sideways_motion():
+def test_transverse_sensitivity_adds_sideways_motion():
     deviations = [
         accelerometer(Accelerometer(transverse="5 %", lateral="40 %"), seed, "c").deviation
         for seed in range(300)
@@ -53,7 +53,7 @@ def test_given_transverse_sensitivity_when_sensors_are_made_then_it_lets_in_that
     assert np.max(default) == pytest.approx(0.005, rel=0.01)
 
 
-def test_given_a_bias_when_measured_then_it_is_there_from_power_on_or_settles():
+def test_bias_is_constant_or_settles():
     chain, rate = chain_of(
         scene_of(", accelerometer: {bias: 2 V}", ", accelerometer: {bias: 2 V, bias_settling: 0.5 s}")
     )
@@ -62,7 +62,7 @@ def test_given_a_bias_when_measured_then_it_is_there_from_power_on_or_settles():
     assert read[1] == pytest.approx(2.0 * (1 - np.exp(-np.arange(5120) / (0.5 * rate))), abs=1e-12)
 
 
-def test_given_a_biased_sensor_when_ac_coupled_then_the_bias_is_a_step_that_decays_as_the_coupling_says():
+def test_ac_coupled_bias_decays():
     converter = "{coupling: AC, ac_corner: 0.5 Hz}"
     chain, rate = chain_of(scene_of(", accelerometer: {bias: 11 V}", converter=converter))
     read = chain.measure(at_rest(1, rate, 10240))[0]
@@ -70,13 +70,13 @@ def test_given_a_biased_sensor_when_ac_coupled_then_the_bias_is_a_step_that_deca
     assert abs(read[-1]) < 0.03
 
 
-def test_given_a_low_cutoff_when_acceleration_lasts_then_the_reading_decays():
+def test_constant_acceleration_decays_below_low_cutoff():
     read = read_constant(", accelerometer: {low_cutoff: 2 Hz}", 1.0, 5120)
     t = (np.arange(5120) - 0.5) / 5120.0
     assert read[1:] == pytest.approx(np.exp(-2 * np.pi * 2.0 * t[1:]), abs=1e-6)
 
 
-def test_given_a_saturation_when_exceeded_then_the_reading_stays_at_it_and_follows_again_at_once():
+def test_saturated_reading_recovers_at_once():
     chain, rate = chain_of(scene_of(", accelerometer: {sensitivity: 2, saturation: 5}"))
     path = Path(tones=((20.0, 50.0, 0.0),))
     read = chain.measure(motion_of([path], rate, 1000))[0] / 2.0
@@ -86,7 +86,7 @@ def test_given_a_saturation_when_exceeded_then_the_reading_stays_at_it_and_follo
     assert np.abs(read).max() == pytest.approx(5.0, abs=1e-5)
 
 
-def test_given_a_slow_recovery_when_overloaded_then_the_zero_is_shifted_and_comes_back_with_its_time_constant():
+def test_slow_recovery_shifts_zero():
     keys = ", accelerometer: {saturation: 5, overload_recovery: 20 ms}"
     chain, rate = chain_of(scene_of(keys))
     motion = at_rest(1, rate, 1024)
@@ -101,7 +101,7 @@ def test_given_a_slow_recovery_when_overloaded_then_the_zero_is_shifted_and_come
     assert tail[1:] / tail[:-1] == pytest.approx(np.full(tail.size - 1, np.exp(-1 / (0.02 * rate))), rel=1e-9)
 
 
-def test_given_a_saturation_before_an_integrator_when_exceeded_then_what_is_lacking_is_lacking_in_the_integral():
+def test_saturation_deficit_stays_in_the_integral():
     chain, rate = chain_of(scene_of(", accelerometer: {saturation: 5}, integrator: {order: 1}"))
     motion = at_rest(1, rate, 200)
     t = np.arange(200) / rate

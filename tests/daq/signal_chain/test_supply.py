@@ -38,13 +38,11 @@ def volts(channel: str, converter: str) -> np.ndarray:
         ("accelerometer: {preset: PCB 352C33}, coupling: DC", "{preset: USB-4431, noise: 0}", True),
     ],
 )
-def test_given_a_sensor_when_its_supply_is_on_or_off_then_it_is_alive_or_dead(
-    channel: str, converter: str, alive: bool
-) -> None:
+def test_supply_turns_the_sensor_on(channel: str, converter: str, alive: bool) -> None:
     assert volts(channel, converter)[200:].any() == alive
 
 
-def test_given_a_fed_sensor_when_coupled_dc_then_its_bias_is_seen_and_ac_takes_it_away() -> None:
+def test_ac_coupling_removes_the_supply_bias() -> None:
     direct = volts(IEPE + ", coupling: DC", "{coupling: AC}")
     blocked = volts(IEPE, "{coupling: AC, ac_corner: 5 Hz}")
     assert direct.mean() == pytest.approx(9.0, abs=0.05)

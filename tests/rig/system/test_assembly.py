@@ -46,9 +46,7 @@ def stiffness_of_body_2(extra: float = 0.0) -> np.ndarray:
     return M2 * S**2 + above * hanging / (above + hanging) + extra
 
 
-def test_given_a_table_when_driven_then_it_follows_critically_damped_and_its_spring_pulls_at_the_body() -> (
-    None
-):
+def test_table_follows_critically_damped() -> None:
     scene = scene_of(shaker={"kind": "table", "body": 2, "spring": 6e3, "bandwidth": 150.0})
     moves = response(assemble(scene))
     table = 1.0 / (1.0 + S / (2 * np.pi * 150.0)) ** 2
@@ -57,7 +55,7 @@ def test_given_a_table_when_driven_then_it_follows_critically_damped_and_its_spr
 
 
 @pytest.mark.parametrize("mode", ["voltage", "current"])
-def test_given_an_electrodynamic_shaker_when_driven_then_coil_armature_and_spring_obey_their_laws(
+def test_electrodynamic_shaker_obeys_its_equations(
     mode: str,
 ) -> None:
     resistance, inductance, factor, mass, held, damped, spring, gain = (
@@ -93,7 +91,7 @@ def test_given_an_electrodynamic_shaker_when_driven_then_coil_armature_and_sprin
     assert row.tolist() == [0.0, -spring, spring, *[0.0] * (system.states - 3)]
 
 
-def test_given_a_hammer_beside_a_force_on_two_bodies_when_driven_then_each_input_acts_where_it_is() -> None:
+def test_each_input_acts_at_its_place() -> None:
     test = {"kind": "impulse", "body": 2, "peak": 10.0, "width": 4e-3}
     scene = scene_of(shaker={"kind": "force", "body": [1, 2]}, test=test)
     system = assemble(scene)
@@ -108,7 +106,7 @@ def test_given_a_hammer_beside_a_force_on_two_bodies_when_driven_then_each_input
     assert not spring_force_row(scene, system).any()
 
 
-def test_given_dampers_of_all_kinds_when_assembled_then_they_weigh_and_stand_where_they_are() -> None:
+def test_dampers_of_all_kinds_are_assembled() -> None:
     dampers = [
         {"body": 2, "mass": 0.1, "clearance": 1e-3},
         {"body": 1, "mass": 0.2, "clearance": 2e-3, "locked": True},
@@ -156,7 +154,7 @@ def test_given_dampers_of_all_kinds_when_assembled_then_they_weigh_and_stand_whe
     assert not system.initial[7:].any()
 
 
-def test_given_a_free_test_when_started_then_it_adds_to_the_sag_or_stands_alone() -> None:
+def test_free_test_adds_to_the_sag() -> None:
     damper = {"body": 1, "mass": 0.1, "clearance": 1e-3}
     start = {"kind": "free", "displacement": [1e-3, 2e-3], "velocity": [0.1, -0.2], "duration": 1.0}
     weight = 0.1 * 9.80665
@@ -172,9 +170,7 @@ def test_given_a_free_test_when_started_then_it_adds_to_the_sag_or_stands_alone(
 
 
 @pytest.mark.parametrize(("contact", "most"), [({}, 62), ({"contact": {"duration": 1e-3}}, 31)])
-def test_given_ever_more_dampers_that_move_when_assembled_then_the_most_there_can_be_is_told(
-    contact: dict[str, object], most: int
-) -> None:
+def test_too_many_moving_dampers_are_rejected(contact: dict[str, object], most: int) -> None:
     def with_dampers(count: int) -> rig.Scene:
         structure = {"masses": [1.0] * (count + 1), "springs": [1e3] * (count + 1)}
         damper = {"mass": 1e-3, "clearance": 1e-3}
@@ -187,7 +183,7 @@ def test_given_ever_more_dampers_that_move_when_assembled_then_the_most_there_ca
         assemble(with_dampers(most + 1))
 
 
-def test_given_a_structure_that_nothing_holds_when_it_is_to_settle_then_it_says_what_to_do() -> None:
+def test_unsupported_structure_cannot_settle() -> None:
     floating = {"structure": {"masses": [1.0, 2.0], "springs": [0.0, 1e3]}}
     damper = {"body": 1, "mass": 0.1, "clearance": 1e-3}
     with pytest.raises(SceneError, match="not held"):

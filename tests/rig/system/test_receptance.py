@@ -44,7 +44,7 @@ positive = st.floats(min_value=0.1, max_value=10.0)
 
 
 @given(st.lists(st.tuples(positive, positive, positive), min_size=1, max_size=6))
-def test_given_any_chain_with_dashpots_when_driven_at_body_1_then_response_is_the_continued_fraction(
+def test_chain_response_is_the_continued_fraction(
     parts: list[tuple[float, float, float]],
 ) -> None:
     masses, thousands, dashpots = zip(*parts, strict=True)
@@ -55,7 +55,7 @@ def test_given_any_chain_with_dashpots_when_driven_at_body_1_then_response_is_th
     np.testing.assert_allclose(receptance(scene, FREQUENCIES), expected, rtol=1e-9)
 
 
-def test_given_modal_damping_when_driven_then_response_is_the_sum_over_modes() -> None:
+def test_modally_damped_response_is_the_modal_sum() -> None:
     scene = rig.load("bare-structure")
     modes = structural_model(scene).modes
     omega = 2.0 * np.pi * FREQUENCIES
@@ -67,9 +67,7 @@ def test_given_modal_damping_when_driven_then_response_is_the_sum_over_modes() -
 @pytest.mark.parametrize(
     ("attached", "peaks"), [(False, (81.911, 218.512, 312.041)), (True, (86.776, 228.231, 318.003))]
 )
-def test_given_hardly_any_damping_when_searched_then_peaks_lie_at_the_known_frequencies(
-    attached: bool, peaks: tuple[float, ...]
-) -> None:
+def test_lightly_damped_peaks_are_at_known_frequencies(attached: bool, peaks: tuple[float, ...]) -> None:
     scene = rig.load("bare-structure")
     scene = scene.replace(structure=scene.structure.replace(damping={"modal": 1e-4}))
     for peak in peaks:
@@ -82,7 +80,7 @@ def test_given_hardly_any_damping_when_searched_then_peaks_lie_at_the_known_freq
         assert found.x == pytest.approx(peak, abs=6e-4)
 
 
-def test_given_the_spring_attached_when_compared_then_table_response_follows_from_force_response() -> None:
+def test_table_response_follows_from_force_response() -> None:
     # F_1 = k_0 (X_0 - X_1) turns X = R F_1 into X / X_0 = k_0 R / (1 + k_0 R_1).
     scene = rig.load("fig8-three-dampers")
     free = receptance(scene, FREQUENCIES)
@@ -91,7 +89,7 @@ def test_given_the_spring_attached_when_compared_then_table_response_follows_fro
     )
 
 
-def test_given_any_number_of_frequencies_at_once_when_driven_then_the_response_is_the_same(
+def test_number_of_frequencies_changes_no_response(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     scene = rig.load("bare-structure")
@@ -110,24 +108,24 @@ def test_two_beds_in_one_body_add_up() -> None:
     )
 
 
-def test_given_an_undamped_structure_when_driven_at_its_resonance_then_told_so() -> None:
+def test_undamped_resonance_is_reported() -> None:
     structure = {"masses": [1.0], "springs": [(2.0 * np.pi) ** 2]}
     scene = Scene(structure=structure, shaker={"kind": "force", "body": 1})
     with pytest.raises(SceneError, match="infinite at one of the frequencies"):
         receptance(scene, [0.5, 1.0])
 
 
-def test_given_slow_motion_when_driven_then_response_is_that_of_the_springs() -> None:
+def test_slow_response_is_static() -> None:
     scene = rig.load("bare-structure")
     np.testing.assert_allclose(receptance(scene, [0.0])[:, 0], 1.0 / 24300.0, rtol=1e-12)
     np.testing.assert_allclose(receptance(scene, [0.0], attached=True)[:, 0], 6600.0 / 30900.0, rtol=1e-12)
 
 
-def test_given_damping_when_driven_then_motion_of_the_driven_body_lags() -> None:
+def test_damped_driving_point_lags() -> None:
     assert (receptance(rig.load("bare-structure"), FREQUENCIES)[0].imag < 0.0).all()
 
 
-def test_given_riding_dampers_when_driven_then_their_masses_move_with_their_bodies() -> None:
+def test_riding_dampers_add_their_mass() -> None:
     scene = rig.load("fig9").replace(
         structure={"masses": (0.74, 0.71, 0.64), "springs": (24300.0, 21800.0, 19800.0)},
         dampers=[
@@ -140,27 +138,27 @@ def test_given_riding_dampers_when_driven_then_their_masses_move_with_their_bodi
 
 
 @pytest.mark.parametrize("held", [{"clearance": 0.0}, {"clearance": 1e-3, "locked": True}])
-def test_given_a_damper_that_cannot_move_when_driven_then_it_always_rides(held: dict[str, object]) -> None:
+def test_held_damper_always_adds_its_mass(held: dict[str, object]) -> None:
     scene = rig.load("fig9")
     scene = scene.replace(dampers=[{"body": 2, "mass": 0.1, **held}])
     np.testing.assert_array_equal(receptance(scene, [30.0]), receptance(scene, [30.0], riding=[1]))
 
 
-def test_given_a_force_on_several_bodies_when_driven_then_responses_add_up() -> None:
+def test_force_on_several_bodies_superposes() -> None:
     base = rig.load("reference-A").replace(dampers=())
     alone = [receptance(base.replace(shaker={"kind": "force", "body": body}), FREQUENCIES) for body in (1, 3)]
     both = receptance(base.replace(shaker={"kind": "force", "body": [1, 3]}), FREQUENCIES)
     np.testing.assert_allclose(both, alone[0] + alone[1], rtol=1e-11)
 
 
-def test_given_an_impulse_test_without_shaker_when_asked_then_force_acts_where_the_hammer_hits() -> None:
+def test_hammer_position_sets_the_force() -> None:
     hammer = rig.load("fig10b-no-damper")
     np.testing.assert_array_equal(
         receptance(hammer, FREQUENCIES), receptance(rig.load("fig8-no-damper"), FREQUENCIES)
     )
 
 
-def test_given_what_has_no_response_when_asked_then_the_error_names_it() -> None:
+def test_missing_response_names_the_cause() -> None:
     table, force = rig.load("bare-structure"), rig.load("reference-B")
     with pytest.raises(SceneError, match="frequencies"):
         receptance(table, [-1.0])

@@ -25,7 +25,7 @@ def scene(*shakers: str, more: str = "") -> rig.Scene:
 
 
 @pytest.mark.parametrize("shaker", [FORCE, TABLE, COIL, CURRENT])
-def test_given_a_list_of_one_shaker_when_assembled_then_every_number_is_that_of_the_shaker_itself(
+def test_list_of_one_shaker_equals_the_shaker(
     shaker: str,
 ) -> None:
     alone, listed = scene(shaker), rig.loads(f"{STRUCTURE}shaker: [{shaker}]\n")
@@ -34,9 +34,7 @@ def test_given_a_list_of_one_shaker_when_assembled_then_every_number_is_that_of_
         assert np.array_equal(value, getattr(other, name)), name
 
 
-def test_given_shakers_of_all_kinds_when_driven_together_then_motions_add_up_and_the_ledger_balances() -> (
-    None
-):
+def test_shakers_of_all_kinds_superpose() -> None:
     together = scene(COIL, HEAVY, TABLE, FORCE, CURRENT)
     random = np.random.default_rng(1)
     drive = random.standard_normal((5, 400)) * np.array([[1.0], [1.0], [1e-3], [2.0], [1.0]])
@@ -51,7 +49,7 @@ def test_given_shakers_of_all_kinds_when_driven_together_then_motions_add_up_and
     assert abs(run.energy.residual) < 1e-12 * abs(run.energy.work)
 
 
-def test_given_a_second_shaker_when_it_is_a_force_at_rest_then_the_first_moves_as_if_alone() -> None:
+def test_second_shaker_at_rest_changes_nothing() -> None:
     drive = np.random.default_rng(2).standard_normal((1, 300))
     alone = rig.simulate(scene(HEAVY), duration=0.1, rate=4000.0, drive=drive)
     beside = rig.simulate(
@@ -62,7 +60,7 @@ def test_given_a_second_shaker_when_it_is_a_force_at_rest_then_the_first_moves_a
     )
 
 
-def test_given_a_test_that_names_a_shaker_when_simulated_then_the_force_is_that_of_its_coil_spring() -> None:
+def test_force_is_that_of_the_named_shaker() -> None:
     test = "test: {kind: sine, frequency: 20 Hz, force: 2 N, shaker: 2, duration: 4 s}\n"
     named = scene(COIL, TABLE, more=test)
     assert named.driven == 2 and named.at_driven("table") == "table 2"
@@ -74,7 +72,7 @@ def test_given_a_test_that_names_a_shaker_when_simulated_then_the_force_is_that_
     assert [shaker.kind for shaker in ideal.shakers] == ["electrodynamic", "force"]
 
 
-def test_given_several_shakers_when_no_test_names_one_then_a_response_is_refused_in_words() -> None:
+def test_response_without_named_shaker_is_rejected() -> None:
     free = scene(COIL, FORCE)
     with pytest.raises(SceneError, match="2 shakers, and no test says which one to drive"):
         rig.frequency_response(free.replace(test=None), [20.0])
@@ -83,7 +81,7 @@ def test_given_several_shakers_when_no_test_names_one_then_a_response_is_refused
             receptance(loading, [20.0])
 
 
-def test_given_several_forces_when_a_test_names_one_then_the_receptance_is_to_that_one() -> None:
+def test_receptance_is_to_the_named_force() -> None:
     named = scene(
         FORCE, "{kind: force, body: 2}", more="test: {kind: sine, frequency: 20 Hz, force: 2 N, shaker: 2}\n"
     )

@@ -14,9 +14,7 @@ MASSES = (0.74, 0.71, 0.64)
 SPRINGS = (24300.0, 21800.0, 19800.0)
 
 
-def test_given_the_papers_structure_when_solved_then_natural_frequencies_and_shapes_are_the_known_ones() -> (
-    None
-):
+def test_paper_structure_has_known_modes() -> None:
     mass, _, stiffness = structure_matrices(Structure(masses=MASSES, springs=SPRINGS))
     frequencies, shapes = natural_modes(mass, stiffness)
     np.testing.assert_allclose(frequencies, [81.911, 218.512, 312.041], atol=5e-4)
@@ -25,7 +23,7 @@ def test_given_the_papers_structure_when_solved_then_natural_frequencies_and_sha
     )
 
 
-def test_given_a_uniform_chain_when_solved_then_frequencies_follow_the_closed_form() -> None:
+def test_uniform_chain_frequencies_are_closed_form() -> None:
     n, m, k = 40, 0.5, 2000.0
     structure = Structure(masses=(m,) * n, springs=(k,) * n)
     mass, _, stiffness = structure_matrices(structure)
@@ -35,14 +33,14 @@ def test_given_a_uniform_chain_when_solved_then_frequencies_follow_the_closed_fo
     np.testing.assert_allclose(frequencies, expected, rtol=1e-11)
 
 
-def test_given_springs_when_assembled_then_each_joins_its_body_to_the_one_below() -> None:
+def test_spring_joins_neighbouring_bodies() -> None:
     np.testing.assert_array_equal(
         chain(SPRINGS), [[46100.0, -21800.0, 0.0], [-21800.0, 41600.0, -19800.0], [0.0, -19800.0, 19800.0]]
     )
 
 
 @pytest.mark.parametrize("ratio", [0.005, (0.001, 0.02, 1.0)])
-def test_given_modal_damping_when_assembled_then_each_mode_has_its_ratio(
+def test_modal_damping_sets_each_ratio(
     ratio: float | tuple[float, ...],
 ) -> None:
     structure = Structure(masses=MASSES, springs=SPRINGS, damping={"modal": ratio})
@@ -55,7 +53,7 @@ def test_given_modal_damping_when_assembled_then_each_mode_has_its_ratio(
     np.testing.assert_array_equal(damping, damping.T)
 
 
-def test_given_rayleigh_damping_when_assembled_then_it_is_the_weighted_sum() -> None:
+def test_rayleigh_damping_is_the_weighted_sum() -> None:
     structure = Structure(
         masses=MASSES, springs=SPRINGS, damping={"rayleigh": {"alpha": "0.1 1/s", "beta": "1e-5 s"}}
     )
@@ -63,18 +61,18 @@ def test_given_rayleigh_damping_when_assembled_then_it_is_the_weighted_sum() -> 
     np.testing.assert_allclose(damping, 0.1 * mass + 1e-5 * stiffness, rtol=1e-15)
 
 
-def test_given_dashpots_when_assembled_then_they_lie_beside_the_springs() -> None:
+def test_dashpots_are_parallel_to_springs() -> None:
     structure = Structure(masses=MASSES, springs=SPRINGS, damping={"dashpots": (0.5, 0.0, 2.0)})
     np.testing.assert_array_equal(
         structure_matrices(structure)[1], [[0.5, 0.0, 0.0], [0.0, 2.0, -2.0], [0.0, -2.0, 2.0]]
     )
 
 
-def test_given_no_damping_when_assembled_then_it_is_zero() -> None:
+def test_default_damping_is_zero() -> None:
     assert not structure_matrices(Structure(masses=MASSES, springs=SPRINGS))[1].any()
 
 
-def test_given_matrices_when_assembled_then_they_are_what_was_given() -> None:
+def test_given_matrices_are_used() -> None:
     mass, stiffness = [[2.0, 0.5], [0.5, 1.0]], [[3.0, -1.0], [-1.0, 1.0]]
     damping = [[0.1, 0.05], [-0.05, 0.1]]
     structure = Structure(matrices={"mass": mass, "stiffness": stiffness, "damping": damping})
@@ -82,14 +80,14 @@ def test_given_matrices_when_assembled_then_they_are_what_was_given() -> None:
         np.testing.assert_array_equal(assembled, given)
 
 
-def test_given_matrices_of_the_chain_when_damped_modally_then_same_as_the_chain() -> None:
+def test_modal_damping_of_matrices_equals_the_chain() -> None:
     inline = {"mass": np.diag(MASSES), "stiffness": chain(SPRINGS)}
     general = Structure(matrices=inline, damping={"modal": 0.01})
     special = Structure(masses=MASSES, springs=SPRINGS, damping={"modal": 0.01})
     np.testing.assert_array_equal(structure_matrices(general)[1], structure_matrices(special)[1])
 
 
-def test_given_a_floating_chain_when_solved_then_its_first_frequency_is_zero_and_undamped() -> None:
+def test_floating_chain_has_undamped_zero_frequency() -> None:
     structure = Structure(masses=(1.0, 2.0, 1.5), springs=(0.0, 1e4, 1e9), damping={"modal": 0.05})
     mass, damping, stiffness = structure_matrices(structure)
     frequencies, shapes = natural_modes(mass, stiffness)
@@ -99,7 +97,7 @@ def test_given_a_floating_chain_when_solved_then_its_first_frequency_is_zero_and
 
 
 @pytest.mark.parametrize("n", [1, 9, 10, 11, 60])
-def test_given_a_uniform_chain_that_floats_when_solved_then_it_drifts_at_zero_and_swings_as_the_closed_form(
+def test_floating_uniform_chain_is_closed_form(
     n: int,
 ) -> None:
     m, k = 0.5, 2e6
@@ -112,17 +110,17 @@ def test_given_a_uniform_chain_that_floats_when_solved_then_it_drifts_at_zero_an
 
 
 @pytest.mark.parametrize("push", [1e-9, 1e-3])
-def test_given_springs_that_push_away_a_little_when_solved_then_told_so(push: float) -> None:
+def test_slightly_negative_stiffness_is_reported(push: float) -> None:
     with pytest.raises(SceneError, match="not positive semidefinite"):
         natural_modes(np.eye(3), np.diag([1.0, 2.0, -push]))
 
 
-def test_given_springs_that_push_away_when_solved_then_told_so() -> None:
+def test_negative_stiffness_is_reported() -> None:
     with pytest.raises(SceneError, match="not positive semidefinite"):
         natural_modes(np.eye(2), np.diag([1.0, -2.0]))
 
 
-def test_given_dampers_by_mass_and_by_ratio_when_asked_then_masses_in_kilograms() -> None:
+def test_damper_masses_by_mass_and_ratio() -> None:
     scene = rig.load("fig9").replace(
         dampers=[
             {"body": 3, "mass_ratio": "10 %", "clearance": ".inf"},

@@ -148,6 +148,11 @@ class ImpactModel:
         return float(np.linalg.norm(self.readings(row)))
 
     @cached_property
+    def equal_jumps(self) -> dict[int | None, Array]:
+        """Readings of unit jumps at some distances, stored by `joint_fit.jump_error`."""
+        return {}
+
+    @cached_property
     def _of_order(self) -> dict[int, ImpactModel]:
         return {self.order: self}
 

@@ -145,11 +145,13 @@ def with_errors(
 
 def jump_error(model: ImpactModel, distance: int | None, noise: Noise) -> float:
     """Return the standard deviation of a jump of 1 m/s, so many samples after an equal jump (None: alone), m/s."""
-    places = np.array([0.5] if distance is None else [0.5, 0.5 + distance])
-    first, last = _around(model, places)
-    sizes = np.tile([1.0, 0.0, 0.0], (places.size, 1))
-    matrix = model.readings(_columns(model, places, sizes, first, last))
-    fit = _least_squares(matrix, matrix[0], _ridge(len(matrix), places.size, noise))
+    matrix = model.equal_jumps.get(distance)
+    if matrix is None:
+        places = np.array([0.5] if distance is None else [0.5, 0.5 + distance])
+        first, last = _around(model, places)
+        sizes = np.tile([1.0, 0.0, 0.0], (places.size, 1))
+        matrix = model.equal_jumps[distance] = model.readings(_columns(model, places, sizes, first, last))
+    fit = _least_squares(matrix, matrix[0], _ridge(len(matrix), len(matrix) // 4, noise))
     return noise.readings * float(fit.error[-4])
 
 

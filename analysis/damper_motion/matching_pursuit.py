@@ -234,7 +234,9 @@ class MatchingPursuit:
     @property
     def jump_noise(self) -> float:
         """Standard deviation of a jump's estimate where there is none, m/s; 95th percentile along the stretch."""
-        return float(np.percentile(self.noise(), 95.0)) * self.model.gain
+        if "jump" not in self._stored:
+            self._stored["jump"] = np.asarray(_quantile(self.noise(), 0.95) * self.model.gain)
+        return float(self._stored["jump"])
 
     @property
     def _limit(self) -> float:

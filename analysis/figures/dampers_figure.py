@@ -1,4 +1,4 @@
-"""Figure of what dampers did in a stepped sine: kind of motion in each body, and the energy they take out."""
+"""Figure of the dampers in a stepped sine: type of motion in each body, and energy per period."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ if TYPE_CHECKING:
 
 #: Kinds of motion in the order of the legend, with what each means.
 _KINDS = {
-    "riding": "rides on the floor",
+    "riding": "at rest on the floor",
     "I": "type I: flies, hits the floor once a period",
     "II": "type II: hits floor and ceiling once a period",
     "III": "type III: as II, staying at the ceiling",
     "other": "other pattern of impacts",
-    "unseen": "may fly, impacts too small to be seen",
+    "unseen": "may fly, impacts below the detection limit",
     "unsure": "impacts missed, or irregular",
 }
 _SHADES = dict(zip(_KINDS, ("#cccccc", *COLOURS[:4], "#8c8c8c", "#444444"), strict=True))
@@ -54,14 +54,16 @@ def dampers_figure(found: Dampers) -> Figure:
 
 
 def _strip(strip: Axes, motions: Sequence[Sequence[DamperMotion]]) -> None:
-    """One row for each body, with a bar at each frequency that was measured and nothing in between."""
-    used = set()
+    """One row for each body, with a bar at each measured frequency."""
+    used: set[str] = set()
     for row, body in enumerate(motions):
         strip.axhline(row, color="#d9d9d9", lw=0.8, zorder=0)
-        for one in body:
-            kind = one.name.split(":")[0]
-            used.add(kind)
-            strip.vlines(one.frequency, row - 0.35, row + 0.35, color=_SHADES[kind], lw=2.4)
+        places: dict[str, list[float]] = {}
+        for motion in body:
+            places.setdefault(motion.name.split(":")[0], []).append(motion.frequency)
+        for kind, frequency in places.items():
+            strip.vlines(frequency, row - 0.35, row + 0.35, color=_SHADES[kind], lw=2.4)
+        used |= places.keys()
     strip.set_ylim(len(motions) - 0.4, -0.6)
     strip.set_yticks(range(len(motions)), [drawn(body[0].channel) for body in motions])
     strip.grid(False, axis="y")
@@ -71,7 +73,7 @@ def _strip(strip: Axes, motions: Sequence[Sequence[DamperMotion]]) -> None:
 
 
 def _energies(axes: Axes, energy: CycleEnergy, lines: Lines, true: np.ndarray | None) -> None:
-    """Energies along frequency; those into dampers with their bounds, or as limits where these include zero."""
+    """Energies over frequency; those into dampers with their bounds, or as limits where these include zero."""
     order = np.argsort(energy.frequency, kind="stable")
     frequency = energy.frequency[order]
     gaps = np.searchsorted(frequency, np.sort(lines.left_out))
@@ -93,28 +95,26 @@ def _energies(axes: Axes, energy: CycleEnergy, lines: Lines, true: np.ndarray | 
     limit = 1e3 * np.maximum(energy.dampers + energy.bound, 0.0)
     axes.plot(
         energy.frequency[~determined], limit[~determined], "v", mfc="none", ms=4.5, mew=0.8, color=COLOURS[1],
-        label="into the dampers, at most (may be nothing)",
+        label="into the dampers, upper limit",
     )  # fmt: skip
     shown = [1e3 * energy.supplied, 1e3 * energy.structure, 1e3 * into, limit[~determined]]
     if true is not None:
         lost = np.where(true > 0, true, np.nan)
-        curve(lost, color=COLOURS[2], ls=":", marker="o", label="truly lost in impacts")
+        curve(lost, color=COLOURS[2], ls=":", marker="o", label="true loss in impacts")
         shown.append(1e3 * lost)
     if lines.unsteady is not None and lines.unsteady.any():
         axes.plot(
             energy.frequency[lines.unsteady], 1e3 * energy.supplied[lines.unsteady], "x", color="black", ms=6
         )
     decades(axes, shown)
-    axes.set_ylabel("energy a period / mJ")
+    axes.set_ylabel("energy per period / mJ")
 
 
 def _caption(energy: CycleEnergy | None, lines: Lines) -> list[str]:
-    """Say in sentences what bars and marks are."""
+    """Sentences about bars and marks."""
     out = []
     if energy is not None:
-        out.append(
-            "Bars: how far the energy may be off, 95 % of its scatter and the largest systematic errors."
-        )
+        out.append("Bars: 95 % bounds of the energy, scatter and systematic errors.")
     if lines.unsteady is not None and lines.unsteady.any():
         out.append("Crosses: the motion was not steady.")
     if lines.left_out.size:

@@ -1,8 +1,8 @@
-"""The grains of one cavity, seen from the cavity: floor, ceiling and side at rest, the grains by LAMMPS.
+"""The grains of one cavity, in the frame of the cavity: floor, ceiling and side are at rest, LAMMPS moves the grains.
 
-In the frame of the cavity nothing but the grains moves, whatever the body does: what the body's motion is to the grains
-is a change of their velocities, one for all, which `Bed.kick` makes. Forces and impulses are those of LAMMPS's
-velocity Verlet scheme; with the force F of the walls before and after a step h, the grains receive (F + F') h / 2.
+In this frame the body's acceleration is a common change of the grains' velocities, which `Bed.kick` makes. Forces and
+impulses are those of LAMMPS's velocity Verlet scheme: with the force F of the walls before and F' after a step h, the
+grains receive the impulse (F + F') h / 2.
 """
 
 from __future__ import annotations
@@ -27,8 +27,9 @@ Array = NDArray[np.float64]
 #: Walls of a cavity, in the order in which forces are given.
 WALLS = ("floor", "ceiling", "side")
 FLOOR, CEILING = 0, 1
-#: LAMMPS's numbers for what belongs to atoms and is an array.
-_PER_ATOM, _ARRAY = 1, 2
+#: LAMMPS's codes for data of each atom, as an array.
+_PER_ATOM = 1
+_ARRAY = 2
 
 
 class Bed:
@@ -39,7 +40,7 @@ class Bed:
     spheres : Spheres
         Their settings.
     positions : ndarray, shape (grains, 3)
-        Where they are, m: the axis of the cavity is z, its floor at 0.
+        m; the axis of the cavity is z, its floor at 0.
     ceiling : float
         Height of the ceiling, m; may be infinite.
     gravity : float
@@ -63,7 +64,7 @@ class Bed:
         self._diameter = float(spheres.diameters().max())
         self._lammps = self._new_lammps()
         self._do(*_BEFORE, *_box(spheres, self._diameter, positions))
-        self._tell()
+        self._define_model()
         flat = np.ascontiguousarray(positions, dtype=np.float64).ravel()
         numbers = list(range(1, self._count + 1))
         self._call(self._lammps.create_atoms, self._count, numbers, [1] * self._count, flat.tolist())
@@ -74,42 +75,42 @@ class Bed:
         self._centre = self.centre
 
     def kept(self) -> bytes:
-        """Give all that the grains are at, with the histories of their contacts, for `resume`.
+        """Return the state of the grains with the histories of their contacts, for `resume`.
 
-        Neighbours and forces are found anew, as they are there: both beds move on with the same bits, which are not
-        those of going on without this.
+        Neighbours and forces are computed again here and in `resume`, so that both beds continue with the same bits;
+        without this call the bits would differ.
         """
         with TemporaryDirectory() as folder:
             file = Path(folder) / "bed"
             self._do(f'write_restart "{file}"', "run 0 post no")
-            # Of several ranks the first writes what all have.
+            # Of several ranks the first writes the state of all.
             return file.read_bytes() if file.exists() else b""
 
     def resume(self, kept: bytes) -> None:
-        """Go on from what a bed of the same grains in the same cavity was at."""
+        """Continue from a state of the same grains in the same cavity."""
         self._lammps.close()
         self._lammps = self._new_lammps()
         with TemporaryDirectory() as folder:
             file = Path(folder) / "bed"
             file.write_bytes(kept)
             self._do(*_BEFORE, f'read_restart "{file}"')
-            self._tell()
+            self._define_model()
             self._begin()
 
     def advance(self, steps: int = 1) -> None:
-        """Go on by a number of steps."""
+        """Advance by a number of steps."""
         self._do(f"run {steps} pre no post no")
 
     def slow(self, relaxation: float) -> None:
-        """Slow the grains down from here on, each with this time constant in s: for packing."""
+        """Slow each grain down from now on with a time constant in s; for packing."""
         self._do(f"fix slow all viscous {float(self._masses.mean()) / relaxation!r}", "run 0 post no")
 
     def lower(self, depth: float) -> None:
-        """Have the ceiling, from the next step on, so far below where it was at first, m."""
+        """Move the ceiling, from the next step on, to a depth below its first height, m."""
         self._call(self._lammps.set_internal_variable, "lid", -depth)
 
     def stop(self) -> None:
-        """Take all grains' speed."""
+        """Set all velocities to zero."""
         self._velocity[:] = 0.0
 
     def kick(self, change: float) -> None:
@@ -146,8 +147,7 @@ class Bed:
         """Copy of the positions in the order in which they were given, shape (grains, 3)."""
         return self._position.copy()
 
-    def _tell(self) -> None:
-        """Say what acts on the grains of a box."""
+    def _define_model(self) -> None:
         self._do(
             f"neighbor {0.25 * self._diameter!r} bin",
             "neigh_modify every 1 delay 0 check yes",
@@ -164,19 +164,19 @@ class Bed:
         )
 
     def _begin(self) -> None:
-        """Have neighbours and forces found, and view what LAMMPS holds."""
+        """Compute neighbours and forces, and view LAMMPS's arrays."""
         self._do("run 0 post no")
-        self._look()
+        self._view()
 
     def _new_lammps(self) -> Any:
         return new_lammps()
 
     def _total(self, own: Array) -> Array:
-        """Give what is of all grains, from what is of those that are here."""
+        """Sum over all grains, from the sum over the grains of this process."""
         return own
 
-    def _look(self) -> None:
-        """View what LAMMPS holds of the grains: it lies still, as their number and their order do not change."""
+    def _view(self) -> None:
+        """View LAMMPS's arrays of the grains; they do not move, as number and order of the grains do not change."""
         own, view = self._lammps.extract_setting("nlocal"), self._lammps.numpy
         self._position, self._velocity, self._masses = (
             view.extract_atom(name)[:own] for name in ("x", "v", "rmass")
@@ -199,7 +199,7 @@ class Bed:
 
 
 def contact_law(grains: Grains, restitution: float) -> str:
-    """Say in LAMMPS's words: Hertz with the dashpot of the restitution, Mindlin up to Coulomb's limit."""
+    """Write the contact law for LAMMPS: Hertz with the dashpot of the restitution, Mindlin up to Coulomb's limit."""
     return (
         f"hertz/material {grains.modulus!r} {restitution!r} {grains.poisson_ratio!r} "
         f"tangential mindlin NULL 1.0 {grains.friction!r} damping coeff_restitution"
@@ -207,7 +207,6 @@ def contact_law(grains: Grains, restitution: float) -> str:
 
 
 def _at_side(grains: Grains) -> Grains:
-    """Give what counts at the side of the cavity."""
     return grains if grains.side_friction is None else grains.replace(friction=grains.side_friction)
 
 
@@ -216,7 +215,7 @@ def _side(spheres: Spheres) -> float:
 
 
 def _laws(spheres: Spheres, ceiling: float, step: float) -> tuple[str, tuple[str, ...]]:
-    """Say what acts between two grains, and write the commands that make the walls."""
+    """Write the contact law of two grains, and the commands that make the walls."""
     grains, heavy = spheres.settings, spheres.mass / spheres.count
     radius = 0.5 * grains.diameter
     at_end = contact_law(grains, restitution_at_step(grains, heavy, radius, step))
@@ -236,11 +235,11 @@ def _laws(spheres: Spheres, ceiling: float, step: float) -> tuple[str, tuple[str
     return of_two, tuple(commands)
 
 
-#: Commands that come before there is a box.
+#: Commands before the box is created.
 _BEFORE = (
     "units si",
     "atom_style sphere",
-    # Grains keep their order: who looks at them need not look for them.
+    # Grains keep their order, so that arrays need no look-up.
     "atom_modify map array sort 0 0",
     "boundary f f m",
     "newton off",
@@ -248,7 +247,6 @@ _BEFORE = (
 
 
 def _box(spheres: Spheres, largest: float, positions: Array) -> tuple[str, ...]:
-    """Write the commands that make the box the grains are in."""
     side = 1.1 * _side(spheres) + largest
     top = float(positions[:, 2].max()) + largest
     return (

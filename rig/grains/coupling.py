@@ -1,10 +1,10 @@
-"""Beds of grains and the structure they are in, exchanging force and motion at every step of time.
+"""Beds of grains coupled to the structure: force and motion are exchanged at every time step.
 
-The structure with its other dampers is propagated exactly over a step h under the beds' forces, which run straight from
-the step's beginning to its end; so the body receives the impulse (F + F') h / 2, to rounding the one that the grains
-receive from the walls in LAMMPS's velocity Verlet scheme. The grains, in the frame of the cavity, are kicked by what
-the body's velocity changes: half of it as the body's acceleration at the beginning foretells, and at the end what is
-missing of the exact change. Scheme and exchange are of second order in h; momentum is kept in each exchange.
+The structure with its other dampers is propagated exactly over a step h under the beds' forces, which are interpolated
+linearly over the step. The body therefore receives the impulse (F + F') h / 2, which equals to rounding that of the
+walls on the grains in LAMMPS's velocity Verlet scheme. In the frame of the cavity the grains are kicked by the change
+of the body's velocity: half a step of the body's acceleration at the beginning, and at the end the rest of the exact
+change. Scheme and exchange are of second order in h; each exchange conserves momentum.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ Array = NDArray[np.float64]
 
 
 class BedStates(NamedTuple):
-    """What the beds did at the steps of a stretch of motion.
+    """Motion of the beds at the steps of a march.
 
     force (beds, walls, steps + 1): upward force of floor, ceiling and side on the grains, N.
-    lift (beds, steps + 1): height of the centre of mass over that of the settled bed, m.
+    lift (beds, steps + 1): height of the centre of mass above that of the settled bed, m.
     """
 
     force: Array
@@ -42,11 +42,11 @@ class BedStates(NamedTuple):
 
 
 class CoupledState(NamedTuple):
-    """What a coupled system is at, for `CoupledPropagator.resume`.
+    """State of a coupled system, for `CoupledPropagator.resume`.
 
     structure : `Propagator.snapshot` of the structure.
     beds : `Bed.kept` of each.
-    begin, impulse (beds,): momentum at the start, and what the bodies gave since, kg m/s.
+    begin, impulse (beds,): momentum at the start, and impulse of the bodies since then, kg m/s.
     fallen : steps since the start.
     """
 
@@ -58,27 +58,27 @@ class CoupledState(NamedTuple):
 
 
 class CoupledPropagator:
-    """A system whose beds of grains are followed grain by grain; otherwise as `rig.engine.propagator.Propagator`.
+    """Propagates a system with beds of grains; otherwise as `rig.engine.propagator.Propagator`.
 
     Parameters
     ----------
     scene : Scene
     interval : float
-        Sample interval of the drive, s; it is cut into as many steps as the grains need.
+        Sample interval of the drive, s; divided into the steps that the grains need.
 
     Attributes
     ----------
     system : HybridSystem
         The scene's, in which each bed is one mass.
     structure : Propagator
-        The structure with the dampers that are no grains, and the beds' forces as further inputs.
+        The structure with the dampers without grains, and the beds' forces as further inputs.
     substeps : int
         Steps in a sample interval.
     step : float
         s.
     beds : list of Bed
     bodies : int array (beds,)
-        The coordinate that each is in.
+        Coordinate of each bed's body.
     """
 
     def __init__(self, scene: Scene, interval: float) -> None:
@@ -101,7 +101,7 @@ class CoupledPropagator:
 
     @property
     def ambiguous(self) -> int:
-        """Number of decisions that lay within rounding so far, at dampers that are no grains."""
+        """Number of decisions within rounding so far, at dampers without grains."""
         return self.structure.ambiguous
 
     @property
@@ -111,34 +111,34 @@ class CoupledPropagator:
 
     @property
     def momentum_errors(self) -> Array:
-        """Change of each bed's momentum since the start, less what body and gravity gave it, kg m/s; shape (beds,)."""
+        """Change of each bed's momentum since the start less the impulses of body and gravity, kg m/s; shape (beds,)."""
         weight = self._mass * self.system.gravity
         return np.asarray(self.momentum - self._begin - (self._impulse - weight * (self._fallen * self.step)))
 
     def place(self, state: Array, drive: Array) -> NDArray[np.int64]:
-        """Put the structure at a state with every damper on its floor; gives the dampers that lifted off at once."""
+        """Set the structure's state with every damper on its floor; returns the dampers that separate at once."""
         columns = np.concatenate([drive[: len(self.system.inputs)], -self._force.sum(axis=1)])
         lifted = self.structure.place(state, np.concatenate([columns, np.zeros(len(columns))]))
-        self._feel_beds()
+        self._read_beds()
         self._begin = self.momentum
         return np.asarray(self._others[lifted], dtype=np.int64)
 
     def state(self) -> CoupledState:
-        """Give all that the motion goes on from, here and where it is resumed with the same bits; see `Bed.kept`."""
+        """Return the state from which the motion continues with the same bits; see `Bed.kept`."""
         beds = tuple(bed.kept() for bed in self.beds)
-        self._feel_beds()
+        self._read_beds()
         return CoupledState(self.structure.snapshot(), beds, self._begin, self._impulse.copy(), self._fallen)
 
     def resume(self, state: CoupledState) -> None:
-        """Go on from a state of this system."""
+        """Continue from a state of this system."""
         self.structure.resume(state.structure)
         for bed, kept in zip(self.beds, state.beds, strict=True):
             bed.resume(kept)
         self._begin, self._impulse, self._fallen = state.begin, state.impulse.copy(), state.fallen
-        self._feel_beds()
+        self._read_beds()
 
     def march(self, drive: Array) -> tuple[Trajectory, BedStates]:
-        """Go on through the steps between the columns of a drive (inputs, steps + 1).
+        """Advance through the steps between the columns of a drive (inputs, steps + 1).
 
         Returns
         -------
@@ -158,26 +158,26 @@ class CoupledPropagator:
         kept, one = self.structure.room(steps), self.structure.room(1)
         pages: list[tuple[int, Trajectory]] = []
         for k in range(steps):
-            foretold = 0.5 * self.step * self._acceleration
+            predicted = 0.5 * self.step * self._acceleration
             for row, bed in enumerate(self.beds):
-                bed.kick(-foretold[row])
+                bed.kick(-predicted[row])
                 bed.advance()
                 forces[row, :, k + 1] = bed.forces()
                 lift[row, k + 1] = bed.lift
             ports[:, k + 1] = -forces[:, :, k + 1].sum(axis=1)
-            happened = self.structure.through_interval(columns[:, k : k + 2], self._steps, one)
-            if happened is not None:
-                pages.append((k, happened))
-            self._exchange(one.state[0], foretold)
+            events = self.structure.through_interval(columns[:, k : k + 2], self._steps, one)
+            if events is not None:
+                pages.append((k, events))
+            self._exchange(one.state[0], predicted)
             kept.state[k], kept.slot[k] = one.state[0], one.slot[0]
             kept.height[k], kept.mode[k] = one.height[0], one.mode[0]
         self._force = forces[:, :, -1].copy()
         self._impulse -= 0.5 * self.step * (ports[:, :-1] + ports[:, 1:]).sum(axis=1)
         self._fallen += steps
-        return _joined(self.structure.present(), kept, pages), BedStates(forces, lift)
+        return _join(self.structure.present(), kept, pages), BedStates(forces, lift)
 
-    def _feel_beds(self) -> None:
-        """Take the forces that beds have now, and see what motion of their bodies they make."""
+    def _read_beds(self) -> None:
+        """Read the beds' present forces, and the motion of their bodies under them."""
         self._force = np.array([bed.forces() for bed in self.beds])
         now = self.structure.present()
         ports = self.structure.system.states + len(self.system.inputs)
@@ -185,16 +185,16 @@ class CoupledPropagator:
         self._velocity = now.state[0, self.system.coordinates + self.bodies]
         self._acceleration = self.structure.accelerations(now.state, now.slot)[self.bodies, 0]
 
-    def _exchange(self, state: Array, foretold: Array) -> None:
-        """Kick the grains by what is missing of the change of their bodies' velocities, and see the bodies' motion."""
+    def _exchange(self, state: Array, predicted: Array) -> None:
+        """Kick the grains by the rest of the change of their bodies' velocities, and read the bodies' motion."""
         velocity = state[self.system.coordinates + self.bodies]
-        for bed, change in zip(self.beds, velocity - self._velocity - foretold, strict=True):
+        for bed, change in zip(self.beds, velocity - self._velocity - predicted, strict=True):
             bed.kick(-change)
         self._velocity = velocity
         self._acceleration = state[self.structure.tables.size + self.bodies]
 
     def motion_samples(self, samples: int) -> MotionSamples:
-        """Room for what is seen at a number of samples."""
+        """Allocate arrays for a number of samples."""
         rows = 3 * self.system.coordinates + self.system.dampers
         return MotionSamples(
             np.empty((rows, samples)),
@@ -204,27 +204,27 @@ class CoupledPropagator:
         )
 
     def parts(self, seen: MotionSamples) -> tuple[Array, Array, Array, Array]:
-        """Displacements, velocities and accelerations (points, samples) and gaps (dampers, samples) in it."""
+        """Displacements, velocities, accelerations (points, samples) and gaps (dampers, samples) of samples."""
         n, points, rows = self.system.coordinates, len(self.system.points), seen.rows
         displacement, velocity, acceleration = (rows[k * n : k * n + points] for k in range(3))
         return displacement, velocity, acceleration, rows[3 * n :]
 
     def sample_present(self, seen: MotionSamples, column: int) -> None:
-        """Fill one column of what is seen with the present motion."""
+        """Fill one column with the present motion."""
         lift = np.array([[bed.lift] for bed in self.beds])
         self._show(seen, slice(column, column + 1), self.structure.present(), self._force[:, :, None], lift)
 
     def sample_motion(
         self, drive: Array, interval_steps: float, seen: MotionSamples, column: int
     ) -> Trajectory:
-        """Run through the sample intervals between the columns of a drive, and fill what is seen from a column on."""
-        fine = between(drive, self.substeps)
+        """Advance through the sample intervals between the columns of a drive; fill the samples from a column on."""
+        fine = interpolated(drive, self.substeps)
         trajectory, beds = self.march(fine)
         self.show(seen, column, trajectory, beds)
         return self.at_samples(trajectory)
 
     def show(self, seen: MotionSamples, column: int, trajectory: Trajectory, beds: BedStates) -> None:
-        """Fill what is seen, from a column on, with the motion at the ends of sample intervals."""
+        """Fill the samples from a column on with the motion at the ends of sample intervals."""
         last = slice(self.substeps - 1, None, self.substeps)
         at = replace(
             trajectory,
@@ -238,7 +238,7 @@ class CoupledPropagator:
         self._show(seen, columns, at, beds.force[:, :, ends], beds.lift[:, ends])
 
     def at_samples(self, trajectory: Trajectory) -> Trajectory:
-        """Count events and breaks by sample intervals in place of steps."""
+        """Convert the positions of events and breaks from steps to sample intervals."""
 
         def counted(segment: NDArray[np.int64], offset: Array) -> tuple[NDArray[np.int64], Array]:
             return segment // self.substeps, offset + (segment % self.substeps) * self.step
@@ -271,10 +271,10 @@ class CoupledPropagator:
         )
 
 
-def between(drive: Array, substeps: int) -> Array:
-    """Join the columns of a drive by straight lines of so many steps; shape (inputs, intervals * substeps + 1).
+def interpolated(drive: Array, substeps: int) -> Array:
+    """Interpolate the columns of a drive linearly, with some steps each; shape (inputs, intervals * substeps + 1).
 
-    >>> between(np.array([[0.0, 1.0, 3.0]]), 2)
+    >>> interpolated(np.array([[0.0, 1.0, 3.0]]), 2)
     array([[0. , 0.5, 1. , 2. , 3. ]])
     """
     share = np.arange(substeps) / substeps
@@ -288,7 +288,7 @@ def _with_ports(scene: Scene, system: HybridSystem, bodies: NDArray[np.intp]) ->
     Parameters
     ----------
     system : HybridSystem
-        The scene's; its start, which knows the beds' weight, is kept.
+        The scene's; its initial state includes the beds' weight and is kept.
     bodies : int array (beds,)
         Coordinates on which the forces act.
     """
@@ -309,14 +309,14 @@ def _with_ports(scene: Scene, system: HybridSystem, bodies: NDArray[np.intp]) ->
 
 
 def _bed(spheres: Spheres, gravity: float, step: float) -> Bed:
-    """Put a settled bed below a ceiling at its clearance."""
+    """Create a settled bed below a ceiling at its clearance."""
     positions = settled(spheres)
     ceiling = highest(spheres, positions) + spheres.clearance
     return new_bed(spheres, positions, ceiling, gravity, step)
 
 
-def _joined(now: Trajectory, kept: StateSamples, pages: list[tuple[int, Trajectory]]) -> Trajectory:
-    """Put the steps of a march together: states, and the events and breaks of the steps that had some."""
+def _join(now: Trajectory, kept: StateSamples, pages: list[tuple[int, Trajectory]]) -> Trajectory:
+    """Join the steps of a march: states, events and breaks."""
     logs = {
         item.name: np.concatenate([getattr(now, item.name), *(getattr(one, item.name) for _, one in pages)])
         for item in fields(Trajectory)

@@ -1,8 +1,8 @@
-"""The settled bed: grains rained into the cavity without friction, as dense as long shaking packs them, and at rest.
+"""The settled bed: grains dropped into the cavity without friction, as dense as after long shaking, and at rest.
 
-A lid that comes down until it bears the bed's weight levels them, as the screw does by which a cavity is closed.
-Without friction nothing but the positions is left of the rain: a run begins in exact equilibrium, the whole weight on
-the floor. A settled bed costs more than many periods of motion; it is kept in the user's cache.
+A lid that is lowered until it bears the bed's weight levels them, as does the screw that closes a cavity. Without
+friction the positions determine the state: a run begins in exact equilibrium, with the whole weight on the floor. A
+settled bed costs more than many periods of motion and is therefore stored in the user's cache.
 """
 
 from __future__ import annotations
@@ -27,26 +27,29 @@ Array = NDArray[np.float64]
 
 #: Rayleigh's times in a step while grains are packed.
 _STEP = 0.1
-#: Young's modulus at which they fall and are levelled, Pa, if they are not softer; the arrangement that this gives is
-#: then the same whatever their own modulus is, and costs the same.
+#: Largest Young's modulus while grains fall and are levelled, Pa: the arrangement and its cost are then independent of
+#: their own modulus.
 _SOFT = 1e7
-#: How fast falling grains lose speed, s.
+#: Time constant of the drag on falling grains, s.
 _RELAXATION = 10e-3
-#: Shares of its weight that the floor lacks, and of what lifts it by a grain that it has as kinetic energy: of a bed
-#: that has fallen, and of one at rest at a peak.
-_FALLEN, _AT_REST = (0.1, 1e-3), (3e-4, 1e-6)
-#: How fast the lid comes down, m/s.
+#: A bed has fallen, or is at rest at a peak of its kinetic energy, within these shares: force missing at the floor over
+#: the weight, and kinetic energy over weight times grain diameter.
+_FALLEN = (0.1, 1e-3)
+_AT_REST = (3e-4, 1e-6)
+#: Speed of the lid, m/s.
 _LOWERING = 5e-3
-#: Steps between looks at a bed that falls, and the most of them.
-_LOOK, _MOST = 500, 400
-#: Steps between looks at a bed that comes to rest, and the most of them.
-_GLANCE, _MOST_GLANCES = 20, 40_000
-#: What kept beds go by besides their settings: to be changed with the way in which they are made.
+#: Steps between checks of a falling bed.
+_FALL_STEPS = 500
+_MOST_FALL_CHECKS = 400
+#: Steps between checks of a bed that comes to rest: a small part of the time between peaks of its kinetic energy.
+_REST_STEPS = 20
+_MOST_REST_CHECKS = 40_000
+#: Name of the packing method in the digest of stored beds; change it with the method.
 _METHOD = "rain, lid and peaks 3"
 
 
 def settled(spheres: Spheres) -> Array:
-    """Give the positions of grains at rest on the floor, m; shape (grains, 3).
+    """Positions of the grains at rest on the floor, m; shape (grains, 3).
 
     Raises
     ------
@@ -54,12 +57,12 @@ def settled(spheres: Spheres) -> Array:
         If the grains do not come to rest.
     """
     kept = _file(spheres)
-    # Whatever a damaged file leads the reader to: the packing is made anew.
+    # numpy raises all kinds of errors for a damaged file: the bed is packed again.
     with suppress(Exception), kept.open("rb") as file:
         positions = np.load(file, allow_pickle=False)
         if positions.shape == (spheres.count, 3) and np.isfinite(positions).all():
             return np.asarray(positions)
-    positions = _rained(spheres)
+    positions = _pack(spheres)
     with suppress(OSError):
         kept.parent.mkdir(parents=True, exist_ok=True)
         part = kept.with_suffix(f".{os.getpid()}.npy")
@@ -68,41 +71,41 @@ def settled(spheres: Spheres) -> Array:
     return positions
 
 
-def _rained(spheres: Spheres) -> Array:
+def _pack(spheres: Spheres) -> Array:
     """Let the grains fall, press a lid on them until it bears the bed's weight, and let them come to rest."""
     own = spheres.settings.replace(friction=0.0, side_friction=None)
     soft = replace(spheres, settings=own.replace(modulus=min(own.modulus, _SOFT)))
-    levelled = _levelled(soft, _fallen(soft))
-    return _resting(replace(spheres, settings=own), levelled)
+    levelled = _level(soft, _drop(soft))
+    return _settle(replace(spheres, settings=own), levelled)
 
 
 def highest(spheres: Spheres, positions: Array) -> float:
-    """Give the height of the highest point of a bed, m: where a lid that is lowered touches it."""
+    """Height of the highest point of a bed, m."""
     return float((positions[:, 2] + 0.5 * spheres.diameters()).max())
 
 
 def _packed(spheres: Spheres, positions: Array, ceiling: float) -> Bed:
-    """Make a bed with the step of time of packing."""
+    """Create a bed with the time step of packing."""
     step = _STEP * rayleigh_time(spheres.settings, spheres.density())
     return Bed(spheres, positions, ceiling, STANDARD_GRAVITY, step)
 
 
-def _fallen(spheres: Spheres) -> Array:
-    """Give the positions of grains that have rained in and lie, though they may creep."""
-    bed = _packed(spheres, _hung(spheres), np.inf)
+def _drop(spheres: Spheres) -> Array:
+    """Positions after the fall; the grains may still creep."""
+    bed = _packed(spheres, _hanging(spheres), np.inf)
     bed.slow(_RELAXATION)
     weight = spheres.mass * STANDARD_GRAVITY
-    for _ in range(_MOST):
-        bed.advance(_LOOK)
+    for _ in range(_MOST_FALL_CHECKS):
+        bed.advance(_FALL_STEPS)
         unbalanced = abs(bed.forces().sum() / weight - 1.0)
         still = bed.kinetic_energy < _FALLEN[1] * weight * spheres.settings.diameter
         if unbalanced < _FALLEN[0] and still:
             return bed.positions
-    raise _restless(bed, _LOOK * _MOST)
+    raise _not_at_rest(bed, _FALL_STEPS * _MOST_FALL_CHECKS)
 
 
-def _levelled(spheres: Spheres, fallen: Array) -> Array:
-    """Give the positions under a lid that came down until it bears the bed's weight."""
+def _level(spheres: Spheres, fallen: Array) -> Array:
+    """Positions under a lid that was lowered until it bears the bed's weight."""
     bed = _packed(spheres, fallen, highest(spheres, fallen))
     bed.slow(_RELAXATION)
     depth, weight = 0.0, spheres.mass * STANDARD_GRAVITY
@@ -113,11 +116,10 @@ def _levelled(spheres: Spheres, fallen: Array) -> Array:
     return bed.positions
 
 
-def _resting(spheres: Spheres, levelled: Array) -> Array:
-    """Give the positions at rest, by stopping all grains whenever their kinetic energy is past a peak.
+def _settle(spheres: Spheres, levelled: Array) -> Array:
+    """Positions at rest, by kinetic damping: all grains are stopped at each peak of their kinetic energy.
 
-    A bed without friction creeps for long where it is slowed by drag: what is fast is damped well, what is slow is
-    damped far too much. Stopped at its peaks of kinetic energy, it is damped well at every pace.
+    With drag a bed without friction would creep for long, as slow motions are overdamped.
 
     References
     ----------
@@ -128,8 +130,8 @@ def _resting(spheres: Spheres, levelled: Array) -> Array:
     weight = spheres.mass * STANDARD_GRAVITY
     still = _AT_REST[1] * weight * spheres.settings.diameter
     peak = 0.0
-    for _ in range(_MOST_GLANCES):
-        bed.advance(_GLANCE)
+    for _ in range(_MOST_REST_CHECKS):
+        bed.advance(_REST_STEPS)
         energy = bed.kinetic_energy
         if energy >= peak:
             peak = energy
@@ -138,18 +140,18 @@ def _resting(spheres: Spheres, levelled: Array) -> Array:
             return bed.positions
         bed.stop()
         peak = 0.0
-    raise _restless(bed, _GLANCE * _MOST_GLANCES)
+    raise _not_at_rest(bed, _REST_STEPS * _MOST_REST_CHECKS)
 
 
-def _restless(bed: Bed, steps: int) -> RunError:
+def _not_at_rest(bed: Bed, steps: int) -> RunError:
     return RunError(
-        f"{len(bed.positions)} grains did not come to rest in {steps * bed.step:.3g} s: expected another seed:, or a "
-        "wider grains: cavity"
+        f"{len(bed.positions)} grains did not come to rest in {steps * bed.step:.3g} s. Set another seed:, or a wider "
+        "grains: cavity"
     )
 
 
-def _hung(spheres: Spheres) -> Array:
-    """Hang the grains above the floor without touching each other, on a grid a little out of true."""
+def _hanging(spheres: Spheres) -> Array:
+    """Positions on a slightly disordered grid above the floor, without contacts."""
     largest = float(spheres.diameters().max())
     pitch = 1.06 * largest
     reach = 0.5 * (spheres.settings.cavity - largest)
@@ -163,13 +165,13 @@ def _hung(spheres: Spheres) -> Array:
 
 
 def _file(spheres: Spheres) -> Path:
-    # Time step and friction of the motion have no part in it; density and diameters come from what has.
+    # Time step and friction of the motion do not affect the packing; density and diameters follow from the rest.
     grains = spheres.settings.replace(time_step=None, friction=0.0, side_friction=None)
-    said = (_METHOD, lammps_version(), repr(grains), spheres.count, spheres.seed, repr(spheres.mass))
-    name = hashlib.sha256(repr(said).encode()).hexdigest()[:24]
+    inputs = (_METHOD, lammps_version(), repr(grains), spheres.count, spheres.seed, repr(spheres.mass))
+    name = hashlib.sha256(repr(inputs).encode()).hexdigest()[:24]
     return folder() / f"{name}.npy"
 
 
 def folder() -> Path:
-    """Give the folder of kept beds, in the user's cache."""
+    """Folder of stored beds, in the user's cache."""
     return Path(AppDirs("shotrig", appauthor=False).user_cache_dir) / "beds"

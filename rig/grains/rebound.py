@@ -1,4 +1,4 @@
-"""The restitution to set in LAMMPS so that grains rebound with the desired one.
+"""The restitution to set in LAMMPS so that grains rebound with the desired restitution.
 
 LAMMPS takes the speed of approach, for the dashpot of a contact, half a step before the force; with some fifty steps
 in a contact a rebound then is slower, by 1 % for lead. The same scheme, followed here for one head-on contact, says by
@@ -19,13 +19,13 @@ Array = NDArray[np.float64]
 
 #: Speed of approach at which the restitution is met, m/s: impacts of a bed come at 0.05 to 1.
 _SPEED = 0.3
-#: Contacts begin anywhere in a step: so many places are averaged.
+#: Contacts begin anywhere in a step: number of positions that are averaged.
 _PLACES = 16
 _MOST_STEPS = 100_000
 
 
 def restitution_at_step(grains: Grains, mass: float, radius: float, step: float) -> float:
-    """Give the restitution to ask for.
+    """Restitution to set.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ def restitution_at_step(grains: Grains, mass: float, radius: float, step: float)
 
 
 def _rebounds(grains: Grains, setting: float, mass: float, radius: float, step: float) -> Array:
-    """Speeds of separation over that of approach, for contacts that begin at different places in a step."""
+    """Restitutions of contacts that begin at different positions in a step."""
     modulus = grains.modulus / (2.0 * (1.0 - grains.poisson_ratio**2))
     loss = -math.log(setting) / math.hypot(math.log(setting), math.pi)
     damping = 2.0 * math.sqrt(5.0 / 6.0) * loss * math.sqrt(2.0 * modulus * math.sqrt(radius) * mass)

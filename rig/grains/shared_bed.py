@@ -1,4 +1,4 @@
-"""A bed whose grains several ranks of MPI share out among them: LAMMPS gives each those of a part of the cavity."""
+"""A bed of grains on several ranks of MPI: LAMMPS gives each rank the grains of a part of the cavity."""
 
 from __future__ import annotations
 
@@ -18,12 +18,14 @@ from rig.workers import cores
 
 Array = NDArray[np.float64]
 
-#: Steps between looks at how evenly the grains are shared out, and by how much the fullest part may exceed the mean.
-_EVENED, _UNEVEN = 10_000, 1.05
+#: Steps between checks of how evenly the grains are distributed over the ranks.
+_EVENED = 10_000
+#: Largest ratio of the fullest part to the mean.
+_UNEVEN = 1.05
 
 
 def new_bed(spheres: Spheres, positions: Array, ceiling: float, gravity: float, step: float) -> Bed:
-    """Make a bed, as `Bed` says, on all ranks that there are; warns if they are more than this machine's cores."""
+    """Create a `Bed` on all ranks; warns if there are more ranks than cores of this machine."""
     given = (spheres, positions, ceiling, gravity, step)
     if size() == 1:
         return Bed(*given)
@@ -37,20 +39,20 @@ def new_bed(spheres: Spheres, positions: Array, ceiling: float, gravity: float, 
 
 
 class PartOfBed(Bed):
-    """The grains that one rank has of a bed; what it says of forces and motion is of all."""
+    """The grains of a bed on one rank; forces and motion are those of all grains."""
 
     def kept(self) -> bytes:
-        """Give all that the grains are at, as `Bed.kept`: shared out anew, as they will be where they are read."""
+        """As `Bed.kept`; grains are distributed again, as they will be in `resume`."""
         kept = super().kept()
         self.resume(kept)
         return kept
 
     def advance(self, steps: int = 1) -> None:
-        """Go on by a number of steps."""
+        """Advance by a number of steps."""
         super().advance(steps)
-        # Grains may have gone from rank to rank; LAMMPS moves what it holds only to make room for more.
+        # Grains may have moved to other ranks; LAMMPS moves its arrays only to enlarge them.
         if self._room() != self._seen:
-            self._look()
+            self._view()
 
     @property
     def positions(self) -> Array:
@@ -64,12 +66,12 @@ class PartOfBed(Bed):
         self._do("comm_style tiled", "balance 1.0 rcb", f"fix even all balance {_EVENED} {_UNEVEN!r} rcb")
         super()._begin()
 
-    def _look(self) -> None:
+    def _view(self) -> None:
         self._seen = self._room()
-        super()._look()
+        super()._view()
 
     def _room(self) -> tuple[int, int]:
-        """Give how many grains are here, and for how many there is room."""
+        """Number of grains on this rank, and the capacity of its arrays."""
         return self._lammps.extract_setting("nlocal"), self._lammps.extract_setting("nmax")
 
     def _new_lammps(self) -> Any:

@@ -1,4 +1,4 @@
-"""What a bed's settings make of its grains: how many, how large and heavy, and what times their contacts take."""
+"""Number, size, mass and contact times of the grains of a bed."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from rig.scene.damper import Grains
 from rig.scene.scene import Scene
 from rig.system.structural_model import structural_model
 
-#: Rayleigh's times of the smallest grain in a step of time. At ten times that motions are still stable; so short a step
-#: is what a rebound within 1 % of its restitution takes, from `_LOW` on. Below that steps are shorter by as much as the
-#: restitution is lower, down to `_LOWEST`, beneath which no grain gives back what counts.
+#: Rayleigh's times of the smallest grain in a time step. Ten times that is still stable; this gives a rebound within
+#: 1 % of its restitution, from a restitution of `_LOW` on. Below that steps are shorter in proportion to the
+#: restitution, down to `_LOWEST`, below which a grain's rebound is negligible.
 STEP = 0.03
 _LOW, _LOWEST = 0.2, 0.1
 #: The most of them: beyond, a contact is over in a few steps, and nothing is right about it.
@@ -51,7 +51,7 @@ class Spheres:
         return np.asarray(self.settings.diameter * (1.0 + self.settings.spread * sizes))
 
     def density(self) -> float:
-        """Give the density with which the grains weigh as much as the bed, kg/m^3."""
+        """Density with which the grains weigh as much as the bed, kg/m^3."""
         return self.mass / (math.pi / 6.0 * float((self.diameters() ** 3).sum()))
 
     def longest_step(self) -> float:
@@ -63,7 +63,7 @@ class Spheres:
 
 
 def spheres_of(scene: Scene) -> dict[int, Spheres]:
-    """Give the grains of each bed of grains that can move, by the damper's position in the scene from 0.
+    """Grains of each bed of grains that can move, by the damper's position in the scene from 0.
 
     Raises
     ------
@@ -75,7 +75,7 @@ def spheres_of(scene: Scene) -> dict[int, Spheres]:
         if damper.grains is None or not damper.moves:
             continue
         each = damper.grains.density * math.pi / 6.0 * damper.grains.diameter**3
-        # The mean cube of diameters that lie evenly about their mean.
+        # The mean cube of diameters that are uniformly distributed about their mean.
         count = round(float(mass) / (each * (1.0 + damper.grains.spread**2)))
         if count < 1:
             raise SceneError(
@@ -94,7 +94,7 @@ def spheres_of(scene: Scene) -> dict[int, Spheres]:
 
 
 def rayleigh_time(grains: Grains, density: float) -> float:
-    """Give the time in which a surface wave passes the smallest grain, s.
+    """Time in which a surface wave passes the smallest grain, s.
 
     References
     ----------
@@ -112,7 +112,7 @@ def rayleigh_time(grains: Grains, density: float) -> float:
 
 
 def contact_time(grains: Grains, speed: float = 1.0) -> float:
-    """Give how long two grains that meet head on touch, without loss, s: Hertz's 2.87 (m^2 / (R E^2 v))^(1/5).
+    """Duration of a central collision of two grains without loss, s: Hertz's 2.87 (m^2 / (R E^2 v))^(1/5).
 
     Examples
     --------

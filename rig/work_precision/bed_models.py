@@ -1,7 +1,7 @@
-"""What models of a bed cost and are worth against its grains: one mass, contacts that last, and coarser grains.
+"""Cost and error of models of a bed of grains: one mass, contacts of finite duration, and coarser grains.
 
-The reference is the steady motion of the grains as the scene has them. It is a mean over chaotic motion: what another
-packing of the same grains gives says how well anything can be held against it.
+The reference is the steady motion of the grains as in the scene. It is a mean over chaotic motion: its deviation from
+another packing of the same grains limits what can be compared with it.
 """
 
 from __future__ import annotations
@@ -23,8 +23,10 @@ from rig.system.open_loop_drive import with_ideal_force
 from rig.work_precision.motion_study import Point, refused, timed
 from rig.work_precision.steady_study import OTHER_PACKING, SteadyStudy
 
-#: Durations of a landing, s, and the restitution of contacts that last.
-DURATIONS, RESTITUTION = (1e-3, 2e-3, 4e-3, 8e-3), 0.05
+#: Durations of a landing with finite contact, s.
+DURATIONS = (1e-3, 2e-3, 4e-3, 8e-3)
+#: Restitution of contacts of finite duration: a landing of 0 takes no finite time.
+RESTITUTION = 0.05
 #: Steps of time of coarser grains, in Rayleigh's times, and by how much softer ones are softer.
 STEPS, SOFTER = (0.1, 0.19), 10.0
 #: Periods of a block over which grains are averaged, and most blocks to wait for a steady motion.

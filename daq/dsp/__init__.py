@@ -1,4 +1,4 @@
-"""Compiled signal processing: circuits carried exactly, interpolation of the input, noise, decimation.
+"""Compiled signal processing: exact propagation through circuits, interpolation of the input, noise, decimation.
 
 Nothing here knows channels, scenes or files. Start with `circuit`, then `propagation`, which
 carries it through samples.

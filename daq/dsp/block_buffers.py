@@ -11,23 +11,23 @@ Array = NDArray[np.float64]
 
 
 class BlockBuffers:
-    """Memory that channels use one after another, for what each needs only while it is measured.
+    """Memory that channels share, one after another, while each is measured.
 
-    Of its own for each, it would not stay in a processor's nearer memory.
+    Separate memory for each would not stay in a processor's cache.
     """
 
     def __init__(self) -> None:
         self._rows = zeros(0, LANES)
 
     def rows(self, count: int) -> Array:
-        """Give rows of the width of a register, at least so many, with anything in them."""
+        """Return rows of the width of a register, at least `count` of them, with arbitrary content."""
         if len(self._rows) < count:
             self._rows = zeros(count, LANES)
         return self._rows
 
 
 class History:
-    """Keeps the last samples of the block before in front of those of the next.
+    """Keeps the last samples of the previous block in front of those of the next.
 
     Before the first block everything was zero.
 
@@ -55,7 +55,7 @@ class History:
         self.samples = np.zeros(kept)
 
     def place(self, count: int) -> Array:
-        """Give the place for the next block, shape (count,)."""
+        """Return the place for the next block, shape (count,)."""
         kept = self.samples[self._count : self._count + self._kept]
         needed = self._kept + count
         if self.samples.size < needed:

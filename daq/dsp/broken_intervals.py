@@ -1,4 +1,4 @@
-"""A circuit carried through part of an interval, and through one in which its input breaks."""
+"""Propagation of a circuit over part of an interval, and over an interval in which its input breaks."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class PartWorkspace(NamedTuple):
     work: Array
     nothing: Array
     steady: Array
-    """What is carried, twice room for it, zeros, and what disturbances add; shape (size,)."""
+    """The vector, two work vectors of its size, zeros, and the contribution of disturbances; shape (size,)."""
     whole: Array
     """A part; shape (6,)."""
 
@@ -42,7 +42,7 @@ def through_parts(
     state: Array,
     workspace: PartWorkspace,
 ) -> int:
-    """Carry the circuit through an interval with breaks; give the first part of the next.
+    """Propagate the circuit over an interval with breaks; return the first part of the next.
 
     States and moments are left in the workspace's vector.
     """

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-# Names of sections that are more than linear circuits: those that integrate, whose state an amplifier's supply
-# limits, and the shift of zero behind a sensor, which only an overload drives.
+# Names of sections with nonlinear effects: integrations, whose state an amplifier's supply limits, and the shift of
+# zero behind a sensor, which only an overload drives.
 INTEGRATION = "integration"
 RECOVERY = "overload recovery"
 
@@ -25,7 +25,7 @@ class Section:
     """A linear circuit ``x' = a x + b u``, ``y = c x + d u`` and the same as zeros, poles and gain."""
 
     name: str
-    """What it is in the words of the field."""
+    """Name in the terms of the field."""
     a: Array
     b: Array
     c: Array

@@ -1,4 +1,4 @@
-"""The decimation filter at work: moments of a signal in, samples out."""
+"""Decimation: moments of a signal in, filtered samples out."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ Array = NDArray[np.float64]
 
 
 class Decimator:
-    """The filter at work on one channel.
+    """Applies the filter to one channel.
 
     Parameters
     ----------
     taps : ndarray, shape (oversampling, MOMENTS, length)
         From `Decimation.taps`.
     late : int
-        Intervals by which what is weighed lies further back.
+        Intervals by which the weighed moments lie further back.
     buffers : BlockBuffers
         For the moments of a block.
     """
@@ -30,24 +30,24 @@ class Decimator:
         self._oversampling, moments, length = taps.shape
         self._weights = _beside(taps, late)
         self._buffers = buffers
-        # The last moments of the block before; in a block, they come first.
+        # The last moments of the previous block; in a block, they come first.
         self._last = zeros(length * self._oversampling + late - 1, moments)
         self._moments = self._last
         self._interval = 0
         self._samples = zeros(0)
 
     def place(self, count: int) -> Array:
-        """Give the place for the moments of the next intervals, shape (count and TOGETHER or more, MOMENTS)."""
+        """Return the place for the moments of the next intervals, shape (count and TOGETHER or more, MOMENTS)."""
         kept = len(self._last)
         end = kept + count + WEIGHED * self._oversampling
         self._moments = self._buffers.rows(end)
         self._moments[:kept] = self._last
-        # Nothing weighs these, but they must be numbers.
+        # These have no weight, but must be numbers.
         self._moments[kept + count : end] = 0.0
         return self._moments[kept:]
 
     def filter(self, count: int) -> Array:
-        """Give the samples that fall due with the intervals whose moments are in `place` now.
+        """Return the samples that fall due with the intervals whose moments are in `place` now.
 
         Parameters
         ----------
@@ -71,7 +71,7 @@ class Decimator:
 
 
 def _beside(taps: Array, late: int) -> Array:
-    """Lay out the taps for as many samples beside each other as a register holds.
+    """Lay out the taps for as many samples at a time as a register holds.
 
     Returns
     -------
@@ -89,7 +89,7 @@ def _beside(taps: Array, late: int) -> Array:
 
 @unfused
 def _weigh(weights: Array, moments: Array, first: int, oversampling: int, samples: Array, count: int) -> None:
-    """Weigh what belongs to each sample, beginning with the intervals from `first` on."""
+    """Weigh the moments of each sample, from the interval `first` on."""
     width = moments.shape[1]
     registers = -(-count // LANES)
     spread(weights, moments, first * width, 1, LANES * oversampling * width, samples, 0, registers)

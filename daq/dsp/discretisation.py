@@ -1,9 +1,9 @@
-"""A circuit at a sample rate: the matrices that carry it over an interval, or over part of one, exactly.
+"""A circuit at a sample rate: exact transition matrices over an interval, and over part of one.
 
-Time counts in sample intervals. Beside the circuit's own states there are integrals of its output, begun anew at
-every sample: what a converter that averages over the interval reads, and the Legendre moments that a decimation
+Time counts in sample intervals. In addition to the circuit's states there are integrals of its output that restart at
+every sample: the reading of a converter that averages over the interval, and the Legendre moments that a decimation
 filter weighs. State, integrals and the input's derivatives follow one linear differential equation, so that matrix
-exponentials carry them over a whole interval (one matrix) or over any part of it (a matrix for 64ths, one for
+exponentials propagate them over a whole interval (one matrix) or over any part of it (a matrix for 64ths, one for
 4096ths, and a Taylor series for the rest). No eigenvectors: repeated poles at zero are as good as any.
 """
 
@@ -50,14 +50,14 @@ class Entry(NamedTuple):
     degree: int
     """Its course over an interval: the Legendre polynomial of this degree, up to 2, times its voltage."""
     filtered: bool
-    """Whether what of it passes the circuit at once goes into the moments."""
+    """Whether its direct feedthrough enters the moments."""
 
 
 class Tables(NamedTuple):
     """Matrices of a circuit at a sample rate; columns of the usual matrices are rows here.
 
-    The vector carried is (states, integrals, four derivatives of the input). `step` leaves out of it what
-    starts at zero or is not needed, and gives moments where the vector holds repeated integrals.
+    The vector is (states, integrals, four derivatives of the input). `step` omits its entries that start at zero or are
+    not needed, and gives moments where the vector holds repeated integrals.
     """
 
     states: int
@@ -67,15 +67,15 @@ class Tables(NamedTuple):
     sections: NDArray[np.int64]
     """First state of each section, and the number of states; int64, shape (sections + 1,)."""
     weights: Array
-    """What the input's start, end, mean and moment, then 1 V of each disturbance, then the states of the
-    sections before its own add to each state over an interval; shape (states, 4 + disturbances + states)."""
+    """Contributions of the input's start, end, mean and moment, then of 1 V of each disturbance, then of the states of
+    the sections before its own to each state over an interval; shape (states, 4 + disturbances + states)."""
     spread: Array
-    """What they add to the moments, and zeros; shape (4 + disturbances + states, LANES)."""
+    """Their contributions to the moments, and zeros; shape (4 + disturbances + states, LANES)."""
     step: Array
-    """What each state, then the input's start, end, mean and moment, then 1 V of each disturbance become or
-    add over an interval; shape (states + 4 + disturbances, width)."""
+    """Transition of each state, then contributions of the input's start, end, mean and moment, then of 1 V of each
+    disturbance over an interval; shape (states + 4 + disturbances, width)."""
     impulse: Array
-    """What a unit impulse adds to the vector at once; shape (width,)."""
+    """Jump of the vector by a unit impulse; shape (width,)."""
     coarse: Array
     fine: Array
     """Exponentials of the generator over k/64 and k/4096 of the interval. Here and in `generator` zeros fill
@@ -89,7 +89,7 @@ class Tables(NamedTuple):
 
 
 def rate_of_change(circuit: Circuit, gain: float, rate: float, integrals: int) -> Array:
-    """Give the generator of the vector that `Tables` carries, shape (size, size), per interval."""
+    """Return the generator of the vector that `Tables` carries, shape (size, size), per interval."""
     states = circuit.c.size
     width = states + integrals
     generator = np.zeros((width + 4, width + 4))
@@ -108,15 +108,15 @@ def rate_of_change(circuit: Circuit, gain: float, rate: float, integrals: int) -
 def with_disturbances(
     generator: Array, circuit: Circuit, rate: float, integrals: int, entries: Sequence[Entry]
 ) -> tuple[Array, Array]:
-    """Carry the disturbances' courses as well.
+    """Extend the vector by the disturbances' courses.
 
     Returns
     -------
     generator : ndarray, shape (all, all)
-        Value, slope and curvature of what enters at each place stand behind the vector.
+        Value, slope and curvature of the disturbance at each place follow the vector.
     start : ndarray, shape (all, states + 4 + disturbances)
-        What is carried, at the start of an interval, from the states, the input's start, end, mean and moment, and 1 V
-        of each disturbance.
+        The extended vector at the start of an interval, from the states, the input's start, end, mean and moment, and
+        1 V of each disturbance.
     """
     states, size = circuit.c.size, len(generator)
     places = list(dict.fromkeys((entry.section, entry.filtered) for entry in entries))

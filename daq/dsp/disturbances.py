@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 
 class Disturbance(Protocol):
-    """Anything that gives a voltage for every sample, in order."""
+    """A source of a voltage for every sample, in order."""
 
     def fill(self, samples: Array) -> None:
         """Fill in the next samples, V, shape (samples,)."""
@@ -58,7 +58,7 @@ class SettlingOffset:
 
     def __init__(self, level: float, time: float, rate: float) -> None:
         self._level, self._loss = level, float(-np.expm1(-1.0 / (time * rate)))
-        # What is missing to the final level.
+        # Difference to the final level.
         self._missing = np.array([level])
 
     def fill(self, samples: Array) -> None:
@@ -84,9 +84,9 @@ class Disturbances:
     direct : ndarray, shape (disturbances,)
         Which share of each reaches the output at once.
     degrees : sequence of int
-        Degree of each; those of degree 1 and 2 follow one of degree 0.
+        Degree of each; degrees 1 and 2 follow a disturbance of degree 0.
     oversampling : int
-        Intervals of the signal per sample. What is drawn does not depend on it.
+        Intervals of the signal per sample. The random numbers do not depend on it.
     """
 
     def __init__(
@@ -109,8 +109,8 @@ class Disturbances:
         for row, source in zip(held, self._sources, strict=True):
             source.fill(row)
         if self._each > 1:
-            # The sample at which each interval ends, or which it leads up to; one that began in the last block
-            # goes on with what was drawn for it there.
+            # The sample at or after the end of each interval; an interval of a sample that began in the last block
+            # continues with the numbers drawn there.
             sample = -(-np.arange(first, stop) // self._each)
             drawn = np.concatenate([self._last, held], axis=1)
             held, self._last = drawn[:, sample - (self._drawn - 1)], drawn[:, -1:]
@@ -132,14 +132,14 @@ class Disturbances:
                 held[row] *= length * length
 
     def add_direct(self, held: Array, volts: Array) -> None:
-        """Add what reaches the output at once.
+        """Add the direct feedthrough to the output.
 
         Parameters
         ----------
         held : ndarray, shape (disturbances, samples)
-            What `hold` gave, for those intervals that end at a sample.
+            Result of `hold`, for the intervals that end at a sample.
         volts : ndarray, shape (samples,)
-            What it is added to.
+            Output, updated.
         """
         if self._any_direct:
             _sum_up(self._direct, held, volts)

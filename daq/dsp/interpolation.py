@@ -61,7 +61,7 @@ class MotionInterpolator:
         self._ends = np.zeros(3), np.zeros(3)
 
     def cut(self, motion: Motion) -> CubicInput:
-        """Give the pieces of the next block.
+        """Return the pieces of the next block.
 
         Before sample 0 everything is at rest at the initial position: an initial velocity is an impulse
         there.
@@ -116,7 +116,7 @@ class ForceInterpolator:
         self._fresh = True
 
     def cut(self, force: Array) -> CubicInput:
-        """Give the pieces of the next block; force is zero before sample 0 and may jump there."""
+        """Return the pieces of the next block; force is zero before sample 0 and may jump there."""
         smooth = np.empty((4, force.size))
         if force.size == 0:
             return CubicInput(smooth, *_NO_PARTS)
@@ -144,14 +144,14 @@ def _smooth(
     rate: float,
     smooth: Array,
 ) -> None:
-    """Describe every interval as if it were one piece; `last` holds the last sample, before and after."""
+    """Describe every interval as one piece; `last` holds the last sample, and is updated."""
     end = acceleration.size
     start, mean, moment = smooth[0], smooth[2], smooth[3]
     put(acceleration, smooth[1])
     start[0] = last[0]
     mean[0] = (velocity[0] - last[1]) * rate
     moment[0] = ((displacement[0] - last[2]) * rate - last[1]) * rate
-    # One number at a time: several samples are then worked off at once.
+    # One quantity at a time, so that several samples are processed at once.
     for i in range(1, end):
         start[i] = acceleration[i - 1]
     for i in range(1, end):
@@ -175,7 +175,7 @@ def _cut(
     parts: Array,
     ends: tuple[Array, Array],
 ) -> int:
-    """Fill in the parts of broken intervals; give their number.
+    """Fill in the parts of broken intervals; return their number.
 
     `at_break` are acceleration and velocity, before and after, and displacement of all points at the breaks;
     `rows` are those of the point in this row at the samples, `last` at the one before the block.

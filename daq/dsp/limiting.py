@@ -1,4 +1,4 @@
-"""Limits of a sensor's output and of what integrators reach, on the signal itself and not on its samples.
+"""Limits of a sensor's output and of integrators, on the signal itself and not on its samples.
 
 An accelerometer's shock is over in microseconds, long before a slow converter takes its next sample. So the voltages
 that have a limit are looked at many times a period of the circuit's fastest part, whatever the sample rate. That costs
@@ -38,13 +38,13 @@ SHORTEST = 1e-9
 
 
 class Limits(NamedTuple):
-    """What is needed to find out where limits are reached, and to follow the circuit there."""
+    """Tables to detect where limits are reached, and to propagate the circuit there."""
 
     checks: Array
-    """What input, disturbances and states, in the order of `Tables.weights`, make of each limited voltage at each look
-    in an interval; shape (looks, 4 + disturbances + states)."""
+    """Contributions of input, disturbances and states, in the order of `Tables.weights`, to each limited voltage at
+    each look in an interval; shape (looks, 4 + disturbances + states)."""
     most: Array
-    """Magnitude of these up to which no limit can be reached; shape (looks,)."""
+    """Magnitude of these voltages up to which no limit is reached; shape (looks,)."""
     safe: Array
     """Weights of the magnitudes of the same; where the sum is below 1 no limit is reached at any look."""
     steps: NDArray[np.int64]
@@ -52,20 +52,22 @@ class Limits(NamedTuple):
     step: Array
     """The vector's transition over one of each; shape (2, size, size), as `Tables.coarse`."""
     held: Array
-    """What 1 V of each steady disturbance adds to the vector over it, and zeros; shape (2, disturbances, width)."""
+    """Contribution of 1 V of each steady disturbance to the vector over a step, and zeros; shape (2, disturbances,
+    width)."""
     varying: Array
-    """What 1 V of the others adds over an interval, in moments, no integrals; shape (disturbances, width)."""
+    """Contribution of 1 V of the other disturbances over an interval, in moments, not integrals; shape (disturbances,
+    width)."""
     limit: float
     """Of the sensor's output, V."""
     output: Array
     """The sensor's output from the vector; shape (size,)."""
     lacking: Array
-    """What 1 V beyond the limit adds to the vector, the volt at a step's start and at its end; shape (2, 2, width)."""
+    """Contribution of 1 V beyond the limit to the vector, at a step's start and at its end; shape (2, 2, width)."""
     relief: Array
     """What is beyond the limit at a step's end, as a share of what would be without its own effect on the shift; shape
     (2,)."""
     impulse: Array
-    """What is left of a unit impulse that goes beyond the limit; shape (width,)."""
+    """Remaining effect of a unit impulse beyond the limit; shape (width,)."""
     least: float
     """Smallest impulse that does, as `CubicInput` has them; none does behind a resonance."""
     shift: int
@@ -73,7 +75,7 @@ class Limits(NamedTuple):
     rails: Array
     """Largest magnitude of each state, V; shape (states,)."""
     holding: Array
-    """What adds 1 V to each state over a step, evenly, adds to the vector; shape (2, states, width)."""
+    """Contribution of an even input that adds 1 V to each state over a step to the vector; shape (2, states, width)."""
 
 
 def limits_of(
@@ -101,7 +103,7 @@ def limits_of(
     gain, rate, entries
         As for `daq.dsp.discretisation.discretise`.
     tables : Tables
-        What that gave.
+        Tables of the circuit.
     """
     if limit is None and not np.isfinite(rails).any():
         return None
@@ -118,7 +120,7 @@ def limits_of(
         [max(least, int(np.ceil(each * fastest))) for each, least in zip(STEPS, FEWEST_STEPS, strict=True)]
     )
 
-    # What is beyond the limit is missing from there on, and shifts the sensor's zero.
+    # The part beyond the limit is missing behind the sensor, and shifts its zero.
     beyond = np.zeros(width)
     beyond[:states] = -circuit.b[sensor] / rate
     if integrals:
@@ -143,7 +145,7 @@ def limits_of(
     return Limits(
         checks=checks,
         most=most,
-        # Rounding must not make it smaller than what it bounds.
+        # Rounding must not make it smaller than the bounded value.
         safe=np.abs(checks / most[:, None]).max(axis=0) * (1.0 + 1e-9),
         steps=steps,
         step=laid_out(np.array([expm(generator / count) for count in steps])),
@@ -162,7 +164,7 @@ def limits_of(
 
 
 def _ramps(generator: Array, beyond: Array, steps: int) -> Array:
-    """Give what an input that falls from 1 to 0 over a step adds to the vector, and one that rises: (2, width)."""
+    """Return what an input that falls from 1 to 0 over a step adds to the vector, and one that rises: (2, width)."""
     size, width = len(generator), beyond.size
     ramp = np.zeros((size + 2, size + 2))
     ramp[:size, :size] = generator
@@ -173,7 +175,7 @@ def _ramps(generator: Array, beyond: Array, steps: int) -> Array:
 
 
 def _pushes(generator: Array, states: int, steps: int) -> Array:
-    """Give what adds 1 to each state over a step, evenly, adds to the vector; shape (states, width)."""
+    """Return what adds 1 to each state over a step, evenly, adds to the vector; shape (states, width)."""
     size = len(generator)
     pushes = np.zeros((size + states, size + states))
     pushes[:size, :size], pushes[:states, size:] = generator, np.eye(states)
@@ -184,7 +186,7 @@ def _pushes(generator: Array, states: int, steps: int) -> Array:
 def _looked_at(
     watched: Sequence[tuple[Array, float]], everything: Array, start: Array, states: int, looks: int
 ) -> tuple[Array, Array]:
-    """Rows that give watched voltages at each look, and the magnitudes up to which none is beyond its own between."""
+    """Rows of the limited voltages at each look, and the magnitudes that prove them within their limits in between."""
     over_look = expm(everything / looks)
     checks = np.zeros((len(watched) * looks, start.shape[1]))
     most = np.zeros(len(checks))
@@ -244,9 +246,9 @@ def follow_closely(
     overload: Array,
     workspace: PartWorkspace,
 ) -> tuple[int, float]:
-    """Carry the circuit through an interval step by step; give the next part, and what is beyond the limit in the end.
+    """Propagate the circuit step by step over an interval; return the next part, and the final excess over the limit.
 
-    Moments are left in the workspace's vector, and what came of the interval in `overload`: see
+    Moments are in the workspace's vector, and the overload of the interval in `overload`: see
     `daq.dsp.propagation.propagate`.
     """
     after, excess, near, reached = _in_steps(
@@ -282,9 +284,9 @@ def _in_steps(
     held: Array,
     workspace: PartWorkspace,
 ) -> tuple[int, float, bool, bool]:
-    """Carry the vector through an interval in steps of a size, coarse or fine.
+    """Propagate the vector over an interval in coarse or fine steps.
 
-    Returns the next part, what is beyond the limit in the end, whether the sensor's output came near its limit, and
+    Return the next part, the final excess over the limit, whether the sensor's output came near its limit, and
     whether any limit was reached.
     """
     vector, whole = workspace.vector, workspace.whole
@@ -330,7 +332,7 @@ def _in_steps(
 
 @unfused
 def _begin(limits: Limits, size: int, state: Array, held: Array, vector: Array, steady: Array) -> None:
-    """Put the states into the vector, and sum up what the steady disturbances add to it over each step."""
+    """Copy the states to the vector, and sum up the contributions of steady disturbances to it over each step."""
     vector[:] = 0.0
     for j in range(state.size):
         vector[j] = state[j]
@@ -354,7 +356,7 @@ def _next_part(pieces: CubicInput, part: int, interval: int, out: Array) -> bool
 
 @unfused
 def _sensed(limits: Limits, vector: Array) -> float:
-    """Give the sensor's output as it would be without its limit, V."""
+    """Return the sensor's output without its limit, V."""
     free = 0.0
     for r in range(limits.output.size):
         free += limits.output[r] * vector[r]
@@ -370,7 +372,7 @@ def _excess(limits: Limits, vector: Array) -> float:
 
 @unfused
 def _hold(limits: Limits, size: int, vector: Array) -> bool:
-    """Keep the states within their largest magnitude through a step; say whether one was beyond."""
+    """Keep the states within their largest magnitude over a step; return whether any was beyond."""
     held = False
     for j in range(limits.rails.size):
         kept = min(max(vector[j], -limits.rails[j]), limits.rails[j])

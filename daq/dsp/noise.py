@@ -15,8 +15,8 @@ from rig.numerics.simd import padded, zeros
 
 Array = NDArray[np.float64]
 
-# Variance of the even numbers that stand for what is faster than the average; a filter sums up so many of them that the
-# sum is a normal one.
+# Variance of the uniform numbers that represent noise faster than the average; a filter sums up so many of them that
+# the sum is normal.
 _EVEN = 1.0 / 12.0
 # Down to here, Hz, noise with a corner rises as 1/f; below, which is to say over hours, it is white again.
 LOWEST = 1e-4
@@ -24,7 +24,7 @@ _RATIO = 4.0
 
 
 def generator(seed: int, channel: str, stage: str) -> np.random.Generator:
-    """Make the random numbers of one stage of one channel: the same whatever else the scene holds.
+    """Make the random numbers of one stage of one channel: independent of the rest of the scene.
 
     >>> generator(1, "body1", "noise").integers(100) == generator(1, "body1", "noise").integers(100)
     np.True_
@@ -76,9 +76,9 @@ class Noise:
 
 
 class FastNoise:
-    """What of the same noise passes within an interval, beside its average: a share of a Legendre polynomial.
+    """Variation of the same noise within an interval, in addition to its average: a Legendre polynomial.
 
-    White noise is made of all polynomials alike, of each as much as its size allows. With averages alone, noise
+    White noise has the same density in all normalized polynomials. With averages alone, noise
     behind a filter would fall towards half the rate as averages do, by 3.9 dB; with these of degree 1 and 2 by 0.04 dB.
 
     Parameters
@@ -103,7 +103,7 @@ class FastNoise:
         samples *= self._size
 
 
-# Sensors of one kind have one.
+# Sensors of one kind share the same.
 @lru_cache(maxsize=16)
 def shape(corner: float, rate: float) -> tuple[Array, Array, float]:
     """Find the filter that turns white noise into noise of density ``sqrt(1 + corner / f)`` times as much.
@@ -149,7 +149,7 @@ def shape(corner: float, rate: float) -> tuple[Array, Array, float]:
     def spectrum(y: float) -> float:
         return 1.0 + float(np.sum(strength * poles / (poles + y)))
 
-    # Zeros of the spectrum at negative y: one between any two poles, one beyond the last.
+    # Zeros of the spectrum at negative y: one between neighbouring poles, one beyond the last.
     ends = np.append(poles, poles[-1] + 2 * np.sum(strength * poles))
     zeros = np.array(
         [
@@ -168,7 +168,7 @@ def shape(corner: float, rate: float) -> tuple[Array, Array, float]:
 
 
 def _loss(y: Array) -> Array:
-    """Solve ``loss^2 / (1 - loss) = y`` for what a first-order state loses per sample."""
+    """Solve ``loss^2 / (1 - loss) = y`` for the loss of a first-order state per sample."""
     return np.asarray(2 * y / (y + np.sqrt(y * (y + 4))))
 
 

@@ -1,4 +1,4 @@
-"""A circuit carried from sample to sample, exactly, for an input made of cubic pieces."""
+"""Exact propagation of a circuit from sample to sample, for an input of cubic pieces."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from rig.numerics.simd import LANES, zeros
 
 Array = NDArray[np.float64]
 
-# Intervals worked off together, a multiple of `WEIGHED` (`rig.numerics.fma`): enough to keep a processor busy, few
-# enough for its nearest memory.
+# Intervals processed at a time, a multiple of `WEIGHED` (`rig.numerics.fma`): enough to keep a processor busy, few
+# enough for its nearest cache.
 STRETCH = 128
 
 
@@ -32,13 +32,13 @@ class CircuitWorkspace(NamedTuple):
     sizes: Array
     """Magnitudes of these."""
     sums: Array
-    """What is added to the states of a section; shape (2, intervals of a stretch)."""
+    """Contributions to the states of a section; shape (2, intervals of a stretch)."""
 
 
 def scratch_for(tables: Tables) -> CircuitWorkspace:
     """Make room to work in for a circuit."""
-    # Rows a little longer than needed: the state at the end, and at even distances they would compete for the
-    # same places in a cache.
+    # Rows a little longer than needed: for the state at the end, and because at powers of two they would compete for
+    # the same lines of a cache.
     course, sizes = (zeros(tables.spread.shape[0], STRETCH + LANES) for _ in range(2))
     return CircuitWorkspace(part_workspace(tables.generator.shape[1]), course, sizes, zeros(2, STRETCH))
 
@@ -58,12 +58,12 @@ def propagate(
     overload: Array,
     scratch: CircuitWorkspace,
 ) -> None:
-    """Carry a circuit through the intervals of a block.
+    """Propagate a circuit over the intervals of a block.
 
-    Stretches without breaks are worked off section by section, as each section only depends on those before
-    it: all but a section's own recurrence is then the same sum for many samples at a time. The order of every
-    sum is fixed, so that nothing depends on where a stretch or a block ends. Intervals in which a limit may be reached,
-    and which follow such, are followed closely, one by one (`daq.dsp.limiting`).
+    Stretches without breaks are processed section by section, as each section only depends on those before it: all but
+    a section's own recurrence is then the same sum for many samples at a time. The order of every sum is fixed, so that
+    no result depends on where a stretch or a block ends. Intervals in which a limit may be reached, and the next
+    intervals after an overload, are processed one by one (`daq.dsp.limiting`).
 
     Parameters
     ----------
@@ -72,14 +72,14 @@ def propagate(
     held : ndarray, shape (disturbances, intervals)
         Disturbances, V.
     rows, rows_input, rows_excess : ndarray, shapes (outputs, states), (outputs,) and (outputs,)
-        Outputs at the samples, from state, input and what is beyond the limit.
+        Outputs at the samples, from state, input and excess over the limit.
     points : ndarray, shape (outputs, intervals)
         These outputs; filled in.
     averages : ndarray, shape (intervals + TOGETHER, LANES), or (0, LANES) where there are no integrals
-        Moments of the output over each interval; filled in, the last rows with anything.
+        Moments of the output over each interval; filled in, the last rows with arbitrary content.
     overload : ndarray, shape (1 + intervals,)
-        Behind that of the last interval of the block before: 0 where no limit was reached, else 1 and the shift of
-        zero left behind as a share of the limit; filled in.
+        The last interval of the previous block first: 0 where no limit was reached, else 1 and the remaining shift of
+        zero as a share of the limit; filled in.
     """
     course = scratch.course
     behind = 4 + held.shape[0]
@@ -87,7 +87,7 @@ def propagate(
     while first < intervals:
         overload[1 + first] = 0.0
         broken = part < pieces.broken.size and pieces.broken[part] == first
-        # A circuit without limits is compiled without all that looks after them.
+        # A circuit without limits is compiled without their code.
         close = False
         if limits is not None:
             close = broken or overload[first] > 0.0
@@ -133,7 +133,7 @@ def propagate(
 
 @unfused
 def _lay_out(pieces: CubicInput, held: Array, first: int, stop: int, course: Array) -> None:
-    """Put input and disturbances of a stretch above the states."""
+    """Copy input and disturbances of a stretch to the rows above the states."""
     for k in range(4):
         put(pieces.smooth[k, first:stop], course[k, : stop - first])
     for e in range(held.shape[0]):
@@ -142,7 +142,7 @@ def _lay_out(pieces: CubicInput, held: Array, first: int, stop: int, course: Arr
 
 @unfused
 def _through_stretch(tables: Tables, state: Array, course: Array, sums: Array, count: int) -> None:
-    """Carry the circuit through intervals without breaks; `course` gets the states from start to end."""
+    """Propagate the circuit over intervals without breaks; `course` gets the states from start to end."""
     behind = course.shape[0] - tables.states
     for section in range(tables.sections.size - 1):
         begin, end = tables.sections[section], tables.sections[section + 1]
@@ -161,7 +161,7 @@ def _through_stretch(tables: Tables, state: Array, course: Array, sums: Array, c
 
 @unfused
 def _first_order(own: float, first: float, added: Array, path: Array) -> float:
-    """Carry the state of a section of first order; give the last one."""
+    """Propagate the state of a section of first order; return the last value."""
     x = first
     for k in range(added.size):
         path[k] = x
@@ -174,7 +174,7 @@ def _first_order(own: float, first: float, added: Array, path: Array) -> float:
 def _second_order(
     step: Array, begin: int, state: Array, added: Array, also: Array, path: Array, other: Array
 ) -> None:
-    """Carry both states of a section of second order."""
+    """Propagate both states of a section of second order."""
     aa, ab = step[begin, begin], step[begin + 1, begin]
     ba, bb = step[begin, begin + 1], step[begin + 1, begin + 1]
     x, y = state[begin], state[begin + 1]
@@ -187,7 +187,7 @@ def _second_order(
 
 @unfused
 def _disturb(tables: Tables, state: Array, held: Array, vector: Array) -> None:
-    """Let disturbances act at the end of an interval with breaks."""
+    """Add the disturbances at the end of an interval with breaks."""
     for e in range(held.shape[0]):
         for r in range(tables.width):
             vector[r] += tables.step[tables.states + 4 + e, r] * held[e]

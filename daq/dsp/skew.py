@@ -1,4 +1,4 @@
-"""Sampling instants that are not the clock's: channels sampled one after another."""
+"""Skew: channels that are sampled one after another."""
 
 from __future__ import annotations
 
@@ -16,8 +16,7 @@ Array = NDArray[np.float64]
 def delays(skew: float | tuple[float, ...] | None, channels: int, rate: float) -> tuple[float, ...]:
     """Turn lateness of sampling into delay of what is sampled.
 
-    A sample bears the time of the clock tick at which its last channel is sampled; all other channels read
-    what was there earlier.
+    A sample has the time of the clock tick at which its last channel is sampled; other channels read earlier values.
 
     Parameters
     ----------
@@ -73,7 +72,7 @@ class Delay:
         self._tail = np.zeros((0, 6))
 
     def shift(self, pieces: CubicInput) -> CubicInput:
-        """Give the delayed input over the same number of intervals."""
+        """Return the delayed input over the same number of intervals."""
         if pieces.smooth.size == 0:
             return pieces
         smooth = np.empty(pieces.smooth.shape)
@@ -190,7 +189,7 @@ def _shift(
 
 @unfused
 def _join(pieces: Array, weights: Array, last: Array, out: Array) -> None:
-    """Join every interval with the one before as if both were whole; one number of the result."""
+    """Join every interval with the previous interval as if both were whole; one quantity of the result."""
     start, end, mean, moment = pieces[0], pieces[1], pieces[2], pieces[3]
     out[0] = _joined_up(
         weights, last[0], last[1], last[2], last[3], start[0], end[0], mean[0], moment[0],
@@ -213,7 +212,7 @@ def _joined_up(
 
 @unfused
 def _between(whole: Array, begin: float, end: float, length: float, jump: float, out: Array) -> None:
-    """Describe the part of a cubic between two shares of its length, as a part of a length and with an impulse."""
+    """Describe the part of a cubic between two shares of its length, with a length and an impulse."""
     out[LENGTH], out[JUMP] = length, jump
     a, b, mean, moment = whole[0], whole[1], whole[2], whole[3]
     c1 = -9.0 * a + 3.0 * b - 24.0 * mean + 60.0 * moment

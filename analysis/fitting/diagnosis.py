@@ -75,7 +75,7 @@ def cause(problem: Problem) -> tuple[bool, str]:
         )
     limit = max(_FULLY_EXPLAINED, _EXPLAINED * before)
     found: list[tuple[float, str, bool]] = []
-    for kind in (_turned_signs, _swaps, _factors, _dampings, _delays):
+    for kind in (_reversed_signs, _swaps, _factors, _dampings, _delays):
         found += [each for each in kind(problem, bare) if each[0] < limit]
         if any(left < _FULLY_EXPLAINED and is_named for left, _, is_named in found):
             break
@@ -112,11 +112,11 @@ def scale_off(problem: Problem, x: Array) -> str:
     )
 
 
-# Mistakes of one kind: the variance that each leaves unexplained, what it is, and whether it is a known one.
+# Hypotheses of one kind: the residual variance of each, its description, and whether it is a known mistake.
 _Explanations = Iterator[tuple[float, str, bool]]
 
 
-def _turned_signs(problem: Problem, bare: list[Curves]) -> _Explanations:
+def _reversed_signs(problem: Problem, bare: list[Curves]) -> _Explanations:
     references = dict.fromkeys(curves.reference_sensor for curves in bare)
     for sensor in references:
         turned = [
@@ -136,7 +136,7 @@ def _swaps(problem: Problem, bare: list[Curves]) -> _Explanations:
 
 
 def _factors(problem: Problem, bare: list[Curves]) -> _Explanations:
-    """Give the factor by which each sensor would be off; one that no unit explains may stand for another structure."""
+    """Yield the factor of each sensor that fits best; a factor that is no unit may also mean another structure."""
     references = [curves.reference_sensor for curves in bare]
     for sensor in dict.fromkeys((*_sensors(bare), *references)):
         free = replace(sensor, tolerance=_FREED)
@@ -173,17 +173,17 @@ def _delays(problem: Problem, bare: list[Curves]) -> _Explanations:
 
 
 def _sensors(bare: list[Curves]) -> list[Sensor]:
-    """All sensors behind responses."""
+    """All sensors of responses."""
     return list(dict.fromkeys(sensor for curves in bare for sensor in curves.sensors))
 
 
 def _turned(curves: Curves, sensor: Sensor) -> Curves:
-    """Turn the responses that a sensor reads; for the reference, reversing all others is the same."""
+    """Reverse the responses of a sensor."""
     return _multiplied(curves, np.array([-1.0 if one == sensor else 1.0 for one in curves.sensors])[:, None])
 
 
 def _multiplied(curves: Curves, factor: float | ComplexArray | Array) -> Curves:
-    """Multiply responses by factors of size one, shape (responses, n) or what broadcasts to it."""
+    """Multiply responses by factors of magnitude 1, shape (responses, n) or broadcastable to it."""
     turns = np.broadcast_to(np.asarray(factor, dtype=complex), curves.value.shape)
     return replace(
         curves,
@@ -194,17 +194,17 @@ def _multiplied(curves: Curves, factor: float | ComplexArray | Array) -> Curves:
 
 
 def _phase_delay(bare: list[Curves], sensor: Sensor) -> float:
-    """Give the delay of a sensor, s, that lines up its phase with that of the others best.
+    """Return the delay of a sensor, s, that aligns its phase best with the others.
 
-    A delay turns a response by a phase that is proportional to frequency, about 0 or 180 degrees where no mode is near.
+    A delay adds a phase proportional to frequency; without it the phase is near 0 or 180 degrees away from modes.
     """
     in_line = np.zeros(_DELAYS.size)
-    way = -1.0 if any(curves.reference_sensor == sensor for curves in bare) else 1.0
+    sign = -1.0 if any(curves.reference_sensor == sensor for curves in bare) else 1.0
     for curves in bare:
         reference = curves.reference_sensor == sensor
         rows = [k for k, one in enumerate(curves.sensors) if reference or one == sensor]
-        # Twice the phase knows nothing of signs.
-        turn = np.exp(way * 4j * np.pi * np.outer(_DELAYS, curves.frequency))
+        # The doubled phase does not depend on the sign.
+        turn = np.exp(sign * 4j * np.pi * np.outer(_DELAYS, curves.frequency))
         for k in rows:
             unit = (curves.value[k] / np.maximum(abs(curves.value[k]), 1e-300)) ** 2
             weight = np.minimum(abs(curves.whiten[:, k, k] * curves.value[k]), 30.0)
@@ -213,7 +213,7 @@ def _phase_delay(bare: list[Curves], sensor: Sensor) -> float:
 
 
 def _refined_delay(near: _Refit, bare: list[Curves], sensor: Sensor, delay: float) -> tuple[float, float]:
-    """Give the delay near a first guess with which the curves are explained best, s, and the variance left."""
+    """Return the delay near a first guess with the smallest residual variance, s, and that variance."""
 
     def left(each: float) -> float:
         return near.adjusted([_in_time(curves, sensor, each) for curves in bare]).variance
@@ -224,7 +224,7 @@ def _refined_delay(near: _Refit, bare: list[Curves], sensor: Sensor, delay: floa
 
 
 def _in_time(curves: Curves, sensor: Sensor, delay: float) -> Curves:
-    """Take a delay off what a sensor reads."""
+    """Remove a delay from the readings of a sensor."""
     late = np.array([float(one == sensor) for one in curves.sensors]) - float(
         curves.reference_sensor == sensor
     )
@@ -232,7 +232,7 @@ def _in_time(curves: Curves, sensor: Sensor, delay: float) -> Curves:
 
 
 def _other_damping(problem: Problem) -> Iterator[tuple[str, Scene]]:
-    """Give the model with the other form of damping of a chain, as strong as it is."""
+    """Yield the model with the other form of damping of a chain, of the same strength."""
     structure = problem.model.structure
     if structure.masses is None or structure.springs is None:
         return
@@ -252,7 +252,7 @@ def _other_damping(problem: Problem) -> Iterator[tuple[str, Scene]]:
 
 
 def _without(bare: list[Curves], sensor: Sensor) -> list[Curves]:
-    """Leave out what a sensor reads; nothing if fewer than two responses would be left anywhere."""
+    """Leave out the responses of a sensor; empty if fewer than two responses would remain."""
     left = []
     for curves in bare:
         kept = [k for k, one in enumerate(curves.sensors) if one != sensor]
@@ -285,22 +285,22 @@ def _with_sensor(curves: Curves, old: Sensor, new: Sensor) -> Curves:
 
 
 def left_out(curves: Curves, used: NDArray[np.bool_], uncovered: Mapping[int, str]) -> list[str]:
-    """Say which points were left out of a fit, and why.
+    """List the points that were left out of a fit, with the reasons.
 
     Parameters
     ----------
     curves : Curves
     used : ndarray of bool, shape (n,)
     uncovered : mapping of int to str
-        What happens in the motion that the scene has at a point, where no orbit is computed for it.
+        Reason why no orbit can be computed for the motion at a point.
     """
     why: dict[str, list[str]] = {}
     for k in np.flatnonzero(~used).tolist():
-        reason = "the rig was in another motion than any that the scene has there, or in none that repeats"
+        reason = "the rig had another kind of motion than the model, or an irregular one"
         if k in uncovered:
             reason = (
-                f"{uncovered[k]}, which a fit does not compute; a scene whose dampers have restitution 0, or contacts "
-                "that last (contact: {duration: ...}), has none of that"
+                f"{uncovered[k]}, which a fit cannot compute (restitution 0 or a finite duration of contact, "
+                "contact: {duration: ...}, avoids it)"
             )
         why.setdefault(reason, []).append(f"{curves.frequency[k]:.4g}")
     return [f"{curves.label}: left out {', '.join(at)} Hz, where {reason}." for reason, at in why.items()]
@@ -315,20 +315,20 @@ def _swapped(curves: Curves, one: str, other: str) -> Curves:
 
 @dataclass(frozen=True)
 class _Refit:
-    """The scene fitted to curves as they would be without a mistake."""
+    """The scene fitted to curves that are corrected for a supposed mistake."""
 
     problem: Problem
     x: Array
 
     @property
     def variance(self) -> float:
-        """What the fit leaves unexplained; sensors strained far beyond their tolerances would explain anything."""
+        """Residual variance, or the squared deviation of a sensor in tolerances if that is larger."""
         problem = self.problem
         strain = ((self.x - problem.start) / problem.spread)[len(problem.parameters) :]
         return max(mean_square(problem, self.x, problem.groups), *(strain**2), 0.0)
 
     def adjusted(self, curves: list[Curves]) -> _Refit:
-        """Fit curves that differ little, from these values."""
+        """Fit slightly different curves, starting from these values."""
         trial = Problem(self.problem.model, self.problem.parameters, curves)
         return _Refit(trial, solved(trial, self.x, trial.groups, 0.0, most=5))
 
@@ -337,7 +337,7 @@ def _refit(problem: Problem, curves: list[Curves], model: Scene | None = None) -
     """Fit the structure of a scene to curves."""
     parameters = [one for one in problem.parameters if one.place[0] != "dampers"]
     if model is not None:
-        # Only what was free stays free, with the new form of damping.
+        # The free values stay free, and so are those of the new form of damping.
         free = {one.key for one in parameters}
         parameters = [
             one

@@ -30,8 +30,8 @@ _UNEXPLAINED = 1.3
 _DISTRUST_DAMPERS = (0.2, 0.05)
 # The least of it: large misses hardly count, so that a point in another motion does not decide.
 _BARELY = 1e-6
-# Factors on mass and clearance of all dampers to start from, where the scene's own lead nowhere; and one with which no
-# ceiling is touched.
+# Factors on mass and clearance of all dampers to start from, where the scene's own lead nowhere; and one with which
+# no ceiling is touched.
 _MASSES, _CLEARANCES, _OUT_OF_REACH = (1.0, 0.7, 0.4, 1.5), (0.6, 1.7, 0.3), 30.0
 # A mean square of misses up to which the dampers' motions are explained: somewhat below 1 is what noise alone leaves.
 # The largest that each counts for, in variances, and what a point without a motion misses.
@@ -75,7 +75,7 @@ class Estimate:
 
 
 def estimate(problem: Problem, report: Report) -> Estimate:
-    """Find the unknowns: first those of the structure from linear recordings, then of the dampers, then all at once."""
+    """Estimate the unknowns: first of the structure from linear recordings, then of the dampers, then all together."""
     bare = [group for group in problem.groups if group.tones is None]
     report("structure")
     x = _structure(problem, bare) if bare else problem.start.copy()
@@ -83,15 +83,15 @@ def estimate(problem: Problem, report: Report) -> Estimate:
     if damped:
         report("dampers")
         x = _damped(problem, x, damped, bool(bare), report)
-    return Estimate(x, *_certainty(problem, x))
+    return Estimate(x, *_covariance(problem, x))
 
 
 def _damped(
     problem: Problem, structure: Array, damped: Sequence[Group], structure_known: bool, report: Report
 ) -> Array:
-    """Find all unknowns with the dampers: from the scene's values first, then from elsewhere; the best is kept.
+    """Estimate all unknowns with the dampers from several starts, the scene's values first; the best result is kept.
 
-    A ceiling that is touched and one out of reach are two different optima: where one is found, the other is tried too.
+    A ceiling with impacts and a ceiling out of reach are different optima, so that both are tried.
     """
     best, least, motions = structure, np.inf, [group.motions() for group in damped]
     begin = structure
@@ -103,19 +103,19 @@ def _damped(
         report("all")
         for group, known in zip(damped, motions, strict=True):
             group.restore(known)
-        # What is vaguely known would lead back a ceiling that nothing shows.
+        # The prior would pull an unreached ceiling back.
         held = "clearance" if clearance == _OUT_OF_REACH else ""
         active = [k for k, name in enumerate(_names(problem)) if not held or name != held]
         x = _with_dampers(problem, _times(problem, begin, mass, clearance), damped, active, structure_known)
-        # Where the ceiling explains the curves, one out of reach that misses most points is not refined.
+        # If a ceiling explains the curves, a ceiling out of reach that misses most points is not refined.
         refuted = least < _EXPLAINED and _robust_cost(problem, x, damped) > _REFUTED
         for turn in range(0 if refuted else _ROUNDS):
-            if not _rechosen(problem, x, damped) and turn > 0:
+            if not _choose_motions(problem, x, damped) and turn > 0:
                 break
             x = solved(problem, x, problem.groups, _DISTRUST[-2] if turn == 0 else _BARELY, active, 8)
             x = solved(problem, x, problem.groups, 0.0, active, 12)
         cost = _robust_cost(problem, x, damped)
-        # That a ceiling is touched, no single point decides: it may have been in a motion of another kind.
+        # A single point does not prove ceiling impacts: it may be in another kind of motion.
         if cost < least + _CAP * (clearance == _OUT_OF_REACH) / min(g.used.size for g in damped):
             best, least, motions = x, cost, [group.motions() for group in damped]
     for group, known in zip(damped, motions, strict=True):
@@ -125,7 +125,7 @@ def _damped(
 
 
 def _starts(problem: Problem) -> Iterator[tuple[float, float]]:
-    """Give factors on masses and clearances of all dampers to start from; last, ceilings out of reach."""
+    """Yield start factors of masses and clearances of all dampers; the last puts ceilings out of reach."""
     bounded = any(one.what == "clearance" for one in problem.parameters)
     yield 1.0, 1.0
     yield from ((mass, clearance) for mass in _MASSES for clearance in (_CLEARANCES if bounded else (1.0,)))
@@ -140,17 +140,18 @@ def _times(problem: Problem, x: Array, mass: float, clearance: float) -> Array:
 
 
 def _names(problem: Problem) -> list[str]:
-    """Name what each unknown is of a damper; "" for all others."""
+    """Last words of the keys of dampers' unknowns; "" for all others."""
     names = ["" if one.damper is None else one.what for one in problem.parameters]
     return names + [""] * (problem.size - len(names))
 
 
 def _robust_cost(problem: Problem, x: Array, damped: Sequence[Group]) -> float:
-    """Mean square of the misses, those of points left out too, each with a limit that it cannot exceed [1]_.
+    """Mean square of the residuals of all points, each limited by the Geman-McClure function [1]_.
 
     References
     ----------
-    .. [1] S. Geman, D. McClure, Statistical methods for tomographic image reconstruction, Bulletin of the International
+    .. [1] S. Geman, D. McClure, Statistical methods for tomographic image reconstruction, Bulletin of the
+    International
        Statistical Institute 52 (1987) 5-21.
     """
     scene, costs = problem.scene(x), []
@@ -162,7 +163,7 @@ def _robust_cost(problem: Problem, x: Array, damped: Sequence[Group]) -> float:
 
 
 def _structure(problem: Problem, bare: Sequence[Group]) -> Array:
-    """Find the structure from linear recordings: from their modes, else from the guess and places around it."""
+    """Estimate the structure from linear recordings: from their modes, else from random starts around the guess."""
     best = start(problem, bare)
     for distrust in _DISTRUST:
         best = solved(problem, best, bare, distrust)
@@ -209,7 +210,7 @@ def solved(
         gtol=1e-10,
     )
     best = full(solution.x)
-    # What was tried last need not be what was best: the motions known are to be those of the solution.
+    # The last trial need not be the solution: evaluate it, so that the stored motions are those of the solution.
     problem.residual(best, groups, distrust)
     return best
 
@@ -217,7 +218,7 @@ def solved(
 def _with_dampers(
     problem: Problem, x: Array, damped: Sequence[Group], free: Sequence[int], structure_known: bool
 ) -> Array:
-    """Values of the dampers with the structure held, if linear recordings determine it; else of all, coarsely."""
+    """Rough values of the dampers, with the structure fixed if linear recordings determine it, else of all unknowns."""
     names = _names(problem)
     active = [k for k in free if names[k] or not structure_known]
     if not active:
@@ -229,24 +230,24 @@ def _with_dampers(
 
 
 def mean_square(problem: Problem, x: Array, groups: Sequence[Group], distrust: float = 0.0) -> float:
-    """Mean square of the misses of some groups, in standard deviations."""
+    """Mean square of the residuals of some groups, in standard deviations."""
     misses = problem.residual(x, groups, distrust)[: -problem.size]
     return float(np.mean(misses**2)) if misses.size else 0.0
 
 
-def _rechosen(problem: Problem, x: Array, damped: Sequence[Group]) -> bool:
-    """Look for the motions that the rig was in where points stand out; whether anything changed."""
+def _choose_motions(problem: Problem, x: Array, damped: Sequence[Group]) -> bool:
+    """Search other motions at outlying points; whether anything changed."""
     scene = problem.scene(x)
     changed = [group.choose_motions(problem, x, scene) for group in damped]
     return any(changed)
 
 
-def _certainty(problem: Problem, x: Array) -> tuple[Array, float]:
-    """Factor of the covariance of the unknowns, as in `Estimate`, and the mean square of the misses.
+def _covariance(problem: Problem, x: Array) -> tuple[Array, float]:
+    """Factor of the covariance of the unknowns, as in `Estimate`, and the mean square of the residuals.
 
-    Systematic parts, which do not scatter, shift the unknowns as a whole: what each would do is added. Misses beyond
-    the stated errors enlarge the covariance by their mean square. Misses that have causes in common,
-    from response to response and over neighbouring frequencies, are counted by cluster [1]_; of both the larger.
+    Systematic errors shift the unknowns; each shift is added. Residuals larger than the stated errors enlarge the
+    covariance by their mean square. Residuals with common causes, between responses and over neighbouring
+    frequencies, are counted by cluster [1]_; the larger covariance is used.
 
     References
     ----------
@@ -271,7 +272,9 @@ def _certainty(problem: Problem, x: Array) -> tuple[Array, float]:
         cluster = np.tile(np.repeat(rank // width, misses.size // (2 * used)), 2)
         clusters = range(cluster.max() + 1)
         scores.append(
-            np.stack([jacobian[cluster == one].T @ misses[cluster == one] for one in clusters], axis=1)
+            np.stack(
+                [jacobian[cluster == number].T @ misses[cluster == number] for number in clusters], axis=1
+            )
         )
     variance = square / max(count - problem.size, 1)
     bread = _inverse_root(data, problem.spread)
@@ -287,15 +290,15 @@ def _certainty(problem: Problem, x: Array) -> tuple[Array, float]:
 
 
 def _inverse_root(rows: Array, spread: Array) -> Array:
-    """Factor F of the inverse ``F F^T`` of ``rows^T rows`` and the precision that the prior deviations give."""
+    """Factor F of the inverse ``F F^T`` of ``rows^T rows`` plus the prior precision."""
     root = np.linalg.qr(np.concatenate([rows, np.diag(1.0 / spread)]), mode="r")
     return np.asarray(np.linalg.inv(root))
 
 
 def _systematic(group: Group) -> Iterator[Array]:
-    """Whitened residuals of what stays the same from line to line: a gain, and a phase, of each response.
+    """Whitened residuals of errors that are equal at all lines: gain and phase of each response.
 
-    Evenly anywhere within its bounds, each has the root of a third of them as its standard deviation.
+    Each is uniformly distributed within its limit, so that its standard deviation is limit / sqrt(3).
     """
     curves, used = group.curves, group.used
 
@@ -308,16 +311,16 @@ def _systematic(group: Group) -> Iterator[Array]:
         white = whitened(off)
         yield np.concatenate([white.real, white.imag])
         yield np.concatenate([-white.imag, white.real])
-    # Noise adds to the power of the reference: all responses read too little, and none turns.
+    # Noise adds to the power of the reference: all responses are too small, without a phase error.
     white = whitened(curves.common / np.sqrt(3.0) * curves.value)
     yield np.concatenate([white.real, white.imag])
 
 
 def _scatter(group: Group, jacobian: Array) -> Array:
-    """Covariance of the scores ``J^T r`` of a group for random errors, shared ones of responses and lines included."""
+    """Covariance of the scores ``J^T r`` of a group from random errors, shared ones included."""
     curves, used = group.curves, group.used
     if curves.errors.reference is None:
-        # Whitened, each has a variance of one; what few averages leave open of it is in the weights.
+        # Whitened errors have unit variance; the uncertainty of the variance itself is in the weights.
         return np.asarray(curves.errors.shared * (jacobian.T @ jacobian))
     slopes = jacobian.reshape(2, int(used.sum()), len(curves.sensors), -1)
     white = slopes[0] + 1j * slopes[1]

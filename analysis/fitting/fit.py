@@ -1,4 +1,4 @@
-"""A scene fitted to recordings of the real structure."""
+"""Fit of a scene to recordings of the real structure, with 95 % intervals of all values."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from analysis.fitting.diagnosis import cause, left_out, scale_off
 from analysis.fitting.estimate import CONFIDENCE, Estimate, estimate
-from analysis.fitting.identifiability import together
+from analysis.fitting.identifiability import coupled_values
 from analysis.fitting.measured import Curves, measured
 from analysis.fitting.parameters import Parameter, free_parameters, spelt_out
 from analysis.fitting.problem import Problem, slope
@@ -35,34 +35,35 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Progress = Callable[[str], None]
 
-# A value whose 95 % interval is wider, relative, is undetermined.
+# Largest relative half width of the 95 % interval of a value that is determined at all.
 _UNDETERMINED = 0.5
-# A ceiling just out of reach is so many times the largest gap.
+# Clearance of a ceiling that is not reached, as a multiple of the largest gap.
 _ABOVE = 1.2
-# Misses of so many variances are not noise; of so much of the curves they are those of another structure.
+# Residuals with a larger variance are not noise; residuals larger than this share of the curves show another
+# structure.
 NOT_NOISE, ANOTHER = 4.0, 0.02
-# A sensor that had to be off by so many of its tolerances is not what its data sheet says.
+# Largest plausible deviation of a sensor, in tolerances of its data sheet.
 _BEYOND = 2.0
-# Share of the points at which the model has a steady motion that may have been in another one, and of all that may
-# have none: dampers without a ceiling are irregular over wide ranges, in the model as on the rig.
+# Largest share of the points with a steady motion in the model that may be left out, and of all points that may
+# have none: dampers without a ceiling move irregularly over wide ranges, in the model as on the rig.
 _MOST_ELSEWHERE, _MOST_IRREGULAR = 0.25, 0.5
 
 
 @dataclass(frozen=True)
 class Fitted:
-    """One value of the scene.
+    """Fitted value of the scene.
 
     Attributes
     ----------
     key, unit : str
-        As `--set` names it, and its unit.
+        Key as in `--set`, and unit.
     start, value : float
-        Before and after, in SI.
+        Before and after the fit, in SI.
     low, high : float
         95 % interval.
     status : {'determined', 'roughly', 'undetermined'}
-        How well the recordings determine it: within a few per cent, within half of itself, or not at all. Nothing is
-        determined if the scene misses the curves by more than their errors.
+        Whether the recordings determine it within a few per cent, within 50 %, or not at all. No value counts as
+        determined if the residuals exceed the errors of the curves.
     """
 
     key: str
@@ -96,7 +97,7 @@ class Mode:
 
 @dataclass(frozen=True)
 class Compared:
-    """Measured curves beside what the fitted scene answers, as the sensors read it.
+    """Measured curves, and the prediction of the fitted scene as the sensors read it.
 
     Attributes
     ----------
@@ -107,10 +108,10 @@ class Compared:
     used : ndarray of bool, shape (n,)
         Points that count.
     misses : ndarray, shape (responses, n)
-        Distance in standard deviations.
+        Residuals in standard deviations.
     relative : float
-        Root mean square of what is missed, relative to that of the curve, both over their errors; the largest of all
-        responses.
+        Root mean square of the residuals relative to that of the curve, both weighted by their errors; the largest
+        over the responses.
     """
 
     curves: Curves
@@ -127,22 +128,22 @@ class Fit(Result):
     Attributes
     ----------
     scene : Scene
-        With the values found; undetermined values stay near their start.
+        Scene with the fitted values; undetermined values stay near their start.
     parameters : tuple of Fitted
     correlation : ndarray, shape (parameters, parameters)
-        Between the errors of their logarithms.
+        Correlation of the errors of their logarithms.
     sensitivities : mapping of str to (float, float)
-        Relative deviation of each sensor's sensitivity that is known to a tolerance only, and its 95 % bound.
+        Relative deviation of the sensitivity of each sensor with a tolerance, and its 95 % bound.
     modes : tuple of Mode
     damping : tuple of LevelDamping
-        The structure's own damping, estimated from each sweep alone, that of the dampers taken out by their model.
+        Damping of the structure from each sweep alone, without that of the dampers, which is in their model.
     compared : tuple of Compared
     variance : float
-        Mean square of the misses in standard deviations: about 1, or less, where the stated errors explain them.
+        Mean square of the residuals in standard deviations: at most about 1 where the stated errors explain them.
     misfit : str
         Why the scene does not fit the recordings; "" where it does. Then no value is determined.
     together : tuple of str
-        Which values the recordings cannot separate.
+        Combinations of values that the recordings cannot separate.
     warnings : tuple of str
     """
 
@@ -159,8 +160,8 @@ class Fit(Result):
     warnings: tuple[str, ...]
 
     def __getitem__(self, key: str) -> Fitted:
-        """Give one value by its key."""
-        found = {one.key: one for one in self.parameters}
+        """Return a value by its key."""
+        found = {value.key: value for value in self.parameters}
         if key not in found:
             near = get_close_matches(key, found, n=1)
             hint = f"did you mean {near[0]!r}?" if near else f"it has {', '.join(found)}"
@@ -168,7 +169,7 @@ class Fit(Result):
         return found[key]
 
     def summary(self) -> str:
-        """Say whether it fits, and how many values are determined."""
+        """Return whether the scene fits, and how many values are determined."""
         statuses = [one.status for one in self.parameters]
         counts = ", ".join(f"{statuses.count(kind)} {kind}" for kind in dict.fromkeys(statuses))
         return f"{self.scene.name}: {'does not fit; ' if self.misfit else ''}{counts}"
@@ -179,12 +180,12 @@ class Fit(Result):
         return {name: np.array([getattr(one, name) for one in self.parameters]) for name in names}
 
     def draw(self, ax: Axes, **style: Any) -> None:
-        """Draw what is missed, in standard deviations, over frequency."""
+        """Draw the largest residual over frequency, in standard deviations."""
         for one in self.compared:
             order = np.argsort(one.curves.frequency, kind="stable")
             worst = np.where(one.used, one.misses.max(axis=0), np.nan)[order]
             ax.semilogy(one.curves.frequency[order], worst, ".-", **styled(style, label=one.curves.label))
-        ax.set(xlabel="frequency / Hz", ylabel="largest miss / standard deviation")
+        ax.set(xlabel="frequency / Hz", ylabel="largest residual / standard deviation")
 
 
 def fit(
@@ -195,21 +196,20 @@ def fit(
 ) -> Fit:
     """Fit a scene to recordings of the real structure, without and with dampers.
 
-    Everything is compared as it was measured: responses of each sweep over the force or the motion of the table, each
-    weighted by its stated error, with the sensors' sensitivities free within their tolerances. Where dampers move, the
-    model answers with its exact periodic motions. Start values come from modes. What is free has its scene's value as
-    a vague hint, within a factor of e: it counts only where the recordings determine nothing, which is then reported.
+    The responses of each sweep to the force or the table motion are compared, weighted by their stated errors; the
+    sensitivities of sensors are free within their tolerances. Where dampers move, the model computes exact periodic
+    motions. Initial values come from modes. The prior of a free value is its value in the scene within a factor of
+    e: it matters only where the recordings do not determine the value, which is then reported.
 
     Parameters
     ----------
     recordings : sequence of daq.Recording, str or Path
-        Of one structure: stepped, swept, random, multisine or impulse tests; with dampers that move, tones. Which
-        dampers were in is taken from the scene of each recording.
+        Recordings of one structure: stepped, swept, random, multisine or impulse tests; with moving dampers only
+        tones. The scene of each recording states which dampers were in place.
     scene : Scene, str, Path or mapping
-        The model: structure and dampers, as well as they are known. Shaker, test and channels are those of the
-        recordings.
+        The model: structure and dampers with guessed values. Shaker, test and channels come from the recordings.
     free : sequence of str, optional
-        Keys of what is free, such as ``structure.masses`` or ``dampers[1].clearance``; omitted, masses, springs,
+        Keys of the free values, such as ``structure.masses`` or ``dampers[1].clearance``; omitted, masses, springs,
         damping, and all of the dampers.
     progress : callable, optional
         Called with the name of each stage.
@@ -223,7 +223,7 @@ def fit(
     SceneError
         If the scene cannot be that of the recordings, or nothing is free.
     RecordingError
-        If a recording holds nothing to fit.
+        If a recording has no response to fit.
 
     Examples
     --------
@@ -237,19 +237,19 @@ def fit(
     scene = scene_of(scene)
     if scene.structure.damping is None and scene.structure.matrices is None:
         raise SceneError(
-            f"scene {scene.name!r} has no structure.damping; expected its form and a guess, such as "
+            f"scene {scene.name!r} has no structure.damping. Give its form and a guess, such as "
             "damping: {modal: 1 %}"
         )
     model = spelt_out(scene)
     parameters = free_parameters(model, free)
     report("reading")
     several: Sequence[Any] = recordings if isinstance(recordings, list | tuple) else [recordings]
-    for one in several:
-        if not isinstance(one, str | Path) and not hasattr(one, "channels"):
+    for recording in several:
+        if not isinstance(recording, str | Path) and not hasattr(recording, "channels"):
             raise RecordingError(
-                f"fit: got {one!r:.60}; expected recordings: paths, or as daq.open gives them"
+                f"fit: {recording!r:.60} is no recording. Give paths, or recordings from daq.open."
             )
-    paths = [Path(one) if isinstance(one, str | Path) else one.path for one in several]
+    paths = [Path(each) if isinstance(each, str | Path) else each.path for each in several]
     for first, again in repeated(paths):
         raise SceneError(
             f"{again}: the same content as {first}, which would count twice. Give each recording once."
@@ -271,7 +271,7 @@ def _curves(recording: Any) -> list[Curves]:
 
 def _result(problem: Problem, found: Estimate, report: Progress) -> Fit:
     limits = _clearance_limits(problem, found)
-    # A ceiling that nothing shows stays where the scene has it, or goes as far up as it must.
+    # A ceiling without impacts keeps its height, or moves just above the largest gap.
     x = found.x.copy()
     for k, limit in limits.items():
         clearance = problem.parameters[k]
@@ -281,7 +281,7 @@ def _result(problem: Problem, found: Estimate, report: Progress) -> Fit:
     warnings = [f"{one.curves.label}: {note}" for one in compared for note in one.curves.warnings]
     misfit = _misfit(found, compared) or _beyond(problem, x)
     if misfit:
-        report("looking for the cause")
+        report("searching the cause of the misfit")
         explains, text = cause(problem)
         misfit = text if explains else f"{misfit} {text}"
     else:
@@ -289,8 +289,9 @@ def _result(problem: Problem, found: Estimate, report: Progress) -> Fit:
     if not misfit and found.variance > NOT_NOISE:
         worst = max(one.relative for one in compared)
         warnings.append(
-            f"The scene misses the curves by up to {worst:.2%}, beyond their errors (mean square of the misses "
-            f"{found.variance:.3g}); the intervals are widened by that."
+            f"The residuals reach {worst:.2%} of the curves, more than their errors explain (variance "
+            f"{found.variance:.3g}). "
+            "The intervals are widened accordingly."
         )
     for one, group in zip(compared, problem.groups, strict=True):
         warnings += left_out(one.curves, one.used, {} if group.tones is None else group.tones.uncovered)
@@ -301,9 +302,7 @@ def _result(problem: Problem, found: Estimate, report: Progress) -> Fit:
         for k, one in enumerate(problem.parameters)
     )
     if not misfit and all(one.status == "undetermined" for one in each):
-        misfit = (
-            "The recordings determine none of the free values: `analysis frf` says what bounds their curves."
-        )
+        misfit = "The recordings determine none of the free values. `analysis frf` shows the uncertainty of the curves."
     damping = () if misfit else damping_by_level(problem, found)
     return Fit(
         scene=scene,
@@ -325,14 +324,14 @@ def _result(problem: Problem, found: Estimate, report: Progress) -> Fit:
                 for k, limit in limits.items()
                 if not misfit
             ),
-            *together(problem, found, [one.status for one in each]),
+            *coupled_values(problem, found, [one.status for one in each]),
         ),
         warnings=tuple(warnings),
     )
 
 
 def _clearance_limits(problem: Problem, found: Estimate) -> dict[int, float]:
-    """Lower limit of each clearance that is not determined, by the number of its parameter, where beds fly."""
+    """Lower limits of undetermined clearances of flying beds, by the number of the parameter."""
     deviation = np.linalg.norm(found.factor, axis=1)
     limits = {
         k: problem.clearance_limit(found.x, one)

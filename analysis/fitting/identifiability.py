@@ -1,4 +1,4 @@
-"""Which values recordings cannot separate: those that may change together without changing the curves."""
+"""Identifiability: combinations of values that can change without changing the curves."""
 
 from __future__ import annotations
 
@@ -9,12 +9,13 @@ import numpy as np
 from analysis.fitting.estimate import CONFIDENCE, Estimate
 from analysis.fitting.problem import Problem
 
-# Half a 95 % interval in a direction, from which on it is reported; and a share in it that counts, of the largest.
+# Smallest half width of a 95 % interval along a principal axis that is reported, and the smallest component,
+# relative to the largest, of a value that is named.
 _WIDE, _SHARE = 0.02, 0.3
 
 
-def together(problem: Problem, found: Estimate, statuses: Sequence[str]) -> tuple[str, ...]:
-    """Name the values that move together in the directions that the data leave open, the widest first.
+def coupled_values(problem: Problem, found: Estimate, statuses: Sequence[str]) -> tuple[str, ...]:
+    """Describe the combinations of values that the data do not determine, widest interval first.
 
     The directions are the principal axes of the covariance of the parameters' logarithms.
     """
@@ -23,11 +24,13 @@ def together(problem: Problem, found: Estimate, statuses: Sequence[str]) -> tupl
     lines = []
     for k in range(count):
         if statuses[k] == "undetermined":
-            one = problem.parameters[k]
-            hidden = one.damper is not None and not any(group.tones is not None for group in problem.groups)
+            parameter = problem.parameters[k]
+            hidden = parameter.damper is not None and not any(
+                group.tones is not None for group in problem.groups
+            )
             why = " (no recording in which its damper moves)" if hidden else ""
             lines.append(
-                f"{one.key} is not determined by these recordings{why}; it stays about where it was."
+                f"{parameter.key} is not determined by these recordings{why}; it keeps about its initial value."
             )
     if not known:
         return tuple(lines)
@@ -41,14 +44,16 @@ def together(problem: Problem, found: Estimate, statuses: Sequence[str]) -> tupl
         if len(members) == 1:
             continue
         signs = axis[[known.index(k) for k in members]]
-        way = "by one factor" if (signs > 0).all() or (signs < 0).all() else "against each other"
+        relation = "by one factor" if (signs > 0).all() or (signs < 0).all() else "against each other"
         cause = _calibrations(problem, found, members[0])
-        lines.append(f"{names} may move together, {way}, by {half:.1%} without the curves showing it{cause}.")
+        lines.append(
+            f"{names} may change together, {relation}, by {half:.1%} without the curves showing it{cause}."
+        )
     return tuple(lines)
 
 
 def _calibrations(problem: Problem, found: Estimate, parameter: int) -> str:
-    """Name the sensors whose tolerance decides a value."""
+    """Name the sensors whose tolerance determines a value."""
     count = len(problem.parameters)
     related = found.correlation[parameter]
     names = [sensor.name for k, sensor in enumerate(problem.sensors) if abs(related[count + k]) > 0.7]

@@ -1,4 +1,4 @@
-"""The data of a fit: responses over one reference, weighted by their errors, and the sensors behind them."""
+"""Data of a fit: responses to one reference with the covariance of their errors, and the sensors that measured them."""
 
 from __future__ import annotations
 
@@ -42,9 +42,9 @@ class Sensor:
     name: str
     at: str
     seed: int
-    """Of the scene it was recorded with: which of all sensors of its kind it is."""
+    """Seed of the recorded scene, which identifies the individual sensor."""
     tolerance: float
-    """Largest relative deviation of its sensitivity that its data sheet leaves open."""
+    """Relative tolerance of the sensitivity, from the data sheet."""
 
 
 @dataclass(frozen=True)
@@ -56,31 +56,31 @@ class Curves:
     label : str
         Recording, and setting where there are several.
     scene : Scene
-        As recorded: what was on the bench, and where; its values are not those of the structure.
+        Scene of the recording: shaker, test and places. Its structure's values are not used.
     frequency : ndarray, shape (n,)
         Hz, as measured one after the other.
     value : ndarray of complex, shape (responses, n)
-        Displacement over the reference, as read by the sensors.
+        Displacement / reference, as read by the sensors.
     whiten : ndarray of complex, shape (n, responses, responses)
         Applied to errors, gives components of which each quadrature has variance 1.
     errors : Covariance
         Of the random errors.
     rough, smooth : ndarray, shape (responses, n)
-        How far each value can be off at most, however long one averages: by what differs from line to line, and by
-        what does not. Sensors' tolerances are parameters of the fit.
+        Limits of the systematic errors that differ from line to line, and of those that do not. Sensor tolerances
+        are not included, because they are parameters of the fit.
     common : ndarray, shape (n,)
-        Share of themselves by which all responses are off together at most, for noise in their reference.
+        Limit of the relative error common to all responses, from noise of their reference.
     sensors : tuple of Sensor
-        Behind each response; `reference_sensor` behind the reference.
+        Sensor of each response; `reference_sensor` is that of the reference.
     bodies : tuple of int
-        Where the responses are, from 0.
+        Bodies of the responses, from 0.
     reference : {'force', 'table'}
     level : ndarray, shape (n,), or None
-        Amplitude of the reference, of tones: what dampers answer to.
+        Amplitude of the reference for tones, on which the motion of dampers depends.
     clock : float
         Largest relative deviation of the sample clock.
     warnings : tuple of str
-        What the estimation had to say.
+        Warnings of the estimation.
     """
 
     label: str
@@ -108,10 +108,10 @@ class Curves:
 
 
 def measured(rec: Recording, name: str, progress: Progress | None = None) -> list[Curves]:
-    """Estimate what a fit compares: one set of curves for each sweep or test of a recording.
+    """Estimate the curves of a fit: one set for each sweep or test of a recording.
 
-    Behind a coil spring responses are taken over the displacement of its table: they are those of the structure with
-    the spring to ground, and no small difference of two readings comes in.
+    With a coil spring the reference is the displacement of the table: the responses are those of the structure with
+    the spring to ground, and no small difference of two readings enters.
 
     Raises
     ------
@@ -161,9 +161,9 @@ def _curves(rec: Recording, frfs: Sequence[Response], reference: str, label: str
     dead = [frf.response for frf in frfs if not np.any(frf.value != 0.0)]
     if not alive:
         raise RecordingError(
-            f"{label}: {', '.join(dead)} read nothing at all: dead, or not connected; there is no response to fit"
+            f"{label}: {', '.join(dead)} read zero throughout: dead or not connected. There is no response to fit"
         )
-    notes = [f"{one} reads nothing at all: it is dead, or not connected, and left out." for one in dead]
+    notes = [f"{name} reads zero throughout: dead or not connected. It is left out." for name in dead]
     frfs = [frfs[k] for k in alive]
     value = np.stack([frf.value for frf in frfs])
     bound = np.linalg.norm(np.vstack([_smooth(frfs), _rough(frfs)]), axis=0)
@@ -218,9 +218,9 @@ def _smooth(frfs: Sequence[Response]) -> Array:
 
 
 def _reference_noise(frfs: Sequence[Response], errors: Covariance) -> tuple[Array, Array]:
-    """By which share all responses are too low for noise in the reference, and how far that may be off; shape (n,)."""
+    """Relative bias of all responses by noise of the reference, and its limit of error; shape (n,)."""
     size = np.stack([np.maximum(abs(frf.value), 1e-300) for frf in frfs])
-    # What one response has less in common with the reference for noise of its own is not the reference's.
+    # Noise of a response also lowers its coherence; the smallest share over the responses is that of the reference.
     most: Array = np.asarray((_parts(frfs, [REFERENCE_NOISE]) / size).min(axis=0))
     if errors.reference is None or len(frfs) < 2:
         return np.zeros(most.size), most
@@ -245,11 +245,11 @@ def _whitening(frfs: Sequence[Response], errors: Covariance) -> ComplexArray:
     half = errors.lines / 2.0
     own = np.einsum("nii->ni", half).real.copy()
     size = np.stack([abs(frf.value) for frf in frfs], axis=1)
-    # Where one average alone gives no scatter to estimate it from.
+    # A single average gives no scatter to estimate the covariance from.
     half[~np.isfinite(half).all(axis=(1, 2))] = 0.0
     own = np.where(np.isfinite(own), own, (0.01 * np.median(size, axis=0)) ** 2)
     least = (_LEAST * size) ** 2 + (_LEAST_OF_TOP * size.max(axis=0)) ** 2
-    # What is scattered by chance by few parts is known less well than by many.
+    # A variance estimated from few degrees of freedom is uncertain: Student's t.
     grown, rest = np.ones(own.shape), _rough(frfs)
     if errors.reference is None:
         rest = _all(frfs)
@@ -262,7 +262,7 @@ def _whitening(frfs: Sequence[Response], errors: Covariance) -> ComplexArray:
 
 
 def inverse_root(covariance: ComplexArray) -> ComplexArray:
-    """Give what whitens errors of given covariances, shape (n, responses, responses)."""
+    """Inverse Cholesky factors of covariances, shape (n, responses, responses)."""
     return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
 
 

@@ -1,4 +1,4 @@
-"""What may be free in a scene: its values by their keys, as `--set` names them."""
+"""Parameters of a fit: values of a scene by their keys, as in `--set`."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rig.scene.scene import Scene
 from rig.scene.settings import Place, Settings
 from rig.scene.structure import Dashpots, ModalDamping, RayleighDamping
 
-#: What is free by default: all of these that a scene gives.
+#: Keys that are free by default, where a scene gives them.
 FREE = (
     "structure.masses",
     "structure.springs",
@@ -31,7 +31,7 @@ _UNITS = {
     "masses": "kg", "springs": "N/m", "alpha": "1/s", "beta": "s", "dashpots": "N s/m", "mass": "kg",
     "clearance": "m", "duration": "s", "spring": "N/m", "stiffness": "N/m", "damping": "N s/m",
 }  # fmt: skip
-# Half the 95 % interval, relative, up to which a value counts as determined.
+# Largest relative half width of the 95 % interval of a determined value.
 _LIMITS = {
     "modal": 0.03,
     "alpha": 0.03,
@@ -43,20 +43,20 @@ _LIMITS = {
     "damping": 0.05,
 }
 _LIMIT = 0.02
-# Undetermined values have unbounded intervals; a double holds this power of e.
+# Largest exponent of a double; the intervals of undetermined values are unbounded.
 _LARGEST = 600.0
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """A positive value of a scene that may be free.
+    """A positive value of a scene that can be fitted.
 
     Attributes
     ----------
     key : str
         As `--set` names it: ``dampers[1].clearance``; lists count from 1.
     place : tuple
-        The same as steps, positions from 0.
+        The key as steps; positions count from 0.
     start : float
         Its value in the scene, in SI.
     """
@@ -77,7 +77,7 @@ class Parameter:
 
     @property
     def limit(self) -> float:
-        """Half the 95 % interval, relative, up to which it counts as determined."""
+        """Largest relative half width of the 95 % interval of a determined value."""
         return _LIMITS.get(self.what, _LIMIT)
 
     @property
@@ -87,25 +87,25 @@ class Parameter:
 
     @property
     def below_one(self) -> bool:
-        """Whether it is a share that stays below one."""
+        """Whether it is a ratio below 1."""
         return self.what in ("restitution", "modal")
 
     @property
     def seen_riding(self) -> bool:
-        """Whether it counts where no damper moves: of dampers, their masses do."""
+        """Whether it acts while no damper moves; of dampers only their masses do."""
         return self.damper is None or self.what in ("mass", "mass_ratio")
 
     def unknown(self, value: float) -> float:
-        """Give the unknown that stands for a value: its logarithm, or that of a share to the rest."""
+        """Unknown of a value: its logarithm, or the log odds of a ratio below 1."""
         return float(np.log(value / (1.0 - value)) if self.below_one else np.log(value))
 
     def value(self, unknown: float) -> float:
-        """Give the value that an unknown stands for."""
+        """Value of an unknown."""
         return float(expit(unknown) if self.below_one else np.exp(min(unknown, _LARGEST)))
 
 
 def spelt_out(scene: Scene) -> Scene:
-    """Give each mode a damping ratio of its own where the scene gives one for all: real structures do."""
+    """Give each mode its own damping ratio where the scene has one for all, as real structures have."""
     damping = scene.structure.damping
     if isinstance(damping, ModalDamping) and not isinstance(damping.modal, tuple):
         ratios = (damping.modal,) * scene.structure.bodies
@@ -114,24 +114,24 @@ def spelt_out(scene: Scene) -> Scene:
 
 
 def free_parameters(scene: Scene, free: Sequence[str] | None = None) -> list[Parameter]:
-    """List what is free.
+    """List the free parameters.
 
     Parameters
     ----------
     scene : Scene
-        With its damping spelt out.
+        From `spelt_out`.
     free : sequence of str, optional
         Keys, such as ``structure.masses`` for all masses or ``dampers[1].clearance``; omitted, `FREE`.
 
     Raises
     ------
     SceneError
-        If a key names nothing that can be free, with what can.
+        If a key names nothing that can be fitted; the message lists the keys that can.
 
     Examples
     --------
     >>> import rig
-    >>> [one.key for one in free_parameters(rig.load("fig9"), ["structure.masses[1]", "dampers"])]
+    >>> [parameter.key for parameter in free_parameters(rig.load("fig9"), ["structure.masses[1]", "dampers"])]
     ['structure.masses[1]', 'dampers[1].mass_ratio', 'dampers[1].clearance']
     """
     there = list(_candidates(scene))
@@ -145,29 +145,29 @@ def free_parameters(scene: Scene, free: Sequence[str] | None = None) -> list[Par
             if not any(change.concerns(one.place) for one in there):
                 offered = ", ".join(dict.fromkeys(_general(one) for one in there))
                 raise SceneError(
-                    f"free: {change.key}: nothing in scene {scene.name!r} that can be fitted; expected one of "
-                    f"{offered} (with [1] and so on for one of a list; a value of 0 or infinity is a property)"
+                    f"free: {change.key}: nothing in scene {scene.name!r} can be fitted under this key. Use one of "
+                    f"{offered} ([1] and so on selects an item of a list; values of 0 or infinity cannot be fitted)"
                 )
     found = [one for one in there if any(change.concerns(one.place) for change in chosen)]
     if free is None:
-        # The coil spring calibrates the force; it is free only where that is asked for.
+        # The coil spring calibrates the force; it is free only on request.
         found = [one for one in found if one.place[0] != "shaker"]
     if not found:
         raise SceneError(
-            f"scene {scene.name!r} has nothing to fit: no masses, damping or dampers with values above 0"
+            f"scene {scene.name!r} has nothing to fit. Give masses, damping or dampers with values above 0"
         )
     return found
 
 
 def _by_number(change: Change, names: Sequence[str]) -> Change:
-    """Take the name of a body's mass as its number."""
+    """Replace the name of a body by its position."""
     if change.steps[:2] == ("structure", "masses") and change.steps[2:] and change.steps[2] in names:
         return replace(change, steps=("structure", "masses", names.index(str(change.steps[2]))))
     return change
 
 
 def with_values(scene: Scene, values: Mapping[Place, float]) -> Scene:
-    """Put valid values into a scene, at places from 0."""
+    """Insert valid values into a scene, at places counted from 0."""
     parts: dict[str, dict[Place, float]] = {}
     for place, value in values.items():
         parts.setdefault(str(place[0]), {})[place[1:]] = value

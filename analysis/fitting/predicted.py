@@ -1,4 +1,4 @@
-"""What a scene answers to the test of a recording, its dampers riding: in closed form."""
+"""Predicted response of a scene to the test of a recording, with riding dampers, in closed form."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ ComplexArray = NDArray[np.complex128]
 
 
 def on_the_bench(model: Scene, curves: Curves) -> Scene:
-    """Put the model on the bench of a recording: its shaker, its test, and those of the model's dampers it had.
+    """Give the model the shaker and test of a recording, and those of its dampers that were in the recording.
 
     Raises
     ------
@@ -46,14 +46,14 @@ def on_the_bench(model: Scene, curves: Curves) -> Scene:
 
 
 def linear(bench: Scene, curves: Curves, frequency: Array) -> ComplexArray:
-    """Displacement of the bodies over the reference, all dampers riding, shape (bodies, frequencies)."""
+    """Displacement of the bodies / reference with riding dampers, shape (bodies, frequencies)."""
     return riding(bench, curves, frequency)[0]
 
 
 def riding(bench: Scene, curves: Curves, frequency: Array) -> tuple[ComplexArray, ComplexArray]:
-    """Displacements over the reference, all dampers riding: of the bodies, and of the beds that could leave floors.
+    """Displacements / reference with riding dampers: of the bodies, and of the beds that could lift off.
 
-    A bed whose contact lasts moves on the spring of its floor, and leaves it at another acceleration of its body.
+    A bed with finite-duration contact moves on the spring of its floor, so that it lifts off at another acceleration.
 
     Returns
     -------
@@ -72,15 +72,15 @@ def riding(bench: Scene, curves: Curves, frequency: Array) -> tuple[ComplexArray
 def linear_slopes(
     bench: Scene, curves: Curves, frequency: Array, changed: Sequence[tuple[Scene, Scene, float]]
 ) -> tuple[ComplexArray, ComplexArray]:
-    """Give the derivatives of what `linear` gives: with respect to values of the scene, and to the frequency.
+    """Return the derivatives of `linear` with respect to values of the scene, and to the frequency.
 
-    From those of the matrices, in which masses and springs are linear: differences of the response itself know too
-    little of a combination of values that moves nothing, which narrow resonances hide in what they add up to.
+    They follow from the derivatives of the matrices, in which masses and springs are linear. Differences of the
+    response itself are too inaccurate near narrow resonances for combinations of values that hardly change it.
 
     Parameters
     ----------
     changed : sequence of (Scene, Scene, float)
-        For each value: benches with more and with less of it, and the distance of the two.
+        For each value: the scene with a larger and with a smaller value, and their difference.
 
     Returns
     -------
@@ -94,7 +94,7 @@ def linear_slopes(
     states = riding_response(system, _drive(bench), omega)
     right = [-1j * (inertia @ states)]
     for more, less, distance in changed:
-        each = zip(*(riding_equations(assemble(one), _drive(one)) for one in (more, less)), strict=True)
+        each = zip(*(riding_equations(assemble(scene), _drive(scene)) for scene in (more, less)), strict=True)
         by_inertia, by_matrix, by_inflow = ((high - low) / distance for high, low in each)
         right.append(by_matrix @ states + by_inflow[:, None] - 1j * omega * (by_inertia @ states))
     dynamic = 1j * omega[:, None, None] * inertia - matrix

@@ -1,4 +1,4 @@
-"""What `analysis fit` says and writes."""
+"""Output of `analysis fit`: printed lines, the figure of residuals and the fitted scene."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def present_fit(
     overwrite: bool,
     say: Callable[[str], None],
 ) -> tuple[list[Path], tuple[str, ...]]:
-    """Fit a scene to recordings; say what was found, write the figure of what is left, and the scene if it fits.
+    """Fit a scene to recordings; print the result, write the figure of residuals, and the scene if it fits.
 
     Returns
     -------
@@ -33,9 +33,9 @@ def present_fit(
     Raises
     ------
     SceneError
-        If the output is there already, or the fit cannot be made.
+        If the output exists, or the fit is impossible.
     RunError
-        If the scene does not fit the recordings; the figure is written all the same.
+        If the scene does not fit the recordings; the figure is written nevertheless.
     """
     if output.suffix not in (".yaml", ".yml"):
         raise SceneError(f"--output {output}: expected the name of a scene file, such as fitted.yaml")
@@ -59,11 +59,11 @@ def present_fit(
 
 
 def describe(found: Fit) -> list[str]:
-    """List each value with its 95 % interval, sensors, modes, what is undetermined, and how well the curves agree."""
+    """Lines with values and 95 % intervals, sensors, modes, undetermined combinations and residuals."""
     width = max(len(one.key) for one in found.parameters)
     lines = [f"{found.summary()} (95 % intervals)"]
     for one in found.parameters:
-        value, tail = f"{one.value:.6g} {one.unit}".strip(), "as it was"
+        value, tail = f"{one.value:.6g} {one.unit}".strip(), "unchanged"
         if one.status != "undetermined":
             value = bounded(one.value, one.half_width * abs(one.value), one.unit).strip()
             tail = f"from {one.start:.4g}"

@@ -17,24 +17,24 @@ from rig.scene.scene import Scene
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-# A value is known beforehand to some factor of e: so vague that it counts only where the data determine nothing.
+# Prior standard deviation of a value's logarithm: so wide that it matters only where the data determine nothing.
 VAGUE = 1.0
-# No value is tried farther away, factors of e.
+# Largest change of a value's logarithm from its start.
 _FARTHEST = 6.0
-# A step for derivatives of motions with dampers, which are exact to some 1e-13; and one, relative, of matrices in which
-# values are linear but for modal damping, which is small.
+# Step for derivatives of motions with dampers, which are exact to about 1e-13; relative step of the matrices, in
+# which all values but modal damping are linear.
 _STEP, _BESIDE = 1e-6, 1e-3
-# Residual, in standard deviations, of a point at which the model has no steady motion, and of any one at most.
+# Residual of a point at which the model has no steady motion, and limit of all residuals, standard deviations.
 _LOST = 30.0
-# Largest miss, in standard deviations and in typical misses, of a point that is not taken for another motion.
+# Largest residual, in standard deviations and in medians, of a point with the right kind of motion.
 _OUTLYING = 6.0
-# Up to so many times a frequency, and down from it, belongs to its neighbourhood.
+# Ratio of frequencies that belong to a neighbourhood.
 _AROUND = 1.15
 
 
 @dataclass(frozen=True)
 class Motions:
-    """Motions known at each point of a group, those known before, and which points count."""
+    """State of a group: the motion at each point, the motion before it, and the points that count."""
 
     used: NDArray[np.bool_]
     known: tuple[Known | None, ...]
@@ -43,7 +43,7 @@ class Motions:
 
 @dataclass
 class Group:
-    """Curves, and what is known of the motion at each of their points."""
+    """Curves with the motion at each of their points."""
 
     curves: Curves
     tones: SteadyTones | None
@@ -55,18 +55,18 @@ class Group:
     last: tuple[tuple[float, ...], bool, ComplexArray] | None = field(default=None, repr=False)
 
     def motions(self) -> Motions:
-        """Give what is known of the motions, to come back to."""
+        """Return the state of the motions, for `restore`."""
         assert self.tones is not None
         return Motions(self.used.copy(), *self.tones.state())
 
     def restore(self, motions: Motions) -> None:
-        """Come back to motions known before."""
+        """Restore a state of the motions."""
         assert self.tones is not None
         self.used, self.last = motions.used.copy(), None
         self.tones.restore(motions.known, motions.before)
 
     def choose_motions(self, problem: Problem, x: Array, scene: Scene) -> bool:
-        """Take, where a point stands out, another motion of the rig that suits better; leave out what stands out still.
+        """Replace the motion at outlying points by one that fits better, and leave out points that stay outlying.
 
         Returns
         -------
@@ -104,25 +104,25 @@ class Group:
 
 
 class Problem:
-    """A scene's unknowns, and how far it is from what was measured.
+    """Unknowns of a scene, and its residuals against the measured curves.
 
     Parameters
     ----------
     model : Scene
-        With its damping spelt out.
+        With one damping value for each mode.
     parameters : sequence of Parameter
-        What is free in it.
+        Its free values.
     curves : sequence of Curves
-        What was measured.
+        Measured responses.
 
     Attributes
     ----------
     sensors : list of Sensor
-        Those whose sensitivity is known to a tolerance only; their deviations are unknowns behind the parameters.
+        Sensors with a tolerance of sensitivity; their deviations are unknowns after the parameters.
     clocks : float
-        Largest deviation of the sample clock, the last unknown where there is any.
+        Largest deviation of the sample clock; if it is not zero, its deviation is the last unknown.
     start, spread : ndarray, shape (unknowns,)
-        What is known beforehand, and its standard deviation. Values count by their logarithm.
+        Prior mean and standard deviation. Values are represented by their logarithm.
     """
 
     def __init__(self, model: Scene, parameters: Sequence[Parameter], curves: Sequence[Curves]) -> None:
@@ -140,7 +140,7 @@ class Problem:
         self.sensors = [sensor for sensor in dict.fromkeys(everywhere) if sensor.tolerance > 0.0]
         self.clock = max(one.clock for one in curves)
         values = [one.unknown(one.start) for one in self.parameters]
-        # Evenly anywhere within its tolerance, a deviation scatters by its third root.
+        # A uniform distribution within the tolerance has a standard deviation of tolerance / sqrt(3).
         others = [sensor.tolerance for sensor in self.sensors] + [self.clock] * (self.clock > 0.0)
         self.start = np.array(values + [0.0] * len(others))
         self.spread = np.array([VAGUE] * len(values) + [one / np.sqrt(3.0) for one in others])
@@ -172,7 +172,7 @@ class Problem:
         return float(x[-1]) if self.clock > 0.0 else 0.0
 
     def clearance_limit(self, x: Array, parameter: Parameter) -> float:
-        """Largest gap of a damper in all motions known, m: its clearance is no less. 0 if it meets its ceiling."""
+        """Largest gap of a damper in all motions, m, a lower limit of its clearance; 0 with ceiling impacts."""
         scene, limit = self.scene(x), 0.0
         assert parameter.damper is not None
         body = self.model.dampers[parameter.damper].body
@@ -189,7 +189,7 @@ class Problem:
         return limit if np.isfinite(limit) else 0.0
 
     def predicted(self, x: Array, group: Group, scene: Scene, settle: bool = True) -> ComplexArray:
-        """Return what the sensors should read, shape (responses, n); NaN where there is no steady motion."""
+        """Return the predicted readings, shape (responses, n); NaN where there is no steady motion."""
         curves = group.curves
         gain = 1.0 + self.deviation(x, curves.reference_sensor)
         own = np.array([1.0 + self.deviation(x, sensor) for sensor in curves.sensors])

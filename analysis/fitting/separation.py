@@ -1,4 +1,4 @@
-"""The structure's own damping estimated from each sweep alone: whether it depends on level or dampers."""
+"""Damping of the structure from each sweep alone, which shows whether it depends on level or dampers."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ class LevelDamping:
     label : str
         Recording and setting.
     damped : bool
-        Whether dampers moved; what they took out is in the model, and not in these values.
+        Whether dampers moved. The model contains their dissipation; these values do not.
     acceleration : float
         Largest acceleration of a measured body, m/s².
     keys : tuple of str
-        Of the damping in the scene.
+        Keys of the damping in the scene.
     value, bound : ndarray, shape (keys,)
-        And its 95 % bound; NaN where the sweep does not determine it.
+        Damping and its 95 % bound; NaN where the sweep does not determine it.
     """
 
     label: str
@@ -40,8 +40,8 @@ class LevelDamping:
 
 
 def damping_by_level(problem: Problem, found: Estimate) -> tuple[LevelDamping, ...]:
-    """Fit the damping anew to each sweep, all else held; nothing where there is but one."""
-    active = [k for k, one in enumerate(problem.parameters) if "damping" in one.place]
+    """Fit only the damping to each sweep; empty for a single sweep."""
+    active = [k for k, parameter in enumerate(problem.parameters) if "damping" in parameter.place]
     tones = [group for group in problem.groups if group.curves.level is not None]
     if not active or len(tones) < 2:
         return ()

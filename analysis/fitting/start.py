@@ -1,4 +1,4 @@
-"""Where a fit starts: values with which the model has the modes that the linear recordings show."""
+"""Starting values of a fit: the model with these values has the modes identified from the linear recordings."""
 
 from __future__ import annotations
 
@@ -21,17 +21,18 @@ from rig.system.structural_model import driven_bodies, structural_model
 
 Array = NDArray[np.float64]
 
-# How near the start has to come to the modes found: frequency and damping relative, shapes relative to the largest.
+# Standard deviations of the identified modes as targets: frequency and damping relative, shapes relative to the
+# largest.
 _FREQUENCY, _DAMPING, _SHAPE = 3e-4, 0.05, 0.05
-# Ways in which the modes found may be those of the model that are tried: the most likely first.
+# Assignments of identified modes to modes of the model: the number tried, most likely first, and the number compared.
 _TRIED = 4
-_MOST_WAYS = 2000
+_MOST_ASSIGNMENTS = 2000
 
 
 def start(problem: Problem, groups: Sequence[Group]) -> Array:
-    """Give unknowns with which the model has the modes of some linear groups; those of the scene where none are found.
+    """Return unknowns with which the model has the modes of some linear groups, or those of the scene without modes.
 
-    Which mode of the model a mode found is, where the test's band holds but some, is what suits best.
+    Where the test's band contains only some of the modes, the assignment with the smallest residual is used.
     """
     shown = [(group, _modes(group.curves.frfs, group.curves.scene.structure.bodies)) for group in groups]
     seen = [(group, modes) for group, modes in shown if modes is not None]
@@ -41,10 +42,10 @@ def start(problem: Problem, groups: Sequence[Group]) -> Array:
     active = [k for k, one in enumerate(problem.parameters) if one.place[0] == "structure"]
     if not active:
         return x
-    ways = [_ways(problem.scene(x), *one) for one in seen]
+    assignments = [_assignments(problem.scene(x), *each) for each in seen]
     best, smallest = x, np.inf
-    for turn in range(min(_TRIED, max(len(way) for way in ways))):
-        chosen = [way[min(turn, len(way) - 1)] for way in ways]
+    for turn in range(min(_TRIED, max(len(ranked) for ranked in assignments))):
+        chosen = [ranked[min(turn, len(ranked) - 1)] for ranked in assignments]
         found = _fitted(problem, x, active, seen, chosen)
         cost = float(np.sum(np.minimum(abs(problem.residual(found, groups, 0.1)), 30.0) ** 2))
         if cost < smallest:
@@ -54,7 +55,7 @@ def start(problem: Problem, groups: Sequence[Group]) -> Array:
 
 @lru_cache(maxsize=16)
 def _modes(frfs: tuple[Response, ...], bodies: int) -> Modes | None:
-    """Modes of curves; the causes of a misfit that are tried share them."""
+    """Modes of curves, stored because all hypotheses about a misfit use them."""
     try:
         return identify(frfs, bodies)
     except (RecordingError, SceneError, np.linalg.LinAlgError):
@@ -68,7 +69,7 @@ def _fitted(
     seen: Sequence[tuple[Group, Modes]],
     chosen: Sequence[tuple[int, ...]],
 ) -> Array:
-    def off(inner: Array) -> Array:
+    def residual(inner: Array) -> Array:
         full = x.copy()
         full[active] = inner
         scene = problem.scene(full)
@@ -85,14 +86,14 @@ def _fitted(
             ]
         return np.concatenate(parts)
 
-    solution = scipy.optimize.least_squares(off, x[active], x_scale=1.0, max_nfev=60)
+    solution = scipy.optimize.least_squares(residual, x[active], x_scale=1.0, max_nfev=60)
     found = x.copy()
     found[active] = solution.x
     return found
 
 
 def _model_modes(scene: Scene, group: Group) -> tuple[Array, Array, Array]:
-    """Frequency [Hz], damping ratio, and 2 w times the residue's size at each response, shape (responses, modes)."""
+    """Frequency [Hz], damping ratio, and 2 omega times the magnitude of the residue, shape (responses, modes)."""
     bench = on_the_bench(scene, group.curves)
     spring = getattr(bench.driven_shaker, "spring", None)
     model = structural_model(bench).with_riding()
@@ -107,16 +108,16 @@ def _model_modes(scene: Scene, group: Group) -> tuple[Array, Array, Array]:
     return np.maximum(modes.frequency, 1e-6), modes.damping_ratio, residue
 
 
-def _ways(scene: Scene, group: Group, modes: Modes) -> list[tuple[int, ...]]:
-    """Which modes of the model those found may be, in rising order, the likeliest first."""
+def _assignments(scene: Scene, group: Group, modes: Modes) -> list[tuple[int, ...]]:
+    """List the assignments of the identified modes to modes of the model, in rising order, most likely first."""
     frequency, _, residue = _model_modes(scene, group)
     count = modes.frequency.size
     shapes = mac(residue, modes.shapes)
-    ways = []
+    ranked = []
     for number, which in enumerate(combinations(range(frequency.size), count)):
-        if number == _MOST_WAYS:
+        if number == _MOST_ASSIGNMENTS:
             break
-        near = np.log(frequency[list(which)] / modes.frequency) / 0.1
-        alike = 1.0 - shapes[list(which), range(count)]
-        ways.append((float(np.sum(near**2 + 4.0 * alike)), which))
-    return [which for _, which in sorted(ways)]
+        distance = np.log(frequency[list(which)] / modes.frequency) / 0.1
+        dissimilarity = 1.0 - shapes[list(which), range(count)]
+        ranked.append((float(np.sum(distance**2 + 4.0 * dissimilarity)), which))
+    return [which for _, which in sorted(ranked)]

@@ -27,14 +27,14 @@ from rig.system.structural_model import driven_bodies, structural_model
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-# Newton's corrections from a motion near by, and periods that a motion is followed for where that leads nowhere.
+# Newton corrections from a nearby motion, and periods of simulation where they fail.
 _CORRECTIONS, _LONGEST = 8, 1500
-# Steps in which a motion is led to a neighbour's setting, and corrections of the level in each.
+# Steps of the continuation to a neighbour's setting, and corrections of the level in each.
 _LEADS, _HOLDS = 8, 2
-# Corrections of a drive, each by this share of it at least, and how near they have to bring the reference to its
-# level: the rest is interpolated.
+# Secant corrections of a drive, their smallest relative step, and the relative deviation from the level at which
+# they end (the rest is interpolated).
 _DRIVES, _STEP, _LEVEL = 8, 1e-6, 1e-5
-# Drives at which a motion is looked for, each nearer to the level.
+# Drives at which a motion is searched, each nearer to the level.
 _SEARCHES = 5
 
 
@@ -45,8 +45,8 @@ class Known:
     Attributes
     ----------
     slope : ndarray of complex, shape (bodies,), or None
-        What the level of the reference changes of the displacement over the reference, where the reference is not
-        what is driven.
+        Derivative of displacement / reference with respect to the level of the reference, where the reference is not
+        the driven quantity.
     """
 
     plan: Plan
@@ -59,7 +59,7 @@ Answer = tuple[Known, ComplexArray]
 
 
 class SteadyTones:
-    """Steady motion with dampers at each point of a sweep, each from the motion found there before.
+    """Steady motion with dampers at each point of a sweep, continued from the motion stored there.
 
     Parameters
     ----------
@@ -69,25 +69,27 @@ class SteadyTones:
     Attributes
     ----------
     known : list of Known or None
-        The motion at each point; None where all dampers ride, or none repeats.
+        The motion at each point; None where all dampers rest on their floors, or the motion is not periodic.
     given_up : set of int
-        Points at which no motion was found; it is not looked for again until this is emptied.
+        Points without a motion; they are not searched again until this set is emptied.
     uncovered : dict of int to str
-        What happens at points whose motion, looked for last, is none that orbits are computed for.
+        Reasons why orbits cannot be computed at points, from the last search.
     """
 
     def __init__(self, curves: Curves) -> None:
         if isinstance(curves.scene.shaker, tuple):
-            raise SceneError(f"{curves.label}: several shakers beside dampers; expected one shaker")
+            raise SceneError(
+                f"{curves.label}: several shakers together with dampers. Fit recordings of one shaker"
+            )
         self.curves = curves
         self.known: list[Known | None] = [None] * curves.frequency.size
-        # What was known last, where a trial has led out of it: the next may lead back.
+        # The motion before a trial that lost it: the next trial may return to it.
         self._last = list(self.known)
         self.given_up: set[int] = set()
         self.uncovered: dict[int, str] = {}
 
     def at(self, bench: Scene, level: Array, frequency: Array, settle: bool = True) -> ComplexArray:
-        """Give the displacement of the bodies over the reference; NaN where the motion is irregular.
+        """Return displacement of the bodies / reference; NaN where the motion is irregular.
 
         Parameters
         ----------
@@ -98,11 +100,11 @@ class SteadyTones:
         frequency : ndarray, shape (n,)
             Hz.
         settle : bool
-            Whether motions may be looked for anew; else only those known are followed, for derivatives.
+            Whether motions may be searched; otherwise the stored ones are followed, for derivatives.
         """
         found, beds = riding(bench, self.curves, frequency)
         pull = (2.0 * np.pi * frequency) ** 2 * level * abs(beds).max(axis=0, initial=0.0)
-        flying = np.array([one is not None for one in self.known])
+        flying = np.array([known is not None for known in self.known])
         rig = _Rig(bench)
         for k in np.flatnonzero(pull > bench.gravity if settle else flying).tolist():
             here = self.known[k]
@@ -111,7 +113,7 @@ class SteadyTones:
                 answer = rig.followed(here, frequency[k], level[k])
             else:
                 answer = None if here is None else rig.corrected(here, frequency[k], level[k])
-                answer = answer or self._anew(rig, frequency, level, k)
+                answer = answer or self._recovered(rig, frequency, level, k)
                 self._last[k] = here or self._last[k]
                 self.known[k] = None if answer is None else answer[0]
             found[:, k] = np.nan if answer is None else answer[1]
@@ -121,7 +123,7 @@ class SteadyTones:
         return found
 
     def state(self) -> tuple[tuple[Known | None, ...], tuple[Known | None, ...]]:
-        """Give the motions known, and those known before them."""
+        """Return the motions, and those before them."""
         return tuple(self.known), tuple(self._last)
 
     def restore(self, known: Sequence[Known | None], before: Sequence[Known | None]) -> None:
@@ -130,7 +132,7 @@ class SteadyTones:
         self.given_up.clear()
 
     def others(self, bench: Scene, level: Array, frequency: Array, k: int) -> Iterator[Answer]:
-        """Give the stable motions at a point that its neighbours', riding, and rest lead to."""
+        """Yield the stable motions at a point that are reached from its neighbours, from riding, and from rest."""
         rig = _Rig(bench)
         for near in (k - 1, k + 1):
             if 0 <= near < frequency.size and (known := self.known[near]) is not None:
@@ -143,17 +145,17 @@ class SteadyTones:
                 yield answer
 
     def rise(self, bench: Scene, level: Array, frequency: Array, damper: int) -> float:
-        """Largest gap below a damper (from 0) in the motions known, m; infinite if it meets its ceiling."""
+        """Largest gap below a damper (from 0) in all motions, m; infinite with ceiling impacts."""
         rig, largest = _Rig(bench), 0.0
         for k, known in enumerate(self.known):
             if known is not None:
                 largest = max(largest, rig.rise(known, frequency[k], level[k], damper))
         return largest
 
-    def _anew(self, rig: _Rig, frequency: Array, level: Array, k: int) -> Answer | None:
-        """Motion with the events that it had, or of a neighbour's, else the one that riding leads to."""
-        beside = [self.known[near] for near in (k - 1, k + 1) if 0 <= near < len(self.known)]
-        for known in (self._last[k], *beside):
+    def _recovered(self, rig: _Rig, frequency: Array, level: Array, k: int) -> Answer | None:
+        """Motion with the events it had before, or with those of a neighbour, else the one reached from riding."""
+        neighbours = [self.known[near] for near in (k - 1, k + 1) if 0 <= near < len(self.known)]
+        for known in (self._last[k], *neighbours):
             if known is not None:
                 answer = rig.corrected(known, frequency[k], level[k])
                 if answer is not None:
@@ -166,7 +168,7 @@ class SteadyTones:
         return answer
 
     def _searched(self, rig: _Rig, frequency: Array, level: Array, k: int, moving: bool) -> Answer | None:
-        """Motion that riding or rest lead to at a point; takes down why none is computed there."""
+        """Motion reached from riding or from rest at a point; records the reason if it has no orbit."""
         self.uncovered.pop(k, None)
         try:
             return rig.searched(frequency[k], level[k], moving)
@@ -178,8 +180,9 @@ class SteadyTones:
 class _Rig:
     """A scene's orbits for given levels of the reference.
 
-    A table that moves as prescribed is a spring to ground and a force of its stiffness times the motion. The table of
-    an electrodynamic shaker is shaken by the dampers as well: there the drive is sought that gives it its level.
+    A table with prescribed motion is replaced by a spring to ground and a force of stiffness times displacement.
+    The table of an electrodynamic shaker reacts to the dampers; there the drive is solved for that gives the table
+    its level.
     """
 
     def __init__(self, bench: Scene) -> None:
@@ -203,12 +206,12 @@ class _Rig:
             self.table = self.problem.system.points.index("table")
 
     def searched(self, frequency: float, level: float, moving: bool) -> Answer | None:
-        """Motion that the one with all dampers riding leads to or, unless `moving`, rest.
+        """Motion reached from the steady motion with riding dampers or, unless `moving`, from rest.
 
         Raises
         ------
         UncoveredMotionError
-            If it settles to one for which orbits are not computed.
+            If it settles to a motion for which orbits are not computed.
         """
         drive = level * (self.spring or 1.0)
         if self.table is not None:
@@ -237,7 +240,7 @@ class _Rig:
         return None
 
     def followed(self, near: Known, frequency: float, level: float) -> Answer | None:
-        """Follow a motion, possible or not, to a setting as near as derivatives need it; None if it leads nowhere."""
+        """Correct a motion, possible or not, at a setting a derivative step away; None without convergence."""
         there = self._at_drive(near, frequency, near.drive if self.table is not None else self._drive(level))
         if there is None:
             return None
@@ -245,7 +248,7 @@ class _Rig:
         return known, ratio if near.slope is None else ratio + near.slope * (level - moved)
 
     def corrected(self, near: Known, frequency: float, level: float, checked: bool = True) -> Answer | None:
-        """Correct a motion to a setting; None if it leads nowhere or, `checked`, to an impossible or unstable one."""
+        """Correct a motion at a setting; None without convergence or, `checked`, if it is impossible or unstable."""
         if self.table is None:
             there = self._at_drive(near, frequency, self._drive(level), checked)
             return None if there is None else there[:2]
@@ -271,7 +274,7 @@ class _Rig:
         return None
 
     def rise(self, known: Known, frequency: float, level: float, damper: int) -> float:
-        """Largest gap below a damper in a motion, m; infinite if it meets its ceiling."""
+        """Largest gap below a damper in a motion, m; infinite with ceiling impacts."""
         setting = OperatingPoint(
             float(frequency), float(known.drive if self.table is not None else self._drive(level))
         )
@@ -287,7 +290,7 @@ class _Rig:
         return np.inf if hits.any() else float(orbit.columns()[f"gap {damper + 1}_m"].max())
 
     def led(self, known: Known, frequency: Array, level: Array) -> Answer | None:
-        """Lead a motion from the first setting to the second, the force in the coil spring held as in the test."""
+        """Continue a motion from the first setting to the second, with the force in the coil spring held."""
         answer = self.corrected(known, frequency[0], level[0], checked=False)
         if answer is None:
             return None
@@ -302,11 +305,11 @@ class _Rig:
         return self.corrected(known, frequency[1], level[1], checked=True)
 
     def _held(self, ratio: ComplexArray) -> float:
-        """Force for one unit of the reference, but for a factor."""
+        """Force per unit of the reference, up to a constant factor."""
         return float(abs(1.0 - ratio[self.driven])) if self.spring else 1.0
 
     def _drive(self, level: float) -> float:
-        """Force that a level of the reference is."""
+        """Force equivalent to a level of the reference."""
         return float(level * (self.spring or 1.0))
 
     def _at_drive(

@@ -57,8 +57,8 @@ def test_given_rebounds_without_end_when_a_motion_is_looked_for_then_what_happen
     assert np.isnan(tones.at(on_the_bench(bouncy, one), level, frequency)).all()
     assert "rebounds ever lower until it rests" in tones.uncovered[0]
     [said] = left_out(one, np.array([False]), tones.uncovered)
-    assert "another motion" not in said and "which a fit does not compute" in said
-    assert "another motion" in left_out(one, np.array([False]), {})[0]
+    assert "another kind of motion" not in said and "which a fit cannot compute" in said
+    assert "another kind of motion" in left_out(one, np.array([False]), {})[0]
     tones.given_up.clear()
     assert np.isfinite(tones.at(on_the_bench(curves.scene, curves), level, frequency)).all()
     assert not tones.uncovered

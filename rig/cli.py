@@ -209,17 +209,16 @@ def response(
     """
     import rig
     from rig.provenance import made_from, overwriting, refuse_others
-    from rig.response.response_output import frequencies_of, text, write
     from rig.scene.quantities import FREQUENCY
+    from rig.steady_response.response_output import text, write
 
     setting = loaded(scene, changes)
-    ends = (_quantity(first, FREQUENCY, "--from"), _quantity(last, FREQUENCY, "--to"))
-    frequencies, order = frequencies_of(setting, *ends, points, direction)
+    band = (_quantity(first, FREQUENCY, "--from"), _quantity(last, FREQUENCY, "--to"))
     with overwriting(overwrite), made_from("response", setting.to_yaml()):
         if output is not None:
             refuse_others(output)
         with counting("following the motion") as progress:
-            result = rig.frequency_response(setting, frequencies, direction=order, progress=progress)
+            result = rig.response(setting, *band, points, direction, progress)
         print(text(result))
         if output is not None:
             write(result, output)
@@ -251,15 +250,14 @@ def grains(
 
     Each is followed to its steady motion at each frequency.
     """
-    from rig.bed_response.bed_response import bed_response, text
-    from rig.response.response_output import frequencies_of
+    import rig
+    from rig.bed_response.bed_response import text
     from rig.scene.quantities import FREQUENCY
 
     setting = loaded(scene, changes)
-    ends = (_quantity(first, FREQUENCY, "--from"), _quantity(last, FREQUENCY, "--to"))
-    frequencies, _ = frequencies_of(setting, *ends, points, None)
+    band = (_quantity(first, FREQUENCY, "--from"), _quantity(last, FREQUENCY, "--to"))
     with goes_on(output is not None), counting("following the grains") as progress:
-        result = bed_response(setting, frequencies, periods, output, cluster, progress)
+        result = rig.grains(setting, *band, points, periods, output, cluster, progress)
     print(text(result))
     if output is not None:
         print(f"\nwritten: {output}")
@@ -287,18 +285,19 @@ def cost(
 
     Of a scene with a bed of grains: what one mass, one mass on contacts that last, and coarser grains are worth.
     """
+    import rig
     from rig.output_files import make_ready, stem
     from rig.provenance import made_from, overwriting, refuse_others
     from rig.scene.quantities import FREQUENCY
-    from rig.work_precision.cost import cost as cost_of
 
     setting = loaded(scene, changes)
     make_ready(output)
     with overwriting(overwrite), made_from("cost", setting.to_yaml()), saying() as say:
         refuse_others(*_figure_and_table(output / stem("cost", setting.name)))
         tone = _quantity(frequency, FREQUENCY, "--frequency")
-        text, files = cost_of(setting, tone, periods, output, say)
-    print(text)
+        result = rig.cost(setting, tone, periods, say)
+        files = result.write(output)
+    print(result)
     print("\nwritten:", *files)
 
 
@@ -335,25 +334,23 @@ def map_(
     """
     import rig
     from rig.motion_map.figure import place, summary, write
-    from rig.motion_map.grid import KIND_OF_UNIT, columns, rows_of, vertical_axis
+    from rig.motion_map.grid import KIND_OF_UNIT, vertical_axis
     from rig.output_files import make_ready
     from rig.provenance import made_from, overwriting, refuse_others
     from rig.scene.quantities import FREQUENCY
 
     setting = loaded(scene, changes)
     over, unit = vertical_axis(setting, over)
-    ends = _quantity(first, FREQUENCY, "--from"), _quantity(last, FREQUENCY, "--to")
-    frequencies = columns(setting, *ends, points)
+    band = _quantity(first, FREQUENCY, "--from"), _quantity(last, FREQUENCY, "--to")
     kind = KIND_OF_UNIT[unit]
     ends = _quantity(least, kind, "--least"), _quantity(most, kind, "--most")
-    values = rows_of(setting, over, frequencies, *ends, rows)
     make_ready(output)
     name = place(setting, over, output)
     kept = name.with_suffix(".csv.kept")
     with goes_on(), overwriting(overwrite), made_from("map", setting.to_yaml()):
         refuse_others(*_figure_and_table(name))
         with counting("following the motion") as progress:
-            found = rig.map_motion(setting, over, values, frequencies, progress, cluster, kept)
+            found = rig.map(setting, over, *ends, rows, *band, points, cluster, kept, progress)
         files = write(found, output)
     kept.unlink()
     print(summary(found))

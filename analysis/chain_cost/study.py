@@ -23,10 +23,10 @@ from daq.measurement.run import record
 from daq.recording.recording import open as open_recording
 from rig.errors import RunError, ShotrigError
 from rig.motion_map.grid import columns
-from rig.response.frequency_response import frequency_response
 from rig.scene.excitation import Measure, Settle, SteppedSine
 from rig.scene.quantities import FREQUENCY, positives
 from rig.scene.scene import Scene
+from rig.steady_response.frequency_response import frequency_response
 from rig.system.assembly import assemble
 from rig.system.open_loop_drive import accelerations_per_level, drive_per_level, level_of, with_ideal_force
 from rig.system.structural_model import receptance, structural_model

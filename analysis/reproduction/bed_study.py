@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from analysis.reproduction.kept_study import Row, Table, complete
 from analysis.reproduction.store import Arrays
 from rig.bed_response.steady_bed import SteadyBed, steady_grains, steady_mass
-from rig.grains.packing import highest, settled
-from rig.grains.spheres import rayleigh_time, spheres_of
+from rig.grain_beds.packing import highest, settled
+from rig.grain_beds.spheres import rayleigh_time, spheres_of
 from rig.scene.damper import Grains
 from rig.scene.excitation import Sine
 from rig.scene.scene import STANDARD_GRAVITY, Scene

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from analysis.reproduction.store import Arrays
 from rig.damper_design.worst_peak import curve, resonance
 from rig.orbits.problem import OrbitProblem
-from rig.response.motion_type import overall
 from rig.scene.scene import Scene
+from rig.steady_response.motion_type import overall
 from rig.system.structural_model import receptance
 
 Floats = NDArray[np.float64]

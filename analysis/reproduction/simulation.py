@@ -15,10 +15,10 @@ from rig.orbits.periodic_orbit import periodic_orbit
 from rig.orbits.problem import OrbitProblem
 from rig.orbits.shooting import shoot
 from rig.orbits.track import follow
-from rig.response.frequency_response import frequency_response
 from rig.scene.scene import Scene
 from rig.single_mode.approximate_response import Branch, follow_mode
 from rig.single_mode.reduction import Weighting, single_mode
+from rig.steady_response.frequency_response import frequency_response
 from rig.system.open_loop_drive import with_ideal_force
 from rig.system.structural_model import receptance, structural_model
 

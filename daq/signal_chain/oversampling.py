@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from daq.signal_chain.converter import SampleClock
 from daq.signal_chain.decimation_filter import PASS, STOP
-from rig.grains.spheres import contact_time, spheres_of
+from rig.grain_beds.spheres import contact_time, spheres_of
 from rig.scene.presets import filled_in
 from rig.scene.scene import Scene
 from rig.scene.shaker import TableShaker

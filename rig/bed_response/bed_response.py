@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from rig.bed_response.steady_bed import SteadyBed, steady_grains, steady_mass
 from rig.errors import SceneError
-from rig.grains.lammps_library import lammps_version
-from rig.grains.packing import settled
-from rig.grains.spheres import spheres_of
+from rig.grain_beds.lammps_library import lammps_version
+from rig.grain_beds.packing import settled
+from rig.grain_beds.spheres import spheres_of
 from rig.results import Result, styled
 from rig.scene.loading import SceneLike, scene_of
 from rig.scene.quantities import FREQUENCY, positives

@@ -7,11 +7,11 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.grains.bed import CEILING, FLOOR
-from rig.grains.coupling import CoupledPropagator
-from rig.response.frequency_response import frequency_response
+from rig.grain_beds.bed import CEILING, FLOOR
+from rig.grain_beds.coupling import CoupledPropagator
 from rig.scene.scene import Scene
 from rig.simulation.simulate import simulate
+from rig.steady_response.frequency_response import frequency_response
 from rig.system.assembly import assemble, spring_force_row
 from rig.system.hybrid_system import HybridSystem
 from rig.system.open_loop_drive import tone_drive, with_ideal_force

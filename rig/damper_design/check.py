@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from rig.damper_design.choice import Question, Trial
 from rig.damper_design.worst_peak import Peak
-from rig.response.frequency_response import frequency_response
 from rig.scene.excitation import FORCE_HELD, SteppedSine
 from rig.scene.measurement_chain import Channel, Hammer
 from rig.scene.presets import filled_in
 from rig.scene.scene import Scene
 from rig.scene.shaker import ForceShaker
+from rig.steady_response.frequency_response import frequency_response
 
 Array = NDArray[np.float64]
 

@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from importlib.metadata import entry_points
-from typing import cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
-from rig.grains.spheres import spheres_of
+from rig.escaping import html
+from rig.grain_beds.spheres import spheres_of
+from rig.results import Result
 from rig.scene.loading import SceneLike, scene_of
 from rig.scene.scene import Scene
 from rig.scene.shaker import ElectrodynamicShaker, ForceShaker, Shaker, TableShaker
@@ -17,6 +20,9 @@ from rig.scene.structure import Dashpots, ModalDamping, RayleighDamping, Structu
 from rig.system.assembly import assemble
 from rig.system.hybrid_system import HybridSystem
 from rig.system.structural_model import structural_model
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 #: Largest number of natural frequencies that are listed.
 _MAX_LISTED = 7
@@ -35,8 +41,8 @@ class Effect:
     detail: str = ""  # Its figures in words
 
 
-@dataclass(frozen=True)
-class Explanation:
+@dataclass(frozen=True, repr=False)
+class Explanation(Result):
     """The effects of a scene, in the order of the signal; `str` makes a table of them.
 
     Attributes
@@ -58,6 +64,29 @@ class Explanation:
         for effect in self.effects:
             total[effect.part] = total.get(effect.part, 0) + effect.states
         return total
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Part, name, number of states and details of each effect."""
+        return {
+            "part": np.array([effect.part for effect in self.effects], dtype=str),
+            "effect": np.array([effect.name for effect in self.effects], dtype=str),
+            "states": np.array([effect.states for effect in self.effects]),
+            "detail": np.array([effect.detail for effect in self.effects], dtype=str),
+        }
+
+    def summary(self) -> str:
+        """Count effects and states."""
+        return f"{self.title}: {len(self.effects)} effects, {sum(self.states.values())} states"
+
+    def draw(self, ax: Axes, **style: Any) -> None:
+        """Draw the number of states of each part as bars."""
+        ax.barh(list(self.states), list(self.states.values()), **style)
+        ax.invert_yaxis()
+        ax.set(xlabel="states", title=self.title)
+
+    def _repr_html_(self) -> str:
+        """Show the table of effects, as notebooks do."""
+        return f"<pre>{html(str(self))}</pre>"
 
     def __str__(self) -> str:
         width = max(len(effect.name) for effect in self.effects) + 2

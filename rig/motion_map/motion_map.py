@@ -15,11 +15,11 @@ from numpy.typing import ArrayLike, NDArray
 from rig.engine.trajectory import Array
 from rig.figure_style import cell_edges, plain_logarithmic
 from rig.motion_map.grid import KIND_OF_UNIT, columns, rows_of, take_off, vertical_axis
-from rig.response.frequency_response import Follower
 from rig.results import Result
 from rig.scene.loading import SceneLike, scene_of
 from rig.scene.quantities import FREQUENCY, positives
 from rig.scene.scene import Scene
+from rig.steady_response.frequency_response import Follower
 from rig.study import Study, digest
 from rig.system.open_loop_drive import level_of, with_ideal_force
 from rig.system.structural_model import structural_model

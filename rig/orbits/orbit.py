@@ -37,9 +37,9 @@ from rig.orbits.orbit_equations import (
 from rig.orbits.problem import OperatingPoint, OrbitProblem, Parameter, vary
 from rig.orbits.shooting import Shot, shoot
 from rig.orbits.track import follow
-from rig.response.motion_type import overall, type_of
 from rig.results import Result, styled
 from rig.scene.shaker import ForceShaker
+from rig.steady_response.motion_type import overall, type_of
 from rig.system.assembly import spring_force_row
 
 if TYPE_CHECKING:

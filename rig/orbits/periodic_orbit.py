@@ -13,9 +13,9 @@ from rig.orbits.event_sequence import Plan, configuration_of, make_plan, mode_of
 from rig.orbits.orbit import Orbit, solve
 from rig.orbits.orbit_equations import FORCELESS
 from rig.orbits.problem import OperatingPoint, OrbitProblem
-from rig.response.steady_state import LONGEST_REPETITION, settle
 from rig.scene.loading import SceneLike, scene_of
 from rig.scene.quantities import FREQUENCY, positives
+from rig.steady_response.steady_state import LONGEST_REPETITION, settle
 
 Array = NDArray[np.float64]
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rig.engine.propagator import Propagator
-from rig.errors import RunError
+from rig.errors import RunError, SceneError
 from rig.numerics.jit import stored
 from rig.orbits.newton import correct, distance
 from rig.orbits.orbit import Following, Orbit
@@ -31,16 +31,18 @@ from rig.orbits.problem import (
     parameter_values,
     vary,
 )
-from rig.response.frequency_response import draw_compliance
-from rig.response.motion_type import motion_types, overall
-from rig.response.steady_state import MARKS, one_cycle
 from rig.results import Result
 from rig.scene.loading import SceneLike, scene_of
 from rig.scene.shaker import ForceShaker
+from rig.steady_response.frequency_response import compliance_response, draw_compliance
+from rig.steady_response.motion_type import motion_types, overall
+from rig.steady_response.steady_state import MARKS, one_cycle
 from rig.system.assembly import spring_force_row
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+    from rig.results.response import Response
 
 Array = NDArray[np.float64]
 
@@ -103,6 +105,21 @@ class OrbitResponse(Result):
     def simulated(self) -> NDArray[np.bool_]:
         """Where the motion is irregular, and was simulated and averaged."""
         return np.array([orbit is None for orbit in self.orbits], dtype=bool)
+
+    @property
+    def response(self) -> Response:
+        """The compliance of all bodies over frequency as a `rig.Response`, which plots with measured ones.
+
+        Raises
+        ------
+        SceneError
+            If another parameter was varied.
+        """
+        if self.parameter != "frequency":
+            raise SceneError(f"response: the {self.parameter} was varied; expected a sweep of the frequency")
+        return compliance_response(
+            self.value, self.labels, self.compliance, unsteady=self.simulated, label="orbits"
+        )
 
     def summary(self) -> str:
         """Say over what, how high and which types of motion."""

@@ -14,7 +14,7 @@ from difflib import get_close_matches
 from functools import cache, cached_property
 from itertools import pairwise
 from textwrap import dedent
-from typing import Any, ClassVar, Self, get_args
+from typing import TYPE_CHECKING, Any, ClassVar, Self, get_args
 
 from pydantic import (
     BaseModel,
@@ -78,7 +78,24 @@ def report(title: str, mistakes: Iterable[Mistake]) -> ValidationError:
     return ValidationError.from_exception_data(title, lines)
 
 
-class Settings(BaseModel):
+if TYPE_CHECKING:
+    _Model = BaseModel
+else:
+
+    class _RaisesSceneError(type(BaseModel)):
+        """Makes settings that are built in Python raise the error that a scene file raises."""
+
+        def __call__(cls, *args: Any, **fields: Any) -> Any:
+            try:
+                return super().__call__(*args, **fields)
+            except ValidationError as error:
+                raise SceneError(describe(mistakes_of(error), cls.__name__)) from None
+
+    class _Model(BaseModel, metaclass=_RaisesSceneError):
+        """Base that type checkers see as pydantic's."""
+
+
+class Settings(_Model):
     """Base of all settings: frozen, unknown keys refused, all mistakes reported together."""
 
     model_config = ConfigDict(

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rig.engine.trajectory import EVENT, Array, event_table
-from rig.grains.coupling import CoupledPropagator, CoupledState, interpolated
+from rig.grain_beds.coupling import CoupledPropagator, CoupledState, interpolated
 from rig.scene.scene import Scene
 from rig.simulation.energy import Energy, ends_of, ledger
 from rig.system.open_loop_drive import ToneDrive

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from rig.errors import RunError
-from rig.grains.coupling import CoupledState
+from rig.grain_beds.coupling import CoupledState
 from rig.output_files import replacing
 from rig.simulation.energy import Energy
 from rig.simulation.grains_run import Course

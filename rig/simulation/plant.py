@@ -19,7 +19,7 @@ from rig.system.assembly import assemble
 from rig.system.hybrid_system import HybridSystem
 
 if TYPE_CHECKING:
-    from rig.grains.coupling import CoupledPropagator
+    from rig.grain_beds.coupling import CoupledPropagator
 
 
 class Plant:
@@ -165,7 +165,7 @@ def _propagator(
     """Make what moves the system on from sample to sample, and its number of steps in a sample interval."""
     if not system.grains.any():
         return sampled_propagator(system, interval)
-    from rig.grains.coupling import CoupledPropagator
+    from rig.grain_beds.coupling import CoupledPropagator
 
     coupled = CoupledPropagator(scene, interval)
     return coupled, coupled.substeps

@@ -277,7 +277,7 @@ def _grains_run(
     progress: Callable[[int, int], None] | None,
 ) -> Run:
     """Follow beds of grains, from what is kept of the run if there is such a file."""
-    from rig.grains.lammps_library import lammps_version
+    from rig.grain_beds.lammps_library import lammps_version
     from rig.simulation.grains_run import GrainsRun
     from rig.simulation.kept_course import read, write
 

@@ -40,7 +40,7 @@ class HybridSystem:
     wall_stiffness, wall_damping : float64 (dampers, 2)
         Of floor and ceiling where contact has a duration [N/m, N s/m].
     grains : bool array (dampers,)
-        Whether a damper is a bed of grains. Here it is one mass, at rest; `rig.grains` computes its motion.
+        Whether a damper is a bed of grains. Here it is one mass, at rest; `rig.grain_beds` computes its motion.
     fastest : float
         Bound on the fastest rate in any configuration, rad/s.
     """

@@ -1,22 +1,105 @@
-"""The study of cost that a scene calls for, as text and files."""
+"""The study of cost that a scene calls for: of methods, or of models of its beds of grains."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from rig.grains.spheres import spheres_of
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.grain_beds.spheres import spheres_of
+from rig.results import Result
 from rig.scene.scene import Scene
 from rig.system.assembly import assemble
-from rig.work_precision.figure import models_table, table, write, write_models
-from rig.work_precision.motion_study import hardest_frequency, motion_study
-from rig.work_precision.steady_study import steady_study
+from rig.work_precision.motion_study import Point, Study, hardest_frequency, motion_study
+from rig.work_precision.steady_study import SteadyStudy, steady_study
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+@dataclass(frozen=True, repr=False)
+class Cost(Result):
+    """Error and computing time of methods or models.
+
+    Attributes
+    ----------
+    scene : Scene
+    motion : Study or None
+        Methods for the motion; None where models of beds of grains are compared, in steady motion alone.
+    steady : SteadyStudy
+        Methods for the steady state, or models of the beds.
+    """
+
+    scene: Scene
+    motion: Study | None
+    steady: SteadyStudy
+
+    @property
+    def points(self) -> tuple[tuple[str, Point], ...]:
+        """Every method at every setting, each with the quantity that it computes."""
+        motion = () if self.motion is None else self.motion.points
+        return (
+            *(("motion, a period", point) for point in motion),
+            *(("steady state", point) for point in self.steady.points),
+        )
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Quantity, method, setting, CPU time, errors, and whether events are right, of each point."""
+        quantities = [quantity for quantity, _ in self.points]
+        points = [point for _, point in self.points]
+        return {
+            "quantity": np.array(quantities, dtype=str),
+            "method": np.array([point.method for point in points], dtype=str),
+            "setting": np.array([point.setting for point in points], dtype=str),
+            "cpu_s": np.array([point.cpu for point in points]),
+            "error": np.array([point.error for point in points]),
+            "event_time_error_s": np.array([point.event_error for point in points]),
+            "right": np.array([point.right for point in points], dtype=bool),
+        }
+
+    def summary(self) -> str:
+        """Say which scene and frequency, and how many methods were measured."""
+        methods = len({point.method for _, point in self.points})
+        return f"{self.scene.name}: cost of {methods} methods at {self.steady.frequency:.6g} Hz"
+
+    def __str__(self) -> str:
+        """Tables of all methods, as `rig cost` prints them."""
+        from rig.work_precision.figure import models_table, table
+
+        if self.motion is None:
+            return models_table(self.scene, self.steady)
+        return table(self.motion, self.steady)
+
+    def draw(self, ax: Axes, **style: Any) -> None:
+        """Error against CPU time: of the motion, or of models of beds."""
+        from rig.work_precision.figure import draw_points
+
+        draw_points(ax, (self.motion or self.steady).points, "CPU time / s")
+        ax.set(ylabel="relative error")
+
+    def write(self, folder: Path) -> list[Path]:
+        """Write figure and table, cost-<scene>.png, .svg and .csv, into a folder; return the files.
+
+        Raises
+        ------
+        SceneError
+            If a file cannot be written.
+        """
+        from rig.work_precision.figure import write, write_models
+
+        if self.motion is None:
+            return write_models(self.scene, self.steady, folder)
+        return write(self.motion, self.steady, folder)
 
 
 def cost(
-    scene: Scene, frequency: float | None, periods: int, folder: Path, say: Callable[[str], None]
-) -> tuple[str, list[Path]]:
-    """Measure every way to compute a scene, or, where beds of grains can move in it, every model of them.
+    scene: Scene, frequency: float | None, periods: int, say: Callable[[str], None] | None = None
+) -> Cost:
+    """Measure every method on a scene, or, where beds of grains can move in it, every model of them.
 
     Parameters
     ----------
@@ -24,23 +107,15 @@ def cost(
         Hz; None: see `rig.work_precision.motion_study.hardest_frequency`.
     periods : int
         Length of the motion; grains are followed until they are steady.
-    folder : Path
-        Where figure and table go.
-    say : callable
+    say : callable, optional
         Called with what is computed next.
-
-    Returns
-    -------
-    tuple
-        The text, and the files.
     """
+    say = say or (lambda text: None)
     if spheres_of(scene):
-        # LAMMPS, which may be missing, is not for who studies one mass.
+        # LAMMPS may be missing; a scene with single masses does not need it.
         from rig.work_precision.bed_models import bed_models
 
         tone = hardest_frequency(scene, assemble(scene)) if frequency is None else frequency
-        models = bed_models(scene, tone, say)
-        return models_table(scene, models), write_models(scene, models, folder)
-    study = motion_study(scene, frequency, periods, say)
-    steady = steady_study(scene, study.frequency, say)
-    return table(study, steady), write(study, steady, folder)
+        return Cost(scene, None, bed_models(scene, tone, say))
+    motion = motion_study(scene, frequency, periods, say)
+    return Cost(scene, motion, steady_study(scene, motion.frequency, say))

@@ -126,13 +126,13 @@ def _draw(study: Study, steady: SteadyStudy) -> Figure:
     count = 1 + bool(steady.points)
     with drawing(5.2, 10.0 if steady.points else 6.8) as figure:
         panels = figure.subplots(1, count, squeeze=False, width_ratios=(1.5, 1.0)[:count])[0]
-        _panel(panels[0], study.points, "CPU time for a period of the drive / s")
+        draw_points(panels[0], study.points, "CPU time for a period of the drive / s")
         panels[0].set_ylabel("error of the displacement, relative")
         panels[0].set_title(
             f"Motion: {study.periods} periods at {study.frequency:.4g} Hz, {study.events} events"
         )
         if steady.points:
-            _panel(panels[1], steady.points, "CPU time in all / s")
+            draw_points(panels[1], steady.points, "CPU time in all / s")
             panels[1].set_ylabel("error of the compliance, relative")
             panels[1].set_title(_steady_title(steady))
         figure.suptitle(drawn(study.scene.name))
@@ -142,7 +142,7 @@ def _draw(study: Study, steady: SteadyStudy) -> Figure:
 def _draw_models(scene: Scene, models: SteadyStudy) -> Figure:
     with drawing(5.2, 6.8) as figure:
         axes = figure.subplots()
-        _panel(axes, models.points, "CPU time in all / s")
+        draw_points(axes, models.points, "CPU time in all / s")
         axes.set_ylabel("compliance off that with grains, relative")
         axes.set_title(_steady_title(models))
         for point in (each for each in models.points if np.isfinite(each.error)):
@@ -166,7 +166,8 @@ def _shown(point: Point) -> float:
     return max(point.error, 1e-17)
 
 
-def _panel(axes: Axes, points: tuple[Point, ...], label: str) -> None:
+def draw_points(axes: Axes, points: tuple[Point, ...], label: str) -> None:
+    """Draw error against CPU time, both logarithmic, a colour and marker for each method."""
     methods = list(dict.fromkeys(point.method for point in points))
     for method in methods:
         own = [p for p in points if p.method == method and np.isfinite(p.error)]

@@ -12,10 +12,10 @@ import numpy as np
 from rig.errors import RunError, ShotrigError
 from rig.orbits.orbit import Orbit
 from rig.orbits.periodic_orbit import periodic_orbit
-from rig.response.frequency_response import frequency_response
 from rig.scene.scene import Scene
 from rig.single_mode.approximate_response import approximate_response
 from rig.single_mode.reduction import Weighting
+from rig.steady_response.frequency_response import frequency_response
 from rig.system.open_loop_drive import with_ideal_force
 from rig.system.structural_model import receptance, structural_model
 from rig.work_precision.high_precision import DIGITS, ExactOrbit, exact_orbit

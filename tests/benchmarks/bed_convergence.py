@@ -16,7 +16,7 @@ import numpy as np
 
 from analysis.reproduction.bed_study import MODULUS, Setting, scene_of_bed
 from rig.bed_response.steady_bed import steady_grains
-from rig.grains.spheres import rayleigh_time
+from rig.grain_beds.spheres import rayleigh_time
 from rig.scene.damper import Grains
 from rig.scene.scene import STANDARD_GRAVITY, Scene
 

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from analysis.reproduction.bed_study import BEDS, FREQUENCY, Setting, scene_of_bed, summary_row
 from rig.bed_response.steady_bed import steady_grains
-from rig.grains.packing import highest, settled
-from rig.grains.spheres import Spheres, rayleigh_time, spheres_of
+from rig.grain_beds.packing import highest, settled
+from rig.grain_beds.spheres import Spheres, rayleigh_time, spheres_of
 from rig.scene.excitation import Sine
 from rig.scene.scene import STANDARD_GRAVITY
 

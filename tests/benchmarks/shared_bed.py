@@ -19,8 +19,8 @@ from pathlib import Path
 import numpy as np
 
 from rig import ranks
-from rig.grains import coupling, packing
-from rig.grains.spheres import spheres_of
+from rig.grain_beds import coupling, packing
+from rig.grain_beds.spheres import spheres_of
 from rig.scene.scene import Scene
 
 #: Mass of the bed, kg; diameter of the cavity, m; steps to follow.

@@ -9,7 +9,7 @@ from analysis.damper_motion.impact_detection import impacts, score
 from analysis.damper_motion.motion_types import damper_motion
 from analysis.responses.stepped_sine import sweeps
 from rig.numerics.runs import runs_of
-from rig.response.motion_type import STAY
+from rig.steady_response.motion_type import STAY
 from rig.system.assembly import assemble
 from tests.gauntlet.cavities import STEPS
 from tests.gauntlet.judges.impacts import APART, detectable, true_impacts

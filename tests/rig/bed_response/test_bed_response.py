@@ -10,7 +10,7 @@ import pytest
 from rig.bed_response.bed_response import BedResponse, bed_response, text
 from rig.bed_response.steady_bed import steady_grains, steady_mass
 from rig.errors import RunError, SceneError
-from tests.rig.grains.scenes import with_grains, without_grains
+from tests.rig.grain_beds.scenes import with_grains, without_grains
 
 
 def test_resting_bed_equals_one_mass() -> None:

@@ -10,7 +10,7 @@ import pytest
 from rig.work_precision import bed_models as models
 from rig.work_precision.cost import cost
 from rig.work_precision.steady_study import OTHER_PACKING
-from tests.rig.grains.scenes import with_grains
+from tests.rig.grain_beds.scenes import with_grains
 
 
 @pytest.fixture(autouse=True)
@@ -25,7 +25,8 @@ def test_all_but_soft_contacts_agree_at_rest(
 ) -> None:
     scene = with_grains(test={"kind": "sine", "frequency": 30.0, "force": 0.003})
 
-    text, files = cost(scene, None, 2, tmp_path, lambda line: None)
+    result = cost(scene, None, 2)
+    text, files = str(result), result.write(tmp_path)
 
     (table,) = (file for file in files if file.suffix == ".csv")
     with table.open(newline="", encoding="utf-8") as file:

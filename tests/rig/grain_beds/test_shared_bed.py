@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.grains import packing
-from rig.grains.coupling import CoupledPropagator
-from tests.rig.grains.scenes import with_grains
+from rig.grain_beds import packing
+from rig.grain_beds.coupling import CoupledPropagator
+from tests.rig.grain_beds.scenes import with_grains
 from tests.rig.mpi import on_two_ranks
 
 
@@ -37,7 +37,7 @@ def thrown() -> tuple[dict[str, NDArray[np.float64]], CoupledPropagator]:
 def program(*lines: str) -> str:
     """Give a program whose beds are kept where those of this run of the tests are."""
     kept = f"packing.folder = lambda: Path({str(packing.folder())!r})"
-    return "\n".join(["from pathlib import Path", "from rig.grains import packing", kept, *lines])
+    return "\n".join(["from pathlib import Path", "from rig.grain_beds import packing", kept, *lines])
 
 
 def test_two_ranks_move_a_bed_alike(
@@ -51,7 +51,7 @@ def test_two_ranks_move_a_bed_alike(
             "from rig import ranks",
             "ranks.join()",
             "import numpy as np",
-            "from tests.rig.grains.test_shared_bed import thrown",
+            "from tests.rig.grain_beds.test_shared_bed import thrown",
             "(seen, coupled), (again, _) = thrown(), thrown()",
             "assert all(np.array_equal(seen[name], again[name]) for name in seen)",
             f"np.savez({str(file)!r}, **seen, held=coupled.beds[0]._room()[0])",
@@ -73,7 +73,7 @@ def test_read_bed_of_two_ranks_has_same_bits() -> None:
             "from rig import ranks",
             "ranks.join()",
             "import numpy as np",
-            "from tests.rig.grains.test_shared_bed import coupled_bed, thrown",
+            "from tests.rig.grain_beds.test_shared_bed import coupled_bed, thrown",
             "push = -0.5 * np.ones((1, 60))",
             "_, there = thrown()",
             "state = there.state()",
@@ -111,7 +111,7 @@ def test_processes_that_have_not_joined_are_reported() -> None:
     done = on_two_ranks(
         program(
             "import rig",
-            "from tests.rig.grains.scenes import with_grains",
+            "from tests.rig.grain_beds.scenes import with_grains",
             "from rig.errors import RunError",
             "try:",
             "    rig.simulate(with_grains(), duration=0.001)",
@@ -127,11 +127,11 @@ def test_processes_that_have_not_joined_are_reported() -> None:
 def test_more_ranks_than_cores_are_warned_of() -> None:
     done = on_two_ranks(
         program(
-            "import rig.grains.shared_bed as shared_bed",
+            "import rig.grain_beds.shared_bed as shared_bed",
             "from rig import ranks",
             "ranks.join()",
             "shared_bed.cores = lambda: 1",
-            "from tests.rig.grains.test_shared_bed import coupled_bed",
+            "from tests.rig.grain_beds.test_shared_bed import coupled_bed",
             "coupled_bed()",
         )
     )

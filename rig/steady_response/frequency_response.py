@@ -14,14 +14,14 @@ from numpy.typing import ArrayLike, NDArray
 from rig.engine.propagator import Propagator, tone_propagator
 from rig.engine.trajectory import STRIKES, Array
 from rig.errors import SceneError
-from rig.response.motion_type import motion_types, overall
-from rig.response.steady_state import MARKS, Steady, one_cycle, settle
 from rig.results import Result, styled
 from rig.scene.loading import SceneLike, scene_of
 from rig.scene.quantities import FREQUENCY, positives
 from rig.scene.scene import Scene
 from rig.scene.shaker import ForceShaker
 from rig.simulation.energy import fourier
+from rig.steady_response.motion_type import motion_types, overall
+from rig.steady_response.steady_state import MARKS, Steady, one_cycle, settle
 from rig.system.assembly import assemble, spring_force_row
 from rig.system.hybrid_system import HybridSystem
 from rig.system.open_loop_drive import level_of, tone_drive
@@ -29,13 +29,15 @@ from rig.system.open_loop_drive import level_of, tone_drive
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from rig.results.response import Response
+
 #: The spring force is held to this, relative.
 LEVEL_TOLERANCE = 1e-6
 LEVEL_TRIALS = 25
 
 
 @dataclass(frozen=True, repr=False)
-class Response(Result):
+class SteadyResponse(Result):
     """Steady response over frequency, in the order in which the frequencies were visited.
 
     Attributes
@@ -84,6 +86,11 @@ class Response(Result):
         """What the bodies are called: by their names, or body 1, body 2, ..."""
         return self.bodies or tuple(f"body {number}" for number in range(1, len(self.compliance) + 1))
 
+    @property
+    def response(self) -> Response:
+        """The compliance of all bodies as a `rig.Response`, which plots in one figure with measured ones."""
+        return compliance_response(self.frequency, self.labels, self.compliance, self.force, ~self.converged)
+
     def summary(self) -> str:
         """Say where, how high and which types of motion."""
         top = np.unravel_index(int(np.argmax(abs(self.compliance))), self.compliance.shape)
@@ -109,6 +116,27 @@ class Response(Result):
         ax.set(xlabel="frequency / Hz")
 
 
+def compliance_response(
+    frequency: Array,
+    labels: Sequence[str],
+    compliance: NDArray[np.complex128],
+    force: Array | None = None,
+    unsteady: NDArray[np.bool_] | None = None,
+    label: str = "computed",
+) -> Response:
+    """Make a `rig.Response` of the compliance of bodies, (bodies, frequencies)."""
+    from rig.results.response import Point, Response
+
+    return Response(
+        frequency,
+        np.ascontiguousarray(compliance.T[:, :, None]),
+        tuple(Point(name, "displacement", name) for name in labels),
+        amplitude=force,
+        unsteady=unsteady,
+        label=label,
+    )
+
+
 def draw_compliance(
     ax: Axes,
     over: Array,
@@ -131,7 +159,7 @@ def draw_compliance(
 class SteadyPoint:
     """Steady motion at one frequency; `end` is the state that the next frequency may start from.
 
-    Attributes are those of `Response` at one frequency, with the types of all dampers, what `settle` found, and
+    Attributes are those of `SteadyResponse` at one frequency, with the types of all dampers, what `settle` found, and
     the drive level relative to that of the linear structure.
     """
 
@@ -154,7 +182,7 @@ def frequency_response(
     tolerance: float = 1e-8,
     longest: int = 20_000,
     progress: Callable[[int, int], None] | None = None,
-) -> Response:
+) -> SteadyResponse:
     """Steady response of a scene at a list of frequencies.
 
     Parameters
@@ -371,9 +399,9 @@ def _next_level(tried: list[tuple[float, float]]) -> float:
     return last + float(np.clip(step, -np.log(2.0), np.log(2.0)))
 
 
-def _response(points: list[SteadyPoint], system: HybridSystem, names: Sequence[str] | None) -> Response:
+def _response(points: list[SteadyPoint], system: HybridSystem, names: Sequence[str] | None) -> SteadyResponse:
     types = [point.types for point in points]
-    return Response(
+    return SteadyResponse(
         frequency=np.array([p.frequency for p in points]),
         compliance=np.array([p.compliance for p in points]).T,
         peak=np.array([p.peak for p in points]).T,

@@ -18,9 +18,9 @@ from numba.misc.appdirs import AppDirs
 from numpy.typing import NDArray
 
 from rig.errors import RunError
-from rig.grains.bed import CEILING, FLOOR, Bed
-from rig.grains.lammps_library import lammps_version
-from rig.grains.spheres import Spheres, rayleigh_time
+from rig.grain_beds.bed import CEILING, FLOOR, Bed
+from rig.grain_beds.lammps_library import lammps_version
+from rig.grain_beds.spheres import Spheres, rayleigh_time
 from rig.scene.scene import STANDARD_GRAVITY
 
 Array = NDArray[np.float64]

@@ -19,10 +19,10 @@ from rig.engine.propagator import sampled_propagator
 from rig.engine.samples import MotionSamples, StateSamples
 from rig.engine.state import CEILING, FLIGHT, FLOOR
 from rig.engine.trajectory import Trajectory, gaps_and_contacts
-from rig.grains.bed import WALLS, Bed
-from rig.grains.packing import highest, settled
-from rig.grains.shared_bed import new_bed
-from rig.grains.spheres import Spheres, spheres_of
+from rig.grain_beds.bed import WALLS, Bed
+from rig.grain_beds.packing import highest, settled
+from rig.grain_beds.shared_bed import new_bed
+from rig.grain_beds.spheres import Spheres, spheres_of
 from rig.scene.scene import Scene
 from rig.system.assembly import assemble
 from rig.system.hybrid_system import FORCE_OF_BED, HybridSystem

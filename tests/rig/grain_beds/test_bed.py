@@ -10,12 +10,12 @@ import pytest
 from numpy.typing import NDArray
 
 from rig.errors import RunError
-from rig.grains import packing
-from rig.grains.bed import Bed
-from rig.grains.packing import settled
-from rig.grains.spheres import Spheres, spheres_of
+from rig.grain_beds import packing
+from rig.grain_beds.bed import Bed
+from rig.grain_beds.packing import settled
+from rig.grain_beds.spheres import Spheres, spheres_of
 from rig.scene.damper import Grains
-from tests.rig.grains.scenes import with_grains
+from tests.rig.grain_beds.scenes import with_grains
 
 Array = NDArray[np.float64]
 

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from rig.errors import SceneError
 from rig.output_files import replacing
-from rig.response.frequency_response import Response
 from rig.scene.excitation import Sine, SteppedSine, spaced
 from rig.scene.scene import Scene
+from rig.steady_response.frequency_response import SteadyResponse
 
 
 def frequencies_of(
@@ -45,7 +45,7 @@ def frequencies_of(
     raise SceneError(f"scene {scene.name!r} names no frequencies; expected --from and --to")
 
 
-def rows(response: Response) -> tuple[list[str], list[list[str]]]:
+def rows(response: SteadyResponse) -> tuple[list[str], list[list[str]]]:
     """Column names and rows of a response, numbers with all their digits."""
     bodies, dampers = len(response.compliance), len(response.impacts)
     header = ["frequency_hz"]
@@ -80,7 +80,7 @@ def directions(frequency: NDArray[np.float64]) -> list[str]:
     return [*(steps[:1] or ["up"]), *steps]
 
 
-def write(response: Response, path: Path) -> None:
+def write(response: SteadyResponse, path: Path) -> None:
     """Write a response as CSV.
 
     Raises
@@ -92,7 +92,7 @@ def write(response: Response, path: Path) -> None:
         write_to(response, file)
 
 
-def write_to(response: Response, file: TextIO) -> None:
+def write_to(response: SteadyResponse, file: TextIO) -> None:
     """Write a response as CSV into an open file."""
     header, table = rows(response)
     writer = csv.writer(file, lineterminator="\n")
@@ -100,7 +100,7 @@ def write_to(response: Response, file: TextIO) -> None:
     writer.writerows(table)
 
 
-def text(response: Response) -> str:
+def text(response: SteadyResponse) -> str:
     """Table for a person: compliance of every body, motion type, impacts a period."""
     ratios = [f"X{b}/F1 m/N" for b in range(1, len(response.compliance) + 1)]
     if response.bodies:

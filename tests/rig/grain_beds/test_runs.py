@@ -9,11 +9,11 @@ import pytest
 
 import rig
 from rig.errors import RunError
-from rig.grains.coupling import CoupledPropagator
+from rig.grain_beds.coupling import CoupledPropagator
 from rig.simulation import grains_run
 from rig.simulation.run_output import simulate_into
 from rig.simulation.simulate import Run
-from tests.rig.grains.scenes import with_grains
+from tests.rig.grain_beds.scenes import with_grains
 
 RATE, DURATION = 2000.0, 0.03
 SWEEP = {"kind": "swept_sine", "from": "20 Hz", "to": "60 Hz", "duration": "0.03 s", "force": "0.4 N"}

@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.errors import RunError
-from rig.grains.lammps_library import new_lammps
-from rig.grains.rebound import restitution_at_step
-from rig.grains.spheres import Spheres
+from rig.grain_beds.lammps_library import new_lammps
+from rig.grain_beds.rebound import restitution_at_step
+from rig.grain_beds.spheres import Spheres
 from rig.scene.damper import Grains
 
 Array = NDArray[np.float64]

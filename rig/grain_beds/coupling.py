@@ -111,7 +111,7 @@ class CoupledPropagator:
 
     @property
     def momentum_errors(self) -> Array:
-        """Change of each bed's momentum since the start less the impulses of body and gravity, kg m/s; shape (beds,)."""
+        """Momentum change of each bed less the impulses of body and gravity, kg m/s; shape (beds,)."""
         weight = self._mass * self.system.gravity
         return np.asarray(self.momentum - self._begin - (self._impulse - weight * (self._fallen * self.step)))
 

@@ -71,7 +71,7 @@ class PartOfBed(Bed):
         super()._view()
 
     def _room(self) -> tuple[int, int]:
-        """Number of grains on this rank, and the capacity of its arrays."""
+        """Return the number of grains on this rank, and the capacity of its arrays."""
         return self._lammps.extract_setting("nlocal"), self._lammps.extract_setting("nmax")
 
     def _new_lammps(self) -> Any:

@@ -1,4 +1,4 @@
-"""What dampers are worth: resonance peaks without and with them, lowered and moved, with bounds."""
+"""Effect of dampers on resonance peaks: height and frequency without and with them, with bounds."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from rig.results import plainly, rounded
 from rig.results.response import Response
 from rig.results.uncertainty import SENSITIVITY
 
-# A peak is looked for within this part of the bare natural frequency below it, and half of it above.
+# Band of a peak below the bare natural frequency, as a share of it; half as wide above.
 _BELOW = 0.15
-# A measured point that its neighbours foretell worse than this is no point of a smooth curve: the motion jumps.
+# Where neighbours predict a point worse than this, the curve is not smooth: the motion jumps.
 _SMOOTH = 0.2
 _GRID = 801
 # Relative accuracy that the curve between the points of a peak should have; below it, denser points are advised.
@@ -29,19 +29,18 @@ class Peak:
     Attributes
     ----------
     value, bound : float
-        Height and how far it may be off either way, m/N; `bound` is infinite where the motion jumps or points were left
-        out beside the highest one: the peak is then at least as high as `value`.
+        Height and its 95 % bound, m/N; `bound` is infinite where the motion jumps or points were left out next to the
+        highest point: the peak is then at least as high as `value`.
     frequency, first, last : float
-        Where it is, and between which frequencies it may be, Hz.
+        Frequency, and its limits, Hz.
     least : float
-        What it is as high as in any case: its highest point less that one's bound, m/N.
+        Lower limit of the height: that of its highest point, m/N.
     between : float
-        Part of `bound` for what the curve may do between its points, m/N.
+        Part of `bound` for the curve between its points, m/N.
     step : float
-        Widest distance of the points beside the highest one, Hz; 0 where it does not matter.
+        Largest distance of the points next to the highest point, Hz; 0 where it does not matter.
     at_end : bool
-        Whether this is but the last point looked at, which no point between is a peak beside: that of another peak's
-        flank, or of one beyond.
+        Whether the highest point is at the end of the band: it belongs to the flank of another peak.
     """
 
     value: float
@@ -56,21 +55,21 @@ class Peak:
 
     @property
     def low(self) -> float:
-        """Least height that it may have, m/N."""
+        """Lower limit of the height, m/N."""
         if self.at_end:
             return 0.0
         return self.value if isinf(self.bound) else max(self.value - self.bound, self.least)
 
 
 def peak(frf: Response, low: float, high: float) -> Peak | None:
-    """Find the peak of a receptance between two frequencies, between its measured points too.
+    """Estimate the peak of a receptance between two frequencies.
 
-    Around a resonance 1/H is nearly a quadratic in frequency (k - m w^2 + i c w for one mode), so that it is
-    interpolated and not the peak itself: through the three points around the highest one, and through five as a check.
-    The bound holds the bounds of these points and twice both what the two interpolations differ by and what the points
-    miss of what their neighbours foretell: dampers make peaks narrower than 1/H shows from wide points. (Of computed
-    curves beneath dampers, at one to nine points in the half-power width, that held the peak of 98 %.) The peak's
-    place is where the curve comes within the bound of its height.
+    Around a resonance 1/H is nearly quadratic in frequency (k - m w^2 + i c w for one mode), so that 1/H is
+    interpolated, through the three points around the highest point, and through five as a check. The bound contains
+    the bounds of these points, and twice both the difference of the two interpolations and the error with which
+    neighbours predict the points: dampers make peaks narrower than widely spaced points show. (Of computed curves with
+    dampers, at one to nine points in the half-power width, it contained the peak of 98 %.) The frequency's limits are
+    where the curve comes within the bound of its height.
 
     Parameters
     ----------
@@ -99,19 +98,19 @@ def peak(frf: Response, low: float, high: float) -> Peak | None:
     beside = f[[top - 1, top + 1]]
     if np.any((part.omitted > beside[0]) & (part.omitted < beside[1])) or f.size < 4:
         return Peak(float(size[top]), inf, float(f[top]), float(beside[0]), float(beside[1]))
-    foretold = _through(f[near[near != top]], inverse[near[near != top]], f[[top]])
-    if abs(abs(1.0 / foretold[0]) / size[top] - 1.0) > _SMOOTH and near.size > 3:
+    predicted = _interpolated(f[near[near != top]], inverse[near[near != top]], f[[top]])
+    if abs(abs(1.0 / predicted[0]) / size[top] - 1.0) > _SMOOTH and near.size > 3:
         return Peak(float(size[top]), inf, float(f[top]), float(f[top - 1]), float(f[top + 1]))
     three = slice(top - 1, top + 2)
     grid = np.linspace(f[top - 1], f[top + 1], _GRID)
-    curve = abs(1.0 / _through(f[three], inverse[three], grid))
-    other = abs(1.0 / _through(f[near], inverse[near], grid))
+    curve = abs(1.0 / _interpolated(f[three], inverse[three], grid))
+    other = abs(1.0 / _interpolated(f[near], inverse[near], grid))
     best = int(np.argmax(curve))
-    # What each point's bound does to 1/H there, and so to the peak.
-    share = abs(_through(f[three], np.eye(3), grid[[best]]))[:, 0]
+    # Effect of each point's bound on 1/H there, and so on the peak.
+    share = abs(_interpolated(f[three], np.eye(3), grid[[best]]))[:, 0]
     measured = curve[best] ** 2 * float(share @ (around[three] / size[three] ** 2))
-    unforeseen = _not_foretold(f, inverse, scatter / size**2, top)
-    between = 2.0 * float(abs(other.max() - curve[best]) + unforeseen * curve[best])
+    prediction_error = _prediction_error(f, inverse, scatter / size**2, top)
+    between = 2.0 * float(abs(other.max() - curve[best]) + prediction_error * curve[best])
     bound = measured + between
     high_enough = np.concatenate(
         [
@@ -132,7 +131,7 @@ def peak(frf: Response, low: float, high: float) -> Peak | None:
 
 
 def _top(size: np.ndarray, scatter: np.ndarray) -> int:
-    """Which point is the highest that stands out of its surroundings by more than scatter; without one, the highest."""
+    """Index of the highest point that exceeds its surroundings by more than scatter, or else of the highest."""
     highest, found = int(np.argmax(size)), -1
     if 0 < highest < size.size - 1:
         return highest
@@ -145,21 +144,21 @@ def _top(size: np.ndarray, scatter: np.ndarray) -> int:
     return highest if found < 0 else found
 
 
-def _not_foretold(f: np.ndarray, inverse: np.ndarray, scatter: np.ndarray, top: int) -> float:
-    """How far points at the top are off what two neighbours on either side foretell, beyond scatter; relative."""
+def _prediction_error(f: np.ndarray, inverse: np.ndarray, scatter: np.ndarray, top: int) -> float:
+    """Relative error with which two neighbours on either side predict the points at the top, beyond scatter."""
     misses = [0.0]
     for k in (top - 1, top, top + 1):
         others = np.array([i for i in range(max(k - 2, 0), min(k + 3, f.size)) if i != k])
         if others.size < 4 and k != top:
             continue
-        weights = _through(f[others], np.eye(others.size), f[[k]])[:, 0]
-        foretold = weights @ inverse[others]
+        weights = _interpolated(f[others], np.eye(others.size), f[[k]])[:, 0]
+        predicted = weights @ inverse[others]
         explained = abs(weights) @ scatter[others] + scatter[k]
-        misses.append(float((abs(foretold - inverse[k]) - explained) / abs(foretold)))
+        misses.append(float((abs(predicted - inverse[k]) - explained) / abs(predicted)))
     return max(misses)
 
 
-def _through(f: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
+def _interpolated(f: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
     """Interpolate complex values by the polynomial through all points."""
     middle, scale = f.mean(), np.ptp(f)
     weights = np.polynomial.polynomial.polyvander((f - middle) / scale, f.size - 1)
@@ -168,26 +167,26 @@ def _through(f: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class PeakChange:
-    """What became of one resonance of one response."""
+    """Change of one resonance peak of one response."""
 
     response: str
     mode: float
-    """Natural frequency that the bare curves have [Hz]."""
+    """Natural frequency of the bare structure, Hz."""
     damping: float
     """Damping ratio there."""
     bare: Peak
     damped: Peak
     as_read: tuple[Peak, Peak] | None = None
-    """The same two as read by the same sensors, whose sensitivities are no part of a change; None where it may be."""
+    """Both without the errors of their sensitivities, where the same sensors read both: these cancel in a change."""
 
     @property
-    def _beside(self) -> tuple[Peak, Peak]:
+    def _compared(self) -> tuple[Peak, Peak]:
         return self.as_read or (self.bare, self.damped)
 
     @property
     def decibel(self) -> tuple[float, float, float]:
-        """Change of the peak in dB, and between which values it lies (infinite: not bounded on that side)."""
-        bare, damped = self._beside
+        """Change of the peak in dB, and its limits (infinite: unbounded on that side)."""
+        bare, damped = self._compared
         return (
             20.0 * log10(damped.value / bare.value),
             _ratio_dB(damped.low, bare.value + bare.bound),
@@ -196,8 +195,8 @@ class PeakChange:
 
     @property
     def shift(self) -> tuple[float, float, float]:
-        """Shift of the peak in Hz, and between which values it lies."""
-        bare, damped = self._beside
+        """Shift of the peak in Hz, and its limits."""
+        bare, damped = self._compared
         return (
             damped.frequency - bare.frequency,
             damped.first - bare.last,
@@ -206,7 +205,7 @@ class PeakChange:
 
     @property
     def equivalent_damping(self) -> float:
-        """Viscous damping ratio that would lower the bare peak as far."""
+        """Viscous damping ratio that would lower the bare peak as much."""
         return self.damping * self.bare.value / self.damped.value
 
 
@@ -224,7 +223,7 @@ def peak_changes(
     Parameters
     ----------
     modes : Modes
-        What the bare curves hold.
+        Of the bare curves.
     bare, damped : sequence of Response
         All responses of a recording without, and of one with dampers (or with others).
     same_sensors : collection of str
@@ -265,12 +264,12 @@ def covers(curve: Response, frequency: float) -> bool:
 
 
 def _as_read(curve: Response) -> Response:
-    """Leave out of a curve's bounds what its sensors' sensitivities are off by."""
+    """Remove the sensors' sensitivities from the bounds of a curve."""
     return curve.without(SENSITIVITY)
 
 
 def surroundings(modes: Modes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Give the modes' frequencies in rising order, and between which ones their peaks are looked for, Hz."""
+    """Give the modes' frequencies in rising order, and the bands of their peaks, Hz."""
     frequency = np.sort(modes.frequency)
     between = np.sqrt(frequency[1:] * frequency[:-1])
     low = np.maximum(frequency * (1.0 - _BELOW), np.append(0.0, between))
@@ -279,7 +278,7 @@ def surroundings(modes: Modes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def highest_left_out(modes: Modes, bare: Sequence[Response]) -> list[str]:
-    """Say of which responses the highest peak is none of the modes that are compared."""
+    """Name the responses whose highest peak belongs to no compared mode."""
     _, low, high = surroundings(modes)
     said = []
     for curve in bare:
@@ -302,7 +301,7 @@ def highest_left_out(modes: Modes, bare: Sequence[Response]) -> list[str]:
 
 
 def unresolved(peaks: Sequence[tuple[float, str, Peak]]) -> list[str]:
-    """Name peaks whose points are too far apart to determine their heights, and the spacing that they need.
+    """Name peaks whose points are too far apart to determine their heights, and the spacing that is needed.
 
     Parameters
     ----------
@@ -315,7 +314,7 @@ def unresolved(peaks: Sequence[tuple[float, str, Peak]]) -> list[str]:
         here = {name: one for at, name, one in wide if at == mode}
         worst = max(here.values(), key=lambda one: one.between / one.value)
         off = worst.between / worst.value
-        # What interpolation misses falls with the square of the step at least.
+        # The error of interpolation falls at least with the square of the step.
         said.append(
             f"{', '.join(here)}, near {worst.frequency:.2f} Hz: between points {worst.step:.2g} Hz apart the peak may "
             f"be up to {plainly(float(f'{100 * off:.2g}'))} % off what they show, which its interval allows for; "
@@ -356,7 +355,7 @@ def _change(value: tuple[float, float, float], unit: str, digits: int, falls: st
     if isinf(least) and isinf(most):
         return "changed by an unknown amount"
     if isinf(least) or isinf(most):
-        # What is not bounded on one side has no best value.
+        # Without a bound on one side there is no best value.
         return (
             f"{word} by at {f'least {least:.{digits}f}' if isinf(most) else f'most {most:.{digits}f}'} {unit}"
         )
@@ -364,7 +363,7 @@ def _change(value: tuple[float, float, float], unit: str, digits: int, falls: st
 
 
 def _without_bound(change: PeakChange) -> str:
-    """Say which peak has no upper bound, if one has none."""
+    """Name the peaks that have no upper bound."""
     peaks = (("first", change.bare), ("second", change.damped))
     which = " and ".join(name for name, one in peaks if isinf(one.bound))
     return which and f"the {which} peak may be higher than measured"

@@ -1,4 +1,4 @@
-"""Energy that dampers take out of a period of a steady tone."""
+"""Energy that dampers dissipate per period of a steady tone, from the balance of work and structural damping."""
 
 from __future__ import annotations
 
@@ -30,22 +30,22 @@ class CycleEnergy:
     supplied: Array
     """Work of the force on the structure, J; shape (n,)."""
     structure: Array
-    """Dissipated in the structure's own damping as the scene has it, J; shape (n,)."""
+    """Dissipated by the structure's own damping, as the scene has it, J; shape (n,)."""
     bound: Array
-    """How far `dampers` may be off, J, with 95 % confidence in its random part; shape (n,)."""
+    """95 % bound of `dampers`, J; shape (n,)."""
 
     @property
     def dampers(self) -> Array:
-        """What is left: lost in the dampers' impacts, J."""
+        """Difference of the two: dissipated by the dampers' impacts, J."""
         return self.supplied - self.structure
 
 
 def energy_per_cycle(rec: Recording, sweep: Sweep) -> CycleEnergy:
-    """Energy that force, structure and dampers exchange in a period, from the channels.
+    """Estimate the energy that force, structure and dampers exchange per period from the channels.
 
     Force and motion of the driven body, harmonics included, give the work; the motion of all bodies and the
     structure's damping matrix, known from the scene, give what the structure dissipates. Both are forms of second
-    degree in the channels' amplitudes a: what errors da do to their difference is ``2 Re(g^H da)``.
+    degree in the channels' amplitudes a: errors da change their difference by ``2 Re(g^H da)``.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ def energy_per_cycle(rec: Recording, sweep: Sweep) -> CycleEnergy:
 def _bound(
     rec: Recording, sweep: Sweep, slopes: list[ComplexArray], compliance: ComplexArray, of_force: ComplexArray
 ) -> Array:
-    """How far the energy may be off: scatter and every systematic part of the channels, their squares added up.
+    """Bound of the energy: root sum of squares of scatter and of every systematic part of the channels.
 
     Parameters
     ----------
@@ -133,13 +133,13 @@ def _bound(
 
 
 def impact_energy_per_cycle(rec: Recording, sweep: Sweep) -> Array:
-    """Energy truly lost in impacts in a period of each tone, J, where the truth was recorded.
+    """Give the true energy lost in impacts per period of each tone, J, where the truth was recorded.
 
     Each impact takes (1 - e²) of half the reduced mass of damper and body times the closing speed squared. Where
     contact lasts, it is the work of the walls in a steady motion: of a bed of mass m in a body that accelerates with a,
     whose gap opens with v, the integral of -m a v, as the bed's own inertia and weight take nothing in whole periods.
-    NaN where a bed is grains, whose impacts nobody lists, and where instant impacts are felt by other dampers at once,
-    in the same body or through a full mass matrix.
+    NaN where a bed is grains, whose impacts are not listed, and where instant impacts act on other dampers as well, in
+    the same body or through a full mass matrix.
     """
     from rig.system.assembly import assemble
     from rig.system.structural_model import structural_model
@@ -165,7 +165,7 @@ def impact_energy_per_cycle(rec: Recording, sweep: Sweep) -> Array:
 def _work_of_walls(rec: Recording, j: int, frequency: float, first: int, stop: int) -> float:
     """Integral of -a v of a damper (from 0) over a period, from the truth in a window, J/kg.
 
-    By the spectra of place and gap, which fall so fast that next to nothing folds back.
+    By the spectra of displacement and gap, which fall so fast that aliasing is negligible.
     """
     periods = int((stop - first) / rec.rate * frequency)
     samples = round(periods / frequency * rec.rate)

@@ -1,4 +1,4 @@
-"""The force pulse of a landing that lasts: how its body's velocity changes from touch to release."""
+"""Force pulse of a landing of finite duration: change of its body's velocity from touch to release."""
 
 from __future__ import annotations
 
@@ -18,25 +18,26 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-# A landing of no more than this part of a sample interval is a jump.
-_INSTANT = 0.25
-# Pulses that differ by no more than this part of the velocity's change count as one.
-_ALIKE = 0.02
-# At critical damping both roots are one, and the closed form needs two.
+# A landing shorter than this share of a sample interval is instant.
+_INSTANT_SHARE = 0.25
+# Pulses that differ by less than this share of the velocity's change are equal.
+_EQUAL_SHARE = 0.02
+# At critical damping both roots are equal, and the closed form needs two.
 _CRITICAL = 1e-6
-_FINE = 200
+# Instants at which pulses are compared.
+_INSTANTS = 200
 
 
 @dataclass(frozen=True)
 class Pulse:
-    """Force of a spring-dashpot of one damping ratio on what lands on it, until it would pull."""
+    """Force of a spring-dashpot on a mass that lands on it, until it would pull."""
 
     duration: float
-    """From touch to release of a landing under no other force, s."""
+    """From touch to release without other forces, s."""
     ratio: float
-    """Damping ratio of the contact with what lands on it."""
+    """Damping ratio of contact and mass."""
     angular: float
-    """Natural frequency of the contact with what lands on it, rad/s."""
+    """Natural frequency of contact and mass, rad/s."""
 
     def exchanged(self, time: Array) -> Array:
         """Return the share of the body's change of velocity at a time after first contact, s.
@@ -50,11 +51,11 @@ class Pulse:
         return (1.0 - self._speed(np.clip(time, 0.0, self.duration))) / (1.0 + self.restitution)
 
     def _speed(self, time: Array) -> Array:
-        """Give the closing speed at times of contact, in that of the touch."""
+        """Give the closing speed during contact relative to that at the touch."""
         ratio = self.ratio + _CRITICAL * (abs(self.ratio - 1.0) < _CRITICAL)
-        apart = np.sqrt(complex(ratio**2 - 1.0))
-        one, other = self.angular * (apart - ratio), -self.angular * (apart + ratio)
-        speed = (one * np.exp(one * time) - other * np.exp(other * time)) / (one - other)
+        root = np.sqrt(complex(ratio**2 - 1.0))
+        first, second = self.angular * (root - ratio), -self.angular * (root + ratio)
+        speed = (first * np.exp(first * time) - second * np.exp(second * time)) / (first - second)
         return np.asarray(speed.real)
 
     @property
@@ -64,12 +65,12 @@ class Pulse:
 
     @cached_property
     def width(self) -> float:
-        """Time in which nine tenths of it are over, s."""
-        time = np.linspace(0.0, self.duration, _FINE)
+        """Time of nine tenths of the velocity's change, s."""
+        time = np.linspace(0.0, self.duration, _INSTANTS)
         return float(np.interp(0.9, self.exchanged(time), time))
 
 
-_AT_ONCE = Pulse(duration=1e-9, ratio=0.0, angular=np.pi / 1e-9)
+_INSTANT_PULSE = Pulse(duration=1e-9, ratio=0.0, angular=np.pi / 1e-9)
 
 
 def landing_pulse(scene: Scene, place: str, rate: float) -> Pulse | None:
@@ -78,7 +79,7 @@ def landing_pulse(scene: Scene, place: str, rate: float) -> Pulse | None:
     Raises
     ------
     RecordingError
-        If there are grains, or landings that differ.
+        If there are grains, or landings of different pulses.
     """
     from rig.system.assembly import assemble
 
@@ -99,15 +100,15 @@ def landing_pulse(scene: Scene, place: str, rate: float) -> Pulse | None:
         [j] = np.flatnonzero(system.damper_number == number)
         for wall in (1, 2) if np.isfinite(damper.clearance) else (1,):
             if not system.lasting[j]:
-                pulses.append(_AT_ONCE)
+                pulses.append(_INSTANT_PULSE)
                 continue
             duration, _ = system.landing(int(j), wall)
             angular = np.sqrt(system.wall_stiffness[j, wall - 1] / system.reduced_mass[j])
             ratio = system.wall_damping[j, wall - 1] / (2.0 * angular * system.reduced_mass[j])
             pulses.append(Pulse(float(duration), float(ratio), float(angular)))
     longest = max(pulses, key=lambda pulse: pulse.duration)
-    time = np.linspace(0.0, longest.duration, _FINE)
-    if any(abs(pulse.exchanged(time) - longest.exchanged(time)).max() > _ALIKE for pulse in pulses):
+    time = np.linspace(0.0, longest.duration, _INSTANTS)
+    if any(abs(pulse.exchanged(time) - longest.exchanged(time)).max() > _EQUAL_SHARE for pulse in pulses):
         raise RecordingError(
             f"{place}: floor and ceiling, or its dampers, differ in how landings last and rebound, and which of "
             "them is met is not known beforehand: they can be detected in a channel only where all are equal"
@@ -118,7 +119,7 @@ def landing_pulse(scene: Scene, place: str, rate: float) -> Pulse | None:
 def transmissibility(scene: Scene, number: int, frequency: Array) -> NDArray[np.complex128]:
     """Return the share of a damper's motion in its body's while it rests on its floor; dampers count from 1.
 
-    It leaves the floor where its own acceleration falls below -g: on one that gives way, the body's may not.
+    It leaves the floor where its own acceleration falls below -g, which on a compliant floor is not the body's.
     """
     if scene.dampers[number - 1].contact is None:
         return np.ones(frequency.size, dtype=complex)
@@ -133,7 +134,8 @@ def transmissibility(scene: Scene, number: int, frequency: Array) -> NDArray[np.
 
 
 def _instant(damper: Damper, rate: float) -> bool:
-    """Whether a landing is seen as instant: it is, or named by a time well within a sample interval."""
+    """Whether a landing counts as instant: its duration is well within a sample interval."""
     return all(
-        isinstance(wall, Landing) and wall.duration * rate <= _INSTANT for wall in walls_of(damper.contact)
+        isinstance(wall, Landing) and wall.duration * rate <= _INSTANT_SHARE
+        for wall in walls_of(damper.contact)
     )

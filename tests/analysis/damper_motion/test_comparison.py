@@ -79,7 +79,7 @@ def test_given_points_left_out_beside_the_highest_one_when_looked_for_then_the_p
     f = np.linspace(9.0, 11.0, 41)
     curve = measured(f, 1.0 / (1.0 - (f / 10.03) ** 2 + 0.02j))
     kept = abs(f - 10.1) > 0.12
-    found = peak(replace(curve.at(kept), left_out=f[~kept]), 9.0, 11.0)
+    found = peak(replace(curve.at(kept), omitted=f[~kept]), 9.0, 11.0)
     assert found is not None and math.isinf(found.bound) and found.value < abs(curve.value).max()
 
 
@@ -153,7 +153,7 @@ def test_given_the_same_sensors_when_compared_then_their_sensitivities_are_in_th
 ):
     f = np.linspace(9.0, 11.0, 81)
     bare, damped = (
-        replace(curve, systematic={SENSITIVITY: 0.15 * abs(curve.value)})
+        curve.with_limits({SENSITIVITY: 0.15 * abs(curve.value)})
         for curve in (measured(f, two_modes(f, 10.0, ratio)) for ratio in (0.01, 0.02))
     )
     modes = analysis.identify([bare])

@@ -1,6 +1,6 @@
 # The public names and where they live; `__init__.py` imports each when it is first used.
 
-from .calls import Results, compare, cost, dampers, export, frf, modes, report
+from .calls import Results, compare, cost, dampers, export, frf, modes, paper, report
 from .damper_motion.dampers import Dampers
 from .decays.free_decay import Decay, decay
 from .exporting.export import sep005
@@ -32,6 +32,7 @@ __all__ = [
     "identify",
     "mac",
     "modes",
+    "paper",
     "read_frfs",
     "report",
     "sep005",

@@ -271,6 +271,33 @@ def cost(
     return chain_study(scene_of(scene), frequency, progress)
 
 
+def paper(
+    output: str | Path,
+    fresh: Sequence[str] = (),
+    cluster: str | None = None,
+    overwrite: bool = False,
+    progress: Callable[[str], None] | None = None,
+) -> list[Path]:
+    """Reproduce the figures of the paper and judge its claims, as `analysis paper`; return figures and pages.
+
+    Parameters
+    ----------
+    output : str or Path
+        Folder for data, figures and the page. A second call continues the first.
+    fresh : sequence of str
+        Parts to compute again.
+    cluster : str, optional
+        As for `rig.design`.
+    progress : callable, optional
+        Called with lines of text.
+    """
+    from analysis.reproduction.reproduce import reproduce
+    from rig.provenance import overwriting
+
+    with overwriting(overwrite):
+        return reproduce(Path(output), progress or (lambda _: None), fresh, cluster)
+
+
 def _each(recordings: Recordings) -> list[OneRecording]:
     one = isinstance(recordings, str | Path) or hasattr(recordings, "channels")
     return [recordings] if one else list(recordings)  # type: ignore[arg-type, list-item]

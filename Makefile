@@ -92,5 +92,5 @@ docs: $(STAMP)
 	@echo "open build/docs/index.html"
 
 clean:
-	rm -rf $(VENV) $(VENV)-peers .docs/reference build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) $(VENV)-peers .docs/reference .docs/examples .docs/gallery build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

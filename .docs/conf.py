@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
 from importlib import import_module
 from pathlib import Path
@@ -11,16 +12,26 @@ from typer.testing import CliRunner
 
 ROOT = Path(__file__).parents[1]
 REFERENCE = ROOT / ".docs" / "reference"
+EXAMPLES = ROOT / ".docs" / "examples"
 sys.path.insert(0, str(ROOT))
 
 project = "shotrig"
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.mathjax", "numpydoc"]
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.mathjax",
+    "numpydoc",
+    "sphinx_gallery.gen_gallery",
+]
 root_doc = ".docs/index"
 include_patterns = [
     ".docs/index.md",
     ".docs/reference/*",
+    ".docs/gallery/*.rst",
     "README.md",
-    "*/README.md",
+    "rig/README.md",
+    "daq/README.md",
+    "analysis/README.md",
     "*/guide/*.md",
     "recordings/README.md",
     "daq/recording/LAYOUT.md",
@@ -35,6 +46,27 @@ numpydoc_show_class_members = False
 numpydoc_xref_param_type = False
 autodoc_typehints = "none"
 autodoc_member_order = "bysource"
+# Each example runs, and its figures and prints are shown.
+sphinx_gallery_conf = {
+    "examples_dirs": str(EXAMPLES),
+    "gallery_dirs": str(ROOT / ".docs" / "gallery"),
+    "filename_pattern": r"\.py$",
+    "ignore_pattern": "__init__",
+    "abort_on_example_error": True,
+    "download_all_examples": False,
+    "write_computation_times": False,
+}
+
+
+def write_examples() -> None:
+    """Copy the examples next to the recordings that they read."""
+    shutil.rmtree(EXAMPLES, ignore_errors=True)
+    shutil.copytree(ROOT / "analysis" / "examples", EXAMPLES, ignore=shutil.ignore_patterns("__*"))
+    (EXAMPLES / "recordings").mkdir()
+    for file in (ROOT / "recordings").glob("demo-*.mcap"):
+        shutil.copy(file, EXAMPLES / "recordings")
+    title = "Gallery\n=======\n\nWorked examples. The scripts are in ``analysis/examples``.\n"
+    (EXAMPLES / "GALLERY_HEADER.rst").write_text(title, encoding="utf-8")
 
 
 def write_reference() -> None:
@@ -64,3 +96,4 @@ def commands(package: str) -> str:
 
 
 write_reference()
+write_examples()

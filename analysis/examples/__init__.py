@@ -1,1 +1,1 @@
-"""Three ways into the packages, as scripts with cell marks that notebook editors open."""
+"""The gallery: worked examples, as scripts with cell marks that notebook editors open and the documentation shows."""

@@ -1,6 +1,13 @@
-"""Choosing a damper: the worst peak over a band, over clearance, from exact steady motions."""
+"""
+Choose a damper
+===============
 
-# %% One damper in body 2; the force itself on body 1, as an ideal controller holds it
+The worst peak over a band depends on the clearance above the damper. Exact steady motions show which clearance
+gives the lowest. `rig design` also searches places, masses and several force levels.
+"""
+
+# %%
+# One damper in body 2. A force acts on body 1 directly, as an ideal controller would hold it.
 import matplotlib.pyplot as plt
 import numpy as np
 
@@ -11,7 +18,7 @@ clearances = np.array([0.3, 0.6, 0.98, 1.6])  # mm
 
 
 def worst_peak(clearance_mm: float) -> float:
-    """Highest compliance of any body in the band, µm/N."""
+    """Return the highest compliance of any body in the band, µm/N."""
     scene = rig.load(
         "fig9",
         {
@@ -23,12 +30,11 @@ def worst_peak(clearance_mm: float) -> float:
     return 1e6 * float(abs(rig.orbit_response(scene, frequencies).compliance).max())
 
 
-# %% The smallest worst peak wins
+# %%
+# The best clearance has the lowest worst peak.
 peaks = np.array([worst_peak(float(clearance)) for clearance in clearances])
 best = clearances[np.argmin(peaks)]
-print(f"best of these: {best} mm, worst peak {peaks.min():.0f} µm/N")
-
-# %% A picture; `rig design` searches places, masses and several levels too
+print(f"best clearance: {best} mm, worst peak {peaks.min():.0f} µm/N")
 axes = plt.subplots(layout="constrained")[1]
 axes.plot(clearances, peaks, "o-")
 axes.set(xlabel="clearance / mm", ylabel="worst peak / (µm/N)", ylim=(0.0, None))

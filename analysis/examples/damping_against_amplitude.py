@@ -1,6 +1,12 @@
-"""Damping against amplitude: what dampers do to a free decay, and below which acceleration they fall silent."""
+"""
+Damping against amplitude
+=========================
 
-# %% Two hammer tests: without dampers and with three
+Particle dampers increase the damping of a free decay until the acceleration of their body falls below 1 g.
+"""
+
+# %%
+# Two hammer tests: without dampers and with three.
 import matplotlib.pyplot as plt
 
 import analysis
@@ -11,12 +17,14 @@ damped = daq.open("recordings/demo-impulse-three-dampers.mcap")
 decays = [analysis.decay(recording, "body3") for recording in (bare, damped)]
 print(*decays, sep="\n")
 
-# %% The decays in one picture
+# %%
+# The decays in one picture.
 axes = plt.subplots(layout="constrained")[1]
 for decay in decays:
     decay.plot(axes)
 
-# %% Damping ratio of each mode over its amplitude: constant without dampers, larger with them above 1 g
+# %%
+# Damping ratio of each mode over its amplitude: constant without dampers, larger with them above 1 g.
 for decay in decays:
     for mode in decay.modes:
         pairs = zip(mode.amplitude[::4], mode.damping[::4], strict=True)

@@ -1,0 +1,46 @@
+"""
+Accuracy against time
+=====================
+
+How long a tone is measured decides how much noise remains. The rehearsal shows which length is worth its time.
+`analysis cost SCENE` compares integrators, filters, rates and bits in the same manner.
+"""
+
+# %%
+# One tone next to the second resonance, measured over more and more periods, four times each with other noise.
+import matplotlib.pyplot as plt
+import numpy as np
+
+import analysis
+import daq
+import rig
+
+tone = {
+    "test": {
+        "kind": "stepped_sine",
+        "frequencies": ["34 Hz"],
+        "force": "0.05 N",
+        "settle": {"tolerance": "0.01 %"},
+    },
+    "converter.rate": "800 Hz",
+}
+exact = rig.frequency_response(rig.load("fig8-no-damper", tone), ["34 Hz"]).compliance[2, 0]
+periods = [5, 20, 80]
+seconds, errors = [], []
+for count in periods:
+    values = []
+    for seed in range(4):
+        scene = rig.load("fig8-no-damper", {**tone, "test.measure": {"periods": count}, "seed": seed})
+        with daq.open(daq.record(scene, "tone.mcap", overwrite=True)) as recording:
+            values.append(analysis.frfs(recording)["body3"].value[0])
+    seconds.append(count / 34.0)
+    errors.append(float(np.sqrt(np.mean(abs(np.array(values) / exact - 1.0) ** 2))))
+    print(f"{count} periods, {seconds[-1]:.1f} s: error {100 * errors[-1]:.3g} %")
+
+# %%
+# Four times the time halves the random part of the error.
+axes = plt.subplots(layout="constrained")[1]
+axes.loglog(seconds, errors, "o-", label="measured")
+axes.loglog(seconds, errors[0] * np.sqrt(seconds[0] / np.array(seconds)), "k:", label="1 / √time")
+axes.set(xlabel="time of the measurement / s", ylabel="relative error of the compliance")
+axes.legend()

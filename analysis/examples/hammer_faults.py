@@ -1,0 +1,56 @@
+"""
+Hammer test: double hits and clipping
+=====================================
+
+A rebound of the hammer and a range that is too small are the two common faults of a hammer test. Here both happen on
+purpose, so that their effect on the response is known.
+"""
+
+# %%
+# A bracket of two bodies, hit on its base. The second test has a rebound after 25 ms, the third a range of 1 V.
+import matplotlib.pyplot as plt
+import numpy as np
+
+import analysis
+import daq
+import rig
+
+BRACKET = """
+name: bracket
+structure: {masses: [4.2 kg, 1.1 kg], springs: [839 kN/m, 964 kN/m], damping: {modal: 0.7 %}}
+test: {kind: impulse, body: 1, peak: 200 N, width: 2 ms, repeats: 3, interval: 2 s}
+channels:
+  - {name: base, at: body 1, accelerometer: &sensor {sensitivity: 100 mV/g, noise: 20 ug/sqrt(Hz)}}
+  - {name: arm, at: body 2, accelerometer: *sensor}
+  - {name: hammer, at: hammer, hammer: {sensitivity: 11 mV/N}}
+converter: {rate: 5120 Hz, bits: 24, range: 5 V}
+"""
+tests = {
+    "clean hits": BRACKET,
+    "double hits": BRACKET.replace("interval: 2 s", "interval: 2 s, double_hit: {after: 25 ms, ratio: 0.5}"),
+    "clipped": BRACKET.replace("range: 5 V", "range: 1 V"),
+}
+
+# %%
+# Force and response of each test. A double hit has deep minima in the spectrum of its force, where noise dominates.
+figure, (above, below) = plt.subplots(2, layout="constrained", figsize=(6.4, 6.4))
+overloads, peaks = {}, {}
+for name, text in tests.items():
+    path = daq.record(rig.loads(text), "hits.mcap", overwrite=True)
+    with daq.open(path) as recording:
+        hit = next(marker for marker in recording.markers if marker.kind == "hit").first_sample
+        force = recording.read("hammer", hit, hit + 4096)
+        overloads[name] = sum(marker.kind == "overload" for marker in recording.markers)
+        try:
+            frf = analysis.frfs(recording)["arm"]
+        except rig.errors.RecordingError as error:
+            print(f"{name}: {error}")
+            continue
+    spectrum = abs(np.fft.rfft(force)) / 5120.0
+    above.semilogy(np.fft.rfftfreq(4096, 1 / 5120.0), spectrum, label=name)
+    below.semilogy(frf.frequency, 1e6 * abs(frf.value), label=name)
+    peaks[name] = float(frf.frequency[np.argmax(abs(frf.value))])
+    print(f"{name}: highest at {peaks[name]:.2f} Hz, weakest force line {spectrum[:1600].min():.1e} N s")
+above.set(xlim=(0, 400), ylim=(1e-4, 1), ylabel="force spectrum / (N s)")
+below.set(xlim=(0, 400), xlabel="frequency / Hz", ylabel="compliance of the arm / (µm/N)")
+above.legend()

@@ -1,0 +1,47 @@
+"""
+Import a measured file and fit a model
+======================================
+
+Measurements of another program become a recording, and a guess of the structure becomes a model with intervals.
+"""
+
+# %%
+# A file from elsewhere: here a recording of the repository, written as a table of time histories.
+import csv
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+import analysis
+import daq
+
+with daq.open("recordings/demo-impulse-no-damper.mcap") as recording:
+    scene, rate, names = recording.scene, recording.rate, list(recording.channels)
+    samples = np.array([recording.read(name, 0, recording.samples) for name in names])
+with Path("bench.csv").open("w", newline="", encoding="utf-8") as file:
+    writer = csv.writer(file)
+    writer.writerow(["time", *names])
+    writer.writerows(np.column_stack([np.arange(samples.shape[1]) / rate, samples.T]).tolist())
+
+# %%
+# Import: the scene says what the channels are, a table gives the units; the hit is detected in the force.
+units = {name: "N" if name == "hammer" else "m/s^2" for name in names}
+table = "".join(f"{name}: {{column: {name}, unit: {unit}}}\n" for name, unit in units.items())
+Path("channels.yaml").write_text(table, encoding="utf-8")
+path = daq.import_files("bench.csv", scene, "bench.mcap", table="channels.yaml", overwrite=True)
+with daq.open(path) as imported:
+    hits = [marker for marker in imported.markers if marker.kind == "hit"]
+    frfs = analysis.frfs(imported)
+print(f"{len(hits)} hit, at {hits[0].first_sample / rate:.3f} s")
+
+# %%
+# Fit masses, springs and damping, from a guess that is 10 % wrong.
+guess = scene.replace(structure=scene.structure.replace(masses=["0.81 kg", "0.64 kg", "0.70 kg"]))
+fit = analysis.fit(path, guess)
+print(fit)
+axes = plt.subplots(layout="constrained")[1]
+frf = frfs["body3"]
+axes.semilogy(frf.frequency, 1e6 * abs(frf.value), label="imported")
+axes.set(xlabel="frequency / Hz", ylabel="compliance of body 3 / (µm/N)", xlim=(5, 60))
+axes.legend()

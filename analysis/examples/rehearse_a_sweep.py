@@ -1,0 +1,49 @@
+"""
+Rehearse a sweep: what the settle time costs
+============================================
+
+A stepped sine waits at each frequency until the transient of the step before has decayed. Waiting longer costs time on
+the bench; waiting less leaves an error. The rehearsal shows both before the test.
+"""
+
+# %%
+# The paper's structure without dampers, 15 points around the second resonance (34.8 Hz, 0.5 % damping).
+import matplotlib.pyplot as plt
+
+import analysis
+import daq
+import rig
+
+changes = {"test.from": "33 Hz", "test.to": "36.5 Hz", "test.points": 15, "converter.rate": "800 Hz"}
+scene = rig.load("fig8-no-damper", changes)
+print(rig.explain(scene))
+
+# %%
+# Record the test with three tolerances of the transient. The controller sees the channels only, as on a bench.
+durations, frfs = {}, {}
+for tolerance in ("10 %", "0.1 %", "0.001 %"):
+    variant = rig.load("fig8-no-damper", {**changes, "test.settle": {"tolerance": tolerance}})
+    path = daq.record(variant, "sweep.mcap", overwrite=True)
+    with daq.open(path) as recording:
+        durations[tolerance], frfs[tolerance] = recording.duration, analysis.frfs(recording)
+
+# %%
+# The error is the deviation from the exact response of the scene.
+errors = {}
+axes = plt.subplots(layout="constrained")[1]
+for tolerance, found in frfs.items():
+    frf = found["body3"]
+    exact = rig.frequency_response(scene, frf.frequency).compliance[2]
+    error = abs(frf.value / exact - 1.0)
+    errors[tolerance] = float(error.max())
+    axes.semilogy(
+        frf.frequency, 100 * error, "o-", label=f"{tolerance}: {durations[tolerance]:.0f} s on the bench"
+    )
+    print(f"settled to {tolerance}: {durations[tolerance]:.0f} s, largest error {100 * error.max():.2g} %")
+axes.set(xlabel="frequency / Hz", ylabel="error of the compliance of body 3 / %")
+axes.legend(title="transient that may remain")
+
+# %%
+# The modes of the last recording, with their uncertainties.
+modes = analysis.identify(frfs["0.001 %"], count=1)
+print(modes)

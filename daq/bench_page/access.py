@@ -19,13 +19,7 @@ class TokenGate:
     """An ASGI application in front of another, which refuses requests and web sockets without the token.
 
     The token also protects a page on the loopback address, which any page in the same browser could address.
-
-    Parameters
-    ----------
-    inner : ASGI application
-        The protected application.
-    cookie : str
-        Name of the cookie; pages of several benches on one host need different names.
+    Pages of several benches on one host need different cookies.
     """
 
     def __init__(self, inner: ASGIApp, cookie: str) -> None:

@@ -23,33 +23,15 @@ SHOWN_S = 0.05
 
 @dataclass(eq=False)
 class Hit:
-    """A hit and its verdict.
+    """A hit and its verdict."""
 
-    Attributes
-    ----------
-    number : int
-        Counted from 1.
-    first : int
-        Number of the first sample of its window.
-    peak : float
-        Largest force, N.
-    faults : list of str
-        Reasons to reject it; empty for a good hit.
-    force : ndarray
-        The force around the pulse, N.
-    readings : ndarray, shape (channels, samples)
-        All channels over the window.
-    accepted : bool
-        Whether it enters the frequency response.
-    """
-
-    number: int
-    first: int
-    peak: float
-    faults: list[str]
-    force: Array
-    readings: Array
-    accepted: bool = field(init=False)
+    number: int  # From 1
+    first: int  # First sample of its window
+    peak: float  # N
+    faults: list[str]  # Reasons to reject it
+    force: Array  # Around the pulse, N
+    readings: Array  # All channels over the window, shape (channels, samples)
+    accepted: bool = field(init=False)  # Whether it enters the frequency response
 
     def __post_init__(self) -> None:
         self.accepted = not self.faults
@@ -61,18 +43,9 @@ class Hit:
 
 
 class HitJudge:
-    """Detects hits in the hammer's channel and judges each at the end of its window.
+    """Detects hits in the hammer's channel, one row of the readings, and judges each at the end of its window (s).
 
-    Parameters
-    ----------
-    row : int
-        Row of the hammer's force.
-    rate : float
-        Samples per second.
-    weakest : float
-        Smallest accepted peak, N.
-    window : float
-        Length of the window, s.
+    `weakest` is the smallest accepted peak, N.
     """
 
     def __init__(self, row: int, rate: float, weakest: float, window: float) -> None:

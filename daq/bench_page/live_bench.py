@@ -14,13 +14,7 @@ if TYPE_CHECKING:
 
 
 class LiveBench:
-    """What every browser's page shows.
-
-    Attributes
-    ----------
-    address : str
-        Where NI clients find the device.
-    """
+    """What every browser's page shows; NI clients find the device at `address`."""
 
     def __init__(self, chassis: Chassis, address: str, recording: Path, overwrite: bool) -> None:
         self.chassis, self.address = chassis, address

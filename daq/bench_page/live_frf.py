@@ -57,23 +57,8 @@ class _Sums:
 class LiveFrf:
     """Estimates the responses of all channels on bodies to the force on the structure.
 
-    Parameters
-    ----------
-    scene : Scene
-        The scene with the test that runs.
-    channels : sequence of ChannelInfo
-        The channels, in the order of the readings.
-    rate : float
-        Samples per second.
-    block : float
-        Length of a block, or of a hit's window, s.
-    band : tuple of float
-        Lowest and highest frequency, Hz.
-
-    Raises
-    ------
-    SceneError
-        If no channel measures the force.
+    The test is that of the scene; `block` is the length of a block or of a hit's window in s, `band` is in Hz. Raises
+    `SceneError` if no channel measures the force.
     """
 
     def __init__(

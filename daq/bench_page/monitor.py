@@ -38,13 +38,7 @@ OUTPUT_S = 0.5
 
 
 class History:
-    """The last samples of all channels and outputs, whose numbers count from power-on.
-
-    Parameters
-    ----------
-    rows, size : int
-        Channels and outputs; samples kept.
-    """
+    """The last samples of some rows, whose numbers count from power-on."""
 
     def __init__(self, rows: int, size: int) -> None:
         self._values = np.zeros((rows, size))
@@ -67,23 +61,9 @@ class History:
 
 
 class Monitor:
-    """Follows the blocks of a bench.
+    """Follows the blocks of a bench; `frf` and `judge` are those of the test that runs or ran last.
 
-    Parameters
-    ----------
-    chassis : Chassis
-        The instrument.
-
-    Attributes
-    ----------
-    frf : LiveFrf or None
-        Estimate of the test that runs or ran last.
-    judge : HitJudge or None
-        Of the hammer test that runs or ran last.
-    left_out : int
-        Blocks that the view left out.
-    lost : int
-        Samples missing between the bench's blocks.
+    `lost` counts samples missing between the bench's blocks, `left_out` blocks that the view left out.
     """
 
     def __init__(self, chassis: Chassis) -> None:

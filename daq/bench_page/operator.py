@@ -47,18 +47,10 @@ class Settings:
 
 
 class Operator:
-    """Starts and stops tests on the bench of a chassis.
+    """Starts and stops tests on the bench of a chassis, with `settings` that begin with those of the scene's test.
 
-    Attributes
-    ----------
-    settings : Settings
-        As the page's controls say; they begin with those of the scene's test.
-    kinds : list of str
-        Tests for which the scene has an input.
-    message : str
-        State of the test, or why it could not be started.
-    no_response : str
-        Why there is no live frequency response; empty if there is one.
+    `kinds` are the tests for which the scene has an input. `message` is the state of the test, or why it could not be
+    started; `no_response` says why there is no live frequency response.
     """
 
     # The chassis knows who keeps it awake by this name.

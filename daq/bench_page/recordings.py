@@ -19,25 +19,10 @@ if TYPE_CHECKING:
 
 
 class BenchRecordings:
-    """Records all channels while a test of the page or a client's task runs.
+    """Records all channels while it is `wanted` and a test of the page or a client's task runs.
 
-    Parameters
-    ----------
-    chassis : Chassis
-        The instrument.
-    path : Path
-        First recording; the next are numbered.
-    overwrite : bool
-        Whether the first may replace a file.
-
-    Attributes
-    ----------
-    wanted : bool
-        Whether the record switch is on.
-    paths : list of Path
-        Recordings made.
-    problem : str
-        Why recording has stopped; empty if it has not.
+    The first recording is at `path`, which may replace a file if `overwrite` is set; the next are numbered.
+    `problem` says why recording has stopped.
     """
 
     def __init__(self, chassis: Chassis, path: Path, overwrite: bool) -> None:

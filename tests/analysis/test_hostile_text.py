@@ -34,7 +34,7 @@ WALK = {
     ),
 }
 ELSEWHERE = {
-    "daq": {"record", "replay", "scope", "run", "serve", "import"},
+    "daq": {"bench", "record", "replay", "scope", "run", "serve", "import"},
     "analysis": {"dampers", "beds", "contacts", "demo", "cost", "paper", "compare", "fit"},
 }
 

@@ -25,13 +25,13 @@ START_S = 30.0
 
 
 def bench(
-    scene: Scene | str | None,
-    host: str,
-    port: int,
-    device_port: int,
-    recording: Path,
+    scene: Scene | str | None = None,
+    host: str = "127.0.0.1",
+    port: int = 8031,
+    device_port: int = 31763,
+    recording: str | Path = "recordings/bench.mcap",
     overwrite: bool = False,
-    browser: bool = False,
+    browser: bool = True,
 ) -> None:
     """Serve a rig with a page in the browser until Ctrl-C.
 
@@ -43,7 +43,7 @@ def bench(
         Where the page is; 0 chooses a free port.
     device_port : int
         Where NI clients of this machine find the device; 0 chooses a free port.
-    recording : Path
+    recording : str or Path
         First recording of the record switch; the next are numbered.
     overwrite : bool
         Whether the first may replace a file.
@@ -73,7 +73,7 @@ def bench(
                 f"port {device_port} on 127.0.0.1 is in use. Choose another with --device-port, or 0."
             ) from None
         stack.callback(server.close)
-        shown = LiveBench(chassis, f"127.0.0.1:{server.port}", recording, overwrite)
+        shown = LiveBench(chassis, f"127.0.0.1:{server.port}", Path(recording), overwrite)
         stack.callback(shown.close)
         address = stack.enter_context(_served(shown, host, port))
         gc.collect()

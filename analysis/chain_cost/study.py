@@ -38,8 +38,12 @@ if TYPE_CHECKING:
 CANDIDATES = 15
 #: The test waits until no more than this share of any amplitude is still to come,
 SETTLED = 1e-5
-#: or for so many decay times of the slowest mode, within bounds [s].
-DECAYS, SHORTEST, LONGEST = 10.0, 20.0, 60.0
+#: or for this number of decay times of the slowest mode,
+DECAYS = 10.0
+#: but at least this time, s,
+SHORTEST = 20.0
+#: and at most this time, s.
+LONGEST = 60.0
 #: Periods in a measurement.
 PERIODS = 50
 #: Every recording is made so many times; the quickest counts.

@@ -24,8 +24,10 @@ from analysis.reproduction.figures import Parts
 Arrays = Mapping[str, np.ndarray]
 Cells = NDArray[np.bool_]
 
-#: As near as that one mass stands for grains, well and just.
-NEAR, NOT_FAR = 0.05, 0.10
+#: Largest relative deviation at which one mass describes grains well.
+NEAR = 0.05
+#: The same for acceptably.
+NOT_FAR = 0.10
 #: A mass that rides takes no energy: of its weight over a millimetre.
 _NOTHING = 1e-3
 #: Landings that a figure shows as one, in degrees.

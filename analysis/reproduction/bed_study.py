@@ -59,12 +59,15 @@ SETTINGS_OF_MODES = {
 LAYERS_OF_MODES = (4, 6)
 #: The mass of the bed over that of the body that shakes it.
 SHAKEN = 1e-3
-#: Of the body whose compliance is listed: damping ratio, and the mass of the bed over its mass.
-DAMPING, MASS_RATIO = 0.005, 0.1
+#: Damping ratio of the body whose compliance is listed.
+DAMPING = 0.005
+#: Mass of the bed over that of this body.
+MASS_RATIO = 0.1
 #: Periods of a block; there are three, of which the last two are averaged. Grains that a ceiling throws back rearrange
 #: for tens of periods, most of all in deep beds: at 7 g below 2 mm, six layers dissipated 10 weights times 1 mm in the
 #: periods up to the 18th, and 7 in those up to the 60th.
-BLOCK, BLOCK_WITH_CEILING = 6, 20
+BLOCK = 6
+BLOCK_WITH_CEILING = 20
 #: Young's modulus of the grains, Pa.
 MODULUS = 1e8
 #: Rayleigh's times in a step: statistics of a bed do not need the rebound of each grain to 1 %. Twice that is too much:

@@ -18,8 +18,10 @@ Arrays = Mapping[str, np.ndarray]
 
 PAPER_OMEGA = np.array([81.9, 218.8, 312.4])
 FORCE_C3 = 2.6
-# Curves that differ by so much, and at antiresonances by so many times what they do at peaks, are seen to part.
-PARTED, MORE = 0.1, 5.0
+# Smallest relative difference of curves that counts as a difference.
+PARTED = 0.1
+# Smallest ratio of the difference at antiresonances to that at peaks.
+MORE = 5.0
 PAPER_SHAPES = np.array([[0.415, 0.783, 1], [1, 0.498, -0.91], [-0.848, 1, -0.465]]).T
 
 

@@ -25,8 +25,10 @@ from rig.study import Study, digest
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-#: Of a block in which a motion is averaged, and of the longest wait for a steady one.
-PERIODS, MOST_BLOCKS = 20, 20
+#: Periods of a block over which a motion is averaged.
+PERIODS = 20
+#: Most blocks to wait for a steady motion.
+MOST_BLOCKS = 20
 
 
 class _Piece(NamedTuple):

@@ -23,8 +23,10 @@ Complex = NDArray[np.complex128]
 _MARKS = 50
 #: Two blocks of periods are one steady motion if their compliances agree as well as that.
 STEADY = 0.01
-#: Periods in which the mass is let settle, and those looked at then.
-_SETTLING, _WATCHED = 200, 100
+#: Periods in which the transient of the mass decays.
+_SETTLING = 200
+#: Periods that are averaged then.
+_WATCHED = 100
 #: A bed flies, or is at the ceiling, from this share of a period or of its weight on.
 _SEEN = 0.01
 

@@ -21,7 +21,8 @@ from rig.system.structural_model import structural_model
 LEVELS = (0.5, 1.0, 2.0)
 #: Clearances to choose from by default, relative to the largest motion without dampers at the smallest and the largest
 #: level: with dampers that do well the motion is a tenth to a third of it, and their clearance about twice that.
-NARROWEST, WIDEST = 0.03, 1.5
+NARROWEST = 0.03
+WIDEST = 1.5
 #: Share of the structure's mass that may be added by default.
 BUDGET = 0.05
 

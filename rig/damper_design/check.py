@@ -19,11 +19,16 @@ from rig.steady_response.frequency_response import frequency_response
 
 Array = NDArray[np.float64]
 
-#: Frequencies of the test through which the motion is followed up to a peak; how near to the steady one, relative to
-#: it, and how many periods that may take.
-APPROACH, NEAR, LONGEST = 3, 1e-4, 2000
-#: Points about each peak, and how far they reach to either side of it, relative.
-POINTS, REACH = 25, 0.04
+#: Frequencies of the test through which the motion is followed up to a peak.
+APPROACH = 3
+#: Relative distance at which a motion counts as steady.
+NEAR = 1e-4
+#: Most periods to wait for it.
+LONGEST = 2000
+#: Points about each peak.
+POINTS = 25
+#: Distance of the outermost points from the peak, relative.
+REACH = 0.04
 
 
 @dataclass(frozen=True)

@@ -23,8 +23,10 @@ from rig.system.structural_model import structural_model
 
 Array = NDArray[np.float64]
 
-#: Frequencies for each natural frequency: for the search, and for the comparison of the best designs.
-COARSE, FINE = 20, 60
+#: Frequencies for each natural frequency in the search.
+COARSE = 20
+#: The same in the comparison of the best designs.
+FINE = 60
 
 
 def mass_unit(mass: float) -> tuple[float, str]:

@@ -34,8 +34,12 @@ Array = NDArray[np.float64]
 
 #: Clearances of the chart, relative to those of the best design.
 CHART_CLEARANCES = np.geomspace(0.25, 4.0, 7)
-#: Levels of the chart: how far they go beyond those asked for, how far from their middle at least, and their distance.
-BEYOND, AT_LEAST, APART = 2.0, 4.0, 2.0**0.5
+#: Ratio of the outermost levels of the chart to those of the request.
+BEYOND = 2.0
+#: Smallest ratio of the outermost levels to their middle.
+AT_LEAST = 4.0
+#: Ratio of neighbouring levels.
+APART = 2.0**0.5
 
 
 @dataclass(frozen=True, repr=False)

@@ -20,16 +20,20 @@ SHARES = (1.0, 0.5, 0.25)
 CLEARANCES = 10
 #: Choices of each mass that are tried at once.
 AHEAD = 3
-#: Trials about the best clearance of a place and a mass, and, for each unknown, with all dampers different.
-REFINEMENTS, POLISHING = 8, 25
-#: Places whose best is made better so.
+#: Trials about the best clearance of a place and a mass.
+REFINEMENTS = 8
+#: Trials for each unknown with all dampers different.
+POLISHING = 25
+#: Places whose best design is refined in this way.
 POLISHED = 2
 #: Largest ratio of two dampers' masses: where one does best alone, the others are to be next to nothing.
 UNEVEN = 300.0
 #: Places whose best on the grid is at most this much worse than the best of all are looked at closely.
 PROMISING = 1.4
-#: The same for the smaller masses, and of all places for making several dampers different; and at most so many of them.
-CLOSE, LIGHTER = 1.25, 2
+#: The same ratio for the smaller masses, and of all places for several different dampers.
+CLOSE = 1.25
+#: Most places of each smaller mass that are refined.
+LIGHTER = 2
 #: Relative difference of two sums of the same masses.
 ROUNDING = 1e-9
 #: Ratio of clearances in one body to begin with.

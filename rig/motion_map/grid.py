@@ -16,8 +16,10 @@ from rig.system.structural_model import structural_model
 
 #: What a level or a clearance measures, by its unit.
 KIND_OF_UNIT = {"N": FORCE, "V": VOLTAGE, "m": LENGTH}
-#: Frequencies and rows of a map by default.
-POINTS, ROWS = 48, 36
+#: Default number of frequencies.
+POINTS = 48
+#: Default number of rows.
+ROWS = 36
 #: What counts as close to a natural frequency, as a share of it.
 CLOSE = 0.02
 

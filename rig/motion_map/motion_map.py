@@ -34,8 +34,10 @@ KINDS = ("riding", "I", "II", "III", "other, every period", "longer period", "ir
 TOLERANCE = 1e-6
 #: A motion that has not repeated after so many times the slowest mode's decay to the tolerance is irregular.
 PATIENCE = 3.0
-#: Fewest and most periods that are waited.
-FEWEST, MOST = 2000, 20_000
+#: Shortest limit of the wait, periods: fewer cost little.
+FEWEST = 2000
+#: Longest limit of the wait, periods.
+MOST = 20_000
 #: From tame to wild: grey, three blues to green for the paper's types, warm colours for the rest.
 COLOURS = ("#e4e4e4", "#a6cee3", "#3f8fc4", "#1b4f7e", "#f2c14e", "#e07b39", "#8c1c3a")
 LEGEND = ("riding", "Type I", "Type II", "Type III", *KINDS[4:])

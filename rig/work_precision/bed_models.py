@@ -25,12 +25,16 @@ from rig.work_precision.steady_study import OTHER_PACKING, SteadyStudy
 
 #: Durations of a landing with finite contact, s.
 DURATIONS = (1e-3, 2e-3, 4e-3, 8e-3)
-#: Restitution of contacts of finite duration: a landing of 0 takes no finite time.
+#: Restitution of these contacts.
 RESTITUTION = 0.05
-#: Steps of time of coarser grains, in Rayleigh's times, and by how much softer ones are softer.
-STEPS, SOFTER = (0.1, 0.19), 10.0
-#: Periods of a block over which grains are averaged, and most blocks to wait for a steady motion.
-PERIODS, MOST_BLOCKS = 20, 5
+#: Time steps of coarser simulations, in Rayleigh's times.
+STEPS = (0.1, 0.19)
+#: Ratio of the modulus to that of softer grains.
+SOFTER = 10.0
+#: Periods of a block over which grains are averaged.
+PERIODS = 20
+#: Most blocks to wait for a steady motion.
+MOST_BLOCKS = 5
 
 Compliance = NDArray[np.complex128]
 

@@ -24,8 +24,10 @@ from rig.work_precision.first_order_form import CEILING, FLIGHT, FLOOR, WALLS, A
 STAGES = np.vstack([np.hstack([RK45.A, np.zeros((6, 1))]), RK45.B])
 ERROR = np.array(RK45.E)
 DENSE = np.ascontiguousarray(RK45.P)
-#: A root is closed in on at most so often, or to this share of a step.
-CLOSINGS, CLOSE = 60, 1e-15
+#: Most iterations for the root of a guard.
+CLOSINGS = 60
+#: Share of a step to which a root is located.
+CLOSE = 1e-15
 #: Steps a period after which it is stopped: it goes to and fro about an instant.
 MOST_STEPS = 10_000
 #: More dampers would need too many matrices.

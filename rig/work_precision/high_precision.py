@@ -48,7 +48,7 @@ ITERATIONS = 8
 SAME_EVENT = Decimal("1e-9")
 #: Relative step of the difference quotients of an orbit; each of Newton's iterations gains as many digits.
 ORBIT_STEP = Decimal("1e-14")
-#: Most of these iterations: three reach forty digits from the start by shooting.
+#: Most of these iterations; two reach forty digits from the sixteen of shooting.
 ORBIT_ITERATIONS = 4
 
 

@@ -6,7 +6,7 @@ import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 app = application("The instrument: record, look at, repair and replay tests.")
 
-# What is no recording, by its name.
+# Endings of other formats.
 OTHER_FORMATS = (
     ".csv",
     ".txt",
@@ -35,8 +35,12 @@ OTHER_FORMATS = (
     ".svg",
     ".html",
 )
-# How a rig that scripts and clients drive is named.
+# Help of the scene that scripts and clients drive.
 ON_THE_BENCH = "Scene on the bench (default: SHOTRIG_SCENE, or three particle dampers)."
+Replace = Annotated[bool, typer.Option("--overwrite", help="Replace the file if it exists.")]
+Start = Annotated[float | None, typer.Option("--from", metavar="S", help="Time at which to begin.")]
+Stop = Annotated[float | None, typer.Option("--to", metavar="S", help="Time at which to end.")]
+Web = Annotated[bool, typer.Option("--web", help="Show it in a browser on this machine.")]
 Clock = Annotated[
     str | None,
     typer.Option(
@@ -45,20 +49,19 @@ Clock = Annotated[
 ]
 
 
+def _output(text: str, metavar: str = "FILE") -> Any:
+    """Give the option -o for a file to write."""
+    return typer.Option("-o", "--output", metavar=metavar, help=text)
+
+
 @app.command(example="daq record fig8-three-dampers --set test.force=2N -o sweep.mcap")
 def record(
     scenes: SceneNames,
     changes: Changes = None,
     output: Annotated[
-        Path | None,
-        typer.Option(
-            "-o",
-            "--output",
-            metavar="FILE|DIR",
-            help="Recording to write, or folder for SCENE.mcap. Default: recordings.",
-        ),
+        Path | None, _output("Recording to write, or folder for SCENE.mcap. Default: recordings.", "FILE|DIR")
     ] = None,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file if it exists.")] = False,
+    overwrite: Replace = False,
     block: Annotated[
         int | None,
         typer.Option(
@@ -126,14 +129,9 @@ def import_recording(
             metavar="FILE.yaml|csv", help="Table that assigns columns to channels. Default: by name."
         ),
     ] = None,
-    start: Annotated[
-        float | None, typer.Option("--from", metavar="S", help="Time at which to begin.")
-    ] = None,
-    stop: Annotated[float | None, typer.Option("--to", metavar="S", help="Time at which to end.")] = None,
-    output: Annotated[
-        Path | None,
-        typer.Option("-o", "--output", metavar="REC", help="Recording to write. Default: FILE.mcap."),
-    ] = None,
+    start: Start = None,
+    stop: Stop = None,
+    output: Annotated[Path | None, _output("Recording to write. Default: FILE.mcap.", "REC")] = None,
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Replace the recording if it exists.")
     ] = False,
@@ -142,7 +140,7 @@ def import_recording(
 
     Without --scene, the contents of the files are listed.
 
-    The scene's test says what was done. Hits of a hammer, and the steps of a stepped sine, are found in the samples.
+    The scene's test states the excitation. Hammer hits and the steps of a stepped sine are detected in the samples.
     """
     from daq.importing.report import import_and_report, listing
 
@@ -167,7 +165,7 @@ def replay_recording(
         Path | None,
         typer.Option(metavar="FILE.rrd", help="Write a file for the viewer instead of opening a window."),
     ] = None,
-    web: Annotated[bool, typer.Option("--web", help="Show it in a browser on this machine.")] = False,
+    web: Web = False,
     screenshot: Annotated[
         Path | None, typer.Option(metavar="FILE.png", help="Draw a picture instead; needs no display.")
     ] = None,
@@ -175,10 +173,8 @@ def replay_recording(
         float | None,
         typer.Option(metavar="S", help="Time of the picture. Default: where the dampers fly highest."),
     ] = None,
-    start: Annotated[
-        float | None, typer.Option("--from", metavar="S", help="Time at which to begin.")
-    ] = None,
-    stop: Annotated[float | None, typer.Option("--to", metavar="S", help="Time at which to end.")] = None,
+    start: Start = None,
+    stop: Stop = None,
     speed: Annotated[float, typer.Option(metavar="X", help="Playback speed; 0.1 is slow motion.")] = 1.0,
     overwrite: Overwrite = False,
 ) -> None:
@@ -238,22 +234,16 @@ def run_scope(
     scene: SceneName,
     changes: Changes = None,
     output: Annotated[
-        Path | None,
-        typer.Option(
-            "-o",
-            "--output",
-            metavar="FILE",
-            help="Recording to write. Default: recordings/SCENE-scope.mcap.",
-        ),
+        Path | None, _output("Recording to write. Default: recordings/SCENE-scope.mcap.")
     ] = None,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file if it exists.")] = False,
+    overwrite: Replace = False,
     frequency: Annotated[
         float | None, typer.Option("-f", "--frequency", metavar="HZ", help="Initial drive frequency.")
     ] = None,
     force: Annotated[
         float, typer.Option("-F", "--force", metavar="N", help="Initial force amplitude.")
     ] = 0.0,
-    web: Annotated[bool, typer.Option("--web", help="Show it in a browser on this machine.")] = False,
+    web: Web = False,
 ) -> None:
     """Run a rig live: change frequency and force while you watch it. Everything is recorded."""
     from daq.live_scope.scope import scope
@@ -275,7 +265,7 @@ def run_a_script(
     script: Annotated[Path, typer.Argument(metavar="SCRIPT.py", help="A script that uses nidaqmx.")],
     arguments: Annotated[
         list[str] | None,
-        # Whatever they are, they are the script's affair.
+        # Not interpreted here.
         typer.Argument(metavar="[ARGS]...", help="Arguments of the script.", callback=lambda given: given),
     ] = None,
     scene: Annotated[str | None, typer.Option(metavar="SCENE", help=ON_THE_BENCH)] = None,
@@ -328,11 +318,8 @@ def serve_a_rig(
         float,
         typer.Option(metavar="S", help="Time after which the tasks of a lost client are closed."),
     ] = 30.0,
-    output: Annotated[
-        Path | None,
-        typer.Option("-o", "--output", metavar="FILE", help="Record all channels meanwhile."),
-    ] = None,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file if it exists.")] = False,
+    output: Annotated[Path | None, _output("Record all channels.")] = None,
+    overwrite: Replace = False,
     viewer: Annotated[bool, typer.Option("--viewer", help="Show all channels live in the viewer.")] = False,
     protocol: Annotated[
         Path | None,
@@ -381,15 +368,9 @@ def bench_in_the_browser(
     scene: Annotated[str | None, typer.Argument(metavar="[SCENE]", help=ON_THE_BENCH)] = None,
     changes: Changes = None,
     output: Annotated[
-        Path | None,
-        typer.Option(
-            "-o",
-            "--output",
-            metavar="FILE",
-            help="First recording of the record switch. Default: recordings/SCENE-bench.mcap.",
-        ),
+        Path | None, _output("First recording of the record switch. Default: recordings/SCENE-bench.mcap.")
     ] = None,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file if it exists.")] = False,
+    overwrite: Replace = False,
     address: Annotated[
         str,
         typer.Option(metavar="HOST[:PORT]", help="Address of the page; a browser needs the printed token."),
@@ -417,10 +398,10 @@ def bench_in_the_browser(
 
 
 def _bench(scene: str | None, changes: Sequence[str] | None) -> Scene | None:
-    """Load the scene for a bench; None stands for the one there is when none is named."""
+    """Load the scene for a bench; None: the default scene."""
     named = scene or os.environ.get("SHOTRIG_SCENE")
     if named is None and changes:
-        raise typer.BadParameter("--set changes a scene: name the scene too")
+        raise typer.BadParameter("--set requires a scene. Name the scene too.")
     return None if named is None else loaded(named, changes)
 
 
@@ -433,33 +414,32 @@ def _recordings(scenes: Sequence[str], output: Path | None) -> list[Path]:
     folder = output if output is not None else Path("recordings")
     paths = [folder / f"{Path(scene).stem}.mcap" for scene in scenes]
     if len(set(paths)) < len(paths):
-        raise typer.BadParameter("two scenes of one name: their recordings would have the same name")
+        raise typer.BadParameter(
+            "two scenes have one name, and so would their recordings. Record them one by one."
+        )
     return paths
 
 
 def _free(path: Path, overwrite: bool) -> Path:
-    """Give back the path of a recording to make, unless a file is there that is not to be replaced.
-
-    The recorder looks as well, but only when everything else has been switched on.
-    """
+    """Check the path of a new recording: the recorder does so only after the bench has been switched on."""
     _no_other_format(path)
     try:
         there = path.exists()
     except OSError as error:
         raise RecordingError(
-            f"cannot make {path}: {error.strerror}; choose another name or place with -o FILE.mcap"
+            f"cannot make {path}: {error.strerror}. Choose another name or place with -o FILE.mcap"
         ) from None
     if there and not overwrite:
-        raise RecordingError(f"{path} exists: give another name with -o, or --overwrite to replace it")
+        raise RecordingError(f"{path} exists. Give another name with -o, or --overwrite to replace it.")
     return path
 
 
 def _no_other_format(path: Path) -> None:
-    """Refuse to name a recording as files of another format are, which programs would then take it for."""
+    """Reject the ending of another format, for which programs would take the recording."""
     if path.suffix.lower() in OTHER_FORMATS:
         raise RecordingError(
-            f"{path}: recordings are MCAP files; expected a name such as {path.with_suffix('.mcap')}; of one, "
-            "`analysis export` makes files for other programs and `analysis frf` figures and tables"
+            f"{path}: recordings are MCAP files; expected a name such as {path.with_suffix('.mcap')}. Make files for "
+            "other programs with `analysis export`, figures and tables with `analysis frf`."
         )
 
 

@@ -1,4 +1,4 @@
-"""What a scene turns on in the measurement chain and the recording, for `rig.explain`."""
+"""The effects of a scene in the measurement chain and the recording, for `rig.explain`."""
 
 from __future__ import annotations
 
@@ -44,17 +44,17 @@ def measurement_effects(scene: Scene) -> Iterable[Effect]:
     for number in range(1, len(scene.shakers) + 1):
         yield Effect("outputs", f"ao{number - 1}", 0, volt_effect(scene, number))
     if intervals > 1:
-        yield Effect("converter", "oversampling", 0, f"{intervals} intervals a sample, for what is fast")
+        yield Effect("converter", "oversampling", 0, f"{intervals} intervals a sample, for fast parts")
     recording = scene.recording
     converted = Quantiser(scene.converter, chain.channels).channels
     yield Effect("recording", "samples", 0, stored_as(scene, converted))
     if recording.display:
         yield Effect("recording", "display", 0, "channels thinned out for plots")
     if recording.truth:
-        yield Effect("recording", "truth", 0, "the true motion beside the channels")
+        yield Effect("recording", "truth", 0, "the true motion in addition to the channels")
 
 
-# Keys that come on together, in the order of the signal.
+# Keys that are switched on together, in the order of the signal.
 _SENSOR: dict[str, tuple[str, ...]] = {
     "sensitivity": ("sensitivity", "sensitivity_tolerance", "temperature_drift", "temperature_change"),
     "sensor resonance": ("resonance", "q"),
@@ -82,7 +82,7 @@ _CONVERTER: dict[str, tuple[str, ...]] = {
 
 @dataclass
 class _Active:
-    """Which keys have come on so far."""
+    """Keys that are on so far."""
 
     sensor: set[str] = field(default_factory=set)
     integrator: set[str] = field(default_factory=set)
@@ -113,7 +113,7 @@ def _recording(scene: Scene, display: bool, truth: bool) -> Any:
 
 
 def _with(scene: Scene, on: _Active) -> Scene:
-    """Leave of the channels and the converter only what is on."""
+    """Reduce channels and converter to the keys that are on."""
     converter = filled_in(scene.converter)
     kept = {key: getattr(converter, key) for key in on.converter}
     if kept.get("bits") is None and scene.recording.samples == "counts":
@@ -155,7 +155,7 @@ def _step(name: str, scene: Scene, recorded: bool = False) -> EffectStep:
 
 @contextmanager
 def _recorded(scene: Scene) -> Iterator[Callable[[Array], object]]:
-    """Acquire and write into a file that is gone afterwards."""
+    """Acquire and write into a temporary file."""
     bench = Bench(scene)
     with (
         tempfile.TemporaryDirectory() as folder,

@@ -1,4 +1,4 @@
 """How the rig is drawn: geometry, shapes, palette, and the picture of it at a moment.
 
-Nothing here knows recordings or viewers. Start with `rig_view`.
+This room does not depend on recordings and viewers. Start with `rig_view`.
 """

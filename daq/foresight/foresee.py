@@ -350,7 +350,7 @@ class _Assessment:
         if played.whole or (played.aborted is not None and len(played.parts) == 1):
             return done
         if isinstance(test, Multisine):
-            # Each realisation settles for about as long; what is measured of it is known.
+            # Each realisation settles for about the same time; the measured time is known.
             once = played.parts[0].scene.test
             assert isinstance(once, Multisine)
             period = estimate(self.scene).seconds / (test.realisations * test.periods)

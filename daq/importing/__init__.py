@@ -1,4 +1,4 @@
-"""Time histories of real benches, in other programs' files, as recordings; knows no simulator.
+"""Time histories of real benches, in other programs' files, as recordings; independent of the simulator.
 
-Start with `import_files`: a file of any format gives `Signal`s, a table says which is which channel of the scene.
+Start with `import_files`: a file of any format gives `Signal`s, a table assigns them to the channels of the scene.
 """

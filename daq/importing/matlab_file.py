@@ -56,7 +56,7 @@ def matlab_arrays(path: Path) -> dict[str, Any]:
 
 
 def _read(name: str, memory: int) -> dict[str, Any] | str:
-    """Read the variables within so many bytes of memory; or say what is wrong with the file."""
+    """Read the variables within a memory in bytes, or give an error text."""
     from scipy.io import loadmat
 
     _limit(memory)

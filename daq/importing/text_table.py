@@ -151,7 +151,7 @@ class _Table:
         self._recent: tuple[int, int, Array] = (-1, -1, np.empty((0, 0)))
 
     def _torn(self, line_number: int, line: str) -> str:
-        """Say why the last line cannot be whole; empty if it can: a program may be cut off anywhere."""
+        """State why the last line is cut off; empty if it may be complete."""
         try:
             self._row(line_number, line)
         except RecordingError as error:

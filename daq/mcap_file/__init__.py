@@ -1,5 +1,4 @@
 """MCAP chunks in and out, whole or damaged; nothing about vibration.
 
-Start with `writer` and `reader`; `chunk` checks what a chunk says of itself, `damaged_file` reads what
-a torn file still holds.
+Start with `writer` and `reader`; `chunk` unpacks chunks, `damaged_file` reads the intact parts of a torn file.
 """

@@ -24,11 +24,11 @@ _MESSAGE_HEAD = struct.Struct("<HIQQ")
 
 
 class Damage(Exception):
-    """Why a part of a file cannot be used; becomes a `RecordingError` where the file's name is known."""
+    """Damage of a part of a file; becomes a `RecordingError` where the file's name is known."""
 
 
 class Stored(NamedTuple):
-    """A message as it stands in a chunk: number of its channel, place in its topic, times in ns, content."""
+    """A message of a chunk: number of its channel, place in its topic, times in ns, content."""
 
     channel: int
     sequence: int

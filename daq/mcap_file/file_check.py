@@ -13,10 +13,11 @@ import struct
 import zlib
 from array import array
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from mcap import records
 from mcap.data_stream import RecordBuilder
 from numpy.typing import NDArray
 
@@ -74,19 +75,17 @@ def check_file(container: Container) -> None:
 
 @dataclass
 class _Chunk:
-    """A chunk of the file, in the terms of its index."""
+    """A chunk of the file: its index as the summary should repeat it, and its messages."""
 
-    place: int
-    length: int
-    start: int
-    end: int
-    compression: str
-    packed: int
-    unpacked: int
+    index: records.ChunkIndex
     messages: dict[int, NDArray[Any]]
     """Log times and places of the messages of each channel; structured arrays."""
-    indexes: dict[int, int] = field(default_factory=dict)  # Place of the message index of each channel
-    index_length: int = 0
+
+
+def _fingerprint(record: Any) -> int:
+    """Hash the fields of an index of the summary."""
+    fields = vars(record).values()
+    return hash(tuple(frozenset(each.items()) if isinstance(each, dict) else each for each in fields))
 
 
 class _Check:
@@ -144,16 +143,24 @@ class _Check:
             record = parse(opcode, content)
             if self._ours and not any(content[-4:]):
                 raise Damage("an attachment has no checksum")
-            times = record.log_time, record.create_time
-            self._unlisted[ATTACHMENT_INDEX][self.place] = hash(
-                (length, *times, len(record.data), record.name, record.media_type)
+            index = records.AttachmentIndex(
+                self.place,
+                length,
+                record.log_time,
+                record.create_time,
+                len(record.data),
+                record.name,
+                record.media_type,
             )
+            self._unlisted[ATTACHMENT_INDEX][self.place] = _fingerprint(index)
         elif opcode == METADATA:
             record = parse(opcode, content)
             if (self._ours or "crc32" in record.metadata) and not is_intact(record.metadata):
                 raise Damage(f"the checksum of the metadata {record.name!r} is wrong")
             self._plain(record, content)
-            self._unlisted[METADATA_INDEX][self.place] = hash((length, record.name))
+            self._unlisted[METADATA_INDEX][self.place] = _fingerprint(
+                records.MetadataIndex(self.place, length, record.name)
+            )
         elif opcode in (SCHEMA, CHANNEL) and not self._ours:
             self._announce(opcode, content)
         elif opcode == MESSAGE and not self._ours:
@@ -178,12 +185,12 @@ class _Check:
             raise Damage(f"two different schemas or channels have the number {record.id}")
 
     def _begin_chunk(self, content: memoryview) -> None:
-        records = unpack_chunk(content, self._ours)
+        unpacked = unpack_chunk(content, self._ours)
         start, end, size, _, name_length = CHUNK_HEAD.unpack_from(content)
         name = bytes(content[CHUNK_HEAD.size : CHUNK_HEAD.size + name_length]).decode()
         times: dict[int, tuple[array[int], array[int]]] = {}
         place = 0
-        for opcode, inside in records_in(records, len(content)):
+        for opcode, inside in records_in(unpacked, len(content)):
             if opcode == MESSAGE:
                 message = parse_message(inside)
                 log_times, places = times.setdefault(message.channel, (array("Q"), array("Q")))
@@ -203,9 +210,18 @@ class _Check:
         if stamps:
             self._span(start, end)
         packed = len(content) - CHUNK_HEAD.size - name_length - 8
-        self._chunk = _Chunk(
-            self.place, RECORD_HEAD.size + len(content), start, end, name, packed, size, messages
+        index = records.ChunkIndex(
+            chunk_length=RECORD_HEAD.size + len(content),
+            chunk_start_offset=self.place,
+            compression=name,
+            compressed_size=packed,
+            message_end_time=end,
+            message_index_length=0,
+            message_index_offsets={},
+            message_start_time=start,
+            uncompressed_size=size,
         )
+        self._chunk = _Chunk(index, messages)
 
     def _span(self, start: int, end: int) -> None:
         before = self._times or (start, end)
@@ -217,27 +233,25 @@ class _Check:
         if chunk is None or len(content) < 6:
             raise Damage("a message index without a chunk")
         channel, size = struct.unpack_from("<HI", content)
-        if size != len(content) - 6 or size % _ENTRY.itemsize or channel in chunk.indexes:
+        if size != len(content) - 6 or size % _ENTRY.itemsize or channel in chunk.index.message_index_offsets:
             raise Damage("a message index is malformed")
         listed = np.frombuffer(content, _ENTRY, offset=6)
         there = chunk.messages.get(channel, np.empty(0, _ENTRY))
         if not np.array_equal(np.sort(listed, order="place"), there):
             raise Damage(f"the message index of channel {channel} does not agree with the chunk before it")
-        chunk.indexes[channel] = self.place
-        chunk.index_length += RECORD_HEAD.size + len(content)
+        chunk.index.message_index_offsets[channel] = self.place
+        chunk.index.message_index_length += RECORD_HEAD.size + len(content)
 
     def _end_chunk(self) -> None:
         """Complete a chunk behind its message indexes."""
         chunk, self._chunk = self._chunk, None
         if chunk is None:
             return
-        missing = chunk.messages.keys() - chunk.indexes.keys()
-        if missing and (self._ours or chunk.indexes):
+        indexed = chunk.index.message_index_offsets
+        missing = chunk.messages.keys() - indexed.keys()
+        if missing and (self._ours or indexed):
             raise Damage(f"the chunk before has no message index of channel {min(missing)}")
-        self._unlisted[CHUNK_INDEX][chunk.place] = hash(
-            (chunk.length, chunk.start, chunk.end, chunk.compression, chunk.packed, chunk.unpacked,
-             chunk.index_length, frozenset(chunk.indexes.items()))
-        )  # fmt: skip
+        self._unlisted[CHUNK_INDEX][chunk.index.chunk_start_offset] = _fingerprint(chunk.index)
 
     def _data_checksum(self, end: int, expected: int) -> None:
         if not expected:
@@ -275,7 +289,7 @@ class _Check:
         if self.place != self._file.size - len(MAGIC) or footer.summary_start not in (0, begin):
             raise Damage("the footer does not agree with the file")
         if footer.summary_offset_start not in (0, offsets or self.place):
-            raise Damage("the footer does not say where the summary offsets begin")
+            raise Damage("the footer states another place of the summary offsets")
         for kind, left in self._unlisted.items():
             # Another program may leave out a kind of index.
             if left and (self._ours or self._listed[kind]):
@@ -283,32 +297,17 @@ class _Check:
 
     def _summary_record(self, opcode: int, record: Any, written: dict[int, int]) -> None:
         """Compare a record of the summary with the record that it repeats."""
-        if opcode == CHUNK_INDEX:
-            self._index(
-                opcode, record.chunk_start_offset,
-                (record.chunk_length, record.message_start_time, record.message_end_time, record.compression,
-                 record.compressed_size, record.uncompressed_size, record.message_index_length,
-                 frozenset(record.message_index_offsets.items())),
-            )  # fmt: skip
-        elif opcode == ATTACHMENT_INDEX:
-            self._index(
-                opcode, record.offset,
-                (record.length, record.log_time, record.create_time, record.data_size, record.name,
-                 record.media_type),
-            )  # fmt: skip
-        elif opcode == METADATA_INDEX:
-            self._index(opcode, record.offset, (record.length, record.name))
+        if opcode in self._unlisted:
+            place = record.chunk_start_offset if opcode == CHUNK_INDEX else record.offset
+            self._listed[opcode] += 1
+            if self._unlisted[opcode].pop(place, None) != _fingerprint(record):
+                raise Damage(f"an index of the summary does not agree with the record at byte {place}")
         elif opcode in (SCHEMA, CHANNEL):
             known = self._schemas if opcode == SCHEMA else self._channels
             if known.get(record.id, record) != record:
                 raise Damage(f"the summary describes the schema or channel {record.id} differently")
         elif opcode == STATISTICS:
             self._statistics(record, written)
-
-    def _index(self, kind: int, place: int, fields: tuple[Any, ...]) -> None:
-        self._listed[kind] += 1
-        if self._unlisted[kind].pop(place, None) != hash(fields):
-            raise Damage(f"an index of the summary does not agree with the record at byte {place}")
 
     def _statistics(self, statistics: Any, written: dict[int, int]) -> None:
         stated = {number: count for number, count in statistics.channel_message_counts.items() if count}

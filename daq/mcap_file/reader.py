@@ -126,7 +126,7 @@ class Container:
         if len(data) != length or length < RECORD_HEAD.size:
             raise Damage(f"the record at byte {offset} is cut short")
         if RECORD_HEAD.unpack_from(data) != (opcode, length - RECORD_HEAD.size):
-            raise Damage(f"the record at byte {offset} is not what the summary says")
+            raise Damage(f"the record at byte {offset} is not that of the summary")
         return data[RECORD_HEAD.size :]
 
     def chunk(self, number: int) -> memoryview:

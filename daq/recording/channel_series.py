@@ -133,7 +133,7 @@ class Series:
             raise self._error(
                 f"the block at sample {block.first_sample} does not follow the layout: at {clock.rate:g} Hz "
                 f"it should begin at {should[0]} ns and be logged at its end, {should[1]} ns; "
-                f"it says {block.rate:g} Hz, {block.t0_ns} ns and {log_time} ns"
+                f"it states {block.rate:g} Hz, {block.t0_ns} ns and {log_time} ns"
             )
 
     def blocks(self, start: int, stop: int) -> Iterator[SampleBlock]:

@@ -69,7 +69,7 @@ _MARKER: dict[str, Any] = {
             "description": "last sample of the range, itself included; null: an instant",
         },
     },
-    "additionalProperties": {"description": "what the kind of marker says of itself, in SI units"},
+    "additionalProperties": {"description": "further fields of the kind of marker, in SI units"},
 }
 
 _EVENT: dict[str, Any] = {

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 
 class Schema(NamedTuple):
-    """What the messages of a topic are made of: the schema's name, its encoding, its text, and theirs."""
+    """Schema of a topic: its name, encoding and text, and the encoding of the messages."""
 
     name: str
     encoding: str
@@ -20,12 +20,12 @@ class Schema(NamedTuple):
 
 @cache
 def descriptors(package: str, messages: tuple[tuple[str, tuple[tuple[str, str], ...]], ...]) -> bytes:
-    """Describe protobuf messages as MCAP wants them: a FileDescriptorSet with all that it imports.
+    """Describe protobuf messages for MCAP: a FileDescriptorSet with all imports.
 
     Parameters
     ----------
     package : str
-        Their package.
+        Package of the messages.
     messages : tuple
         (message, ((field, type), ...)); fields are numbered from 1. A type is a protobuf type such as
         ``double``, or the full name of a message; ``[]`` behind it makes the field repeated.
@@ -77,7 +77,7 @@ def varint(number: int) -> bytes:
 
 
 def varints(numbers: NDArray[np.uint64], size: int) -> NDArray[np.uint8]:
-    """Encode numbers in so many bytes each, at least as many as `varint` takes; shape (numbers, bytes).
+    """Encode numbers in `size` bytes each, at least as many as `varint` needs; shape (numbers, bytes).
 
     >>> varints(np.array([300, 1], np.uint64), 2).tolist()
     [[172, 2], [129, 0]]

@@ -1,4 +1,4 @@
-"""Which kind of test a recording holds: as the recording states it or, where it does not, as its markers show."""
+"""The kind of a recorded test: as the recording states it, or else deduced from its markers."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class TestKind(StrEnum):
-    """Kinds of tests, by what is measured."""
+    """Kinds of tests, by their measurement."""
 
     __test__ = False  # no test of pytest's
 
@@ -26,7 +26,7 @@ class TestKind(StrEnum):
     HITS = "hits"
     FREE = "free"
     NONE = "none"
-    """No test, or none that has measured anything."""
+    """No test, or a test without a measurement."""
 
 
 _KIND_OF_SETTINGS = {
@@ -66,7 +66,7 @@ class RecordedTest:
 
     @property
     def decays(self) -> bool:
-        """Whether the structure is left to itself."""
+        """Whether the structure decays freely."""
         return self.kind in (TestKind.HITS, TestKind.FREE)
 
 
@@ -76,7 +76,7 @@ def kind_of_settings(test: Test | None) -> TestKind:
 
 
 def kind_of_recording(stated: str, markers: Sequence[Marker], settings: Test | None) -> TestKind:
-    """Give the kind of a recorded test: as stated, or as its markers show, where it is imported or old.
+    """Give the kind of a recorded test: as stated, or deduced from its markers where it is imported or old.
 
     >>> kind_of_recording("", [Marker("hit", 512)], None)
     <TestKind.HITS: 'hits'>

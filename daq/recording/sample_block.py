@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from daq.signal_chain.channel import ChannelInfo
     from rig.scene.scene import Scene
 
-# What a stored sample is -> schema, protobuf type and numpy type in the file.
+# Storage type of samples: schema, protobuf type and numpy type in the file.
 SCHEMAS: dict[str, tuple[str, str, np.dtype[Any]]] = {
     "float64": ("shotrig.BlockFloat64", "double", np.dtype("<f8")),
     "float32": ("shotrig.BlockFloat32", "float", np.dtype("<f4")),
@@ -32,7 +32,7 @@ _TAGS = (0x09, 0x11, 0x19, 0x22)
 
 
 class SampleBlock(NamedTuple):
-    """Samples of one channel as they stand in the file."""
+    """Samples of one channel as stored in the file."""
 
     t0_ns: int
     """Time of the first sample, nanoseconds since the epoch of the recording."""
@@ -106,7 +106,7 @@ def decode(data: memoryview, schema: str) -> SampleBlock:
     Raises
     ------
     RecordingError
-        If the bytes are no such block.
+        If the bytes are not such a block.
     """
     kind = SAMPLE_TYPE[schema]
     if len(data) > _HEAD.size:
@@ -118,34 +118,34 @@ def decode(data: memoryview, schema: str) -> SampleBlock:
                 return SampleBlock(t0_ns, first, rate, np.frombuffer(data, kind, offset=place))
             except ValueError:
                 raise RecordingError(
-                    f"{len(data) - place} bytes are no whole number of {schema} samples"
+                    f"{len(data) - place} bytes are not a whole number of {schema} samples"
                 ) from None
     return _decode_any(data, schema)
 
 
 @lru_cache(maxsize=64)
 def _size_prefix(message: int) -> bytes:
-    """Give the encoded size of the samples in a message of so many bytes, more than its head."""
+    """Encode the size of the samples in a message of `message` bytes, more than its head."""
     rest = message - _HEAD.size
     longest = len(varint(rest))
     return next((size for n in (longest, longest - 1) if len(size := varint(rest - n)) == n), b"")
 
 
 def _decode_any(data: memoryview, schema: str) -> SampleBlock:
-    """Decode what other writers may make of the schema: zero fields left out, or fields in another order."""
+    """Decode a block of another writer: zero fields left out, or fields in another order."""
     from google.protobuf.message import DecodeError
 
     message = message_class(block_schema(schema).data, schema)()
     try:
         message.ParseFromString(bytes(data))
     except DecodeError as error:
-        raise RecordingError(f"a message of {len(data)} bytes is no {schema}: {error}") from error
+        raise RecordingError(f"a message of {len(data)} bytes is not a {schema}: {error}") from error
     samples: NDArray[Any] = np.array(message.samples, dtype=SAMPLE_TYPE[schema])
     return SampleBlock(message.t0_ns, message.first_sample, message.sample_rate_hz, samples)
 
 
 def stored_as(scene: Scene, channels: Sequence[ChannelInfo]) -> str:
-    """Say how samples are stored, a key of `sample_block.SCHEMAS`: as the scene asks, or else as they come."""
+    """Give the storage type of samples, a key of `SCHEMAS`: the scene's, or else that of the converter."""
     if scene.recording.samples is not None:
         return scene.recording.samples
     return "counts" if all(info.volts_per_count is not None for info in channels) else "float64"

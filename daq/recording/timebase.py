@@ -29,7 +29,7 @@ class Timebase:
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.rate) and self.rate > 0):
-            raise RecordingError(f"a sample rate must be positive and finite, not {self.rate!r} Hz")
+            raise RecordingError(f"a sample rate of {self.rate!r} Hz; expected a positive, finite rate")
 
     def time_ns(self, sample: int) -> int:
         """Give the time of a sample in nanoseconds; in integers throughout, so that no error builds up.
@@ -43,7 +43,7 @@ class Timebase:
     def times_ns(self, samples: Iterable[int]) -> NDArray[np.uint64]:
         """Give the times of samples in nanoseconds, as exact as `time_ns`."""
         step, numerator, divisor = self._ratio
-        # Python's integers: in 64 bits the products would wrap around.
+        # Python's integers: the products would overflow 64 bits.
         times = (np.array([*samples], object) * step + numerator) // divisor + self.start_ns
         return times.astype(np.uint64)
 
@@ -64,7 +64,7 @@ class Timebase:
         Returns
         -------
         ndarray of int64
-            Sample numbers, negative before sample 0; clipped where a time is too far away for one.
+            Sample numbers, negative before sample 0; clipped for times beyond the range of sample numbers.
         """
         # The subtraction wraps around in 64 bits, which is right for every span below 292 years.
         since = (time_ns - np.uint64(self.start_ns % 2**64)).view(np.int64)
@@ -72,12 +72,12 @@ class Timebase:
 
 
 def refuse_reversed(from_s: float | None, to_s: float | None) -> None:
-    """Refuse a stretch, in s, whose ends have changed places.
+    """Reject a stretch, in s, whose end is before its beginning.
 
     Raises
     ------
     SceneError
-        If it ends before it begins.
+        If it is reversed.
     """
     if from_s is not None and to_s is not None and to_s < from_s:
-        raise SceneError(f"--from {from_s:g} s is after --to {to_s:g} s: expected the earlier time first")
+        raise SceneError(f"--from {from_s:g} s is after --to {to_s:g} s. Give the earlier time first.")

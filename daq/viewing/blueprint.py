@@ -1,4 +1,4 @@
-"""Layout of the replay: what stands where on the screen."""
+"""Layout of the replay on the screen."""
 
 from __future__ import annotations
 
@@ -11,31 +11,31 @@ from daq.drawing.palette import BACKGROUND
 if TYPE_CHECKING:
     import rerun.blueprint as rrb
 
-# Natural periods of the lowest mode that the plots around the time cursor show at each side of it.
+# Natural periods of the lowest mode on each side of the time cursor in the plots around it.
 PERIODS = 2.5
 TIMELINE = "time"
 # Below this entity each channel that was overloaded has a lane.
 OVERLOADS = "test/overload"
-# What a live plot shows, s.
+# Duration of a live plot, s.
 LIVE_S = 0.5
 
 
 @dataclass(frozen=True)
 class Content:
-    """What there is to lay out."""
+    """Content of the layout."""
 
     plots: Sequence[tuple[str, str]]
-    """Entity and title of each group of channels, the one to look at first first."""
+    """Entity and title of each group of channels, the most important first."""
     dampers: int
-    """How many dampers have gaps and contacts to show."""
+    """Number of dampers with gaps and contacts."""
     overloaded: int
-    """How many channels were overloaded at some time."""
+    """Number of overloaded channels."""
     lowest_hz: float
-    """Lowest natural frequency; it sets the span of the plots around the time cursor."""
+    """Lowest natural frequency, which determines the span of the plots around the time cursor."""
     eye: tuple[tuple[float, float, float], tuple[float, float, float]]
-    """Where the 3D view is seen from, and what it looks at."""
+    """Position and target of the camera."""
     span_s: tuple[float, float]
-    """Start and end of what there is, seconds on the timeline."""
+    """Start and end on the timeline, s."""
     speed: float
     """Playback speed, 1 is real time."""
 
@@ -50,7 +50,7 @@ def layout(content: Content) -> rrb.Blueprint:
 
     around = PERIODS / content.lowest_hz
     entity, title = content.plots[0]
-    # Left to itself the viewer shows about a minute around the cursor.
+    # By default the viewer shows about a minute around the cursor.
     begin, end = (rrb.TimeRangeBoundary.absolute(seconds=at) for at in content.span_s)
     axis = rrb.TimeAxis(view_range=rrb.TimeRange(start=begin, end=end))
     whole = rrb.TimeSeriesView(
@@ -90,7 +90,7 @@ def layout(content: Content) -> rrb.Blueprint:
         rrb.TextLogView(origin="test", contents="test/marks", name="markers"),
         active_tab=0,
     )
-    # A lane of a state timeline keeps its height: its view needs room for its lanes, and no more.
+    # A lane of a state timeline has a fixed height, which determines that of its view.
     lanes = 0.6 * content.overloaded
     shares = [3.0, 1.0 + lanes, 4.5]
     if content.dampers:
@@ -110,14 +110,14 @@ def layout(content: Content) -> rrb.Blueprint:
 def live_layout(
     plots: Sequence[tuple[str, str]], dampers: int, eye: tuple[tuple[float, ...], tuple[float, ...]]
 ) -> rrb.Blueprint:
-    """Arrange what is live: rig and readings at the left, the last seconds of every curve at the right.
+    """Arrange a live view: rig and readings at the left, the last seconds of every curve at the right.
 
     Parameters
     ----------
     plots : sequence of (str, str)
         Entity and title of each group of channels.
     eye : tuple
-        Where the 3D view is seen from, and what it looks at.
+        Position and target of the camera.
     """
     import rerun.blueprint as rrb
 

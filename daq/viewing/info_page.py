@@ -1,4 +1,4 @@
-"""The page of text beside a replay: what was tested, with what, and how to read the drawing."""
+"""The text page of a replay: the test, the bench, and the drawing."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def about(recording: Recording, motion: RecordedMotion, view: RigView) -> str:
             clearance = "no ceiling" if math.isinf(damper.clearance) else f"{damper.clearance * 1e3:.4g} mm"
             lines.append(
                 f"| {place} | {damper.body} | {mass * 1e3:.4g} g | {clearance} | {damper.restitution:g} "
-                f"| {'grains' if damper.grains else 'instant' if damper.contact is None else 'lasts'} |"
+                f"| {'grains' if damper.grains else 'instant' if damper.contact is None else 'finite'} |"
             )
     lines += ["", "## Channels", "| channel | at | quantity | unit | V per unit |", "|---|---|---|---|---|"]
     for name, info in recording.channels.items():

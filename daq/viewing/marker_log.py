@@ -1,4 +1,4 @@
-"""Markers of a recording as a viewer shows them: a log of lines, and a lane of phases."""
+"""Markers of a recording for a viewer: a log of lines, and a lane of phases."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
 UNITS = {"frequency": "Hz", "force": "N", "peak": "N", "width": "s", "amplitude": "m"}
-WORRYING = ("overload", "gap", "lost", "abort", "double_hit", "level")
+WARNINGS = ("overload", "gap", "lost", "abort", "double_hit", "level")
 NO_PHASES = ("overload", "alarm", "level")
 COLOURS = {
     "settle": 0x55606EFF,
@@ -39,31 +39,33 @@ class MarkedSlice(NamedTuple):
 
 
 def log_lines(recording: Recording, start: int, stop: int) -> list[Line]:
-    """Give what happened within [start, stop), in order of time."""
+    """Describe the markers within [start, stop), in order of time."""
     lines = []
     for mark in recording.markers:
         if not start <= mark.first_sample < stop:
             continue
-        lasting = ""
+        stretches = ""
         if mark.last_sample is not None:
-            lasting = f"for {(mark.stop - mark.first_sample) / recording.rate:.3f} s"
-        text = ", ".join(part for part in (f"{mark.kind} {lasting}".strip(), described(mark.fields)) if part)
-        lines.append(Line(mark.first_sample, "WARN" if mark.kind in WORRYING else "INFO", text))
+            stretches = f"for {(mark.stop - mark.first_sample) / recording.rate:.3f} s"
+        text = ", ".join(
+            part for part in (f"{mark.kind} {stretches}".strip(), described(mark.fields)) if part
+        )
+        lines.append(Line(mark.first_sample, "WARN" if mark.kind in WARNINGS else "INFO", text))
     return sorted(lines)
 
 
 def phases(recording: Recording, start: int, stop: int) -> list[MarkedSlice]:
-    """Give the markers that last, cut to [start, stop), in order of time and without overlap.
+    """Give the markers of stretches, cut to [start, stop), in order of time and without overlap.
 
-    Of two that overlap the later one is shown from its start on. A hit is over in milliseconds; what is shown is
-    the decay that follows, up to the next hit. What is amiss meanwhile is no phase of the test.
+    Of two that overlap the later is shown from its start on. A hit is shown with its decay, up to the next hit.
+    Overloads, alarms and levels are not phases of the test.
     """
-    found: list[MarkedSlice] = []
-    lasting = [
+    slices: list[MarkedSlice] = []
+    stretches = [
         mark for mark in recording.markers if mark.last_sample is not None and mark.kind not in NO_PHASES
     ]
-    hits = sorted(mark.first_sample for mark in lasting if mark.kind == "hit")
-    for mark in sorted(lasting, key=lambda mark: mark.first_sample):
+    hits = sorted(mark.first_sample for mark in stretches if mark.kind == "hit")
+    for mark in sorted(stretches, key=lambda mark: mark.first_sample):
         end = mark.stop
         if mark.kind == "hit":
             end = min((hit for hit in hits if hit > mark.first_sample), default=recording.samples)
@@ -74,10 +76,10 @@ def phases(recording: Recording, start: int, stop: int) -> list[MarkedSlice]:
         if mark.kind == "hit":
             label = f"hit {hits.index(mark.first_sample) + 1}"
         first, last = max(start, mark.first_sample), min(stop, end)
-        if found and found[-1].stop > first:
-            found[-1] = found[-1]._replace(stop=first)
-        found.append(MarkedSlice(first, last, label, COLOURS.get(mark.kind, OTHER)))
-    return [phase for phase in found if phase.stop > phase.start]
+        if slices and slices[-1].stop > first:
+            slices[-1] = slices[-1]._replace(stop=first)
+        slices.append(MarkedSlice(first, last, label, COLOURS.get(mark.kind, OTHER)))
+    return [phase for phase in slices if phase.stop > phase.start]
 
 
 def overloads(recording: Recording, start: int, stop: int) -> dict[str, list[MarkedSlice]]:

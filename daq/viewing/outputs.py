@@ -1,4 +1,4 @@
-"""Ways to look at a replay: in a window, in a browser, as a picture, or as a file for later."""
+"""Outputs of a replay: a window, a browser, a picture, or a file."""
 
 from __future__ import annotations
 
@@ -66,12 +66,12 @@ def save(replay: Replay, file: Path, progress: Progress | None = None) -> None:
 
 @contextmanager
 def _stream_into(file: Path) -> Iterator[tuple[rr.RecordingStream, Callable[[], None]]]:
-    """Make a stream that a file takes, and what raises `OSError` once the file cannot.
+    """Make a stream into a file, and a function that raises `OSError` once writing has failed.
 
-    Rerun's own writer waits for ever when a disk takes no more, so it writes into a pipe.
+    Rerun's writer waits for ever when a disk is full, so it writes into a pipe.
     """
     if sys.platform == "win32":
-        # Here a pipe has no path.
+        # On Windows a pipe has no path.
         with recording_stream() as stream:
             stream.save(file)
             yield stream, lambda: None
@@ -157,7 +157,7 @@ def photograph(
         part.write_bytes(png)
     problems = [f"{view.name}: {report.summary}" for view in views for report in view.reports]
     if problems:
-        raise RunError(f"{file} is written, but the viewer could not draw all of it: {'; '.join(problems)}")
+        raise RunError(f"{file} is written, but incomplete: {'; '.join(problems)}")
     return at
 
 
@@ -167,7 +167,7 @@ def window(instead: str) -> AbstractContextManager[Viewer]:
     Parameters
     ----------
     instead : str
-        What to do without a display, for the message.
+        Remedy without a display, for the message.
 
     Raises
     ------
@@ -219,7 +219,7 @@ def in_browser(replay: Replay, announce: Callable[[str], None], progress: Progre
 def server(announce: Callable[[str], None]) -> Iterator[Viewer]:
     """Serve the viewer to browsers on this machine; `announce` is called with the address."""
     page = free_port()
-    # The server keeps everything for browsers to come.
+    # The server stores everything for later browsers.
     with viewer("--serve-web", "--web-viewer-port", str(page), "--server-memory-limit", "75%") as running:
         address = f"http://{LOOPBACK}:{page}/?url={quote(running.url, safe='')}"
         announce(address)
@@ -229,17 +229,17 @@ def server(announce: Callable[[str], None]) -> Iterator[Viewer]:
 
 
 def _warn_of_size(replay: Replay) -> None:
-    """Say beforehand what a viewer will need: it holds every value, or forgets the oldest ones."""
+    """Warn of the memory of the viewer, which holds every value or drops the oldest."""
     gigabytes = replay.values * BYTES_A_VALUE / 1e9
     if gigabytes > LIGHT_GB:
         print(
-            f"note: the viewer will take about {gigabytes:.0f} GB of memory; --from and --to show a part",
+            f"note: the viewer will take about {gigabytes:.0f} GB of memory. Show a part with --from and --to.",
             file=sys.stderr,
         )
 
 
 def _feed(replay: Replay, running: Viewer, progress: Progress | None) -> None:
-    """Send a replay to a running viewer; a viewer that is closed meanwhile ends it."""
+    """Send a replay to a running viewer, until the viewer is closed."""
     with recording_stream() as stream:
         stream.connect_grpc(running.url)
         try:
@@ -251,7 +251,7 @@ def _feed(replay: Replay, running: Viewer, progress: Progress | None) -> None:
 
 @contextmanager
 def recording_stream() -> Iterator[rr.RecordingStream]:
-    """Make a stream of its own; on leaving, whatever it still holds goes to its sink."""
+    """Make a separate stream, which is flushed to its sink at the end."""
     import rerun as rr
 
     stream = rr.RecordingStream(APPLICATION, recording_id=uuid4())
@@ -267,10 +267,10 @@ def _fill(
     import rerun as rr
 
     drain()
-    # Sent as the active layout: a viewer remembers the layout of an application and would ignore a default.
+    # As the active layout: a viewer remembers the layout of an application and would ignore a default.
     stream.send_blueprint(replay.blueprint(), make_active=True, make_default=True)
     replay.send(stream, drain, progress)
-    # A viewer that knows this has taken in what came before.
+    # A viewer with this text has received everything before it.
     stream.log(LAST, rr.TextDocument("all of the replay was sent"), static=True)
     drain()
 
@@ -279,4 +279,4 @@ def _need_suffix(file: Path, suffix: str, option: str) -> None:
     if file.suffix.lower() != suffix:
         raise SceneError(f"{option} {file}: expected a file name that ends in {suffix}")
     if not file.parent.is_dir():
-        raise RunError(f"{option} {file}: there is no folder {file.parent}")
+        raise RunError(f"{option} {file}: there is no folder {file.parent}. Create it first.")

@@ -1,4 +1,4 @@
-"""Showing a recording in the rerun viewer: the rig in motion beside its channels, dampers and test marks."""
+"""A recording in the rerun viewer: the rig in motion next to its channels, dampers and markers."""
 
 from __future__ import annotations
 
@@ -70,26 +70,26 @@ class Replay:
         )
         if self.stop <= self.start:
             raise SceneError(
-                f"nothing to replay: the recording lasts {recording.samples / rate:.3f} s, and "
-                f"--from {begin_s} --to {end_s} leave no sample of it"
+                f"nothing to replay: --from {begin_s} --to {end_s} contain no sample of the recording, whose length is "
+                f"{recording.samples / rate:.3f} s. Choose times within it."
             )
         seconds = (self.stop - self.start) / rate
         frames_per_s = min(MOST_FRAMES_PER_S, max(LEAST_FRAMES_PER_S, FRAMES / seconds))
         self.step = max(1, round(rate / frames_per_s))
         scene = recording.scene
         natural_hz = structural_model(scene).modes.frequency
-        # A structure that is not held has modes at 0 Hz, which set no time scale.
+        # A free structure has modes at 0 Hz, which give no time scale.
         self.lowest_hz = float(min(natural_hz[natural_hz > SLOWEST_HZ], default=SLOWEST_HZ))
         self.motion = RecordedMotion(recording)
 
     @cached_property
     def _survey(self) -> tuple[Extremes, int]:
-        """Largest motions, and the sample at which there is most to see; reads the whole stretch."""
+        """Largest motions, and the sample with the most motion; reads the whole stretch."""
         hung = [shaker.body for _, shaker in self.recording.scene.tables]
         extremes, liveliest, most = Extremes(), self.start, 0.0
         for instants, motion in self.motion.stretches(self.start, self.stop, self.step):
             extremes = extremes.widened(motion, hung)
-            # Dampers in flight are what a picture should show; without them, bodies far out.
+            # A picture should show dampers in flight; without dampers, large displacements.
             motion_samples = (
                 np.abs(motion.displacement).max(axis=0) if motion.gap is None else motion.gap.sum(axis=0)
             )
@@ -99,18 +99,18 @@ class Replay:
 
     @cached_property
     def view(self) -> RigView:
-        """The drawing of the rig, its exaggeration fit to the motion of this stretch."""
+        """The drawing of the rig, with an exaggeration for the motion of this stretch."""
         unknown = [source.point for source in self.motion.sources if source.quantity == "nothing"]
         return RigView(self.recording.scene, self._survey[0], self.motion.gaps_known, unknown)
 
     @property
     def liveliest_s(self) -> float:
-        """Seconds from the start of the recording to where dampers fly highest, or bodies are far out."""
+        """Time at which dampers fly highest or bodies are displaced most, s from the start of the recording."""
         return self._survey[1] / self.recording.rate
 
     @property
     def values(self) -> int:
-        """Samples of channels and gaps that a viewer would hold."""
+        """Number of samples of channels and gaps in the viewer."""
         series = len(self.recording.channels) + (
             len(self.recording.scene.dampers) if self.motion.gaps_known else 0
         )
@@ -132,11 +132,11 @@ class Replay:
         Parameters
         ----------
         stream : rerun RecordingStream
-            Its sink is set.
+            With its sink.
         drain : callable
-            Waits until the sink has taken what was sent; called often, so that nothing piles up in memory.
+            Waits until the sink has received everything; called often, to bound the memory.
         progress : callable or None
-            Called with the share that is done.
+            Called with the completed share.
         """
         import rerun as rr
 
@@ -197,7 +197,7 @@ class Replay:
     ) -> None:
         import rerun as rr
 
-        # Each stretch is a state of its own, so that each can have its label; between them the lane is empty.
+        # Each stretch is a separate state, so that it can have a label; between them the lane is empty.
         states = [str(number) for number in range(len(spans))]
         lane = rr.StateConfiguration(
             values=[*states, "none"],

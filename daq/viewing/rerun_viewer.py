@@ -32,7 +32,7 @@ LOOPBACK = "127.0.0.1"
 START_S = 30.0
 LOAD_S = 300.0
 POLL_S = 0.1
-# A picture is complete when it has stayed the same for so long, and for so many times what drawing it takes.
+# A picture is complete when it has not changed for this time, s, and for a multiple of its drawing time.
 QUIET_S = 2.0
 _PICTURES = 5
 _COMPARED = 800
@@ -62,22 +62,22 @@ class Viewer:
         """Address for `RecordingStream.connect_grpc` and for `ViewerClient`."""
         return f"rerun+http://{LOOPBACK}:{self.port}/proxy"
 
-    def said(self) -> str:
-        """Return what the viewer has printed so far."""
+    def output(self) -> str:
+        """Return the output of the viewer so far."""
         return Path(self._log.name).read_text(encoding="utf-8", errors="replace")
 
     def ready(self) -> None:
-        """Return once the viewer accepts connections; raise `RunError` if it does not come up."""
+        """Return once the viewer accepts connections; raise `RunError` if it does not start."""
         deadline = time.monotonic() + START_S
         while time.monotonic() < deadline:
             if self.process.poll() is not None:
-                raise RunError(_why_it_ended(self.said()))
+                raise RunError(_why_it_ended(self.output()))
             with socket.socket() as probe:
                 if probe.connect_ex((LOOPBACK, self.port)) == 0:
                     return
             time.sleep(POLL_S)
         raise RunError(
-            f"the rerun viewer did not answer within {START_S:g} s; it said:\n{_tail(self.said())}"
+            f"the rerun viewer did not answer within {START_S:g} s; its output:\n{_tail(self.output())}"
         )
 
     @contextmanager
@@ -99,7 +99,7 @@ class Viewer:
                     client.get_state()
                     break
                 except Exception:
-                    # What is raised depends on how far the viewer has come.
+                    # The exception depends on the progress of the viewer's start.
                     if self.process.poll() is not None or time.monotonic() > deadline:
                         raise
                     time.sleep(POLL_S)
@@ -112,7 +112,7 @@ class Viewer:
                 self.process.wait(timeout=2.0)
             except subprocess.TimeoutExpired:
                 raise RunError(f"the rerun viewer stopped answering: {error}") from error
-            raise RunError(_why_it_ended(self.said())) from error
+            raise RunError(_why_it_ended(self.output())) from error
 
 
 @contextmanager
@@ -131,7 +131,7 @@ def viewer(*options: str) -> Iterator[Viewer]:
     """
     port = free_port()
     command = [str(binary()), "--bind", LOOPBACK, "--port", str(port), "--hide-welcome-screen", *options]
-    # The viewer reports its use to its makers unless it runs under CI; an instrument reports to nobody.
+    # The viewer sends usage data to its makers unless it runs under CI.
     environment = {**os.environ, "CI": "true", "NO_COLOR": "1"}
     with (
         _terminable(),
@@ -154,7 +154,7 @@ def viewer(*options: str) -> Iterator[Viewer]:
 
 @contextmanager
 def _terminable() -> Iterator[None]:
-    """Let SIGTERM unwind this process as Ctrl-C does, so that no viewer outlives it."""
+    """Let SIGTERM end this process as Ctrl-C does, so that the viewer ends as well."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -183,19 +183,19 @@ def binary() -> Path:
 
 
 def free_port() -> int:
-    """Return a port of the loopback interface that nothing listens on."""
+    """Return a free port of the loopback interface."""
     with socket.socket() as probe:
         probe.bind((LOOPBACK, 0))
         return int(probe.getsockname()[1])
 
 
 def can_open_windows() -> bool:
-    """Say whether a window can be opened here."""
+    """Whether a window can be opened."""
     return not sys.platform.startswith("linux") or any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY")))
 
 
 def need_display(instead: str) -> None:
-    """Raise `RunError` where no window can be opened; `instead` names what to do then."""
+    """Raise `RunError` with the remedy `instead` where no window can be opened."""
     if not can_open_windows():
         raise RunError(
             f"no display to open the viewer on (neither DISPLAY nor WAYLAND_DISPLAY is set); {instead}"
@@ -220,7 +220,7 @@ def picture(
     size : tuple of int
         Width and height of the picture in points.
     lasts_s : float
-        What the file holds lasts at least so long.
+        Least duration of the file's content, s.
     last : str, optional
         What was written last, an entity's path: the viewer waits for it.
 
@@ -241,7 +241,7 @@ def picture(
             _put_cursor(client, recording, after_s)
         _settled(client)
         shot = _patiently(client.take_screenshot)
-        # What a viewer is short of memory for it forgets, the oldest first.
+        # A viewer that is short of memory drops the oldest data.
         state = _patiently(client.get_state)
         if not _holds(state, lasts_s):
             raise RunError(f"the viewer ran out of memory for {lasts_s:.0f} s; {_SHORTER}")
@@ -260,7 +260,7 @@ def _put_cursor(client: ViewerClient, recording: Recording, after_s: float) -> N
 
 
 def _loaded(client: ViewerClient, lasts_s: float, last: str | None) -> ViewerState:
-    """Wait until the viewer holds a whole recording: from its first instant to its last, and what was written last."""
+    """Wait until the viewer has the whole recording: its first and last instants, and its last entity."""
     deadline = time.monotonic() + LOAD_S
     while time.monotonic() < deadline:
         state = _patiently(client.get_state)
@@ -271,7 +271,7 @@ def _loaded(client: ViewerClient, lasts_s: float, last: str | None) -> ViewerSta
 
 
 def _patiently(ask: Callable[[], T]) -> T:
-    """Ask a viewer again that was too busy to answer in its client's time: drawing without a graphics card is slow."""
+    """Repeat a request that timed out: drawing without a graphics card is slow."""
     deadline = time.monotonic() + LOAD_S
     while True:
         try:
@@ -282,7 +282,7 @@ def _patiently(ask: Callable[[], T]) -> T:
 
 
 def _holds(state: ViewerState, lasts_s: float) -> bool:
-    """Whether the recording's times reach as far as they should."""
+    """Whether the recording's times have the expected range."""
     return bool(state.recordings) and any(
         line.start is not None and line.end and line.end - line.start >= (lasts_s - _A_FRAME_S) * 1e9
         for line in state.recordings[0].timelines
@@ -295,7 +295,7 @@ def _knows(client: ViewerClient, path: str) -> bool:
 
 
 def _settled(client: ViewerClient) -> None:
-    """Wait until the picture has stayed the same for a while: fonts, plots and images arrive over several frames.
+    """Wait until the picture does not change any more: fonts, plots and images appear over several frames.
 
     On a busy machine a long trace arrives piece by piece, with pictures in between that look finished.
     """
@@ -306,20 +306,20 @@ def _settled(client: ViewerClient) -> None:
         now = _patiently(lambda: client.take_screenshot(max_size=_COMPARED))
         if now != before:
             before, since = now, began
-        # A viewer that needs long for a picture needs long for the next piece as well.
+        # A viewer that draws slowly also needs longer for the next part of the picture.
         elif began - since >= max(QUIET_S, _PICTURES * (time.monotonic() - began)):
             return
         time.sleep(POLL_S)
     raise RunError(f"the viewer's picture did not come to rest within {LOAD_S:g} s; {_SHORTER}")
 
 
-def _why_it_ended(said: str) -> str:
-    if "graphics adapter" in said or "render context" in said:
+def _why_it_ended(output: str) -> str:
+    if "graphics adapter" in output or "render context" in output:
         return (
             "the viewer found no graphics device (Vulkan); on Debian and Ubuntu "
             "`apt-get install mesa-vulkan-drivers libvulkan1` installs one that needs no graphics card"
         )
-    return f"the rerun viewer ended at once; it said:\n{_tail(said)}"
+    return f"the rerun viewer ended at once; its output:\n{_tail(output)}"
 
 
 def _tail(text: str, lines: int = 12) -> str:

@@ -1,4 +1,4 @@
-"""Amplitude spectra of a recording's channels, for looking at."""
+"""Amplitude spectra of a recording's channels, as a picture."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ def peak_spectrum(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Largest amplitude at each frequency over Hann-windowed segments of a channel.
 
-    A tone of amplitude A shows as A, and a sweep as its envelope over frequency. Segments of up to
-    `SEGMENT_S` seconds overlap by half; of a long recording `MOST_SEGMENTS` are taken, evenly spread.
+    A tone of amplitude A gives A, a sweep its envelope over frequency. Segments of up to `SEGMENT_S` seconds overlap by
+    half; of a long recording `MOST_SEGMENTS` are used, evenly spread.
 
     Parameters
     ----------
     start, stop : int
-        Sample numbers between which to look.
+        Range of sample numbers.
 
     Returns
     -------
@@ -59,7 +59,7 @@ def spectrum_picture(
 ) -> bytes:
     """Draw the spectra of all channels, one panel for each quantity, as a PNG.
 
-    Dotted lines stand at the natural frequencies of the bare structure.
+    Dotted lines mark the natural frequencies of the bare structure.
     """
     from matplotlib.figure import Figure
 

@@ -1,4 +1,4 @@
-"""What a viewer shows of channels, dampers and the rig, sent to it stretch by stretch."""
+"""The stream to a viewer: channels, dampers and motion of the rig, stretch by stretch."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 CONTACTS = ("flight", "floor", "ceiling", "lost")
 CONTACT_COLOURS = (0x3B82C4FF, 0x8A5A2BFF, 0xC4453BFF, 0x404040FF)
-# Quantities in the order of interest to somebody who looks at a structure, and the factor to the shown unit.
+# Quantities in the order of the plots, with the factor to the shown unit.
 SHOWN = {
     "displacement": (1e3, "mm"),
     "acceleration": (1.0, "m/s²"),
@@ -47,9 +47,9 @@ class Traces:
     Parameters
     ----------
     stream : rerun RecordingStream
-        Its sink is set.
+        With its sink.
     dampers : sequence of Damper
-        Those whose gap and contact will come; empty if none will.
+        Dampers whose gap and contact are sent.
     """
 
     def __init__(
@@ -64,7 +64,7 @@ class Traces:
         self._style(dampers)
 
     def times(self, samples: NDArray[np.int64]) -> rr.TimeColumn:
-        """Give the times of some samples, counted from the start of the recording."""
+        """Give the times of samples from the start of the recording."""
         import rerun as rr
 
         # Durations stay far below the 2^53 ns up to which a double holds every nanosecond.
@@ -75,7 +75,7 @@ class Traces:
         import rerun as rr
 
         def curve(colour: tuple[int, int, int], name: str) -> rr.SeriesLines:
-            # By default the viewer averages what falls on one pixel, and a tone would vanish.
+            # By default the viewer averages the samples of a pixel, and a tone would vanish.
             return rr.SeriesLines(colors=[colour], names=[name], widths=[1.2], aggregation_policy="MinMax")
 
         for name, info in self._channels.items():
@@ -89,7 +89,7 @@ class Traces:
             self._stream.log(f"dampers/contact/damper_{place}", lane, static=True)
 
     def channel(self, name: str, first: int, samples: NDArray[np.float64]) -> None:
-        """Send the next samples of a channel, in its unit; NaN leaves a hole in the curve."""
+        """Send the next samples of a channel, in its unit; NaN is a gap in the curve."""
         import rerun as rr
 
         quantity = self._channels[name].quantity

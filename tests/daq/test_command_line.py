@@ -19,7 +19,7 @@ from rig.errors import RecordingError, SceneError
         ("replay r.mcap --at 1", "requires --screenshot"),
         ("replay r.mcap --screenshot x.png --speed 2", "combined with --screenshot"),
         ("serve fig9 --overwrite", "name it with -o"),
-        ("serve --set seed=1", "name the scene too"),
+        ("serve --set seed=1", "Name the scene too"),
     ],
 )
 def test_given_an_option_that_could_change_nothing_when_asked_for_then_what_it_needs_is_named(words, message):

@@ -422,7 +422,7 @@ def test_block_logged_half_a_sample_late_is_rejected(tmp_path, late_ns):
     with pytest.raises(
         RecordingError,
         match="/raw/a: the block at sample 5 does not follow the layout: at 100 Hz it should begin at 50000000 ns and "
-        f"be logged at its end, 70000000 ns; it says 100 Hz, 50000000 ns and {end} ns",
+        f"be logged at its end, 70000000 ns; it states 100 Hz, 50000000 ns and {end} ns",
     ):
         daq.open(path).read("a", 5, 7)
 

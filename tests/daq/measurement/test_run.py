@@ -306,7 +306,7 @@ def test_given_a_folder_that_takes_no_files_when_recorded_then_it_is_not_said_to
 
     scene = hit()
     monkeypatch.setattr(Path, "open", refuse)
-    with pytest.raises(RecordingError, match=f"the folder {tmp_path} takes no new files; choose another one"):
+    with pytest.raises(RecordingError, match=f"the folder {tmp_path} accepts no new files"):
         daq.record(scene, tmp_path / "a.mcap")
 
 

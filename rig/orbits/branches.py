@@ -9,7 +9,6 @@ in turn.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,17 +28,14 @@ from rig.orbits.problem import (
 )
 from rig.scene.loading import SceneLike, scene_of
 
-if TYPE_CHECKING:
-    pass
-
 Array = NDArray[np.float64]
 
 STEPS = continuation.Steps(first=5e-3, longest=0.25, turn=0.12, shortest=1e-7, points=1500)
-# Distance past a border, relative to the parameter, at which the motion beyond is looked for.
+# Distance past a border, relative to the parameter, at which the next orbit is searched from the last one.
 BEYOND = 2e-6
-# The same for where the motion settles.
+# The same where the motion is simulated until it is steady.
 FARTHER = (2e-5, 3e-4, 3e-3)
-# Branches after which no more are followed: near irregular motion there is no end of them.
+# Limit of the number of branches: near irregular motion there are infinitely many.
 MOST = 60
 
 
@@ -115,7 +111,7 @@ class _Explorer:
                 self.failures.append(f"at {self.parameter} {value:.6g}: {failure}")
 
     def _add(self, orbit: Orbit) -> None:
-        """Follow an orbit unless a branch holds it, then look beyond the borders, and so on."""
+        """Follow an orbit unless it lies on a known branch; then continue beyond the borders of the new branch."""
         waiting = [orbit]
         while waiting:
             start = waiting.pop(0)
@@ -166,7 +162,7 @@ class _Explorer:
         return found
 
     def _shaken(self, orbit: Orbit) -> list[Orbit]:
-        """Find what an unstable orbit becomes when it is left alone, if that repeats."""
+        """Find the orbit to which a disturbed unstable orbit settles, if its motion repeats."""
         propagator, _ = start_march(self.problem, orbit.setting)
         enter(propagator, orbit)
         n = propagator.system.states
@@ -256,12 +252,12 @@ class _Explorer:
 
 
 def _minus_one(multipliers: NDArray[np.complex128]) -> float:
-    """Negative if an odd number of multipliers lies below -1; changes sign at a period doubling."""
+    """Give a value that changes sign where a multiplier passes -1: at a period doubling."""
     return float(np.prod(1 + multipliers).real)
 
 
 def _pair(multipliers: NDArray[np.complex128]) -> float:
-    """Positive if a complex pair lies outside the unit circle."""
+    """Give a value that is positive if a complex pair lies outside the unit circle: beyond a torus bifurcation."""
     pairs = multipliers[np.abs(multipliers.imag) > 1e-9]
     return float(np.abs(pairs).max(initial=0.5) - 1)
 

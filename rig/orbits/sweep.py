@@ -46,16 +46,18 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-# Halvings of the way to the next value before the orbit counts as ended.
+# Halvings of the step to the next value before the orbit counts as ended.
 HALVINGS = 6
-# Corrections allowed where the orbit is predicted, and how far, relative to the way gone, a prediction may be off.
-CORRECTIONS, MISS = 6, 0.3
-# A prediction that moves an unknown by more than so many times its size is none: points close together foretell
-# nothing far away, and to propagate to instants millions of periods ahead would never end.
+# Newton corrections allowed after a prediction.
+CORRECTIONS = 6
+# Largest error of a prediction, relative to the step.
+MISS = 0.3
+# Largest change of an unknown by a prediction, relative to its size. Points close together predict nothing far away,
+# and to propagate to instants millions of periods ahead would never end.
 FARTHEST = 10.0
-# Points that a prediction is based on.
+# Points from which a prediction is extrapolated.
 POINTS = 4
-# Periods that the motion is followed for before it counts as irregular.
+# Periods of the drive after which a motion that does not repeat counts as irregular.
 LONGEST = 1500
 # Periods over which an irregular motion is averaged.
 AVERAGED = 64

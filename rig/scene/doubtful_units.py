@@ -1,4 +1,4 @@
-"""Bare numbers that make sense only in a unit that nobody wrote: not wrong, but worth a question."""
+"""Bare numbers that are improbable in SI: valid, but their unit was probably forgotten, which a warning says."""
 
 from __future__ import annotations
 
@@ -9,13 +9,17 @@ from typing import Any
 from rig.scene.scene import Scene
 from rig.scene.settings import Mistake, Place, at
 
-# From here on a value is taken for one in a forgotten unit: no cavity is so high (m), no structure so damped, no
-# bed so heavy (as shares).
-_CLEARANCE, _DAMPING, _MASS_RATIO = 0.1, 0.1, 2.0
+# Limits from which a bare number is questioned, because its unit was probably forgotten.
+#: Clearance, m: cavities are lower.
+_CLEARANCE = 0.1
+#: Damping ratio: structures are less damped.
+_DAMPING = 0.1
+#: Mass ratio: beds are lighter than twice their mode.
+_MASS_RATIO = 2.0
 
 
 def doubts(scene: Scene, content: Mapping[str, Any]) -> Iterator[Mistake]:
-    """Find such numbers in what was written of a scene that is right in itself."""
+    """Yield a warning for each such number in the content of a valid scene."""
     for k, damper in enumerate(scene.dampers):
         if damper.clearance < inf:
             yield from _doubt(

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.bench.bench import Bench
 from daq.recording.recorder import Recorder
 from daq.recording.sample_block import stored_as
-from daq.signal_chain.bench import Bench
 from daq.signal_chain.chain import Chain
 from daq.signal_chain.converter import Quantiser, SampleClock
 from daq.signal_chain.outputs import volt_effect

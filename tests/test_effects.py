@@ -9,7 +9,7 @@ import pytest
 
 import daq
 import rig
-from daq.signal_chain.bench import Bench
+from daq.bench.bench import Bench
 
 
 def full() -> rig.Scene:

@@ -29,7 +29,7 @@ class LiveBench:
         """Describe each output: peak in V, and frequency."""
         lines = []
         for number, ((peak, frequency), per_volt) in enumerate(
-            zip(self.monitor.output(), self.chassis.source.drive_per_volt, strict=False), 1
+            zip(self.monitor.output(), self.chassis.terminals.drive_per_volt, strict=False), 1
         ):
             tone = f", {frequency:.4g} Hz" if frequency else ""
             lines.append(f"output {number}: {peak / per_volt:.4g} V{tone}")

@@ -67,12 +67,12 @@ class Monitor:
     """
 
     def __init__(self, chassis: Chassis) -> None:
-        source: Any = chassis.source
-        self._scene = source.scene
-        self.rate = source.sample_rate
-        self.channels = tuple(source.channels)
+        bench: Any = chassis.bench
+        self._scene = bench.scene
+        self.rate = bench.rate
+        self.channels = tuple(bench.channels)
         self.history = History(len(self.channels), round(HISTORY_S * self.rate))
-        self.outputs = History(len(source.drive), round(OUTPUT_S * self.rate))
+        self.outputs = History(len(bench.drive), round(OUTPUT_S * self.rate))
         self.frf: LiveFrf | None = None
         self.judge: HitJudge | None = None
         self.continuous = False
@@ -86,7 +86,7 @@ class Monitor:
         self._thread = threading.Thread(target=self._follow, name="bench page", daemon=True)
         self._thread.start()
 
-    def hear(self, source: Any, block: Any) -> None:
+    def hear(self, bench: Any, block: Any) -> None:
         """Take a block of the bench; a listener of the chassis."""
         if self._next is not None:
             self.lost += max(0, block.first - self._next)
@@ -94,7 +94,7 @@ class Monitor:
         if self._blocks.full():
             self.left_out += 1
         else:
-            self._blocks.put_nowait((block, source.drive.copy(), source.physical))
+            self._blocks.put_nowait((block, bench.drive.copy(), bench.physical))
 
     def catch_up(self) -> None:
         """Wait until all blocks so far have been taken in."""

@@ -15,7 +15,7 @@ from rig.errors import SceneError, ShotrigError
 if TYPE_CHECKING:
     from daq.bench_page.monitor import Monitor
     from daq.bench_page.recordings import BenchRecordings
-    from daq.instrument.bench.background_test import BackgroundTest
+    from daq.instrument.background_test import BackgroundTest
     from daq.instrument.chassis import Chassis
     from rig.scene.scene import Scene
 
@@ -59,8 +59,8 @@ class Operator:
     def __init__(self, chassis: Chassis, monitor: Monitor, recordings: BenchRecordings) -> None:
         self._chassis, self._monitor, self._recordings = chassis, monitor, recordings
         # The bench of a scene, which can play a test by itself.
-        self._source: Any = chassis.source
-        self._scene: Scene = chassis.source.scene
+        self._terminals: Any = chassis.terminals
+        self._scene: Scene = chassis.bench.scene
         test = self._scene.test
         # A scene has its hammer's channel for a test with the hammer, and for no other.
         self.kinds: list[Kind] = ["sine", "sweep", "random"] if self._scene.shakers else []
@@ -81,7 +81,7 @@ class Operator:
     def switch_on(self) -> None:
         """Let the bench run from now on, with its own test silent."""
         with self._chassis.changed:
-            self._source.play(self._scene, 0, _ignore, _ignore, _ignore, _silence)
+            self._terminals.play(self._scene, 0, _ignore, _ignore, _ignore, _silence)
             self._chassis.wake(cast(Any, self))
 
     def switch_off(self) -> None:
@@ -123,7 +123,7 @@ class Operator:
             self._hits = []
             self._recordings.begin_test(scene, kind)
             self.message = f"{self.settings.kind} runs"
-            self._playing = self._source.play(
+            self._playing = self._terminals.play(
                 scene, chassis.position, self._mark, self._report, self._ended, excite
             )
             if self.running:

@@ -135,7 +135,7 @@ class Page:
 
     def __init__(self, bench: LiveBench) -> None:
         self._bench, self._monitor, self._operator = bench, bench.monitor, bench.operator
-        scene = bench.chassis.source.scene
+        scene = bench.chassis.bench.scene
         self._rig, self._drawn = RigDrawing(scene), ""
         ui.dark_mode(True)
         ui.page_title(f"daq bench: {scene.name}")

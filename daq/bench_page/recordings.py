@@ -58,13 +58,13 @@ class BenchRecordings:
         """Note an event of the samples from `first` to `stop`, counted from power-on."""
         self._jobs.put(lambda: self._mark(kind, first, stop, **fields))
 
-    def hear(self, source: Any, block: Any) -> None:
+    def hear(self, bench: Any, block: Any) -> None:
         """Take a block of the bench; a listener of the chassis."""
         busy = self._test is not None or self._chassis.inputs or self._chassis.outputs
         if self.wanted and busy:
-            test, channels = self._test, source.channels
-            time = self._chassis.time_ns(round(block.first * source.rate / source.sample_rate))
-            self._jobs.put(lambda: self._write(source, channels, block, test, time))
+            test, channels = self._test, bench.channels
+            time = self._chassis.time_ns(round(block.first * bench.tick_rate / bench.rate))
+            self._jobs.put(lambda: self._write(bench, channels, block, test, time))
         elif self.running:
             self._jobs.put(self._complete)
         if self._ending:
@@ -86,20 +86,18 @@ class BenchRecordings:
                 self._recorder = self._overloads = None
 
     def _write(
-        self, source: Any, channels: Any, block: Any, test: tuple[Scene, TestKind] | None, time: int
+        self, bench: Any, channels: Any, block: Any, test: tuple[Scene, TestKind] | None, time: int
     ) -> None:
         if channels is not self._settings:
             self._complete()
             self._settings = channels
         if self._recorder is None:
-            scene, kind = test or (source.scene, TestKind.NONE)
+            scene, kind = test or (bench.scene, TestKind.NONE)
             scene = scene.replace(recording=scene.recording.replace(truth=False))
             path = self._free()
             path.parent.mkdir(parents=True, exist_ok=True)
             overwrite = self._overwrite and not self.paths
-            self._recorder = Recorder(
-                path, scene, channels, source.sample_rate, time, overwrite, test_kind=kind
-            )
+            self._recorder = Recorder(path, scene, channels, bench.rate, time, overwrite, test_kind=kind)
             self._overloads = Stretches("overload", channels, self._mark)
             self._first, self.problem = block.first, ""
             self.paths.append(path)

@@ -7,8 +7,9 @@ from collections import deque
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from daq.bench.bench import Bench
+from daq.bench.block import Block
 from daq.recording.recorder import Recorder
-from daq.signal_chain.bench import AcquiredBlock, Bench
 from rig.scene.scene import Scene
 
 # Duration of the end of a rehearsal that is written, s.
@@ -26,7 +27,7 @@ class LastBlocks:
     """
 
     most: float
-    blocks: deque[AcquiredBlock] = field(default_factory=deque)
+    blocks: deque[Block] = field(default_factory=deque)
     samples: int = 0
 
     @classmethod
@@ -34,7 +35,7 @@ class LastBlocks:
         """Keep the part of a rehearsal that is written, at a sample rate in Hz."""
         return cls(_KEPT_S * rate)
 
-    def add(self, block: AcquiredBlock) -> None:
+    def add(self, block: Block) -> None:
         """Take the next block, and drop blocks that are no longer needed."""
         self.blocks.append(block)
         self.samples += block.samples.shape[1]

@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.bench.bench import Bench
+from daq.bench.block import Block
 from daq.excitation import Station, excitation
 from daq.excitation.swept_sine import sweep_frequency
 from daq.foresight.recording_size import LastBlocks
 from daq.measurement.limits import ControlLoss, Limits
 from daq.measurement.run import RAMP_S, ramp_down
-from daq.signal_chain.bench import AcquiredBlock, Bench
 from rig.scene.excitation import SweptSine
 from rig.scene.scene import Scene
 
@@ -208,7 +209,7 @@ class _Run:
         self._follow(got)
         return readings
 
-    def _follow(self, got: AcquiredBlock) -> None:
+    def _follow(self, got: Block) -> None:
         """Update the motion of tables and bodies, and the impacts of dampers."""
         motion, found = got.motion, self._found
         for row, point in enumerate(self._points):

@@ -6,7 +6,7 @@ plant. Inputs and outputs of any rate lie on it, in any order of starting: none 
 
 An output keeps its last value when a task ends; what its volts do says `rig.scene.shaker.DRIVE_PER_VOLT`. The bench
 stands still while no task needs it. As long as nobody has ever taken an output, the scene's own test is played, see
-`daq.instrument.bench.background_test`.
+`daq.instrument.background_test`.
 """
 
 from __future__ import annotations
@@ -31,9 +31,11 @@ from daq.instrument.errors import Code, DaqError
 from daq.instrument.sleepers import Sleepers
 
 if TYPE_CHECKING:
-    from daq.instrument.bench.sample_source import SampleSource
+    from daq.bench.bench import Bench
+    from daq.bench.block import Block
     from daq.instrument.clock import Clock
     from daq.instrument.settings.channels import Channel
+    from daq.instrument.terminals import Terminals
 
 _BLOCK = 4096
 # The bench may fall behind the wall clock by this long before its inputs count as overflown, s.
@@ -75,8 +77,8 @@ class Chassis:
     ----------
     modules : sequence of Module
         What scripts find, a chassis included.
-    source : SampleSource
-        The bench, at rest.
+    terminals : Terminals
+        Of the bench, at rest.
     clock : Clock
         What lets its time pass.
 
@@ -96,12 +98,12 @@ class Chassis:
         Called with the inputs of a task as they are about to be sampled.
     """
 
-    def __init__(self, modules: Sequence[Module], source: SampleSource, clock: Clock) -> None:
-        self.devices, self.source = DeviceList(modules), source
+    def __init__(self, modules: Sequence[Module], terminals: Terminals, clock: Clock) -> None:
+        self.devices, self.terminals, self.bench = DeviceList(modules), terminals, terminals.bench
         self.clock = clock
         lock = threading.RLock()
         self.changed, self.sleepers = threading.Condition(lock), Sleepers(lock)
-        self.listeners: list[Callable[[SampleSource, Any], None]] = []
+        self.listeners: list[Callable[[Bench, Block], None]] = []
         self.wired: list[Callable[[Sequence[Channel]], None]] = []
         self.inputs: dict[Runner, InputEngine] = {}
         self.outputs: dict[Runner, Generation] = {}
@@ -115,7 +117,7 @@ class Chassis:
         # Ticks at which the clock on the wall was looked at, and what it said: the bench stands still at times.
         self._anchors: list[tuple[int, int]] = []
         self.anchor()
-        self.held = np.zeros(len(source.drive_per_volt))
+        self.held = np.zeros(len(terminals.drive_per_volt))
 
     def anchor(self) -> None:
         """Note the time of the tick that comes next; see `Timeline.anchor`."""
@@ -126,7 +128,7 @@ class Chassis:
     @property
     def rate(self) -> float:
         """Ticks of the bench's clock per second."""
-        return self.source.rate
+        return self.bench.tick_rate
 
     @property
     def elapsed(self) -> float:
@@ -207,7 +209,7 @@ class Chassis:
                     )
             if any(isinstance(each, int) for each in resources) and not self._output_taken:
                 self._output_taken = True
-                self.source.leave_outputs()
+                self.terminals.leave_outputs()
             self._reserved[task] = resources
 
     def release(self, task: Runner) -> None:
@@ -250,14 +252,14 @@ class Chassis:
     def wire(self, task: Runner, channels: Sequence[Channel]) -> None:
         """Set the couplings and supplies that a task wants; with -50103 for inputs that run with others."""
         running = [each.acquisition.plan.rows for other, each in self.inputs.items() if other is not task]
-        self.source.wire(channels, {row for rows in running for row in rows})
+        self.terminals.wire(channels, {row for rows in running for row in rows})
         for hear in self.wired:
             hear(channels)
 
     def run_input(self, task: Runner, plan: InputPlan) -> InputEngine:
         """Start an acquisition."""
         self._read = True
-        self.inputs[task] = InputEngine(plan, self.rate, self.position, self.source.dtype)
+        self.inputs[task] = InputEngine(plan, self.rate, self.position, self.terminals.dtype)
         return self.inputs[task]
 
     def run_output(self, task: Runner, plan: OutputPlan, buffer: OutputBuffer) -> Generation:
@@ -268,7 +270,7 @@ class Chassis:
     @property
     def read_at_rest(self) -> bool:
         """Whether inputs have been read while nobody took an output and nothing else moves the bench."""
-        return self._read and not self._output_taken and self.source.quiet
+        return self._read and not self._output_taken and self.terminals.quiet
 
     def wait(self, ready: Callable[[], bool], missing: Callable[[], int], timeout: float) -> bool:
         """Let time pass until something is ready; see `Clock.wait`."""
@@ -284,8 +286,8 @@ class Chassis:
                 self._step(target - self.position)
 
     def _step(self, limit: int) -> None:
-        source, tick = self.source, self.position
-        ticks = source.horizon(min(limit, _BLOCK, self._ticks_to_output()))
+        terminals, tick = self.terminals, self.position
+        ticks = terminals.horizon(min(limit, _BLOCK, self._ticks_to_output()))
         for task in (*self.inputs, *self.outputs):
             ticks = max(1, min(ticks, task.horizon()))
         volts = None
@@ -298,15 +300,15 @@ class Chassis:
         # Rates of tasks that are only configured count too: their filters go on while they do not run.
         rates = {rate for task in self.tasks.values() if (rate := task.sample_rate) is not None}
         rates |= {engine.acquisition.plan.rate for engine in self.inputs.values()}
-        blocks = source.acquire(volts, ticks, rates)
+        blocks = terminals.advance(volts, ticks, rates)
         self.position += ticks
         # Tasks that wait for others come last.
         waiting = sorted(self.inputs.values(), key=lambda e: isinstance(e.acquisition.plan.start, OtherTask))
         for engine in waiting:
             self._give(engine, blocks[engine.acquisition.plan.rate])
-        own = blocks[source.sample_rate]
+        own = blocks[self.bench.rate]
         for listener in self.listeners if own.samples.size else ():
-            listener(source, own)
+            listener(self.bench, own)
         self.changed.notify_all()
         self.sleepers.wake(self.position)
         curious = [task for task in (*self.inputs, *self.outputs) if task.passed()]
@@ -323,13 +325,13 @@ class Chassis:
         for task in curious:
             self._silent[task] = 0 if task.answered else self._silent.get(task, 0) + 1
 
-    def _give(self, engine: InputEngine, block: Any) -> None:
+    def _give(self, engine: InputEngine, block: Block) -> None:
         """Give an engine its samples, up to a stretch that is lost on the way."""
         acquisition = engine.acquisition
         if acquisition.done:
             return
         stop = block.first + block.samples.shape[1]
-        losses = self.source.lost(acquisition.plan.rate)
+        losses = self.bench.lost_at(acquisition.plan.rate)
         lost = [first for first, last in losses if block.first <= last and first < stop]
         kept = slice(0, max(0, min(lost) - block.first)) if lost else slice(None)
         engine.take(block.first, block.samples[:, kept], block.overload[:, kept], self.moment)

@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import rig
-from daq.instrument.bench.sample_source import SceneSource
 from daq.instrument.chassis import Chassis
 from daq.instrument.clock import Clock
 from daq.instrument.clock import clock as make_clock
@@ -18,6 +17,7 @@ from daq.instrument.devices.modules import (
     USB_BUS,
     Module,
 )
+from daq.instrument.terminals import Terminals
 from daq.instrument.values import Coupling, Wiring
 from rig.scene.modules import Module as Sheet
 from rig.scene.modules import module
@@ -47,13 +47,13 @@ def connect_scene(scene: rig.Scene | str | Path | None = None, clock: str | Cloc
     chosen = make_clock(clock if clock is not None else os.environ.get("SHOTRIG_CLOCK") or "real")
     loaded = scene if isinstance(scene, rig.Scene) else rig.load(scene)
 
-    source = SceneSource(loaded)
+    terminals = Terminals(loaded)
     if chosen.runs_free:
-        source.warm_up()
-    return Chassis(scene_modules(loaded, source), source, chosen)
+        terminals.warm_up()
+    return Chassis(scene_modules(loaded, terminals), terminals, chosen)
 
 
-def scene_modules(scene: rig.Scene, source: SceneSource) -> list[Module]:
+def scene_modules(scene: rig.Scene, terminals: Terminals) -> list[Module]:
     """Give the devices of a scene.
 
     Inputs fill as many modules of the kind the scene's converter names as are needed, outputs those that its shakers
@@ -64,10 +64,10 @@ def scene_modules(scene: rig.Scene, source: SceneSource) -> list[Module]:
     ----------
     scene : Scene
         The scene.
-    source : SceneSource
-        Its bench.
+    terminals : Terminals
+        Terminals of its bench.
     """
-    described = _inputs(scene, source)
+    described = _inputs(scene, terminals)
     outputs = [filled_in(shaker.output) for shaker in scene.shakers]
     for row, output in enumerate(outputs):
         _add_output(described, output, row)
@@ -82,8 +82,8 @@ def scene_modules(scene: rig.Scene, source: SceneSource) -> list[Module]:
     everything = replace(
         (own or slots)[0],
         name="",
-        inputs=tuple(range(len(source.channels))),
-        outputs=tuple(range(len(source.drive_per_volt))),
+        inputs=tuple(range(len(terminals.bench.channels))),
+        outputs=tuple(range(len(terminals.drive_per_volt))),
         category=SOUND_AND_VIBRATION,
         bus=USB_BUS,
         chassis="",
@@ -104,11 +104,11 @@ def _of(modules: list[Module], bus: int) -> list[Module]:
     return [each for each in modules if each.bus == bus]
 
 
-def _inputs(scene: rig.Scene, source: SceneSource) -> list[Module]:
+def _inputs(scene: rig.Scene, terminals: Terminals) -> list[Module]:
     converter, named = filled_in(scene.converter), scene.converter.preset
     # The coupling that the scene sets is what an input has unless a script says something else.
     order = (Coupling.AC, Coupling.DC) if converter.coupling == "AC" else (Coupling.DC, Coupling.AC)
-    rows = tuple(range(len(source.channels)))
+    rows = tuple(range(len(terminals.bench.channels)))
     ideal = Module(
         name="",
         product_type="shotrig inputs",
@@ -116,7 +116,7 @@ def _inputs(scene: rig.Scene, source: SceneSource) -> list[Module]:
         ranges=(float(converter.range),) if converter.range else (),
         bits=converter.bits,
         couplings=order,
-        own_rate=source.sample_rate,
+        own_rate=terminals.bench.rate,
         on_demand=converter.filter is None,
     )
     if named is None:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from daq.bench.stream import samples_per_tick
 from daq.instrument.devices.names import unflatten
 from daq.instrument.engines.acquisition import InputPlan
 from daq.instrument.engines.generation import OutputPlan
@@ -21,11 +22,10 @@ from daq.instrument.engines.triggers import (
     window,
 )
 from daq.instrument.errors import Code, DaqError, bad, unsupported
-from daq.instrument.sample_clock import samples_per_tick
 from daq.instrument.values import Overwrite, Slope, TriggerType, WindowCondition, named
 
 if TYPE_CHECKING:
-    from daq.instrument.bench.sample_source import SampleSource
+    from daq.bench.bench import Bench
     from daq.instrument.chassis import Chassis
     from daq.instrument.settings.task_settings import TaskSettings
 
@@ -186,7 +186,7 @@ def _on_channel(task: TaskSettings, source: str, condition: Condition) -> tuple[
 
 def input_plan(
     task: TaskSettings,
-    source: SampleSource,
+    bench: Bench,
     start: Source | None,
     reference: Source | None,
     on_demand: int | None = None,
@@ -197,18 +197,18 @@ def input_plan(
     ----------
     task : TaskSettings
         Settings of the task.
-    source : SampleSource
+    bench : Bench
         The bench.
     start, reference : Source or None
         Its triggers.
     on_demand : int, optional
         Samples to take from now on, whatever the sample clock's settings are.
     """
-    samples, size, rate = on_demand, on_demand or 1, source.sample_rate
+    samples, size, rate = on_demand, on_demand or 1, bench.rate
     if on_demand is None:
         samples = task.samples if task.finite else None
         size, rate = task.input_size, task.rate
-    volts = [source.channels[each.row].volts_per_count or 1.0 for each in task.channels]
+    volts = [bench.channels[each.row].volts_per_count or 1.0 for each in task.channels]
     return InputPlan(
         rows=tuple(each.row for each in task.channels),
         factors=np.array(

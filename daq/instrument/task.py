@@ -127,7 +127,7 @@ class Task:
         start, reference = sources(self.settings, chassis)
         if self.settings.kind == "ai":
             chassis.wire(self, self.settings.channels)
-            plan = input_plan(self.settings, chassis.source, start, reference)
+            plan = input_plan(self.settings, chassis.bench, start, reference)
             self.acquisition = chassis.run_input(self, plan)
             self._open_log()
             return
@@ -151,7 +151,7 @@ class Task:
         def time_ns(sample: int) -> int:
             return chassis.time_ns(began + round(sample * ticks))
 
-        self.log = open_log(self.name, self.settings, chassis.source, plan, time_ns)
+        self.log = open_log(self.name, self.settings, chassis.bench, plan, time_ns)
 
     def stop(self) -> int:
         """Stop the task.

@@ -29,7 +29,7 @@ def get_channel(task: Task, names: str, name: str) -> Any:
     if not channels:
         raise DaqError(f"{name}: the task has no channels", Code.CAN_NOT_PERFORM_OP_WHEN_NO_CHANS_IN_TASK)
     if name in ("ai_filter_delay", "ai_remove_filter_delay"):
-        return task.chassis.source.filter_properties(
+        return task.chassis.terminals.filter_properties(
             channels[0].row, task.settings.rate if task.settings.clocked else None
         )[name]
     values = [each.get(name) for each in channels]

@@ -91,7 +91,7 @@ def _read_on_demand(task: Task, rows: list[int], out: NDArray[Any], timeout: flo
     task.reserve()
     chassis.wake(task)
     chassis.wire(task, task.settings.channels)
-    plan = input_plan(task.settings, chassis.source, None, None, on_demand=out.shape[1])
+    plan = input_plan(task.settings, chassis.bench, None, None, on_demand=out.shape[1])
     task.acquisition = chassis.run_input(task, plan)
     try:
         return collect(task, task.acquisition, rows, out, timeout, raw)

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.bench.stream import samples_per_tick
 from daq.instrument.clock import seconds
 from daq.instrument.engines.generation import OutputBuffer, OutputPlan
 from daq.instrument.errors import Code, DaqError
-from daq.instrument.sample_clock import samples_per_tick
 
 if TYPE_CHECKING:
     from daq.instrument.engines.generation import Generation
@@ -68,7 +68,7 @@ def _put_out_on_demand(task: Task, volts: Array) -> int:
         if volts.shape[1] > 1:
             buffer = OutputBuffer(volts.shape[0], None)
             buffer.write(volts, running=False)
-            per_tick = samples_per_tick(chassis.source.sample_rate, chassis.rate)
+            per_tick = samples_per_tick(chassis.bench.rate, chassis.rate)
             plan = OutputPlan(tuple(rows), chassis.rate, per_tick, volts.shape[1], False)
             run = chassis.run_output(task, plan, buffer)
             chassis.wait(lambda: run.done, run.missing, -1.0)

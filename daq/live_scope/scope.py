@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, TextIO
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.bench.bench import Bench
 from daq.excitation.manual_tone import HandTone, Knobs, ToneReading
 from daq.live_scope.screen import Screen, sentence
 from daq.measurement.run import MeasurementRun
 from daq.recording.recorded_test import TestKind
-from daq.signal_chain.bench import Bench
 from daq.viewing.outputs import recording_stream, server, window
 from rig.errors import SceneError
 from rig.input_files import path_of
@@ -26,7 +26,7 @@ from rig.scene.loading import SceneLike, load
 if TYPE_CHECKING:
     import rerun as rr
 
-    from daq.signal_chain.bench import AcquiredBlock
+    from daq.bench.block import Block
     from daq.viewing.rerun_viewer import Viewer
     from rig.scene.scene import Scene
 
@@ -116,7 +116,7 @@ def record_live(
             report(sentence(reading))
         was[0] = state
 
-    def heard(block: AcquiredBlock, readings: NDArray[np.float64]) -> None:
+    def heard(block: Block, readings: NDArray[np.float64]) -> None:
         screen.show(block, readings)
         keep(block.motion.first + block.motion.displacement.shape[1])
 

@@ -19,7 +19,7 @@ from rig.escaping import markdown
 if TYPE_CHECKING:
     import rerun as rr
 
-    from daq.signal_chain.bench import AcquiredBlock
+    from daq.bench.block import Block
     from daq.signal_chain.channel import ChannelInfo
     from rig.scene.scene import Scene
 
@@ -60,7 +60,7 @@ class Screen:
         self._next_reading = 0
         self._position = 0
 
-    def show(self, block: AcquiredBlock, readings: NDArray[np.float64]) -> None:
+    def show(self, block: Block, readings: NDArray[np.float64]) -> None:
         """Show a block: readings, shape (channels, samples), in the channels' units."""
         for name, samples in zip(self._names, readings, strict=True):
             if samples.size:

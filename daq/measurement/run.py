@@ -15,6 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.bench.bench import Bench
+from daq.bench.block import Block
 from daq.excitation import Excitation, Station, excitation
 from daq.measurement.estimate import estimate, refuse_too_much
 from daq.measurement.force_reference import missing_force_reference
@@ -23,7 +25,6 @@ from daq.recording.committed_file import DiskError
 from daq.recording.interrupts import answered
 from daq.recording.recorded_test import TestKind, kind_of_settings
 from daq.recording.recorder import Recorder
-from daq.signal_chain.bench import AcquiredBlock, Bench
 from rig.ending_signals import came
 from rig.errors import RecordingError, RunError, SceneError, ShotrigError
 from rig.errors import RunWarning as RunWarning  # public as daq.RunWarning
@@ -131,7 +132,7 @@ class MeasurementRun:
         block: int | None = None,
         progress: Progress | None = None,
         excite: Callable[[Station], Excitation] = excitation,
-        heard: Callable[[AcquiredBlock, Array], None] = lambda block, readings: None,
+        heard: Callable[[Block, Array], None] = lambda block, readings: None,
         kind: TestKind | None = None,
     ) -> None:
         self._path = path

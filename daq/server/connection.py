@@ -49,7 +49,7 @@ class Connection(GrpcSessionOptions):
     @property
     def sensors(self) -> tuple[ChannelInfo, ...]:
         """What is wired to ai0, ai1, ...; each with its position, quantity and sensitivity."""
-        return tuple(self.chassis.source.channels)
+        return tuple(self.chassis.bench.channels)
 
     def pass_time(self, seconds: float) -> None:
         """Let some bench time pass."""

@@ -35,17 +35,17 @@ class LiveView:
     """
 
     def __init__(self, chassis: Chassis, stream: rr.RecordingStream) -> None:
-        source = chassis.source
+        bench = chassis.bench
         self._chassis = chassis
-        self._screen = Screen(stream, source.scene, source.channels, source.sample_rate)
+        self._screen = Screen(stream, bench.scene, bench.channels, bench.rate)
         self._blocks: queue.Queue[tuple[Any, NDArray[np.float64]] | None] = queue.Queue(_WAITING)
         self._thread = threading.Thread(target=self._show, name="view", daemon=True)
         self._thread.start()
         chassis.listeners.append(self._hear)
 
-    def _hear(self, source: Any, block: Any) -> None:
+    def _hear(self, bench: Any, block: Any) -> None:
         if not self._blocks.full():
-            self._blocks.put_nowait((block, source.physical(block.samples)))
+            self._blocks.put_nowait((block, bench.physical(block.samples)))
 
     def _show(self) -> None:
         while (block := self._blocks.get()) is not None:
@@ -76,14 +76,14 @@ class LiveRecording:
 
     def __init__(self, chassis: Chassis, path: Path, overwrite: bool = False) -> None:
         self._chassis, self._path, self._overwrite = chassis, path, overwrite
-        self._source: Any = None
+        self._bench: Any = None
         self._channels: Any = None
         self._recorder: Recorder | None = None
         self.paths: list[Path] = []
         chassis.listeners.append(self._hear)
 
-    def _hear(self, source: Any, block: Any) -> None:
-        if source is not self._source or source.channels is not self._channels:
+    def _hear(self, bench: Any, block: Any) -> None:
+        if bench is not self._bench or bench.channels is not self._channels:
             self._complete()
             name = (
                 f"{self._path.stem}-{len(self.paths) + 1}{self._path.suffix}"
@@ -91,12 +91,12 @@ class LiveRecording:
                 else self._path.name
             )
             self.paths.append(self._path.with_name(name))
-            start = self._chassis.time_ns(round(block.first * source.rate / source.sample_rate))
+            start = self._chassis.time_ns(round(block.first * bench.tick_rate / bench.rate))
             # The truth of a scene belongs to a whole test.
-            scene = source.scene.replace(recording=source.scene.recording.replace(truth=False))
-            self._source, self._channels = source, source.channels
+            scene = bench.scene.replace(recording=bench.scene.recording.replace(truth=False))
+            self._bench, self._channels = bench, bench.channels
             self._recorder = Recorder(
-                self.paths[-1], scene, source.channels, source.sample_rate, start, self._overwrite
+                self.paths[-1], scene, bench.channels, bench.rate, start, self._overwrite
             )
         assert self._recorder is not None
         self._recorder.write(block.samples)

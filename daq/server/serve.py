@@ -147,13 +147,13 @@ def announcement(chassis: Chassis, host: str, port: int, encrypted: bool) -> str
         kinds = [each for kind in ("ai", "ao") if (each := _span(module.channel_names(kind)))]
         lines.append(f"{module.name}: {module.product_type}" + (f", {', '.join(kinds)}" if kinds else ""))
         for terminal, row in zip(module.channel_names("ai"), module.inputs, strict=True):
-            info = chassis.source.channels[row]
-            fed = "" if chassis.source.supply(row) is None else ", IEPE"
+            info = chassis.bench.channels[row]
+            fed = "" if chassis.terminals.supply(row) is None else ", IEPE"
             lines.append(
                 f"  {terminal}: {info.name} at {info.at}, {1e3 * info.sensitivity:.4g} mV per {info.unit}{fed}"
             )
         for terminal, row in zip(module.channel_names("ao"), module.outputs, strict=True):
-            lines.append(f"  {terminal}: {volt_effect(chassis.source.scene, row + 1)}")
+            lines.append(f"  {terminal}: {volt_effect(chassis.bench.scene, row + 1)}")
     opened = "grpc.insecure_channel" if not encrypted else "grpc.secure_channel"
     extra = "" if not encrypted else ', grpc.ssl_channel_credentials(open("ca.pem", "rb").read())'
     return "\n".join([*lines, *starter_script(chassis, f'{opened}("{address}"{extra})')])

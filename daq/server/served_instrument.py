@@ -69,7 +69,7 @@ class ServedInstrument:
     def _sensor_sheet(self, port: Port) -> bytes | None:
         module = self.chassis.devices.module(port.device)
         row = module.row("ai", port.number)
-        return self.chassis.source.data_sheet(row) if module.teds else None
+        return self.chassis.terminals.data_sheet(row) if module.teds else None
 
     def check_size(self, size: int) -> None:
         """Make sure that an answer is not too large; with -200077."""

@@ -50,7 +50,7 @@ def starter_script(chassis: Chassis, channel: str) -> list[str]:
         'options = nidaqmx.GrpcSessionOptions(channel, session_name="")',
         "with nidaqmx.Task(grpc_options=options) as task:",
         *made,
-        f"    task.timing.cfg_samp_clk_timing({chassis.source.sample_rate!r}, samps_per_chan=1000)",
+        f"    task.timing.cfg_samp_clk_timing({chassis.bench.rate!r}, samps_per_chan=1000)",
         "    data = numpy.array(task.read(1000))",
         "print(data)",
     ]
@@ -69,8 +69,8 @@ def _made(chassis: Chassis, module: Module) -> list[str]:
 
 def _making(chassis: Chassis, module: Module, row: int) -> str:
     """Write the statement that makes a channel, its terminal left open, and what has to be set afterwards."""
-    info = chassis.source.channels[row]
-    fed, current = chassis.source.supply(row) is not None, module.currents[0]
+    info = chassis.bench.channels[row]
+    fed, current = chassis.terminals.supply(row) is not None, module.currents[0]
     if info.quantity in _SENSORS:
         maker, unit, size = _SENSORS[info.quantity]
         supply = f"INTERNAL, current_excit_val={current!r}" if fed else "NONE"

@@ -15,12 +15,12 @@ def tell_unfed_sensors(chassis: Chassis) -> None:
     reported: set[int] = set()
 
     def hear(channels: Sequence[Channel]) -> None:
-        unfed = [each for each in channels if chassis.source.supply(each.row) == 0.0]
+        unfed = [each for each in channels if chassis.terminals.supply(each.row) == 0.0]
         fresh = {each.row: each for each in unfed if each.row not in reported}
         if not fresh:
             return
         reported.update(fresh)
-        infos = chassis.source.channels
+        infos = chassis.bench.channels
         inputs = ", ".join(f"{each.port.name} ({infos[row].name})" for row, each in fresh.items())
         current = next(iter(fresh.values())).module.currents[0]
         # A terminal that is gone is not the client's affair.

@@ -11,9 +11,10 @@ from rig.engine.propagator import Propagator, sampled_propagator
 from rig.engine.samples import MotionSamples
 from rig.engine.state import FLOOR
 from rig.engine.trajectory import Array, Trajectory, event_table
-from rig.errors import RunError, SceneError
+from rig.errors import SceneError
 from rig.scene.scene import Scene
 from rig.scene.shaker import at_shaker
+from rig.simulation.drive import checked_drive
 from rig.simulation.motion import Motion
 from rig.system.assembly import assemble
 from rig.system.hybrid_system import HybridSystem
@@ -76,7 +77,9 @@ class Plant:
         RunError
             If the drive has the wrong shape, or is not finite.
         """
-        block = self._checked(drive)
+        block = checked_drive(drive, self.inputs, self._next)
+        if np.isfinite(self._limit).any():
+            block = np.clip(block, -self._limit, self._limit)
         first, samples = self._next, block.shape[1]
         seen = self._propagator.motion_samples(samples)
         lifted = np.zeros(0, dtype=np.int64)
@@ -93,21 +96,6 @@ class Plant:
         self._last = drive_in[:, -1:].copy()
         self._next += samples
         return self._motion(seen, trajectory, first + lead, first, lifted)
-
-    def _checked(self, drive: ArrayLike) -> Array:
-        block = np.asarray(drive, dtype=np.float64)
-        if block.ndim != 2 or block.shape[0] != len(self.inputs):
-            raise RunError(
-                f"drive: got an array of shape {block.shape}; expected ({len(self.inputs)}, samples) for the "
-                f"inputs {', '.join(self.inputs) or '(none)'}"
-            )
-        if not np.isfinite(block).all():
-            row, column = np.argwhere(~np.isfinite(block))[0]
-            raise RunError(
-                f"drive: {block[row, column]} at sample {self._next + column} of input {self.inputs[row]}; "
-                "expected finite numbers"
-            )
-        return np.clip(block, -self._limit, self._limit) if np.isfinite(self._limit).any() else block
 
     def _motion(
         self,

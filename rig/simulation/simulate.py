@@ -13,13 +13,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from rig.engine.propagator import Propagator, sampled_propagator, tone_propagator
 from rig.engine.trajectory import EVENT, Array, Trajectory, event_table, gaps_and_contacts
-from rig.errors import SceneError
+from rig.errors import RunError, SceneError
 from rig.numerics.memory import need
 from rig.ranks import size
 from rig.results import Result, styled
 from rig.scene.loading import SceneLike, scene_of
 from rig.scene.quantities import FREQUENCY, TIME, number
 from rig.scene.scene import Scene
+from rig.simulation.drive import checked_drive
 from rig.simulation.energy import Energy, ends_of, ledger, total
 from rig.system.assembly import assemble
 from rig.system.hybrid_system import HybridSystem
@@ -134,9 +135,9 @@ def simulate(
     Raises
     ------
     SceneError
-        If duration, rate, drive or frequency make no sense, or the test cannot be run open loop.
+        If duration, rate or frequency is invalid, or the test cannot run open loop.
     RunError
-        If what is kept is of another run.
+        If the drive has another shape or is not finite, or `keep` belongs to another run.
 
     Notes
     -----
@@ -184,17 +185,9 @@ def _need_memory(system: HybridSystem, instants: float) -> None:
 
 
 def _checked_drive(drive: ArrayLike, system: HybridSystem) -> Array:
-    block = np.asarray(drive, dtype=np.float64)
-    if block.ndim != 2 or block.shape[0] != len(system.inputs) or block.shape[1] < 2:
-        raise SceneError(
-            f"drive: got an array of shape {block.shape}; expected ({len(system.inputs)}, samples) for the inputs "
-            f"{', '.join(system.inputs) or '(none)'}, two samples at least"
-        )
-    if not np.isfinite(block).all():
-        row, column = np.argwhere(~np.isfinite(block))[0]
-        raise SceneError(
-            f"drive: {block[row, column]} at sample {column} of input {system.inputs[row]}; expected finite numbers"
-        )
+    block = checked_drive(drive, system.inputs)
+    if block.shape[1] < 2:
+        raise RunError(f"drive: {block.shape[1]} samples are too few. Give two samples or more.")
     return block
 
 

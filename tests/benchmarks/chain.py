@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 import rig
+from daq.bench.bench import Bench
 from daq.recording.recorder import Recorder
-from daq.signal_chain.bench import Bench
 from daq.signal_chain.chain import Chain
 from daq.signal_chain.converter import Quantiser, SampleClock
 from rig.scene.scene import Scene

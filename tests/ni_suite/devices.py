@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rig
+from daq.bench.stream import samples_per_tick
 from daq.instrument.devices.measurements import MEASUREMENTS
 from daq.instrument.devices.modules import Module
-from daq.instrument.sample_clock import samples_per_tick
 from daq.instrument.settings.channels import Channel
 from daq.instrument.settings.scales import LINEAR, MAP_RANGES, POLYNOMIAL, TABLE, Scale
 from daq.instrument.settings.storage import Storage
@@ -97,68 +97,68 @@ def modules() -> list[Module]:
 
 
 class SimulatedSignals:
-    """A source that gives every input a sine within the limits of the channel that looks at it."""
+    """Terminals and bench that give every input a sine within the limits of the channel that looks at it."""
 
-    rate, sample_rate = 10_000.0, 1000.0
+    rate, tick_rate = 1000.0, 10_000.0
 
     def __init__(self) -> None:
+        self.bench = self
         self.scene = rig.load("bare-structure")
         self.dtype: type[np.generic] = np.float64
         self.channels: Sequence[ChannelInfo] = [
-            ChannelInfo(f"ai{number}", "body 1", "acceleration", 1.0, self.sample_rate)
-            for number in range(_COUNT)
+            ChannelInfo(f"ai{number}", "body 1", "acceleration", 1.0, self.rate) for number in range(_COUNT)
         ]
         self.drive_per_volt = np.ones(32)
         self._low, self._high = np.full((_COUNT, 1), -5.0), np.full((_COUNT, 1), 5.0)
         self._position = 0
 
-    def lost(self, rate: float) -> Sequence[tuple[int, int]]:
-        """See `SampleSource.lost`."""
+    def lost_at(self, rate: float) -> Sequence[tuple[int, int]]:
+        """See `Bench.lost_at`."""
         return ()
 
     def horizon(self, ticks: int) -> int:
-        """See `SampleSource.horizon`."""
+        """See `Terminals.horizon`."""
         return ticks
 
-    def acquire(
+    def advance(
         self, volts: NDArray[np.float64] | None, ticks: int, rates: Collection[float]
     ) -> Mapping[float, Any]:
-        """See `SampleSource.acquire`."""
+        """See `Terminals.advance`."""
         begin, self._position = self._position, self._position + ticks
-        return {rate: self._block(begin, begin + ticks, rate) for rate in {self.sample_rate, *rates}}
+        return {rate: self._block(begin, begin + ticks, rate) for rate in {self.rate, *rates}}
 
     def _block(self, begin: int, end: int, rate: float) -> _Block:
         """Give the samples at a rate between two ticks."""
-        per_tick = samples_per_tick(rate, self.rate)
+        per_tick = samples_per_tick(rate, self.tick_rate)
         first, stop = (-(-tick * per_tick.numerator // per_tick.denominator) for tick in (begin, end))
         sine = 0.4 * np.sin(2 * np.pi * np.arange(first, stop) / 50)
         values = (self._high + self._low) / 2 + (self._high - self._low) / 2 * sine
         return _Block(first, values, np.zeros(values.shape, bool))
 
     def leave_outputs(self) -> None:
-        """See `SampleSource.leave_outputs`."""
+        """See `Terminals.leave_outputs`."""
 
     @property
     def quiet(self) -> bool:
-        """See `SampleSource.quiet`."""
+        """See `Terminals.quiet`."""
         return True
 
     def supply(self, row: int) -> float | None:
-        """See `SampleSource.supply`."""
+        """See `Terminals.supply`."""
         return None
 
     def data_sheet(self, row: int) -> bytes | None:
-        """See `SampleSource.data_sheet`."""
+        """See `Terminals.data_sheet`."""
         return None
 
     def wire(self, channels: Sequence[Channel], in_use: Collection[int]) -> None:
-        """See `SampleSource.wire`."""
+        """See `Terminals.wire`."""
         for each in channels:
             self._low[each.row] = each.settings["ai_min"] * each.volts_per_unit
             self._high[each.row] = each.settings["ai_max"] * each.volts_per_unit
 
     def filter_properties(self, row: int, rate: float | None) -> dict[str, Any]:
-        """See `SampleSource.filter_properties`."""
+        """See `Terminals.filter_properties`."""
         return {"ai_filter_delay": 0.0, "ai_remove_filter_delay": True}
 
 

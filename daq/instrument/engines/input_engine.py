@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.bench.stream import samples_per_tick
 from daq.instrument.engines.acquisition import Acquisition, InputPlan
 from daq.instrument.engines.triggers import OtherTask
-from daq.instrument.sample_clock import samples_per_tick
 
 
 class InputEngine:

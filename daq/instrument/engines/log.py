@@ -17,7 +17,7 @@ from daq.measurement.limits import Stretches
 from rig.errors import ShotrigError
 
 if TYPE_CHECKING:
-    from daq.instrument.bench.sample_source import SampleSource
+    from daq.bench.bench import Bench
     from daq.instrument.engines.acquisition import Acquisition, InputPlan
     from daq.instrument.settings.properties import Properties
     from daq.instrument.settings.task_settings import TaskSettings
@@ -228,7 +228,7 @@ class TaskLog:
 
 
 def open_log(
-    name: str, task: TaskSettings, source: SampleSource, plan: InputPlan, time_ns: Callable[[int], int]
+    name: str, task: TaskSettings, bench: Bench, plan: InputPlan, time_ns: Callable[[int], int]
 ) -> TaskLog:
     """Open a log for a task that starts.
 
@@ -238,7 +238,7 @@ def open_log(
         Name of the task.
     task : TaskSettings
         Its settings. The suffix of the log's path says what it becomes, `.mcap` or `.tdms`.
-    source : SampleSource
+    bench : Bench
         The bench.
     plan : InputPlan
         What it acquires.
@@ -251,7 +251,7 @@ def open_log(
         If the file cannot be opened in that way; the message says what to do.
     """
     settings = task.groups["read"]
-    infos = [replace(source.channels[row], rate=plan.rate) for row in plan.rows]
+    infos = [replace(bench.channels[row], rate=plan.rate) for row in plan.rows]
     names = [each.name for each in task.channels]
 
     def open_file(path: Path, first: int) -> _File:
@@ -263,7 +263,7 @@ def open_log(
                 group = settings["logging_tdms_group_name"] or name
                 units = [each.unit for each in task.channels]
                 return _Tdms(path, group, names, units, plan, start_ns, append)
-            return _Recording(path, source.scene, _named(infos, names), plan.rate, start_ns, exists)
+            return _Recording(path, bench.scene, _named(infos, names), plan.rate, start_ns, exists)
         except DaqError:
             raise
         except (ShotrigError, OSError) as error:

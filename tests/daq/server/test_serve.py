@@ -33,7 +33,7 @@ def test_given_a_viewer_when_a_client_reads_then_it_shows_what_the_channels_see(
             task.timing.cfg_samp_clk_timing(5120.0, samps_per_chan=1000)
             read = task.read(1000)
         stream.flush()
-        infos, rate = rig.sensors, rig.chassis.source.sample_rate
+        infos, rate = rig.sensors, rig.chassis.bench.rate
     assert rate == 5120.0
     shown = {info.name: [] for info in infos}
     moving = 0

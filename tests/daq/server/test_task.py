@@ -65,7 +65,7 @@ def test_given_any_read_size_when_a_driven_rig_is_read_then_every_bit_is_the_sam
 def test_given_a_drive_when_the_inputs_are_read_then_they_are_the_plants_answer_to_just_that_drive():
     read = read_in_pieces(512)
     scene = rig.load("bare-structure")
-    from daq.signal_chain.bench import Bench
+    from daq.bench.bench import Bench
 
     drive = 1e-3 * tone(512)
     expected = Bench(scene).acquire(drive[None]).samples

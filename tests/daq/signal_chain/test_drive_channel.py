@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import rig
-from daq.signal_chain.bench import Bench
+from daq.bench.bench import Bench
 from daq.signal_chain.channel import ChannelInfo
 
 STRUCTURE = "structure: {masses: [1 kg, 2 kg], springs: [10 kN/m, 20 kN/m], damping: {modal: 1 %}}\n"

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import rig
-from daq.signal_chain.bench import Bench
+from daq.bench.bench import Bench
 from daq.signal_chain.converter import SampleClock
 from daq.signal_chain.oversampling import oversampling
 from rig.simulation.plant import Plant

@@ -10,7 +10,7 @@ from scipy.linalg import expm
 from scipy.signal import lfilter
 
 import rig
-from daq.signal_chain.bench import Bench
+from daq.bench.bench import Bench
 from daq.signal_chain.decimation_filter import Decimation
 from tests.daq.dsp.analytic_motion import Path, chain_of, cut, motion_of, scene_of
 

@@ -9,8 +9,8 @@ from nidaqmx.constants import AcquisitionType
 
 import daq
 import rig
-from daq.instrument.bench.sample_source import SceneSource
-from daq.signal_chain.bench import Bench
+from daq.bench.bench import Bench
+from daq.instrument.terminals import Terminals
 
 SCENE = """
 structure: {masses: [1 kg, 1 kg], springs: [40 kN/m, 40 kN/m], damping: {modal: 1 %}}
@@ -28,12 +28,12 @@ RATES = [51200.0, 12800.0, 51200.0 / 7, 2048.0]
 
 
 def bench(converter):
-    return SceneSource(rig.loads(SCENE.replace("CONVERTER", converter)))
+    return Terminals(rig.loads(SCENE.replace("CONVERTER", converter)))
 
 
 def drive(source, tick, ticks):
     """Volts that make the damper hit floor and ceiling; they are straight lines between ticks."""
-    return 60.0 * np.sin(2 * np.pi * 25.0 * (tick + np.arange(ticks)) / source.rate)[None]
+    return 60.0 * np.sin(2 * np.pi * 25.0 * (tick + np.arange(ticks)) / source.bench.tick_rate)[None]
 
 
 def samples(source, blocks, rate):
@@ -41,7 +41,7 @@ def samples(source, blocks, rate):
     source.leave_outputs()
     tick, found = 0, []
     for ticks, others in blocks:
-        found.append(source.acquire(drive(source, tick, ticks), ticks, {rate, *others})[rate].samples)
+        found.append(source.advance(drive(source, tick, ticks), ticks, {rate, *others})[rate].samples)
         tick += ticks
     return np.concatenate(found, axis=1)
 
@@ -62,13 +62,13 @@ def test_given_other_rates_beside_it_when_sampled_then_every_bit_is_as_alone(con
 @pytest.mark.parametrize("rate", [51200.0, 51200.0 / 7])
 def test_given_a_rate_when_sampled_then_it_is_as_on_a_bench_that_has_no_other(converter, rate):
     source = bench(converter)
-    ticks = round(0.2 * source.rate)
+    ticks = round(0.2 * source.bench.tick_rate)
     found = samples(source, [(ticks, ())], rate)
-    setup = source.scene.converter.replace(rate=rate)
+    setup = source.bench.scene.converter.replace(rate=rate)
     # The same straight lines, cut at the samples of that bench only where they are straight anyway.
-    alone = Bench(source.scene.replace(converter=setup))
+    alone = Bench(source.bench.scene.replace(converter=setup))
     count = found.shape[1]
-    at = np.arange(count) / rate * source.rate
+    at = np.arange(count) / rate * source.bench.tick_rate
     line = np.interp(at, np.arange(ticks), drive(source, 0, ticks)[0])
     expected = alone.acquire(line[None]).samples
     scale = np.abs(expected).max(axis=1, keepdims=True).astype(float)
@@ -78,12 +78,12 @@ def test_given_a_rate_when_sampled_then_it_is_as_on_a_bench_that_has_no_other(co
 
 def test_given_a_rate_that_is_asked_for_while_the_rig_moves_then_its_filters_have_settled():
     source = bench("{rate: 5120 Hz}")
-    ticks = round(2.5 * source.rate)
+    ticks = round(2.5 * source.bench.tick_rate)
     source.leave_outputs()
     late = None
     for first in range(0, ticks + 8192, 8192):
         rates = {51200.0} if first >= ticks - 8192 else set()
-        late = source.acquire(drive(source, first, 8192), 8192, rates).get(51200.0)
+        late = source.advance(drive(source, first, 8192), 8192, rates).get(51200.0)
     # Each sample is the average of the drive over the interval that ends there.
     line = drive(source, late.first - 1, late.samples.shape[1] + 1)[0]
     np.testing.assert_allclose(late.samples[2], (line[1:] + line[:-1]) / 2, rtol=0, atol=1e-9)

@@ -16,35 +16,41 @@ Array = NDArray[np.float64]
 
 
 class MotionAtRate:
-    """Gives a motion, and the forces on it, at another rate, block after block.
+    """Resamples a motion and its drive, block after block.
 
-    Instants that are ticks of the motion get its samples as they are. Between ticks, and breaks between them,
-    acceleration is the cubic of `daq.dsp.interpolation`, integrated once and twice; forces are straight lines.
+    Instants that coincide with ticks get the motion of the tick. Between ticks and breaks, the acceleration is the
+    cubic of `daq.dsp.interpolation`, integrated once and twice; straight lines join the drive.
 
     Parameters
     ----------
     rate : Fraction
-        Instants per tick: number n lies n / rate ticks after power-on.
+        Instants per tick: instant n is n / rate ticks after power-on.
     group : int
-        Instants come in groups of so many, each with the last of a group; the first one of all comes alone.
+        Instants of a sample: they are given together, up to the sample. The first instant is a group by itself.
     tick : float
         Length of a tick, s.
     first : int
-        Number of the instant to begin with; what is given counts from it.
+        Number of the first instant; the instants given are counted from it.
     """
 
     def __init__(self, rate: Fraction, group: int, tick: float, first: int) -> None:
         self._rate, self._group, self._tick = rate, group, tick
         self._first = self._next = self._given = first
-        # What has been found but not been given: see `_found`; of breaks, the number of the instant after each, too.
+        # Instants of an incomplete group, and breaks after the last instant given, with the instant after each.
         self._held: list[NDArray[Any]] = []
         self._breaks: list[NDArray[Any]] = []
-        # Displacement, velocity and acceleration at the last tick, and the forces.
+        # Displacement, velocity, acceleration and drive at the last tick.
         self._last: list[Array] = []
 
     def take(self, motion: Motion, forces: Array) -> tuple[Motion, Array]:
-        """Take the next ticks, forces of shape (inputs, ticks); give the instants that they reach."""
-        earliest, found = self._next, self._found(motion, forces)
+        """Take the next ticks, drive of shape (inputs, ticks); return the complete groups of instants."""
+        stop = motion.first + forces.shape[1]
+        whole = (stop - 1) % self._group == 0
+        if self._rate == 1 and self._first == 0 and self._given == motion.first and whole:
+            # The instants are the ticks, and none is held: nothing needs to be copied.
+            self._next = self._given = stop
+            return motion, forces
+        earliest, found = self._next, self._resampled(motion, forces)
         if self._held:
             found = [np.concatenate(pair, axis=1) for pair in zip(self._held, found, strict=True)]
         first, past = self._given, (self._next - 1 - self._first) // self._group
@@ -69,14 +75,14 @@ class MotionAtRate:
         )
         return given, force
 
-    def _found(self, motion: Motion, forces: Array) -> list[NDArray[Any]]:
-        """Find displacement, velocity, acceleration, forces, gap and contact at the instants of a block."""
+    def _resampled(self, motion: Motion, forces: Array) -> list[NDArray[Any]]:
+        """Return displacement, velocity, acceleration, drive, gap and contact at the instants of a block."""
         ratio, begin = self._rate, self._next
         last_tick = motion.first + forces.shape[1] - 1
         self._next = max(begin, last_tick * ratio.numerator // ratio.denominator + 1)
         ticks, rest = np.divmod(np.arange(begin, self._next) * ratio.denominator, ratio.numerator)
         share = rest / ratio.numerator
-        # What lies in front of the first tick of the block is between ticks, and found anew below.
+        # Instants before the first tick of the block lie between ticks and are replaced below.
         at, tick = np.maximum(ticks - motion.first, 0), ticks - motion.first
         found = [each[:, at] for each in (*_moved(motion), forces, motion.gap, motion.contact)]
         if rest.any():
@@ -88,11 +94,14 @@ class MotionAtRate:
         return found
 
     def _breaks_due(self, motion: Motion, earliest: int) -> list[NDArray[Any]]:
-        """Give the breaks before the instants given, as in `Motion`, each with the instant that ends its interval."""
+        """Return the breaks before the instants given, as in `Motion`, each with the instant that ends its interval."""
         interval = self._tick / float(self._rate)
-        time = (motion.break_sample - 1) * self._tick + motion.break_offset
-        number = np.maximum(np.ceil(time / interval).astype(np.int64), earliest)
-        new = [number, np.clip(time - (number - 1) * interval, 0.0, interval)]
+        if self._rate == 1:
+            new = [motion.break_sample, motion.break_offset]
+        else:
+            time = (motion.break_sample - 1) * self._tick + motion.break_offset
+            number = np.maximum(np.ceil(time / interval).astype(np.int64), earliest)
+            new = [number, np.clip(time - (number - 1) * interval, 0.0, interval)]
         new += [motion.break_displacement, motion.break_velocity, motion.break_acceleration]
         if self._breaks:
             new = [np.concatenate(pair, axis=-1) for pair in zip(self._breaks, new, strict=True)]

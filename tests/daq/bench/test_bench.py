@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import rig
-from daq.signal_chain.bench import Bench
-from rig.errors import SceneError
+from daq.bench.bench import Bench
+from rig.errors import RunError
 
 
 def drive_of(samples: int, level: float, rate: float = 5120.0) -> np.ndarray:
@@ -64,12 +64,12 @@ def test_overload_is_flagged_where_it_is() -> None:
 def test_wrong_drive_shape_is_reported(
     shape: tuple[int, ...],
 ) -> None:
-    with pytest.raises(SceneError, match=r"expected a drive of shape \(1, samples\)"):
+    with pytest.raises(RunError, match=r"one of shape \(1, samples\)"):
         Bench(rig.load("bare-structure")).acquire(np.zeros(shape))
 
 
 def test_infinite_drive_is_rejected() -> None:
-    with pytest.raises(SceneError, match="not finite"):
+    with pytest.raises(RunError, match="not a finite"):
         Bench(rig.load("bare-structure")).acquire(np.full((1, 4), np.nan))
 
 

@@ -1,0 +1,159 @@
+"""All channels of a bench sampled at one rate: a measuring chain and a converter on the motion of the plant."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from fractions import Fraction
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.bench.block import Block
+from daq.bench.motion_rate import MotionAtRate
+from daq.signal_chain.chain import Chain
+from daq.signal_chain.converter import Quantiser, SampleClock
+from daq.signal_chain.oversampling import oversampling
+from rig.errors import SceneError
+
+if TYPE_CHECKING:
+    from daq.signal_chain.channel import ChannelInfo
+    from rig.scene.measurement_chain import Channel
+    from rig.scene.scene import Scene
+    from rig.simulation.motion import Motion
+    from rig.simulation.plant import Plant
+
+Array = NDArray[np.float64]
+
+
+class Stream:
+    """Samples of all channels at one rate.
+
+    Sample n is taken n / rate seconds after power-on of the bench, whenever the stream begins. The samples depend
+    neither on the division into blocks nor on other streams.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene of the bench.
+    rate : float
+        Samples per second.
+    per_tick : Fraction
+        Samples per tick of the plant.
+    plant : Plant
+        Source of the motion.
+    past : iterable of (Motion, ndarray)
+        The latest motion and drive; the filters settle on them before the stream begins.
+    wiring : sequence of Channel or None
+        Couplings and supplies of the channels, see `Chain.rewire`; None: those of the scene.
+
+    Attributes
+    ----------
+    channels : tuple of ChannelInfo
+        The channels.
+    latency : int
+        Delay of the decimation filter in samples where the scene removes it: the first block is shorter by as much.
+    lost : tuple of tuple of int
+        First and last sample of every stretch that is lost between converter and recording.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        rate: float,
+        per_tick: Fraction,
+        plant: Plant,
+        past: Iterable[tuple[Motion, Array]] = (),
+        wiring: Sequence[Channel] | None = None,
+    ) -> None:
+        self._scene = at_rate(scene, rate)
+        clock = SampleClock.of(self._scene.converter)
+        self._intervals = _intervals(oversampling(self._scene, clock), per_tick)
+        motion_rate = clock.true_rate * self._intervals
+        self._chain = Chain(self._scene, motion_rate, plant.points, plant.inputs)
+        self._interval = 1.0 / motion_rate
+        past = list(past)
+        begin = past[0][0].first if past else 0
+        self._first = first_sample(per_tick, begin)
+        self._motion = MotionAtRate(
+            per_tick * self._intervals, self._intervals, 1.0 / plant.rate, self._first * self._intervals
+        )
+        self.latency: int = self._chain.latency
+        self.rewire(self._chain.wiring if wiring is None else wiring)
+        for motion, drive in past:
+            self.take(motion, drive)
+
+    @property
+    def wiring(self) -> tuple[Channel, ...]:
+        """The channels of the scene with their present couplings and supplies."""
+        return self._chain.wiring
+
+    def rewire(self, wiring: Sequence[Channel]) -> None:
+        """Set couplings and supplies of the channels; see `daq.signal_chain.chain.Chain.rewire`."""
+        self._chain.rewire(wiring)
+        self._converter = Quantiser(self._scene.converter, self._chain.channels)
+        self.channels: tuple[ChannelInfo, ...] = self._converter.channels
+        self.lost: tuple[tuple[int, int], ...] = self._converter.lost
+        self._scale = np.array([[channel.unit_per_count] for channel in self.channels])
+
+    def take(self, motion: Motion, drive: Array) -> Block:
+        """Sample the motion of the next ticks, driven by `drive`, shape (inputs, ticks)."""
+        motion, drive = self._motion.take(motion, drive)
+        converted = self._converter.convert(self._chain.measure(motion, drive))
+        if self._intervals > 1:
+            motion = motion.every(self._intervals, self._interval)
+        first = self._first + max(motion.first - self.latency, 0)
+        return Block(first, converted.samples, converted.overload | self._chain.overload, motion)
+
+    def physical(self, samples: NDArray[np.float64] | NDArray[np.int32]) -> Array:
+        """Convert samples to each channel's unit by its data sheet; shape (channels, samples)."""
+        return samples * self._scale
+
+
+def samples_per_tick(rate: float, tick_rate: float) -> Fraction:
+    """Return the samples at a rate [S/s] per tick, as a ratio of whole numbers.
+
+    Parameters
+    ----------
+    tick_rate : float
+        Ticks per second.
+
+    Examples
+    --------
+    >>> samples_per_tick(51200.0 / 6, 51200.0)
+    Fraction(1, 6)
+    """
+    return Fraction(rate).limit_denominator(10_000) / Fraction(tick_rate).limit_denominator(10_000)
+
+
+def first_sample(per_tick: Fraction, tick: int) -> int:
+    """Return the number of the first sample at or after a tick.
+
+    >>> first_sample(Fraction(1, 6), 13)
+    3
+    """
+    return -(-tick * per_tick.numerator // per_tick.denominator)
+
+
+def first_tick(per_tick: Fraction, sample: int) -> int:
+    """Return the number of the first tick at or after a sample."""
+    return first_sample(1 / per_tick, sample)
+
+
+def at_rate(scene: Scene, rate: float) -> Scene:
+    """Return a scene with another sample rate; without its test if that rate does not resolve the test's tones."""
+    if rate == scene.converter.sample_rate:
+        return scene
+    converter = scene.converter.replace(rate=rate)
+    try:
+        return scene.replace(converter=converter)
+    except SceneError:
+        return scene.replace(converter=converter, test=None)
+
+
+def _intervals(needed: int, per_tick: Fraction) -> int:
+    """Choose the intervals per sample: at least `needed`, of whole ticks if possible."""
+    ticks = 1 / per_tick
+    if ticks.denominator > 1:
+        return needed
+    return next((each for each in range(needed, int(ticks) + 1) if int(ticks) % each == 0), needed)

@@ -1,0 +1,191 @@
+"""The terminals of a scene's bench: volts at its outputs, settings of its inputs, and the test that it plays itself."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.bench.bench import Bench
+from daq.bench.stream import at_rate
+from daq.excitation import Excitation as PlayedSignal
+from daq.excitation import Station, excitation
+from daq.instrument.background_test import BackgroundTest
+from daq.instrument.devices.modules import DIVIDED
+from daq.instrument.devices.teds import with_sensitivity
+from daq.instrument.errors import Code, DaqError
+from daq.instrument.values import Coupling, Excitation
+from daq.signal_chain.converter import SampleClock
+from daq.signal_chain.oversampling import oversampling
+from rig.scene.modules import module
+from rig.scene.presets import filled_in, input_settings, needs_supply
+from rig.scene.shaker import DRIVE_PER_VOLT
+from rig.scene.teds import electronic_data_sheet
+
+if TYPE_CHECKING:
+    from daq.bench.block import Block
+    from daq.instrument.settings.channels import Channel
+    from rig.scene.scene import Scene
+
+
+class Terminals:
+    """A bench as its instrument connects to it.
+
+    The plant ticks as finely as the fastest module needs, so that neither its motion nor a sample depends on the tasks
+    that run.
+
+    Attributes
+    ----------
+    bench : Bench
+        The bench.
+    drive_per_volt : ndarray, shape (outputs,)
+        Drive per volt at each output.
+    dtype : type
+        Type of the samples: volts, or counts of a converter.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self.bench = bench = Bench(scene, _ticks_for_all_rates(scene))
+        counts = bool(bench.channels) and bench.channels[0].volts_per_count is not None
+        self.dtype: type[np.generic] = np.int32 if counts else np.float64
+        self._outputs = [row for row, name in enumerate(bench.inputs) if name != "hammer"]
+        self.drive_per_volt = np.array([DRIVE_PER_VOLT[bench.drive_units[row]] for row in self._outputs])
+        self._converter = filled_in(scene.converter)
+        station = Station(scene, bench.channels, bench.inputs, bench.rate, mark=lambda *given, **fields: None)
+        self._test = BackgroundTest(station, bench.ticks, bench.physical)
+
+    def warm_up(self) -> None:
+        """Compile the kernels before the clock starts, so that no read waits for them."""
+        Bench(self.bench.scene).acquire(np.zeros((len(self.bench.inputs), 64)))
+
+    # Time
+
+    def horizon(self, ticks: int) -> int:
+        """Limit a number of ticks to the known drive of the test."""
+        return self._test.horizon(ticks)
+
+    def advance(
+        self, volts: NDArray[np.float64] | None, ticks: int, rates: Collection[float]
+    ) -> Mapping[float, Block]:
+        """Let ticks pass with volts at the outputs, shape (outputs, ticks), or with the test alone where None.
+
+        The samples are those of `Bench.advance`.
+        """
+        drive = self._test.drive(ticks).copy()
+        if volts is not None and self._outputs:
+            drive[self._outputs] = volts * self.drive_per_volt[:, None]
+        blocks = self.bench.advance(drive, rates)
+        self._test.hear(blocks[self.bench.rate].samples, ticks)
+        return blocks
+
+    # The test
+
+    def play(
+        self,
+        scene: Scene,
+        position: int,
+        mark: Callable[..., Any],
+        report: Callable[[float, str], None],
+        ended: Callable[[str], None],
+        excite: Callable[[Station], PlayedSignal] = excitation,
+    ) -> BackgroundTest:
+        """Play the test of a scene once, from the first sample after `position` ticks; see `BackgroundTest`."""
+        bench = self.bench
+        first = -(-position // bench.ticks)
+        station = Station(scene, bench.channels, bench.inputs, bench.rate, mark, report, now=first)
+        lead = first * bench.ticks - position
+        self._test = BackgroundTest(station, bench.ticks, bench.physical, lead, excite, ended)
+        return self._test
+
+    def leave_outputs(self) -> None:
+        """End the test's drive because a task has taken an output."""
+        self._test.leave_shaker()
+
+    @property
+    def quiet(self) -> bool:
+        """Whether the test drives nothing."""
+        return self._test.quiet
+
+    # Inputs
+
+    def wire(self, channels: Sequence[Channel], in_use: Collection[int]) -> None:
+        """Set couplings and supplies for a task's channels.
+
+        Raises
+        ------
+        DaqError
+            With -50103 for an input in use that has another coupling or supply.
+        """
+        wiring, taken = list(self.bench.wiring), set(in_use)
+        for each in channels:
+            before = wiring[each.row]
+            wanted = before.replace(
+                coupling=Coupling(each.settings["ai_coupling"]).name, excitation=self._wanted_supply(each)
+            )
+            present, new = (input_settings(self.bench.scene.converter, wired) for wired in (before, wanted))
+            if (present.coupling or "DC", present.excitation) == (new.coupling or "DC", new.excitation):
+                continue
+            if each.row in taken:
+                raise DaqError(
+                    f"the resource is reserved: {each.port.name} is in use with another coupling or sensor supply. "
+                    "Stop that task, or give both the same.",
+                    Code.PAL_RESOURCE_RESERVED,
+                )
+            wiring[each.row] = wanted
+            taken.add(each.row)
+        self.bench.rewire(wiring)
+
+    def _wanted_supply(self, channel: Channel) -> float | None:
+        """Return the current that a task sets for a sensor, A; None where the scene does not model the supply."""
+        if self._converter.excitation is None:
+            return None
+        if channel.settings["ai_excit_src"] == Excitation.NONE:
+            return 0.0
+        return self._converter.excitation or channel.module.currents[0]
+
+    def supply(self, row: int) -> float | None:
+        """Return the present supply of a channel's sensor, A; None without need, or where the scene leaves it open."""
+        channel = self.bench.wiring[row]
+        return (
+            input_settings(self.bench.scene.converter, channel).excitation if needs_supply(channel) else None
+        )
+
+    def data_sheet(self, row: int) -> bytes | None:
+        """Return the electronic data sheet of a channel's sensor; None where there is none to read."""
+        channel = self.bench.wiring[row]
+        sheet = None if channel.integrator else electronic_data_sheet(channel, self.bench.scene.seed)
+        if sheet is None:
+            return None
+        return with_sensitivity(sheet.bits, sheet.template, self.bench.channels[row].sensitivity)
+
+    def filter_properties(self, row: int, rate: float | None) -> dict[str, Any]:
+        """Return the delay [s] of a channel's filter at a rate, and whether the scene removes it."""
+        info = self.bench.channels[row]
+        delay = info.delay * (info.rate / rate if rate and info.filter else 1.0)
+        return {
+            "ai_filter_delay": delay + (0.5 / (rate or info.rate) if info.average else 0.0),
+            "ai_remove_filter_delay": self._converter.remove_delay,
+        }
+
+
+def _ticks_for_all_rates(scene: Scene) -> int:
+    """Return the ticks per sample of the scene's converter that suit all rates of its modules.
+
+    They suit the fastest rate of each module and the intervals that its converter needs (`oversampling`). Where modules
+    divide one clock, all their samples then coincide with ticks.
+    """
+    own, named = scene.converter.sample_rate, scene.converter.preset
+    sheets = [None if shaker.output is None else shaker.output.preset for shaker in scene.shakers]
+    inputs = None if named is None else module(named).inputs
+    outputs = [None if name is None else module(name).outputs for name in sheets]
+    fastest, *others = (
+        DIVIDED.fastest if each is None else each.rates.fastest for each in (inputs, *outputs)
+    )
+    needed = [own * oversampling(scene, SampleClock.of(scene.converter)), *others]
+    if fastest > own:
+        fast = at_rate(scene, fastest)
+        needed.append(fastest * oversampling(fast, SampleClock.of(fast.converter)))
+    return math.ceil(max(needed) / own - 1e-6)

@@ -23,9 +23,8 @@ import numpy as np
 
 from daq.instrument.devices.device_list import DeviceList
 from daq.instrument.devices.modules import Module
-from daq.instrument.engines.acquisition import InputPlan
+from daq.instrument.engines.acquisition import Acquisition, InputPlan
 from daq.instrument.engines.generation import Generation, OutputBuffer, OutputPlan
-from daq.instrument.engines.input_engine import InputEngine
 from daq.instrument.engines.triggers import OtherTask
 from daq.instrument.errors import Code, DaqError
 from daq.instrument.sleepers import Sleepers
@@ -105,7 +104,7 @@ class Chassis:
         self.changed, self.sleepers = threading.Condition(lock), Sleepers(lock)
         self.listeners: list[Callable[[Bench, Block], None]] = []
         self.wired: list[Callable[[Sequence[Channel]], None]] = []
-        self.inputs: dict[Runner, InputEngine] = {}
+        self.inputs: dict[Runner, Acquisition] = {}
         self.outputs: dict[Runner, Generation] = {}
         self._output_taken = self._read = False
         self._alarms: list[tuple[float, Callable[[], None]]] = []
@@ -251,15 +250,15 @@ class Chassis:
 
     def wire(self, task: Runner, channels: Sequence[Channel]) -> None:
         """Set the couplings and supplies that a task wants; with -50103 for inputs that run with others."""
-        running = [each.acquisition.plan.rows for other, each in self.inputs.items() if other is not task]
+        running = [each.plan.rows for other, each in self.inputs.items() if other is not task]
         self.terminals.wire(channels, {row for rows in running for row in rows})
         for hear in self.wired:
             hear(channels)
 
-    def run_input(self, task: Runner, plan: InputPlan) -> InputEngine:
+    def run_input(self, task: Runner, plan: InputPlan) -> Acquisition:
         """Start an acquisition."""
         self._read = True
-        self.inputs[task] = InputEngine(plan, self.rate, self.position, self.terminals.dtype)
+        self.inputs[task] = Acquisition(plan, self.rate, self.position, self.terminals.dtype)
         return self.inputs[task]
 
     def run_output(self, task: Runner, plan: OutputPlan, buffer: OutputBuffer) -> Generation:
@@ -299,13 +298,13 @@ class Chassis:
                 self.held[rows] = generation.held
         # Rates of tasks that are only configured count too: their filters go on while they do not run.
         rates = {rate for task in self.tasks.values() if (rate := task.sample_rate) is not None}
-        rates |= {engine.acquisition.plan.rate for engine in self.inputs.values()}
+        rates |= {acquisition.plan.rate for acquisition in self.inputs.values()}
         blocks = terminals.advance(volts, ticks, rates)
         self.position += ticks
         # Tasks that wait for others come last.
-        waiting = sorted(self.inputs.values(), key=lambda e: isinstance(e.acquisition.plan.start, OtherTask))
-        for engine in waiting:
-            self._give(engine, blocks[engine.acquisition.plan.rate])
+        waiting = sorted(self.inputs.values(), key=lambda each: isinstance(each.plan.start, OtherTask))
+        for acquisition in waiting:
+            self._give(acquisition, blocks[acquisition.plan.rate])
         own = blocks[self.bench.rate]
         for listener in self.listeners if own.samples.size else ():
             listener(self.bench, own)
@@ -325,16 +324,17 @@ class Chassis:
         for task in curious:
             self._silent[task] = 0 if task.answered else self._silent.get(task, 0) + 1
 
-    def _give(self, engine: InputEngine, block: Block) -> None:
-        """Give an engine its samples, up to a stretch that is lost on the way."""
-        acquisition = engine.acquisition
+    def _give(self, acquisition: Acquisition, block: Block) -> None:
+        """Give an acquisition its samples, up to the first that is lost on the way."""
         if acquisition.done:
             return
         stop = block.first + block.samples.shape[1]
         losses = self.bench.lost_at(acquisition.plan.rate)
         lost = [first for first, last in losses if block.first <= last and first < stop]
         kept = slice(0, max(0, min(lost) - block.first)) if lost else slice(None)
-        engine.take(block.first, block.samples[:, kept], block.overload[:, kept], self.moment)
+        samples, overload = block.samples[:, kept], block.overload[:, kept]
+        if samples.shape[1]:
+            acquisition.take(block.first, samples, overload, self.moment)
         if lost and not acquisition.done:
             acquisition.stop(
                 DaqError(
@@ -350,10 +350,7 @@ class Chassis:
         device = source.device.lower()
         named = [run for task, run in runs.items() if device and task.device.lower().startswith(device)]
         for run in named or runs.values():
-            if isinstance(run, InputEngine):
-                found = run.start_tick(source.reference, self.position)
-            else:
-                found = None if source.reference else run.start_tick(self.position)
+            found = run.start_tick(source.reference, self.position)
             if found is not None:
                 return found
         return None
@@ -372,7 +369,7 @@ class Chassis:
                 run.ticks(1, self.position)
                 for source in waiting
                 for run in self.inputs.values()
-                if (source.reference or run.acquisition.waits_on_data) and self.moment(source) is None
+                if (source.reference or run.waits_on_data) and self.moment(source) is None
             ),
             default=_BLOCK,
         )
@@ -384,8 +381,8 @@ class Chassis:
 
     def _stop_all(self, error: DaqError) -> None:
         with self.changed:
-            for engine in self.inputs.values():
-                engine.acquisition.stop(error)
+            for acquisition in self.inputs.values():
+                acquisition.stop(error)
             for generation in self.outputs.values():
                 generation.stop(error)
             self._stir()

@@ -1,70 +1,64 @@
-"""Tasks: channels, timing, triggers and streams as data, and their life on the chassis."""
+"""Tasks: channels, timing, triggers and streams as settings, and their life on the chassis."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq.instrument.chassis import Chassis
 from daq.instrument.clock import seconds
-from daq.instrument.engines.generation import Generation, OutputBuffer
-from daq.instrument.engines.input_engine import InputEngine
-from daq.instrument.engines.log import TaskLog, open_log
+from daq.instrument.engines.acquisition import Acquisition
+from daq.instrument.engines.generation import Generation
+from daq.instrument.engines.ring_buffer import memory
 from daq.instrument.errors import STOPPED_BEFORE_DONE, Code, DaqError, bad
 from daq.instrument.events import Events, Listener
-from daq.instrument.plans import check_timing, input_plan, output_plan, sources
+from daq.instrument.plans import check_timing, sources
 from daq.instrument.settings.scales import Scale
 from daq.instrument.settings.task_settings import TaskSettings
-from daq.instrument.values import LoggingMode, TaskMode
+from daq.instrument.task_input import Reading, TaskInput
+from daq.instrument.task_output import TaskOutput, check_volts
+from daq.instrument.values import TaskMode
 
 Array = NDArray[np.float64]
 
 
 class Task:
-    """A task on the chassis: its settings and its life; see `task_reading` and `task_writing` for its samples.
+    """A task on the chassis: settings, an input or an output, events, and its life.
 
     Parameters
     ----------
     chassis : Chassis
-        Where it runs.
+        Chassis of the task.
     name : str
-        Name; one is made up if it is empty.
+        Name; an empty one is replaced by a generated name.
     scales : mapping of str to Scale
         Custom scales that its channels may name.
 
     Attributes
     ----------
     settings : TaskSettings
-        What the script has said.
-    acquisition, generation : InputEngine and Generation or None
-        The run that goes on, or the last one.
-    buffer : OutputBuffer or None
-        What has been written.
-    running, closed, automatic, committed : bool
-        Whether it runs, is closed, was started by a read or a write, keeps its modules when it stops.
-    reported : bool
-        Whether the script has heard why the run ended early.
-    played : bool
-        Whether the buffer has been played.
-    overloads_reported : list of str or None
-        Channels that were overloaded when that was last asked.
+        Settings of the script.
+    input, output : TaskInput and TaskOutput
+        Its parts; a task with inputs uses the first, a task with outputs the second.
+    events : Events
+        Registered callbacks.
+    running, closed : bool
+        State of the task.
     """
 
     def __init__(self, chassis: Chassis, name: str, scales: Mapping[str, Scale]) -> None:
         self.chassis, self.settings = chassis, TaskSettings(chassis.devices.module, scales)
+        self.input = TaskInput(chassis, self.settings, self)
+        self.output = TaskOutput(chassis, self.settings, self)
         self.events = Events()
-        self.acquisition: InputEngine | None = None
-        self.generation: Generation | None = None
-        self.buffer: OutputBuffer | None = None
         self.running = self.closed = False
-        self.automatic = self.committed = self.reported = self.played = False
-        self.overloads_reported: list[str] | None = None
+        # Started by a read or a write; its modules stay reserved when it stops; its failure has been raised.
+        self._automatic = self._committed = self._reported = False
         self._looked: dict[str, int] = {}
-        self.log: TaskLog | None = None
         self.name = ""
         self.name = chassis.admit(self, name)
 
@@ -108,7 +102,7 @@ class Task:
             except BaseException:
                 self._end()
                 raise
-            self.automatic, self.running, self.reported = automatic, True, False
+            self._automatic, self.running, self._reported = automatic, True, False
 
     def reserve(self) -> None:
         """Reserve the modules and outputs that the task needs; see `Chassis.reserve`."""
@@ -119,39 +113,10 @@ class Task:
 
     def _run(self) -> None:
         self.verify()
-        self.acquisition = self.generation = None
+        self.input.run = self.output.run = None
         self.events.begin()
-        if not self.settings.clocked:
-            return
-        chassis = self.chassis
-        start, reference = sources(self.settings, chassis)
-        if self.settings.kind == "ai":
-            chassis.wire(self, self.settings.channels)
-            plan = input_plan(self.settings, chassis.bench, start, reference)
-            self.acquisition = chassis.run_input(self, plan)
-            self._open_log()
-            return
-        if self.buffer is None or self.buffer.written == 0:
-            raise DaqError(
-                "nothing has been written for the output to play: write samples before starting the task",
-                Code.OUTPUT_BUFFER_EMPTY,
-            )
-        out, joins = output_plan(self.settings, chassis.rate, start)
-        self.generation, self.played = chassis.run_output(self, out, self.buffer), True
-        if joins is not None:
-            self.generation.join(chassis.moment(joins))
-
-    def _open_log(self) -> None:
-        read, engine = self.settings.groups["read"], self.acquisition
-        if read["logging_mode"] == LoggingMode.OFF or not read["logging_file_path"] or engine is None:
-            return
-        chassis, began, plan = self.chassis, self.chassis.position, engine.acquisition.plan
-        ticks = chassis.rate / plan.rate
-
-        def time_ns(sample: int) -> int:
-            return chassis.time_ns(began + round(sample * ticks))
-
-        self.log = open_log(self.name, self.settings, chassis.bench, plan, time_ns)
+        if self.settings.clocked:
+            self._part.start(*sources(self.settings, self.chassis))
 
     def stop(self) -> int:
         """Stop the task.
@@ -169,7 +134,7 @@ class Task:
         if not self.running:
             return 0
         early = not self.endless and not self.finished
-        failure = None if self.reported else self.failure
+        failure = None if self._reported else self.failure
         self.end()
         if failure is not None:
             raise failure
@@ -182,15 +147,11 @@ class Task:
 
     def _end(self) -> None:
         self.running = False
-        if self.committed:
+        if self._committed:
             self.chassis.halt(self)
         else:
             self.chassis.release(self)
-        if self.run is not None:
-            self.run.stop()
-        log, self.log = self.log, None
-        if log is not None and self.acquisition is not None:
-            log.close(self.acquisition.acquisition)
+        self._part.stop()
 
     def close(self) -> None:
         """Stop the task and give everything back; it cannot be used again."""
@@ -216,50 +177,52 @@ class Task:
         elif action in (TaskMode.COMMIT, TaskMode.RESERVE):
             self.verify()
             self.reserve()
-            self.committed = True
+            self._committed = True
         else:
-            self.committed = False
+            self._committed = False
             self.end()
         return 0
 
     @property
-    def run(self) -> Any:
-        """The run that goes on, or the last one: an acquisition or a generation."""
-        return self.generation if self.acquisition is None else self.acquisition.acquisition
+    def _part(self) -> TaskInput | TaskOutput:
+        return self.output if self.settings.kind == "ao" else self.input
+
+    @property
+    def run(self) -> Acquisition | Generation | None:
+        """The present run, or the last one."""
+        return self._part.run
 
     @property
     def finished(self) -> bool:
-        """Whether the run has come to its end."""
+        """Whether the run is complete."""
         return self.run is not None and self.run.done
 
     @property
     def endless(self) -> bool:
-        """Whether it goes on until it is stopped."""
-        again = self.acquisition is not None and self.acquisition.acquisition.plan.again
-        return not self.settings.clocked or not self.settings.finite or again
+        """Whether it runs until it is stopped."""
+        return not self.settings.clocked or not self.settings.finite or self._part.retriggers
 
     @property
     def memory(self) -> int:
-        """Bytes that its buffers take."""
-        run = None if self.acquisition is None else self.acquisition.acquisition
-        held = 0 if run is None else run.ring.bytes + run.overloads.bytes
-        return held + (0 if self.buffer is None else self.buffer.data.nbytes)
+        """Bytes of its buffers."""
+        return self.input.memory + self.output.memory
 
     def free_memory(self) -> None:
-        """End the run and give its buffers back."""
+        """End the run and release its buffers."""
         with self.chassis.changed:
             self.end()
-            self.acquisition = self.generation = self.buffer = None
+            self.input.clear()
+            self.output.clear()
 
     @property
     def failure(self) -> DaqError | None:
-        """Why the run ended early."""
+        """Reason why the run ended early."""
         return None if self.run is None else self.run.error
 
     def raise_failure(self) -> None:
         """Raise the reason why the run ended early, as often as somebody asks until the task is stopped."""
         if self.failure is not None and self.running:
-            self.reported = True
+            self._reported = True
             raise self.failure
 
     def look(self, question: str) -> None:
@@ -281,17 +244,6 @@ class Task:
             self.raise_failure()
             return not self.running or self.finished or not self.settings.clocked
 
-    def missing(self) -> int:
-        """Ticks that must pass at least until the run is complete."""
-        if self.generation is not None:
-            return self.generation.missing()
-        engine = self.acquisition
-        plan = None if engine is None else engine.acquisition.plan
-        if engine is None or plan is None or plan.samples is None or plan.again:
-            return max(1, int(self.chassis.rate / 100))
-        run = engine.acquisition
-        return engine.ticks(run.missing(plan.samples - run.position), self.chassis.position)
-
     def wait_until_done(self, timeout: float) -> None:
         """Wait until a finite task is done; with -200560, if it is not done in time."""
         timeout = seconds(timeout)
@@ -299,7 +251,7 @@ class Task:
             done = (
                 not self.running
                 or not self.settings.clocked
-                or self.chassis.wait(lambda: self.finished or not self.running, self.missing, timeout)
+                or self.chassis.wait(lambda: self.finished or not self.running, self._part.missing, timeout)
             )
             self.raise_failure()
         if not done:
@@ -341,46 +293,147 @@ class Task:
 
     def horizon(self) -> int:
         """See `daq.instrument.chassis.Runner`."""
-        engine = self.acquisition
-        most = 1 << 62 if self.chassis.clock.runs_free else self._ticks_to_event()
-        if engine is not None and self.log is not None and self.log.by_itself and not self.finished:
-            most = min(most, engine.ticks(engine.acquisition.plan.buffer, self.chassis.position))
-        return most
+        part = self._part
+        due = None if self.chassis.clock.runs_free else self.events.due(part.samples_passed)
+        return part.horizon() if due is None else min(part.horizon(), part.ticks_to(due))
 
     def passed(self) -> bool:
         """See `daq.instrument.chassis.Runner`."""
-        if self.acquisition is not None and self.log is not None and self.log.by_itself:
-            run = self.acquisition.acquisition
-            self.log.follow(run)
-            run.position = max(run.position, run.readable)
-        return self.running and self.events.notify(self._samples_passed, self.run)
-
-    @property
-    def _samples_passed(self) -> int:
-        if self.generation is not None:
-            return self.generation.generated
-        return 0 if self.acquisition is None else self.acquisition.acquisition.ring.written
-
-    def _ticks_to_event(self) -> int:
-        due = self.events.due(self._samples_passed)
-        if due is None or (self.generation is not None and not self.generation.begun):
-            return 1 << 62
-        if self.generation is not None:
-            return self.generation.ticks_until(due)
-        if self.acquisition is None:
-            return 1 << 62
-        return self.acquisition.ticks(due - self._samples_passed, self.chassis.position)
+        self._part.follow()
+        return self.running and self.events.notify(self._part.samples_passed, self.run)
 
     @property
     def answered(self) -> bool:
         """See `daq.instrument.chassis.Runner`."""
-        run = self.run
-        return not self.running or run is None or self.settings.kind == "ao" or run.position >= run.readable
+        return not self.running or self._part.answered
 
     # Samples
 
-    def begin(self) -> None:
-        """Start the task for a read, unless it may not start by itself."""
+    def read(
+        self,
+        samples: int,
+        timeout: float,
+        raw: bool = False,
+        check: Callable[[int], None] = lambda samples: None,
+    ) -> Reading:
+        """Read samples; starts the task where necessary.
+
+        Parameters
+        ----------
+        samples : int
+            Samples per channel; -1 reads all of a finite task, and the present samples of a continuous one.
+        timeout : float
+            Seconds to wait; 0 tries once, a negative timeout is infinite.
+        raw : bool
+            Whether to return the converter's counts instead of the channels' units.
+        check : callable, optional
+            Called with the samples per channel before the read; an exception that it raises ends the read.
+
+        Returns
+        -------
+        Reading
+            With -200284 after the timeout, -200279 when samples were overwritten (the next read begins with the oldest
+            left), -200278 beyond the end of a finite acquisition, or the reason why the acquisition stopped; it has the
+            samples before.
+        """
+        timeout = seconds(timeout)
+        with self.chassis.changed:
+            self.settings.require("ai")
+            self.input.check_readable()
+            if samples < 0:
+                samples = self.default_count()
+            check(samples)
+            rows = self.settings.rows_to_read()
+            out = memory(len(rows), samples, np.int32 if raw else np.float64)
+            if not self.settings.clocked:
+                with self._on_demand():
+                    return self.input.read_on_demand(rows, out, timeout, raw)
+            self._begin()
+            if timeout == 0:
+                self.look("read")
+            try:
+                reading = self.input.read(rows, out, timeout, raw)
+                self._reported |= reading.error is not None and reading.error is self.failure
+                return reading
+            finally:
+                # A read that has started a finite task and emptied it stops it.
+                if self._automatic and self.running and self.finished and self.input.answered:
+                    self.end()
+
+    def write(self, volts: Array, auto_start: bool, timeout: float) -> int:
+        """Write samples, shape (channels, n), in the channels' units.
+
+        Returns
+        -------
+        int
+            Samples per channel written, n.
+
+        Raises
+        ------
+        DaqError
+            With -200292 after the timeout; the reason why the output stopped; -200561 for samples beyond the channel's
+            limits, -200524 for the wrong number of channels.
+        """
+        timeout = seconds(timeout)
+        self.settings.require("ao")
+        check_volts(self.settings.channels, volts)
+        with self.chassis.changed:
+            if not self.settings.clocked:
+                if not (auto_start or self.running):
+                    raise DaqError(
+                        "the task is not running, and auto_start is off: call start() before writing",
+                        Code.CANNOT_READ_WHEN_AUTO_START_FALSE_AND_TASK_NOT_RUNNING_OR_COMMITTED,
+                    )
+                with self._on_demand():
+                    return self.output.write_on_demand(volts)
+            try:
+                written = self.output.write(volts, timeout)
+            except DaqError:
+                self._reported |= self.running and self.failure is not None
+                raise
+            if auto_start and not self.running:
+                self.start()
+            return written
+
+    @contextmanager
+    def _on_demand(self) -> Iterator[None]:
+        """Reserve the modules and let time pass for samples without a sample clock."""
+        self.verify()
+        self.reserve()
+        try:
+            self.chassis.wake(self)
+            yield
+        finally:
+            if not (self.running or self._committed):
+                self.chassis.release(self)
+
+    def default_count(self) -> int:
+        """Count the samples of a read by default: all of a finite task, the present ones of a continuous task."""
+        settings = self.settings
+        settings.require("ai")
+        if not settings.clocked:
+            return 1
+        run = self.input.run if self.running else None
+        if settings.finite and not settings.groups["read"]["read_all_avail_samp"]:
+            if run is None or run.plan.again:
+                return settings.samples
+            end = settings.samples if run.trigger is None else run.first_readable + settings.samples
+            return max(end - run.position, 0) or settings.samples
+        if run is None:
+            self._begin()
+            run = self.input.run
+            assert run is not None
+        if run.readable <= run.position and self.running and not run.done:
+            self.chassis.clock.glance(self.chassis)
+        return max(0, run.readable - run.position)
+
+    @property
+    def raw_width(self) -> int:
+        """Bytes of a converter count."""
+        return 2 if all((each.module.bits or 32) <= 16 for each in self.settings.channels) else 4
+
+    def _begin(self) -> None:
+        """Start the task for a read, unless the script forbids it."""
         if self.running or not self.settings.clocked:
             return
         if not self.settings.groups["read"]["auto_start"]:
@@ -391,8 +444,7 @@ class Task:
         self.start(automatic=True)
 
     def start_new_file(self, path: str) -> None:
-        """Go on logging in another file; before the start, log into that one."""
+        """Continue the log in another file; before the start, log into that file."""
         with self.chassis.changed:
-            if self.log is not None and self.acquisition is not None:
-                self.log.start_new_file(Path(path), self.acquisition.acquisition)
+            self.input.start_new_file(Path(path))
             self.settings.groups["read"]["logging_file_path"] = path

@@ -11,7 +11,6 @@ from daq.instrument.devices.modules import Module
 from daq.instrument.errors import Code, DaqError, bad
 from daq.instrument.settings.properties import WHILE_RUNNING, alike
 from daq.instrument.task import Task
-from daq.instrument.task_reading import default_count, overloaded, overloaded_exist
 from daq.instrument.values import TimestampEvent
 
 _TERMINAL = re.compile(r"A?PFI\d+|RTSI\d+|(a[io]/)?\w*(Clock|Timebase|Trigger)\w*|Ctr\d\w*", re.IGNORECASE)
@@ -93,7 +92,7 @@ def set_value(task: Task, group: str, name: str, value: Any) -> None:
         raise bad(f"{name} {value}: expected 0 samples at least")
     own[name] = value
     if name == "output_buf_size":
-        task.buffer = None
+        task.output.buffer = None
 
 
 def set_values(task: Task, group: str, **settings: Any) -> None:
@@ -127,10 +126,11 @@ def time_of(task: Task, event: TimestampEvent, timeout: float) -> int:
         task.settings.groups["timing"]["first_samp_timestamp_enable"] = True
 
     def tick() -> int | None:
-        if task.acquisition is not None:
-            reference = event == TimestampEvent.REFERENCE_TRIGGER and task.run.plan.reference is not None
-            return task.acquisition.start_tick(reference, task.chassis.position)
-        return None if task.generation is None else task.generation.first_tick
+        run = task.input.run
+        if run is not None:
+            reference = event == TimestampEvent.REFERENCE_TRIGGER and run.plan.reference is not None
+            return run.start_tick(reference, task.chassis.position)
+        return None if task.output.run is None else task.output.run.first_tick
 
     with task.chassis.changed:
         guess = max(1, int(task.chassis.rate / 100))
@@ -178,19 +178,12 @@ def _trigger_time(event: TimestampEvent) -> Callable[[Task], float]:
 
 
 def _run_input(task: Task, value: Callable[[Any], int]) -> int:
-    return 0 if task.acquisition is None else value(task.acquisition.acquisition)
+    return 0 if task.input.run is None else value(task.input.run)
 
 
 def _clock_source(task: Task) -> str:
     own = task.settings.groups["timing"]["samp_clk_src"]
     return full_terminal(task, own or f"{task.settings.kind}/SampleClockTimebase")
-
-
-def _space(task: Task) -> int:
-    if task.buffer is None:
-        return int(task.settings.groups["buffer"]["output_buf_size"])
-    generated = 0 if task.generation is None else task.generation.generated
-    return int(min(task.buffer.free(generated, task.running, task.settings.regenerates), 1 << 31))
 
 
 def _module(task: Task) -> Module:
@@ -240,9 +233,7 @@ _COMPUTED: dict[tuple[str, str], Callable[[Task], Any]] = {
     ("trig", "start_trig_term"): lambda task: full_terminal(task, f"{task.settings.kind}/StartTrigger"),
     ("trig", "ref_trig_term"): lambda task: full_terminal(task, f"{task.settings.kind}/ReferenceTrigger"),
     ("buffer", "input_buf_size"): lambda task: task.settings.input_size,
-    ("buffer", "output_buf_size"): lambda task: (
-        int(task.settings.groups["buffer"]["output_buf_size"]) if task.buffer is None else task.buffer.size
-    ),
+    ("buffer", "output_buf_size"): lambda task: task.output.size,
     ("buffer", "input_onbrd_buf_size"): lambda task: 4095,
     ("buffer", "output_onbrd_buf_size"): lambda task: 8191,
     ("read", "num_chans"): lambda task: len(task.settings.rows_to_read()),
@@ -250,18 +241,16 @@ _COMPUTED: dict[tuple[str, str], Callable[[Task], Any]] = {
     ("read", "avail_samp_per_chan"): _counter(
         "available", lambda task: _run_input(task, lambda run: max(0, run.readable - run.position))
     ),
-    ("read", "total_samp_per_chan_acquired"): _counter(
-        "acquired", lambda task: _run_input(task, lambda run: run.ring.written)
-    ),
+    ("read", "total_samp_per_chan_acquired"): _counter("acquired", lambda task: task.input.samples_passed),
     ("read", "curr_read_pos"): lambda task: _run_input(task, lambda run: run.position),
-    ("read", "default_number_of_samples"): default_count,
-    ("read", "overloaded_chans_exist"): overloaded_exist,
-    ("read", "overloaded_chans"): overloaded,
+    ("read", "default_number_of_samples"): lambda task: task.default_count(),
+    ("read", "overloaded_chans_exist"): lambda task: task.input.overloaded_exist(),
+    ("read", "overloaded_chans"): lambda task: task.input.overloaded(),
     ("write", "num_chans"): lambda task: len(task.settings.channels),
-    ("write", "space_avail"): _counter("space", _space),
-    ("write", "curr_write_pos"): lambda task: 0 if task.buffer is None else task.buffer.written,
+    ("write", "space_avail"): _counter("space", lambda task: task.output.space),
+    ("write", "curr_write_pos"): lambda task: task.output.written,
     ("write", "total_samp_per_chan_generated"): _counter(
-        "generated", lambda task: 0 if task.generation is None else task.generation.generated
+        "generated", lambda task: task.output.samples_passed
     ),
     **{
         ("trig", name): _edge_source(name)

@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.bench.stream import first_sample, first_tick, samples_per_tick
 from daq.instrument.engines.ring_buffer import RingBuffer
 from daq.instrument.engines.triggers import AnalogSource, AtTime, CrossingFinder, OtherTask, Source, SyncPulse
 from daq.instrument.errors import Code, DaqError
 from daq.instrument.settings.scales import Scale
 
-# Tells at which tick another task started or was triggered; None if it has not been yet.
+# Returns the tick at which another task started or was triggered; None before that.
 Moment = Callable[[OtherTask], int | None]
 
 
@@ -69,7 +70,8 @@ class InputPlan:
 class Acquisition:
     """The state of an input task from start to stop.
 
-    Samples are numbered from 0, the first one after the start trigger; ticks are the bench's own count.
+    Samples are numbered from 0, the first one after the start trigger; instants are samples at the task's rate since
+    power-on, and ticks are counted by the bench.
 
     A reader that is late by more than the buffer has lost what is older than the buffer, and goes on with what
     the buffer holds. It finds a full buffer then, whose oldest sample the very next one would overwrite: so the
@@ -80,8 +82,10 @@ class Acquisition:
     ----------
     plan : InputPlan
         What to acquire.
-    tick : int
-        The bench's position at the start.
+    tick_rate : float
+        Ticks of the bench per second.
+    position : int
+        Ticks that have passed on the bench.
     dtype : dtype_like
         Kind of the converter's samples.
 
@@ -105,8 +109,8 @@ class Acquisition:
         Channels overloaded since this was last cleared.
     """
 
-    def __init__(self, plan: InputPlan, tick: int, dtype: Any) -> None:
-        self.plan = plan
+    def __init__(self, plan: InputPlan, tick_rate: float, position: int, dtype: Any) -> None:
+        self.plan, self._per_tick = plan, samples_per_tick(plan.rate, tick_rate)
         self.ring = RingBuffer(len(plan.rows), 2 * plan.buffer, dtype)
         self.overloads = RingBuffer(len(plan.rows), 2 * plan.buffer, bool)
         self.position = 0
@@ -122,9 +126,10 @@ class Acquisition:
         # Number and tick of the first sample of each record, the latest last.
         self._records: deque[tuple[int, int]] = deque(maxlen=1000)
         self._end: int | None = None
-        self._arm(tick)
+        instant = first_sample(self._per_tick, position)
+        self._arm(instant)
         if plan.start is None:
-            self._begin(tick)
+            self._begin(instant)
 
     def _arm(self, tick: int) -> None:
         self.armed_at, self.first_tick, self._end = tick, None, None
@@ -174,17 +179,26 @@ class Acquisition:
         """Number of the first sample that a script gets to see."""
         return 0 if self.trigger is None else self.trigger - self.plan.pretrigger
 
-    def tick_of(self, sample: int) -> int:
-        """Tick of a sample, of this record or one before."""
-        for first, tick in reversed(self._records):
+    def instant_of(self, sample: int) -> int:
+        """Return the instant of a sample, of this record or an earlier one."""
+        for first, instant in reversed(self._records):
             if first <= sample:
-                return tick + sample - first
+                return instant + sample - first
         return self.armed_at
 
-    def missing(self, samples: int) -> int:
-        """Ticks that must pass at least until there are so many samples beyond the read position.
+    def tick_at(self, instant: int) -> int:
+        """Return the first tick at or after an instant."""
+        return first_tick(self._per_tick, instant)
 
-        While a trigger is awaited nobody knows; a hundredth of a second is as good a guess as any.
+    def ticks(self, samples: int, position: int) -> int:
+        """Count the ticks after a position until that many samples have been taken."""
+        instant = first_sample(self._per_tick, position)
+        return max(1, self.tick_at(instant + samples - 1) - position + 1)
+
+    def missing(self, samples: int) -> int:
+        """Lower bound of the instants until there are that many samples after the read position.
+
+        While a trigger is awaited the number is unknown; a hundredth of a second is a guess.
         """
         guess = max(1, int(self.plan.rate / 100))
         if self.first_tick is None:
@@ -193,13 +207,15 @@ class Acquisition:
             return self._end - self.ring.written if self._end is not None else guess
         return self.position + samples - self.ring.written
 
-    def start_tick(self, reference: bool, tick: int) -> int | None:
-        """Return when this task started (was triggered), or will start at a known later tick."""
+    def start_tick(self, reference: bool, position: int) -> int | None:
+        """Return the tick at which this task started (was triggered), or will start, from a position on."""
+        found = self.first_tick
         if reference:
-            return None if self.trigger is None else self.tick_of(self.trigger)
-        if self.first_tick is None and isinstance(self.plan.start, SyncPulse | AtTime):
-            return self.plan.start.next_tick(max(tick, self.armed_at), self.plan.rate)
-        return self.first_tick
+            found = None if self.trigger is None else self.instant_of(self.trigger)
+        elif found is None and isinstance(self.plan.start, SyncPulse | AtTime):
+            instant = max(first_sample(self._per_tick, position), self.armed_at)
+            found = self.plan.start.next_tick(instant, self.plan.rate)
+        return None if found is None else self.tick_at(found)
 
     def take(self, tick: int, samples: NDArray[Any], overload: NDArray[np.bool_], moment: Moment) -> None:
         """Take a block of the bench.
@@ -207,13 +223,13 @@ class Acquisition:
         Parameters
         ----------
         tick : int
-            Tick of the block's first sample; samples come without a gap from block to block.
+            Instant of the block's first sample; blocks follow each other without a gap.
         samples : ndarray, shape (bench channels, n)
             Converter samples.
         overload : ndarray of bool, shape (bench channels, n)
             Overload flags.
         moment : callable
-            Where to ask about other tasks.
+            Returns the tick at which another task started or was triggered; None before that.
         """
         rows = list(self.plan.rows)
         x, over = samples[rows], overload[rows]
@@ -237,7 +253,7 @@ class Acquisition:
             when: int | None = source.next_tick(max(self.armed_at, tick + at), self.plan.rate)
         else:
             assert source is not None
-            when = moment(source)
+            when = self._instant_after(moment(source))
         if when is None or when < self.armed_at or when - tick >= x.shape[1]:
             return None
         return max(when - tick, at)
@@ -287,13 +303,16 @@ class Acquisition:
             when = (
                 source.next_tick(max(earliest, tick), self.plan.rate)
                 if isinstance(source, SyncPulse | AtTime)
-                else moment(source)
+                else self._instant_after(moment(source))
             )
             found = None if when is None or not max(earliest, tick) <= when < tick + count else when - tick
         if found is not None:
             self.trigger = self.ring.written + found
             self._end = self.trigger + self.plan.samples - self.plan.pretrigger
             self.position = self.first_readable
+
+    def _instant_after(self, tick: int | None) -> int | None:
+        return None if tick is None else first_sample(self._per_tick, tick)
 
     def _complete(self, tick: int) -> None:
         if self.plan.again:

@@ -133,8 +133,10 @@ class Generation:
         """Samples in the buffer that have not been played yet, without regeneration."""
         return self.buffer.written - self.generated
 
-    def start_tick(self, tick: int) -> int | None:
-        """Return when this task started, or will start."""
+    def start_tick(self, reference: bool, tick: int) -> int | None:
+        """Return the tick at which this task started, or will start; an output has no reference trigger."""
+        if reference:
+            return None
         if self.first_tick is None and isinstance(self.plan.start, SyncPulse | AtTime):
             return self.plan.start.next_tick(max(tick, self.armed_at), self.plan.rate)
         return self.first_tick

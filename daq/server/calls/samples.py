@@ -11,9 +11,7 @@ from numpy.typing import NDArray
 
 from daq.instrument.errors import Code, DaqError, unsupported
 from daq.instrument.task import Task
-from daq.instrument.task_reading import Reading, raw_width, time_of_sample
-from daq.instrument.task_reading import read as read_task
-from daq.instrument.task_writing import write as write_task
+from daq.instrument.task_input import Reading
 from daq.server.calls.call import Answer, Call
 
 _BY_CHANNEL = 0
@@ -75,14 +73,14 @@ def _read(counts: _Counts | None = None) -> Callable[[Call], Answer]:
         given, task = call.fields, call.task
         task.settings.require("ai")
         if counts is not None:
-            counts.check_width(8 * raw_width(task), Code.READ_DATA_TYPE_TOO_SMALL)
+            counts.check_width(8 * task.raw_width, Code.READ_DATA_TYPE_TOO_SMALL)
         channels, samples = len(task.settings.rows_to_read()), given["num_samps_per_chan"]
 
         def check(wanted: int) -> None:
             _check_room(given["array_size_in_samps"], wanted * channels, "samples")
             call.instrument.check_size(wanted * channels * 8)
 
-        reading = read_task(task, samples, given["timeout"], counts is not None, check)
+        reading = task.read(samples, given["timeout"], counts is not None, check)
         by_channel, values = given["fill_mode"] == _BY_CHANNEL, reading.samples
         done = values.shape[1]
         if counts is not None:
@@ -109,7 +107,7 @@ def _with_status(call: Call, reading: Reading, answer: Answer) -> Answer:
 
 
 def _read_scalar(call: Call) -> Answer:
-    reading = read_task(call.task, 1, call.fields["timeout"])
+    reading = call.task.read(1, call.fields["timeout"])
     if reading.error is not None:
         raise reading.error
     return {"value": float(reading.samples[0, 0])}
@@ -118,14 +116,14 @@ def _read_scalar(call: Call) -> Answer:
 def _read_raw(call: Call) -> Answer:
     given, task = call.fields, call.task
     task.settings.require("ai")
-    width, room = raw_width(task), given["array_size_in_bytes"]
+    width, room = task.raw_width, given["array_size_in_bytes"]
     channels, samples = len(task.settings.rows_to_read()), given["num_samps_per_chan"]
     call.instrument.check_size(room)
 
     def check(wanted: int) -> None:
         _check_room(room, wanted * channels * width, "bytes")
 
-    reading = read_task(task, samples, given["timeout"], True, check)
+    reading = task.read(samples, given["timeout"], True, check)
     kind = np.int16 if width == 2 else np.int32
     data = reading.samples.T.astype(kind).tobytes().ljust(room, b"\0")
     count = reading.samples.shape[1]
@@ -139,14 +137,14 @@ def _read_waveforms(call: Call) -> Answer:
     from ni.protobuf.types.waveform_pb2 import DoubleAnalogWaveform, WaveformAttributeValue
 
     task, mode = call.task, call.fields.get("waveform_attribute_mode", 0)
-    reading = read_task(task, call.fields["num_samps_per_chan"], call.fields["timeout"])
+    reading = task.read(call.fields["num_samps_per_chan"], call.fields["timeout"])
     assert waveform_conversion is not None
     found = []
     for row, samples in zip(task.settings.rows_to_read(), reading.samples, strict=True):
         channel = task.settings.channels[row]
         waveform = DoubleAnalogWaveform(y_data=samples.tolist())
         if mode & 1:
-            start = time_of_sample(task, reading.first)
+            start = task.input.time_of_sample(reading.first)
             # The waveform's time counts from 1904, in seconds and 2^-64 of one.
             seconds, rest = divmod(start, 10**9)
             waveform.t0.seconds = seconds + 2_082_844_800
@@ -183,7 +181,7 @@ def _write(counts: _Counts | None = None) -> Callable[[Call], Answer]:
             data = counts.from_numbers(given["write_array"])
         table = _table(task, data, given["num_samps_per_chan"], given["data_layout"] == _BY_CHANNEL)
         volts = table if counts is None else table * _volts_per_count(task)
-        return {"samps_per_chan_written": write_task(task, volts, given["auto_start"], given["timeout"])}
+        return {"samps_per_chan_written": task.write(volts, given["auto_start"], given["timeout"])}
 
     return write
 
@@ -206,7 +204,7 @@ def _volts_per_count(task: Task) -> NDArray[np.float64]:
 
 def _write_scalar(call: Call) -> Answer:
     given = call.fields
-    write_task(call.task, np.array([[given["value"]]]), given["auto_start"], given["timeout"])
+    call.task.write(np.array([[given["value"]]]), given["auto_start"], given["timeout"])
     return {}
 
 
@@ -218,7 +216,7 @@ def _write_raw(call: Call) -> Answer:
     count = min(whole, len(given["write_array"]) // kind.itemsize)
     data = np.frombuffer(given["write_array"], dtype=kind, count=max(count, 0))
     table = _table(task, data.astype(float), given["num_samps"], by_channel=False)
-    written = write_task(task, table * _volts_per_count(task), given["auto_start"], given["timeout"])
+    written = task.write(table * _volts_per_count(task), given["auto_start"], given["timeout"])
     return {"samps_per_chan_written": written}
 
 
@@ -228,7 +226,7 @@ def _write_waveforms(call: Call) -> Answer:
     if len({row.size for row in rows}) > 1:
         raise DaqError("the waveforms differ in length: write as many samples for each channel", -200101, 0)
     volts = np.stack(rows) if rows else np.zeros((0, 0))
-    return {"samps_per_chan_written": write_task(call.task, volts, given["auto_start"], given["timeout"])}
+    return {"samps_per_chan_written": call.task.write(volts, given["auto_start"], given["timeout"])}
 
 
 CALLS: dict[str, Callable[[Call], Answer]] = {

@@ -1,0 +1,300 @@
+"""The input of a task: its acquisition, its log, and the reads that wait for samples."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.instrument.chassis import Chassis, Runner
+from daq.instrument.engines.acquisition import Acquisition
+from daq.instrument.engines.log import TaskLog, open_log
+from daq.instrument.errors import Code, DaqError, unsupported
+from daq.instrument.plans import input_plan
+from daq.instrument.values import LoggingMode, RelativeTo
+
+if TYPE_CHECKING:
+    from daq.instrument.engines.triggers import Source
+    from daq.instrument.settings.channels import Channel
+    from daq.instrument.settings.task_settings import TaskSettings
+
+_FOR_EVER = 1 << 62
+
+
+@dataclass
+class Reading:
+    """Samples of a read, shape (channels, n), and the reason why there are fewer than requested."""
+
+    samples: NDArray[Any]
+    first: int = 0
+    error: DaqError | None = None
+
+
+class TaskInput:
+    """The input of a task.
+
+    Attributes
+    ----------
+    run : Acquisition or None
+        The present acquisition, or the last one.
+    log : TaskLog or None
+        Log of the present acquisition.
+    """
+
+    def __init__(self, chassis: Chassis, settings: TaskSettings, task: Runner) -> None:
+        self._chassis, self._settings, self._task = chassis, settings, task
+        self.run: Acquisition | None = None
+        self.log: TaskLog | None = None
+        self._overloads_reported: list[str] | None = None
+
+    # Life
+
+    def start(self, start: Source | None, reference: Source | None) -> None:
+        """Start an acquisition, and its log."""
+        chassis, read = self._chassis, self._settings.groups["read"]
+        chassis.wire(self._task, self._settings.channels)
+        plan = input_plan(self._settings, chassis.bench, start, reference)
+        self.run = chassis.run_input(self._task, plan)
+        if read["logging_mode"] == LoggingMode.OFF or not read["logging_file_path"]:
+            return
+        began, ticks = chassis.position, chassis.rate / plan.rate
+
+        def time_ns(sample: int) -> int:
+            return chassis.time_ns(began + round(sample * ticks))
+
+        self.log = open_log(self._task.name, self._settings, chassis.bench, plan, time_ns)
+
+    def stop(self) -> None:
+        """End the acquisition, and its log."""
+        log, self.log = self.log, None
+        if self.run is not None:
+            self.run.stop()
+            if log is not None:
+                log.close(self.run)
+
+    def clear(self) -> None:
+        """Release the buffers."""
+        self.run = None
+
+    @property
+    def memory(self) -> int:
+        """Bytes of the buffers."""
+        return 0 if self.run is None else self.run.ring.bytes + self.run.overloads.bytes
+
+    @property
+    def retriggers(self) -> bool:
+        """Whether the start trigger starts a record whenever one is complete."""
+        return self.run is not None and self.run.plan.again
+
+    # Progress
+
+    @property
+    def samples_passed(self) -> int:
+        """Samples per channel acquired so far."""
+        return 0 if self.run is None else self.run.ring.written
+
+    @property
+    def answered(self) -> bool:
+        """Whether all samples have been read."""
+        return self.run is None or self.run.position >= self.run.readable
+
+    def missing(self) -> int:
+        """Lower bound of the ticks until the acquisition is complete."""
+        run = self.run
+        if run is None or run.plan.samples is None or run.plan.again:
+            return max(1, int(self._chassis.rate / 100))
+        return run.ticks(run.missing(run.plan.samples - run.position), self._chassis.position)
+
+    def ticks_to(self, samples: int) -> int:
+        """Count the ticks until that many samples have been acquired."""
+        run = self.run
+        return _FOR_EVER if run is None else run.ticks(samples - self.samples_passed, self._chassis.position)
+
+    def horizon(self) -> int:
+        """Count the ticks that may pass before the log has to write."""
+        if self.run is None or self.log is None or not self.log.by_itself or self.run.done:
+            return _FOR_EVER
+        return self.run.ticks(self.run.plan.buffer, self._chassis.position)
+
+    def follow(self) -> None:
+        """Write new samples to the log of a task that only logs."""
+        if self.run is not None and self.log is not None and self.log.by_itself:
+            self.log.follow(self.run)
+            self.run.position = max(self.run.position, self.run.readable)
+
+    def start_new_file(self, path: Path) -> None:
+        """Continue the log in another file."""
+        if self.log is not None and self.run is not None:
+            self.log.start_new_file(path, self.run)
+
+    def time_of_sample(self, sample: int) -> int:
+        """Return the time of a sample of the last acquisition, ns; without an acquisition the present time."""
+        run, chassis = self.run, self._chassis
+        if run is None:
+            return chassis.time_ns(chassis.position)
+        return chassis.time_ns(run.tick_at(run.instant_of(sample)))
+
+    # Overloads
+
+    def overloaded_exist(self) -> bool:
+        """Whether any channel was overloaded since the last question; clears the flags."""
+        flags = [] if self.run is None else self.run.overloaded.tolist()
+        names = [each.name for each in self._settings.channels]
+        self._overloads_reported = [name for name, flag in zip(names, flags, strict=False) if flag]
+        if self.run is not None:
+            self.run.overloaded[:] = False
+        return bool(self._overloads_reported)
+
+    def overloaded(self) -> list[str]:
+        """Return the names of the channels that `overloaded_exist` reported."""
+        if self._overloads_reported is None:
+            raise DaqError(
+                "ask in_stream.overloaded_chans_exist first: it takes the flags that overloaded_chans names",
+                Code.OVERLOADED_CHANS_EXIST_NOT_READ,
+            )
+        return list(self._overloads_reported)
+
+    # Reads
+
+    def check_readable(self) -> None:
+        """Reject reads of a task that only logs."""
+        if self._settings.groups["read"]["logging_mode"] == LoggingMode.LOG:
+            raise DaqError(
+                "the task only logs (LoggingMode.LOG). To read as well, log with LoggingMode.LOG_AND_READ.",
+                Code.READ_NOT_SUPPORTED_FOR_LOGGING_MODE,
+            )
+
+    def read_on_demand(self, rows: Sequence[int], out: NDArray[Any], timeout: float, raw: bool) -> Reading:
+        """Acquire samples from now on, whatever the settings of the sample clock."""
+        chassis = self._chassis
+        chassis.wire(self._task, self._settings.channels)
+        plan = input_plan(self._settings, chassis.bench, None, None, on_demand=out.shape[1])
+        self.run = chassis.run_input(self._task, plan)
+        try:
+            return self._collect(self.run, rows, out, timeout, raw)
+        finally:
+            chassis.halt(self._task)
+            self.run = None
+
+    def read(self, rows: Sequence[int], out: NDArray[Any], timeout: float, raw: bool) -> Reading:
+        """Read from the position that the script has set; see `Task.read`."""
+        assert self.run is not None
+        self._seek(self.run)
+        return self._collect(self.run, rows, out, timeout, raw)
+
+    def _seek(self, run: Acquisition) -> None:
+        """Set the read position; with -200277 before the first sample, -200282 for a missing reference trigger."""
+        settings = self._settings.groups["read"]
+        relative, offset = RelativeTo(settings["relative_to"]), settings["offset"]
+        position = run.position
+        if relative == RelativeTo.CURRENT_READ_POSITION:
+            position += offset
+        elif relative == RelativeTo.FIRST_SAMPLE:
+            position = offset
+        elif relative == RelativeTo.MOST_RECENT_SAMPLE:
+            position = max(0, run.ring.written + offset)
+        elif run.plan.reference is None:
+            raise DaqError(
+                f"in_stream.relative_to is {relative.name}, but the task has no reference trigger",
+                Code.NO_REF_TRIG_CONFIGURED,
+            )
+        elif run.trigger is not None:
+            at_trigger = relative == RelativeTo.REFERENCE_TRIGGER
+            position = (run.trigger if at_trigger else run.first_readable) + offset
+        if position < 0:
+            raise DaqError(
+                f"the read would begin {-position} samples before the first one: in_stream.relative_to is "
+                f"{relative.name} and in_stream.offset {offset}",
+                Code.NEGATIVE_READ_SAMPLE_NUMBER,
+                done=0,
+            )
+        run.position = position
+
+    def _collect(
+        self, run: Acquisition, rows: Sequence[int], out: NDArray[Any], timeout: float, raw: bool
+    ) -> Reading:
+        """Read from the present position into `out`, shape (len(rows), n); the caller holds the chassis's lock."""
+        chassis, channels = self._chassis, self._settings.channels
+        wanted, began, got, first = out.shape[1], chassis.clock.now(chassis), 0, run.position
+
+        def piece() -> int:
+            # A read may be longer than the buffer: it takes pieces of half the buffer.
+            return min(wanted - got, max(1, run.plan.buffer // 2))
+
+        def ended(error: DaqError | None) -> Reading:
+            return Reading(out[:, :got], first, error)
+
+        while True:
+            if lost := run.skip_lost():
+                return ended(
+                    DaqError(
+                        f"{lost} samples per channel were overwritten before they were read; the next read begins "
+                        "with the oldest one left. Read more often or more at a time, or enlarge "
+                        "in_stream.input_buf_size",
+                        Code.SAMPLES_NO_LONGER_AVAILABLE,
+                    )
+                )
+            take = min(run.readable - run.position, wanted - got)
+            if take > 0:
+                first = first if got else run.position
+                samples = run.take_out(take)
+                for index, row in enumerate(rows):
+                    read = (
+                        _counts(channels[row], samples[row]) if raw else run.plan.reading(row, samples[row])
+                    )
+                    out[index, got : got + take] = read
+                got += take
+                if self.log is not None:
+                    self.log.follow(run)
+            if got == wanted:
+                return ended(None)
+            if run.done and run.readable <= run.position:
+                # A finite task acquires no more; only a read without any sample reports that as an error.
+                return ended(None if got and run.error is None else run.error or _exhausted())
+            left = timeout if timeout < 0 else max(0.0, timeout - (chassis.clock.now(chassis) - began))
+            ready = chassis.wait(
+                lambda: run.done or run.readable - run.position >= piece(),
+                lambda: run.ticks(run.missing(piece()), chassis.position),
+                left,
+            )
+            if not ready and run.readable <= run.position:
+                return ended(
+                    DaqError(
+                        f"{got} of {wanted} samples per channel came within {timeout:g} s{_reason(run)}; wait longer "
+                        "(timeout), read less, or check that the task is triggered",
+                        Code.SAMPLES_NOT_YET_AVAILABLE,
+                    )
+                )
+
+
+def _counts(channel: Channel, samples: NDArray[Any]) -> NDArray[Any]:
+    if np.issubdtype(samples.dtype, np.integer):
+        return samples
+    bits = channel.module.bits
+    if bits is None or not np.isfinite(channel.range):
+        raise unsupported(
+            "an unscaled read",
+            "The scene's converter has no counts: give it bits and a range, or read volts.",
+        )
+    full = 2.0 ** (bits - 1)
+    return np.clip(np.rint(samples / channel.range * full), -full, full - 1)
+
+
+def _reason(run: Acquisition) -> str:
+    if run.first_tick is None:
+        return " (the start trigger has not come)"
+    if run.plan.reference is not None and run.trigger is None:
+        return " (the reference trigger has not come)"
+    return ""
+
+
+def _exhausted() -> DaqError:
+    return DaqError(
+        "the acquisition has ended and all its samples have been read; ask for less, acquire more "
+        "(samps_per_chan), or stop and start the task to acquire again",
+        Code.SAMPLES_WILL_NEVER_BE_AVAILABLE,
+    )

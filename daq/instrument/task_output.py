@@ -1,0 +1,209 @@
+"""The output of a task: its buffer, its generation, and the writes that wait for room."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.bench.stream import samples_per_tick
+from daq.instrument.chassis import Chassis, Runner
+from daq.instrument.engines.generation import Generation, OutputBuffer, OutputPlan
+from daq.instrument.errors import Code, DaqError
+from daq.instrument.plans import output_plan
+
+if TYPE_CHECKING:
+    from daq.instrument.engines.triggers import Source
+    from daq.instrument.settings.channels import Channel
+    from daq.instrument.settings.task_settings import TaskSettings
+
+Array = NDArray[np.float64]
+
+_FOR_EVER = 1 << 62
+
+
+class TaskOutput:
+    """The output of a task.
+
+    Attributes
+    ----------
+    run : Generation or None
+        The present generation, or the last one.
+    buffer : OutputBuffer or None
+        Written samples.
+    """
+
+    # An output has no log, and an event waits for no answer of it.
+    retriggers, answered = False, True
+
+    def __init__(self, chassis: Chassis, settings: TaskSettings, task: Runner) -> None:
+        self._chassis, self._settings, self._task = chassis, settings, task
+        self.run: Generation | None = None
+        self.buffer: OutputBuffer | None = None
+        self._running = self._played = False
+
+    # Life
+
+    def start(self, start: Source | None, reference: Source | None) -> None:
+        """Start to play the buffer."""
+        if self.buffer is None or self.buffer.written == 0:
+            raise DaqError(
+                "nothing has been written for the output to play: write samples before starting the task",
+                Code.OUTPUT_BUFFER_EMPTY,
+            )
+        plan, joins = output_plan(self._settings, self._chassis.rate, start)
+        self.run = self._chassis.run_output(self._task, plan, self.buffer)
+        self._running = self._played = True
+        if joins is not None:
+            self.run.join(self._chassis.moment(joins))
+
+    def stop(self) -> None:
+        """End the generation."""
+        self._running = False
+        if self.run is not None:
+            self.run.stop()
+
+    def clear(self) -> None:
+        """Release the buffer."""
+        self.run = self.buffer = None
+
+    @property
+    def memory(self) -> int:
+        """Bytes of the buffer."""
+        return 0 if self.buffer is None else self.buffer.data.nbytes
+
+    # Progress
+
+    @property
+    def samples_passed(self) -> int:
+        """Samples per channel generated so far."""
+        return 0 if self.run is None else self.run.generated
+
+    def missing(self) -> int:
+        """Lower bound of the ticks until the generation is complete."""
+        return max(1, int(self._chassis.rate / 100)) if self.run is None else self.run.missing()
+
+    def ticks_to(self, samples: int) -> int:
+        """Count the ticks until that many samples have been generated."""
+        return _FOR_EVER if self.run is None or not self.run.begun else self.run.ticks_until(samples)
+
+    def horizon(self) -> int:
+        """Count the ticks that may pass before `follow`."""
+        return _FOR_EVER
+
+    def follow(self) -> None:
+        """Do nothing: an output has no log."""
+
+    @property
+    def written(self) -> int:
+        """Samples per channel written to the buffer."""
+        return 0 if self.buffer is None else self.buffer.written
+
+    @property
+    def size(self) -> int:
+        """Samples per channel that the buffer holds."""
+        return (
+            int(self._settings.groups["buffer"]["output_buf_size"])
+            if self.buffer is None
+            else self.buffer.size
+        )
+
+    @property
+    def space(self) -> int:
+        """Samples per channel for which the buffer has room."""
+        return (
+            self.size if self.buffer is None else min(self._free(self.buffer, self.samples_passed), 1 << 31)
+        )
+
+    # Writes
+
+    def write(self, volts: Array, timeout: float) -> int:
+        """Write samples into the buffer; see `Task.write`."""
+        if not self._running and (self.buffer is None or self._played):
+            # A buffer that has been played is finished: a new write begins another.
+            chosen = self._settings.groups["buffer"]
+            size = int(chosen["output_buf_size"]) if chosen.was_set("output_buf_size") else None
+            self.buffer, self._played = OutputBuffer(volts.shape[0], size), False
+        assert self.buffer is not None
+        return self._fill(self.buffer, volts, timeout)
+
+    def write_on_demand(self, volts: Array) -> int:
+        """Put samples out one after the other at the rate of the bench; the last one stays."""
+        chassis, rows = self._chassis, [each.row for each in self._settings.channels]
+        if volts.shape[1] > 1:
+            buffer = OutputBuffer(volts.shape[0], None)
+            buffer.write(volts, running=False)
+            per_tick = samples_per_tick(chassis.bench.rate, chassis.rate)
+            plan = OutputPlan(tuple(rows), chassis.rate, per_tick, volts.shape[1], False)
+            run = chassis.run_output(self._task, plan, buffer)
+            chassis.wait(lambda: run.done, run.missing, -1.0)
+            chassis.halt(self._task)
+            if run.error is not None:
+                raise run.error
+        elif volts.shape[1]:
+            chassis.held[rows] = volts[:, 0]
+        return volts.shape[1]
+
+    def _free(self, buffer: OutputBuffer, generated: int) -> int:
+        return int(buffer.free(generated, self._running, self._settings.regenerates))
+
+    def _fill(self, buffer: OutputBuffer, volts: Array, timeout: float) -> int:
+        chassis, wanted, done = self._chassis, volts.shape[1], 0
+        began = chassis.clock.now(chassis)
+
+        def running() -> Generation | None:
+            return self.run if self._running else None
+
+        def free() -> int:
+            run = running()
+            return self._free(buffer, 0 if run is None else run.generated)
+
+        def piece() -> int:
+            return min(wanted - done, max(1, buffer.size // 2))
+
+        while True:
+            run = running()
+            if run is not None and run.error is not None:
+                raise DaqError(str(run.error), run.error.code, done)
+            if run is not None and run.done:
+                raise DaqError("the output has ended", Code.SAMPLES_CAN_NOT_YET_BE_WRITTEN, done)
+            take = min(free(), wanted - done)
+            if take > 0:
+                buffer.write(volts[:, done : done + take], run is not None)
+                done += take
+            if done == wanted:
+                return done
+            left = timeout if timeout < 0 else max(0.0, timeout - (chassis.clock.now(chassis) - began))
+
+            def ready() -> bool:
+                now = running()
+                return now is None or now.done or free() >= piece()
+
+            if run is None or not chassis.wait(ready, lambda: piece() - free(), left):
+                raise DaqError(
+                    f"{done} of {wanted} samples per channel found room in the buffer within {timeout:g} s: start "
+                    "the task, write less at a time, or enlarge out_stream.output_buf_size",
+                    Code.SAMPLES_CAN_NOT_YET_BE_WRITTEN,
+                    done,
+                )
+
+
+def check_volts(channels: Sequence[Channel], volts: Array) -> None:
+    """Check samples against channels; with -200524 or -200561."""
+    if volts.ndim != 2 or volts.shape[0] != len(channels):
+        raise DaqError(
+            f"the data have {volts.shape[0]} channels, the task has {len(channels)}: write one row for each",
+            Code.WRITE_NUM_CHANS_MISMATCH,
+        )
+    for channel, row in zip(channels, volts, strict=True):
+        low, high = channel.settings["ao_min"], channel.settings["ao_max"]
+        # The negated comparison also rejects NaN.
+        wrong = ~((row >= low) & (row <= high))
+        if wrong.any():
+            raise DaqError(
+                f"cannot put out {row[wrong][0]:g} V on {channel.name}: its limits are {low:g} to {high:g} V",
+                Code.INVALID_AO_DATA_WRITE,
+                done=0,
+            )

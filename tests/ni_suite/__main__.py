@@ -32,6 +32,10 @@ LEFT_OUT = {
     "temperature": r"thrmcpl|thermocouple|rtd|thrmstr|thermistor|temp_built|resistance_chan",
     "watchdogs": r"watchdog",
     "bridges": r"bridge|strain|rosette",
+    # The only devices with these properties are bridge modules (PXIe-4331); no emulated module has a bridge input.
+    "properties of a bridge module": r"test_device_properties.*list_of_(float|uint)_property",
+    # Sheets of template 30; the rig's sensors have sheets of template 25.
+    "data sheets of voltage sensors": r"(add|create)_teds_ai_voltage_chan",
     "currents and multimeters": r"current_chan|(current|voltage)_rms",
     # What these ask of any channel or task they ask of a resistance thermometer, a power supply or a counter.
     "thermometers, supplies and counters": r"test_channel_properties.*_(enum|float|string)_property|"

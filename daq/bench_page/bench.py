@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 # The web server has this time to start, s.
 START_S = 30.0
+# A browser that loses the connection may return within this time, s.
+RECONNECT_S = 60.0
 
 
 def bench(
@@ -105,7 +107,7 @@ def _served(shown: LiveBench, host: str, port: int) -> Any:
         Page(shown)
 
     application = FastAPI()
-    ui.run_with(application)
+    ui.run_with(application, reconnect_timeout=RECONNECT_S)
     gate = TokenGate(application, f"shotrig_bench_{port}")
     config = uvicorn.Config(
         gate, host=host.strip("[]"), port=port, log_level="critical", timeout_graceful_shutdown=1

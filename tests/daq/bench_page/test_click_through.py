@@ -24,6 +24,7 @@ from tests.daq.bench_page.test_bench import BRACKET, SHAKEN
 webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed")
 pytest.importorskip("nicegui", reason="the extra 'bench' is not installed")
 
+from selenium.common.exceptions import StaleElementReferenceException  # noqa: E402
 from selenium.webdriver.common.by import By  # noqa: E402
 from selenium.webdriver.support.ui import WebDriverWait  # noqa: E402
 
@@ -78,7 +79,9 @@ def part(browser, name):
 
 
 def wait_for(browser, condition):
-    return WebDriverWait(browser, PATIENCE_S).until(lambda driver: condition())
+    # A busy machine may have the page load again.
+    wait = WebDriverWait(browser, PATIENCE_S, ignored_exceptions=(StaleElementReferenceException,))
+    return wait.until(lambda driver: condition())
 
 
 def set_number(browser, name, value):
@@ -96,6 +99,7 @@ def test_sweep_is_started_seen_recorded_and_analysed(bench, browser, tmp_path):
         set_number(browser, name, value)
     part(browser, "record").click()
     part(browser, "start").click()
+    wait_for(browser, lambda: part(browser, "state").text not in ("", "ready"))
     # Another program reads a channel meanwhile, and the page shows its task.
     with open_channel(device) as channel, nidaqmx.Task("other", grpc_options=_options(channel)) as task:
         task.ai_channels.add_ai_accel_chan("cDAQ1Mod1/ai0")

@@ -48,7 +48,7 @@ def test_recording_is_taken_by_its_path(path: Path | str) -> None:
     assert analysis.sep005(path, ["body1"], 0.0, 0.1)[0]["name"] == "body1"
 
 
-def test_response_is_chosen_by_the_name_of_its_body(hit: Path) -> None:
+def test_response_is_chosen_by_body_name(hit: Path) -> None:
     curves = analysis.frfs(hit, ["base", "left"])
     assert curves.keys() == ("low", "left") and curves["arm"].response == "left"
     assert analysis.decay(hit, "arm").channel == "left"
@@ -112,14 +112,14 @@ def test_wrong_argument_is_explained(call: Any, said: str) -> None:
 
 
 @pytest.mark.thorough
-def test_value_of_a_fit_is_freed_by_the_name_of_its_body(hit: Path) -> None:
+def test_fitted_value_is_freed_by_body(hit: Path) -> None:
     found = analysis.fit(hit, BRACKET, ["structure.masses.arm"])
     assert found["structure.masses.arm"].value == pytest.approx(1.1, rel=0.02)
     with pytest.raises(SceneError, match=r"did you mean 'structure.masses.arm'"):
         found["structure.mass.arm"]
 
 
-def test_sensors_on_one_body_are_one_point_of_a_shape(hit: Path) -> None:
+def test_sensors_of_body_form_one_point(hit: Path) -> None:
     modes = analysis.identify([curve.between("40 Hz", "200 Hz") for curve in analysis.frfs(hit)], 2)
     bodies = modes.of_bodies()
     assert modes.responses == ("low", "left", "right") and bodies.names == ("base", "arm")

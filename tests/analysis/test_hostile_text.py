@@ -78,7 +78,7 @@ class Tags(HTMLParser):
 @pytest.mark.parametrize(
     ("package", "words"), [(package, words) for package in WALK for words in WALK[package]]
 )
-def test_given_hostile_text_when_a_command_writes_of_it_then_nothing_is_obeyed(
+def test_hostile_text_is_never_obeyed(
     folder: Path,
     package: str,
     words: str,
@@ -102,9 +102,7 @@ def test_given_hostile_text_when_a_command_writes_of_it_then_nothing_is_obeyed(
         assert not re.search("[\x00-\x08\x0b-\x1f\x7f\x9b\u202e]", text.replace("\r\n", "\n"))
 
 
-def test_given_hostile_text_when_reported_then_the_page_has_no_tag_of_it(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_page_escapes_hostile_text(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(folder)
     monkeypatch.setattr(sys, "argv", ["analysis", "report", "r.mcap"])
     with pytest.raises(SystemExit):
@@ -114,7 +112,7 @@ def test_given_hostile_text_when_reported_then_the_page_has_no_tag_of_it(
     assert "<script>alert" not in page and "&lt;script&gt;" in page
 
 
-def test_given_hostile_text_when_a_replay_describes_it_then_its_marks_are_escaped(folder: Path) -> None:
+def test_replay_escapes_hostile_text(folder: Path) -> None:
     with daq.open(folder / "r.mcap") as recording:
         replay = Replay(recording)
         page = about(recording, replay.motion, replay.view)
@@ -122,9 +120,7 @@ def test_given_hostile_text_when_a_replay_describes_it_then_its_marks_are_escape
     assert "<script>" not in prose.replace("\\<", "") and "\x1b" not in page and scene.count("```") == 1
 
 
-def test_given_the_commands_when_listed_then_each_is_walked_or_known_to_write_nothing_of_a_recording() -> (
-    None
-):
+def test_every_command_is_tried_or_exempt() -> None:
     for package, app in (("daq", daq.cli.app), ("analysis", analysis.cli.app)):
         names = {
             each.name or str(each.callback.__name__) for each in app.registered_commands if each.callback

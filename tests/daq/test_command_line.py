@@ -22,7 +22,7 @@ from rig.errors import RecordingError, SceneError
         ("serve --set seed=1", "Name the scene too"),
     ],
 )
-def test_given_an_option_that_could_change_nothing_when_asked_for_then_what_it_needs_is_named(words, message):
+def test_ineffective_option_names_what_it_needs(words, message):
     ended = CliRunner().invoke(app, words.split())
     if not isinstance(ended.exception, SceneError):
         assert ended.exit_code == 2
@@ -38,7 +38,7 @@ def test_given_an_option_that_could_change_nothing_when_asked_for_then_what_it_n
         "scope fig9 -o a.rrd",
     ],
 )
-def test_given_a_name_of_another_format_when_a_recording_is_to_be_made_then_it_is_refused(words):
+def test_recording_with_other_extension_is_rejected(words):
     ended = CliRunner().invoke(app, words.split())
     assert isinstance(ended.exception, RecordingError)
     assert "expected a name such as a.mcap" in str(ended.exception)

@@ -48,9 +48,7 @@ def two_modes(f: np.ndarray, natural: float, ratio: float) -> np.ndarray:
     per_width=st.floats(1.5, 6.0),
     error=st.sampled_from([0.0, 1e-3, 2e-2]),
 )
-def test_given_any_resonance_when_measured_at_points_then_its_peak_lies_within_the_bounds(
-    natural, ratio, offset, per_width, error
-) -> None:
+def test_measured_peak_lies_within_bounds(natural, ratio, offset, per_width, error) -> None:
     step = 2.0 * ratio * natural / per_width
     f = natural + step * (np.arange(-4, 4) + offset)
     found = peak(measured(f, two_modes(f, natural, ratio), error), f[0], f[-1])
@@ -62,7 +60,7 @@ def test_given_any_resonance_when_measured_at_points_then_its_peak_lies_within_t
     assert error > 0 or found.bound < 0.02 * exact.max()
 
 
-def test_given_a_jump_beside_the_highest_point_when_looked_for_then_the_peak_has_no_upper_bound() -> None:
+def test_jump_near_peak_removes_upper_bound() -> None:
     f = np.linspace(9.0, 11.0, 41)
     value = np.where(f < 10.2, 1.0, 0.005) / (1.0 - (f / 10.6) ** 2 + 0.002j)
     found = peak(measured(f, value), 9.0, 11.0)
@@ -73,9 +71,7 @@ def test_given_a_jump_beside_the_highest_point_when_looked_for_then_the_peak_has
     assert "raised by at least 81.6 dB" in said and "the second peak may be higher" in said
 
 
-def test_given_points_left_out_beside_the_highest_one_when_looked_for_then_the_peak_has_no_upper_bound() -> (
-    None
-):
+def test_omitted_points_near_peak_remove_upper_bound() -> None:
     f = np.linspace(9.0, 11.0, 41)
     curve = measured(f, 1.0 / (1.0 - (f / 10.03) ** 2 + 0.02j))
     kept = abs(f - 10.1) > 0.12
@@ -94,9 +90,7 @@ def beneath_dampers(f: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("step", [0.05, 0.1, 0.2, 1.0 / 3.0, 0.4])
 @pytest.mark.parametrize("offset", np.linspace(0.0, 1.0, 9).tolist())
-def test_given_a_peak_narrower_than_its_damping_when_measured_at_wide_points_then_it_lies_within_the_bound(
-    step, offset
-) -> None:
+def test_narrow_peak_lies_within_bound(step, offset) -> None:
     f = 18.6 + step * (np.arange(-5, 5) + offset)
     found = peak(measured(f, beneath_dampers(f)), f[0], f[-1])
     exact = abs(beneath_dampers(np.linspace(18.2, 19.0, 4001))).max()
@@ -105,9 +99,7 @@ def test_given_a_peak_narrower_than_its_damping_when_measured_at_wide_points_the
     assert step > 0.05 or found.bound < 0.02 * exact
 
 
-def test_given_points_too_far_apart_for_a_peak_when_told_then_it_says_how_near_together_they_should_be() -> (
-    None
-):
+def test_coarse_points_name_the_needed_spacing() -> None:
     close, wide = (Peak(1e-3, 1e-4, 18.5, 18.4, 18.6, 0.0, share * 1e-3, 0.33) for share in (0.005, 0.09))
     told = unresolved([(19.0, "a3", close), (19.0, "a4", wide), (44.0, "a4", close)])
     assert told == [
@@ -119,7 +111,7 @@ def test_given_points_too_far_apart_for_a_peak_when_told_then_it_says_how_near_t
     assert found is not None and math.isinf(found.bound)
 
 
-def test_given_bounds_around_changes_when_told_then_words_say_which_way_and_how_far_at_most() -> None:
+def test_bounded_changes_state_direction_and_limit() -> None:
     peaks = [
         Peak(1e-3, 1e-5, 10.0, 9.9, 10.1),
         Peak(2e-4, 1e-5, 9.5, 9.4, 9.8),
@@ -131,7 +123,7 @@ def test_given_bounds_around_changes_when_told_then_words_say_which_way_and_how_
     assert "peak changed by +0.0 dB (-0.3 to +0.3 dB)" in same
 
 
-def test_given_a_small_peak_on_a_flank_when_compared_then_it_counts_and_not_the_flank_beside_it() -> None:
+def test_small_peak_on_flank_is_compared() -> None:
     f = np.linspace(30.0, 86.0, 400)
 
     def curve(ratio: float) -> Response:
@@ -148,9 +140,7 @@ def test_given_a_small_peak_on_a_flank_when_compared_then_it_counts_and_not_the_
     assert peak_changes(modes, [curve(0.5)], [curve(0.01)]) == []
 
 
-def test_given_the_same_sensors_when_compared_then_their_sensitivities_are_in_the_peaks_but_in_no_change() -> (
-    None
-):
+def test_shared_sensors_cancel_in_changes() -> None:
     f = np.linspace(9.0, 11.0, 81)
     bare, damped = (
         curve.with_limits({SENSITIVITY: 0.15 * abs(curve.value)})
@@ -166,7 +156,7 @@ def test_given_the_same_sensors_when_compared_then_their_sensitivities_are_in_th
     assert alike.decibel[2] - alike.decibel[1] < 0.1
 
 
-def test_given_the_same_structure_twice_when_compared_then_nothing_has_changed(tmp_path) -> None:
+def test_same_structure_shows_no_change(tmp_path) -> None:
     frequencies = np.unique(np.append(np.linspace(8.0, 60.0, 105), [13.0366, 34.7773, 49.6628]))
     path = synthetic.stepped_sine(tmp_path / "a.mcap", frequencies)
     with daq.open(path) as rec:
@@ -184,14 +174,14 @@ def test_given_the_same_structure_twice_when_compared_then_nothing_has_changed(t
     assert CliRunner().invoke(app, ["compare", str(path)]).exit_code != 0
 
 
-def test_given_modes_with_doubts_when_compared_then_the_doubts_are_told(tmp_path) -> None:
+def test_warnings_of_modes_are_repeated(tmp_path) -> None:
     path = synthetic.stepped_sine(tmp_path / "a.mcap", np.linspace(8.0, 60.0, 105))
     said = CliRunner().invoke(app, ["compare", str(path), str(path)])
     assert said.exit_code == 0
     assert "warning: a.mcap: 13.04 Hz: fewer than two measured points" in said.stderr
 
 
-def test_given_a_dominant_peak_that_is_no_mode_when_compared_then_it_is_said_to_be_left_out() -> None:
+def test_dominant_peak_without_mode_is_mentioned() -> None:
     f = np.linspace(5.0, 30.0, 251)
     curve = measured(f, two_modes(f, 10.0, 0.02), 1e-3)
     modes = analysis.identify([curve])

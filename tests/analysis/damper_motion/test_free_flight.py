@@ -8,9 +8,7 @@ from analysis.damper_motion.free_flight import BodyMotion, restitution
 
 
 @pytest.mark.parametrize(("true", "clearance"), [(0.0, 1e-3), (0.0, float("inf")), (0.3, 1e-3), (0.6, 1e-3)])
-def test_given_a_damper_that_rests_or_rebounds_when_it_strikes_then_its_restitution_lies_within_its_bounds(
-    tmp_path, true, clearance
-):
+def test_restitution_lies_within_its_bounds(tmp_path, true, clearance):
     sensor = {"sensitivity": 0.0102, "noise": 1.96e-4, "resonance": 30e3, "low_cutoff": 0.5}
     scene = rig.load("fig8-no-damper").replace(
         dampers=[{"body": 2, "mass_ratio": 0.08, "clearance": clearance, "restitution": true}],

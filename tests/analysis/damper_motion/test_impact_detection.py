@@ -42,7 +42,7 @@ def blows(path, quantity="displacement", noise=2e-8, count=300, seed=1):
 
 
 @pytest.mark.parametrize("quantity", ["displacement", "acceleration"])
-def test_given_blows_of_known_size_when_detected_then_times_and_sizes_are_right(tmp_path, quantity):
+def test_known_impacts_have_right_times_and_sizes(tmp_path, quantity):
     path, times, jumps = blows(tmp_path / "a.mcap", quantity)
     with daq.open(path) as rec:
         found = impacts(rec, "body1")
@@ -56,7 +56,7 @@ def test_given_blows_of_known_size_when_detected_then_times_and_sizes_are_right(
     assert np.mean((found.kind == floor)[close]) > 0.98
 
 
-def test_given_samples_at_instants_without_a_filter_when_detecting_then_blows_that_leave_no_trace_are_refused(
+def test_point_sampling_hides_impacts(
     tmp_path,
 ):
     infos = [ChannelInfo("body1", "body 1", "acceleration", 1.0, RATE)]
@@ -85,9 +85,7 @@ def true_impacts(rec, damper):
     ("frequency", "quantity"),
     [(34.7, "acceleration"), (34.7, "displacement"), (49.0, "velocity"), (49.0, "displacement")],
 )
-def test_given_three_dampers_at_a_resonance_when_detected_then_f1_is_above_98_percent(
-    tmp_path, quantity, frequency
-):
+def test_three_dampers_at_resonance_are_detected(tmp_path, quantity, frequency):
     chain = {"accelerometer": SENSOR} | INTEGRATORS[quantity]
     places = ("body 1", "body 2", "body 3", "table")
     scene = rig.load("fig8-three-dampers").replace(
@@ -111,9 +109,7 @@ def test_given_three_dampers_at_a_resonance_when_detected_then_f1_is_above_98_pe
 
 
 @pytest.mark.parametrize("quantity", ["acceleration", "displacement"])
-def test_given_a_delta_sigma_filter_when_detected_then_all_impacts_are_found_and_their_sizes_are_right(
-    tmp_path, quantity
-):
+def test_delta_sigma_filter_keeps_times_and_sizes(tmp_path, quantity):
     chain = {"accelerometer": SENSOR} | INTEGRATORS[quantity]
     scene = rig.load("fig8-three-dampers").replace(
         shaker={"kind": "force", "body": 1},
@@ -136,7 +132,7 @@ def test_given_a_delta_sigma_filter_when_detected_then_all_impacts_are_found_and
     assert np.mean(abs(-found.jump[nearest] / jumps[seen & clear] - 1.0) < 0.02) > 0.95
 
 
-def test_given_an_integrator_whose_high_pass_turns_the_motion_when_detected_then_accelerations_are_the_bodys(
+def test_integrated_channels_give_body_acceleration(
     tmp_path,
 ):
     high_pass = {"integrator": {"order": 2, "corner": 4.0, "gain": 1000.0}}
@@ -158,7 +154,7 @@ def test_given_an_integrator_whose_high_pass_turns_the_motion_when_detected_then
     assert np.nanmedian(abs(off)) < 0.03 * np.nanmax(abs(bare.acceleration))
 
 
-def test_given_two_levels_of_sensor_noise_when_detected_then_the_threshold_is_proportional(tmp_path):
+def test_threshold_is_proportional_to_noise(tmp_path):
     thresholds = []
     for noise in (2e-3, 2e-2):
         scene = rig.load("fig8-three-dampers").replace(
@@ -175,7 +171,7 @@ def test_given_two_levels_of_sensor_noise_when_detected_then_the_threshold_is_pr
     assert thresholds[1] / thresholds[0] == pytest.approx(10.0, rel=0.15)
 
 
-def test_given_noise_alone_when_searched_then_nothing_is_found_and_the_threshold_follows_the_noise(tmp_path):
+def test_noise_alone_gives_no_impact(tmp_path):
     thresholds = []
     for noise in (1e-8, 1e-7):
         path, _, _ = blows(tmp_path / "a.mcap", noise=noise, count=0)
@@ -187,7 +183,7 @@ def test_given_noise_alone_when_searched_then_nothing_is_found_and_the_threshold
     assert 5.0 < thresholds[1] / thresholds[0] < 12.0
 
 
-def test_given_a_slow_motion_far_above_the_noise_when_searched_behind_a_filter_then_its_bend_is_no_impact(
+def test_slow_motion_gives_no_impact(
     tmp_path,
 ):
     # Over the filter's ringing the motion bends by some twenty times the noise.
@@ -209,13 +205,13 @@ def still(path, quantity, ticks):
 
 
 @pytest.mark.parametrize("quantity", ["displacement", "acceleration"])
-def test_given_a_reading_that_stands_still_when_searched_then_nothing_is_found_in_it(tmp_path, quantity):
+def test_constant_reading_gives_no_impact(tmp_path, quantity):
     # The motion is smaller than what the converter tells apart.
     with daq.open(still(tmp_path / "a.mcap", quantity, ticks=3)) as rec:
         assert not impacts(rec, "body1").time.size
 
 
-def test_given_a_channel_that_reads_nothing_when_searched_then_it_says_so(tmp_path):
+def test_empty_channel_is_reported(tmp_path):
     with (
         daq.open(still(tmp_path / "a.mcap", "displacement", ticks=0)) as rec,
         pytest.raises(RecordingError, match="body1 reads zero throughout"),
@@ -223,7 +219,7 @@ def test_given_a_channel_that_reads_nothing_when_searched_then_it_says_so(tmp_pa
         impacts(rec, "body1")
 
 
-def test_given_too_few_samples_when_searched_then_it_says_how_many_are_needed(tmp_path):
+def test_too_few_samples_are_reported(tmp_path):
     path, _, _ = blows(tmp_path / "a.mcap", count=0)
     with daq.open(path) as rec, pytest.raises(RecordingError, match="Take at least 96"):
         impacts(rec, "body1", 0, 50)
@@ -257,7 +253,7 @@ INTEGRATED = {"accelerometer": SENSOR, **INTEGRATORS["velocity"]}, {"rate": 1280
         (*INTEGRATED, 2e-3, 0.4, 34.5),
     ],
 )
-def test_given_contact_that_lasts_when_detected_then_each_touch_has_its_wall_time_and_size(
+def test_finite_duration_contact_has_wall_time_size(
     tmp_path, chain, converter, duration, restitution, frequency
 ):
     damper = {"clearance": 0.98e-3, "restitution": restitution, "contact": {"duration": duration}}
@@ -282,7 +278,7 @@ def test_given_contact_that_lasts_when_detected_then_each_touch_has_its_wall_tim
     assert np.all(abs(found.jump - jump[seen]) < 4.0 * found.jump_error + within * abs(found.jump))
 
 
-def test_given_samples_at_instants_too_far_apart_for_a_landing_when_searched_then_it_says_so(tmp_path):
+def test_too_coarse_samples_are_reported(tmp_path):
     damper, converter = {"clearance": np.inf, "contact": {"duration": 2e-3}}, {"sampling": "point"}
     with (
         daq.open(landed(tmp_path / "a.mcap", {}, {"rate": 5120.0, **converter}, [damper])) as rec,
@@ -293,7 +289,7 @@ def test_given_samples_at_instants_too_far_apart_for_a_landing_when_searched_the
         assert impacts(rec, "body2", rec.samples // 2).time.size > 10
 
 
-def test_given_two_dampers_that_land_alike_in_one_body_when_detected_then_the_touches_of_both_are_found(
+def test_equal_dampers_in_body_are_both_detected(
     tmp_path,
 ):
     contact = {"restitution": 0.0, "contact": {"duration": 1e-3}}
@@ -305,7 +301,7 @@ def test_given_two_dampers_that_land_alike_in_one_body_when_detected_then_the_to
     assert right.all() and f1 > 0.9
 
 
-def test_given_landings_that_differ_in_one_body_when_searched_then_it_says_why_none_is_told(tmp_path):
+def test_different_contacts_in_body_are_reported(tmp_path):
     floor, ceiling = {"duration": 2e-3}, {"duration": 4e-3}
     dampers = [{"clearance": 0.98e-3, "contact": {"floor": floor, "ceiling": ceiling}}]
     with (
@@ -317,7 +313,7 @@ def test_given_landings_that_differ_in_one_body_when_searched_then_it_says_why_n
         impacts(rec, "body2")
 
 
-def test_given_landings_longer_than_half_a_period_when_searched_then_no_false_one_is_told(tmp_path):
+def test_long_contact_gives_no_false_impact(tmp_path):
     damper = {"clearance": np.inf, "restitution": 0.0, "contact": {"duration": 12e-3}}
     with daq.open(landed(tmp_path / "a.mcap", {}, {"rate": 5120.0}, [damper])) as rec:
         found = impacts(rec, "body2", rec.samples // 2)
@@ -325,13 +321,13 @@ def test_given_landings_longer_than_half_a_period_when_searched_then_no_false_on
     assert score(found.time, touches, 3e-3)[1].all()
 
 
-def test_given_times_when_scored_then_each_is_matched_once():
+def test_every_time_is_matched_once():
     f1, found, true = score(np.array([1.0, 1.01, 2.0]), np.array([1.0, 2.5]), 0.1)
     assert found.tolist() == [True, False, False] and true.tolist() == [True, False]
     assert f1 == pytest.approx(2 / 5)
 
 
-def test_given_a_channel_that_is_overloaded_for_most_of_a_stretch_when_searched_then_nothing_is_told(
+def test_overloaded_channel_gives_no_impact(
     tmp_path,
 ):
     scene = rig.load(
@@ -350,7 +346,7 @@ def test_given_a_channel_that_is_overloaded_for_most_of_a_stretch_when_searched_
     assert not ((part.time > 0.0) & (part.time < end / rec.rate)).any()
 
 
-def test_given_chains_of_rebounds_behind_a_double_integrator_when_judged_then_all_apart_enough_are_found():
+def test_separate_rebounds_behind_integrator_are_detected():
     [found, *_] = [verdict for verdict in run_trial(600101, 69, TONE) if verdict.judge == "impacts"]
     assert found.points > 100
     assert found.inside == found.points

@@ -21,7 +21,7 @@ def with_damper(**damper):
         {"contact": {"stiffness": 1e5, "damping": 2.0 * np.sqrt(1e5 * 0.05 * 0.71 / 0.76)}},
     ],
 )
-def test_given_a_contact_when_followed_by_another_solver_then_the_bodys_velocity_changes_alike(contact):
+def test_contact_agrees_with_another_solver(contact):
     scene = with_damper(**contact)
     pulse = landing_pulse(scene, "body 2", 5120.0)
     stiffness, loss = pulse.angular**2, 2.0 * pulse.ratio * pulse.angular
@@ -42,27 +42,27 @@ def test_given_a_contact_when_followed_by_another_solver_then_the_bodys_velocity
         assert pulse.restitution == pytest.approx(0.4, abs=1e-6)
 
 
-def test_given_landings_well_within_a_sample_interval_when_asked_then_they_are_jumps():
+def test_short_contact_counts_as_jump():
     scene = with_damper(contact={"duration": 2e-5})
     assert landing_pulse(scene, "body 2", 5120.0) is None
     assert landing_pulse(scene, "body 2", 51200.0) is not None
     assert landing_pulse(with_damper(), "body 2", 5120.0) is None
 
 
-def test_given_an_instant_landing_beside_one_that_lasts_when_asked_then_none_is_told():
+def test_mixed_contacts_are_reported():
     [damper] = with_damper(contact={"duration": 2e-3}).dampers
     scene = rig.load("fig9").replace(dampers=[damper, damper.replace(contact=None)])
     with pytest.raises(RecordingError, match="differ in how landings last"):
         landing_pulse(scene, "body 2", 5120.0)
 
 
-def test_given_grains_when_asked_then_it_says_that_they_are_not_one_mass():
+def test_grains_are_rejected():
     scene = with_damper(grains={"diameter": 2e-3})
     with pytest.raises(RecordingError, match="body 2: a bed of grains is not one mass"):
         landing_pulse(scene, "body 2", 5120.0)
 
 
-def test_given_a_floor_that_gives_way_when_it_carries_a_bed_then_the_bed_moves_as_a_mass_on_its_spring():
+def test_soft_floor_carries_bed_as_spring():
     scene = with_damper(contact={"stiffness": 5e4, "damping": 10.0})
     frequency = np.array([0.0, 30.0, 100.0])
     s = 2j * np.pi * frequency

@@ -24,7 +24,7 @@ from rig.errors import RecordingError
 from tests.analysis.responses import synthetic
 
 
-def test_given_a_linear_structure_when_balanced_then_it_dissipates_all_that_is_supplied(tmp_path):
+def test_linear_structure_dissipates_supplied_energy(tmp_path):
     with daq.open(synthetic.stepped_sine(tmp_path / "a.mcap", [12.0, 13.04, 30.0, 34.8, 49.7])) as rec:
         [sweep] = sweeps(rec)
         energy = energy_per_cycle(rec, sweep)
@@ -32,9 +32,7 @@ def test_given_a_linear_structure_when_balanced_then_it_dissipates_all_that_is_s
     assert np.all(abs(energy.dampers) < 1e-5 * energy.supplied)
 
 
-def test_given_sensors_within_their_tolerance_when_balanced_then_the_bound_holds_and_is_no_wider_than_needed(
-    tmp_path, monkeypatch
-):
+def test_sensor_tolerances_bound_energy_balance(tmp_path, monkeypatch):
     # What points fold back comes on top.
     monkeypatch.setattr(energy_balance, "folded_shares", lambda *_: (0.0, 0.0))
     infos = synthetic.channels(sensor={"accelerometer.sensitivity_tolerance": "1 %"})
@@ -50,7 +48,7 @@ def test_given_sensors_within_their_tolerance_when_balanced_then_the_bound_holds
     assert np.all(worst <= 1.05 * bound) and np.all(worst >= 0.8 * bound)
 
 
-def test_given_no_channel_on_a_body_when_balanced_then_it_is_named(tmp_path):
+def test_missing_channel_is_named(tmp_path):
     infos = [info for info in synthetic.channels() if info.name != "body2"]
     marks = [("measure", 0, 2559, {"frequency": 20.0, "level": 1.0, "direction": "up"})]
     wave = np.tile(np.sin(2 * np.pi * 20 / synthetic.RATE * np.arange(2560)), (3, 1))
@@ -60,7 +58,7 @@ def test_given_no_channel_on_a_body_when_balanced_then_it_is_named(tmp_path):
             energy_per_cycle(rec, sweep)
 
 
-def test_given_a_curve_with_a_resonance_only_when_searched_then_no_jump_is_claimed(tmp_path):
+def test_resonance_alone_is_no_jump(tmp_path):
     with daq.open(synthetic.stepped_sine(tmp_path / "a.mcap", np.linspace(8.0, 60.0, 105))) as rec:
         for [*curves] in analysis.frequency_responses(rec):
             assert [jumps(curve) for curve in curves] == [[], [], []]
@@ -77,7 +75,7 @@ def test_given_a_curve_with_a_resonance_only_when_searched_then_no_jump_is_claim
         (2, 1, False, "other: 2 floor and 1 ceiling impacts a period"),
     ],
 )
-def test_given_impacts_a_period_when_named_then_the_papers_types_are_used(floor, ceiling, stays, name):
+def test_impacts_per_period_name_paper_types(floor, ceiling, stays, name):
     assert DamperMotion(30.0, "body2", floor, ceiling, stays, 1e-3, True).name == name
 
 
@@ -108,33 +106,29 @@ def true_types(rec, sweep):
     return out
 
 
-def test_given_no_impacts_but_perhaps_more_than_1_g_when_named_then_the_motion_is_not_called_riding() -> None:
+def test_possible_flight_is_not_called_riding() -> None:
     motion = DamperMotion(30.0, "body2", 0, 0, False, 0.2, False)
     assert motion.name == "unseen"
     assert "may fly" in describe_motions([[motion]])[1]
 
 
 @pytest.mark.parametrize(("floor", "ceiling"), [(1.1, 0), (1, 1), (0.48, 0.31)])
-def test_given_blows_that_do_not_come_again_when_named_then_neither_a_type_nor_a_count_is_told(
-    floor, ceiling
-) -> None:
+def test_irregular_impacts_have_no_type(floor, ceiling) -> None:
     name = DamperMotion(30.0, "body2", floor, ceiling, False, 1e-3, False, repeats=0).name
     assert name == "unsure: impacts are missed, or the motion is irregular"
 
 
-def test_given_blows_that_come_again_after_two_periods_when_named_then_they_are_counted_by_halves() -> None:
+def test_repeats_after_two_periods_count_halves() -> None:
     name = DamperMotion(30.0, "body2", 0.53, 1.47, False, 1e-3, False, repeats=2).name
     assert name == "other: 0.5 floor and 1.5 ceiling impacts a period"
 
 
-def test_given_flights_that_may_reach_the_ceiling_when_no_blow_on_it_is_seen_then_type_i_is_not_named() -> (
-    None
-):
+def test_reachable_ceiling_excludes_type_i() -> None:
     name = DamperMotion(30.0, "body2", 1, 0, False, 1e-3, False, may_reach=True).name
     assert name == "other: 1 floor and 0 ceiling impacts a period, and perhaps weak ones on the ceiling"
 
 
-def test_given_different_patterns_when_described_then_each_is_told_with_its_own_counts() -> None:
+def test_patterns_are_described_with_counts() -> None:
     motions = [DamperMotion(f, "body2", n, 0, False, 1e-3, False) for f, n in ((10.0, 2), (11.0, 3))]
     _, first, second, limit = describe_motions([motions])
     assert "2 floor" in first and "3 floor" in second and "1 mm/s (body2)" in limit
@@ -149,9 +143,7 @@ def test_given_different_patterns_when_described_then_each_is_told_with_its_own_
         (0.8, 0.0, 0.1, "riding"),
     ],
 )
-def test_given_no_impacts_when_named_then_riding_needs_an_acceleration_that_surely_stays_above_minus_g(
-    tmp_path, first, third, tolerance, name
-):
+def test_riding_requires_acceleration_above_minus_g(tmp_path, first, third, tolerance, name):
     """The peak counts, not the fundamental alone, and by what the sensor may be off."""
     sensor = {"accelerometer.sensitivity_tolerance": str(tolerance)}
     infos = [ChannelInfo("body1", "body 1", "acceleration", 1.0, synthetic.RATE, average=True, sensor=sensor)]
@@ -167,13 +159,13 @@ def test_given_no_impacts_when_named_then_riding_needs_an_acceleration_that_sure
     assert motion.name == name
 
 
-def test_given_a_frequency_left_out_when_motions_are_described_then_no_range_runs_across_it() -> None:
+def test_ranges_end_at_omitted_frequencies() -> None:
     motions = [DamperMotion(f, "body2", 1, 0, False, 1e-3, False) for f in (10.0, 11.0, 13.0, 14.0)]
     assert "10 to 11 and 13 to 14 Hz" in describe_motions([motions], [12.0])[1]
     assert "10 to 14 Hz" in describe_motions([motions])[1]
 
 
-def test_given_the_papers_fig_9_when_recorded_then_its_types_are_told_from_the_channels(fig9):
+def test_fig_9_types_are_identified(fig9):
     with daq.open(fig9) as rec:
         [sweep] = sweeps(rec)
         motions = damper_motion(rec, sweep, "body2")
@@ -181,7 +173,7 @@ def test_given_the_papers_fig_9_when_recorded_then_its_types_are_told_from_the_c
     assert describe_motions([motions])[1].split() == ["body2", "type", "I", "47.5", "Hz"]
 
 
-def test_given_few_samples_a_period_and_weak_blows_when_told_then_no_type_and_no_count_is_false(tmp_path):
+def test_uncertain_impacts_give_no_false_type(tmp_path):
     """At 46.81 Hz the damper in body 2 strikes its ceiling with a tenth of its blow on the floor."""
     sensor = {"sensitivity": 0.0078, "noise": 4.8e-5, "sensitivity_tolerance": 0.03}
     scene = rig.Scene(
@@ -221,7 +213,7 @@ def test_given_few_samples_a_period_and_weak_blows_when_told_then_no_type_and_no
     assert all(name == "II" or "unsure" in name or "perhaps weak ones" in name for name in names)
 
 
-def test_given_the_truth_when_energies_are_compared_then_channels_tell_what_impacts_take_out(fig9):
+def test_impact_energy_agrees_with_truth(fig9):
     with daq.open(fig9) as rec:
         [sweep] = sweeps(rec)
         energy = energy_per_cycle(rec, sweep)
@@ -230,7 +222,7 @@ def test_given_the_truth_when_energies_are_compared_then_channels_tell_what_impa
     assert np.all(true[1:] > 0.6 * energy.supplied[1:])
 
 
-def test_given_contact_that_lasts_when_motion_and_energy_are_told_then_both_are_the_true_ones(tmp_path):
+def test_finite_duration_motion_and_energy_are_true(tmp_path):
     [damper] = rig.load("fig9").dampers
     scene = rig.load("fig9").replace(
         dampers=[damper.replace(contact={"duration": 2e-3})],
@@ -247,9 +239,7 @@ def test_given_contact_that_lasts_when_motion_and_energy_are_told_then_both_are_
     assert np.all(true[:2] > 0.6 * energy.supplied[:2])
 
 
-def test_given_a_recording_with_dampers_when_the_command_is_run_then_motion_and_energy_are_told(
-    fig9, tmp_path
-):
+def test_command_prints_motion_and_energy(fig9, tmp_path):
     run = CliRunner().invoke(app, ["dampers", str(fig9), "-o", str(tmp_path)])
     assert run.exit_code == 0
     assert re.search(r"type III +49 Hz", run.output) and "true impact loss" in run.output
@@ -257,7 +247,7 @@ def test_given_a_recording_with_dampers_when_the_command_is_run_then_motion_and_
     assert len(rows) == 4 and rows[0].startswith("scene,frequency_Hz,supplied_J")
 
 
-def test_given_no_dampers_when_asked_for_their_motion_then_it_says_so(tmp_path):
+def test_scene_without_dampers_is_rejected(tmp_path):
     path = synthetic.stepped_sine(tmp_path / "a.mcap", [12.0])
     with pytest.raises(RecordingError, match="no dampers"):
         present_dampers([path])

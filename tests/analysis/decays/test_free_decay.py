@@ -18,7 +18,7 @@ from tests.analysis.responses import synthetic
 OMEGA = np.array([81.911, 218.512, 312.041])
 
 
-def test_given_a_linear_decay_when_analysed_then_every_mode_has_its_damping_at_every_amplitude(tmp_path):
+def test_linear_decay_has_damping_at_every_amplitude(tmp_path):
     with daq.open(synthetic.impulses(tmp_path / "a.mcap")) as rec:
         decay = analysis.decay(rec, channel="body3")
     assert [round(mode.frequency, 1) for mode in decay.modes] == [13.0, 34.8, 49.7]
@@ -29,7 +29,7 @@ def test_given_a_linear_decay_when_analysed_then_every_mode_has_its_damping_at_e
     assert decay.warnings == ()
 
 
-def test_given_linear_decays_of_all_kinds_when_analysed_then_frequencies_are_within_their_bounds():
+def test_linear_decay_frequencies_lie_within_bounds():
     rng, rate, begin = np.random.default_rng(5), 1280.0, 640
     pulls, peaks = [], []
     for _ in range(40):
@@ -53,7 +53,7 @@ def test_given_linear_decays_of_all_kinds_when_analysed_then_frequencies_are_wit
     assert np.median(peaks) > 10.0
 
 
-def test_given_a_clock_that_is_off_when_a_decay_is_analysed_then_the_bound_of_its_frequency_says_so(tmp_path):
+def test_clock_error_is_in_frequency_bound(tmp_path):
     scene = rig.loads(STIFF.format(stiffness=(2 * np.pi * 100.0) ** 2, duration=2.0))
     late = scene.replace(converter={"rate": 25600.0, "clock_error": 1e-3})
     with daq.open(daq.record(late, tmp_path / "a.mcap")) as rec:
@@ -62,7 +62,7 @@ def test_given_a_clock_that_is_off_when_a_decay_is_analysed_then_the_bound_of_it
     assert 2.0 * mode.frequency_error == pytest.approx(0.1, rel=0.01)
 
 
-def test_given_noise_when_analysed_then_damping_ratios_stay_within_three_percent_above_the_floor(tmp_path):
+def test_damping_above_noise_floor_is_right(tmp_path):
     with daq.open(synthetic.impulses(tmp_path / "a.mcap", noise=2e-3)) as rec:
         decay = analysis.decay(rec, channel="body3")
     for mode in decay.modes:
@@ -70,7 +70,7 @@ def test_given_noise_when_analysed_then_damping_ratios_stay_within_three_percent
         np.testing.assert_allclose(mode.damping[high], 0.005, rtol=0.03)
 
 
-def test_given_a_decay_when_integrated_then_the_energy_falls_steadily_to_the_end(tmp_path):
+def test_integrated_energy_falls_to_the_end(tmp_path):
     with daq.open(synthetic.impulses(tmp_path / "a.mcap")) as rec:
         decay = analysis.decay(rec)
     assert decay.energy[0] == 0.0 and np.all(np.diff(decay.energy) <= 0)
@@ -78,7 +78,7 @@ def test_given_a_decay_when_integrated_then_the_energy_falls_steadily_to_the_end
     assert decay.time_below(1e9) == 0.0
 
 
-def test_given_damping_that_falls_with_amplitude_when_analysed_then_it_is_followed():
+def test_falling_damping_is_followed():
     # x'' + 2 zeta(A) w x' + w^2 x = 0 with zeta = c A, slowly: A' = -c w A^2, A = A0 / (1 + c w A0 t).
     rate, omega, start, law = 2560.0, 2 * np.pi * 30.0, 20.0, 1e-3
     time = np.arange(int(6 * rate)) / rate
@@ -98,7 +98,7 @@ LAWS = {
 
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("noise", [1e-3, 0.05])
-def test_given_damping_that_changes_with_amplitude_when_analysed_then_it_lies_within_its_bounds(law, noise):
+def test_changing_damping_lies_within_bounds(law, noise):
     random = np.random.default_rng(3)
     rate, natural, amplitude, size = 1280.0, 24.0, 50.0, np.empty(5120)
     for index in range(size.size):
@@ -112,7 +112,7 @@ def test_given_damping_that_changes_with_amplitude_when_analysed_then_it_lies_wi
     assert np.median(mode.damping_error / mode.damping) < 0.1
 
 
-def test_given_a_displacement_channel_when_analysed_then_the_decay_is_that_of_the_acceleration(tmp_path):
+def test_displacement_gives_decay_of_acceleration(tmp_path):
     force = np.zeros(640 + int(4 * synthetic.RATE))
     force[640:656] = 50.0 * np.sin(np.pi * np.arange(16) / 16)
     infos = [info for info in synthetic.channels("displacement") if info.at != "table"]
@@ -126,7 +126,7 @@ def test_given_a_displacement_channel_when_analysed_then_the_decay_is_that_of_th
     assert np.max(abs(decay.acceleration[inner] - true[inner])) < 0.01 * abs(true).max()
 
 
-def test_given_no_hit_when_a_decay_is_asked_for_then_it_says_what_to_record(tmp_path):
+def test_missing_hit_is_explained(tmp_path):
     with (
         daq.open(synthetic.stepped_sine(tmp_path / "a.mcap", [12.0])) as rec,
         pytest.raises(RecordingError, match=r"kind: impulse"),
@@ -134,7 +134,7 @@ def test_given_no_hit_when_a_decay_is_asked_for_then_it_says_what_to_record(tmp_
         analysis.decay(rec)
 
 
-def test_given_a_hit_that_was_not_made_when_asked_for_then_the_range_is_named(tmp_path):
+def test_missing_hit_number_names_range(tmp_path):
     with (
         daq.open(synthetic.impulses(tmp_path / "a.mcap", interval=1.0)) as rec,
         pytest.raises(SceneError, match="hits 1 to 1"),
@@ -142,7 +142,7 @@ def test_given_a_hit_that_was_not_made_when_asked_for_then_the_range_is_named(tm
         analysis.decay(rec, hit=2)
 
 
-def test_given_a_decay_of_a_tenth_of_a_second_when_analysed_then_it_is_too_short(tmp_path):
+def test_too_short_decay_is_rejected(tmp_path):
     with (
         daq.open(synthetic.impulses(tmp_path / "a.mcap", interval=0.1)) as rec,
         pytest.raises(RecordingError, match="too short"),
@@ -156,7 +156,7 @@ def agreement(mode, expected):
     return abs(mode.damping / expected.damping - 1.0) < np.maximum(bound, 0.03)
 
 
-def test_given_three_dampers_when_a_decay_is_measured_then_its_damping_is_that_of_the_true_motion(tmp_path):
+def test_three_dampers_have_true_damping(tmp_path):
     scene = rig.load("fig10b-three-dampers")
     test = scene.test.model_dump(exclude_none=True) | {"repeats": 1, "interval": 4.0}
     scene = scene.replace(test=test, recording={"truth": True, "display": False})
@@ -177,9 +177,7 @@ def test_given_three_dampers_when_a_decay_is_measured_then_its_damping_is_that_o
 
 
 @pytest.mark.parametrize("order", [0, 2])
-def test_given_a_free_decay_when_measured_then_its_damping_is_that_of_the_engines_noise_free_run(
-    tmp_path, order
-):
+def test_free_decay_agrees_with_noise_free_run(tmp_path, order):
     accelerometer = {"sensitivity": 0.0102, "noise": 1.96e-4, "resonance": 30e3, "low_cutoff": 0.5}
     amplifier = {"integrator": {"order": 2, "corner": 1.0, "gain": 1000.0}} if order else {}
     scene = rig.load("fig10b-three-dampers").replace(
@@ -201,7 +199,7 @@ def test_given_a_free_decay_when_measured_then_its_damping_is_that_of_the_engine
         assert mode.damping.size > 5 and agreement(mode, expected).mean() > 0.95
 
 
-def test_given_noise_when_a_decay_is_analysed_then_only_amplitudes_above_it_are_reported(tmp_path):
+def test_only_amplitudes_above_noise_are_reported(tmp_path):
     for noise in (1e-3, 1e-2):
         with daq.open(synthetic.impulses(tmp_path / "a.mcap", noise=noise)) as rec:
             decay = analysis.decay(rec, channel="body3")
@@ -213,12 +211,12 @@ def test_given_noise_when_a_decay_is_analysed_then_only_amplitudes_above_it_are_
             assert np.max(abs(pull)) < 4.0
 
 
-def test_given_a_recording_in_which_nothing_is_heard_when_analysed_then_no_damping_is_claimed(tmp_path):
+def test_silent_recording_has_no_damping(tmp_path):
     with daq.open(synthetic.impulses(tmp_path / "a.mcap", noise=30.0)) as rec:
         assert all(mode.damping.size == 0 for mode in analysis.decay(rec, channel="body3").modes)
 
 
-def test_given_a_decay_that_is_cut_off_when_analysed_then_its_envelope_is_that_of_the_longer_one(tmp_path):
+def test_truncated_decay_keeps_its_envelope(tmp_path):
     cut, whole = (synthetic.impulses(tmp_path / f"{t}.mcap", interval=t) for t in (2.0, 8.0))
     with daq.open(cut) as rec, daq.open(whole) as longer:
         decay, expected = analysis.decay(rec), analysis.decay(longer)
@@ -228,7 +226,7 @@ def test_given_a_decay_that_is_cut_off_when_analysed_then_its_envelope_is_that_o
     assert off.max() < 0.1 * expected.envelope[: decay.time.size][late].max()
 
 
-def test_given_a_filter_that_delays_when_a_decay_is_followed_by_a_hit_then_it_ends_before_that_hit(tmp_path):
+def test_decay_ends_before_delayed_next_hit(tmp_path):
     scene = rig.load("fig10b-no-damper")
     test = scene.test.model_dump(exclude_none=True) | {"repeats": 2, "interval": 2.0}
     for remove in (False, True):
@@ -253,7 +251,7 @@ recording: {{display: false}}
 """
 
 
-def test_given_a_mode_far_up_in_a_short_record_when_analysed_then_its_damping_is_told(tmp_path):
+def test_high_mode_in_short_record_is_resolved(tmp_path):
     scene = rig.loads(STIFF.format(stiffness=(2 * np.pi * 900.0) ** 2, duration=0.2))
     with daq.open(daq.record(scene, tmp_path / "a.mcap")) as rec:
         decay = analysis.decay(rec)
@@ -263,7 +261,7 @@ def test_given_a_mode_far_up_in_a_short_record_when_analysed_then_its_damping_is
     assert decay.halving == pytest.approx(np.log(2.0) / (2 * np.pi * 900.0 * 0.005), rel=0.02)
 
 
-def test_given_a_motion_that_goes_on_when_analysed_as_a_decay_then_none_is_told_and_a_figure_is_drawn(
+def test_continuing_motion_is_no_decay(
     tmp_path,
 ):
     scene = rig.loads(STIFF.format(stiffness=(2 * np.pi * 300.0) ** 2, duration=0.5).replace("0.5 %", "0 %"))

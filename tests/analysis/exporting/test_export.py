@@ -45,7 +45,7 @@ def with_gap(tmp_path_factory):
         yield opened
 
 
-def test_given_a_recording_when_exported_as_csv_then_every_digit_is_there(recording, tmp_path):
+def test_csv_keeps_every_digit(recording, tmp_path):
     export(Slice.of(recording), tmp_path / "a.csv")
     with (tmp_path / "a.csv").open(newline="") as stream:
         head, *rows = csv.reader(stream)
@@ -56,7 +56,7 @@ def test_given_a_recording_when_exported_as_csv_then_every_digit_is_there(record
     assert np.array_equal(table[2], recording.read("body2"))
 
 
-def test_given_a_stretch_when_exported_as_npz_then_numpy_loads_it_without_pickles(recording, tmp_path):
+def test_npz_loads_without_pickles(recording, tmp_path):
     export(Slice.of(recording, ["body2"], 0.5, 1.0), tmp_path / "a.npz")
     with np.load(tmp_path / "a.npz", allow_pickle=False) as arrays:
         assert set(arrays) == {"body2", "channels", "units", "rate", "start_s"}
@@ -65,13 +65,13 @@ def test_given_a_stretch_when_exported_as_npz_then_numpy_loads_it_without_pickle
         assert (arrays["rate"], arrays["start_s"]) == (RATE, 0.5)
 
 
-def test_given_the_same_recording_when_exported_twice_as_npz_then_the_bytes_are_the_same(recording, tmp_path):
+def test_repeated_npz_is_byte_equal(recording, tmp_path):
     for name in ("a.npz", "b.npz"):
         export(Slice.of(recording), tmp_path / name)
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
 
 
-def test_given_a_recording_when_exported_as_wav_then_scipy_hears_it(recording, tmp_path):
+def test_wav_is_read_by_scipy(recording, tmp_path):
     notes = export(Slice.of(recording), tmp_path / "a.wav", speed=3.0)
     rate, sound = wavfile.read(tmp_path / "a.wav")
     assert rate == round(3 * RATE)
@@ -86,13 +86,13 @@ def test_given_a_recording_when_exported_as_wav_then_scipy_hears_it(recording, t
         assert header.getsampwidth() == 3
 
 
-def test_given_silence_when_exported_as_wav_then_it_is_silence(tmp_path):
+def test_silent_wav_stays_silent(tmp_path):
     with daq.open(write(tmp_path / "a.mcap", np.zeros((2, 100)))) as recording:
         export(Slice.of(recording), tmp_path / "a.wav")
     assert not wavfile.read(tmp_path / "a.wav")[1].any()
 
 
-def test_given_a_recording_when_exported_as_uff_then_pyuff_reads_time_responses(recording, tmp_path):
+def test_uff_is_read_by_pyuff(recording, tmp_path):
     export(Slice.of(recording, None, 0.25, 1.25), tmp_path / "a.uff")
     sets = pyuff.UFF(str(tmp_path / "a.uff")).read_sets()
     assert [one["type"] for one in sets] == [58, 58]
@@ -109,7 +109,7 @@ def test_given_a_recording_when_exported_as_uff_then_pyuff_reads_time_responses(
         assert np.diff(one["x"]) == pytest.approx(1 / RATE, rel=2e-6)
 
 
-def test_given_a_file_with_an_odd_name_when_exported_as_uff_then_it_stays_in_its_line(recording, tmp_path):
+def test_odd_name_stays_in_its_line(recording, tmp_path):
     odd = tmp_path / os.fsdecode(b"a\nb\xff.mcap")
     shutil.copy(recording.path, odd)
     with daq.open(odd) as opened:
@@ -117,7 +117,7 @@ def test_given_a_file_with_an_odd_name_when_exported_as_uff_then_it_stays_in_its
     assert {one["id2"] for one in pyuff.UFF(str(tmp_path / "a.uff")).read_sets()} == {r"from a b\udcff.mcap"}
 
 
-def test_given_a_recording_when_asked_for_sep005_then_the_rules_of_sep005_hold(recording):
+def test_series_follow_sep005_rules(recording):
     series = analysis.sep005(recording, to_s=1.0)
     assert [one["name"] for one in series] == ["body1", "body2"]
     assert [one["unit_str"] for one in series] == ["m", "m/s²"]
@@ -129,7 +129,7 @@ def test_given_a_recording_when_asked_for_sep005_then_the_rules_of_sep005_hold(r
         assert np.array_equal(one["data"], recording.read(one["name"], 0, 2560))
 
 
-def test_given_sep005_series_when_the_reference_checks_them_then_they_pass(recording):
+def test_series_pass_sep005_reference_check(recording):
     import sdypy_sep005 as reference
 
     for one in analysis.sep005(recording):
@@ -137,7 +137,7 @@ def test_given_sep005_series_when_the_reference_checks_them_then_they_pass(recor
         assert (checked.name, checked.fs) == (one["name"], RATE)
 
 
-def test_given_a_recording_with_a_date_when_asked_for_sep005_then_the_series_carry_it(tmp_path):
+def test_series_carry_the_date(tmp_path):
     start = 1_763_726_400_250_000_000
     with Recorder(tmp_path / "a.mcap", scene(), channels(), RATE, start_ns=start) as recorder:
         recorder.write(signal(3000))
@@ -146,9 +146,7 @@ def test_given_a_recording_with_a_date_when_asked_for_sep005_then_the_series_car
     assert series[0]["start_timestamp"] == "2025-11-21T12:00:01.250000+00:00"
 
 
-def test_given_lost_samples_when_exported_then_tables_keep_their_places_and_other_formats_refuse(
-    with_gap, tmp_path
-):
+def test_lost_samples_are_kept_or_rejected(with_gap, tmp_path):
     for name in ("a.csv", "a.npz"):
         export(Slice.of(with_gap), tmp_path / name)
     table = np.genfromtxt(tmp_path / "a.csv", delimiter=",", skip_header=1)
@@ -162,9 +160,7 @@ def test_given_lost_samples_when_exported_then_tables_keep_their_places_and_othe
     assert not [path for path in tmp_path.iterdir() if path.name.startswith(".")]
 
 
-def test_given_pieces_smaller_than_the_recording_when_exported_then_the_file_is_the_same(
-    recording, tmp_path, monkeypatch
-):
+def test_pieces_give_same_file(recording, tmp_path, monkeypatch):
     names = ("a.csv", "a.npz", "a.wav")
     for name in names:
         export(Slice.of(recording), tmp_path / name)
@@ -182,9 +178,7 @@ def test_given_pieces_smaller_than_the_recording_when_exported_then_the_file_is_
         ({"from_s": 1.0, "to_s": 0.5}, "--from 1 s is after --to 0.5 s"),
     ],
 )
-def test_given_a_stretch_that_is_not_there_when_asked_for_then_the_error_tells_what_is(
-    recording, wanted, message
-):
+def test_missing_stretch_names_available_range(recording, wanted, message):
     with pytest.raises(SceneError, match=message):
         Slice.of(recording, **wanted)
 
@@ -200,17 +194,13 @@ def test_given_a_stretch_that_is_not_there_when_asked_for_then_the_error_tells_w
         ("missing/a.csv", {}, "no folder"),
     ],
 )
-def test_given_what_cannot_be_exported_when_tried_then_the_error_says_why_and_nothing_is_left(
-    recording, tmp_path, name, options, message
-):
+def test_impossible_export_leaves_no_file(recording, tmp_path, name, options, message):
     with pytest.raises(SceneError, match=message):
         export(Slice.of(recording), tmp_path / name, **options)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_given_more_than_the_disk_holds_when_exported_then_it_is_said_before_anything_is_written(
-    recording, tmp_path, monkeypatch
-):
+def test_full_disk_is_reported_before_writing(recording, tmp_path, monkeypatch):
     stretch = Slice.of(recording)
     free = SimpleNamespace(free=int(expected_bytes(stretch, ".csv") / 4) - 1)
     monkeypatch.setattr(shutil, "disk_usage", lambda folder: free)
@@ -221,12 +211,12 @@ def test_given_more_than_the_disk_holds_when_exported_then_it_is_said_before_any
     export(stretch, tmp_path / "a.csv")
 
 
-def test_given_a_disk_that_refuses_when_exported_as_uff_then_the_error_is_the_disks(recording, tmp_path):
+def test_failing_disk_is_reported(recording, tmp_path):
     with pytest.raises(FileNotFoundError):
         write_uff(Slice.of(recording), tmp_path / "missing" / "a.uff")
 
 
-def test_given_a_void_of_years_in_a_recording_when_exported_then_it_is_told_and_not_walked(tmp_path):
+def test_long_void_is_reported_quickly(tmp_path):
     path = rewritten(write(tmp_path / "a.mcap", signal(SAMPLES)), shift=2**40)
     with daq.open(path) as recording:
         with pytest.raises(RecordingError, match="a void"):
@@ -234,12 +224,12 @@ def test_given_a_void_of_years_in_a_recording_when_exported_then_it_is_told_and_
         assert Slice.of(recording, to_s=0.5).stop == round(0.5 * RATE)
 
 
-def test_given_one_sample_when_exported_as_uff_then_the_format_refuses(recording, tmp_path):
+def test_uff_rejects_single_sample(recording, tmp_path):
     with pytest.raises(SceneError, match="2 at least"):
         export(Slice.of(recording, to_s=1e-4), tmp_path / "a.uff")
 
 
-def test_given_an_existing_file_when_exported_then_it_is_replaced_only_if_asked(recording, tmp_path):
+def test_existing_file_needs_overwrite(recording, tmp_path):
     path = tmp_path / "a.uff"
     path.write_text("precious")
     with pytest.raises(SceneError, match="exists"):
@@ -249,13 +239,13 @@ def test_given_an_existing_file_when_exported_then_it_is_replaced_only_if_asked(
     assert len(pyuff.UFF(str(path)).read_sets()) == 2
 
 
-def test_given_a_target_that_is_a_folder_when_exported_then_the_error_is_clear(recording, tmp_path):
+def test_target_folder_is_reported(recording, tmp_path):
     (tmp_path / "a.csv").mkdir()
     with pytest.raises(SceneError, match="no ordinary file"):
         export(Slice.of(recording), tmp_path / "a.csv", overwrite=True)
 
 
-def test_given_channels_named_like_paths_when_exported_as_npz_then_members_have_plain_names(tmp_path):
+def test_channels_like_paths_get_plain_names(tmp_path):
     info = [ChannelInfo("../x y", "body 1", "force", 1.0, RATE)]
     with Recorder(tmp_path / "a.mcap", scene(), info, RATE) as recorder:
         recorder.write(np.ones((1, 10)))
@@ -265,14 +255,12 @@ def test_given_channels_named_like_paths_when_exported_as_npz_then_members_have_
         assert arrays[".._x_y"].tolist() == [1.0] * 10
 
 
-def test_given_a_name_that_says_no_format_when_the_command_exports_then_it_announces_no_file(
-    recording, tmp_path
-):
+def test_unknown_format_announces_no_file(recording, tmp_path):
     result = CliRunner().invoke(app, ["export", str(recording.path), "-o", str(tmp_path / "a.tdms")])
     assert "ends in one of .csv" in str(result.exception) and "writing" not in result.output
 
 
-def test_given_the_command_when_run_then_the_file_is_there_and_named(recording, tmp_path):
+def test_command_names_written_file(recording, tmp_path):
     path = tmp_path / "a.csv"
     result = CliRunner().invoke(
         app, ["export", str(recording.path), "-o", str(path), "--channel", "body2", "--to", "0.1"]
@@ -282,7 +270,7 @@ def test_given_the_command_when_run_then_the_file_is_there_and_named(recording, 
     assert len(path.read_text(encoding="utf-8").splitlines()) == 257
 
 
-def test_given_a_recording_when_exported_for_matlab_and_imported_then_it_is_the_same(recording, tmp_path):
+def test_exported_matlab_file_imports_equal(recording, tmp_path):
     told = []
     export(Slice.of(recording), tmp_path / "a.mat", progress=lambda done, total: told.append((done, total)))
     assert told[-1] == (2 * SAMPLES, 2 * SAMPLES)
@@ -296,13 +284,13 @@ def test_given_a_recording_when_exported_for_matlab_and_imported_then_it_is_the_
 
 
 @pytest.mark.parametrize("form", ["csv", "npz", "mat", "wav", "uff"])
-def test_given_a_recording_when_exported_then_its_size_was_told_before(form, recording, tmp_path):
+def test_size_is_estimated_before_export(form, recording, tmp_path):
     export(Slice.of(recording), tmp_path / f"a.{form}")
     told = expected_bytes(Slice.of(recording), f".{form}")
     assert told == pytest.approx((tmp_path / f"a.{form}").stat().st_size, rel=0.3)
 
 
-def test_given_responses_and_modes_when_exported_then_other_programs_and_we_read_the_same(tmp_path):
+def test_exported_responses_and_modes_read_equal(tmp_path):
     path = Path(__file__).parents[3] / "recordings" / "demo-sweep-no-damper.mcap"
     with daq.open(path) as rec:
         curves = analysis.frfs(rec)

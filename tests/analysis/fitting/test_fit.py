@@ -45,7 +45,7 @@ def off(found):
     }
 
 
-def test_given_a_sweep_and_a_guess_when_fitted_then_every_value_lies_in_its_interval(tmp_path):
+def test_every_fitted_value_lies_in_interval(tmp_path):
     path = synthetic.stepped_sine(tmp_path / "a.mcap", FREQUENCIES, noise=2e-7)
     found = analysis.fit(path, guess())
     assert not found.misfit
@@ -69,7 +69,7 @@ def test_structure_is_found_from_two_of_three_modes(masses, tmp_path):
         assert abs(miss) <= found[key].half_width
 
 
-def test_given_sensors_known_to_a_tolerance_when_fitted_then_masses_are_as_uncertain_as_they_make_them(
+def test_sensor_tolerances_widen_masses(
     tmp_path,
 ):
     sheet = {"accelerometer.sensitivity_tolerance": "0.05"}
@@ -83,7 +83,7 @@ def test_given_sensors_known_to_a_tolerance_when_fitted_then_masses_are_as_uncer
 
 
 @pytest.mark.thorough
-def test_given_a_guess_of_another_structure_when_fitted_then_the_misfit_is_told_and_nothing_is_determined(
+def test_other_structure_gives_misfit(
     tmp_path,
 ):
     path = synthetic.stepped_sine(tmp_path / "a.mcap", FREQUENCIES, noise=2e-7)
@@ -93,7 +93,7 @@ def test_given_a_guess_of_another_structure_when_fitted_then_the_misfit_is_told_
 
 
 @pytest.mark.thorough
-def test_given_swapped_columns_when_fitted_then_the_two_are_named(tmp_path):
+def test_swapped_columns_are_named(tmp_path):
     path = synthetic.stepped_sine(tmp_path / "a.mcap", FREQUENCIES, noise=2e-7)
     with daq.open(path) as recording:
         for name, at in {"body2": "body 3", "body3": "body 2"}.items():
@@ -103,7 +103,7 @@ def test_given_swapped_columns_when_fitted_then_the_two_are_named(tmp_path):
 
 
 @pytest.mark.thorough
-def test_given_a_channel_that_reads_g_as_metres_when_fitted_then_it_is_named_with_the_factor(tmp_path):
+def test_g_read_as_metres_is_named(tmp_path):
     # No sensor is off by so much, though it would explain the curves.
     sheet = {"accelerometer.sensitivity_tolerance": "0.02"}
     infos = [replace(info, sensor=sheet) for info in synthetic.channels()]
@@ -124,7 +124,7 @@ def test_given_a_channel_that_reads_g_as_metres_when_fitted_then_it_is_named_wit
         ({"delay": 4e-3}, "body2 contradicts the others, by no factor"),
     ],
 )
-def test_given_a_sensor_turned_round_or_late_when_fitted_then_it_is_named(wrong, told, tmp_path):
+def test_reversed_or_late_sensor_is_named(wrong, told, tmp_path):
     sheet = {"accelerometer.sensitivity_tolerance": "0.02"}
     infos = [replace(info, sensor=sheet) for info in synthetic.channels()]
     path = synthetic.stepped_sine(tmp_path / "a.mcap", FREQUENCIES, noise=2e-7, infos=infos)
@@ -134,7 +134,7 @@ def test_given_a_sensor_turned_round_or_late_when_fitted_then_it_is_named(wrong,
     assert told in found.misfit
 
 
-def test_given_a_channel_that_reads_nothing_when_measured_then_it_is_left_out_and_told(tmp_path):
+def test_dead_channel_is_left_out(tmp_path):
     force = synthetic.band_noise(20.0, 5.0, 60.0)
     marks = [("measure", 0, round(20.0 * synthetic.RATE) - 1, {"from": 5.0, "to": 60.0})]
     test = "{kind: random, from: 5 Hz, to: 60 Hz, duration: 20 s, force: 1 N}"
@@ -156,7 +156,7 @@ def test_given_a_channel_that_reads_nothing_when_measured_then_it_is_left_out_an
 
 
 @pytest.mark.thorough
-def test_given_a_sensor_off_by_many_tolerances_when_fitted_then_it_is_named_and_another_structure_as_well(
+def test_strongly_deviating_sensor_is_named(
     tmp_path,
 ):
     sheet = {"accelerometer.sensitivity_tolerance": "0.01"}
@@ -170,7 +170,7 @@ def test_given_a_sensor_off_by_many_tolerances_when_fitted_then_it_is_named_and_
     assert "body2 reads 1.29" in found.misfit and "may as well be another one" in found.misfit
 
 
-def test_given_dampers_and_hits_when_fitted_then_it_is_refused_in_words(tmp_path):
+def test_dampers_with_hits_are_rejected(tmp_path):
     path = synthetic.impulses(tmp_path / "a.mcap")
     with daq.open(path) as recording:
         recording.scene = recording.scene.replace(
@@ -180,19 +180,19 @@ def test_given_dampers_and_hits_when_fitted_then_it_is_refused_in_words(tmp_path
             analysis.fit(recording, guess())
 
 
-def test_given_a_scene_of_other_bodies_when_fitted_then_it_is_refused(tmp_path):
+def test_scene_of_other_bodies_is_rejected(tmp_path):
     path = synthetic.stepped_sine(tmp_path / "a.mcap", FREQUENCIES[:9])
     small = guess(masses=[0.7, 0.7], springs=[2e4, 2e4], damping={"modal": 0.01})
     with pytest.raises(SceneError, match="3 bodies; the scene to fit has 2"):
         analysis.fit(path, small)
 
 
-def test_given_a_key_that_cannot_be_fitted_when_asked_for_then_those_that_can_are_named():
+def test_unfittable_key_names_fittable_ones():
     with pytest.raises(SceneError, match=r"dampers\.clearance.*structure\.masses"):
         free_parameters(guess(), ["dampers.clearance"])
 
 
-def test_given_values_when_put_into_a_scene_then_they_and_no_others_change():
+def test_inserted_values_change_nothing_else():
     scene = spelt_out(rig.load("fig9"))
     parameters = free_parameters(scene)
     changed = with_values(scene, {one.place: 2.0 * one.start for one in parameters if one.what != "modal"})
@@ -203,9 +203,7 @@ def test_given_values_when_put_into_a_scene_then_they_and_no_others_change():
 
 
 @pytest.mark.parametrize(("irregular", "elsewhere", "refused"), [(9, 2, False), (0, 6, True), (12, 0, True)])
-def test_given_points_left_out_when_judged_then_those_where_the_model_is_irregular_are_no_misfit(
-    irregular, elsewhere, refused
-):
+def test_irregular_omitted_points_are_no_misfit(irregular, elsewhere, refused):
     with daq.open(DEMO) as recording:
         [curves] = measured(recording, "demo")
     predicted, used = np.ones((3, 20), dtype=complex), np.ones(20, dtype=bool)
@@ -219,7 +217,7 @@ def test_given_points_left_out_when_judged_then_those_where_the_model_is_irregul
     )
 
 
-def test_given_points_left_out_when_drawn_then_they_are_crosses_on_both_sides():
+def test_omitted_points_are_drawn_as_crosses():
     used = np.array([True, True, False, True])
     value = np.full((1, 4), 1e-5 + 0j)
     with daq.open(DEMO) as recording:
@@ -233,7 +231,7 @@ def test_given_points_left_out_when_drawn_then_they_are_crosses_on_both_sides():
         assert [np.isfinite(line.get_ydata()).tolist() for line in crosses] == [(~used).tolist()]
 
 
-def test_given_damping_that_a_sweep_does_not_tell_when_described_then_words_say_so():
+def test_undetermined_damping_is_described():
     level = LevelDamping("a.mcap", False, 1.0, ("x", "y"), np.array([0.01, np.nan]), np.array([1e-4, np.nan]))
     parameter = Fitted("structure.damping.modal[1]", "", 0.01, 0.01, 0.0099, 0.0101, "determined")
     found = Fit(

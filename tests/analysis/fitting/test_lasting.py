@@ -25,9 +25,7 @@ recording: {display: false}
         "contact: {stiffness: 120 kN/m, damping: 150 N s/m}",
     ],
 )
-def test_given_contact_that_lasts_and_a_guess_a_seventh_off_when_fitted_then_every_value_is_found(
-    contact: str, tmp_path
-) -> None:
+def test_finite_duration_contact_is_fitted(contact: str, tmp_path) -> None:
     scene = rig.loads(BENCH % contact)
     daq.record(scene.replace(dampers=()), tmp_path / "bare.mcap")
     daq.record(scene, tmp_path / "damped.mcap")
@@ -43,7 +41,7 @@ def test_given_contact_that_lasts_and_a_guess_a_seventh_off_when_fitted_then_eve
         assert one.value == pytest.approx(true.start, rel=5e-3), one.key
 
 
-def test_given_walls_that_differ_when_asked_what_is_free_then_it_is_how_each_was_given() -> None:
+def test_free_wall_values_follow_the_scene() -> None:
     walls = "contact: {floor: {duration: 4 ms}, ceiling: {stiffness: 200 kN/m, damping: 90 N s/m}}"
     keys = [one.key for one in free_parameters(rig.loads(BENCH % walls))]
     assert keys[-3:] == [

@@ -18,7 +18,7 @@ SWEEP = Path(__file__).parents[3] / "recordings" / "demo-sweep-no-damper.mcap"
 FORCE_KNOWN_TO = 0.05
 
 
-def test_given_a_linear_sweep_when_misses_are_differentiated_then_as_their_differences_do():
+def test_residual_derivatives_agree_with_differences():
     model = spelt_out(rig.load("bare-structure"))
     with daq.open(SWEEP) as recording:
         problem = Problem(model, free_parameters(model), measured(recording, "sweep"))
@@ -32,7 +32,7 @@ def test_given_a_linear_sweep_when_misses_are_differentiated_then_as_their_diffe
 
 
 @pytest.mark.parametrize("damping", [0.0005, 0.01])
-def test_given_a_force_known_to_a_tolerance_when_fitted_then_no_mass_is_known_better(tmp_path, damping):
+def test_force_tolerance_limits_masses(tmp_path, damping):
     scene = rig.loads(f"""
 structure: {{masses: [0.21 kg], springs: [72 kN/m], damping: {{modal: {damping}}}}}
 shaker: {{kind: force, body: 1}}

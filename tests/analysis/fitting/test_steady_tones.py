@@ -23,7 +23,7 @@ def nearest(*asked):
     return curves, curves.frequency[point], curves.level[point]
 
 
-def test_given_a_trial_with_no_steady_motion_when_led_back_then_the_motion_of_before_is_found_again():
+def test_failed_trial_returns_to_earlier_motion():
     curves, frequency, level = nearest(49.66)
     tones = SteadyTones(replace(curves, frequency=frequency, level=level))
     bench = on_the_bench(curves.scene, curves)
@@ -33,7 +33,7 @@ def test_given_a_trial_with_no_steady_motion_when_led_back_then_the_motion_of_be
     np.testing.assert_allclose(tones.at(bench, level, frequency), before, rtol=1e-9)
 
 
-def test_given_a_shaken_table_when_motions_are_followed_then_they_change_as_those_that_are_corrected():
+def test_followed_table_motions_change_like_corrected_ones():
     curves, frequency, level = nearest(34.4, 48.0, 50.5)
     shaken = curves.scene.replace(shaker={"kind": "electrodynamic", "body": 1, "spring": 6600.0})
     tones = SteadyTones(replace(curves, scene=shaken, frequency=frequency, level=level))
@@ -48,7 +48,7 @@ def test_given_a_shaken_table_when_motions_are_followed_then_they_change_as_thos
         assert np.isfinite(corrected).all() and abs(followed - corrected).max() < 0.01 * abs(corrected).max()
 
 
-def test_given_rebounds_without_end_when_a_motion_is_looked_for_then_what_happens_is_taken_down_for_the_words():
+def test_endless_rebounds_are_recorded():
     curves, frequency, level = nearest(49.0)
     dampers = [one.replace(restitution=0.3) for one in curves.scene.dampers]
     bouncy = curves.scene.replace(dampers=dampers)

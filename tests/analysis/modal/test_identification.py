@@ -24,7 +24,7 @@ def theory(scene):
     return natural_modes(mass, stiffness)
 
 
-def test_given_a_stepped_sine_when_modes_are_identified_then_frequencies_and_damping_are_read_off(tmp_path):
+def test_stepped_sine_gives_frequencies_and_damping(tmp_path):
     with daq.open(synthetic.stepped_sine(tmp_path / "a.mcap", np.linspace(8.0, 60.0, 105))) as rec:
         [curves] = analysis.frequency_responses(rec)
         modes = analysis.identify(curves)
@@ -36,7 +36,7 @@ def test_given_a_stepped_sine_when_modes_are_identified_then_frequencies_and_dam
     np.testing.assert_allclose(modes.collinearity, 1.0, atol=1e-6)
 
 
-def test_given_the_same_recording_when_divided_by_the_table_then_the_attached_resonances_are_found(tmp_path):
+def test_table_reference_gives_attached_resonances(tmp_path):
     with daq.open(synthetic.stepped_sine(tmp_path / "a.mcap", np.linspace(8.0, 60.0, 105))) as rec:
         [curves] = analysis.frequency_responses(rec, reference="table")
         modes = analysis.identify(curves)
@@ -44,7 +44,7 @@ def test_given_the_same_recording_when_divided_by_the_table_then_the_attached_re
 
 
 @pytest.mark.thorough
-def test_given_noise_when_modes_are_identified_then_their_errors_are_of_the_size_stated(tmp_path):
+def test_mode_errors_scatter_as_stated(tmp_path):
     off = []
     for seed in range(6):
         path = synthetic.stepped_sine(
@@ -62,14 +62,14 @@ def test_given_noise_when_modes_are_identified_then_their_errors_are_of_the_size
     assert 0.3 < np.std(off) < 2.0
 
 
-def test_given_few_points_in_a_resonance_when_identified_then_it_warns_that_damping_rests_on_flanks(tmp_path):
+def test_few_points_warn_of_uncertain_damping(tmp_path):
     with daq.open(synthetic.stepped_sine(tmp_path / "a.mcap", np.linspace(8.0, 60.0, 60))) as rec:
         [curves] = analysis.frequency_responses(rec)
         warnings = " ".join(analysis.identify(curves).warnings)
     assert "extrapolated from the flanks" in warnings
 
 
-def test_given_too_few_points_when_identified_then_it_says_how_many_are_needed(tmp_path):
+def test_too_few_points_are_rejected(tmp_path):
     with daq.open(synthetic.stepped_sine(tmp_path / "a.mcap", [10.0, 20.0, 30.0])) as rec:
         [curves] = analysis.frequency_responses(rec)
     with pytest.raises(RecordingError, match="3 frequencies are too few"):
@@ -77,7 +77,7 @@ def test_given_too_few_points_when_identified_then_it_says_how_many_are_needed(t
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_given_white_noise_when_identified_then_no_mode_is_claimed(seed):
+def test_white_noise_has_no_mode(seed):
     random = np.random.default_rng(seed)
     frequency = np.linspace(5.0, 60.0, 200)
     value = random.standard_normal((2, 200)) + 1j * random.standard_normal((2, 200))
@@ -109,14 +109,14 @@ def two_modes(natural, apart, zeta, lines, noise=0.0, seed=0):
 
 @pytest.mark.parametrize("zeta", [0.002, 0.01])
 @pytest.mark.parametrize("seed", [1, 2])
-def test_given_two_modes_a_width_apart_without_noise_when_identified_then_they_come_apart(zeta, seed):
+def test_close_modes_without_noise_are_separated(zeta, seed):
     natural, frfs = two_modes(30.0 + seed, 2.0 * zeta, zeta, 250, seed=seed)
     modes = analysis.identify(frfs)
     np.testing.assert_allclose(modes.frequency, natural, rtol=1e-6)
     np.testing.assert_allclose(modes.damping, zeta, rtol=1e-4)
 
 
-def test_given_two_modes_a_percent_apart_with_noise_when_identified_then_both_lie_within_their_bounds():
+def test_close_modes_with_noise_stay_within_bounds():
     natural, frfs = two_modes(30.0, 0.01, 0.005, 250, noise=0.01, seed=3)
     modes = analysis.identify(frfs)
     assert modes.frequency.size == 2
@@ -125,7 +125,7 @@ def test_given_two_modes_a_percent_apart_with_noise_when_identified_then_both_li
     assert np.all(modes.damping_error < 5e-4)
 
 
-def test_given_a_clock_that_may_be_off_when_identified_then_no_frequency_is_known_better():
+def test_clock_error_limits_frequencies():
     natural, frfs = two_modes(30.0, 0.2, 0.005, 250, noise=1e-6, seed=3)
     off = 50e-6
     modes = analysis.identify(
@@ -135,7 +135,7 @@ def test_given_a_clock_that_may_be_off_when_identified_then_no_frequency_is_know
     assert modes.frequency_error == pytest.approx(off * natural / 1.96, rel=0.2)
 
 
-def test_given_a_band_without_the_lower_modes_when_identified_then_they_are_not_counted():
+def test_modes_below_band_are_not_counted():
     frequency = np.linspace(42.0, 56.0, 80)
     s = 2j * np.pi * frequency
     omega = 2 * np.pi * np.array([[13.0], [35.0], [49.7]])
@@ -146,7 +146,7 @@ def test_given_a_band_without_the_lower_modes_when_identified_then_they_are_not_
 
 
 @pytest.mark.parametrize(("ratio", "warned"), [(0.33, False), (0.5, True)])
-def test_given_leakage_when_identified_then_it_warns_just_where_damping_is_off_by_two_percent(ratio, warned):
+def test_leakage_warns_of_wrong_damping(ratio, warned):
     # One mode, as random through Hann windows measures it: smeared by the square of the window's spectrum.
     natural, zeta = 30.0, 0.01
     resolution = ratio * zeta * natural
@@ -169,9 +169,7 @@ def test_given_leakage_when_identified_then_it_warns_just_where_damping_is_off_b
 
 
 @pytest.mark.parametrize("windowed", [False, True])
-def test_given_curves_of_another_program_with_peaks_narrower_than_a_line_when_identified_then_bounds_say_so(
-    windowed, tmp_path
-):
+def test_narrow_foreign_peaks_have_wide_bounds(windowed, tmp_path):
     # One hit, cut off long before the motion has died away, or random seen through Hann windows.
     random, spacing = np.random.default_rng(5), 0.25
     natural, half = np.array([31.4, 71.23]), np.array([0.04, 0.2]) * spacing
@@ -195,7 +193,7 @@ def test_given_curves_of_another_program_with_peaks_narrower_than_a_line_when_id
 
 
 @pytest.mark.thorough
-def test_given_a_peak_without_a_pole_when_identified_then_it_is_said_and_not_listed(tmp_path):
+def test_peak_without_pole_is_reported(tmp_path):
     frequencies = np.linspace(8.0, 60.0, 105)
     with daq.open(synthetic.stepped_sine(tmp_path / "a.mcap", frequencies, noise=1e-7)) as rec:
         [curves] = analysis.frequency_responses(rec)
@@ -206,7 +204,7 @@ def test_given_a_peak_without_a_pole_when_identified_then_it_is_said_and_not_lis
     assert any("The response is nonlinear" in warning for warning in modes.warnings)
 
 
-def test_given_dampers_at_work_when_identified_then_each_peak_is_a_mode_and_it_is_said_what_that_means():
+def test_flying_dampers_give_linear_equivalents():
     with daq.open(Path(__file__).parents[3] / "recordings" / "demo-sweep-three-dampers.mcap") as recording:
         frfs = analysis.frfs(recording)
     modes = analysis.identify(frfs)
@@ -218,7 +216,7 @@ def test_given_dampers_at_work_when_identified_then_each_peak_is_a_mode_and_it_i
     assert "The response is nonlinear" in " ".join(modes.warnings) and modes.model_error > 0.01
 
 
-def test_given_lines_that_nothing_bounds_in_one_response_when_identified_then_what_is_missed_is_told_all_the_same():
+def test_unbounded_lines_keep_warning_of_misfit():
     with daq.open(Path(__file__).parents[3] / "recordings" / "demo-sweep-three-dampers.mcap") as recording:
         frfs = analysis.frfs(recording)
     open_lines = np.where(abs(frfs[0].frequency - 24.0) < 4.0, np.inf, 0.0)
@@ -230,7 +228,7 @@ def test_given_lines_that_nothing_bounds_in_one_response_when_identified_then_wh
     assert np.isfinite(modes.frequency_error).all() and np.isfinite(modes.damping_error).all()
 
 
-def test_given_a_force_that_is_a_difference_of_readings_when_identified_then_its_tolerance_is_in_the_frequency():
+def test_spring_force_tolerance_is_in_frequency():
     # What two sensors, 1 % apart, leave of the motion in the force reads as another stiffness.
     natural, frfs = two_modes(30.0, 0.2, 0.01, 400, noise=1e-4, seed=4)
     driven = 0.2 * frfs[0].value / abs(frfs[0].value).max()
@@ -260,20 +258,20 @@ def in_a_gap(lines):
     ]
 
 
-def test_given_one_line_in_a_peak_and_modes_far_above_when_identified_then_damping_lies_within_its_error():
+def test_damping_of_single_line_lies_within_error():
     # What far modes bend over the band is below the noise of each line, and more than damping adds on the flanks.
     modes = analysis.identify(in_a_gap([12.75]))
     assert modes.damping == pytest.approx([0.0117], abs=2.0 * modes.damping_error[0])
     assert modes.damping_error[0] < 0.2 * 0.0117
 
 
-def test_given_no_line_in_a_peak_where_lines_were_left_out_when_identified_then_no_mode_is_told_there():
+def test_omitted_peak_gives_no_mode():
     # Flanks would tell one pole with small errors where there may be two.
     with pytest.raises(RecordingError, match=r"12\.8.* Hz\) only in holes"):
         analysis.identify(in_a_gap([]))
 
 
-def test_given_a_sensor_of_wide_tolerance_when_modes_are_identified_then_its_part_of_each_shape_is_as_uncertain(
+def test_sensor_tolerance_is_in_its_shape(
     tmp_path,
 ):
     with daq.open(synthetic.stepped_sine(tmp_path / "a.mcap", np.linspace(8.0, 60.0, 105))) as rec:
@@ -289,7 +287,7 @@ def test_given_a_sensor_of_wide_tolerance_when_modes_are_identified_then_its_par
             assert (0.09 < share[response, mode] < 0.15) if wide else share[response, mode] < 0.01
 
 
-def test_given_a_force_sensor_of_wide_tolerance_when_modes_are_identified_then_no_shape_knows_of_it(
+def test_force_tolerance_is_in_no_shape(
     tmp_path,
 ) -> None:
     with daq.open(synthetic.stepped_sine(tmp_path / "a.mcap", np.linspace(8.0, 60.0, 105))) as rec:
@@ -304,7 +302,7 @@ def test_given_a_force_sensor_of_wide_tolerance_when_modes_are_identified_then_n
 
 
 @pytest.mark.parametrize(("unsettled", "told"), [(1.5, False), (0.5, True)])
-def test_given_a_bump_when_the_curve_may_be_off_there_by_as_much_then_it_is_no_mode(unsettled, told):
+def test_bump_within_error_is_no_mode(unsettled, told):
     frequency = np.linspace(10.0, 60.0, 400)
 
     def peak(natural, zeta, height):

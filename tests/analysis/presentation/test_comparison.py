@@ -12,7 +12,7 @@ from rig.errors import SceneError
 FIRST = Places(Path("a.mcap"), (1,), {"base": "body 1", "tip": "body 3"})
 
 
-def test_given_the_same_places_when_asked_then_they_are_comparable() -> None:
+def test_same_places_are_comparable() -> None:
     Places(Path("b.mcap"), (1,), {"tip": "body 3", "other": "body 2"}).comparable_with(FIRST)
 
 
@@ -28,14 +28,14 @@ def test_given_the_same_places_when_asked_then_they_are_comparable() -> None:
         ),
     ],
 )
-def test_given_other_places_when_asked_then_it_says_what_differs_and_what_was_expected(
+def test_other_places_are_explained(
     force_on: tuple[int, ...], channels: dict[str, str], message: str
 ) -> None:
     with pytest.raises(SceneError, match=message):
         Places(Path("b.mcap"), force_on, channels).comparable_with(FIRST)
 
 
-def test_given_sensors_when_asked_then_those_responses_are_named_that_the_same_ones_read_in_both() -> None:
+def test_shared_sensors_are_named() -> None:
     first = Places(Path("a.mcap"), (1,), {}, {"base": "one", "tip": "two"})
     second = Places(Path("b.mcap"), (1,), {}, {"base": "one", "tip": "another", "mid": "three"})
     assert second.same_sensors(first) == ["base"]

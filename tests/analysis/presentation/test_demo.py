@@ -7,7 +7,7 @@ from analysis.presentation.demo import demonstrate
 
 
 @pytest.mark.thorough
-def test_given_few_frequencies_when_demonstrated_then_recordings_figures_and_next_commands_are_there(
+def test_demo_makes_recordings_figures_and_commands(
     tmp_path,
 ):
     said: list[str] = []

@@ -29,9 +29,7 @@ from tests.analysis.responses import synthetic
         ("{kind: impulse, body: 1, peak: 50 N, width: 4 ms}", "hit", "dampers", "analysis decay"),
     ],
 )
-def test_given_the_wrong_kind_of_recording_when_a_command_is_given_it_then_the_right_one_is_named(
-    tmp_path, test, marks, command, right
-):
+def test_wrong_recording_names_right_command(tmp_path, test, marks, command, right):
     free = test.startswith("{kind: free") or test.startswith("{kind: impulse")
     where = synthetic.scene(test)
     where = where.replace(dampers=[{"body": 1, "mass_ratio": 0.1, "clearance": 1e-3}])

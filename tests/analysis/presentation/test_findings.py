@@ -43,7 +43,7 @@ def table(path):
 
 
 @pytest.mark.thorough
-def test_given_one_recording_when_drawn_then_figures_and_table_lie_beside_it(folder):
+def test_figures_and_table_lie_next_to_recording(folder):
     result = present_frf([folder / "one.mcap"], theory=True)
     assert [path.name for path in result.files] == ["one-frf.png", "one-frf.svg", "one-frf.csv"]
     assert all(path.stat().st_size > 1000 for path in result.files)
@@ -54,7 +54,7 @@ def test_given_one_recording_when_drawn_then_figures_and_table_lie_beside_it(fol
 
 
 @pytest.mark.thorough
-def test_given_two_recordings_when_drawn_then_each_response_has_one_figure_with_both(folder, tmp_path):
+def test_two_recordings_share_one_figure(folder, tmp_path):
     result = present_frf([folder / "one.mcap", folder / "two.mcap"], tmp_path, channels=["body3", "body1"])
     names = [path.name for path in result.files]
     assert names[0] == "one+two-frf-body3.png" and names[-1] == "one+two-frf.csv"
@@ -63,7 +63,7 @@ def test_given_two_recordings_when_drawn_then_each_response_has_one_figure_with_
 
 
 @pytest.mark.thorough
-def test_given_scenes_of_one_name_when_overlaid_then_their_files_tell_them_apart(folder, tmp_path):
+def test_overlaid_scenes_are_named_by_file(folder, tmp_path):
     synthetic.stepped_sine(tmp_path / "again.mcap", FREQUENCIES, noise=1e-6, seed=2, name="first scene")
     result = present_frf([folder / "one.mcap", tmp_path / "again.mcap"], tmp_path)
     assert [path.name for path in result.files if path.suffix == ".png"] == [
@@ -77,7 +77,7 @@ def test_given_scenes_of_one_name_when_overlaid_then_their_files_tell_them_apart
     assert sum(line.startswith("again, body") for line in result.lines) == 3
 
 
-def test_given_decays_of_scenes_of_one_name_when_overlaid_then_their_files_tell_them_apart(folder, tmp_path):
+def test_overlaid_decays_are_named_by_file(folder, tmp_path):
     synthetic.impulses(tmp_path / "again.mcap", interval=3.0, name="hit scene")
     result = present_decay([folder / "hit.mcap", tmp_path / "again.mcap"], tmp_path)
     drawn = next(path for path in result.files if path.suffix == ".svg").read_text(encoding="utf-8")
@@ -86,7 +86,7 @@ def test_given_decays_of_scenes_of_one_name_when_overlaid_then_their_files_tell_
     assert sum(line.startswith("again, body3") for line in result.lines) == 1
 
 
-def test_given_a_force_channel_when_a_decay_is_asked_for_then_motion_channels_are_offered(folder):
+def test_force_channel_offers_motion_channels(folder):
     arguments = ["decay", str(folder / "hit.mcap"), "--channel", "hammer"]
     run = CliRunner().invoke(app, arguments)
     assert isinstance(run.exception, RecordingError)
@@ -94,7 +94,7 @@ def test_given_a_force_channel_when_a_decay_is_asked_for_then_motion_channels_ar
 
 
 @pytest.mark.thorough
-def test_given_the_same_recording_when_drawn_twice_then_every_byte_is_the_same(folder, tmp_path):
+def test_repeated_drawing_is_byte_equal(folder, tmp_path):
     def digests(output):
         files = present_frf([folder / "one.mcap"], output).files
         return [hashlib.sha256(path.read_bytes()).hexdigest() for path in files]
@@ -103,25 +103,25 @@ def test_given_the_same_recording_when_drawn_twice_then_every_byte_is_the_same(f
 
 
 @pytest.mark.thorough
-def test_given_the_command_line_when_run_then_it_names_what_it_wrote(folder, tmp_path):
+def test_command_names_its_outputs(folder, tmp_path):
     run = CliRunner().invoke(app, ["modes", str(folder / "one.mcap"), "-o", str(tmp_path)])
     assert run.exit_code == 0
     assert "13.03" in run.output and "wrote" in run.output
     assert (tmp_path / "one-modes.png").exists()
 
 
-def test_given_a_file_that_is_not_there_when_drawn_then_the_way_to_make_it_is_told(tmp_path):
+def test_missing_recording_names_its_command(tmp_path):
     with pytest.raises(RecordingError, match=r"no such file; `daq record SCENE -o"):
         present_frf([tmp_path / "none.mcap"])
 
 
-def test_given_a_file_that_is_no_recording_when_drawn_then_it_is_a_recording_error(tmp_path):
+def test_foreign_file_is_recording_error(tmp_path):
     (tmp_path / "no.mcap").write_bytes(b"\0" * 500)
     with pytest.raises(RecordingError):
         present_frf([tmp_path / "no.mcap"])
 
 
-def test_given_a_long_name_when_drawn_then_title_note_and_axis_keep_clear_of_each_other(folder):
+def test_long_name_overlaps_nothing(folder):
     with daq.open(folder / "one.mcap") as rec:
         [curves] = analysis.frequency_responses(rec)
     figure = frf_figure(curves, "Receptance: " + "a scene of many words, " * 5)
@@ -144,7 +144,7 @@ def drawn_frf(value, systematic, left_out=()):
     return figure.axes[0], figure.legends[0].get_title().get_text()
 
 
-def test_given_points_left_out_when_drawn_then_no_line_crosses_their_place():
+def test_no_line_crosses_omitted_points():
     axes, caption = drawn_frf(1e-6, 0.0, [14.5, 25.0])
     x, y = axes.lines[-1].get_data()
     assert np.isnan(y[x == 14.5]).all() and np.isfinite(y[x != 14.5][:-1]).all()
@@ -154,7 +154,7 @@ def test_given_points_left_out_when_drawn_then_no_line_crosses_their_place():
 
 
 @pytest.mark.parametrize(("systematic", "to_the_axis"), [(0.8e-6, False), (2e-6, True), (np.inf, True)])
-def test_given_wide_bounds_when_drawn_then_the_axis_holds_their_band(systematic, to_the_axis):
+def test_axis_contains_wide_bounds(systematic, to_the_axis):
     axes, caption = drawn_frf(1e-6, systematic)
     low, high = axes.get_ylim()
     assert high >= 1.0 + 1e6 * min(systematic, 9e-6)
@@ -162,7 +162,7 @@ def test_given_wide_bounds_when_drawn_then_the_axis_holds_their_band(systematic,
     assert ("includes zero" in caption) == to_the_axis and "sensors' sensitivity" in caption
 
 
-def test_given_five_modes_when_drawn_then_their_titles_do_not_touch():
+def test_titles_of_five_modes_are_separate():
     frequency, many = np.geomspace(10.0, 130.0, 200), np.full(5, 0.01)
     natural = np.array([20.54, 51.61, 81.117, 97.837, 115.513])
     names = tuple(f"b{body}" for body in range(1, 6))
@@ -197,7 +197,7 @@ def test_given_five_modes_when_drawn_then_their_titles_do_not_touch():
     assert chart.get_legend().get_window_extent().y0 >= chart.get_window_extent().y1
 
 
-def test_given_recordings_whose_modes_differ_when_overlaid_then_a_panel_is_titled_with_both(folder):
+def test_differing_modes_are_both_in_title(folder):
     with daq.open(folder / "hit.mcap") as rec:
         decay = analysis.decay(rec)
     shifted = [replace(mode, frequency=0.97 * mode.frequency) for mode in decay.modes]
@@ -208,7 +208,7 @@ def test_given_recordings_whose_modes_differ_when_overlaid_then_a_panel_is_title
     ]
 
 
-def test_given_damping_that_hardly_varies_when_drawn_then_its_axis_has_labels(folder):
+def test_constant_damping_has_axis_labels(folder):
     with daq.open(folder / "hit.mcap") as rec:
         figure = decay_figure([analysis.decay(rec)], "Free decay")
     figure.canvas.draw()
@@ -222,7 +222,7 @@ def test_given_damping_that_hardly_varies_when_drawn_then_its_axis_has_labels(fo
     assert len(labels) >= 3 and len(set(labels)) == len(labels)
 
 
-def test_given_modes_when_channels_are_swapped_then_it_is_told_which_shapes_are_none_of_the_scenes_and_else_nothing():
+def test_swapped_channels_are_reported():
     path = Path(__file__).parents[3] / "recordings" / "demo-sweep-no-damper.mcap"
     with daq.open(path) as rec:
         modes = analysis.identify(analysis.frfs(rec))

@@ -86,7 +86,7 @@ def test_a_copy_is_reported_and_never_fitted(bracket: dict[str, Path], tmp_path:
         analysis.fit([bracket["base"], copy], str(bracket["base"].with_name("bracket.yaml")))
 
 
-def test_a_reversed_force_is_reported_on_import_and_after(bracket: dict[str, Path], tmp_path: Path) -> None:
+def test_reversed_force_is_reported(bracket: dict[str, Path], tmp_path: Path) -> None:
     from typer.testing import CliRunner
 
     from analysis.cli import app

@@ -42,7 +42,7 @@ CASES = [
 
 
 @pytest.mark.parametrize("case", CASES, ids=[case[0] for case in CASES])
-def test_given_a_recording_that_cannot_be_analysed_when_tried_then_it_says_what_to_change(tmp_path, case):
+def test_unsuitable_recording_says_what_to_change(tmp_path, case):
     name, test, channels, samples, marks, command, message = case
     where = synthetic.scene() if test is None else synthetic.scene(test)
     infos = synthetic.channels()[:channels]
@@ -68,14 +68,14 @@ def test_given_a_recording_that_cannot_be_analysed_when_tried_then_it_says_what_
         (["dampers"], "no dampers"),
     ],
 )
-def test_given_a_wrong_option_when_tried_then_the_right_ones_are_named(tmp_path, options, message):
+def test_wrong_option_names_right_ones(tmp_path, options, message):
     path = synthetic.stepped_sine(tmp_path / "a.mcap", np.linspace(8.0, 60.0, 40))
     run = CliRunner().invoke(app, [options[0], str(path), *options[1:], "-o", str(tmp_path)])
     assert message in str(run.exception) + run.output
     assert getattr(run.exception, "exit_code", run.exit_code) == 2
 
 
-def test_given_an_option_that_acts_on_some_recordings_only_when_tried_then_it_says_on_which_it_does_not(
+def test_unused_option_names_its_recordings(
     tmp_path,
 ):
     stepped = synthetic.stepped_sine(tmp_path / "a.mcap", np.linspace(8.0, 60.0, 40))

@@ -21,12 +21,12 @@ def stem_of(paths, output, kind):
         return stem
 
 
-def test_given_names_with_dots_when_outputs_are_named_then_each_keeps_its_own(tmp_path):
+def test_names_with_dots_are_kept(tmp_path):
     files = [written([tmp_path / name], None, "report").name for name in ("a0.5.mcap", "a0.7.mcap")]
     assert files == ["a0.5-report.csv", "a0.7-report.csv"]
 
 
-def test_given_two_recordings_of_one_name_when_written_to_one_folder_then_neither_replaces_the_other(
+def test_recordings_of_one_name_stay_apart(
     tmp_path,
 ):
     paths = [tmp_path / folder / "a.mcap" for folder in ("x", "y", "z/y")]
@@ -36,7 +36,7 @@ def test_given_two_recordings_of_one_name_when_written_to_one_folder_then_neithe
         written([paths[2]], tmp_path / "out", "modes")
 
 
-def test_given_the_same_recording_again_when_named_then_its_own_files_are_replaced(tmp_path):
+def test_own_files_are_renewed(tmp_path):
     path = tmp_path / "a.mcap"
     names = [written([path], None, kind).name for kind in ("frf", "modes", "frf")]
     assert names == ["a-frf.csv", "a-modes.csv", "a-frf.csv"]
@@ -57,22 +57,20 @@ def test_a_users_table_of_that_name_stays(tmp_path):
     assert (tmp_path / "a-frf.csv").read_text(encoding="utf-8") == "mine"
 
 
-def test_given_many_recordings_that_begin_alike_when_named_then_the_sets_are_told_apart(tmp_path):
+def test_similar_names_stay_apart(tmp_path):
     first = [tmp_path / f"{'long' * 8}-{number}.mcap" for number in (1, 2, 3)]
     second = [*first[:2], tmp_path / f"{'long' * 8}-4.mcap"]
     assert stem_of(first, None, "frf") != stem_of(second, None, "frf")
 
 
-def test_given_a_name_that_is_not_utf_8_when_outputs_are_named_then_they_keep_it(tmp_path):
+def test_undecodable_name_is_kept(tmp_path):
     path = tmp_path / os.fsdecode(b"a\xff.mcap")
     names = [stem_of([path] * count, None, "frf").name for count in (1, 40)]
     assert os.fsencode(names[0]) == b"a\xff-frf" and names[1].startswith(os.fsdecode(b"a\xff+39-more-"))
 
 
 @pytest.mark.parametrize("name", ["../../etc/passwd", "a\nb", "x" * 300, "\u202e", "/", "nul\0"])
-def test_given_a_channel_that_is_called_what_no_file_can_be_when_drawn_then_its_figure_lies_in_the_folder(
-    name: str, tmp_path: Path
-) -> None:
+def test_impossible_channel_name_stays_in_folder(name: str, tmp_path: Path) -> None:
     part = of_part(tmp_path / "run-frf", name)
 
     part.touch()

@@ -15,7 +15,7 @@ from rig.escaping import shown
 
 @settings(max_examples=25)
 @given(st.text(st.characters(codec=None), max_size=20))
-def test_given_any_text_when_it_stands_in_a_table_then_it_is_read_back_as_it_is_shown(text: str) -> None:
+def test_any_text_survives_table(text: str) -> None:
     with TemporaryDirectory() as folder:
         path = write_table(Path(folder) / "a.csv", ["label", "x"], [(text, 1.0)])
         with path.open(newline="", encoding="utf-8") as file:

@@ -51,7 +51,7 @@ def channel(at="body 1", quantity="acceleration", **chain):
     return ChannelInfo("a", at, quantity, sensitivity=1.0, rate=RATE, **chain)
 
 
-def test_given_a_flat_acceleration_when_images_fold_back_then_the_bound_holds_them_and_is_near():
+def test_images_of_flat_acceleration_are_bounded():
     value = np.full(4, 0.5 + 0.2j)
     slow = channel(poles=(-2 * np.pi * 100.0,), gain=2 * np.pi * 100.0)
     for info in (channel(), slow, channel(average=True)):
@@ -62,7 +62,7 @@ def test_given_a_flat_acceleration_when_images_fold_back_then_the_bound_holds_th
         assert (bound <= np.maximum(1.25 * true, least)).all()
 
 
-def test_given_a_channel_that_lets_next_to_no_image_through_when_asked_for_them_then_a_least_share_is_told():
+def test_suppressed_images_have_smallest_share():
     # A force's images still move what it drives.
     slow = channel(poles=(-2 * np.pi * 1.0,) * 4, gain=(2 * np.pi * 1.0) ** 4)
     value = np.full(4, 0.5 + 0.2j)
@@ -71,12 +71,12 @@ def test_given_a_channel_that_lets_next_to_no_image_through_when_asked_for_them_
     np.testing.assert_allclose(bound[:2], least[:2], rtol=1e-12)
 
 
-def test_given_a_decimation_filter_when_asked_for_images_then_there_are_none():
+def test_decimation_filter_has_no_images():
     filtered = channel(filter=FILTER)
     assert part(filtered, np.ones(4, dtype=complex)) == {}
 
 
-def test_given_a_structure_that_accelerates_less_beyond_a_peak_when_images_fold_back_then_they_are_smaller():
+def test_falling_acceleration_gives_smaller_images():
     peak = np.array([1.0, 1.0, 4.0, 1.0], dtype=complex)
     for motion, order in (("acceleration", 2), ("velocity", 1), ("displacement", 0)):
         value = peak / FREQUENCY ** (2 - order)
@@ -86,13 +86,13 @@ def test_given_a_structure_that_accelerates_less_beyond_a_peak_when_images_fold_
         np.testing.assert_allclose(body, elsewhere / peak.real)
 
 
-def test_given_a_structure_that_accelerates_less_and_less_when_images_fold_back_then_the_top_of_the_band_tells():
+def test_steadily_falling_acceleration_uses_band_edge():
     falling = np.array([8.0, 4.0, 2.0, 1.0], dtype=complex)
     body, elsewhere = (next(iter(part(channel(at), falling).values())) for at in ("body 1", "drive"))
     np.testing.assert_allclose(body, elsewhere / falling.real)
 
 
-def test_given_a_driven_body_whose_band_lies_below_further_modes_when_images_fold_back_then_they_move_its_mass():
+def test_modes_above_band_move_driven_body():
     value = np.full(4, 0.005 + 0.002j)
     true = np.array([images(channel(), cycles) for cycles in CYCLES]) / 2.0
     for motion in MOTIONS:
@@ -104,7 +104,7 @@ def test_given_a_driven_body_whose_band_lies_below_further_modes_when_images_fol
 
 
 @pytest.mark.parametrize("lower", [0.0, 1.0])
-def test_given_a_table_when_images_of_its_drive_fold_back_then_the_bound_holds_what_its_servo_follows(lower):
+def test_table_drive_images_are_bounded(lower):
     scene = SCENE.replace("kind: force, body: 1", "kind: table, body: 1, spring: 6 kN/m, bandwidth: 700 Hz")
     value = np.full(4, 0.5 + 0.2j)
     [bound] = part(channel("table"), value, scene=scene, lower=lower).values()
@@ -131,9 +131,7 @@ def coil_drive(frequency, mode, displacement, pull):
 # The stiff one pulls at an image as much as the armature's mass does.
 @pytest.mark.parametrize("spring", [6e3, 2e8])
 @pytest.mark.parametrize("mode", ["voltage", "current"])
-def test_given_a_moving_coil_when_images_of_its_drive_fold_back_then_the_bound_holds_them_at_the_worst_phase(
-    mode, spring
-):
+def test_coil_drive_images_are_bounded(mode, spring):
     armature = "mass: 0.3 kg, damping: 60 N s/m, stiffness: 9 kN/m"
     coil = "resistance: 3 ohm, inductance: 4 mH, force_factor: 12 N/A"
     parts = f"armature: {{{armature}}}, coil: {{{coil}}}, amplifier: {{mode: {mode}}}"
@@ -169,7 +167,7 @@ shaker: {kind: force, body: 2}
 """
 
 
-def test_given_dampers_of_all_kinds_when_asked_for_blows_then_only_those_count_that_land_at_once_in_that_body():
+def test_only_instant_contacts_in_body_count():
     scene = rig.loads(MASSES, where="a test")
     # With the other body free to move, a body of 2 kg answers a newton as one of 2 - 0.5^2 / 1 kg.
     assert _blows(scene, 1) == pytest.approx((0.2 + 0.1) / (2.0 - 0.25))
@@ -178,7 +176,7 @@ def test_given_dampers_of_all_kinds_when_asked_for_blows_then_only_those_count_t
     assert _free_acceleration(scene, 2) == pytest.approx(1.0 / (1.0 - 0.125))
 
 
-def test_given_what_another_instrument_measured_when_asked_for_images_then_nothing_is_said_of_them():
+def test_foreign_instruments_have_no_images():
     info = channel()
     scene = rig.loads(SCENE, where="a test")
     value, share = np.ones(4, dtype=complex), np.ones((1, 4), dtype=complex)
@@ -198,7 +196,7 @@ converter: {rate: 1024 Hz, sampling: point}
 """
 
 
-def test_given_blows_that_pass_between_two_points_when_the_response_is_told_then_the_bound_holds_them(
+def test_impacts_between_points_are_bounded(
     tmp_path,
 ):
     scene = rig.loads(BLOWS, where="a test")

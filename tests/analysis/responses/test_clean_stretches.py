@@ -37,9 +37,7 @@ def recordings(draw):
     first=st.integers(0, 20),
     size=st.integers(1, 25),
 )
-def test_given_overloads_and_gaps_when_stretches_are_sought_then_they_hold_all_that_is_clean_and_nothing_else(
-    rec, wanted, first, size
-):
+def test_clean_stretches_exclude_overloads_and_gaps(rec, wanted, first, size):
     stop = first + size
     spoilt = set()
     for marker in rec.overloads:
@@ -59,7 +57,7 @@ def test_given_overloads_and_gaps_when_stretches_are_sought_then_they_hold_all_t
     assert {flaw.what for flaw in found} <= {"overloaded", "lost"}
 
 
-def test_given_flaws_when_told_then_each_kind_is_named_with_its_first_three_times():
+def test_flaws_are_listed_by_kind():
     rec = SimpleNamespace(rate=10.0)
     found = [Flaw(10 * k, 10 * k + 1, "a1", "overloaded") for k in range(3)] + [Flaw(70, 75, "a2", "lost")]
     assert describe_flaws(rec, found) == "a1 overloaded (at 0 s, 1 s, 2 s), a2 lost (at 7 s)"
@@ -76,9 +74,7 @@ def test_given_flaws_when_told_then_each_kind_is_named_with_its_first_three_time
         (0.1, None, "51 m/s^2", True),
     ],
 )
-def test_given_an_overload_when_a_cure_is_named_then_it_is_that_of_the_limit_that_is_reached_first(
-    sensitivity, volts, limit, named
-):
+def test_remedy_names_the_first_limit(sensitivity, volts, limit, named):
     info = ChannelInfo(
         "a1",
         "body 1",

@@ -44,9 +44,7 @@ def uff(path, value, binary=0, reference=(1, 3), **labels):
 
 
 @pytest.mark.parametrize("binary", [0, 1])
-def test_given_responses_in_a_universal_file_when_read_then_every_line_is_there_and_its_modes_are_found(
-    binary, tmp_path
-):
+def test_universal_file_keeps_lines_and_modes(binary, tmp_path):
     uff(
         tmp_path / "a.uff",
         accelerance(1e-4) / 9.80665,
@@ -72,9 +70,7 @@ def test_given_responses_in_a_universal_file_when_read_then_every_line_is_there_
          lambda v: (abs(v) * 9.80665, np.angle(v, deg=True))),
     ],
 )  # fmt: skip
-def test_given_a_table_of_responses_when_read_then_parts_and_units_are_told_from_its_heading(
-    heading, columns, tmp_path
-):
+def test_table_headings_give_parts_and_units(heading, columns, tmp_path):
     value = accelerance() / 9.80665
     rows = np.vstack([FREQUENCY, *columns(value[0]), *columns(value[1])]).T
     np.savetxt(tmp_path / "a.csv", rows, delimiter=",", header=heading, comments="")
@@ -83,9 +79,7 @@ def test_given_a_table_of_responses_when_read_then_parts_and_units_are_told_from
         np.testing.assert_allclose(found[name].value, row[1:] * 9.80665, rtol=1e-9)
 
 
-def test_given_files_of_another_program_when_typed_then_modes_and_curves_are_made_of_them(
-    tmp_path, monkeypatch
-):
+def test_foreign_files_give_modes_and_curves(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     uff(tmp_path / "a.uff", accelerance(1e-3), ordinate_axis_units_lab="m/s2", orddenom_axis_units_lab="N")
     done = CliRunner().invoke(app, ["modes", "a.uff"])
@@ -99,7 +93,7 @@ def test_given_files_of_another_program_when_typed_then_modes_and_curves_are_mad
     np.testing.assert_allclose(again["1 -Z"].value, accelerance(1e-3)[0, 1:], rtol=1e-8)
 
 
-def test_given_responses_without_unit_or_with_two_references_when_read_then_it_is_said_what_to_give(tmp_path):
+def test_incomplete_responses_name_missing_options(tmp_path):
     uff(tmp_path / "a.uff", accelerance())
     with pytest.raises(SceneError, match=r"does not say its unit.*--unit m/s\^2/N"):
         analysis.read_frfs(tmp_path / "a.uff")
@@ -113,7 +107,7 @@ def test_given_responses_without_unit_or_with_two_references_when_read_then_it_i
         analysis.read_frfs(tmp_path / "a.uff", "7 +X", "N/m")
 
 
-def test_given_a_unit_in_windows_characters_when_read_then_its_square_is_told(tmp_path):
+def test_windows_unit_is_read(tmp_path):
     uff(tmp_path / "a.uff", accelerance(), ordinate_axis_units_lab="(1/N)*(m/s#)")
     (tmp_path / "a.uff").write_bytes((tmp_path / "a.uff").read_bytes().replace(b"#", b"\xb2"))
     assert analysis.read_frfs(tmp_path / "a.uff")[0].value[9] == pytest.approx(accelerance()[0, 10], rel=1e-9)
@@ -142,9 +136,7 @@ BAD = {
 
 
 @pytest.mark.parametrize(("kind", "way"), [(1, True), (2, False)])
-def test_given_other_functions_than_responses_when_read_then_an_import_is_advised_for_those_of_time_alone(
-    kind, way, tmp_path
-):
+def test_time_functions_suggest_import(kind, way, tmp_path):
     uff(tmp_path / "a.uff", abs(accelerance()), func_type=kind)
     with pytest.raises(RecordingError, match="holds no frequency response") as told:
         analysis.read_frfs(tmp_path / "a.uff")
@@ -152,7 +144,7 @@ def test_given_other_functions_than_responses_when_read_then_an_import_is_advise
 
 
 @pytest.mark.parametrize("name", BAD)
-def test_given_a_file_that_holds_no_responses_when_read_then_it_is_refused_in_words(name, tmp_path):
+def test_file_without_responses_is_rejected(name, tmp_path):
     if BAD[name] is not None:
         (tmp_path / name).write_bytes(BAD[name])
     with pytest.raises((RecordingError, SceneError), match=name.replace(" ", r"\s")):
@@ -161,7 +153,7 @@ def test_given_a_file_that_holds_no_responses_when_read_then_it_is_refused_in_wo
 
 # Noise alone is no structure: its driving point may well appear reversed.
 @pytest.mark.filterwarnings("ignore:.*reversed channel")
-def test_given_imported_noise_when_averaged_over_blocks_then_it_is_scipys_csd_over_welch(tmp_path):
+def test_block_average_agrees_with_scipy(tmp_path):
     random = np.random.default_rng(5)
     force = random.standard_normal(40960)
     rows = np.vstack(
@@ -186,7 +178,7 @@ def test_given_imported_noise_when_averaged_over_blocks_then_it_is_scipys_csd_ov
 
 # Noise alone is no structure: its driving point may well appear reversed.
 @pytest.mark.filterwarnings("ignore:.*reversed channel")
-def test_given_imported_hits_when_averaged_then_it_is_the_quotient_of_their_spectra(tmp_path):
+def test_averaged_hits_are_quotient_of_spectra(tmp_path):
     pulse = np.sin(np.pi * np.arange(1, 9) / 9)
     force = np.zeros(24000)
     for at, size in ((900, 70.0), (9000, 50.0), (17000, 60.0)):
@@ -213,16 +205,14 @@ def test_given_imported_hits_when_averaged_then_it_is_the_quotient_of_their_spec
     assert not any("leak" in note for note in curves[0].warnings)
 
 
-def test_given_lines_that_fall_when_read_then_they_are_put_in_order(tmp_path):
+def test_falling_lines_are_sorted(tmp_path):
     (tmp_path / "a.csv").write_text("f,tip re [m/N],tip im [m/N]\n30,3,0\n10,1,0\n20,2,0\n")
     tip = analysis.read_frfs(tmp_path / "a.csv")["tip"]
     assert tip.frequency.tolist() == [10.0, 20.0, 30.0] and tip.value.real.tolist() == [1.0, 2.0, 3.0]
 
 
 @pytest.mark.parametrize("ending", ["uff", "csv"])
-def test_given_responses_far_off_at_low_lines_when_our_own_file_of_them_is_read_then_errors_and_modes_are_as_before(
-    ending, tmp_path
-):
+def test_own_file_keeps_errors_and_modes(ending, tmp_path):
     value = accelerance()[:, 1:] / (2j * np.pi * FREQUENCY[1:]) ** 2
     # As of a hammer behind AC coupling: what neighbouring lines share does not show as scatter.
     error = 1e-4 * abs(value).max() * (1.0 + 1e3 * np.exp(-FREQUENCY[1:] / 1.5))

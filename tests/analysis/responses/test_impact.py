@@ -40,7 +40,7 @@ def coverage(rec, curves, low=3.0, high=60.0):
     return np.mean(inside), max(wrong)
 
 
-def test_given_hits_into_a_response_that_rings_on_when_taken_whole_then_nothing_has_to_die_away(tmp_path):
+def test_ringing_between_hits_is_corrected(tmp_path):
     with daq.open(synthetic.impulses(tmp_path / "a.mcap", hits=3, interval=5.0, noise=1e-4)) as rec:
         [curves] = analysis.frequency_responses(rec)
         modes = analysis.identify(curves, count=3)
@@ -48,7 +48,7 @@ def test_given_hits_into_a_response_that_rings_on_when_taken_whole_then_nothing_
     np.testing.assert_allclose(modes.damping, 0.005, rtol=0.02)
 
 
-def test_given_one_hit_that_rings_on_when_taken_whole_then_it_has_error_bars_that_hold(tmp_path):
+def test_bounds_of_one_hit_hold(tmp_path):
     with daq.open(synthetic.impulses(tmp_path / "a.mcap", hits=1, interval=5.0, noise=1e-4)) as rec:
         [curves] = analysis.frequency_responses(rec)
         exact = receptance(rec.scene, curves[0].frequency)
@@ -61,7 +61,7 @@ def test_given_one_hit_that_rings_on_when_taken_whole_then_it_has_error_bars_tha
         assert np.isfinite(frf.error).all()
 
 
-def test_given_a_rebound_when_taken_whole_then_the_hit_counts_as_it_was(tmp_path):
+def test_rebound_counts_as_measured(tmp_path):
     with daq.open(synthetic.impulses(tmp_path / "a.mcap", hits=1, interval=8.0, rebound=(1,))) as rec:
         [[frf]] = analysis.frequency_responses(rec, ["body3"])
         exact = receptance(rec.scene, frf.frequency)[2]
@@ -69,7 +69,7 @@ def test_given_a_rebound_when_taken_whole_then_the_hit_counts_as_it_was(tmp_path
     np.testing.assert_allclose(frf.value[strong], exact[strong], rtol=0.02)
 
 
-def test_given_an_overload_when_taken_whole_then_it_is_cut_out_and_said(tmp_path):
+def test_overload_is_cut_out_and_reported(tmp_path):
     where = {"cutoff": "", "converter": "{rate: 2560 Hz, range: 5 V}"}
     path = hit(tmp_path / "a.mcap", where, repeats=3)
     with daq.open(path) as rec:
@@ -83,7 +83,7 @@ def test_given_an_overload_when_taken_whole_then_it_is_cut_out_and_said(tmp_path
     assert share > 0.9 and cut_share > 0.9 and wrong < 0.01
 
 
-def test_given_one_channel_that_is_always_overloaded_when_analysed_then_the_others_are_offered_alone(
+def test_overloaded_channel_leaves_the_others(
     tmp_path,
 ):
     path = hit(tmp_path / "a.mcap", {"cutoff": "", "converter": "{rate: 2560 Hz, range: 5 V}"})
@@ -95,7 +95,7 @@ def test_given_one_channel_that_is_always_overloaded_when_analysed_then_the_othe
     assert not frf.warnings
 
 
-def test_given_sensors_whose_bias_settles_when_hit_then_the_hammer_waits_and_bounds_hold(tmp_path):
+def test_settling_bias_keeps_bounds(tmp_path):
     scene = rig.loads(
         HIT.format(cutoff="", converter="{preset: NI 9234, rate: 2560 Hz}")
         .replace("sensitivity: 100 mV/g, low_cutoff: 0.3 Hz", "preset: PCB 352C33")
@@ -111,9 +111,7 @@ def test_given_sensors_whose_bias_settles_when_hit_then_the_hammer_waits_and_bou
 
 
 @pytest.mark.parametrize(("interval", "told"), [(6.0, False), (2.0, True)])
-def test_given_a_record_that_begins_in_motion_just_before_a_hit_when_taken_whole_then_its_bound_knows(
-    interval, told, tmp_path
-):
+def test_motion_before_hit_is_in_bound(interval, told, tmp_path):
     where = {"cutoff": "", "converter": "{rate: 2560 Hz, range: 5 V, remove_delay: true}"}
     scene = rig.loads(HIT.format(**where).replace("6 s", f"{interval} s"))
     with daq.open(daq.record(scene, tmp_path / "a.mcap")) as rec:
@@ -132,7 +130,7 @@ def test_given_a_record_that_begins_in_motion_just_before_a_hit_when_taken_whole
     np.testing.assert_array_equal(curves[0].frequency, curves[1].frequency)
 
 
-def test_given_one_hit_behind_an_integrator_that_drifts_when_taken_whole_then_the_drift_sets_in_as_no_step(
+def test_integrator_drift_causes_no_step(
     tmp_path,
 ):
     scene = rig.loads("""
@@ -154,7 +152,7 @@ seed: 2
     assert share > 0.95 and wrong < 0.05
 
 
-def test_given_a_channel_that_reads_few_counts_when_hit_then_nothing_bounds_it_and_modes_rest_on_the_others(
+def test_coarse_channel_leaves_modes_to_others(
     tmp_path,
 ):
     scene = rig.loads(HIT.format(cutoff="", converter="{rate: 2 kHz, bits: 12, range: 5 V}"))
@@ -173,7 +171,7 @@ def test_given_a_channel_that_reads_few_counts_when_hit_then_nothing_bounds_it_a
         analysis.identify(both[1:])
 
 
-def test_given_no_force_channel_when_averaged_then_it_says_what_to_add(tmp_path):
+def test_missing_force_channel_is_explained(tmp_path):
     path = synthetic.impulses(tmp_path / "a.mcap", hammer=False, interval=1.0)
     with daq.open(path) as rec, pytest.raises(RecordingError, match=r"add \{name: hammer, at: hammer\}"):
         analysis.frequency_responses(rec)
@@ -196,7 +194,7 @@ def wrong_by(rec, curves, low, high):
 
 
 @pytest.mark.parametrize("rate", ["5120 Hz", "25.6 kHz"])
-def test_given_a_filter_that_delays_the_hit_when_averaged_then_the_force_window_follows_it(tmp_path, rate):
+def test_force_window_follows_delayed_hit(tmp_path, rate):
     where = {"cutoff": "", "converter": f"{{rate: {rate}, filter: delta_sigma}}"}
     with daq.open(hit(tmp_path / "a.mcap", where)) as rec:
         assert rec.channels["hammer"].delay > 0
@@ -208,9 +206,7 @@ def test_given_a_filter_that_delays_the_hit_when_averaged_then_the_force_window_
 @pytest.mark.parametrize(
     ("sensor", "converter"), [("0.01 Hz", "0.5 Hz"), ("0.5 Hz", "0.5 Hz"), ("0.05 Hz", "5 Hz")]
 )
-def test_given_high_passes_when_averaged_then_the_receptance_is_exact_far_below_the_modes(
-    tmp_path, sensor, converter
-):
+def test_high_passes_keep_receptance_exact(tmp_path, sensor, converter):
     where = {
         "cutoff": f", low_cutoff: {sensor}",
         "converter": f"{{rate: 2560 Hz, filter: delta_sigma, coupling: AC, ac_corner: {converter}}}",
@@ -221,7 +217,7 @@ def test_given_high_passes_when_averaged_then_the_receptance_is_exact_far_below_
     assert magnitude < 0.001 and phase < 0.1
 
 
-def test_given_a_marker_that_misses_its_hit_when_averaged_then_the_force_outside_it_is_told(tmp_path):
+def test_missed_hit_is_reported(tmp_path):
     force = np.zeros(6400)
     force[840:856] = 50.0
     infos = [info for info in synthetic.channels("acceleration") if info.at != "table"]
@@ -233,9 +229,7 @@ def test_given_a_marker_that_misses_its_hit_when_averaged_then_the_force_outside
         analysis.frequency_responses(rec)
 
 
-def test_given_more_hits_than_memory_takes_when_analysed_then_the_first_are_taken_and_it_is_told(
-    tmp_path, monkeypatch
-):
+def test_hits_beyond_memory_are_left_out(tmp_path, monkeypatch):
     scene = rig.loads(
         """
         structure: {masses: [1 kg], springs: [30 kN/m], damping: {modal: 1 %}}
@@ -256,7 +250,7 @@ def test_given_more_hits_than_memory_takes_when_analysed_then_the_first_are_take
     assert (missed[near] < 1.0).mean() > 0.9
 
 
-def test_given_a_hammer_of_wide_tolerance_when_modes_are_identified_then_shapes_are_told_as_if_it_were_exact(
+def test_hammer_tolerance_is_in_no_shape(
     tmp_path,
 ):
     text = HIT.format(cutoff="", converter="{rate: 2560 Hz}").replace(", low_cutoff: 0.3 Hz", "")

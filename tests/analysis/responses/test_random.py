@@ -31,7 +31,7 @@ def random_file(tmp_path_factory):
     return synthetic.driven(path, force, RANDOM, marks, noise=0.02)
 
 
-def test_given_random_when_averaged_then_bounds_hold_away_from_unresolved_peaks(random_file):
+def test_bounds_hold_away_from_unresolved_peaks(random_file):
     with daq.open(random_file) as rec:
         [curves] = analysis.frequency_responses(rec, block=8.0)
         exact = receptance(rec.scene, curves[0].frequency)
@@ -45,7 +45,7 @@ def test_given_random_when_averaged_then_bounds_hold_away_from_unresolved_peaks(
 
 
 @pytest.mark.thorough
-def test_given_short_blocks_when_modes_are_identified_then_it_warns_that_damping_is_too_high(random_file):
+def test_short_blocks_warn_of_high_damping(random_file):
     with daq.open(random_file) as rec:
         [curves] = analysis.frequency_responses(rec, block=4.0)
         modes = analysis.identify(curves, count=3)
@@ -55,7 +55,7 @@ def test_given_short_blocks_when_modes_are_identified_then_it_warns_that_damping
     )
 
 
-def test_given_the_same_blocks_when_estimated_by_scipy_then_h1_agrees_to_rounding(random_file):
+def test_h1_agrees_with_scipy(random_file):
     with daq.open(random_file) as rec:
         [[frf]] = analysis.frequency_responses(rec, ["body2"], block=4.0)
         x, force = rec.read("body2"), rec.read("force")
@@ -75,7 +75,7 @@ def test_given_the_same_blocks_when_estimated_by_scipy_then_h1_agrees_to_roundin
     np.testing.assert_allclose(frf.coherence, coherence[keep], rtol=1e-9)
 
 
-def test_given_noise_in_the_reference_when_estimated_then_h1_is_low_h2_is_high_and_hv_between():
+def test_h1_low_h2_high_hv_between():
     random = np.random.default_rng(0)
     f = random.standard_normal((4000, 2)) @ [1, 1j]
     noise = 0.5 * random.standard_normal((2, 4000, 2)) @ [1, 1j]
@@ -87,7 +87,7 @@ def test_given_noise_in_the_reference_when_estimated_then_h1_is_low_h2_is_high_a
         estimate("H3", *spectra)
 
 
-def test_given_bursts_that_die_out_when_averaged_then_nothing_leaks(tmp_path):
+def test_bursts_do_not_leak(tmp_path):
     block = 20.0
     burst = synthetic.band_noise(3 * block, 6.0, 62.0, seed=5)
     time = np.arange(burst.size) / (RATE * OVER) % block
@@ -103,13 +103,13 @@ def test_given_bursts_that_die_out_when_averaged_then_nothing_leaks(tmp_path):
         np.testing.assert_allclose(frf.value[strong], exact[body][strong], rtol=0.02)
 
 
-def test_given_a_block_longer_than_the_recording_when_averaged_then_too_short_is_said(random_file):
+def test_block_longer_than_recording_is_rejected(random_file):
     with daq.open(random_file) as rec, pytest.raises(RecordingError, match="too short to average"):
         analysis.frequency_responses(rec, block=100.0)
 
 
 @pytest.mark.parametrize("choice", [{"level": "1 N"}, {"direction": "up"}])
-def test_given_no_tones_when_one_sweep_is_asked_for_then_it_is_said_that_there_is_none(random_file, choice):
+def test_missing_sweep_is_reported(random_file, choice):
     with daq.open(random_file) as rec, pytest.raises(SceneError, match="level and direction choose among"):
         analysis.frfs(rec, **choice)
 
@@ -132,7 +132,7 @@ def multisine(path, periods=4, realisations=4, noise=0.01, cubic=0.0):
     return synthetic.driven(path, force + cubic * force**3, test, marks, noise=noise)
 
 
-def test_given_a_multisine_when_averaged_then_it_is_exact_within_its_bounds_and_without_leakage(tmp_path):
+def test_multisine_is_exact_within_bounds(tmp_path):
     with daq.open(multisine(tmp_path / "a.mcap")) as rec:
         [curves] = analysis.frequency_responses(rec)
         exact = receptance(rec.scene, curves[0].frequency)
@@ -143,7 +143,7 @@ def test_given_a_multisine_when_averaged_then_it_is_exact_within_its_bounds_and_
     np.testing.assert_allclose(modes.damping, 0.005, rtol=0.02)
 
 
-def test_given_a_linear_structure_when_realisations_are_compared_then_no_distortion_is_claimed(tmp_path):
+def test_linear_structure_shows_no_distortion(tmp_path):
     with daq.open(multisine(tmp_path / "a.mcap", realisations=5)) as rec:
         measured = [m for m in rec.markers if m.kind == "measure"]
         best = best_linear_approximation(rec, measured, list(rec.channels))
@@ -152,7 +152,7 @@ def test_given_a_linear_structure_when_realisations_are_compared_then_no_distort
     assert 0.7 < total / noise < 1.3
 
 
-def test_given_dampers_that_a_multisine_does_not_lift_when_averaged_then_it_says_which_steady_tones_do(
+def test_flightless_multisine_recommends_steady_tones(
     tmp_path,
 ):
     test = {"kind": "multisine", "from": 30.0, "to": 40.0, "period": 2.0, "realisations": 2, "force": 0.05}
@@ -199,7 +199,7 @@ def sweep(path, duration, spacing="log"):
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("spacing", ["log", "linear"])
-def test_given_a_slow_sweep_when_tracked_then_the_curve_is_right(tmp_path, spacing):
+def test_slow_sweep_gives_right_curve(tmp_path, spacing):
     with daq.open(sweep(tmp_path / "a.mcap", 70.0, spacing)) as rec:
         [curves] = analysis.frequency_responses(rec)
         f = curves[0].frequency
@@ -212,7 +212,7 @@ def test_given_a_slow_sweep_when_tracked_then_the_curve_is_right(tmp_path, spaci
 
 
 @pytest.mark.thorough
-def test_given_a_fast_sweep_when_modes_are_identified_then_its_rate_smears_nothing(tmp_path):
+def test_fast_sweep_smears_no_mode(tmp_path):
     with daq.open(sweep(tmp_path / "a.mcap", 20.0)) as rec:
         [curves] = analysis.frequency_responses(rec)
         modes = analysis.identify(curves, count=3)
@@ -221,9 +221,7 @@ def test_given_a_fast_sweep_when_modes_are_identified_then_its_rate_smears_nothi
 
 
 @pytest.mark.parametrize(("force", "lifted"), [(15.0, True), (0.3, False)])
-def test_given_a_multisine_that_may_lift_a_damper_when_nothing_scatters_then_it_is_said(
-    tmp_path, force, lifted
-):
+def test_undetected_flight_in_multisine_is_mentioned(tmp_path, force, lifted):
     scene = rig.loads(f"""
 structure: {{masses: [1.1 kg], springs: [4.4 kN/m], damping: {{modal: 2 %}}}}
 dampers: [{{body: 1, mass_ratio: 0.001, clearance: 0.3 mm}}]

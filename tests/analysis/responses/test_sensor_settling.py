@@ -27,30 +27,26 @@ def recording(size, time_constant, seed=1):
 
 
 @pytest.mark.parametrize(("size", "time_constant"), [(10.0, 0.5), (300.0, 2.0), (1e5, 1.0)])
-def test_given_a_bias_that_decays_when_looked_for_then_it_is_left_out_until_its_mean_is_lost_in_others(
-    size, time_constant
-):
+def test_decaying_bias_is_left_out(size, time_constant):
     [flaw] = settling(recording(size, time_constant), ["a"], 0, int(SECONDS * RATE), LOWEST)
     # Means of 40 samples scatter by 0.16.
     left = size * np.exp(-flaw.stop / RATE / time_constant)
     assert flaw.first == 0 and 0.1 < left < 1.2
 
 
-def test_given_no_bias_when_looked_for_then_nothing_is_left_out():
+def test_missing_bias_leaves_nothing_out():
     for seed in range(20):
         assert settling(recording(0.0, 1.0, seed), ["a"], 0, int(SECONDS * RATE), LOWEST) == []
 
 
-def test_given_a_channel_that_is_lost_throughout_when_looked_for_then_nothing_is_told_of_it():
+def test_lost_channel_has_no_bias():
     lost = recording(0.0, 1.0)
     lost.read = lambda name, start, stop: np.full(stop - start, np.nan)
     assert settling(lost, ["a"], 0, int(SECONDS * RATE), LOWEST) == []
 
 
 @pytest.mark.parametrize("options", [{}, {"estimator": "H1", "block": 1.0}])
-def test_given_a_drive_below_noise_when_the_force_is_that_of_a_spring_then_no_bound_is_broken(
-    options, tmp_path
-):
+def test_drive_below_noise_keeps_bounds(options, tmp_path):
     scene = rig.loads(
         """
         structure: {masses: [1 kg], springs: [10 kN/m], damping: {modal: 0.02}}
@@ -89,7 +85,7 @@ seed: {seed}
     return curve, abs(curve.value - receptance(scene, curve.frequency)[0])
 
 
-def test_given_two_periods_of_a_multisine_while_a_bias_settles_when_analysed_then_bounds_hold(tmp_path):
+def test_multisine_with_settling_bias_keeps_bounds(tmp_path):
     curve, off = multisine_beside_a_settling_bias(
         tmp_path / "a.mcap", "to: 200 Hz, lines: 50, periods: 2", ""
     )
@@ -97,7 +93,7 @@ def test_given_two_periods_of_a_multisine_while_a_bias_settles_when_analysed_the
     assert np.median(off / abs(curve.value)) < 0.02
 
 
-def test_given_coarse_counts_that_hide_a_drift_when_a_multisine_is_analysed_then_bounds_hold(tmp_path):
+def test_coarse_drifting_multisine_keeps_bounds(tmp_path):
     curve, off = multisine_beside_a_settling_bias(
         tmp_path / "a.mcap", "to: 600 Hz, lines: 300, periods: 8", ", bits: 12", seed=3
     )

@@ -16,13 +16,13 @@ def noise(seed, shape):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_given_noise_without_a_transient_when_its_remainder_is_told_then_next_to_none_is(seed):
+def test_noise_alone_has_no_transient(seed):
     deviation = np.sqrt(2.0 / PARTS)
     assert np.median(remainder(noise(seed, (PARTS, 1, LINES)))) < 0.15 * deviation
 
 
 @pytest.mark.parametrize("decays", [0.3, 2.0, 8.0])
-def test_given_the_transient_of_a_mode_in_noise_when_its_remainder_is_told_then_it_bounds_what_the_mean_is_off_by(
+def test_transient_remainder_bounds_the_mean(
     decays,
 ):
     # A mode that decays by so much in a period, between two lines; its transient is sharp or broad over the lines.

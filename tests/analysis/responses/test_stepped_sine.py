@@ -14,7 +14,7 @@ from rig.system.structural_model import receptance
 from tests.analysis.responses import synthetic
 
 
-def test_given_ideal_sensors_when_stepped_sine_is_measured_then_compliance_is_exact(tmp_path):
+def test_ideal_stepped_sine_is_exact(tmp_path):
     frequencies = np.linspace(8.0, 60.0, 25)
     with daq.open(synthetic.stepped_sine(tmp_path / "a.mcap", frequencies)) as rec:
         for body in (1, 2, 3):
@@ -23,7 +23,7 @@ def test_given_ideal_sensors_when_stepped_sine_is_measured_then_compliance_is_ex
             np.testing.assert_allclose(frf.value, exact, rtol=1e-9)
 
 
-def test_given_accelerometers_with_integrators_when_measured_then_they_are_corrected(tmp_path):
+def test_integrated_accelerometers_are_corrected(tmp_path):
     corner = 2 * np.pi * 1.0
     chain = {"zeros": (0j, 0j), "poles": (-corner * (0.7 + 0.7j), -corner * (0.7 - 0.7j)), "delay": 3e-4}
     frequencies = np.linspace(8.0, 60.0, 11)
@@ -35,7 +35,7 @@ def test_given_accelerometers_with_integrators_when_measured_then_they_are_corre
     assert np.max(abs(frf.value / exact - 1)) < 1e-9
 
 
-def test_given_the_table_as_reference_when_measured_then_the_spring_belongs_to_it(tmp_path):
+def test_table_reference_includes_spring(tmp_path):
     frequencies = np.linspace(8.0, 60.0, 11)
     with daq.open(synthetic.stepped_sine(tmp_path / "a.mcap", frequencies)) as rec:
         frf = analysis.compliance(rec, response="body 2", reference="table")
@@ -44,7 +44,7 @@ def test_given_the_table_as_reference_when_measured_then_the_spring_belongs_to_i
     assert frf.name == "transmissibility"
 
 
-def test_given_noise_when_measured_then_95_percent_bounds_hold_for_95_percent_of_points(tmp_path):
+def test_bounds_hold_for_95_percent(tmp_path):
     frequencies = np.linspace(9.0, 58.0, 60)
     inside, coherence = [], []
     for seed in range(4):
@@ -60,7 +60,7 @@ def test_given_noise_when_measured_then_95_percent_bounds_hold_for_95_percent_of
     assert np.max(coherence) > 0.9999 and np.min(coherence) < 0.95
 
 
-def test_given_tones_when_measured_then_the_force_that_acted_stays_with_its_point_and_is_told(tmp_path):
+def test_force_stays_with_its_point(tmp_path):
     with daq.open(synthetic.stepped_sine(tmp_path / "a.mcap", [34.0, 12.0], level=2.61)) as rec:
         frf = analysis.compliance(rec)
     np.testing.assert_allclose(frf.amplitude, 2.61, rtol=1e-9)
@@ -69,7 +69,7 @@ def test_given_tones_when_measured_then_the_force_that_acted_stays_with_its_poin
     np.testing.assert_allclose(gap.amplitude, [2.61, np.nan, 2.61], rtol=1e-9)
 
 
-def test_given_mobility_when_asked_for_then_it_is_receptance_times_i_omega(tmp_path):
+def test_mobility_is_receptance_times_i_omega(tmp_path):
     with daq.open(synthetic.stepped_sine(tmp_path / "a.mcap", [12.0, 20.0])) as rec:
         frf = analysis.compliance(rec)
     mobility = frf.to("velocity")
@@ -78,7 +78,7 @@ def test_given_mobility_when_asked_for_then_it_is_receptance_times_i_omega(tmp_p
     assert mobility.unit == "m/(N s)"
 
 
-def test_given_two_levels_when_one_curve_is_asked_for_then_the_choice_is_named(tmp_path):
+def test_ambiguous_level_is_named(tmp_path):
     infos = synthetic.channels()
     marks = [
         ("measure", 0, 2559, {"frequency": 20.0, "level": 1.0, "direction": "up"}),
@@ -96,9 +96,7 @@ def test_given_two_levels_when_one_curve_is_asked_for_then_the_choice_is_named(t
 @pytest.mark.parametrize(
     ("response", "message"), [("bodi3", "did you mean 'body3'"), ("hammer", "no channel 'hammer'")]
 )
-def test_given_a_channel_that_is_not_there_when_asked_for_then_the_nearest_is_named(
-    tmp_path, response, message
-):
+def test_missing_channel_names_nearest(tmp_path, response, message):
     with (
         daq.open(synthetic.stepped_sine(tmp_path / "a.mcap", [12.0])) as rec,
         pytest.raises(RecordingError, match=message),
@@ -106,7 +104,7 @@ def test_given_a_channel_that_is_not_there_when_asked_for_then_the_nearest_is_na
         analysis.compliance(rec, response=response)
 
 
-def test_given_no_channel_on_the_table_when_force_is_needed_then_it_says_so(tmp_path):
+def test_missing_table_channel_is_explained(tmp_path):
     infos = synthetic.channels()[:3]
     marks = [("measure", 0, 2559, {"frequency": 20.0, "level": 1.0, "direction": "up"})]
     path = synthetic.write(tmp_path / "a.mcap", synthetic.scene(), infos, np.ones((3, 2560)), marks)
@@ -114,14 +112,14 @@ def test_given_no_channel_on_the_table_when_force_is_needed_then_it_says_so(tmp_
         analysis.compliance(rec)
 
 
-def test_given_nothing_measured_when_compliance_is_asked_for_then_no_steady_state_is_said(tmp_path):
+def test_missing_measurements_are_explained(tmp_path):
     rows = np.ones((4, 2560))
     path = synthetic.write(tmp_path / "a.mcap", synthetic.scene(), synthetic.channels(), rows, [])
     with daq.open(path) as rec, pytest.raises(RecordingError, match="no steady state was measured"):
         analysis.compliance(rec)
 
 
-def test_given_overload_and_unsettled_points_when_measured_then_the_curve_warns(tmp_path):
+def test_overloaded_and_unsettled_points_warn(tmp_path):
     infos = synthetic.channels()
     fields = {"level": 1.0, "direction": "up", "settled": False}
     marks = [
@@ -139,7 +137,7 @@ def test_given_overload_and_unsettled_points_when_measured_then_the_curve_warns(
     assert frf.frequency.tolist() == [30.0] and frf.unsteady.tolist() == [True]
 
 
-def test_given_neighbours_that_did_not_settle_when_measured_then_they_are_told_as_ranges(tmp_path):
+def test_unsettled_neighbours_form_ranges(tmp_path):
     settled = np.ones(40, dtype=bool)
     settled[[3, *range(10, 31)]] = False
     marks = [
@@ -160,7 +158,7 @@ def test_given_neighbours_that_did_not_settle_when_measured_then_they_are_told_a
     assert "not settled: 22 of 40 measurements, at 23 and 30 to 50 Hz" in summary(path)
 
 
-def test_given_sweeps_that_are_spoilt_when_measured_then_their_frequencies_are_told_together_and_none_is_lost(
+def test_spoilt_sweeps_lose_no_frequency(
     tmp_path,
 ):
     marks = [
@@ -185,7 +183,7 @@ def test_given_sweeps_that_are_spoilt_when_measured_then_their_frequencies_are_t
     )
 
 
-def test_given_channels_clipped_throughout_when_measured_then_the_range_is_blamed(tmp_path):
+def test_clipped_channels_blame_range(tmp_path):
     marks = [
         ("measure", 0, 2559, {"frequency": 20.0, "level": 1.0, "direction": "up"}),
         ("overload", 0, 2559, {"channel": "body3"}),
@@ -197,7 +195,7 @@ def test_given_channels_clipped_throughout_when_measured_then_the_range_is_blame
         analysis.compliance(rec)
 
 
-def test_given_lost_samples_when_measured_then_only_their_frequency_is_left_out(tmp_path):
+def test_lost_samples_omit_only_their_frequency(tmp_path):
     from daq.recording.recorder import Recorder
 
     infos = synthetic.channels()
@@ -219,9 +217,7 @@ def test_given_lost_samples_when_measured_then_only_their_frequency_is_left_out(
 
 @pytest.mark.parametrize("parts", [5, 20])
 @pytest.mark.parametrize("turn", [0.0, 0.5, 1.5])
-def test_given_a_transient_that_decays_and_turns_when_its_rest_is_bounded_then_the_mean_is_off_by_just_that(
-    parts, turn
-):
+def test_turning_transient_is_bounded(parts, turn):
     factor = 0.9 * np.exp(1j * turn * 5.0 / parts)
     amplitudes = 1.0 + 0.1 * factor ** np.arange(parts)
     bound = remainder(amplitudes[:, None, None])[0, 0]

@@ -19,9 +19,7 @@ converter: {rate: 1024 Hz}
 
 
 @pytest.mark.parametrize(("end", "said"), [(21.0, True), (14.05, False)])
-def test_given_dampers_in_flight_when_a_tone_passes_then_a_fast_one_is_said_to_be_too_fast(
-    tmp_path, end, said
-):
+def test_fast_sweep_with_flight_warns(tmp_path, end, said):
     scene = rig.loads(SCENE, where="a test")
     path = tmp_path / "a.mcap"
     daq.record(scene.replace(test=scene.test.replace(to=end)), path)

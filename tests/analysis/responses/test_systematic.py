@@ -52,7 +52,7 @@ def toleranced(*shares):
     ]
 
 
-def test_given_a_data_sheet_when_its_tolerances_are_added_then_each_counts_by_what_it_is_exposed_to():
+def test_data_sheet_tolerances_count_by_exposure():
     sheet = {
         "accelerometer.sensitivity_tolerance": "-0.05",
         "accelerometer.temperature_drift": "0.002 1/K",
@@ -65,7 +65,7 @@ def test_given_a_data_sheet_when_its_tolerances_are_added_then_each_counts_by_wh
 
 
 @pytest.mark.parametrize("shares", [(0.05, 0.1, 0.02), (0.0, 0.2, 0.0), (0.1, 0.0, 0.3)])
-def test_given_sensors_within_their_tolerances_when_a_quotient_is_taken_then_it_is_off_by_the_bound_at_most(
+def test_sensor_tolerances_bound_quotient(
     shares,
 ):
     random = np.random.default_rng(3)
@@ -83,7 +83,7 @@ def test_given_sensors_within_their_tolerances_when_a_quotient_is_taken_then_it_
     assert (worst <= bound * (1 + 1e-12)).all()
 
 
-def test_given_one_sensor_that_reads_too_little_when_its_bound_is_told_then_it_is_reached():
+def test_bound_of_one_sensor_is_reached():
     value = np.array([2.0 - 1.0j])
     first, second = np.array([[1.0], [0.0]]), np.array([[0.0], [1.0]])
     rec = recording(*toleranced(0.2, 0.0))
@@ -99,13 +99,13 @@ def test_given_one_sensor_that_reads_too_little_when_its_bound_is_told_then_it_i
     assert sensitivity_part(recording(channel("a"), channel("b")), "ab", value, first, second) == {}
 
 
-def test_given_noise_in_the_reference_when_h1_is_low_then_the_truth_lies_at_the_end_of_the_bound():
+def test_h1_bias_reaches_its_bound():
     truth, noise = 2.0 - 1.0j, np.array([0.0, 0.1, 1.0, 9.0])
     h1, coherence = truth / (1.0 + noise), 1.0 / (1.0 + noise)
     assert reference_noise_part(h1, coherence) == pytest.approx(abs(truth - h1))
 
 
-def test_given_a_reference_that_may_be_smaller_when_divided_by_then_both_bounds_make_up_the_worst():
+def test_smaller_reference_adds_both_bounds():
     doubt = np.array([0.0, 0.1, 0.5, 0.99, 1.0, 1.5])
     first = np.full(6, 0.3)
     both = np.hypot(first, only(doubtful_reference_part(first, doubt)))
@@ -115,7 +115,7 @@ def test_given_a_reference_that_may_be_smaller_when_divided_by_then_both_bounds_
     assert only(doubtful_reference_part(np.array([np.inf]), np.array([0.0]))) == 0.0
 
 
-def test_given_gaussian_noise_of_some_counts_when_rounded_then_its_gain_is_off_by_the_bound_and_no_more():
+def test_gaussian_rounding_gain_is_bounded():
     for sigma in (0.3, 0.4, 0.5, 0.7, 1.0):
         # E[x round(x)] / sigma^2 is the sum of the density at the thresholds (Stein), worst where one is at the mean.
         off = max(
@@ -126,7 +126,7 @@ def test_given_gaussian_noise_of_some_counts_when_rounded_then_its_gain_is_off_b
     assert noise_gain(np.array([0.2499**2 + 1 / 12, 0.0, np.inf])).tolist() == [np.inf, np.inf, 0.0]
 
 
-def test_given_a_tone_of_some_counts_when_rounded_then_its_gain_is_off_by_the_bound_at_most():
+def test_tone_rounding_gain_is_bounded():
     angle = (np.arange(4000) + 0.5) * np.pi / 4000
     for size in (1.0, 2.0, 5.0, 20.0):
         worst = 0.0
@@ -138,7 +138,7 @@ def test_given_a_tone_of_some_counts_when_rounded_then_its_gain_is_off_by_the_bo
     assert tone_gain(np.array([0.49**2 / 2 + 1 / 12, 0.0, np.inf])).tolist() == [np.inf, np.inf, 0.0]
 
 
-def test_given_readings_in_counts_when_rounded_then_each_channel_adds_its_share():
+def test_every_rounded_channel_adds_its_share():
     counting, volts = channel("a", volts_per_count=1e-3), channel("b")
     rec = recording(counting, volts)
     assert counts_of(rec, "ab").tolist() == [2e-3, 0.0]
@@ -153,9 +153,7 @@ def test_given_readings_in_counts_when_rounded_then_each_channel_adds_its_share(
 
 
 @pytest.mark.parametrize(("motion", "more"), [("acceleration", 0), ("velocity", 1), ("displacement", 2)])
-def test_given_a_clock_that_is_off_when_a_curve_is_told_then_it_is_off_along_it_and_by_its_integrations(
-    motion, more
-):
+def test_clock_error_shifts_and_scales_curve(motion, more):
     frequency = np.array([30.0, 10.0, 20.0, 40.0])
     value = (3.0 - 4.0j) * frequency
     force = ChannelInfo("f", "shaker", "force", sensitivity=0.5, rate=RATE)
@@ -171,7 +169,7 @@ def test_given_a_clock_that_is_off_when_a_curve_is_told_then_it_is_off_along_it_
     assert part(4, "rate: 5120 Hz") == {}
 
 
-def test_given_a_peak_between_sparse_points_when_a_clock_is_off_then_the_steeper_side_of_each_counts():
+def test_steeper_side_counts_between_points():
     frequency, value = np.array([10.0, 12.0, 12.0, 13.0]), np.array([1.0, 5.0, 4.0j, 8.0])
     force = ChannelInfo("b", "shaker", "force", sensitivity=0.5, rate=RATE)
     rec = recording(channel("a"), force, converter="rate: 5120 Hz, clock_error: 50 ppm")
@@ -190,7 +188,7 @@ def test_given_a_peak_between_sparse_points_when_a_clock_is_off_then_the_steeper
 
 
 @pytest.mark.parametrize("ppm", [50, 1000])
-def test_given_a_peak_two_lines_wide_when_a_clock_is_off_then_the_part_holds_the_curve_shifted(ppm):
+def test_shifted_peak_lies_in_clock_part(ppm):
     half_width = 0.005
     frequency = 10.0 + half_width * np.arange(-6.0, 7.0)
 
@@ -207,7 +205,7 @@ def test_given_a_peak_two_lines_wide_when_a_clock_is_off_then_the_part_holds_the
     assert 1.0 - 1e-6 < ratio.min() < ratio.max() < 1.6
 
 
-def test_given_two_accelerations_when_a_clock_is_off_then_their_quotient_is_off_along_the_curve_alone():
+def test_clock_error_cancels_in_quotient():
     value = np.full(4, 0.3 - 0.4j)
     rec = recording(channel("a"), channel("b"), converter="rate: 5120 Hz, clock_error: 50 ppm")
     share = np.array([[1.0], [0.0]])
@@ -215,7 +213,7 @@ def test_given_two_accelerations_when_a_clock_is_off_then_their_quotient_is_off_
     assert only(clock_part(rec, "ab", np.arange(1.0, 5.0), *shares, "displacement")).max() < 1e-18
 
 
-def test_given_noise_that_response_and_reference_share_when_h1_is_off_then_the_part_is_what_it_is_off_by():
+def test_shared_noise_biases_h1_as_stated():
     random = np.random.default_rng(4)
     truth = random.standard_normal(30) + 1j * random.standard_normal(30)
     noise = np.abs(random.standard_normal((1, 30)))
@@ -227,7 +225,7 @@ def test_given_noise_that_response_and_reference_share_when_h1_is_off_then_the_p
     assert (shared_noise_part(noise, up - h1[None] * low, lower, 0.1 * noise[0]) == np.inf).all()
 
 
-def test_given_noise_before_rounding_when_asked_what_it_leaves_then_it_is_what_a_wave_of_a_count_keeps_on_average():
+def test_rounding_of_noise_keeps_average_gain():
     counts = np.linspace(-8.0, 8.0, 20_001)
     for spread in (0.05, 0.2, 0.5, 1.0):
         weights = np.exp(-0.5 * (counts / spread) ** 2)

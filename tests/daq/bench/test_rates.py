@@ -53,14 +53,14 @@ def samples(source, blocks, rate):
     rate=st.sampled_from(RATES),
     blocks=st.lists(st.tuples(st.integers(1, 3000), st.sets(st.sampled_from(RATES))), min_size=1, max_size=8),
 )
-def test_given_other_rates_beside_it_when_sampled_then_every_bit_is_as_alone(converter, rate, blocks):
+def test_parallel_rates_do_not_change_bits(converter, rate, blocks):
     alone = samples(bench(converter), [(sum(ticks for ticks, _ in blocks), ())], rate)
     assert np.array_equal(samples(bench(converter), blocks, rate), alone)
 
 
 @pytest.mark.parametrize("converter", CONVERTERS)
 @pytest.mark.parametrize("rate", [51200.0, 51200.0 / 7])
-def test_given_a_rate_when_sampled_then_it_is_as_on_a_bench_that_has_no_other(converter, rate):
+def test_rate_is_as_if_alone(converter, rate):
     source = bench(converter)
     ticks = round(0.2 * source.bench.tick_rate)
     found = samples(source, [(ticks, ())], rate)
@@ -76,7 +76,7 @@ def test_given_a_rate_when_sampled_then_it_is_as_on_a_bench_that_has_no_other(co
     np.testing.assert_allclose(found / scale, expected / scale, rtol=0, atol=3e-3 if rate < 1e4 else 3e-4)
 
 
-def test_given_a_rate_that_is_asked_for_while_the_rig_moves_then_its_filters_have_settled():
+def test_late_rate_has_settled_filters():
     source = bench("{rate: 5120 Hz}")
     ticks = round(2.5 * source.bench.tick_rate)
     source.leave_outputs()
@@ -98,7 +98,7 @@ def reading(connection, device, rate):
     return task
 
 
-def test_given_a_slower_input_that_runs_when_a_faster_one_and_an_output_start_then_all_keep_their_rates():
+def test_parallel_tasks_keep_their_rates():
     with daq.connect("bare-structure", clock="fast") as alone, reading(alone, "Dev1", 5120.0) as slow:
         expected = np.array(slow.read(300))
     with (

@@ -25,7 +25,7 @@ def force_in_time(done: BenchRun, first: int, stop: int) -> np.ndarray:
     return np.fft.irfft(np.concatenate([[0.0], total]), stop - first)
 
 
-def test_given_random_force_when_run_then_band_and_level_are_right() -> None:
+def test_random_force_has_band_and_level() -> None:
     test = {"kind": "random", "from": "8 Hz", "to": "60 Hz", "force": "2.6 N", "duration": "30 s"}
     done = run(scene_with(test, shaker=FORCE))
     drive = done.drive[0]
@@ -41,7 +41,7 @@ def test_given_random_force_when_run_then_band_and_level_are_right() -> None:
     assert kurtosis == pytest.approx(3.0, abs=0.25)
 
 
-def test_given_a_spring_when_random_is_run_then_the_drive_is_shaped_until_the_force_is_flat() -> None:
+def test_spring_drive_is_shaped_flat() -> None:
     test = {"kind": "random", "from": "15 Hz", "to": "32 Hz", "force": "2.6 N", "duration": "16 s"}
     done = run(scene_with(test))
     first, stop, _ = done.marked("measure")[0]
@@ -50,7 +50,7 @@ def test_given_a_spring_when_random_is_run_then_the_drive_is_shaped_until_the_fo
     assert done.marked("settle")[0][2]["settled"] is True
 
 
-def test_given_bursts_when_run_then_each_block_begins_with_noise_and_ends_in_silence() -> None:
+def test_bursts_end_in_silence() -> None:
     test = {
         "kind": "random", "from": "8 Hz", "to": "60 Hz", "force": "2.6 N", "duration": "16 s",
         "burst": "40 %",
@@ -65,7 +65,7 @@ def test_given_bursts_when_run_then_each_block_begins_with_noise_and_ends_in_sil
 
 
 @pytest.mark.parametrize("kind", ["random", "multisine"])
-def test_given_a_seed_when_run_again_then_the_signal_is_the_same_and_not_with_another(
+def test_seed_determines_random_signal(
     kind: str,
 ) -> None:
     test = {"kind": kind, "from": "8 Hz", "to": "60 Hz", "force": "1 N"}
@@ -75,7 +75,7 @@ def test_given_a_seed_when_run_again_then_the_signal_is_the_same_and_not_with_an
     assert not np.array_equal(drives[0], drives[2])
 
 
-def test_given_a_multisine_when_run_then_every_realisation_is_periodic_with_its_lines() -> None:
+def test_realisations_are_periodic_multisines() -> None:
     test = {
         "kind": "multisine", "from": "15 Hz", "to": "32 Hz", "period": "1 s", "periods": 3, "realisations": 2,
         "force": "2.6 N",
@@ -101,21 +101,21 @@ def test_given_a_multisine_when_run_then_every_realisation_is_periodic_with_its_
     assert np.abs(phases[0] - phases[1]).max() > 0.5
 
 
-def test_given_a_number_of_lines_when_run_then_the_band_holds_so_many() -> None:
+def test_band_has_given_number_of_lines() -> None:
     test = {"kind": "multisine", "from": "8 Hz", "to": "60 Hz", "lines": 27, "periods": 2, "realisations": 1}
     done = run(scene_with({**test, "force": "2.6 N"}, shaker=FORCE))
     first, last = done.marked("measure")[0][2]["lines"]
     assert last - first + 1 == 27
 
 
-def test_given_a_band_between_two_lines_when_run_then_it_is_refused() -> None:
+def test_band_without_line_is_rejected() -> None:
     test = {"kind": "random", "from": "300.001 Hz", "to": "300.002 Hz", "force": "1 N", "duration": "4 s"}
     with pytest.raises(SceneError, match=r"no line between 300\.001 and 300\.002 Hz"):
         run(scene_with(test, shaker=FORCE, converter={"rate": "1 kHz"}))
 
 
 @pytest.mark.parametrize("width", [0.45e-3, 1e-3, 4e-3, 4.31e-3, 20e-3])
-def test_given_a_half_sine_when_sampled_then_peak_and_area_are_those_of_the_pulse(width: float) -> None:
+def test_half_sine_keeps_peak_and_area(width: float) -> None:
     pulse = half_sine(50.0, width, 5120.0)
     assert pulse.max() == 50.0
     assert pulse.sum() / 5120.0 == pytest.approx(50.0 * width * 2 / np.pi, rel=1e-9)
@@ -123,7 +123,7 @@ def test_given_a_half_sine_when_sampled_then_peak_and_area_are_those_of_the_puls
     np.testing.assert_allclose(pulse, pulse[::-1], rtol=0, atol=1e-12)
 
 
-def test_given_a_pulse_shorter_than_two_samples_when_sampled_then_it_says_what_to_change() -> None:
+def test_too_short_pulse_is_rejected() -> None:
     with pytest.raises(SceneError, match=r"raise converter\.rate"):
         half_sine(50.0, 0.1e-3, 5120.0)
 
@@ -141,7 +141,7 @@ def impulse(**more: Any) -> BenchRun:
     return run(rig.load("fig10b-no-damper").replace(test=test))
 
 
-def test_given_hits_when_run_then_they_come_after_quiet_at_their_interval_and_move_the_structure() -> None:
+def test_hits_follow_at_their_interval() -> None:
     done = impulse()
     assert done.drive.shape[1] == 1280 + 2 * 5120
     hits = done.marked("hit")
@@ -157,7 +157,7 @@ def test_given_hits_when_run_then_they_come_after_quiet_at_their_interval_and_mo
     assert np.abs(struck[1280:1400]).max() > 20.0 > np.abs(struck[:1280]).max()
 
 
-def test_given_a_double_hit_when_run_then_the_hit_named_bounces_and_is_marked() -> None:
+def test_double_hit_bounces_and_is_marked() -> None:
     done = impulse(double_hit={"hits": [2], "after": "20 ms", "ratio": 0.4})
     hammer = done.drive[list(done.bench.inputs).index("hammer")]
     first, second = done.marked("hit")
@@ -168,13 +168,13 @@ def test_given_a_double_hit_when_run_then_the_hit_named_bounces_and_is_marked() 
     assert hammer[after : second[1]].max() == pytest.approx(20.0)
 
 
-def test_given_a_shaker_when_the_hammer_hits_then_the_shaker_rests() -> None:
+def test_shaker_rests_during_hammer_test() -> None:
     test = {"kind": "impulse", "body": 1, "peak": "50 N", "width": "4 ms", "interval": "0.5 s"}
     done = run(scene_with(test))
     assert not done.drive[list(done.bench.inputs).index("shaker")].any()
 
 
-def test_given_a_mode_to_release_when_run_then_it_decays_freely() -> None:
+def test_released_mode_decays_freely() -> None:
     test = {"kind": "free", "mode": 1, "amplitude": "1 mm", "duration": "3 s"}
     done = run(scene_with(test))
     assert done.drive.shape[1] == 3 * 5120
@@ -200,7 +200,7 @@ def test_given_a_mode_to_release_when_run_then_it_decays_freely() -> None:
         {"kind": "swept_sine", "from": "30 Hz", "to": "40 Hz", "force": "2.6 N", "duration": "3 s"},
     ],
 )
-def test_given_any_split_when_run_then_the_readings_are_the_same_bit_for_bit(test: dict[str, Any]) -> None:
+def test_split_does_not_change_readings(test: dict[str, Any]) -> None:
     scene = rig.load("fig8-three-dampers").replace(test=test)
     whole, split = run(scene), run(scene, split=511)
     np.testing.assert_array_equal(whole.readings, split.readings)

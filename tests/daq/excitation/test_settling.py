@@ -25,9 +25,7 @@ def judged(amplitude: Callable[[int], complex | np.ndarray], most: int = 2000) -
 @pytest.mark.parametrize("constant", [0.05, 0.5, 2.44, 12.0])
 @pytest.mark.parametrize("beat", [0.0, 0.3, 2.2, 7.1])
 @pytest.mark.parametrize("share", [0.01, 1.0, 20.0])
-def test_given_a_decaying_transient_when_judged_steady_then_less_than_the_tolerance_is_left(
-    constant: float, beat: float, share: float
-) -> None:
+def test_settled_transient_is_below_tolerance(constant: float, beat: float, share: float) -> None:
     pole = -1.0 / constant + 2j * np.pi * beat
 
     def left(look: int) -> complex:
@@ -40,7 +38,7 @@ def test_given_a_decaying_transient_when_judged_steady_then_less_than_the_tolera
     assert look <= needed + 0.3 * constant / LOOK + 12
 
 
-def test_given_two_modes_that_beat_when_judged_steady_then_what_is_left_is_within_the_tolerance() -> None:
+def test_settled_beat_is_below_tolerance() -> None:
     poles = np.array([-1 / 2.44 + 2j * np.pi * 1.3, -1 / 0.9 - 2j * np.pi * 3.1])
 
     def left(look: int) -> complex:
@@ -51,9 +49,7 @@ def test_given_two_modes_that_beat_when_judged_steady_then_what_is_left_is_withi
     assert look < 2.44 * np.log(300) / LOOK + 15
 
 
-def test_given_noise_above_the_tolerance_when_judged_then_it_settles_soon_after_the_transient_has_gone() -> (
-    None
-):
+def test_noise_settles_after_transient() -> None:
     random = np.random.default_rng(1)
     noise = 0.01 * (random.standard_normal(400) + 1j * random.standard_normal(400))
     look, judge = judged(lambda look: 1.0 + 0.5 * 0.6**look + noise[look])
@@ -62,17 +58,17 @@ def test_given_noise_above_the_tolerance_when_judged_then_it_settles_soon_after_
     assert 0.001 < judge.doubt()[0] < 0.02
 
 
-def test_given_a_steady_drift_when_judged_then_it_is_not_steady() -> None:
+def test_drift_is_not_steady() -> None:
     look, _ = judged(lambda look: 1.0 + 0.002 * look, most=300)
     assert look == 300
 
 
-def test_given_one_quantity_still_ringing_when_judged_then_all_wait_for_it() -> None:
+def test_slowest_quantity_decides() -> None:
     look, _ = judged(lambda look: np.array([1.0, 1e-6 * (1 + 0.95**look)]))
     assert 0.95**look < 1.2 * TOLERANCE
 
 
-def test_given_a_long_transient_when_it_has_hardly_begun_then_its_end_is_foreseen() -> None:
+def test_end_of_long_transient_is_predicted() -> None:
     judge = Settling(TOLERANCE)
     for look in range(6):
         judge.add(np.array([2.0 - 1.9 * 0.96**look + 0j]))
@@ -81,7 +77,7 @@ def test_given_a_long_transient_when_it_has_hardly_begun_then_its_end_is_foresee
     assert judge.wavering()[0] < 1e-9
 
 
-def test_given_a_change_of_drive_when_restarted_then_old_looks_do_not_count() -> None:
+def test_restart_forgets_earlier_observations() -> None:
     judge = Settling(TOLERANCE)
     for _ in range(10):
         judge.add(np.array([1.0 + 0j]))

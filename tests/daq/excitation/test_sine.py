@@ -30,9 +30,7 @@ def compliance(done: BenchRun) -> tuple[np.ndarray, np.ndarray]:
     return np.array(columns).T, receptance(done.bench.scene, frequencies)
 
 
-def test_given_a_bare_structure_when_stepped_then_compliance_is_exact_within_half_a_percent_everywhere() -> (
-    None
-):
+def test_stepped_compliance_is_exact() -> None:
     done = run(scene_with({"kind": "stepped_sine", "frequencies": FREQUENCIES, "force": "2.6 N"}))
     measured, exact = compliance(done)
     error = measured / exact - 1.0
@@ -47,7 +45,7 @@ def test_given_a_bare_structure_when_stepped_then_compliance_is_exact_within_hal
     assert not done.warnings
 
 
-def test_given_a_stepped_sine_when_run_then_the_drive_never_jumps_and_ends_at_rest() -> None:
+def test_stepped_drive_never_jumps() -> None:
     done = run(scene_with({"kind": "stepped_sine", "frequencies": [20.0, 21.0, 40.0], "force": "2.6 N"}))
     drive = done.drive[0]
     largest = np.abs(drive).max()
@@ -57,7 +55,7 @@ def test_given_a_stepped_sine_when_run_then_the_drive_never_jumps_and_ends_at_re
     assert abs(drive[-1]) < 1e-4 * largest
 
 
-def test_given_an_electrodynamic_shaker_and_real_sensors_when_stepped_then_the_force_is_held() -> None:
+def test_electrodynamic_shaker_holds_force() -> None:
     scene = rig.load("fig8-no-damper")
     test = {"kind": "stepped_sine", "frequencies": [12.0, 20.0, 34.777], "force": "2.6 N"}
     done = run(scene.replace(test=test))
@@ -67,7 +65,7 @@ def test_given_an_electrodynamic_shaker_and_real_sensors_when_stepped_then_the_f
         assert abs(done.spring_force(first, stop, fields["frequency"])) == pytest.approx(2.6, rel=0.006)
 
 
-def test_given_three_dampers_when_stepped_through_a_resonance_then_the_force_is_held() -> None:
+def test_three_dampers_hold_force_at_resonance() -> None:
     scene = rig.load("fig8-three-dampers")
     test = {"kind": "stepped_sine", "from": "47 Hz", "to": "52 Hz", "points": 6, "force": "2.6 N"}
     done = run(scene.replace(test=test))
@@ -76,7 +74,7 @@ def test_given_three_dampers_when_stepped_through_a_resonance_then_the_force_is_
     assert forces == pytest.approx([2.6] * len(forces), rel=0.02)
 
 
-def test_given_levels_and_both_directions_when_stepped_then_all_are_run_in_order() -> None:
+def test_levels_and_directions_run_in_order() -> None:
     test = {
         "kind": "stepped_sine", "frequencies": [25.0, 26.0], "force": ["1 N", "2 N"], "direction": "both",
         "measure": {"periods": 5},
@@ -88,7 +86,7 @@ def test_given_levels_and_both_directions_when_stepped_then_all_are_run_in_order
     assert [fraction for fraction, _ in done.reports] == [k / 8 for k in range(9)]
 
 
-def test_given_too_little_time_when_stepped_then_the_point_is_measured_and_marked_not_settled() -> None:
+def test_unsettled_point_is_marked() -> None:
     test = {
         "kind": "stepped_sine", "frequencies": [13.037], "force": "2.6 N", "settle": {"longest": "2 s"},
     }  # fmt: skip
@@ -99,7 +97,7 @@ def test_given_too_little_time_when_stepped_then_the_point_is_measured_and_marke
     ]
 
 
-def test_given_an_amplifier_at_its_limit_when_stepped_then_the_drive_stays_there_and_it_is_said() -> None:
+def test_amplifier_limit_is_reported() -> None:
     scene = rig.load("fig8-no-damper")
     shaker = scene.shaker.model_dump() | {"amplifier": {"limit": "0.5 V"}}
     test = {
@@ -111,7 +109,7 @@ def test_given_an_amplifier_at_its_limit_when_stepped_then_the_drive_stays_there
     assert done.marked("measure")[0][2]["settled"] is False
 
 
-def test_given_a_force_shaker_when_stepped_then_the_drive_is_the_force_itself() -> None:
+def test_force_shaker_is_driven_by_force() -> None:
     test = {"kind": "stepped_sine", "frequencies": [20.0, 40.0], "force": "2.6 N"}
     done = run(scene_with(test, shaker={"kind": "force", "body": 1}))
     for first, stop, fields in done.marked("measure"):
@@ -124,7 +122,7 @@ def test_given_a_force_shaker_when_stepped_then_the_drive_is_the_force_itself() 
         assert abs(motion / force / exact - 1.0) < 0.002
 
 
-def test_given_open_loop_drive_when_stepped_then_the_table_moves_by_it() -> None:
+def test_open_loop_drive_moves_table() -> None:
     test = {"kind": "stepped_sine", "frequencies": [20.0], "drive": "0.2 mm"}
     done = run(scene_with(test))
     first, stop, fields = done.marked("measure")[0]
@@ -132,13 +130,13 @@ def test_given_open_loop_drive_when_stepped_then_the_table_moves_by_it() -> None
     assert np.abs(done.drive[0, first:stop]).max() == pytest.approx(0.2e-3, rel=1e-3)
 
 
-def test_given_no_channel_on_the_table_when_the_force_is_to_be_held_then_it_is_said_at_once() -> None:
+def test_missing_table_channel_is_reported() -> None:
     test = {"kind": "stepped_sine", "frequencies": [20.0], "force": "2.6 N"}
     with pytest.raises(SceneError, match="needs a channel at the table"):
         run(scene_with(test, channels=[{"name": "body1", "at": "body 1"}]))
 
 
-def test_given_any_split_when_stepped_then_drive_and_readings_are_the_same_bit_for_bit() -> None:
+def test_split_does_not_change_stepped_sine() -> None:
     test = {"kind": "stepped_sine", "frequencies": [49.6], "force": "2.6 N", "measure": {"periods": 5}}
     scene = rig.load("fig8-three-dampers").replace(test=test)
     whole, split = run(scene), run(scene, split=101)
@@ -147,7 +145,7 @@ def test_given_any_split_when_stepped_then_drive_and_readings_are_the_same_bit_f
     assert whole.marks == split.marks
 
 
-def test_given_a_tone_open_loop_when_run_then_it_is_a_sine_from_the_first_sample() -> None:
+def test_open_loop_tone_starts_with_sine() -> None:
     test = {
         "kind": "sine",
         "frequency": "218.8 rad/s",
@@ -161,7 +159,7 @@ def test_given_a_tone_open_loop_when_run_then_it_is_a_sine_from_the_first_sample
     assert done.marked("measure")[0][2]["settled"] is False
 
 
-def test_given_a_tone_with_a_force_to_hold_when_run_then_it_is_held_for_the_duration() -> None:
+def test_held_tone_lasts_for_duration() -> None:
     done = run(scene_with({"kind": "sine", "frequency": 25.0, "force": "2.6 N", "duration": "1 s"}))
     first, stop, fields = done.marked("measure")[0]
     assert stop - first == 5120
@@ -177,7 +175,7 @@ def test_given_a_tone_with_a_force_to_hold_when_run_then_it_is_held_for_the_dura
         {"from": 32.0, "to": 15.0, "spacing": "linear"},
     ],
 )
-def test_given_a_sweep_when_run_then_frequency_and_force_follow(sweep: dict[str, Any]) -> None:
+def test_frequency_and_force_follow_sweep(sweep: dict[str, Any]) -> None:
     done = run(scene_with({"kind": "swept_sine", "force": "2.6 N", "duration": "20 s", **sweep}))
     first, stop, fields = done.marked("measure")[0]
     assert stop - first == 20 * 5120
@@ -197,14 +195,14 @@ def test_given_a_sweep_when_run_then_frequency_and_force_follow(sweep: dict[str,
     assert np.abs(np.diff(done.drive[0], 2)).max() < 0.01 * np.abs(done.drive).max()
 
 
-def test_given_a_tone_on_offset_and_drift_when_locked_in_then_its_amplitude_is_exact() -> None:
+def test_lock_in_ignores_offset_and_drift() -> None:
     time = np.arange(1000) / 5120.0
     samples = (0.3 * np.cos(2 * np.pi * 17.3 * time - 1.1) + 5.0 - 40.0 * time)[None]
     assert lock_in(samples, 17.3, 5120.0)[0] == pytest.approx(0.3 * np.exp(-1.1j), abs=1e-12)
 
 
 @pytest.mark.parametrize("frequency", [8.0, 13.037, 49.663, 333.3])
-def test_given_any_frequency_when_a_window_is_chosen_then_it_is_nearly_whole_periods(
+def test_window_is_nearly_whole_periods(
     frequency: float,
 ) -> None:
     samples = whole_periods(frequency, 5120.0, 0.1)
@@ -213,7 +211,7 @@ def test_given_any_frequency_when_a_window_is_chosen_then_it_is_nearly_whole_per
     assert abs(periods - round(periods)) < 0.035
 
 
-def test_given_blows_and_drift_when_a_short_window_is_read_then_the_tone_is_told_whenever_it_begins() -> None:
+def test_short_window_survives_impacts_and_drift() -> None:
     rate, frequency = 8192.0, 22.67
     window = whole_periods(frequency, rate, 0.1)
     told = []
@@ -226,7 +224,7 @@ def test_given_blows_and_drift_when_a_short_window_is_read_then_the_tone_is_told
 
 
 @pytest.mark.parametrize("ratio", [2.02, 2.1, 2.3, 2.5, 3.0])
-def test_given_a_tone_near_half_the_rate_when_windows_are_chosen_then_they_can_be_read(ratio: float) -> None:
+def test_windows_near_nyquist_are_readable(ratio: float) -> None:
     rate, wanted = 28.0, 0.3 * np.exp(-1.1j)
     frequency = rate / ratio
     turn = 2 * np.pi / ratio * np.arange(100)
@@ -238,7 +236,7 @@ def test_given_a_tone_near_half_the_rate_when_windows_are_chosen_then_they_can_b
         assert look_at(samples[:, :look], turn[:look], rate)[0][0] == pytest.approx(wanted, abs=error)
 
 
-def test_given_one_period_to_measure_when_it_is_too_short_to_be_read_then_it_is_measured_for_longer() -> None:
+def test_unreadable_period_is_measured_longer() -> None:
     step = {"kind": "stepped_sine", "frequencies": [40.0], "force": 2.6, "measure": {"periods": 1}}
     first, stop, fields = run(scene_with(step, converter={"rate": 92.0})).marked("measure")[0]
     assert stop - first == 8

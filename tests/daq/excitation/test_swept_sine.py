@@ -56,9 +56,7 @@ def sweep(first: float, last: float, duration: float, force: float) -> dict[str,
 @pytest.mark.thorough
 @pytest.mark.parametrize("scene", ["bare-structure", "fig8-no-damper", "fig8-three-dampers"])
 @pytest.mark.parametrize("band", [(11.0, 17.0), (17.0, 11.0)])
-def test_given_a_sharp_resonance_when_swept_then_the_force_is_held_within_a_tenth(
-    scene: str, band: tuple[float, float]
-) -> None:
+def test_force_is_held_at_sharp_resonance(scene: str, band: tuple[float, float]) -> None:
     done = run(rig.load(scene).replace(test=sweep(*band, duration=30.0, force=2.6)))
     ratios = held(done)
     assert ratios.size > 100
@@ -66,19 +64,19 @@ def test_given_a_sharp_resonance_when_swept_then_the_force_is_held_within_a_tent
     assert np.mean(np.abs(ratios - 1.0) > 0.05) < 0.1
 
 
-def test_given_a_single_mode_of_half_a_percent_when_swept_down_then_the_force_is_held() -> None:
+def test_falling_sweep_holds_force() -> None:
     assert np.abs(held(run(rig.loads(ONE_BODY))) - 1.0).max() < 0.1
 
 
 @pytest.mark.thorough
-def test_given_a_shaker_in_current_mode_when_swept_past_its_own_resonance_then_the_force_is_held() -> None:
+def test_current_mode_holds_force_at_own_resonance() -> None:
     scene = rig.load("fig8-no-damper")
     shaker = scene.shaker.model_dump() | {"amplifier": {"mode": "current", "gain": "1 A/V"}}
     done = run(scene.replace(shaker=shaker, test=sweep(38.0, 50.0, duration=15.0, force=2.6)))
     assert np.abs(held(done) - 1.0).max() < 0.1
 
 
-def test_given_an_amplifier_that_cannot_when_swept_then_the_stretch_is_marked_and_it_is_said() -> None:
+def test_weak_amplifier_marks_the_stretch() -> None:
     scene = rig.load("fig8-no-damper")
     shaker = scene.shaker.model_dump() | {"amplifier": {"limit": "2 V"}}
     done = run(scene.replace(shaker=shaker, test=sweep(11.0, 14.0, duration=15.0, force=2.6)))
@@ -91,7 +89,7 @@ def test_given_an_amplifier_that_cannot_when_swept_then_the_stretch_is_marked_an
     assert len(done.warnings) == 1 and "off its level of 2.6 N by more than 10%" in done.warnings[0]
 
 
-def test_given_a_table_when_pretested_then_its_law_is_the_displacement_itself() -> None:
+def test_table_law_is_its_displacement() -> None:
     scene = scene_with(sweep(10.0, 40.0, duration=20.0, force=2.6))
     laws = []
 
@@ -108,7 +106,7 @@ def test_given_a_table_when_pretested_then_its_law_is_the_displacement_itself() 
         assert per_force * scene.shaker.spring == pytest.approx(per_motion, rel=1e-3)
 
 
-def test_given_a_mode_ahead_when_looks_are_taken_then_it_is_known_before_the_tone_gets_there() -> None:
+def test_next_mode_is_known_in_time() -> None:
     mode, pole, gain, rest = NearestMode(), (-0.005 + 1j) * 2 * np.pi * 13.0, -9e-4j, 3e-5
     envelope, step = 0j, 0.04
     frequencies = np.arange(10.0, 12.0, 0.37 * step)
@@ -124,9 +122,7 @@ def test_given_a_mode_ahead_when_looks_are_taken_then_it_is_known_before_the_ton
 @pytest.mark.parametrize(
     ("volts", "told"), [(10.0, "read nothing of the pretest"), (0.2, "less than one count")]
 )
-def test_given_channels_that_read_less_than_a_count_when_swept_then_it_ends_and_says_so(
-    volts: float, told: str
-) -> None:
+def test_readings_below_one_count_end_sweep(volts: float, told: str) -> None:
     scene = rig.loads(BELOW_COUNT).replace(converter={"rate": 2048.0, "bits": 16, "range": volts})
     done = run(scene)
     first, stop, _ = done.marked("measure")[0]

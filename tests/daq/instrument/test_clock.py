@@ -40,19 +40,19 @@ class Counter:
         return False
 
 
-def test_given_a_fast_clock_when_waiting_then_exactly_what_is_wanted_passes():
+def test_fast_clock_passes_exact_time():
     bench = Counter()
     assert FastClock().wait(bench, lambda: bench.position >= 300, lambda: 300 - bench.position, 10.0)
     assert bench.position == 300
 
 
-def test_given_a_fast_clock_when_it_never_becomes_ready_then_the_timeout_passes_in_bench_time():
+def test_fast_clock_times_out_in_bench_time():
     bench = Counter()
     assert not FastClock().wait(bench, lambda: False, lambda: 7, 0.25)
     assert bench.position == 250
 
 
-def test_given_a_manual_clock_when_waiting_then_no_time_passes():
+def test_manual_clock_passes_no_time():
     bench, manual = Counter(), ManualClock()
     manual.start(bench)
     assert not manual.wait(bench, lambda: False, lambda: 1, -1.0)
@@ -61,7 +61,7 @@ def test_given_a_manual_clock_when_waiting_then_no_time_passes():
     assert bench.position == 500
 
 
-def test_given_a_real_clock_when_a_bench_waits_then_a_thread_moves_it_until_nobody_needs_it():
+def test_real_clock_runs_while_needed():
     bench, real = Counter(), RealClock()
     with bench.changed:
         assert real.wait(bench, lambda: bench.position >= 20, lambda: 20, 30.0)
@@ -74,7 +74,7 @@ def test_given_a_real_clock_when_a_bench_waits_then_a_thread_moves_it_until_nobo
     assert bench.position == stopped
 
 
-def test_given_several_that_wait_for_their_positions_when_time_passes_then_each_is_woken_for_its_own():
+def test_every_waiter_wakes_at_its_position():
     lock, woken = threading.RLock(), []
     sleepers = Sleepers(lock)
     asleep = threading.Semaphore(0)
@@ -97,7 +97,7 @@ def test_given_several_that_wait_for_their_positions_when_time_passes_then_each_
     assert woken == [10, 20, 30]
 
 
-def test_given_a_real_clock_when_the_bench_fails_then_those_who_wait_are_told(monkeypatch, capsys):
+def test_bench_failure_reaches_waiters(monkeypatch, capsys):
     chassis = connect("bare-structure", "real")
     with Task() as task:
         task.ai_channels.add_ai_voltage_chan("Dev1/ai0")
@@ -110,13 +110,13 @@ def test_given_a_real_clock_when_the_bench_fails_then_those_who_wait_are_told(mo
     assert "ZeroDivisionError" in capsys.readouterr().err
 
 
-def test_given_a_name_when_a_clock_is_made_then_it_is_that_clock_or_the_choices_are_named():
+def test_clock_is_chosen_by_name():
     assert isinstance(clock("manual"), ManualClock)
     with pytest.raises(SceneError, match="real, fast, manual"):
         clock("sundial")
 
 
-def test_given_the_manual_clock_when_a_reader_comes_too_early_then_it_gets_the_partial_count():
+def test_early_reader_gets_partial_count():
     manual = ManualClock()
     connect("bare-structure", manual)
     with Task() as task:
@@ -132,7 +132,7 @@ def test_given_the_manual_clock_when_a_reader_comes_too_early_then_it_gets_the_p
         assert len(task.read(1024)) == 1024
 
 
-def test_given_the_real_clock_when_a_task_reads_then_its_samples_are_those_of_the_fast_clock():
+def test_real_and_fast_clock_give_same_samples():
     read = []
     for kind in ("fast", "real"):
         connect("bare-structure", kind)

@@ -23,7 +23,7 @@ def acquiring(task):
     task.start()
 
 
-def test_given_a_slow_reader_when_samples_are_overwritten_then_the_error_counts_them_and_reading_goes_on(
+def test_overrun_is_counted_and_reading_continues(
     chassis,
 ):
     with Task() as task:
@@ -41,7 +41,7 @@ def test_given_a_slow_reader_when_samples_are_overwritten_then_the_error_counts_
 
 
 @pytest.mark.parametrize("pause", [1, 51, 512, 999])
-def test_given_a_reader_that_keeps_up_when_it_has_been_late_once_then_it_hears_of_it_once(chassis, pause):
+def test_single_delay_is_reported_once(chassis, pause):
     with Task() as task:
         acquiring(task)
         pass_samples(chassis, 2600)
@@ -55,7 +55,7 @@ def test_given_a_reader_that_keeps_up_when_it_has_been_late_once_then_it_hears_o
             assert len(task.read(pause)) == pause
 
 
-def test_given_a_reader_that_has_caught_up_when_it_is_late_again_then_it_hears_of_that_too(chassis):
+def test_later_delay_is_reported_too(chassis):
     with Task() as task:
         acquiring(task)
         for lost in (300, 200):
@@ -66,7 +66,7 @@ def test_given_a_reader_that_has_caught_up_when_it_is_late_again_then_it_hears_o
             assert len(task.read(1000)) == 1000
 
 
-def test_given_a_reader_too_slow_for_good_when_it_reads_then_each_loss_is_counted_once(chassis):
+def test_every_loss_is_counted_once(chassis):
     with Task() as task:
         acquiring(task)
         read = lost = 0
@@ -80,7 +80,7 @@ def test_given_a_reader_too_slow_for_good_when_it_reads_then_each_loss_is_counte
         assert lost > 0
 
 
-def test_given_unread_samples_to_be_kept_when_the_buffer_is_full_then_the_acquisition_stops(chassis):
+def test_full_buffer_of_kept_samples_stops(chassis):
     with Task() as task:
         task.in_stream.overwrite = OverwriteMode.DO_NOT_OVERWRITE_UNREAD_SAMPLES
         acquiring(task)

@@ -30,9 +30,7 @@ def logging(task, path, mode=LoggingMode.LOG_AND_READ, operation=LoggingOperatio
     return task
 
 
-def test_given_logging_and_reading_when_the_task_stops_then_the_recording_holds_all_samples(
-    chassis, tmp_path
-):
+def test_log_holds_all_samples(chassis, tmp_path):
     path = tmp_path / "task.mcap"
     with Task() as task:
         logging(task, path)
@@ -50,9 +48,7 @@ def test_given_logging_and_reading_when_the_task_stops_then_the_recording_holds_
         assert recording.gaps == []
 
 
-def test_given_an_overrun_when_logging_and_reading_then_the_gap_is_in_the_recording_in_its_place(
-    chassis, tmp_path
-):
+def test_log_marks_overrun_as_gap(chassis, tmp_path):
     path = tmp_path / "overrun.mcap"
     with Task() as task:
         logging(task, path)
@@ -74,9 +70,7 @@ def test_given_an_overrun_when_logging_and_reading_then_the_gap_is_in_the_record
         np.testing.assert_allclose(volts[500:1000], later[0], rtol=1e-12)
 
 
-def test_given_an_overrun_when_the_script_pauses_before_it_reads_on_then_nothing_more_is_lost(
-    chassis, tmp_path
-):
+def test_pause_after_overrun_loses_nothing(chassis, tmp_path):
     path = tmp_path / "paused.mcap"
     with Task() as task:
         logging(task, path)
@@ -97,7 +91,7 @@ def test_given_an_overrun_when_the_script_pauses_before_it_reads_on_then_nothing
         np.testing.assert_allclose(volts[400:900], np.concatenate(later, axis=1)[0], rtol=1e-12)
 
 
-def test_given_two_modules_on_the_same_sensors_when_logging_then_both_are_in_the_recording(tmp_path):
+def test_log_holds_modules_with_shared_sensors(tmp_path):
     chassis = connect("fig8-three-dampers", ManualClock())
     path = tmp_path / "modules.mcap"
     with Task() as task:
@@ -119,7 +113,7 @@ def test_given_two_modules_on_the_same_sensors_when_logging_then_both_are_in_the
         assert np.array_equal(recording.read("third"), recording.read("body3"))
 
 
-def test_given_logging_alone_when_samples_come_then_nothing_is_lost_and_reading_is_refused(chassis, tmp_path):
+def test_pure_log_rejects_reading(chassis, tmp_path):
     path = tmp_path / "alone.mcap"
     with Task() as task:
         logging(task, path, LoggingMode.LOG)
@@ -137,9 +131,7 @@ def test_given_logging_alone_when_samples_come_then_nothing_is_lost_and_reading_
 
 
 @pytest.mark.parametrize("overwrite", OverwriteMode)
-def test_given_logging_alone_when_more_than_the_buffer_passes_at_once_then_nothing_is_lost(
-    chassis, tmp_path, overwrite
-):
+def test_pure_log_survives_large_blocks(chassis, tmp_path, overwrite):
     path = tmp_path / "at_once.mcap"
     with Task() as task:
         logging(task, path, LoggingMode.LOG, samps_per_chan=3000)
@@ -153,7 +145,7 @@ def test_given_logging_alone_when_more_than_the_buffer_passes_at_once_then_nothi
         assert (recording.samples, recording.gaps, recording.status) == (3000, [], "complete")
 
 
-def test_given_a_reference_trigger_when_logging_then_the_recording_is_what_was_cut_out(tmp_path):
+def test_log_holds_reference_trigger_record(tmp_path):
     connect("fig10b-no-damper", "fast")
     path = tmp_path / "hit.mcap"
     with Task() as task:
@@ -169,9 +161,7 @@ def test_given_a_reference_trigger_when_logging_then_the_recording_is_what_was_c
 
 @pytest.mark.parametrize("mode", [LoggingMode.LOG, LoggingMode.LOG_AND_READ])
 @pytest.mark.parametrize("name", ["dropped.mcap", "dropped.tdms"])
-def test_given_samples_lost_on_the_way_when_logging_then_the_file_says_where_it_broke_off(
-    tmp_path, mode, name
-):
+def test_log_states_where_it_broke(tmp_path, mode, name):
     scene = rig.load("fig8-three-dampers")
     dropped = {"at": "0.1 s", "samples": 256}
     scene = scene.replace(converter=scene.converter.replace(dropped_blocks=[dropped]))
@@ -207,9 +197,7 @@ def test_given_samples_lost_on_the_way_when_logging_then_the_file_says_where_it_
         ("nowhere/new.mcap", LoggingOperation.CREATE, "nowhere"),
     ],
 )
-def test_given_a_file_that_cannot_be_when_starting_then_the_error_says_what_to_do(
-    chassis, tmp_path, name, operation, hint
-):
+def test_impossible_log_file_is_explained(chassis, tmp_path, name, operation, hint):
     (tmp_path / "old.mcap").write_bytes(b"something")
     with Task() as task:
         logging(task, tmp_path / name, operation=operation)
@@ -218,7 +206,7 @@ def test_given_a_file_that_cannot_be_when_starting_then_the_error_says_what_to_d
         assert (tmp_path / "old.mcap").read_bytes() == b"something"
 
 
-def test_given_a_tdms_name_when_logging_then_the_file_holds_the_readings(chassis, tmp_path):
+def test_tdms_log_holds_readings(chassis, tmp_path):
     import nptdms
 
     path = tmp_path / "task.tdms"

@@ -42,20 +42,20 @@ def bump(at, length=4000):
 
 
 @pytest.mark.parametrize("slope, expected", [(Slope.RISING, 4), (Slope.FALLING, 6)])
-def test_given_a_slope_when_a_level_is_crossed_then_the_first_sample_beyond_is_found(slope, expected):
+def test_first_sample_beyond_level_triggers(slope, expected):
     samples = np.array([2.0, 1.0, 0.0, 1.0, 1.5, 1.0, 0.5])
     assert CrossingFinder(edge(values.Slope(slope.value), 1.0)).find(samples) == (
         expected if slope is Slope.RISING else 2
     )
 
 
-def test_given_hysteresis_when_the_signal_only_grazes_the_level_then_it_does_not_arm():
+def test_hysteresis_ignores_grazing():
     samples = np.array([0.95, 1.2, 0.95, 1.2, 0.4, 1.2])
     assert CrossingFinder(edge(values.Slope.RISING, 1.0, 0.5)).find(samples) == 5
 
 
 @pytest.mark.parametrize("size", [1, 2, 3, 7])
-def test_given_any_block_size_when_looking_for_an_edge_then_it_is_the_same_one(size):
+def test_block_size_does_not_move_edge(size):
     samples = np.random.default_rng(5).normal(size=200)
     whole = CrossingFinder(edge(values.Slope.RISING, 1.5, 1.0)).find(samples, 20)
     finder, found = CrossingFinder(edge(values.Slope.RISING, 1.5, 1.0)), None
@@ -68,16 +68,14 @@ def test_given_any_block_size_when_looking_for_an_edge_then_it_is_the_same_one(s
     assert whole is not None and found == whole
 
 
-def test_given_the_sync_output_when_edges_are_asked_for_then_there_is_one_a_second():
+def test_sync_output_has_one_edge_per_second():
     rising, falling = SyncPulse(values.Slope.RISING), SyncPulse(values.Slope.FALLING)
     assert [rising.next_tick(tick, RATE) for tick in (0, 5119, 5120, 5121)] == [5120, 5120, 5120, 10240]
     assert falling.next_tick(0, RATE) == 7680
 
 
 @pytest.mark.parametrize("before", [0, 1, 100, 399])
-def test_given_a_reference_trigger_when_it_fires_then_the_first_sample_above_sits_at_pretrigger(
-    chassis, before
-):
+def test_reference_trigger_sits_after_pretrigger(chassis, before):
     with Task() as reading, Task() as driving:
         inputs(reading, samps_per_chan=400)
         reading.triggers.reference_trigger.cfg_anlg_edge_ref_trig("Dev1/ai3", before, Slope.RISING, 0.5)
@@ -90,7 +88,7 @@ def test_given_a_reference_trigger_when_it_fires_then_the_first_sample_above_sit
         assert (table[:before] <= 0.5).all()
 
 
-def test_given_an_edge_before_the_pretrigger_samples_when_triggering_then_it_is_ignored(chassis):
+def test_edge_before_pretrigger_is_ignored(chassis):
     with Task() as reading, Task() as driving:
         inputs(reading, samps_per_chan=1000)
         reading.triggers.reference_trigger.cfg_anlg_edge_ref_trig("Dev1/ai3", 500, Slope.RISING, 0.5)
@@ -103,7 +101,7 @@ def test_given_an_edge_before_the_pretrigger_samples_when_triggering_then_it_is_
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("size", [1, 7, 128, 600])
-def test_given_a_reference_trigger_when_read_in_pieces_then_the_samples_are_the_same(size):
+def test_triggered_record_reads_in_pieces(size):
     connect("bare-structure", "fast")
     with Task() as reading, Task() as driving:
         inputs(reading, "Dev1/ai3", samps_per_chan=600)
@@ -124,7 +122,7 @@ def test_given_a_reference_trigger_when_read_in_pieces_then_the_samples_are_the_
     assert np.array_equal(table, untriggered[at - 200 : at + 400])
 
 
-def test_given_an_analog_start_trigger_when_it_fires_then_sample_zero_is_the_first_above(chassis):
+def test_analog_start_begins_above_level(chassis):
     with Task() as reading, Task() as driving:
         inputs(reading, samps_per_chan=100)
         reading.triggers.start_trigger.cfg_anlg_edge_start_trig("Dev1/ai3", Slope.RISING, 0.5)
@@ -134,7 +132,7 @@ def test_given_an_analog_start_trigger_when_it_fires_then_sample_zero_is_the_fir
     assert table[0] > 0.5
 
 
-def test_given_a_trigger_that_never_comes_when_reading_then_the_timeout_says_so(chassis):
+def test_missing_trigger_times_out(chassis):
     with Task() as reading:
         inputs(reading, samps_per_chan=100)
         reading.triggers.start_trigger.cfg_anlg_edge_start_trig("Dev1/ai0", Slope.RISING, 400.0)
@@ -145,7 +143,7 @@ def test_given_a_trigger_that_never_comes_when_reading_then_the_timeout_says_so(
 
 
 @reads_waveforms
-def test_given_a_digital_start_trigger_when_the_sync_pulse_comes_then_sampling_begins_there(chassis):
+def test_digital_start_begins_at_pulse(chassis):
     with Task() as reading:
         inputs(reading, "Dev1/ai0", samps_per_chan=10)
         reading.triggers.start_trigger.cfg_dig_edge_start_trig("/Dev1/PFI0")
@@ -154,7 +152,7 @@ def test_given_a_digital_start_trigger_when_the_sync_pulse_comes_then_sampling_b
 
 
 @reads_waveforms
-def test_given_a_retriggerable_task_when_pulses_come_then_each_brings_a_record(chassis):
+def test_retriggerable_task_records_every_pulse(chassis):
     with Task() as reading:
         inputs(reading, "Dev1/ai0", samps_per_chan=100)
         reading.triggers.start_trigger.cfg_dig_edge_start_trig("/Dev1/PFI0")
@@ -166,7 +164,7 @@ def test_given_a_retriggerable_task_when_pulses_come_then_each_brings_a_record(c
     assert starts == [1.0, 2.0, 3.0]
 
 
-def test_given_an_output_on_an_analog_start_when_the_inputs_trigger_then_it_follows_at_once(chassis):
+def test_output_follows_analog_start(chassis):
     with Task() as shaking:
         output(shaking, bump(500, 1000), samps_per_chan=1000)
         shaking.start()
@@ -195,9 +193,7 @@ def test_given_an_output_on_an_analog_start_when_the_inputs_trigger_then_it_foll
         ),
     ],
 )
-def test_given_a_trigger_that_cannot_be_when_starting_then_the_error_says_what_can(
-    chassis, configure, code, hint
-):
+def test_impossible_trigger_is_explained(chassis, configure, code, hint):
     with Task() as reading:
         inputs(reading, samps_per_chan=100)
         with pytest.raises(DaqError, match=hint) as caught:
@@ -206,7 +202,7 @@ def test_given_a_trigger_that_cannot_be_when_starting_then_the_error_says_what_c
     assert caught.value.error_code == code
 
 
-def test_given_a_reference_trigger_when_the_task_is_continuous_or_on_demand_then_it_is_refused(chassis):
+def test_reference_trigger_needs_finite_task(chassis):
     with Task() as reading:
         inputs(reading, sample_mode=AcquisitionType.CONTINUOUS)
         reading.triggers.reference_trigger.cfg_anlg_edge_ref_trig("Dev1/ai0", 10)

@@ -61,9 +61,7 @@ def found(condition, samples, skip, cuts):
     low=LEVELS,
     width=st.sampled_from([0.0, 1.0, 3.0]),
 )
-def test_given_any_signal_in_any_parts_when_watched_then_triggers_find_what_is_seen_sample_by_sample(
-    samples, skip, cuts, level, hysteresis, low, width
-):
+def test_blocks_do_not_change_triggers(samples, skip, cuts, level, hysteresis, low, width):
     def rising(signal, level):
         return watched(signal, skip, lambda x: x > level, lambda x: x <= level - hysteresis)
 
@@ -78,7 +76,7 @@ def test_given_any_signal_in_any_parts_when_watched_then_triggers_find_what_is_s
 
 
 @pytest.mark.parametrize("cuts", [cuts for n in range(5) for cuts in combinations(range(1, 5), n)])
-def test_given_a_crossing_that_does_not_count_when_watched_in_any_parts_then_it_disarms_all_the_same(cuts):
+def test_uncounted_crossing_disarms(cuts):
     assert found(edge(Slope.RISING, 0.0, 0.0), [-1.0, 1.0, 1.0, -1.0, 1.0], 2, cuts) == 4
     assert found(edge(Slope.RISING, 0.0, 0.0), [-1.0, 1.0, 1.0, 1.0, 1.0], 2, cuts) is None
 
@@ -90,9 +88,7 @@ def test_given_a_crossing_that_does_not_count_when_watched_in_any_parts_then_it_
     second=st.integers(0, 3000),
     beside=st.integers(-2, 2),
 )
-def test_given_any_sample_when_the_next_pulse_is_asked_for_then_it_is_at_the_first_from_there_on(
-    rate, second, beside
-):
+def test_next_pulse_is_first_from_sample(rate, second, beside):
     tick = max(0, ceil(second * rate / 2) + beside)
     for slope, first in ((Slope.RISING, Fraction(1)), (Slope.FALLING, Fraction(3, 2))):
         edges = (first + k for k in range(second + 3))
@@ -100,7 +96,7 @@ def test_given_any_sample_when_the_next_pulse_is_asked_for_then_it_is_at_the_fir
         assert SyncPulse(slope).next_tick(tick, float(rate)) == expected
 
 
-def test_given_a_time_on_the_wall_when_it_is_to_come_then_its_sample_is_the_moment_else_now():
+def test_wall_time_maps_to_its_sample():
     start = AtTime(0.3)
     assert [start.next_tick(tick, 1000.0) for tick in (0, 300, 301)] == [300, 300, 301]
     assert AtTime(0.30001).next_tick(0, 1000.0) == 301
@@ -116,16 +112,14 @@ def test_given_a_time_on_the_wall_when_it_is_to_come_then_its_sample_is_the_mome
         ("ai/referencetrigger", OtherTask("", "ai", True)),
     ],
 )
-def test_given_a_terminal_when_asked_what_it_carries_then_it_is_a_pulse_or_the_moment_of_a_task(
-    terminal, source
-):
+def test_terminal_carries_pulse_or_task_event(terminal, source):
     assert digital_source(terminal, Slope.FALLING) == source
 
 
 @pytest.mark.parametrize(
     "terminal", ["", "/Dev1/PFI", "/Dev1/ai/SampleClock", "PFI0x", "/Dev1/ci/StartTrigger"]
 )
-def test_given_a_terminal_without_a_signal_when_asked_for_then_those_with_one_are_named(terminal):
+def test_silent_terminal_names_others(terminal):
     with pytest.raises(DaqError, match="PFI0") as caught:
         digital_source(terminal, Slope.RISING)
     assert caught.value.code == Code.ROUTE_NOT_SUPPORTED_BY_HW_ROUTING == -89136

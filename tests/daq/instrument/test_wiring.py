@@ -53,7 +53,7 @@ def driven(source, **timing):
         return spread(task)
 
 
-def test_given_the_supply_off_when_a_sensor_that_needs_it_is_read_then_there_is_no_signal():
+def test_unfed_sensor_has_no_signal():
     connected()
     fed = driven(ExcitationSource.INTERNAL)
     connected()
@@ -63,7 +63,7 @@ def test_given_the_supply_off_when_a_sensor_that_needs_it_is_read_then_there_is_
     np.testing.assert_allclose(unfed[1:], fed[1:], rtol=1e-3)
 
 
-def test_given_dc_coupling_when_a_fed_sensor_is_read_then_its_bias_is_seen():
+def test_dc_coupling_shows_bias():
     connected("USB-4431")
     with Task() as task:
         channel = task.ai_channels.add_ai_voltage_chan("Dev1/ai0", min_val=-10, max_val=10)
@@ -75,7 +75,7 @@ def test_given_dc_coupling_when_a_fed_sensor_is_read_then_its_bias_is_seen():
             assert np.mean(task.read(16000, timeout=20.0)[-1000:]) == pytest.approx(bias, abs=0.1)
 
 
-def test_given_a_module_that_feeds_with_ac_coupling_only_when_dc_is_asked_for_then_it_is_refused():
+def test_ac_only_module_rejects_dc():
     connected()
     with Task() as task:
         channel = task.ai_channels.add_ai_accel_chan("cDAQ1Mod1/ai0", current_excit_val=0.002)
@@ -86,7 +86,7 @@ def test_given_a_module_that_feeds_with_ac_coupling_only_when_dc_is_asked_for_th
     assert caught.value.error_code == -200077
 
 
-def test_given_an_input_in_use_when_another_task_wants_it_wired_otherwise_then_it_is_told_who_has_it():
+def test_used_input_names_its_task():
     connected()
     with Task() as first, Task() as second:
         first.ai_channels.add_ai_accel_chan("Dev1/ai0", current_excit_val=0.002)
@@ -99,7 +99,7 @@ def test_given_an_input_in_use_when_another_task_wants_it_wired_otherwise_then_i
     assert caught.value.error_code == -50103
 
 
-def test_given_a_sensor_with_a_data_sheet_when_a_channel_is_made_of_it_then_its_sensitivity_is_known():
+def test_data_sheet_sets_sensitivity():
     connected()
     terminals = System.remote(options()).devices["cDAQ1Mod1"].ai_physical_chans
     sensor = terminals["ai0"]
@@ -114,7 +114,7 @@ def test_given_a_sensor_with_a_data_sheet_when_a_channel_is_made_of_it_then_its_
     assert caught.value.error_code == -200709
 
 
-def test_given_a_device_of_its_own_when_a_scene_names_it_then_it_sits_in_no_chassis():
+def test_named_device_is_outside_chassis():
     text = SCENE.replace("6.6 kN/m}", "6.6 kN/m, output: {preset: USB-4431}}")
     connected("USB-4431", text)
     (device,) = System.remote(options()).devices
@@ -130,7 +130,7 @@ def test_given_a_device_of_its_own_when_a_scene_names_it_then_it_sits_in_no_chas
         assert task.timing.samp_clk_rate == 96e3
 
 
-def test_given_two_shakers_when_driven_through_one_module_then_each_follows_its_own_output():
+def test_shakers_follow_their_own_outputs():
     shaker = "shaker: {kind: electrodynamic, body: 1, spring: 6.6 kN/m}"
     both = (
         "shaker:\n  - {kind: electrodynamic, body: 1, spring: 6.6 kN/m, output: {preset: NI 9260}}\n"
@@ -156,7 +156,7 @@ def test_given_two_shakers_when_driven_through_one_module_then_each_follows_its_
     assert spectra[0, 11] < 1e-3 > spectra[1, 4]
 
 
-def test_given_a_recording_when_an_input_is_set_otherwise_then_another_file_begins_with_what_holds_there(
+def test_changed_input_starts_new_file(
     tmp_path,
 ):
     chassis = connected()

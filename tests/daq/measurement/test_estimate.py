@@ -23,9 +23,7 @@ def scene_with(channels: int) -> rig.Scene:
     )
 
 
-def test_given_more_channels_when_estimated_then_memory_grows_by_each_and_too_many_are_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_memory_grows_with_channels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     few, many, too_many = (estimate(scene_with(count)) for count in (10, 2000, 4000))
     assert few.memory < 0.4e9
     assert 0.25e6 < (many.memory - few.memory) / 1990 < 0.35e6
@@ -36,7 +34,7 @@ def test_given_more_channels_when_estimated_then_memory_grows_by_each_and_too_ma
     refuse_too_much(too_many, tmp_path / "a.mcap")
 
 
-def test_given_hundreds_of_channels_when_recorded_with_display_then_the_recorder_holds_what_was_estimated(
+def test_recorder_uses_estimated_memory(
     tmp_path: Path,
 ) -> None:
     count, group = 300, flush_length(RATE)

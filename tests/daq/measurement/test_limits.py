@@ -7,7 +7,7 @@ import rig
 from rig.errors import RunError
 
 
-def test_given_clipped_control_channels_when_a_force_is_held_then_the_test_ends_and_says_why(
+def test_clipped_control_channel_ends_test(
     tmp_path,
 ) -> None:
     scene = rig.load("fig9").replace(
@@ -45,9 +45,7 @@ INTEGRATED = ", integrator: {order: 2, corner: 1 Hz, gain: 1000"
         ("", r"overloads it as well; expected bias: 0 V .* coupling: AC in the converter, or a larger"),
     ],
 )
-def test_given_a_bias_that_overloads_a_control_channel_when_recorded_then_it_is_named_with_its_cures(
-    more, cause, tmp_path
-) -> None:
+def test_bias_overload_is_named_with_remedies(more, cause, tmp_path) -> None:
     scene = rig.loads(HELD.replace("PCB 352C33}", "PCB 352C33}" + more))
     with pytest.raises(RunError, match=rf"bias of its sensor, 9 V \(time constant 2 s\), {cause}"):
         daq.record(scene, tmp_path / "biased.mcap")
@@ -62,14 +60,14 @@ def test_given_a_bias_that_overloads_a_control_channel_when_recorded_then_it_is_
     ],
     ids=["no bias", "low cut-off", "AC coupling"],
 )
-def test_given_a_cure_that_was_named_when_recorded_then_the_test_goes_through(cured, tmp_path) -> None:
+def test_named_remedy_works(cured, tmp_path) -> None:
     with daq.open(daq.record(rig.loads(cured), tmp_path / "cured.mcap")) as recording:
         assert [marker.fields["settled"] for marker in recording.markers if marker.kind == "measure"] == [
             True
         ]
 
 
-def test_given_a_bias_that_is_not_to_blame_when_clipped_then_it_is_not_named(tmp_path) -> None:
+def test_innocent_bias_is_not_named(tmp_path) -> None:
     scene = rig.loads(
         HELD.replace("range: 5 V", "range: 5 mV").replace("PCB 352C33}", "PCB 352C33, bias: 1 mV}")
     )

@@ -44,9 +44,7 @@ def limited(**limits: str) -> rig.Scene:
 @pytest.mark.parametrize(
     "scene", [hit(), steps(), hit(recording={"truth": True})], ids=["hit", "steps", "truth"]
 )
-def test_given_a_scene_when_recorded_with_another_block_size_then_the_bytes_are_the_same(
-    scene: rig.Scene, tmp_path: Path
-) -> None:
+def test_block_size_does_not_change_bytes(scene: rig.Scene, tmp_path: Path) -> None:
     files = [
         daq.record(scene, tmp_path / f"{number}.mcap", block=block).read_bytes()
         for number, block in enumerate((None, 101, None))
@@ -54,7 +52,7 @@ def test_given_a_scene_when_recorded_with_another_block_size_then_the_bytes_are_
     assert files[0] == files[1] == files[2]
 
 
-def test_given_a_filter_delay_longer_than_a_stretch_when_recorded_then_the_first_sample_is_number_zero(
+def test_delayed_recording_starts_at_zero(
     tmp_path: Path,
 ) -> None:
     scene = hit(converter={"rate": "250 Hz", "filter": "delta_sigma", "remove_delay": True})
@@ -64,13 +62,13 @@ def test_given_a_filter_delay_longer_than_a_stretch_when_recorded_then_the_first
         assert np.isfinite(recording.read("body1")).all()
 
 
-def test_given_another_seed_when_recorded_then_the_noise_is_another(tmp_path: Path) -> None:
+def test_other_seed_gives_other_noise(tmp_path: Path) -> None:
     one, two = (daq.record(hit(seed=seed), tmp_path / f"{seed}.mcap") for seed in (1, 2))
     with daq.open(one) as first, daq.open(two) as second:
         assert not np.array_equal(first.read("body1"), second.read("body1"))
 
 
-def test_given_a_stepped_sine_when_recorded_then_markers_say_where_each_point_is(tmp_path: Path) -> None:
+def test_markers_state_every_point(tmp_path: Path) -> None:
     told: list[tuple[float, str]] = []
     path = daq.record(
         steps(), tmp_path / "new" / "s.mcap", progress=lambda part, text: told.append((part, text))
@@ -88,7 +86,7 @@ def test_given_a_stepped_sine_when_recorded_then_markers_say_where_each_point_is
     assert [part for part, _ in told] == [0.0, 0.5, 1.0]
 
 
-def test_given_an_existing_file_when_recorded_then_it_is_kept_unless_told_otherwise(tmp_path: Path) -> None:
+def test_existing_file_needs_overwrite(tmp_path: Path) -> None:
     path = daq.record(hit(), tmp_path / "a.mcap")
     before = path.read_bytes()
     with pytest.raises(RecordingError, match="exists"):
@@ -106,7 +104,7 @@ def test_given_an_existing_file_when_recorded_then_it_is_kept_unless_told_otherw
         ("fig8-three-dampers", {"channels": [{"name": "b", "at": "body 1"}]}, "needs a channel at the table"),
     ],
 )
-def test_given_a_test_that_cannot_run_when_recorded_then_no_file_is_left(
+def test_impossible_test_leaves_no_file(
     name: str, changes: dict[str, Any], message: str, tmp_path: Path
 ) -> None:
     with pytest.raises(SceneError, match=message):
@@ -114,12 +112,12 @@ def test_given_a_test_that_cannot_run_when_recorded_then_no_file_is_left(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_given_a_block_of_no_samples_when_recorded_then_it_is_refused(tmp_path: Path) -> None:
+def test_empty_block_is_rejected(tmp_path: Path) -> None:
     with pytest.raises(SceneError, match="block: got 0"):
         daq.record(hit(), tmp_path / "a.mcap", block=0)
 
 
-def test_given_an_abort_limit_when_it_is_exceeded_then_the_recording_ends_there_closed_and_marked(
+def test_exceeded_abort_limit_closes_recording(
     tmp_path: Path,
 ) -> None:
     path = tmp_path / "a.mcap"
@@ -139,7 +137,7 @@ def test_given_an_abort_limit_when_it_is_exceeded_then_the_recording_ends_there_
         assert (abort.first_sample, abort.last_sample) == (beyond[0], beyond[0])
 
 
-def test_given_an_abort_limit_when_the_shaker_runs_then_it_is_taken_down_without_a_jump(
+def test_abort_ramps_shaker_down(
     tmp_path: Path,
 ) -> None:
     channels = [
@@ -159,7 +157,7 @@ def test_given_an_abort_limit_when_the_shaker_runs_then_it_is_taken_down_without
         assert np.abs(table[-512:]).max() < 20.0
 
 
-def test_given_an_abort_when_recorded_with_another_block_size_then_the_bytes_are_the_same(
+def test_block_size_does_not_change_abort(
     tmp_path: Path,
 ) -> None:
     files = []
@@ -170,7 +168,7 @@ def test_given_an_abort_when_recorded_with_another_block_size_then_the_bytes_are
     assert files[0] == files[1]
 
 
-def test_given_an_alarm_limit_when_it_is_exceeded_then_the_stretch_is_marked_and_the_test_goes_on(
+def test_alarm_limit_marks_and_continues(
     tmp_path: Path,
 ) -> None:
     path = daq.record(limited(alarm="20 m/s^2"), tmp_path / "a.mcap")
@@ -182,7 +180,7 @@ def test_given_an_alarm_limit_when_it_is_exceeded_then_the_stretch_is_marked_and
         assert alarms[0].fields["channel"] == "b1"
 
 
-def test_given_an_overload_when_recorded_then_its_stretch_is_marked(tmp_path: Path) -> None:
+def test_overload_stretch_is_marked(tmp_path: Path) -> None:
     scene = limited().replace(converter={"rate": "5120 Hz", "bits": 16, "range": "10 V"})
     path = daq.record(scene, tmp_path / "a.mcap")
     with daq.open(path) as rec:
@@ -192,7 +190,7 @@ def test_given_an_overload_when_recorded_then_its_stretch_is_marked(tmp_path: Pa
         assert marks[-1].last_sample == full[-1]
 
 
-def test_given_blocks_that_are_lost_when_recorded_then_the_gap_stands_where_it_was(tmp_path: Path) -> None:
+def test_lost_blocks_leave_gap(tmp_path: Path) -> None:
     lost = [{"at": "0.1 s", "samples": 300}, {"at": "0.7 s", "samples": 10_000}]
     converter = {"rate": "5120 Hz", "bits": 24, "range": "5 V"}
     whole = daq.record(hit(converter=converter), tmp_path / "whole.mcap")
@@ -212,7 +210,7 @@ def test_given_blocks_that_are_lost_when_recorded_then_the_gap_stands_where_it_w
         assert rec.gaps[1].first_sample == 3584
 
 
-def test_given_a_filter_whose_delay_is_removed_when_recorded_then_times_are_right_to_the_end(
+def test_removed_delay_keeps_times(
     tmp_path: Path,
 ) -> None:
     plain = {"rate": "5120 Hz"}
@@ -240,7 +238,7 @@ def interrupt_after(calls: int) -> Any:
     return progress
 
 
-def test_given_ctrl_c_when_recording_then_the_recording_is_readable_and_says_so(tmp_path: Path) -> None:
+def test_ctrl_c_leaves_readable_recording(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     with pytest.raises(KeyboardInterrupt, match=r"a\.mcap holds the \d\.\d\d s up to there"):
         daq.record(hit(), path, progress=interrupt_after(2))
@@ -255,7 +253,7 @@ def test_given_ctrl_c_when_recording_then_the_recording_is_readable_and_says_so(
 
 
 @pytest.mark.parametrize(("moment", "status"), [("__enter__", "interrupted"), ("close", "complete")])
-def test_given_ctrl_c_while_the_file_is_made_or_ended_when_recording_then_it_is_whole(
+def test_ctrl_c_during_opening_keeps_file_whole(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, moment: str, status: str
 ) -> None:
     original = getattr(Recorder, moment)
@@ -274,7 +272,7 @@ def test_given_ctrl_c_while_the_file_is_made_or_ended_when_recording_then_it_is_
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
-def test_given_a_folder_that_may_not_be_made_when_the_command_records_then_one_line_says_so(
+def test_forbidden_folder_is_one_line(
     scene_file: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def refuse(*ignored: Any, **ignored_too: Any) -> None:
@@ -291,15 +289,13 @@ def test_given_a_folder_that_may_not_be_made_when_the_command_records_then_one_l
     )
 
 
-def test_given_a_file_in_place_of_the_folder_when_recorded_then_it_is_said(tmp_path: Path) -> None:
+def test_file_instead_of_folder_is_reported(tmp_path: Path) -> None:
     (tmp_path / "new").write_text("a file")
     with pytest.raises(RecordingError, match=r"cannot make the folder .*new"):
         daq.record(hit(), tmp_path / "new" / "a.mcap")
 
 
-def test_given_a_folder_that_takes_no_files_when_recorded_then_it_is_not_said_to_be_missing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_read_only_folder_is_not_called_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # What /proc answers.
     def refuse(*ignored: Any, **ignored_too: Any) -> None:
         raise FileNotFoundError(2, "No such file or directory")
@@ -310,9 +306,7 @@ def test_given_a_folder_that_takes_no_files_when_recorded_then_it_is_not_said_to
         daq.record(scene, tmp_path / "a.mcap")
 
 
-def test_given_a_disk_that_fills_up_when_recording_then_that_is_what_is_said(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_full_disk_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     usage = shutil.disk_usage(tmp_path)
     free = iter([usage.free])
     monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=next(free, 1 << 20)))
@@ -325,7 +319,7 @@ def test_given_a_disk_that_fills_up_when_recording_then_that_is_what_is_said(
         assert "disk is full" in rec.metadata["outcome"]["reason"]
 
 
-def test_progress_warns_of_a_disk_that_will_be_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_progress_warns_of_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     usage, said = shutil.disk_usage(tmp_path), []
     monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=(1 << 20) + 60_000))
     scene = hit().replace(test={**HIT, "repeats": 20})
@@ -357,7 +351,7 @@ def scene_file(tmp_path: Path) -> Path:
     return path
 
 
-def test_given_a_scene_file_when_the_command_records_then_it_tells_what_it_wrote_and_what_is_next(
+def test_command_names_file_and_next_step(
     scene_file: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(scene_file.parent)
@@ -372,7 +366,7 @@ def test_given_a_scene_file_when_the_command_records_then_it_tells_what_it_wrote
     assert run_command(monkeypatch, "record", "hit.yaml", "--overwrite", "--block", "100") == 0
 
 
-def test_given_several_scenes_when_the_command_records_then_each_has_its_file_and_its_changes(
+def test_several_scenes_have_own_files(
     scene_file: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = scene_file.parent
@@ -394,7 +388,7 @@ def test_given_several_scenes_when_the_command_records_then_each_has_its_file_an
 
 
 @pytest.mark.parametrize("command", ["record", "scope"])
-def test_given_a_name_that_no_file_can_have_when_a_command_is_to_record_then_one_line_says_so(
+def test_impossible_name_is_one_line(
     command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     name = tmp_path / f"{'a' * 300}.mcap"
@@ -404,7 +398,7 @@ def test_given_a_name_that_no_file_can_have_when_a_command_is_to_record_then_one
 
 
 @pytest.mark.parametrize("scene", ["no-such-scene", "missing.yaml"])
-def test_given_no_such_scene_when_the_command_records_then_it_ends_with_2_and_leaves_nothing(
+def test_missing_scene_exits_with_2(
     scene: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -413,7 +407,7 @@ def test_given_no_such_scene_when_the_command_records_then_it_ends_with_2_and_le
     assert list(tmp_path.iterdir()) == []
 
 
-def test_given_an_abort_when_the_command_records_then_it_ends_with_1_and_names_the_recording(
+def test_abort_exits_with_1(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "a.yaml").write_text(limited(abort="20 m/s^2").to_yaml())
@@ -422,7 +416,7 @@ def test_given_an_abort_when_the_command_records_then_it_ends_with_1_and_names_t
     assert "a.mcap holds the" in capsys.readouterr().err
 
 
-def test_given_ctrl_c_when_the_command_records_then_it_ends_with_130_and_tells_what_there_is(
+def test_ctrl_c_exits_with_130(
     scene_file: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     from contextlib import contextmanager
@@ -441,7 +435,7 @@ def test_given_ctrl_c_when_the_command_records_then_it_ends_with_130_and_tells_w
     assert f"{output}: " in told.out and "aborted: interrupted" in told.out
 
 
-def test_given_steps_that_do_not_settle_when_the_command_records_then_it_warns_and_counts_them(
+def test_unsettled_steps_are_counted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     scene = rig.load("bare-structure").replace(
@@ -455,7 +449,7 @@ def test_given_steps_that_do_not_settle_when_the_command_records_then_it_warns_a
 
 
 @pytest.mark.parametrize("size", [1, 3, 50])
-def test_given_flags_in_any_blocks_when_joined_to_stretches_then_they_are_the_same(size: int) -> None:
+def test_block_size_does_not_change_stretches(size: int) -> None:
     info = [ChannelInfo(name, "body 1", "acceleration", sensitivity=1.0, rate=10.0) for name in ("a", "b")]
     flags = np.zeros((2, 50), dtype=bool)
     flags[0, [3, 5, 9, 20, 21]] = True
@@ -471,9 +465,7 @@ def test_given_flags_in_any_blocks_when_joined_to_stretches_then_they_are_the_sa
 
 @pytest.mark.filterwarnings("ignore::daq.RunWarning")
 @pytest.mark.parametrize(("contact", "told"), [("", True), (", contact: {duration: 2 ms}", False)])
-def test_given_landings_of_no_duration_when_they_overload_a_sensor_then_the_summary_says_what_cures_it(
-    contact: str, told: bool, tmp_path: Path
-) -> None:
+def test_instant_contact_overload_names_remedy(contact: str, told: bool, tmp_path: Path) -> None:
     scene = rig.loads(f"""
 structure: {{masses: [1 kg], springs: [40 kN/m], damping: {{modal: 1 %}}}}
 dampers: [{{body: 1, mass_ratio: 10 %, clearance: 1 mm{contact}}}]

@@ -54,9 +54,7 @@ def stretches_of(flags):
     thin=st.integers(1, 7),
     cuts=st.lists(st.integers(0, 40), max_size=5).map(sorted),
 )
-def test_given_flags_in_any_blocks_when_joined_then_each_stretch_is_marked_once_from_first_to_last(
-    flags, thin, cuts
-):
+def test_overload_stretch_is_marked_once(flags, thin, cuts):
     flags = np.array(flags) & (np.arange(40) % thin == 0)
     marked = {info.name: [] for info in INFOS}
     stretches = Stretches("overload", INFOS, lambda kind, *span, channel: marked[channel].append(span))
@@ -66,7 +64,7 @@ def test_given_flags_in_any_blocks_when_joined_then_each_stretch_is_marked_once_
     assert marked == {info.name: stretches_of(row) for info, row in zip(INFOS, flags, strict=True)}
 
 
-def test_given_a_stretch_that_is_over_when_samples_go_on_then_it_is_marked_without_waiting_for_the_end():
+def test_finished_stretch_is_marked_early():
     marked = []
     stretches = Stretches("alarm", INFOS[:1], lambda *what, channel: marked.append((*what, channel)))
     stretches.add(100, np.array([[False, True, True]]))
@@ -78,7 +76,7 @@ def test_given_a_stretch_that_is_over_when_samples_go_on_then_it_is_marked_witho
     assert len(marked) == 1
 
 
-def test_given_samples_seconds_apart_when_joined_then_those_that_follow_one_another_are_one_stretch():
+def test_adjacent_samples_form_one_stretch():
     slow, marked = ChannelInfo("s", "body 1", "acceleration", 1.0, 0.5), []
     stretches = Stretches("overload", [slow], lambda kind, *span, channel: marked.append(span))
     stretches.add(0, np.array([[True, True, False, True]]))
@@ -87,7 +85,7 @@ def test_given_samples_seconds_apart_when_joined_then_those_that_follow_one_anot
 
 
 @given(st.lists(st.lists(st.integers(-6, 6).map(float), min_size=12, max_size=12), min_size=3, max_size=3))
-def test_given_any_readings_when_watched_then_the_first_beyond_an_abort_limit_trips_and_alarms_are_marked(
+def test_first_reading_beyond_limit_trips(
     readings,
 ):
     readings, marked = np.array(readings), []
@@ -113,7 +111,7 @@ def test_given_any_readings_when_watched_then_the_first_beyond_an_abort_limit_tr
     assert sorted(marked) == sorted(expected)
 
 
-def test_given_no_limits_when_watched_then_nothing_is_looked_at():
+def test_missing_limits_watch_nothing():
     without = scene().replace(channels=None)
     limits = Limits(without, INFOS, lambda *_, **__: pytest.fail("a mark"))
     assert not limits.given
@@ -128,9 +126,7 @@ def test_given_no_limits_when_watched_then_nothing_is_looked_at():
         ({"shaker": "electrodynamic, body: 2, spring: 6 kN/m"}, {0, 2}),
     ],
 )
-def test_given_an_overload_that_lasts_when_a_force_is_held_then_channels_it_is_read_from_end_the_test(
-    changes, rows, monkeypatch
-):
+def test_lasting_overload_ends_held_force(changes, rows, monkeypatch):
     held, asked = scene(**changes), []
     monkeypatch.setattr("daq.measurement.limits.bias_overload", lambda *question: asked.append(question))
     for row, info in enumerate(INFOS):
@@ -154,7 +150,7 @@ def test_given_an_overload_that_lasts_when_a_force_is_held_then_channels_it_is_r
 
 
 @pytest.mark.parametrize(("limits", "given"), [("", False), (", alarm: 3", True), (", abort: 3", True)])
-def test_given_alarms_or_aborts_alone_when_watched_then_either_is_looked_at(limits, given):
+def test_alarms_and_aborts_work_alone(limits, given):
     text = f"structure: {{masses: [1 kg], springs: [4 kN/m]}}\nchannels: [{{name: a, at: body 1{limits}}}]\n"
     marks = []
     watch = Limits(rig.loads(text), INFOS[1:2], lambda *mark, **fields: marks.append(mark))

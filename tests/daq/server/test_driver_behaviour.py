@@ -40,7 +40,7 @@ def inputs(task, channels="cDAQ1Mod1/ai0", samples=100, **timing):
 
 
 @reads_waveforms
-def test_given_a_bench_that_has_idled_when_a_waveform_is_read_then_it_has_the_time_on_the_wall(monkeypatch):
+def test_idle_bench_gives_wall_time(monkeypatch):
     clock, now = WallClock(), [1_700_000_000 * 10**9]
     monkeypatch.setattr("daq.instrument.chassis.time.time_ns", lambda: now[0])
     connect("bare-structure", clock)
@@ -59,7 +59,7 @@ def test_given_a_bench_that_has_idled_when_a_waveform_is_read_then_it_has_the_ti
     assert begun[0].year == 2023
 
 
-def test_given_a_started_task_on_demand_when_another_takes_its_own_rate_then_it_gets_it():
+def test_on_demand_task_joins_other_rate():
     connect("bare-structure", "fast")
     with Task() as steady, Task() as reading:
         steady.ao_channels.add_ao_voltage_chan("cDAQ1Mod2/ao0")
@@ -70,7 +70,7 @@ def test_given_a_started_task_on_demand_when_another_takes_its_own_rate_then_it_
         assert steady.write(0.5) == 1
 
 
-def test_given_a_trigger_source_when_it_is_read_back_then_it_bears_its_device(chassis):
+def test_trigger_source_names_its_device(chassis):
     with Task() as task:
         inputs(task)
         task.triggers.start_trigger.cfg_dig_edge_start_trig("PFI0")
@@ -78,7 +78,7 @@ def test_given_a_trigger_source_when_it_is_read_back_then_it_bears_its_device(ch
         assert task.triggers.start_trigger.trig_type == TriggerType.DIGITAL_EDGE
 
 
-def test_given_events_of_samples_that_the_task_has_not_when_registered_then_they_are_refused(chassis):
+def test_invalid_sample_events_are_rejected(chassis):
     with Task() as task:
         inputs(task)
         with pytest.raises(DaqError) as caught:
@@ -86,7 +86,7 @@ def test_given_events_of_samples_that_the_task_has_not_when_registered_then_they
     assert caught.value.error_code == -200980
 
 
-def test_given_a_custom_scale_when_a_channel_names_it_then_readings_are_scaled(chassis):
+def test_custom_scale_scales_readings(chassis):
     Scale.create_lin_scale("double", slope=2.0, y_intercept=1.0, grpc_options=options())
     with Task() as task:
         task.ai_channels.add_ai_voltage_chan("cDAQ1Mod1/ai0", "plain", min_val=-500.0, max_val=500.0)
@@ -99,7 +99,7 @@ def test_given_a_custom_scale_when_a_channel_names_it_then_readings_are_scaled(c
     np.testing.assert_allclose(scaled, 2.0 * plain + 1.0, rtol=1e-12)
 
 
-def test_given_a_window_trigger_when_the_signal_enters_then_sample_zero_is_the_first_inside(chassis):
+def test_window_trigger_starts_inside(chassis):
     with Task() as task:
         inputs(task, "cDAQ1Mod1/ai3", sample_mode=AcquisitionType.FINITE)
         pass_samples(chassis, 2000)
@@ -107,7 +107,7 @@ def test_given_a_window_trigger_when_the_signal_enters_then_sample_zero_is_the_f
         assert 0.1 <= task.read(100)[0] <= 0.4
 
 
-def test_given_a_saved_task_when_it_is_loaded_then_it_is_set_up_as_the_one_that_was_saved(chassis):
+def test_saved_task_loads_equal(chassis):
     with Task("mine") as task:
         inputs(task)
         task.save(overwrite_existing_task=True)
@@ -116,9 +116,7 @@ def test_given_a_saved_task_when_it_is_loaded_then_it_is_set_up_as_the_one_that_
         assert np.shape(task.read(READ_ALL_AVAILABLE)) == (100,)
 
 
-def test_given_a_log_that_is_paused_and_goes_on_in_another_file_when_read_then_each_holds_its_part(
-    chassis, tmp_path
-):
+def test_paused_log_continues_in_other_file(chassis, tmp_path):
     first, second = tmp_path / "first.mcap", tmp_path / "second.mcap"
     with Task() as task:
         inputs(task, sample_mode=AcquisitionType.CONTINUOUS)
@@ -139,7 +137,7 @@ def test_given_a_log_that_is_paused_and_goes_on_in_another_file_when_read_then_e
         np.testing.assert_allclose(rec.read(channel.name) * channel.sensitivity, expected, rtol=1e-9)
 
 
-def test_given_a_start_trigger_when_it_has_come_then_its_time_is_known(chassis):
+def test_start_trigger_time_is_known(chassis):
     with Task() as task:
         inputs(task)
         trigger = task.triggers.start_trigger
@@ -149,7 +147,7 @@ def test_given_a_start_trigger_when_it_has_come_then_its_time_is_known(chassis):
         assert trigger.timestamp_val.timestamp() == pytest.approx(1.0, abs=1 / RATE)
 
 
-def test_given_an_array_of_another_type_when_a_reader_fills_it_then_the_client_says_so(chassis):
+def test_array_of_wrong_type_is_rejected(chassis):
     with Task() as task:
         inputs(task)
         with pytest.raises((TypeError, DaqError)):

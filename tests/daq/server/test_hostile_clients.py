@@ -151,7 +151,7 @@ def read_beside(actions):
         return np.array(witness.read(2000, timeout=0.0))
 
 
-def test_given_calls_by_chance_when_a_client_sends_them_then_it_alone_hears_of_it_in_words(capfd):
+def test_random_calls_harm_only_their_client(capfd):
     chance, sessions, heard = random.Random(20), ["nobody"], []
     known = [each for each in methods() if not each.streams and answer_to(each.name)]
     # What drives the shaker is meant to be seen by all.
@@ -180,7 +180,7 @@ def test_given_calls_by_chance_when_a_client_sends_them_then_it_alone_hears_of_i
         (lambda rig: Scale.create_polynomial_scale("s", [1.0] * 10_001, [1.0], grpc_options=rig), "entries"),
     ],
 )
-def test_given_what_cannot_be_when_it_is_sent_then_the_error_says_what_can(act, hint):
+def test_invalid_values_name_valid_ones(act, hint):
     with daq.connect("bare-structure", clock=ManualClock()) as rig, pytest.raises(DaqError, match=hint):
         act(rig)
 
@@ -188,16 +188,14 @@ def test_given_what_cannot_be_when_it_is_sent_then_the_error_says_what_can(act, 
 @pytest.mark.parametrize(
     "points, order, forward", [(10**9, 3, 1.0), (1000, 999, 1.0), (5, 7, 1.0), (100, 3, 1e300)]
 )
-def test_given_a_polynomial_that_would_take_for_ever_when_it_is_reversed_then_it_is_refused(
-    points, order, forward
-):
+def test_endless_polynomial_reversal_is_rejected(points, order, forward):
     from daq.instrument.settings.scales import reverse_polynomial
 
     with pytest.raises(daq.instrument.errors.DaqError, match="polynomial"):
         reverse_polynomial([0.0, forward], -1e10, 1e10, points, order)
 
 
-def test_given_no_finite_or_positive_number_when_it_is_set_then_it_is_refused_and_the_old_one_kept():
+def test_invalid_number_keeps_old_one():
     with daq.connect(two_modules(), clock=ManualClock()) as rig, inputs(rig) as task:
         channel = task.ai_channels["cDAQ1Mod1/ai0"]
         with pytest.raises(DaqError, match="finite"):
@@ -207,7 +205,7 @@ def test_given_no_finite_or_positive_number_when_it_is_set_then_it_is_refused_an
         assert (channel.ai_excit_val, task.timing.samp_clk_rate) == (0.0, RATE)
 
 
-def test_given_a_fast_clock_when_a_client_waits_for_what_never_comes_then_others_go_on():
+def test_endless_wait_does_not_block_others():
     with daq.connect(two_modules(), clock="fast") as rig:
         channel, heard = open_channel(rig.address), []
         with inputs(nidaqmx.GrpcSessionOptions(channel, ""), samps_per_chan=100) as waiting:
@@ -229,7 +227,7 @@ def test_given_a_fast_clock_when_a_client_waits_for_what_never_comes_then_others
     assert len(heard) == 1
 
 
-def test_given_a_fast_clock_when_a_listener_never_answers_then_time_stands_still_for_it_no_more():
+def test_silent_listener_does_not_stop_time():
     with daq.connect(two_modules(), clock="fast") as rig:
         timing = {"sample_mode": AcquisitionType.CONTINUOUS, "samps_per_chan": 100}
         with inputs(client(rig), **timing) as deaf, inputs(client(rig), "cDAQ1Mod2/ai0:2", **timing) as other:
@@ -239,7 +237,7 @@ def test_given_a_fast_clock_when_a_listener_never_answers_then_time_stands_still
 
 
 @pytest.mark.parametrize("seconds", [b"", b"soon", b"\xff"])
-def test_given_no_number_when_bench_time_is_to_pass_then_the_caller_hears_what_is_expected(seconds):
+def test_invalid_time_is_rejected(seconds):
     with (
         daq.connect("bare-structure", clock="fast") as rig,
         pytest.raises(grpc.RpcError, match="a number of"),
@@ -247,7 +245,7 @@ def test_given_no_number_when_bench_time_is_to_pass_then_the_caller_hears_what_i
         open_channel(rig.address).unary_unary("/shotrig.Bench/Pass")(seconds, timeout=20.0)
 
 
-def test_given_as_many_calls_as_a_client_may_have_when_it_makes_another_then_it_alone_is_refused():
+def test_too_many_calls_are_rejected():
     with daq.connect("bare-structure", clock="fast", limits=Limits(calls=3)) as rig:
         greedy = client(rig)
         with inputs(greedy, "cDAQ1Mod1/ai0") as task:
@@ -263,7 +261,7 @@ def test_given_as_many_calls_as_a_client_may_have_when_it_makes_another_then_it_
                 each.cancel()
 
 
-def test_given_as_many_scales_as_may_be_saved_when_another_is_made_then_it_is_refused(monkeypatch):
+def test_too_many_scales_are_rejected(monkeypatch):
     monkeypatch.setattr("daq.instrument.settings.storage.MOST_SAVED", 2)
     with daq.connect("bare-structure", clock=ManualClock()) as rig:
         for name in ("a", "b", "a"):

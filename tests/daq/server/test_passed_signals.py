@@ -81,9 +81,7 @@ def running(tmp_path):
         "does not listen",
     ],
 )
-def test_given_a_script_that_logs_without_end_when_the_command_is_ended_then_so_is_it_and_the_log_is_whole(
-    running, before, how, send, code
-):
+def test_ended_command_ends_logging_script(running, before, how, send, code):
     process, script, log = running(before)
     send(process.pid, how)
     assert process.wait(60) == code
@@ -94,7 +92,7 @@ def test_given_a_script_that_logs_without_end_when_the_command_is_ended_then_so_
         assert recording.samples >= 5120
 
 
-def test_given_a_ctrl_c_when_a_witness_is_asked_then_it_tells_whether_all_of_the_group_heard_it(monkeypatch):
+def test_witness_detects_group_ctrl_c(monkeypatch):
     monkeypatch.setattr(passed_signals, "_HEARD", 0.0)
     with passed_signals._Witness() as witness:
         assert not witness.heard()

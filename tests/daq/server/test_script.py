@@ -34,7 +34,7 @@ with nidaqmx.Task() as task:
 """
 
 
-def test_given_a_script_for_the_package_when_run_then_it_has_the_rig_and_its_arguments(script, capfd):
+def test_script_gets_rig_and_arguments(script, capfd):
     path = script(READ + "    print(len(task.read(10)), sys.argv[1:], __name__)\n")
     assert run_script(path, ["--fast", "x"], "bare-structure", "fast") == 0
     assert capfd.readouterr().out == "10 ['--fast', 'x'] __main__\n"
@@ -45,9 +45,7 @@ def test_given_a_script_for_the_package_when_run_then_it_has_the_rig_and_its_arg
     [({"test": None}, False, True), ({"test": None}, True, False), ({}, False, False)],
     ids=["nothing drives", "the script drives", "the test drives"],
 )
-def test_given_a_script_that_reads_when_nothing_drives_the_bench_then_it_is_told_at_the_end(
-    scene, written, noted, script, capfd
-):
+def test_undriven_bench_is_reported_at_end(scene, written, noted, script, capfd):
     drive = """
     with nidaqmx.Task() as out:
         out.ao_channels.add_ao_voltage_chan(nidaqmx.system.System.local().devices[-1].ao_physical_chans[0].name)
@@ -58,7 +56,7 @@ def test_given_a_script_that_reads_when_nothing_drives_the_bench_then_it_is_told
     assert ("nothing drove the bench" in capfd.readouterr().err) is noted
 
 
-def test_given_an_endless_script_when_its_seconds_are_over_then_it_gets_a_ctrl_c(script, capfd):
+def test_time_limit_sends_ctrl_c(script, capfd):
     path = script(
         READ
         + """
@@ -75,7 +73,7 @@ def test_given_an_endless_script_when_its_seconds_are_over_then_it_gets_a_ctrl_c
 
 
 @pytest.mark.thorough
-def test_given_a_script_that_waits_for_enter_when_run_fast_then_bench_time_passes_meanwhile(script, capfd):
+def test_waiting_for_enter_passes_bench_time(script, capfd):
     path = script(
         READ
         + """
@@ -99,7 +97,7 @@ def test_given_a_script_that_waits_for_enter_when_run_fast_then_bench_time_passe
 @pytest.mark.parametrize(
     "end, code", [("raise SystemExit(3)", 3), ("raise SystemExit('why')", 1), ("1 / 0", 1)]
 )
-def test_given_a_script_when_it_ends_in_its_own_way_then_the_exit_code_is_its_own(script, capfd, end, code):
+def test_exit_code_of_script_is_kept(script, capfd, end, code):
     assert run_script(script(end), scene="bare-structure", clock="fast") == code
     shown = capfd.readouterr().err
     assert "script.py" in shown or code == 3 or "why" in shown
@@ -107,7 +105,7 @@ def test_given_a_script_when_it_ends_in_its_own_way_then_the_exit_code_is_its_ow
 
 
 @pytest.mark.parametrize("source", ["x = (", "x = 1\0", "if True:\npass"])
-def test_given_a_script_that_cannot_be_compiled_when_run_then_only_the_script_is_shown(script, capfd, source):
+def test_broken_script_shows_only_itself(script, capfd, source):
     path = script(source)
     assert run_script(path, scene="bare-structure", clock="fast") == 1
     shown = capfd.readouterr().err
@@ -117,16 +115,14 @@ def test_given_a_script_that_cannot_be_compiled_when_run_then_only_the_script_is
 
 
 @pytest.mark.parametrize("seconds", [-1.0, 0.0, float("nan"), float("inf")])
-def test_given_seconds_that_are_no_time_when_run_then_they_are_refused_before_the_script(
-    script, capfd, seconds
-):
+def test_invalid_seconds_are_rejected_first(script, capfd, seconds):
     with pytest.raises(SceneError, match="seconds") as caught:
         run_script(script("print('ran')"), scene="bare-structure", clock="fast", seconds=seconds)
     assert caught.value.exit_code == 2
     assert capfd.readouterr().out == ""
 
 
-def test_given_a_rig_and_an_event_left_open_when_a_script_ends_then_so_does_its_process():
+def test_open_rig_does_not_block_exit():
     source = """
 import daq, nidaqmx
 from nidaqmx.constants import AcquisitionType
@@ -144,19 +140,19 @@ print(len(task.read(100)))
     assert "Traceback" not in ended.stderr
 
 
-def test_given_no_script_when_run_then_the_error_names_it(tmp_path):
+def test_missing_script_is_named(tmp_path):
     with pytest.raises(SceneError, match=r"nothing\.py"):
         run_script(tmp_path / "nothing.py")
 
 
-def test_given_an_unknown_scene_when_a_script_is_run_then_the_error_names_it(script):
+def test_unknown_scene_is_named(script):
     with pytest.raises(SceneError, match="no-such-scene"):
         run_script(script("pass"), scene="no-such-scene")
 
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("name", EXAMPLES)
-def test_given_an_example_when_run_then_it_shows_what_it_promises(name, capfd, monkeypatch):
+def test_example_shows_its_result(name, capfd, monkeypatch):
     # The doctests may have imported it already.
     monkeypatch.delitem(sys.modules, f"daq.examples.{name}", raising=False)
     runpy.run_module(f"daq.examples.{name}", run_name="__main__")
@@ -172,7 +168,7 @@ def test_given_an_example_when_run_then_it_shows_what_it_promises(name, capfd, m
     assert "NOT" not in shown
 
 
-def test_given_the_source_recipe_when_polled_then_it_gives_all_samples_in_order():
+def test_source_recipe_gives_all_samples():
     from daq.examples.acquisition_source import VirtualRig
 
     source = VirtualRig("bare-structure", clock="fast")
@@ -218,9 +214,7 @@ if __name__ == "__main__":
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("method", ["spawn", "fork"])
-def test_given_processes_that_share_a_rig_when_one_writes_then_the_other_reads_its_answer_to_the_sample(
-    script, tmp_path, method
-):
+def test_processes_share_rig_to_the_sample(script, tmp_path, method):
     path = tmp_path / "read.npy"
     assert run_script(script(CHILDREN), [method, str(path)], "bare-structure", "fast") == 0
     drive = 1e-3 * np.arange(512) / 512
@@ -229,7 +223,7 @@ def test_given_processes_that_share_a_rig_when_one_writes_then_the_other_reads_i
     np.testing.assert_allclose(np.load(path), expected, rtol=0, atol=1e-12 * np.abs(expected).max())
 
 
-def test_given_a_name_that_is_taken_when_a_script_makes_a_task_then_it_gets_the_drivers_error(script, capfd):
+def test_taken_name_gives_drivers_error(script, capfd):
     text = """
 import nidaqmx
 with nidaqmx.Task("twice"):

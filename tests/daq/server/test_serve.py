@@ -21,7 +21,7 @@ from daq.viewing.outputs import recording_stream
 from rig.errors import SceneError
 
 
-def test_given_a_viewer_when_a_client_reads_then_it_shows_what_the_channels_see(tmp_path):
+def test_viewer_shows_channels(tmp_path):
     with (
         daq.connect("fig8-three-dampers", clock="fast") as rig,
         recording_stream() as stream,
@@ -71,7 +71,7 @@ def certificate(tmp_path):
 
 
 @pytest.mark.thorough
-def test_given_certificates_when_served_then_only_clients_that_have_one_of_them_get_in(certificate):
+def test_certificates_admit_only_their_clients(certificate):
     server, friend, stranger = (certificate(name) for name in ("server", "friend", "stranger"))
     chassis = connect_scene("bare-structure", "fast")
     credentials = Certificates(*server, clients=friend[0]).credentials()

@@ -39,14 +39,14 @@ def inputs(options, channels="cDAQ1Mod1/ai0", name="", **timing):
     return task
 
 
-def test_given_a_rig_when_asked_what_there_is_then_the_devices_tell(shared):
+def test_devices_are_enumerated(shared):
     devices = System.remote(shared).devices
     assert devices.device_names == ["cDAQ1", "cDAQ1Mod1", "cDAQ1Mod2"]
     assert [each.name for each in devices["cDAQ1"].chassis_module_devices] == ["cDAQ1Mod1", "cDAQ1Mod2"]
     assert devices["cDAQ1Mod1"].ai_physical_chans.channel_names[-1] == "cDAQ1Mod1/ai3"
 
 
-def test_given_a_named_module_when_asked_then_it_is_that_module_and_cannot_be_read_on_demand():
+def test_named_module_rejects_on_demand_reading():
     import rig as package
 
     scene = package.load("bare-structure")
@@ -64,7 +64,7 @@ def test_given_a_named_module_when_asked_then_it_is_that_module_and_cannot_be_re
 
 
 @pytest.mark.parametrize("name", ["cDAQ9189-1D91958Mod1", "Dev12", "PXI1Slot4"])
-def test_given_a_name_the_driver_gives_when_used_then_it_stands_for_all_inputs(shared, name):
+def test_drivers_name_selects_all_inputs(shared, name):
     with inputs(shared, f"{name}/ai0:3", samps_per_chan=10) as task:
         assert task.number_of_channels == 4
         assert task.devices[0].name == name
@@ -74,13 +74,13 @@ def test_given_a_name_the_driver_gives_when_used_then_it_stands_for_all_inputs(s
     "name, expected",
     [("acc", ["acc0", "acc1", "acc2"]), ("acc09", ["acc09", "acc10", "acc11"])],
 )
-def test_given_a_name_for_several_channels_when_added_then_it_is_counted_on(shared, name, expected):
+def test_names_of_channels_are_counted(shared, name, expected):
     with nidaqmx.Task(grpc_options=shared) as task:
         task.ai_channels.add_ai_voltage_chan("cDAQ1Mod1/ai0:2", name)
         assert task.channel_names == expected
 
 
-def test_given_nothing_said_when_asked_then_the_defaults_are_the_drivers(shared):
+def test_defaults_are_those_of_driver(shared):
     with inputs(shared) as task:
         assert task.timing.samp_quant_samp_mode == AcquisitionType.CONTINUOUS
         assert task.triggers.reference_trigger.pretrig_samples == 2
@@ -93,7 +93,7 @@ def test_given_nothing_said_when_asked_then_the_defaults_are_the_drivers(shared)
         assert task.ai_channels[0].ai_max == 400.0
 
 
-def test_given_a_terminal_twice_when_added_then_both_channels_read_it():
+def test_terminal_may_be_used_twice():
     with (
         daq.connect("bare-structure", clock="fast") as rig,
         inputs(rig, "cDAQ1Mod1/ai3,cDAQ1Mod1/ai3", samps_per_chan=50) as task,
@@ -102,7 +102,7 @@ def test_given_a_terminal_twice_when_added_then_both_channels_read_it():
     assert first == second
 
 
-def test_given_inputs_and_an_output_of_different_rates_when_run_then_each_keeps_its_own():
+def test_inputs_and_output_keep_rates():
     with (
         daq.connect("bare-structure", clock="fast") as rig,
         inputs(rig, "cDAQ1Mod1/ai3") as reading,
@@ -122,7 +122,7 @@ def test_given_inputs_and_an_output_of_different_rates_when_run_then_each_keeps_
         assert rig.chassis.held[0] == 1.99
 
 
-def test_given_two_modules_at_two_rates_when_read_then_the_slow_one_averages_what_the_fast_one_sees():
+def test_slow_module_averages_fast_one():
     with (
         daq.connect("bare-structure", clock="fast") as rig,
         inputs(rig, "Dev1/ai3") as fast,
@@ -136,7 +136,7 @@ def test_given_two_modules_at_two_rates_when_read_then_the_slow_one_averages_wha
     np.testing.assert_allclose(fourth[1:], every[1:].reshape(100, 4).mean(axis=1), rtol=1e-12, atol=1e-15)
 
 
-def test_given_several_samples_when_written_on_demand_then_they_are_played_one_after_the_other():
+def test_on_demand_samples_play_in_order():
     with daq.connect("bare-structure", clock="fast") as rig, nidaqmx.Task(grpc_options=rig) as task:
         task.ao_channels.add_ao_voltage_chan("cDAQ1Mod2/ao0")
         assert task.write([0.1, 0.2, 0.3], auto_start=True) == 3
@@ -144,7 +144,7 @@ def test_given_several_samples_when_written_on_demand_then_they_are_played_one_a
         assert rig.chassis.held[0] == 0.3
 
 
-def test_given_a_session_when_another_client_attaches_then_it_may_use_but_not_end_it(shared):
+def test_attached_client_cannot_end_session(shared):
     with inputs(client(shared), name="common", samps_per_chan=10) as task:
         other = nidaqmx.Task("common", grpc_options=client(shared))
         assert other.timing.samp_quant_samp_per_chan == 10
@@ -155,14 +155,14 @@ def test_given_a_session_when_another_client_attaches_then_it_may_use_but_not_en
         nidaqmx.Task("common", grpc_options=client(shared, initialization_behavior=attach))
 
 
-def test_given_a_session_of_that_name_when_a_new_one_is_wanted_then_it_is_refused(shared):
+def test_existing_session_is_rejected(shared):
     new = nidaqmx.SessionInitializationBehavior.INITIALIZE_SERVER_SESSION
     with inputs(client(shared), name="mine"), pytest.raises(RpcError) as caught:
         nidaqmx.Task("mine", grpc_options=client(shared, initialization_behavior=new))
     assert caught.value.rpc_code == grpc.StatusCode.ALREADY_EXISTS
 
 
-def test_given_a_device_in_use_by_others_when_a_client_resets_it_then_nothing_happens_to_them(shared):
+def test_used_device_is_not_reset(shared):
     with inputs(client(shared), sample_mode=AcquisitionType.CONTINUOUS) as task:
         task.start()
         with pytest.raises(DaqError) as caught:
@@ -171,7 +171,7 @@ def test_given_a_device_in_use_by_others_when_a_client_resets_it_then_nothing_ha
         assert not task.is_task_done()
 
 
-def test_given_a_client_that_goes_without_goodbye_when_its_time_is_over_then_its_modules_are_free():
+def test_vanished_client_frees_modules():
     limits = Limits(patience=0.2)
     with daq.connect("bare-structure", clock=ManualClock(), limits=limits) as rig:
         lost = client(rig)
@@ -185,7 +185,7 @@ def test_given_a_client_that_goes_without_goodbye_when_its_time_is_over_then_its
             other.start()
 
 
-def test_given_more_than_a_client_may_have_when_asked_for_then_it_alone_is_refused():
+def test_excessive_requests_are_rejected():
     limits = Limits(tasks=3, message=1 << 20)
     with daq.connect("bare-structure", clock="fast", limits=limits) as rig:
         mine = client(rig)
@@ -201,7 +201,7 @@ def test_given_more_than_a_client_may_have_when_asked_for_then_it_alone_is_refus
             task.close()
 
 
-def test_given_buffers_larger_than_a_client_may_have_when_they_are_filled_then_it_alone_is_refused():
+def test_excessive_buffers_are_rejected():
     with daq.connect("bare-structure", clock="fast", limits=Limits(memory=1 << 20)) as rig:
         greedy, modest = client(rig), client(rig)
         with nidaqmx.Task(grpc_options=greedy) as task, inputs(modest, samps_per_chan=100) as other:
@@ -217,7 +217,7 @@ def test_given_buffers_larger_than_a_client_may_have_when_they_are_filled_then_i
             task.start()
 
 
-def test_given_nonsense_when_it_is_sent_then_the_caller_alone_hears_of_it(shared):
+def test_invalid_requests_reach_only_caller(shared):
     channel = open_channel(shared.address)
     for method in ("ReadAnalogF64", "CreateAIVoltageChan", "WriteRaw", "GetChanAttributeInt32"):
         with pytest.raises(grpc.RpcError):
@@ -228,12 +228,12 @@ def test_given_nonsense_when_it_is_sent_then_the_caller_alone_hears_of_it(shared
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "192.168.1.20", "rig.example.org", "::"])
-def test_given_an_address_others_can_reach_when_served_without_certificates_then_it_is_refused(host):
+def test_public_address_needs_certificates(host):
     with pytest.raises(SceneError, match="--certificate"):
         serve("bare-structure", "fast", host, 0)
 
 
-def test_given_a_callback_that_fails_when_events_go_on_then_so_does_the_task(caplog):
+def test_failing_callback_does_not_stop_task(caplog):
     with daq.connect("bare-structure", clock="fast") as rig, inputs(rig, samps_per_chan=300) as task:
         done, calls = threading.Event(), queue.Queue()
 

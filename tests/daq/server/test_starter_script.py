@@ -48,9 +48,7 @@ def starter(connection):
     ],
     ids=["IEPE", "coupled for other sensors", "a device of its own", "ideal sensors", "one channel"],
 )
-def test_given_a_scene_when_its_starter_script_is_run_then_it_reads_what_its_sensors_feel(
-    channels, converter, read, capsys
-):
+def test_starter_script_reads_sensors(channels, converter, read, capsys):
     blocks = []
     with daq.connect(scene(channels, converter), clock="fast") as connection:
         chassis = connection.chassis
@@ -71,7 +69,7 @@ def test_given_a_scene_when_its_starter_script_is_run_then_it_reads_what_its_sen
     assert err == ""
 
 
-def test_given_sensors_without_excitation_when_read_again_and_again_then_the_bench_says_so_once_of_each(
+def test_unfed_sensors_are_reported_once(
     capsys,
 ):
     with daq.connect(scene(FED, "preset: NI 9234"), clock="fast") as connection:
@@ -94,7 +92,7 @@ def test_given_sensors_without_excitation_when_read_again_and_again_then_the_ben
         assert read("cDAQ1Mod1/ai0:1", ExcitationSource.NONE) == ""
 
 
-def test_given_a_script_that_feeds_no_sensor_when_run_then_it_is_told_where_it_was_started(tmp_path, capfd):
+def test_script_without_excitation_is_reported(tmp_path, capfd):
     script = tmp_path / "script.py"
     script.write_text("""
 import nidaqmx

@@ -58,11 +58,11 @@ def read_in_pieces(size, total=512):
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("size", [1, 7, 128])
-def test_given_any_read_size_when_a_driven_rig_is_read_then_every_bit_is_the_same(size):
+def test_read_size_does_not_change_bits(size):
     assert np.array_equal(read_in_pieces(size), read_in_pieces(512))
 
 
-def test_given_a_drive_when_the_inputs_are_read_then_they_are_the_plants_answer_to_just_that_drive():
+def test_inputs_show_response_to_drive():
     read = read_in_pieces(512)
     scene = rig.load("bare-structure")
     from daq.bench.bench import Bench
@@ -72,7 +72,7 @@ def test_given_a_drive_when_the_inputs_are_read_then_they_are_the_plants_answer_
     np.testing.assert_allclose(read, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
 
 
-def test_given_a_request_when_the_rate_is_read_back_then_it_is_what_the_clock_makes_of_it(chassis):
+def test_requested_rate_is_coerced(chassis):
     with Task() as task:
         inputs(task)
         coerced = []
@@ -83,7 +83,7 @@ def test_given_a_request_when_the_rate_is_read_back_then_it_is_what_the_clock_ma
 
 
 @reads_waveforms
-def test_given_another_rate_when_a_task_runs_then_the_bench_really_samples_at_it(chassis):
+def test_task_sets_sampling_rate(chassis):
     with Task() as task:
         inputs(task, "Dev1/ai3")
         task.timing.cfg_samp_clk_timing(10000.0, samps_per_chan=50)
@@ -91,7 +91,7 @@ def test_given_another_rate_when_a_task_runs_then_the_bench_really_samples_at_it
     assert waveform.timing.sample_interval.total_seconds() == pytest.approx(1 / 10240, rel=1e-9)
 
 
-def test_given_a_rate_too_low_for_the_scenes_test_when_a_task_runs_then_the_test_is_played_all_the_same():
+def test_low_rate_still_plays_test():
     scene = rig.load("bare-structure").replace(
         test={"kind": "sine", "frequency": 2000.0, "drive": 1e-6}, converter={"rate": 10240.0}
     )
@@ -102,7 +102,7 @@ def test_given_a_rate_too_low_for_the_scenes_test_when_a_task_runs_then_the_test
         assert np.any(task.read(50))
 
 
-def test_given_a_finite_task_when_read_without_start_then_it_starts_reads_all_and_stops(chassis):
+def test_unstarted_finite_task_reads_all(chassis):
     with Task() as task:
         inputs(task, samps_per_chan=64)
         assert np.shape(task.read(READ_ALL_AVAILABLE)) == (4, 64)
@@ -111,7 +111,7 @@ def test_given_a_finite_task_when_read_without_start_then_it_starts_reads_all_an
     assert chassis.position == 127 * 10 + 1
 
 
-def test_given_the_number_of_samples_when_reading_then_the_shape_follows_from_it(chassis):
+def test_shape_follows_from_number_of_samples(chassis):
     with Task() as one, Task() as four:
         inputs(one, "Dev1/ai0")
         inputs(four, "Dev2/ai0:3")
@@ -121,7 +121,7 @@ def test_given_the_number_of_samples_when_reading_then_the_shape_follows_from_it
         assert np.shape(four.read(3)) == (4, 3)
 
 
-def test_given_a_continuous_task_when_all_is_read_then_only_what_is_there_comes(chassis):
+def test_read_all_gives_available_samples(chassis):
     with Task() as task:
         inputs(task, "Dev1/ai0", sample_mode=AcquisitionType.CONTINUOUS)
         task.start()
@@ -131,7 +131,7 @@ def test_given_a_continuous_task_when_all_is_read_then_only_what_is_there_comes(
         assert 0 < len(task.read(READ_ALL_AVAILABLE)) < 100
 
 
-def test_given_a_read_longer_than_the_buffer_when_it_is_made_then_it_comes_whole(chassis):
+def test_long_read_comes_whole(chassis):
     with Task() as task:
         inputs(task, "Dev1/ai0", sample_mode=AcquisitionType.CONTINUOUS)
         task.in_stream.input_buf_size = 100
@@ -139,7 +139,7 @@ def test_given_a_read_longer_than_the_buffer_when_it_is_made_then_it_comes_whole
         assert task.in_stream.curr_read_pos == 1000
 
 
-def test_given_units_and_a_sensitivity_when_accelerations_are_read_then_they_are_the_volts_over_it(chassis):
+def test_sensitivity_converts_volts(chassis):
     with Task() as volts, Task() as gs, Task() as metres:
         inputs(volts, "Dev1/ai3", samps_per_chan=500)
         for task, device, units in ((gs, 2, AccelUnits.G), (metres, 3, AccelUnits.METERS_PER_SECOND_SQUARED)):
@@ -156,7 +156,7 @@ def test_given_units_and_a_sensitivity_when_accelerations_are_read_then_they_are
     np.testing.assert_allclose(in_metres, read / 0.25 * 9.80665, rtol=1e-14)
 
 
-def test_given_relative_positions_when_reading_then_samples_can_be_read_again(chassis):
+def test_relative_positions_read_again(chassis):
     with Task() as task:
         inputs(task, "Dev1/ai3", samps_per_chan=200)
         task.start()
@@ -167,7 +167,7 @@ def test_given_relative_positions_when_reading_then_samples_can_be_read_again(ch
         assert task.read(10) == samples[-10:]
 
 
-def test_given_a_subset_of_channels_when_reading_then_only_they_come(chassis):
+def test_channel_subset_is_read(chassis):
     with Task() as task:
         inputs(task, samps_per_chan=20)
         task.start()
@@ -177,7 +177,7 @@ def test_given_a_subset_of_channels_when_reading_then_only_they_come(chassis):
         assert np.array_equal(np.array(task.read(10)), every[[1, 3]])
 
 
-def test_given_regeneration_when_the_output_runs_then_the_buffer_is_played_round_and_round(chassis):
+def test_regeneration_repeats_buffer(chassis):
     with Task() as driving:
         output(driving, np.arange(10.0) / 10, sample_mode=AcquisitionType.CONTINUOUS)
         driving.start()
@@ -192,7 +192,7 @@ def test_given_regeneration_when_the_output_runs_then_the_buffer_is_played_round
     assert chassis.held[0] == 0.9
 
 
-def test_given_a_short_buffer_when_a_finite_output_runs_then_it_is_repeated_up_to_the_number_asked_for(
+def test_short_buffer_repeats_until_number(
     chassis,
 ):
     with Task() as driving:
@@ -203,7 +203,7 @@ def test_given_a_short_buffer_when_a_finite_output_runs_then_it_is_repeated_up_t
         assert chassis.held[0] == 0.1
 
 
-def test_given_no_regeneration_when_writing_waits_for_room_then_every_sample_is_played_once(chassis):
+def test_unregenerated_samples_play_once(chassis):
     with Task() as driving:
         driving.ao_channels.add_ao_voltage_chan("Dev1/ao0")
         driving.timing.cfg_samp_clk_timing(RATE, sample_mode=AcquisitionType.CONTINUOUS)
@@ -216,7 +216,7 @@ def test_given_no_regeneration_when_writing_waits_for_room_then_every_sample_is_
         assert driving.out_stream.total_samp_per_chan_generated == 500
 
 
-def test_given_a_single_value_when_written_on_demand_then_the_output_holds_it(chassis):
+def test_single_value_is_held(chassis):
     with Task() as driving, Task() as reading:
         driving.ao_channels.add_ao_voltage_chan("Dev1/ao0")
         assert driving.write(1.1) == 1
@@ -225,7 +225,7 @@ def test_given_a_single_value_when_written_on_demand_then_the_output_holds_it(ch
     assert chassis.held[0] == 1.1
 
 
-def test_given_an_output_on_the_input_clock_when_the_inputs_start_then_it_starts_with_them(chassis):
+def test_output_starts_with_input_clock(chassis):
     with Task() as reading, Task() as driving:
         inputs(reading, "Dev1/ai0", samps_per_chan=10)
         output(driving, np.ones(5), source="/Dev1/ai/SampleClock", samps_per_chan=5)
@@ -236,7 +236,7 @@ def test_given_an_output_on_the_input_clock_when_the_inputs_start_then_it_starts
         assert driving.out_stream.total_samp_per_chan_generated == 5
 
 
-def test_given_a_callback_when_samples_come_then_it_is_called_at_each_multiple_and_finds_those(chassis):
+def test_callback_runs_at_each_multiple(chassis):
     calls = queue.Queue()
     with Task() as task:
         inputs(task, "Dev1/ai0", sample_mode=AcquisitionType.CONTINUOUS)
@@ -254,7 +254,7 @@ def test_given_a_callback_when_samples_come_then_it_is_called_at_each_multiple_a
     assert calls.empty()
 
 
-def test_given_output_callbacks_when_samples_are_played_then_they_are_called(chassis):
+def test_output_callbacks_run(chassis):
     # Each kind of event comes on a thread of its own: they are waited for, in whatever order they come.
     calls, done = queue.Queue(), queue.Queue()
     with Task() as driving:
@@ -270,7 +270,7 @@ def test_given_output_callbacks_when_samples_are_played_then_they_are_called(cha
     assert calls.empty() and done.empty()
 
 
-def test_given_the_real_clock_when_samples_come_then_callbacks_run_on_a_thread_of_the_client(monkeypatch):
+def test_real_clock_calls_back_on_thread(monkeypatch):
     # However busy the machine is that runs the tests, its bench does not count as fallen behind.
     monkeypatch.setattr("daq.instrument.chassis._PATIENCE", float("inf"))
     connect("bare-structure", "real")
@@ -292,7 +292,7 @@ def test_given_the_real_clock_when_samples_come_then_callbacks_run_on_a_thread_o
     assert threading.main_thread() not in names
 
 
-def test_given_a_committed_task_when_stopped_then_it_keeps_its_modules_until_it_gives_them_back(chassis):
+def test_committed_task_keeps_modules(chassis):
     with Task() as first, Task() as second:
         inputs(first, samps_per_chan=10)
         inputs(second, samps_per_chan=10)
@@ -305,7 +305,7 @@ def test_given_a_committed_task_when_stopped_then_it_keeps_its_modules_until_it_
         assert np.shape(second.read(READ_ALL_AVAILABLE)) == (4, 10)
 
 
-def test_given_no_script_at_the_output_when_reading_then_the_scenes_own_test_is_played():
+def test_undriven_output_plays_scene_test():
     connect("fig10b-no-damper", "fast")
     with Task() as task:
         task.ai_channels.add_ai_force_iepe_chan("Dev1/ai3")
@@ -314,7 +314,7 @@ def test_given_no_script_at_the_output_when_reading_then_the_scenes_own_test_is_
     assert 150.0 < force.max() < 250.0
 
 
-def test_given_a_filter_whose_delay_is_taken_out_when_reading_then_samples_belong_to_their_own_time():
+def test_removed_delay_keeps_sample_times():
     scene = rig.load("bare-structure")
     late = scene.replace(converter=scene.converter.replace(filter="delta_sigma", remove_delay=True))
     read = []
@@ -347,20 +347,20 @@ def polled_until(arrived, task):
         lambda task: task.is_task_done(),
     ],
 )
-def test_given_a_fast_clock_when_a_script_polls_then_time_passes(chassis, arrived):
+def test_polling_passes_fast_time(chassis, arrived):
     with inputs(Task(), sample_mode=AcquisitionType.FINITE, samps_per_chan=1000) as task:
         task.start()
         assert polled_until(arrived, task) > 1
         assert np.array(task.read(READ_ALL_AVAILABLE)).shape == (4, 1000)
 
 
-def test_given_a_fast_clock_when_a_script_polls_an_output_then_time_passes(chassis):
+def test_polling_output_passes_fast_time(chassis):
     with output(Task(), tone(1000), sample_mode=AcquisitionType.FINITE, samps_per_chan=1000) as task:
         task.start()
         polled_until(lambda task: task.out_stream.total_samp_per_chan_generated == 1000, task)
 
 
-def test_given_a_fast_clock_when_reads_without_a_timeout_are_tried_again_then_they_succeed(chassis):
+def test_repeated_reads_without_timeout_succeed(chassis):
     with inputs(Task(), sample_mode=AcquisitionType.CONTINUOUS) as task:
         task.start()
 
@@ -374,7 +374,7 @@ def test_given_a_fast_clock_when_reads_without_a_timeout_are_tried_again_then_th
         polled_until(arrived, task)
 
 
-def test_given_a_fast_clock_when_different_things_are_looked_at_once_then_no_time_passes(chassis):
+def test_single_looks_pass_no_time(chassis):
     with inputs(Task(), sample_mode=AcquisitionType.CONTINUOUS) as task:
         task.start()
         task.read(100)
@@ -393,15 +393,13 @@ def test_given_a_fast_clock_when_different_things_are_looked_at_once_then_no_tim
         ("low, middle", ["low", "middle", "Dev1/ai2"]),
     ],
 )
-def test_given_names_for_several_channels_when_they_are_added_then_each_has_its_own(chassis, given, expected):
+def test_every_channel_gets_its_name(chassis, given, expected):
     with Task() as task:
         task.ai_channels.add_ai_accel_chan("Dev1/ai0:2", given)
         assert task.channel_names == expected
 
 
 @pytest.mark.parametrize(("port", "names"), [("Dev1/ai0", "a, b"), ("", "a")])
-def test_given_more_names_than_channels_or_no_channel_when_one_is_added_then_it_is_refused(
-    chassis, port, names
-):
+def test_wrong_number_of_names_is_rejected(chassis, port, names):
     with Task() as task, pytest.raises(DaqError):
         task.ai_channels.add_ai_accel_chan(port, names)

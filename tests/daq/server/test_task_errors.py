@@ -41,7 +41,7 @@ def raised(kind=DaqError):
     return pytest.raises(kind)
 
 
-def test_given_a_finished_acquisition_when_more_is_read_than_there_is_then_what_there_is_comes(chassis):
+def test_finished_task_gives_remaining_samples(chassis):
     with Task() as task:
         inputs(task, samps_per_chan=100)
         task.start()
@@ -52,7 +52,7 @@ def test_given_a_finished_acquisition_when_more_is_read_than_there_is_then_what_
         assert (caught.value.error_code, caught.value.samps_per_chan_read) == (-200278, 0)
 
 
-def test_given_samples_dropped_by_the_scene_when_they_are_due_then_the_input_overflows_and_can_be_restarted():
+def test_dropped_samples_overflow_and_restart():
     scene = rig.load("bare-structure")
     dropped = {"at": "0.1 s", "samples": 256}
     scene = scene.replace(converter=scene.converter.replace(dropped_blocks=[dropped]))
@@ -70,7 +70,7 @@ def test_given_samples_dropped_by_the_scene_when_they_are_due_then_the_input_ove
         assert len(task.read(100)) == 100
 
 
-def test_given_a_machine_too_slow_when_the_bench_falls_far_behind_then_the_inputs_overflow(chassis):
+def test_slow_machine_overflows_inputs(chassis):
     with Task() as task:
         inputs(task, sample_mode=AcquisitionType.CONTINUOUS)
         task.start()
@@ -91,7 +91,7 @@ def putting_out(task):
     task.start()
 
 
-def test_given_an_output_without_regeneration_when_it_runs_dry_then_the_writer_hears_of_it(chassis):
+def test_empty_output_is_reported(chassis):
     with Task() as task:
         putting_out(task)
         with raised(DaqWriteError) as caught:
@@ -108,7 +108,7 @@ def test_given_an_output_without_regeneration_when_it_runs_dry_then_the_writer_h
         assert task.write(np.zeros(50)) == 50
 
 
-def test_given_an_output_that_ran_dry_when_nobody_has_been_told_then_stopping_says_so(chassis):
+def test_empty_output_is_reported_on_stop(chassis):
     with Task() as task:
         putting_out(task)
         pass_samples(chassis, 150)
@@ -117,7 +117,7 @@ def test_given_an_output_that_ran_dry_when_nobody_has_been_told_then_stopping_sa
         assert caught.value.error_code == -200290
 
 
-def test_given_a_running_task_when_settings_are_changed_then_it_says_to_stop_first(chassis):
+def test_running_task_rejects_settings(chassis):
     with Task() as task:
         inputs(task, sample_mode=AcquisitionType.CONTINUOUS)
         task.start()
@@ -148,16 +148,14 @@ def test_given_a_running_task_when_settings_are_changed_then_it_says_to_stop_fir
         ("Dev1/ai0:99999999", -200498, "100000000"),
     ],
 )
-def test_given_a_channel_that_is_not_there_when_adding_it_then_the_error_says_what_is(
-    chassis, name, code, hint
-):
+def test_missing_channel_names_existing_ones(chassis, name, code, hint):
     with Task() as task, raised() as caught:
         task.ai_channels.add_ai_voltage_chan(name, min_val=-1.0, max_val=1.0)
     assert caught.value.error_code == code
     assert hint in str(caught.value)
 
 
-def test_given_limits_beyond_the_module_when_adding_a_channel_then_they_are_refused_and_others_coerced():
+def test_excessive_limits_are_rejected_others_coerced():
     connect("fig8-three-dampers", ManualClock())
     with Task() as task:
         with raised() as caught:
@@ -170,7 +168,7 @@ def test_given_limits_beyond_the_module_when_adding_a_channel_then_they_are_refu
 
 
 @pytest.mark.parametrize("rate", [0.0, -1.0, 96000.0])
-def test_given_a_rate_the_clock_cannot_make_when_asked_for_then_it_is_refused(chassis, rate):
+def test_impossible_rate_is_rejected(chassis, rate):
     with Task() as task:
         inputs(task)
         with raised() as caught:
@@ -204,7 +202,7 @@ def test_given_a_rate_the_clock_cannot_make_when_asked_for_then_it_is_refused(ch
         (lambda task: task.read(10, timeout=np.nan), "timeout is nan"),
     ],
 )
-def test_given_a_value_that_cannot_be_when_it_is_passed_then_the_error_says_what_can(chassis, call, hint):
+def test_invalid_value_names_valid_ones(chassis, call, hint):
     with Task() as task:
         inputs(task)
         with raised() as caught:
@@ -214,7 +212,7 @@ def test_given_a_value_that_cannot_be_when_it_is_passed_then_the_error_says_what
 
 
 @pytest.mark.parametrize("samples", [10**13])
-def test_given_more_samples_than_memory_when_they_are_to_be_acquired_then_it_says_so(chassis, samples):
+def test_excessive_samples_are_rejected(chassis, samples):
     with Task() as task:
         inputs(task, samps_per_chan=samples)
         with raised() as caught:
@@ -224,7 +222,7 @@ def test_given_more_samples_than_memory_when_they_are_to_be_acquired_then_it_say
 
 
 @pytest.mark.parametrize("timeout", [-1.0, np.inf])
-def test_given_a_timeout_for_ever_when_waiting_then_it_waits_until_the_task_is_done(timeout):
+def test_infinite_timeout_waits_for_task(timeout):
     connect("bare-structure", "fast")
     with Task() as task:
         inputs(task, samps_per_chan=512)
@@ -234,9 +232,7 @@ def test_given_a_timeout_for_ever_when_waiting_then_it_waits_until_the_task_is_d
 
 
 @pytest.mark.parametrize("sensitivity", [0.0, -100.0, 1e-310, np.inf, np.nan])
-def test_given_a_sensitivity_that_cannot_be_when_it_is_set_then_it_is_refused_and_the_old_one_kept(
-    chassis, sensitivity
-):
+def test_invalid_sensitivity_keeps_old_one(chassis, sensitivity):
     with Task() as task:
         with raised() as caught:
             task.ai_channels.add_ai_accel_chan("Dev1/ai0", sensitivity=sensitivity)
@@ -253,7 +249,7 @@ def test_given_a_sensitivity_that_cannot_be_when_it_is_set_then_it_is_refused_an
         assert len(task.read(5)) == 5
 
 
-def test_given_two_tasks_for_one_module_when_both_start_then_the_second_is_told_who_has_it(chassis):
+def test_used_module_names_its_task(chassis):
     with Task("mine") as first, Task("yours") as second:
         inputs(first, "Dev1/ai0", sample_mode=AcquisitionType.CONTINUOUS)
         inputs(second, "Dev1/ai1", sample_mode=AcquisitionType.CONTINUOUS)
@@ -266,7 +262,7 @@ def test_given_two_tasks_for_one_module_when_both_start_then_the_second_is_told_
         second.start()
 
 
-def test_given_wrong_use_when_reading_or_writing_then_each_has_its_code(chassis):
+def test_wrong_use_has_its_code(chassis):
     def code(call, *given, **named):
         with raised() as caught:
             call(*given, **named)
@@ -293,7 +289,7 @@ def test_given_wrong_use_when_reading_or_writing_then_each_has_its_code(chassis)
     assert code(reading.read, 1) == -200088
 
 
-def test_given_an_offset_before_the_first_sample_when_reading_then_it_says_so_and_stays_where_it_was(chassis):
+def test_offset_before_first_sample_is_rejected(chassis):
     with Task() as task:
         inputs(task, sample_mode=AcquisitionType.CONTINUOUS)
         task.start()
@@ -373,14 +369,14 @@ def test_reserved_resource_names_terminal_and_task(chassis):
     assert "Task Name: second" in str(caught.value)
 
 
-def test_given_a_finite_task_when_stopped_early_then_the_status_says_so(chassis):
+def test_early_stop_has_status(chassis):
     with Task("early") as task:
         inputs(task, samps_per_chan=100)
         task.start()
         assert chassis.tasks["early"].stop() == 200010
 
 
-def test_given_a_closed_task_when_used_then_it_is_no_task_any_more(chassis):
+def test_closed_task_is_unusable(chassis):
     task = Task("used")
     other = nidaqmx.Task(task.name, grpc_options=options())
     task.close()
@@ -391,7 +387,7 @@ def test_given_a_closed_task_when_used_then_it_is_no_task_any_more(chassis):
         task.close()
 
 
-def test_given_an_overload_when_the_flag_is_read_then_it_names_the_channel_and_is_cleared():
+def test_overload_flag_names_channel():
     scene = rig.load("bare-structure")
     chassis = connect(scene.replace(converter=scene.converter.replace(bits=24, range="0.2 V")), ManualClock())
     with Task() as reading, Task() as driving:

@@ -30,9 +30,7 @@ def response(path, **settings):
 
 
 @pytest.mark.parametrize("repeats", [1, 3])
-def test_given_jitter_when_hit_then_its_part_is_as_large_as_what_it_brings_and_the_bound_holds(
-    repeats, tmp_path
-):
+def test_jitter_contribution_holds_its_effect(repeats, tmp_path):
     frf, wrong = response(tmp_path / "a.mcap", repeats=repeats, jitter=", jitter: 1 us")
     others = frf.without(JITTER)
     assert np.mean(wrong <= others.bound()) < 0.8
@@ -42,6 +40,6 @@ def test_given_jitter_when_hit_then_its_part_is_as_large_as_what_it_brings_and_t
     assert 0.3 < np.sqrt(np.mean((wrong / frf.limits[JITTER])[far] ** 2)) < 0.9
 
 
-def test_given_no_jitter_when_hit_then_no_part_tells_of_it(tmp_path):
+def test_no_jitter_has_no_contribution(tmp_path):
     frf, wrong = response(tmp_path / "a.mcap", repeats=1, jitter="")
     assert JITTER not in frf.limits and np.mean(wrong <= frf.bound()) > 0.9

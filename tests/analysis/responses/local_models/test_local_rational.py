@@ -29,7 +29,7 @@ def quotient_of_what_ends_add(random, stretches, width):
 
 
 @pytest.mark.parametrize("ends", ["at rest", "joined", "apart"])
-def test_given_a_rational_response_when_fitted_then_it_is_exact_whatever_the_ends_add(ends):
+def test_rational_response_is_exact(ends):
     random = np.random.default_rng(7)
     force, width = gaussian(random, 3, BINS), 20.0
     response = 1.0 / (1.0 + 0.02j * (at + 230.0))
@@ -49,7 +49,7 @@ def test_given_a_rational_response_when_fitted_then_it_is_exact_whatever_the_end
     assert fit.coherence == pytest.approx(np.ones(7), abs=1e-9)
 
 
-def test_given_the_slow_transient_of_a_high_pass_when_fitted_then_it_is_not_taken_for_a_response():
+def test_slow_transient_is_no_response():
     random = np.random.default_rng(8)
     force, slow = gaussian(random, 2, BINS), 1.0 / (1j * np.arange(BINS) + 0.4)
     spectra = 2.0 * force + 50.0 * gaussian(random, 2, 1) * slow
@@ -60,9 +60,7 @@ def test_given_the_slow_transient_of_a_high_pass_when_fitted_then_it_is_not_take
 
 
 @pytest.mark.parametrize(("side", "noise"), [(6, 0.3), (15, 0.3), (15, 3.0)])
-def test_given_noise_when_fitted_then_errors_scatter_as_stated_and_coherence_is_the_share_of_power(
-    side, noise
-):
+def test_noise_scatters_as_stated(side, noise):
     random = np.random.default_rng(9)
     stretches, ratios, coherences, degrees = 3, [], [], []
     lines = np.arange(30, 370, 2 * side + 1)
@@ -82,7 +80,7 @@ def test_given_noise_when_fitted_then_errors_scatter_as_stated_and_coherence_is_
     assert np.mean(coherences) == pytest.approx(4.0 / (4.0 + noise**2), abs=0.01)
 
 
-def test_given_noise_in_the_reference_when_a_narrow_peak_is_fitted_then_it_scatters_as_that_noise_goes_through():
+def test_reference_noise_scatters_at_narrow_peak():
     random = np.random.default_rng(14)
     noise, middle, off = 0.02, np.array([200]), []
     for _ in range(60):
@@ -97,7 +95,7 @@ def test_given_noise_in_the_reference_when_a_narrow_peak_is_fitted_then_it_scatt
     assert left_over < 0.5 * stated
 
 
-def test_given_noise_in_the_reference_of_a_flat_response_when_fitted_then_it_scatters_as_that_noise_goes_through():
+def test_reference_noise_scatters_in_flat_response():
     random = np.random.default_rng(15)
     noise, lines, ratios = 0.03, np.arange(30, 370, 25), []
     none = np.zeros((3, BINS))
@@ -109,7 +107,7 @@ def test_given_noise_in_the_reference_of_a_flat_response_when_fitted_then_it_sca
     assert np.mean(ratios) == pytest.approx(1.0, rel=0.15)
 
 
-def test_given_a_first_and_a_last_bin_that_are_off_when_lines_beside_them_are_fitted_then_both_count():
+def test_wrong_end_bins_count_in_errors():
     random = np.random.default_rng(17)
     force, none, lines = gaussian(random, 2, BINS), np.zeros((2, BINS)), np.array([3, 200, BINS - 4])
     for bin_, beside in ((0, [True, False, False]), (BINS - 1, [False, False, True])):
@@ -119,7 +117,7 @@ def test_given_a_first_and_a_last_bin_that_are_off_when_lines_beside_them_are_fi
         assert (abs(fit.value - 2.0) > 1e-6).tolist() == beside
 
 
-def test_given_other_units_when_fitted_then_everything_follows_them():
+def test_units_scale_everything():
     random = np.random.default_rng(16)
     force, none, lines = gaussian(random, 2, BINS), np.zeros((2, BINS)), np.arange(100, 300, 20)
     spectra = force * resonance(30.0) + 0.01 * gaussian(random, 2, BINS)
@@ -137,7 +135,7 @@ def test_given_other_units_when_fitted_then_everything_follows_them():
         np.testing.assert_allclose(getattr(other, each), getattr(usual, each), rtol=1e-6)
 
 
-def test_given_zeros_in_front_of_stretches_when_fitted_then_lines_count_for_less():
+def test_leading_zeros_reduce_weights():
     random = np.random.default_rng(10)
     force = gaussian(random, 3, BINS)
     reading = Reading(force + 0.1 * gaussian(random, 3, BINS), np.ones(BINS), np.zeros((0, BINS)))
@@ -151,7 +149,7 @@ def test_given_zeros_in_front_of_stretches_when_fitted_then_lines_count_for_less
     np.testing.assert_allclose(half.variance[same] / whole.variance[same], ratio)
 
 
-def test_given_a_curve_too_sharp_for_the_polynomials_when_fitted_then_what_they_miss_is_told_where_it_is():
+def test_model_error_of_sharp_curve_is_stated():
     random = np.random.default_rng(11)
     # Three peaks within a fit's reach are more than a denominator of second order.
     truth = sum(5.0 / (1j * (at - place) + 1.0) for place in (-6.0, 0.0, 6.0))
@@ -166,7 +164,7 @@ def test_given_a_curve_too_sharp_for_the_polynomials_when_fitted_then_what_they_
     assert fit.missed[far].max() < 0.01 * scale
 
 
-def test_given_any_number_of_lines_at_a_time_when_fitted_then_the_result_is_the_same(monkeypatch):
+def test_batch_size_does_not_matter(monkeypatch):
     random = np.random.default_rng(12)
     force = gaussian(random, 2, BINS)
     reading = Reading(
@@ -180,14 +178,14 @@ def test_given_any_number_of_lines_at_a_time_when_fitted_then_the_result_is_the_
     np.testing.assert_allclose(parts.missed, whole.missed, rtol=1e-6)
 
 
-def test_given_nothing_driven_when_fitted_then_there_is_no_value():
+def test_undriven_lines_have_no_value():
     random = np.random.default_rng(13)
     reading = Reading(gaussian(random, 2, BINS), np.ones(BINS), np.zeros((0, BINS)))
     fit = local_fit(reading, np.zeros((2, BINS), dtype=complex), np.zeros((2, BINS)), np.array([50, 60]), 8)
     assert np.isnan(fit.value).all()
 
 
-def test_given_a_reference_that_bends_as_a_transient_does_when_fitted_then_only_its_noise_stands_apart():
+def test_bent_reference_keeps_only_its_noise():
     random = np.random.default_rng(21)
     smooth, ends = 1.0 + 2e-3 * np.arange(BINS)[None] ** 1.5, np.ones((1, BINS))
     for noise in (1e-3, 1e-1):

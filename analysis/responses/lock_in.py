@@ -15,13 +15,13 @@ from rig.errors import RecordingError
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-# Samples multiplied at a time: they and the tones' values fit into a core's cache, which is many times quicker.
+# Samples multiplied at a time: they and the rows of the tones fit into the cache of a core.
 _CACHED = 2048
 
 
 @dataclass(frozen=True)
 class ToneFit:
-    """What a lock-in found in one window."""
+    """Tone, harmonics and residual of one window."""
 
     frequency: float  # Hz
     amplitude: ComplexArray
@@ -31,7 +31,7 @@ class ToneFit:
     """The fundamental of each part of the window; their scatter gives the error of `amplitude`; complex,
     shape (parts, channels)."""
     residual: Array
-    """Root mean square of what the fit leaves; shape (channels,)."""
+    """Root mean square of the residual; shape (channels,)."""
 
     def scatter(self) -> ComplexArray:
         """Factor of the fundamentals' covariance from the scatter of the parts, shape (parts, channels)."""
@@ -44,6 +44,20 @@ class ToneFit:
         """Total harmonic distortion of each channel: harmonics' root sum of squares over the fundamental."""
         size = abs(self.amplitude)
         return np.sqrt((size[:, 1:] ** 2).sum(axis=1)) / size[:, 0]
+
+
+@dataclass(frozen=True)
+class _Part:
+    """A part of the window: its samples `first` to `first + length`, and the least-squares fit to them alone."""
+
+    first: int
+    length: int
+    projection: Array
+    """Products of the fitted terms with the samples, shape (terms, channels)."""
+    own: Array
+    """Coefficients of the fit to this part, shape (terms, channels)."""
+    residual: Array
+    """Its sum of squares, shape (channels,)."""
 
 
 class LockIn:
@@ -82,10 +96,8 @@ class LockIn:
         self.rate = rate
         self.harmonics = harmonics
         self._basis: dict[int, Array] = {}
-        self._grams: dict[int, Array] = {}
-        self._parts: list[tuple[int, int, Array]] = []
-        # Of each part, what its own fit of all terms leaves.
-        self._left: list[Array] = []
+        self._grams: dict[int, tuple[Array, Array]] = {}
+        self._parts: list[_Part] = []
         self._samples = 0
 
     def add(self, samples: Array) -> None:
@@ -94,55 +106,48 @@ class LockIn:
         projection = np.zeros((2 * self.harmonics + 2, len(samples)))
         for start, turn, basis in self._pieces(length):
             projection += turn @ (basis @ samples[:, start : start + basis.shape[1]].T)
-        self._parts.append((self._samples, length, projection))
-        self._left.append(self._left_over(samples, projection))
+        own = np.linalg.solve(self._gram(length)[0], projection)
+        self._parts.append(_Part(self._samples, length, projection, own, self._residual(samples, own)))
         self._samples += length
 
     def tone(self) -> ToneFit:
         """Solve for the amplitudes over all parts added so far."""
         size = 2 * self.harmonics + 2
-        channels = self._parts[0][2].shape[1]
+        channels = self._parts[0].projection.shape[1]
         normal, right = np.zeros((size, size)), np.zeros((size, channels))
-        to_local = [self._to_local(first, length) for first, length, _ in self._parts]
-        for matrix, (_, length, projection) in zip(to_local, self._parts, strict=True):
-            normal += matrix.T @ self._gram(length) @ matrix
-            right += matrix.T @ projection
+        to_local = [self._to_local(part.first, part.length) for part in self._parts]
+        for matrix, part in zip(to_local, self._parts, strict=True):
+            normal += matrix.T @ self._gram(part.length)[0] @ matrix
+            right += matrix.T @ part.projection
         solution = linalg.solve(normal, right, assume_a="pos")
         amplitude = (solution[2::2] + 1j * solution[3::2]).T
         parts = np.empty((len(self._parts), channels), dtype=complex)
-        for row, (matrix, (first, length, projection)) in enumerate(zip(to_local, self._parts, strict=True)):
-            # A part's own offset and slope would be nearly collinear with its tone, and its scatter too
-            # large: the part answers only for what the common offset, slope and tones leave over.
-            gram = self._gram(length)
-            left_over = (projection - gram @ (matrix @ solution))[2:]
-            local = linalg.solve(gram[2:, 2:], left_over, assume_a="pos")
-            turn = np.exp(-2j * np.pi * np.fmod(self.frequency * first / self.rate, 1.0))
+        squares = np.zeros(channels)
+        for row, (matrix, part) in enumerate(zip(to_local, self._parts, strict=True)):
+            gram, factor = self._gram(part.length)
+            common = matrix @ solution
+            # Offset and slope of a single part would be nearly collinear with its tone, and its scatter too large:
+            # only the residual of the common fit is fitted by the tones of the part.
+            local = np.linalg.solve(gram[2:, 2:], (part.projection - gram @ common)[2:])
+            turn = np.exp(-2j * np.pi * np.fmod(self.frequency * part.first / self.rate, 1.0))
             parts[row] = amplitude[:, 0] + (local[0] + 1j * local[1]) * turn
-        # What the common fit leaves: what the parts' own fits leave, and by how much these differ from it.
-        left = np.sum(self._left, axis=0)
-        for matrix, (_, length, projection) in zip(to_local, self._parts, strict=True):
-            factor = linalg.cholesky(self._gram(length), lower=True)
-            own = linalg.solve_triangular(factor, projection, lower=True)
-            left += np.sum(np.square(own - factor.T @ (matrix @ solution)), axis=0)
-        residual = np.sqrt(left / max(self._samples - size, 1))
-        return ToneFit(self.frequency, amplitude, parts, residual)
+            # Residual of the common fit: residual of the part's own fit, and the difference of the two fits.
+            squares += part.residual + np.sum(np.square(factor.T @ (part.own - common)), axis=0)
+        return ToneFit(self.frequency, amplitude, parts, np.sqrt(squares / max(self._samples - size, 1)))
 
-    def _left_over(self, samples: Array, projection: Array) -> Array:
-        """Sum of squares that a part's own fit leaves of its samples, shape (channels,)."""
-        length = samples.shape[1]
-        own = linalg.solve(self._gram(length), projection, assume_a="pos")
-        left = np.zeros(len(samples))
-        for start, turn, basis in self._pieces(length):
-            missed = samples[:, start : start + basis.shape[1]] - (own.T @ turn) @ basis
-            left += np.einsum("ij,ij->i", missed, missed)
-        return left
+    def _residual(self, samples: Array, own: Array) -> Array:
+        """Sum of squares of the residual of a part's own fit, shape (channels,)."""
+        squares = np.zeros(len(samples))
+        for start, turn, basis in self._pieces(samples.shape[1]):
+            residual = samples[:, start : start + basis.shape[1]] - (own.T @ turn) @ basis
+            squares += np.einsum("ij,ij->i", residual, residual)
+        return squares
 
-    def _gram(self, length: int) -> Array:
-        """Gram matrix of a part's rows 1, slope, cos k, -sin k; parts differ by a sample at most."""
+    def _gram(self, length: int) -> tuple[Array, Array]:
+        """Gram matrix of a part's rows 1, slope, cos k, -sin k, and its Cholesky factor; stored by length."""
         if length not in self._grams:
-            self._grams[length] = np.asarray(
-                sum(turn @ basis @ basis.T @ turn.T for _, turn, basis in self._pieces(length))
-            )
+            gram = np.asarray(sum(turn @ basis @ basis.T @ turn.T for _, turn, basis in self._pieces(length)))
+            self._grams[length] = gram, np.linalg.cholesky(gram)
         return self._grams[length]
 
     def _pieces(self, length: int) -> Iterator[tuple[int, Array, Array]]:

@@ -1,4 +1,4 @@
-"""Which dampers, where: mass, clearance and place that make the worst peak smallest; knows no sensor, no recording.
+"""Choose mass, clearance and location of dampers for the smallest worst peak; independent of sensors and recordings.
 
-Start with `design`; `search` tries choices, `worst_peak` says how good one is.
+Start with `design`; `search` evaluates candidate designs, `worst_peak` computes the peak of a design.
 """

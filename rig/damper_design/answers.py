@@ -1,4 +1,4 @@
-"""Worst peaks of choices: computed by workers, kept in a table, never computed twice."""
+"""Worst peaks of candidate designs: computed by workers and stored in a table, so that none is computed twice."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from rig.damper_design.worst_peak import Peak
 from rig.study import Kept, Study
 from rig.workers import Workers
 
-#: Gives the trial of a choice if it is known.
+#: Returns the result of a candidate design if it has been computed.
 Computed = Callable[[Choice], Trial | None]
-#: A question of one structure at one level, and a choice.
+#: A question about one structure at one level, and a candidate design.
 Piece = tuple[Question, Choice]
 
 
 class Answers:
-    """Worst peaks of choices, from a table or from workers.
+    """Worst peaks of candidate designs, from a table or from workers.
 
     Parameters
     ----------
     workers : Workers
-        They compute what is not known.
+        Compute the designs that are not in the table.
     table : Path or None
-        CSV file with all answers, for one structure and one level each, as soon as they are known.
+        CSV file to which each result is added as soon as it is known, one structure and level per row.
     progress : callable or None
-        Called with the pieces of work done and of all, as far as that can be known.
+        Called with the number of pieces done and the estimated total.
     total : int
         Approximate number of pieces.
 
@@ -48,7 +48,7 @@ class Answers:
         self._kept = Kept(STUDY, table)
 
     def trial(self, question: Question, choice: Choice) -> Trial | None:
-        """Give the worst peaks of a choice if they are known."""
+        """Return the worst peaks of a design if they are known."""
         peaks = [self._kept.values.get((part.digest, choice)) for part in question.parts]
         known, levels = [peak for peak in peaks if peak is not None], len(question.levels)
         if len(known) < len(peaks):
@@ -56,26 +56,25 @@ class Answers:
         return Trial(choice, tuple(max(known[level::levels]) for level in range(levels)))
 
     def of(self, question: Question, choices: Sequence[Choice]) -> list[Trial]:
-        """Try each choice."""
+        """Compute the worst peaks of each design."""
         found = self.follow(question, [lambda _: choices])
         return [found[choice] for choice in choices]
 
     def follow(
         self, question: Question, searches: Sequence[Callable[[Computed], Iterable[Choice]]]
     ) -> dict[Choice, Trial]:
-        """Compute the choices that searches need, until none needs more.
+        """Compute the designs that several searches need, until all searches are finished.
 
         Parameters
         ----------
         searches : sequence of callable
-            Each gives, from the trials that are known, the choices that it needs: all that it used, and those that it
-            waits for. It is called again after every answer, so that no worker waits for one search while another
-            needs something.
+            Each returns, from the known results, the designs that it needs: those it has used and those it waits for.
+            It is called again after every result, so that no worker is idle while any search needs a design.
 
         Returns
         -------
         dict
-            Trials in the order of the choices.
+            Trials in the order of the designs.
         """
         asked: set[Choice] = set()
         pieces: list[Piece] = []
@@ -100,7 +99,7 @@ class Answers:
         return {trial.choice: trial for trial in trials if trial is not None}
 
     def put_in_order(self) -> None:
-        """Sort the table: the same answers make the same file, in whatever order they came."""
+        """Sort the table, so that the file does not depend on the order in which results arrived."""
         self._kept.put_in_order()
 
 

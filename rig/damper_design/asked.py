@@ -1,4 +1,4 @@
-"""What is asked of a design: read from words, filled in from the scene, and checked."""
+"""Parse and check a design request, with defaults from the scene."""
 
 from __future__ import annotations
 
@@ -17,23 +17,24 @@ from rig.scene.shaker import ForceShaker
 from rig.system.open_loop_drive import level_of, with_ideal_force
 from rig.system.structural_model import structural_model
 
-#: Levels that a design must do well at by default, relative to that of the scene's test.
+#: Default force levels of the optimization, relative to the level of the scene's test.
 LEVELS = (0.5, 1.0, 2.0)
-#: Clearances to choose from by default, relative to the largest motion without dampers at the smallest and the largest
-#: level: with dampers that do well the motion is a tenth to a third of it, and their clearance about twice that.
+#: Default range of clearances, relative to the largest displacement without dampers at the smallest and largest
+#: level. Effective dampers reduce the displacement to a tenth to a third of that, and need about twice as much
+#: clearance.
 NARROWEST = 0.03
 WIDEST = 1.5
-#: Share of the structure's mass that may be added by default.
+#: Default limit of the added mass, as a share of the structure's mass.
 BUDGET = 0.05
 
 
 def mass_of(budget: float | str | None, scene: Scene) -> float:
-    """Take a mass, a share of the structure's, or the usual one [kg].
+    """Return the mass limit [kg] from a mass, a share of the structure's mass, or the default.
 
     Raises
     ------
     SceneError
-        If it is none of these.
+        If it is not one of these.
     """
     if budget is None:
         return BUDGET * total_mass(scene)
@@ -43,7 +44,7 @@ def mass_of(budget: float | str | None, scene: Scene) -> float:
         if budget.rstrip().endswith("g"):
             return parse(budget, MASS)
         if not budget.rstrip().endswith("%"):
-            # A number alone would be one of kilograms to some and a share to others.
+            # A bare number is ambiguous: kilograms or a share.
             raise ValueError
         return parse(budget, RATIO) * total_mass(scene)
     except ValueError:
@@ -71,7 +72,7 @@ def _range(given: Sequence[float | str], kind: Kind, name: str) -> tuple[float, 
 
 
 def _under_force(scene: Scene, levels: Sequence[float | str] | None) -> Scene:
-    """Let the test hold a force where it gives a shaker's drive, as levels are forces."""
+    """Replace a drive level of the test by a controlled force, because the levels are forces."""
     if getattr(scene.test, "drive", None) is None or isinstance(scene.driven_shaker, ForceShaker):
         return scene
     if levels is None:
@@ -83,7 +84,7 @@ def _under_force(scene: Scene, levels: Sequence[float | str] | None) -> Scene:
 
 
 def total_mass(scene: Scene) -> float:
-    """Give the mass of the structure without dampers, kg."""
+    """Return the mass of the structure without dampers, kg."""
     return float(np.trace(structural_model(scene).mass))
 
 
@@ -103,7 +104,7 @@ def asked(
     Raises
     ------
     SceneError
-        If that leaves nothing to choose or nothing to drive the structure with.
+        If no candidate designs remain, or nothing drives the structure.
     """
     may_carry, count = _bodies(bodies, scene, "bodies"), tuple(sorted({*_bodies(watched, scene, "watched")}))
     if not 1 <= dampers <= len(may_carry):

@@ -1,4 +1,4 @@
-"""A test that checks a design on the rig, and what it is to measure."""
+"""A test that checks a design on the rig, and its expected results."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from rig.steady_response.frequency_response import frequency_response
 
 Array = NDArray[np.float64]
 
-#: Frequencies of the test through which the motion is followed up to a peak.
+#: Number of test frequencies through which the motion is continued up to a peak.
 APPROACH = 3
 #: Relative distance at which a motion counts as steady.
 NEAR = 1e-4
-#: Most periods to wait for it.
+#: Longest wait for steady motion, periods.
 LONGEST = 2000
 #: Points about each peak.
 POINTS = 25
@@ -33,18 +33,18 @@ REACH = 0.04
 
 @dataclass(frozen=True)
 class Expected:
-    """What a test is to measure at a peak.
+    """Expected measurement at a peak.
 
     Attributes
     ----------
     peak : Peak
-        As the design found it, under a force that is a pure tone.
+        As computed by the design, under a purely sinusoidal force.
     sizes : tuple of float, or None
-        Compliance there through the scene's own shaker, whose spring gives the force harmonics, too, m/N: the least,
-        that at the level, and the most, over forces that count as held and motions that count as steady. None where
-        none was found steady within `LONGEST` periods.
+        Compliance with the scene's own shaker, whose spring adds harmonics to the force, m/N: minimum, nominal
+        value and maximum over the tolerances of force control and steady state. None if no steady motion was
+        reached within `LONGEST` periods.
     closing_speed : tuple of float
-        Largest speed at which each damper comes to a wall there, m/s.
+        Largest approach speed of each damper to a wall at the peak, m/s.
     """
 
     peak: Peak
@@ -53,7 +53,7 @@ class Expected:
 
 
 def check(scene: Scene, trial: Trial, question: Question) -> Scene:
-    """Put dampers into a scene, with a test about the largest peaks with and without them at every level."""
+    """Add dampers to a scene, with a test around the largest peaks with and without them at every level."""
     peaks = [*(peak.frequency for peak in trial.peaks), question.bare.frequency]
     test = {
         "kind": "stepped_sine",
@@ -67,10 +67,11 @@ def check(scene: Scene, trial: Trial, question: Question) -> Scene:
 
 
 def missing_channels(scene: Scene, body: int) -> list[Channel]:
-    """Give the channels that a check needs and the scene lacks: the force, and the body with the largest peak.
+    """Return channels that a check needs and the scene lacks: the force, and the body with the largest peak.
 
-    The force is measured itself, or at both ends of the coil spring. New channels have the sensor and amplifier of the
-    scene's first accelerometer, or a force sensor whose output fills half of the converter's range.
+    The force is measured directly, or from the displacements of both ends of the coil spring. New channels have the
+    sensor and amplifier of the scene's first accelerometer, or a force sensor whose output fills half of the
+    converter's range.
     """
     if scene.channels is None:
         return []
@@ -107,7 +108,7 @@ def _force_sensor(scene: Scene) -> Hammer | None:
 
 
 def _around(peaks: Sequence[float], band: tuple[float, float]) -> Array:
-    """Frequencies about each peak, rising; where their ranges meet, as close as about one alone."""
+    """Frequencies around each peak, rising; overlapping ranges are merged without a finer step."""
     frequencies: list[float] = []
     for peak in sorted(peaks):
         low, high = max(peak * (1.0 - REACH), band[0]), min(peak * (1.0 + REACH), band[1])
@@ -123,9 +124,9 @@ def expected(scene: Scene, trial: Trial) -> tuple[Expected, ...]:
     Parameters
     ----------
     scene : Scene
-        As `check` gives it.
+        As returned by `check`.
     trial : Trial
-        The dampers in it, and their peaks.
+        The dampers of the scene, and their peaks.
     """
     assert isinstance(scene.test, SteppedSine)
     return tuple(_expected(scene, scene.test, peak) for peak in trial.peaks)

@@ -1,4 +1,4 @@
-"""What a design chooses, what it has to choose from, and what is asked of it."""
+"""Candidate designs, the space of designs, and the question that ranks them."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from rig.system.structural_model import structural_model
 
 Array = NDArray[np.float64]
 
-#: Frequencies for each natural frequency in the search.
+#: Frequencies per natural frequency during the search.
 COARSE = 20
-#: The same in the comparison of the best designs.
+#: Frequencies per natural frequency in the comparison of the best designs.
 FINE = 60
 
 
 def mass_unit(mass: float) -> tuple[float, str]:
-    """Return the unit in which a mass in kg is shown, and how many of it make a kilogram."""
+    """Return the number of display units in a kilogram, and the unit, for a mass in kg."""
     return (1e3, "g") if mass < 1.0 else (1.0, "kg")
 
 
@@ -40,7 +40,7 @@ def _clearance(clearance: float) -> str:
 
 @dataclass(frozen=True, order=True)
 class Choice:
-    """Dampers: their bodies (from 1), masses [kg] and clearances [m, infinite without a ceiling], one each.
+    """A candidate design: body (from 1), mass [kg] and clearance [m, infinite without a ceiling] of each damper.
 
     >>> print(Choice((2,), (0.0451,), (1.18e-3,)))
     45.1 g in body 2, clearance 1.18 mm
@@ -59,7 +59,7 @@ class Choice:
 
     @property
     def mass(self) -> float:
-        """Added mass in all, kg."""
+        """Total added mass, kg."""
         return sum(self.masses)
 
     @property
@@ -68,24 +68,24 @@ class Choice:
         return bool(np.isfinite(self.clearances).any())
 
     def without_ceiling(self) -> Choice:
-        """Take all ceilings away."""
+        """Remove all ceilings."""
         return self.with_clearance(np.inf)
 
     def with_clearance(self, clearance: float) -> Choice:
-        """Give all dampers the same clearance."""
+        """Set all clearances to the same value."""
         return replace(self, clearances=(clearance,) * len(self.clearances))
 
     def wider(self, factor: float) -> Choice:
-        """Change all clearances by a factor."""
+        """Multiply all clearances by a factor."""
         return replace(self, clearances=tuple(factor * clearance for clearance in self.clearances))
 
     @property
     def heaviest(self) -> int:
-        """Number of the heaviest damper from 0, the first one of equals."""
+        """Index of the heaviest damper, from 0; the first of equally heavy dampers."""
         return self.masses.index(max(self.masses))
 
     def without_lightest(self) -> Choice:
-        """Leave the lightest damper out, and give its mass to the others in proportion to theirs.
+        """Remove the lightest damper, and distribute its mass over the others in proportion to their masses.
 
         >>> print(Choice((3, 4), (0.0002, 0.0698), (8e-3, 7e-3)).without_lightest())
         70 g in body 4, clearance 7 mm
@@ -100,7 +100,7 @@ class Choice:
         )
 
     def dampers(self, landings: Landings) -> list[Damper]:
-        """Make them, as a scene has them."""
+        """Return the dampers as objects of a scene."""
         each = zip(self.bodies, self.masses, self.clearances, strict=True)
         how = {"restitution": landings.restitution, "contact": landings.contact}
         return [Damper(body=b, mass=m, clearance=c, **how) for b, m, c in each]
@@ -108,14 +108,14 @@ class Choice:
 
 @dataclass(frozen=True)
 class Trial:
-    """A choice that was tried.
+    """A candidate design with its computed peaks.
 
     Attributes
     ----------
     choice : Choice
         The dampers.
     peaks : tuple of Peak
-        Their worst peak at each level, in the order of the question's.
+        Worst peak at each level, in the order of the question's levels.
     """
 
     choice: Choice
@@ -123,25 +123,25 @@ class Trial:
 
     @property
     def peak(self) -> Peak:
-        """The worst of all levels."""
+        """Worst peak over all levels."""
         return max(self.peaks)
 
     @property
     def mean(self) -> float:
-        """Mean of the peaks over the levels, in dB and so geometric, m/N."""
+        """Geometric mean of the peaks over the levels (the mean in dB), m/N."""
         return float(np.exp(np.mean(np.log([peak.size for peak in self.peaks]))))
 
 
 @dataclass(frozen=True)
 class Space:
-    """What there is to choose from.
+    """The space of candidate designs.
 
     Attributes
     ----------
     places : tuple of tuple of int
-        Bodies that the dampers may be on, a tuple for each design; those with few dampers first.
+        Allowed bodies of the dampers, a tuple for each arrangement, in order of the number of dampers.
     mass : float
-        The most that may be added, kg.
+        Largest added mass, kg.
     clearance : tuple of float
         Smallest and largest, m.
     without_ceiling : bool
@@ -160,7 +160,7 @@ class Space:
 
     @staticmethod
     def places_of(bodies: tuple[int, ...], dampers: int) -> tuple[tuple[int, ...], ...]:
-        """List the ways to place up to some dampers, as many at most on a body as it is named.
+        """List the arrangements of up to `dampers` dampers; a body may carry as many as it is named times.
 
         >>> Space.places_of((1, 2, 2), 2)
         ((1,), (2,), (1, 2), (2, 2))
@@ -172,22 +172,22 @@ class Space:
 
 @dataclass(frozen=True)
 class Question:
-    """What is asked of a choice: its worst peak.
+    """The objective: worst peak over structures, levels and frequencies.
 
     Attributes
     ----------
     scenes : tuple of Scene
-        Without dampers: the structure as it is thought to be, then as else it may be.
+        Without dampers: the nominal structure first, then its variants.
     levels : tuple of float
         Forces, N.
     band : tuple of float
         Lowest and highest frequency, Hz.
     bodies : tuple of int
-        Bodies whose peaks count, from 1.
+        Bodies whose peaks are evaluated, from 1.
     landings : Landings
-        Of the dampers.
+        Restitution and contact of the dampers.
     density : int
-        Frequencies for each natural frequency in the band.
+        Frequencies per natural frequency in the band.
     """
 
     scenes: tuple[Scene, ...]
@@ -206,13 +206,13 @@ class Question:
 
     @cached_property
     def parts(self) -> tuple[Question, ...]:
-        """Ask of one structure at one level each: the worst peak is the worst of theirs."""
+        """Split into questions about one structure at one level each; the worst of their peaks is the worst peak."""
         each = product(self.scenes, self.levels)
         return tuple(replace(self, scenes=(scene,), levels=(level,)) for scene, level in each)
 
     @cached_property
     def digest(self) -> str:
-        """Name for all that the answers depend on."""
+        """Digest of everything that the results depend on."""
         scenes = [scene.to_si_yaml() for scene in self.scenes]
         asked = scenes, self.levels, self.band, self.bodies, self.landings.restitution, self.density
         contact = self.landings.contact
@@ -220,7 +220,7 @@ class Question:
         return digest(f"{asked}{lasting}")
 
     def worst(self, choice: Choice) -> Peak:
-        """Worst peak of a choice over levels and structures."""
+        """Compute the worst peak of a design over levels and structures."""
         dampers = choice.dampers(self.landings)
         return max(self._peak(scene.replace(dampers=dampers), self.levels) for scene in self.scenes)
 
@@ -229,7 +229,7 @@ class Question:
         return max(peak_at(problem, level, frequencies, self.bodies) for level in levels)
 
     def _frequencies(self, scene: Scene) -> Array:
-        """Frequencies close where it may resonate: between where it does without dampers and where with them riding."""
+        """Frequencies, closely spaced between the resonances without dampers and with all dampers riding."""
         low, high = self.band
         natural = natural_frequencies(scene, low, high)
         if not len(natural):
@@ -241,12 +241,12 @@ class Question:
 
 
 def variants(scene: Scene, damping: float, stiffness: float) -> tuple[Scene, ...]:
-    """Give a scene, and the corners of what is uncertain of its structure.
+    """Return the nominal scene and the extreme combinations of its uncertain parameters.
 
     Parameters
     ----------
     damping, stiffness : float
-        Either may be larger or smaller by this share of it.
+        Relative uncertainty of each, in both directions.
     """
     nominal = structural_model(scene)
     corners = product(*({1.0 - share, 1.0 + share} for share in (damping, stiffness)))

@@ -1,4 +1,4 @@
-"""The dampers that make the worst peak of a structure smallest, and how good others are beside them."""
+"""Optimize dampers for the smallest worst peak of a structure, and compare with other designs."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-#: Clearances of the chart, relative to those of the best design.
+#: Clearances of the chart, relative to the best design.
 CHART_CLEARANCES = np.geomspace(0.25, 4.0, 7)
-#: Ratio of the outermost levels of the chart to those of the request.
+#: The chart extends beyond the requested levels by this factor.
 BEYOND = 2.0
-#: Smallest ratio of the outermost levels to their middle.
+#: Smallest ratio of the outermost levels to the middle level.
 AT_LEAST = 4.0
 #: Ratio of neighbouring levels.
 APART = 2.0**0.5
@@ -49,29 +49,29 @@ class Design(Result):
     Attributes
     ----------
     scene : Scene
-        With these dampers, and a stepped sine about the peaks at all levels, to check them by.
+        With these dampers, and a stepped-sine test around the peaks at all levels, for the check.
     added_channels : tuple of str
         Channels that this test needs and the scene lacked.
     expected : tuple of Expected
-        What that is to measure at each level.
+        Expected results of that test at each level.
     best : Trial
         The dampers and their worst peak at each level.
     bare : Peak
         Worst peak without dampers.
     tolerance : Tolerance
-        The interval of clearances that do nearly as well.
+        The interval of clearances with nearly the same worst peak.
     modes : tuple of ModePeaks
         Peaks of the modes in the band and next to it, with and without the dampers.
     flight : Flight
-        What makes the dampers fly.
+        Take-off level and flight height of the dampers.
     trials : tuple of Trial
-        All that were tried, and `front`: those that none as light is better than.
+        All designs computed; `front` is the Pareto front of peak against added mass.
     question : Question
-        What was asked; `space`: what there was to choose from.
+        The objective; `space` is the space of candidate designs.
     levels : ndarray, shape (levels,)
-        Forces of the chart, those of the question among them, N.
+        Forces of the chart, including the requested levels, N.
     clearance_factors : ndarray, shape (factors,)
-        Clearances of the chart, relative to those of `charted`.
+        Clearances of the chart, relative to the clearances of `charted`.
     charted : Choice
         The best dampers; where these have no ceiling, with the largest clearance searched.
     chart : tuple of tuple of Peak
@@ -95,7 +95,7 @@ class Design(Result):
     chart: tuple[tuple[Peak, ...], ...]
 
     def summary(self) -> str:
-        """Say which dampers reduce the worst peak most, and by how much."""
+        """Summarize the best dampers and their reduction of the worst peak."""
         reduction = self.reduction(self.best.peak)
         if not self.serves:
             return f"{self.scene.name}: no dampers serve at all levels ({self.best.choice}: {-reduction:+.1f} dB)"
@@ -108,20 +108,20 @@ class Design(Result):
 
     @property
     def shortfall(self) -> list[str]:
-        """Levels at which the best dampers do nothing, why, and levels at which they serve; empty if they serve."""
+        """Levels without effect of the best dampers, with the reason; empty if they are effective at all levels."""
         row = self.chart[int(np.argmin(np.abs(np.log(self.clearance_factors))))]
         charted = dict(zip(self.levels.tolist(), row, strict=True))
         return shortfall(self.best, self.bare, self.flight, charted, self.trials)
 
     def columns(self) -> dict[str, Array]:
-        """Give the added mass of all that were tried, and by how much it reduces the worst peak."""
+        """Return added mass and reduction of the worst peak for all computed designs."""
         return {
             "added_mass_kg": np.array([trial.choice.mass for trial in self.trials]),
             "reduction_dB": np.array([self.reduction(trial.peak) for trial in self.trials]),
         }
 
     def draw(self, ax: Axes, **style: Any) -> None:
-        """Reduction of the worst peak over added mass, of all that were tried."""
+        """Draw the reduction of the worst peak over added mass, for all computed designs."""
         mass, reduction = self.columns().values()
         factor, unit = mass_unit(float(mass.max()))
         best = [(factor * trial.choice.mass, self.reduction(trial.peak)) for trial in self.front]
@@ -135,11 +135,11 @@ class Design(Result):
 
     @property
     def front(self) -> list[Trial]:
-        """Trials that none as light is better than, from light to heavy."""
+        """Pareto front of peak against added mass, from light to heavy."""
         return front(self.trials)
 
     def reduction(self, peak: Peak) -> float:
-        """How much smaller a peak is than without dampers, dB."""
+        """Reduction of a peak relative to the bare structure, dB."""
         return 20.0 * float(np.log10(self.bare.size / peak.size))
 
 
@@ -161,48 +161,48 @@ def design(
 ) -> Design:
     """Choose the dampers that make the worst peak over a band and a range of levels smallest.
 
-    Of those that reduce it as much within 0.05 dB, it chooses those that reduce the peaks at all levels most, on the
-    average of their decibels, and of equals in that, too, those that reduce the other modes of the structure most.
+    Designs within 0.05 dB of each other count as equal. Among these, the mean reduction over all levels in dB
+    decides, then the reduction at the other modes of the structure.
 
     Parameters
     ----------
     scene : Scene, str, Path or mapping
-        Structure, shaker and level; its own dampers are left out, but new ones have their restitution and contact,
-        those of the first where they differ.
+        Structure, shaker and level. Its dampers are replaced; new dampers have the restitution and contact of the
+        first of them.
     budget : float or str, optional
-        The most that may be added: kg, ``"50 g"``, or a share of the structure's mass such as ``"5 %"``; unless given,
-        a twentieth of it.
+        Largest added mass: kg, ``"50 g"``, or a share of the structure's mass such as ``"5 %"``, which is the
+        default.
     bodies : sequence of int, optional
-        Bodies that may carry a damper, from 1; unless given, all. One that is named twice may carry two: their impacts
-        are felt by each other at once, so that the motion is simulated and averaged, which takes several times as long.
+        Bodies that may carry a damper, from 1; default all. A body that is named twice may carry two dampers. Their
+        impacts are coupled, so that the motion is simulated and averaged, which takes several times as long.
     dampers : int
-        How many; fewer where they do as well.
+        Largest number of dampers; fewer are chosen if they are as effective.
     clearance : (float, float) or (str, str), optional
-        Smallest and largest, m, or texts with units, as the following; unless given, from where a damper hardly moves
-        to where it hardly meets its ceiling, and no ceiling at all.
+        Smallest and largest, m, or texts with units. The default range ends where a damper hardly moves and where it
+        hardly reaches its ceiling, and includes no ceiling.
     levels : sequence of float or str, optional
-        Forces that it has to do well at, N; unless given, half, once and twice that of the scene's test.
+        Force levels, N; default half, once and twice the level of the scene's test.
     band : (float, float) or (str, str), optional
-        Hz; unless given, the range of the scene's test.
+        Hz; default the range of the scene's test.
     watched : sequence of int, optional
-        Bodies whose peaks count, from 1; unless given, all.
+        Bodies whose peaks are evaluated, from 1; default all.
     uncertain : (float, float) or (str, str)
-        Shares by which the structure's damping and stiffness may be off: the worst corner counts.
+        Relative uncertainty of the structure's damping and stiffness; the worst combination decides.
     cluster : str, optional
         As for `rig.workers.Workers`.
     table : Path, optional
-        CSV file of all trials. What stands there of the same search is not computed again.
+        CSV file of all trials. Results of the same search in this file are reused.
     progress : callable, optional
-        Called with the pieces of work done and of all.
+        Called with the number of pieces done and the total.
     say : callable, optional
-        Called with what is done after these pieces.
+        Called with a description of each later step.
 
     Raises
     ------
     SceneError
-        If that leaves nothing to choose or nothing to drive the structure with.
+        If no candidate designs remain, or nothing drives the structure.
     RunError
-        If workers die.
+        If a worker process ends unexpectedly.
     """
     scene = scene_of(scene)
     question, space = asked(scene, budget, bodies, dampers, clearance, levels, band, watched, uncertain)
@@ -249,7 +249,7 @@ def design(
 
 
 def chart_levels(asked: Sequence[float]) -> Array:
-    """Give the levels that were asked for, with more between and beyond them, N.
+    """Return the requested levels, with further levels between and beyond them, N.
 
     >>> chart_levels([1.0, 4.0]).round(2).tolist()
     [0.5, 0.71, 1.0, 1.41, 2.0, 2.83, 4.0, 5.66, 8.0]

@@ -1,4 +1,4 @@
-"""A design as figures, a scene and a few lines of text."""
+"""Output of a design: figures, a scene file and a text summary."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ BLUE, RED, GREY = *COLOURS[:2], "#a0a0a0"
 
 
 def summary(design: Design) -> str:
-    """Say which dampers reduce the worst peak most, what they do to every mode, and what lighter ones would."""
+    """Summarize the best dampers, their effect on every mode, and the best lighter designs."""
     best, question, space = design.best, design.question, design.space
     levels = ", ".join(plainly(level) for level in question.levels)
     smallest, largest = (plainly(1e3 * clearance) for clearance in space.clearance)
@@ -61,7 +61,7 @@ def summary(design: Design) -> str:
 
 
 def _verdict(design: Design) -> list[str]:
-    """Name the dampers, their worst peak, and the clearances that do as well; or say that no dampers help."""
+    """Report the dampers, their worst peak and the tolerance of the clearance, or that no dampers help."""
     peak, bare = design.best.peak, design.bare
     reduction = design.reduction(peak)
     side = "below" if reduction > 0.0 else "above"
@@ -135,7 +135,7 @@ def write(design: Design, folder: Path) -> list[Path]:
 
 
 def next_step(design: Design, scene: Path) -> str:
-    """Say what the scene of a design tests, what is to come of it, and how to check it without and with dampers."""
+    """Describe the test in the scene of a design, its expected results, and the commands to run it."""
     test = design.scene.test
     assert isinstance(test, SteppedSine) and test.frequencies is not None
     levels = ", ".join(plainly(level) for level in test.levels)
@@ -219,7 +219,7 @@ def _chart(axes: Axes, design: Design) -> None:
     plain_logarithmic(axes.xaxis)
     plain_logarithmic(axes.yaxis, factor=1e3)
     axes.set(xlim=borders[0][[0, -1]], ylim=borders[1][[0, -1]])
-    # Below, as a legend inside would hide cells.
+    # Outside the axes, because a legend inside would hide cells.
     axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
     axes.set_title("Clearance and force")
 
@@ -231,10 +231,10 @@ def _clearance_label(choice: Choice) -> str:
 
 
 def _curves(axes: Axes, design: Design) -> None:
-    """Peak reduction against how hard it is driven: the clearance chosen and its neighbours.
+    """Draw peak reduction against excitation level, for the chosen clearance and its neighbours.
 
-    Driven harder is to the right: over the acceleration that is left with dampers a curve may turn back, where another
-    peak becomes the largest.
+    The horizontal axis is the acceleration without dampers. The acceleration with dampers would not be monotonic
+    where another peak becomes the largest.
     """
     chosen = int(np.argmin(np.abs(np.log(design.clearance_factors))))
     around = (chosen - 1, chosen, chosen + 1)

@@ -1,4 +1,4 @@
-"""Whether dampers fly at a level, how high, and at which levels they serve."""
+"""Take-off level, flight height, and the levels at which dampers are effective."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from rig.motion_map.grid import columns, natural_frequencies, take_off
 from rig.orbits.problem import OrbitProblem
 from rig.results import plainly
 
-#: A level at which dampers serve reduces the peak by this much, dB.
+#: Smallest peak reduction at which dampers count as effective, dB.
 SERVES = 1.0
-#: Acceleration of the body of a damper at rest on its floor from which on dampers usually serve, g.
+#: Body acceleration from which dampers are usually effective, computed with the damper at rest on its floor, g.
 _LIVELY = 3.0
 
 
 @dataclass(frozen=True)
 class Flight:
-    """What makes the dampers of a choice fly.
+    """Take-off and flight height of the dampers of a design.
 
     Attributes
     ----------
     take_off : float
-        Level from which on a damper flies somewhere in the band, N.
+        Lowest level at which a damper takes off in the band, N.
     body : int
-        Its body, from 1.
+        Body of that damper, from 1.
     height : float
-        How far a damper without ceiling rises above its floor in the band at the levels of the question, m; NaN where
-        part of the motion is irregular, or the dampers have a ceiling that they reach.
+        Largest height above the floor without a ceiling, over the band and the levels of the question, m; NaN where
+        part of the motion is irregular, or where the dampers reach their ceiling.
     """
 
     take_off: float
@@ -50,7 +50,7 @@ def flight(question: Question, trial: Trial, unreached: bool) -> Flight:
     Parameters
     ----------
     unreached : bool
-        Whether the height is wanted.
+        Whether the dampers do not reach their ceiling, so that the height is computed.
     """
     choice = trial.choice
     bare = question.scenes[0]
@@ -63,7 +63,7 @@ def flight(question: Question, trial: Trial, unreached: bool) -> Flight:
 
 
 def height(question: Question, trial: Trial) -> float:
-    """How far dampers without ceilings rise above their floors, m; NaN where part of the motion is irregular."""
+    """Compute the largest height of dampers without ceilings, m; NaN where part of the motion is irregular."""
     dampers = trial.choice.without_ceiling().dampers(question.landings)
     highest = 0.0
     for scene in question.scenes:
@@ -86,7 +86,7 @@ def _frequencies(question: Question, trial: Trial) -> np.ndarray:
 
 
 def idle_levels(trial: Trial, bare: Peak, flight_: Flight) -> list[float]:
-    """Give the levels at which the dampers of a trial do not fly, or reduce the peak by no more than is resolved."""
+    """Return the levels at which the dampers do not fly, or the peak reduction is not resolved."""
     return sorted(
         peak.level
         for peak in trial.peaks
@@ -97,14 +97,14 @@ def idle_levels(trial: Trial, bare: Peak, flight_: Flight) -> list[float]:
 def shortfall(
     trial: Trial, bare: Peak, flight_: Flight, charted: Mapping[float, Peak], trials: Iterable[Trial]
 ) -> list[str]:
-    """Say at which levels the dampers do not serve, why, and at which some do; nothing if they serve everywhere.
+    """Report levels without effect, the reason, and effective levels; empty if the dampers are effective everywhere.
 
     Parameters
     ----------
     charted : mapping of float to Peak
         Peak of these dampers by level, N.
     trials : iterable of Trial
-        All that were tried.
+        All designs computed.
     """
     idle = idle_levels(trial, bare, flight_)
     if not idle:

@@ -1,4 +1,4 @@
-"""How beds of new dampers land: as those of the scene do."""
+"""Restitution and contact of new dampers, taken from the dampers of the scene."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ class Landings:
     restitution : float
         As of a `Damper`.
     contact : Contact or None
-        Floor and ceiling on which a landing lasts a given time; None: it is instant.
+        Floor and ceiling with finite-duration contact; None: instantaneous impact.
     taken : str
-        From where that is, in words.
+        Origin of these values, for messages.
     """
 
     restitution: float = 0.0
@@ -29,7 +29,7 @@ class Landings:
     taken: str = "the scene has none to go by"
 
     def __str__(self) -> str:
-        """Say how they land.
+        """Describe the landings.
 
         >>> print(Landings(0.2, taken="as the scene's"))
         new dampers land at once, restitution 0.2: as the scene's
@@ -37,17 +37,17 @@ class Landings:
         return f"new dampers land {_lasting(self.contact)}, restitution {plainly(self.restitution)}: {self.taken}"
 
 
-#: As beds that a scene says nothing of: perfectly plastic.
+#: Default for scenes without dampers: perfectly plastic and instantaneous.
 INSTANT = Landings()
 
 
 def landings_of(dampers: Sequence[Damper]) -> Landings:
-    """Take how the dampers of a scene land; where they differ, how the first one does.
+    """Return the landings of the dampers of a scene; if these differ, those of the first damper.
 
     Raises
     ------
     SceneError
-        If the contact is given by stiffness and damping, which are those of one mass of bed.
+        If the contact is given by stiffness and damping, which depend on the mass of the bed.
     """
     if not dampers:
         return INSTANT

@@ -1,4 +1,4 @@
-"""What a design rests on: beds that move as one mass. Where that was found to hold, and how to follow grains."""
+"""The single-mass assumption of a design: its verified range, and how to check it with a grain simulation."""
 
 from __future__ import annotations
 
@@ -14,28 +14,28 @@ from rig.scene.damper import Damper
 
 
 class Found(NamedTuple):
-    """In how many settings of a study one mass gave what grains do, within 10 %."""
+    """Number of settings of a study in which one mass agreed with grains within 10 %."""
 
     near: int
     settings: int
 
 
-#: Compliance of grains against one mass in the table of `analysis beds`, which a test holds these figures against:
-#: without a ceiling and below one, and by how much, in percent, the middle half of the latter is off.
+#: Agreement of grains with one mass, from the table of `analysis beds`; a test compares these figures with the table.
+#: Without a ceiling, below a ceiling, and the interquartile range of the deviation below a ceiling in percent.
 WITHOUT_CEILING, BELOW_CEILING, MIDDLE_HALF = Found(21, 36), Found(6, 61), (-50, -16)
-#: Of the shot to follow, m; and how far about the peak, relative, at how many frequencies.
+#: Shot diameter of the grain simulation, m; relative half-width of its band around the peak; number of frequencies.
 _SHOT, _REACH, _POINTS = 2e-3, 0.01, 3
 
 
 def rests_on(dampers: Sequence[Damper], expected: Sequence[Expected], scene: Path) -> list[str]:
-    """Say what one mass is worth beside grains, and with which command to follow these dampers as grains.
+    """Report how well one mass agrees with grains, and the command that simulates these dampers as grains.
 
     Parameters
     ----------
     dampers : sequence of Damper
-        Those of the design.
+        The dampers of the design.
     expected : sequence of Expected
-        What its check is to measure: it is followed at the largest of these peaks.
+        Expected results of the check; the command uses the largest of these peaks.
     scene : Path
         The scene of the check.
     """
@@ -56,7 +56,7 @@ def rests_on(dampers: Sequence[Damper], expected: Sequence[Expected], scene: Pat
 
 
 def _as_shot(damper: Damper) -> str:
-    assert damper.mass is not None  # as a design's dampers have it
+    assert damper.mass is not None  # every damper of a design has a mass
     mass, shot = (plainly(1e3 * each) for each in (damper.mass, _SHOT))
     clearance = ".inf" if isinf(damper.clearance) else f"{plainly(1e3 * damper.clearance)} mm"
     return f"{{body: {damper.body}, mass: {mass} g, clearance: {clearance}, grains: {{diameter: {shot} mm}}}}"

@@ -1,4 +1,4 @@
-"""What dampers do at every mode of a structure, in the band that they are chosen for and outside it."""
+"""Effect of the dampers on every mode of a structure, inside and outside the design band."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from rig.damper_design.ranking import ALIKE, MACHINABLE, equals
 from rig.damper_design.worst_peak import Peak
 from rig.system.structural_model import structural_model
 
-#: Largest distance from a natural frequency at which a peak is that of its mode, relative.
+#: Largest relative distance from a natural frequency at which a peak is assigned to its mode.
 REACH = 0.15
-#: Modes that are looked at: those next to the band.
+#: Largest number of modes evaluated, those nearest to the band.
 _MOST_MODES = 6
-#: Of equal choices, so many are compared outside the band.
+#: Number of equally good designs that are compared outside the band.
 _COMPARED = 5
 
 
@@ -34,7 +34,7 @@ class ModePeaks:
     bare : Peak
         Without dampers.
     damped : tuple of Peak
-        With them, at each level.
+        With dampers, at each level.
     """
 
     frequency: float
@@ -44,7 +44,7 @@ class ModePeaks:
 
 
 def modes_of(question: Question) -> list[tuple[float, Question]]:
-    """Give the natural frequencies next to the band and in it, and the same question about each mode alone."""
+    """Return natural frequencies in and next to the band, with the question restricted to each mode."""
     nominal = question.scenes[0]
     natural = structural_model(nominal).with_riding().modes.frequency
     natural = natural[natural > 0.0]
@@ -67,7 +67,7 @@ def modes_of(question: Question) -> list[tuple[float, Question]]:
 def mode_peaks(question: Question, trial: Trial, answers: Answers) -> tuple[ModePeaks, ...]:
     """Compute the peaks of every mode with the dampers of a trial.
 
-    Where a single mode lies in the band, its peaks are those of the trial.
+    If a single mode lies in the band, its peaks are the peaks of the trial.
     """
     low, high = question.band
     modes = modes_of(question)
@@ -84,10 +84,10 @@ def mode_peaks(question: Question, trial: Trial, answers: Answers) -> tuple[Mode
 
 
 def best_outside(question: Question, trials: Sequence[Trial], best: Trial, answers: Answers) -> Trial:
-    """Of equal choices in the band, take the one that reduces the peaks of the modes outside it most.
+    """Select, among equal designs in the band, the design with the largest reduction outside the band.
 
-    The mean over modes and levels counts, in dB. Of equals in that, too, the first in the order of `ranked` is kept.
-    Clearances too small to be built are compared only where there are no others.
+    The criterion is the mean over modes and levels in dB; ties keep the order of `ranked`. Clearances too small to
+    build are compared only if no others are available.
     """
     low, high = question.band
     outside = [about for frequency, about in modes_of(question) if not low < frequency < high]

@@ -1,4 +1,4 @@
-"""Sensors and inputs that a check of a design overloads, named before it is recorded."""
+"""Predict which sensors and converter inputs the check of a design overloads."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-#: A sensor that follows without loss what steps up to a value swings to so many times that.
+#: Overshoot of an undamped sensor after a step, relative to the step.
 _SWING = 2.0
 
 
@@ -34,9 +34,9 @@ class Overload:
     Attributes
     ----------
     reason : str
-        Which, by how much, and at which levels.
+        Name of the part, size of the overload, and its levels.
     changes : tuple of str
-        Changes of the scene, as ``--set`` takes them, with which it follows.
+        Changes of the scene for ``--set`` that remove the overload.
     """
 
     reason: str
@@ -44,16 +44,16 @@ class Overload:
 
 
 def overloads(scene: Scene, expected: Sequence[Expected], bare: Peak) -> list[Overload]:
-    """Name the accelerometers and converter inputs that cannot follow the motion of a check, and what helps.
+    """Return overloaded accelerometers and converter inputs of a check, with remedies.
 
     Parameters
     ----------
     scene : Scene
-        The check.
+        The scene of the check.
     expected : sequence of Expected
-        What it is to measure at each level.
+        Expected results of the check at each level.
     bare : Peak
-        Largest peak without dampers, recorded at the smallest of these levels.
+        Largest peak without dampers; it is recorded at the smallest of these levels.
     """
     system = assemble(scene)
     lowest = min(each.peak.level for each in expected)
@@ -99,7 +99,7 @@ def overloads(scene: Scene, expected: Sequence[Expected], bare: Peak) -> list[Ov
 
 
 def named(overloads: Sequence[Overload], lasting: bool) -> list[str]:
-    """Write overloads as lines behind an empty one, with what to do on a bench; nothing where all follow."""
+    """Format overloads as text lines with the remedies on a test bench; empty without overloads."""
     if not overloads:
         return []
     cure = "a bench needs sensors of a larger range, or lower levels"
@@ -118,9 +118,9 @@ def named(overloads: Sequence[Overload], lasting: bool) -> list[str]:
 
 
 def _steady(scene: Scene, at: str, peak: Peak, level: float) -> float:
-    """Upper bound of the steady acceleration at a point under a peak, m/s^2: that of the body that moves most.
+    """Upper bound of the steady acceleration at a point, m/s^2, from the body with the largest displacement.
 
-    A table moves by the spring's stretch more.
+    At the shaker table the elongation of the spring is added.
     """
     displacement = peak.size * level
     spring = None if scene.driven_shaker is None else scene.driven_shaker.spring
@@ -146,7 +146,7 @@ def _landings(expected: Sequence[Expected], shaken: float, steady: float) -> str
 
 
 def _unlimited(number: int, sensor: Accelerometer | None, acceleration: float) -> tuple[str, ...]:
-    """Give the changes of a channel's accelerometer with which it follows an acceleration, m/s^2."""
+    """Return changes of a channel's accelerometer that remove its overload at an acceleration, m/s^2."""
     assert sensor is not None
     key = f"channels[{number}].accelerometer"
     if np.isfinite(acceleration):
@@ -161,18 +161,18 @@ def _unlimited(number: int, sensor: Accelerometer | None, acceleration: float) -
 def shaken_by(
     system: HybridSystem, row: int, closing_speed: Sequence[float], resonance: float | None
 ) -> float:
-    """How far landings drive an accelerometer, m/s^2: the largest of all dampers'.
+    """Compute the largest acceleration indicated by an accelerometer due to damper impacts, m/s^2.
 
-    A landing at once makes its body's velocity jump, which shakes a sensor with that jump times 2 pi resonance, and one
-    without a resonance without bound. One that lasts begins with a step of force, that of the wall's dashpot; where
-    there is next to none, the force rises to that of its spring.
+    An instantaneous impact causes a velocity jump of the body. The sensor then indicates that jump times 2 pi times
+    its resonance frequency; without a resonance the value is unbounded. A finite-duration contact begins with a
+    step of the dashpot force; if the dashpot is weak, the peak of the spring force is larger.
 
     Parameters
     ----------
     system : HybridSystem
-        As it is assembled.
+        The assembled system of the scene.
     row : int
-        Coordinate of the point that carries the sensor.
+        Coordinate of the sensor location.
     closing_speed : sequence of float, shape (dampers,)
         m/s.
     resonance : float or None

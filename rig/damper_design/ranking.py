@@ -1,4 +1,4 @@
-"""Which of the choices tried is the best: by the worst peak, and among those as good at that by all levels."""
+"""Rank candidate designs by the worst peak, then by the mean over all levels."""
 
 from __future__ import annotations
 
@@ -8,27 +8,26 @@ import numpy as np
 
 from rig.damper_design.choice import Trial
 
-#: Choices whose reductions differ by less than this, dB, are equal: grids and averages resolve no smaller difference.
+#: Reductions that differ by less than this, dB, are equal: grids and averages resolve no smaller difference.
 ALIKE = 0.05
-#: The same as a ratio of peaks.
+#: `ALIKE` as a ratio of peaks.
 AS_GOOD = 10.0 ** (ALIKE / 20.0)
-#: The same where part of the motion is irregular, whose averages are good to some percent: a clearance changed by one
-#: percent moves them by up to six.
+#: Ratio of equal peaks where part of the motion is irregular. Averages of irregular motion are uncertain by some
+#: percent: a change of the clearance by 1 % changes them by up to 6 %.
 SCATTERED = 1.03
-#: A clearance below this, m, is not built to: the depth of a bed of shot is uncertain by about as much.
+#: Smallest clearance that can be built, m: the depth of a bed of shot is uncertain by about as much.
 MACHINABLE = 1e-4
-#: Part of a dB at the worst level that a dB of the mean over the levels counts for, on the way to a better choice.
+#: Weight of the mean over the levels relative to the worst level in the objective of the search.
 _OTHERS = 0.01
 
 
 def ranked(trials: Iterable[Trial]) -> list[Trial]:
-    """Put the best first.
+    """Sort trials, best first.
 
-    The smallest worst peak comes first. Where several are equally good at that (`ALIKE`), those with the smallest
-    peaks on the average of the levels, in dB, come first. Of equals in that, too, the lightest come first, then the
-    fewest dampers, then clearances that can be built, then no ceiling, and last the middle of the clearances: near the
-    ends the worst peak is about to change. Fewer dampers that irregular motion does not distinguish from the best come
-    before them.
+    The criteria, each applied to trials that are equal by the previous criteria within `ALIKE`: smallest worst peak;
+    smallest mean peak over the levels in dB; smallest mass; fewest dampers; clearances that can be built; no ceiling;
+    distance from the middle of the equal clearances, because the worst peak changes near the ends. A design with
+    fewer dampers precedes the best if the scatter of irregular motion does not distinguish them.
     """
     trials = list(trials)
     worst = AS_GOOD * min(trial.peak.size for trial in trials)
@@ -61,12 +60,12 @@ def ranked(trials: Iterable[Trial]) -> list[Trial]:
 
 
 def equally_good(trial: Trial, best: Trial) -> bool:
-    """Whether a trial does as well as the best one at the worst level, and on the average."""
+    """Whether a trial equals the best trial at the worst level and in the mean over levels."""
     return trial.peak.size <= AS_GOOD * best.peak.size and trial.mean <= AS_GOOD * best.mean
 
 
 def equals(trials: Iterable[Trial], best: Trial) -> list[Trial]:
-    """Give the trials with the dampers of the best one that are as good in their other clearances, rising."""
+    """Return equally good trials that differ from the best only in clearance, by rising clearance."""
     alike = {
         trial.choice: trial
         for trial in [*trials, best]
@@ -77,7 +76,7 @@ def equals(trials: Iterable[Trial], best: Trial) -> list[Trial]:
 
 
 def _with_fewer_as_good(trial: Trial, best: Trial) -> bool:
-    """Return whether fewer dampers, no heavier, do as well as the best ones within the resolution of the search."""
+    """Whether fewer dampers, no heavier, equal the best design within the resolution of the search."""
     one, other = trial.choice, best.choice
     ratio = SCATTERED if any(peak.simulated for peak in (*trial.peaks, *best.peaks)) else AS_GOOD
     return (
@@ -89,12 +88,12 @@ def _with_fewer_as_good(trial: Trial, best: Trial) -> bool:
 
 
 def merit(trial: Trial) -> float:
-    """Give what is to become small on the way to a better choice; where the worst peak is flat, all levels count."""
+    """Return the objective to be minimized; all levels contribute, for a gradient where the worst peak is flat."""
     return float(np.log(trial.peak.size) + _OTHERS * np.log(trial.mean))
 
 
 def front(trials: Sequence[Trial]) -> list[Trial]:
-    """Give the best of all that are no heavier than it, from light to heavy (Pareto's front)."""
+    """Return the Pareto front of worst peak against mass, from light to heavy."""
     masses = sorted({round(trial.choice.mass, 9) for trial in trials})
     best = [ranked(trial for trial in trials if round(trial.choice.mass, 9) <= mass)[0] for mass in masses]
     return list(dict.fromkeys(best))

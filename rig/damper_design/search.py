@@ -1,4 +1,4 @@
-"""The search for the best dampers: a grid over places, masses and clearances, then the best of it made better."""
+"""Search for the best dampers: a grid over locations, masses and clearances, then local refinement."""
 
 from __future__ import annotations
 
@@ -15,48 +15,48 @@ from rig.damper_design.choice import FINE, Choice, Question, Space, Trial
 from rig.damper_design.ranking import AS_GOOD, merit, ranked
 from rig.damper_design.worst_peak import Peak
 
-#: Shares of the mass that may be added, and clearances between smallest and largest, of the grid.
+#: The grid: shares of the largest added mass, and number of clearances between smallest and largest.
 SHARES = (1.0, 0.5, 0.25)
 CLEARANCES = 10
-#: Choices of each mass that are tried at once.
+#: Designs of each mass that are computed concurrently.
 AHEAD = 3
-#: Trials about the best clearance of a place and a mass.
+#: Trials around the best clearance of a location and mass.
 REFINEMENTS = 8
-#: Trials for each unknown with all dampers different.
+#: Trials per unknown when all dampers differ.
 POLISHING = 25
-#: Places whose best design is refined in this way.
+#: Locations whose best design is refined with all dampers different.
 POLISHED = 2
-#: Largest ratio of two dampers' masses: where one does best alone, the others are to be next to nothing.
+#: Largest ratio of two dampers' masses. Large, so that a single damper can dominate if that is the optimum.
 UNEVEN = 300.0
-#: Places whose best on the grid is at most this much worse than the best of all are looked at closely.
+#: Largest ratio of the peak at a location to the best peak on the grid for which the location is refined.
 PROMISING = 1.4
-#: The same ratio for the smaller masses, and of all places for several different dampers.
+#: The same ratio for the smaller masses, and for all locations with several different dampers.
 CLOSE = 1.25
-#: Most places of each smaller mass that are refined.
+#: Largest number of locations refined for each smaller mass.
 LIGHTER = 2
-#: Relative difference of two sums of the same masses.
+#: Relative rounding difference of two sums of the same masses.
 ROUNDING = 1e-9
-#: Ratio of clearances in one body to begin with.
+#: Initial ratio of the clearances of two dampers in one body.
 APART = 1.1
-#: How many of the best are compared in the end.
+#: Number of best designs in the final comparison.
 COMPARED = 3
 
 
 def pieces(question: Question, space: Space) -> int:
-    """Count the pieces of a search, as far as that can be known."""
+    """Estimate the number of pieces of a search."""
     grid, each = len(space.places) * len(SHARES) * (CLEARANCES + 1), len(question.parts)
     return grid + int(0.4 * grid * each) + (len(space.places) + 2 * len(SHARES)) * REFINEMENTS * each
 
 
 def search(question: Question, space: Space, answers: Answers) -> tuple[Trial, list[Trial]]:
-    """Find the dampers with the smallest worst peak for each mass, and of equals those that are best at all levels.
+    """Search for the dampers with the smallest worst peak at each mass; ties are resolved as in `ranked`.
 
     Returns
     -------
     best : Trial
-        Its peaks computed on a finer grid of frequencies, as those of the next best and of the best of each mass.
+        Best design, with its peaks on a finer grid of frequencies.
     trials : list of Trial
-        All that were tried, the best among them.
+        All designs computed, including the best.
     """
     grid = [[c for place in space.places for c in _row(space, place, share)] for share in SHARES]
     tried = _bounded(question, grid, answers)
@@ -80,8 +80,9 @@ def search(question: Question, space: Space, answers: Answers) -> tuple[Trial, l
         first = [ranked(tried[c] for c in tried if _same_mass(c, row[0].choice))[0].choice for row in rows]
         fewer = [choice.without_lightest() for choice in _several(first) if choice.has_ceiling]
         tried |= answers.follow(question, [partial(_wanted, refine, each) for each in fewer])
-    # A coarse grid of frequencies may have missed a peak: the first three are compared on a fine one, and with them
-    # the first without its lightest damper, which may be next to nothing; and so is the first of each smaller mass.
+    # A coarse frequency grid may miss a peak, so the first three designs are compared on a fine grid. The first
+    # design without its lightest damper, whose mass may be negligible, and the best of each smaller mass are
+    # compared too.
     fine, closely = replace(question, density=FINE), set[Choice]()
     while first := [choice for choice in _first(tried.values(), space) if choice not in closely]:
         tried |= {trial.choice: trial for trial in answers.of(fine, first)}
@@ -92,14 +93,14 @@ def search(question: Question, space: Space, answers: Answers) -> tuple[Trial, l
 def chart(
     question: Question, choice: Choice, factors: Sequence[float], levels: Sequence[float], answers: Answers
 ) -> list[list[Peak]]:
-    """Give the peaks of a choice with all clearances changed by each factor (rows) at each level (columns)."""
+    """Compute the peaks of a design with all clearances scaled by each factor (rows) at each level (columns)."""
     choices = [choice.wider(factor) for factor in factors]
     nominal = replace(question, scenes=question.scenes[:1], levels=tuple(levels))
     return [list(trial.peaks) for trial in answers.of(nominal, choices)]
 
 
 def _first(trials: Iterable[Trial], space: Space) -> list[Choice]:
-    """Give the best choices, the first of them with a damper less, and the best of each smaller mass."""
+    """Return the best designs, the first of them without its lightest damper, and the best of each smaller mass."""
     trials = list(trials)
     first = [trial.choice for trial in ranked(trials)[:COMPARED]]
     if len(first[0].bodies) > 1:
@@ -115,35 +116,35 @@ def _same_mass(one: Choice, other: Choice) -> bool:
 
 
 def _several(choices: Iterable[Choice]) -> list[Choice]:
-    """Keep the choices of more than one damper."""
+    """Select designs with more than one damper."""
     return [choice for choice in choices if len(choice.bodies) > 1]
 
 
 def _step(space: Space) -> float:
-    """Distance of the grid's clearances in the logarithm."""
+    """Logarithmic spacing of the clearances of the grid."""
     return float(np.log(space.clearance[1] / space.clearance[0])) / (CLEARANCES - 1)
 
 
 def _row(space: Space, place: tuple[int, ...], share: float) -> list[Choice]:
-    """Choices of all clearances, the same for each body, and the one without ceilings."""
+    """Designs with all clearances of the grid, equal in each body, and the design without ceilings."""
     count, (low, high) = len(place), space.clearance
-    # Equal ones in one body would move as one until rounding sets them apart.
+    # Identical dampers in one body would move identically until rounding errors separate them.
     apart = [APART ** place[:k].count(body) for k, body in enumerate(place)]
     first = Choice(place, (share * space.mass / count,) * count, tuple(apart))
     row = [first.wider(c) for c in np.geomspace(low, high / max(apart), CLEARANCES).tolist()]
-    # Two in one body without ceilings move as one of their mass.
+    # Two dampers without ceilings in one body move as one damper of their total mass.
     return row if len(set(place)) < count or not space.without_ceiling else [*row, first.without_ceiling()]
 
 
 def _best_of_places(row: Sequence[Trial], within: float) -> list[Choice]:
-    """Give the best choice with ceilings of each place, the best place first, of those nearly as good as the best.
+    """Return the best design with ceilings of each location, for locations nearly as good as the best.
 
     Parameters
     ----------
     row : sequence of Trial
-        The best first.
+        Trials, best first.
     within : float
-        Largest ratio of peaks.
+        Largest ratio of the peak to the best peak.
     """
     best: dict[tuple[int, ...], Choice] = {}
     for trial in row:
@@ -153,7 +154,7 @@ def _best_of_places(row: Sequence[Trial], within: float) -> list[Choice]:
 
 
 def _bounded(question: Question, grid: Sequence[list[Choice]], answers: Answers) -> dict[Choice, Trial]:
-    """Try all that may be the best of their row: the peak at one level is at most the worst of all."""
+    """Compute designs that may be the best of their row; the peak at one level is a lower bound of the worst peak."""
     middle = question.parts[len(question.levels) // 2]
     every = [choice for row in grid for choice in row]
     least = {trial.choice: trial.peak for trial in answers.of(middle, every)}
@@ -162,10 +163,10 @@ def _bounded(question: Question, grid: Sequence[list[Choice]], answers: Answers)
 
 
 def _promising(row: Sequence[Choice], least: Mapping[Choice, Peak], computed: Computed) -> Iterator[Choice]:
-    """Of choices, those with the smallest bounds first, give all that may be the best.
+    """Yield designs that may be the best of a row sorted by lower bound (branch and bound).
 
-    What came of one counts only for those from the `AHEAD`-th after it, whoever is quicker: the same are tried
-    wherever they are computed.
+    A result is used only from the `AHEAD`-th design after it, so that the set of computed designs does not depend on
+    the speed of the workers.
     """
     best = np.inf
     for number, choice in enumerate(row):
@@ -180,13 +181,13 @@ def _promising(row: Sequence[Choice], least: Mapping[Choice, Peak], computed: Co
 
 
 class _Unknown(Exception):
-    """A search needs to know of a choice that was not tried yet."""
+    """A search needs a design that has not been computed yet."""
 
 
 def _wanted(search: Callable[..., object], start: Choice, computed: Computed) -> list[Choice]:
-    """Give the choices that a search asks for, up to the first one that is not known.
+    """Return the designs that a search requests, up to the first whose result is unknown.
 
-    The search runs from its start each time: with what is known, it comes to the same place at once.
+    The search restarts each time; with the stored results it returns to the same point without new computation.
     """
     wanted = []
 
@@ -203,7 +204,7 @@ def _wanted(search: Callable[..., object], start: Choice, computed: Computed) ->
 
 
 def _refine(start: Choice, cost: Callable[[Choice], float], step: float, bounds: tuple[float, float]) -> None:
-    """Change all clearances by a factor, at most a step, by golden sections and parabolas."""
+    """Optimize a common factor of all clearances within one step, by golden sections and parabolas."""
     middle = np.log(start.clearances[0])
 
     def at(x: float) -> float:
@@ -215,7 +216,7 @@ def _refine(start: Choice, cost: Callable[[Choice], float], step: float, bounds:
 
 
 def _polish(start: Choice, cost: Callable[[Choice], float], bounds: tuple[float, float]) -> None:
-    """Let every damper have its own clearance and share of the mass: simplex method of Nelder and Mead."""
+    """Optimize the clearance and mass share of every damper by the Nelder-Mead simplex method."""
     count = len(start.bodies)
 
     def at(x: np.ndarray) -> float:

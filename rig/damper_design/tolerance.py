@@ -1,4 +1,4 @@
-"""The interval of clearances in which the worst peak of some dampers stays nearly the same."""
+"""The interval of clearances in which the worst peak of a design stays nearly the same."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ from rig.results import plainly
 
 #: Rise of the worst peak at the ends of the interval, dB.
 RISE = 0.5
-#: The ends are known within this ratio of clearances.
+#: Ratio of clearances to which the ends are bisected.
 _RESOLUTION = 1.06
-#: Ratio of clearances in steps outwards, where none was tried.
+#: Ratio of clearances per outward step where no trial is available.
 _STEP = 1.6
-#: The choice is near an end of the interval if it is within this share of it, in the logarithm.
+#: Distance from an end of the interval, as a share of its logarithmic width, below which a choice is near that end.
 _NEAR = 0.15
 
 
 @dataclass(frozen=True)
 class Tolerance:
-    """Clearances of the heaviest damper between which the worst peak rises by at most `RISE`; others in proportion.
+    """Clearances of the heaviest damper for which the worst peak rises by at most `RISE`; others in proportion.
 
     Attributes
     ----------
     low, high : float
-        m. Infinite `high`: no ceiling does as well.
+        Ends of the interval, m; `high` is infinite if a ceiling is not required.
     limited : tuple of bool
-        Whether an end is that of the clearances searched, so that the interval may be wider.
+        Whether each end is a limit of the search, so that the interval may be wider.
     chosen : float
-        Clearance of the choice, m.
+        Clearance of the chosen design, m.
     """
 
     low: float
@@ -41,7 +41,7 @@ class Tolerance:
     chosen: float
 
     def __str__(self) -> str:
-        """Say the interval, and where to aim at if the choice is near an end.
+        """Report the interval, and the recommended clearance if the chosen clearance is near an end.
 
         >>> print(Tolerance(0.0035, 0.00475, (False, False), 0.00462))
         the worst peak stays within 0.5 dB for clearances from 3.5 to 4.75 mm: build to the middle, 4.08 mm ± 16 %
@@ -71,14 +71,14 @@ class Tolerance:
 def tolerance(
     question: Question, space: Space, best: Trial, trials: Iterable[Trial], answers: Answers
 ) -> Tolerance:
-    """Compute the interval: outwards through the trials with the same dampers, then by bisection.
+    """Compute the interval: outward through the trials with the same dampers, then by bisection.
 
     Parameters
     ----------
     best : Trial
-        The choice, whose interval is computed.
+        The design whose interval is computed.
     trials : iterable of Trial
-        All that were tried.
+        All designs computed.
     """
     most = best.peak.size * 10.0 ** (RISE / 20.0)
     choice, heaviest = best.choice, best.choice.heaviest
@@ -124,7 +124,7 @@ def _same_but_wider(choice: Choice, shape: Choice, factor: float) -> bool:
 
 
 def _end(serves: Callable[[float], bool], known: Iterable[float], limit: float) -> tuple[float, bool]:
-    """Give the last factor from 1 towards a limit that serves, and whether that is the limit."""
+    """Return the last acceptable factor from 1 towards a limit, and whether it is the limit."""
     outwards = limit > 1.0
     between = {f for f in known if (1.0 < f < limit if outwards else limit < f < 1.0)}
     points = sorted({*between, limit}, reverse=not outwards)

@@ -1,4 +1,4 @@
-"""The worst peak of a structure with dampers: over frequency, level, bodies, and what is uncertain of it."""
+"""The worst peak of a structure with dampers: maximum over frequency, level, body and structural variant."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from rig.system.structural_model import receptance
 
 Array = NDArray[np.float64]
 
-#: A body whose largest compliance on the grid is below this share of another's peak is not refined.
+#: Peaks are refined for bodies whose largest compliance on the grid exceeds this share of the largest peak.
 RIVAL = 0.7
 
 
 @dataclass(frozen=True, order=True)
 class Peak:
-    """A peak of the compliance; the larger one is the worse.
+    """A peak of the compliance; peaks are ordered by size.
 
     Attributes
     ----------
@@ -37,9 +37,9 @@ class Peak:
     body : int
         From 1.
     acceleration : float
-        Amplitude of the body's acceleration there, m/s^2.
+        Amplitude of the body's acceleration at the peak, m/s^2.
     simulated : float
-        Share of the frequencies at which the motion is irregular, and was simulated and averaged.
+        Share of frequencies with irregular motion, which is simulated and averaged.
     """
 
     size: float
@@ -51,16 +51,16 @@ class Peak:
 
 
 def curve(problem: OrbitProblem, force: float, frequencies: Array) -> OrbitResponse:
-    """Steady motion at each frequency from the motion at the one before."""
+    """Compute steady motion at each frequency, continued from the previous frequency."""
     return sweep(problem, OperatingPoint(float(frequencies[0]), force), "frequency", frequencies)
 
 
 def resonance(problem: OrbitProblem, response: OrbitResponse, body: int) -> tuple[float, float]:
-    """Largest compliance of a body over a curve [m/N], and its frequency [Hz].
+    """Compute the largest compliance of a body over a curve [m/N], and its frequency [Hz].
 
-    Where the largest point is an orbit, the maximum is sought between its neighbours over orbits with the same
-    events, so that it does not depend on the grid. Where it and its neighbours were simulated, it is that of a linear
-    resonance through the three, whose 1 / |X|^2 is a parabola.
+    If the largest point is an orbit, the maximum between its neighbours is computed over orbits with the same events,
+    so that it does not depend on the grid. If the point and its neighbours were simulated, a linear resonance is
+    fitted to the three points: 1 / |X|^2 is then a parabola.
     """
     size = np.abs(response.compliance[body - 1])
     i = int(size.argmax())
@@ -91,7 +91,7 @@ def resonance(problem: OrbitProblem, response: OrbitResponse, body: int) -> tupl
 
 
 def linear_peak(scene: Scene, level: float, frequencies: Array, bodies: Sequence[int]) -> Peak:
-    """Find the largest peak of some bodies without dampers."""
+    """Compute the largest peak of the given bodies without dampers."""
     rows = [body - 1 for body in bodies]
 
     def largest(frequency: float) -> float:
@@ -108,7 +108,7 @@ def linear_peak(scene: Scene, level: float, frequencies: Array, bodies: Sequence
 
 
 def peak_at(problem: OrbitProblem, level: float, frequencies: Array, bodies: Iterable[int]) -> Peak:
-    """Find the largest peak of some bodies at one level."""
+    """Compute the largest peak of the given bodies at one level."""
     response = curve(problem, level, frequencies)
     on_grid = {body: float(np.abs(response.compliance[body - 1]).max()) for body in bodies}
     found: list[Peak] = []

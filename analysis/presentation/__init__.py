@@ -1,4 +1,4 @@
-"""What the command line shows and writes: tables, figures together, the report page, the demo.
+"""Output of the `analysis` commands: printed results, CSV tables, overlaid figures, and the demonstration.
 
 Start with `presentation`.
 """

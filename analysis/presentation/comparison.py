@@ -1,4 +1,4 @@
-"""What the command `compare` does: peaks of recordings held against those of the first one."""
+"""Output of `analysis compare`: changes of resonance peaks relative to the first recording."""
 
 from __future__ import annotations
 
@@ -60,10 +60,11 @@ class Comparison(ResultBase):
     Attributes
     ----------
     changes : tuple of (Response, Response, PeakChange)
-        First response, the other, and the change of one peak.
+        Response of the first recording, response of the other recording, and the change of one peak.
     lines : tuple of str
-        The changes in words, and which peaks are not compared.
+        Description of the changes, and the peaks that are not compared.
     warnings : tuple of str
+        Each begins with the name of its recording.
     """
 
     changes: tuple[tuple[Response, Response, PeakChange], ...]
@@ -71,7 +72,7 @@ class Comparison(ResultBase):
     warnings: tuple[str, ...]
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """One row for each peak, as in the table of `analysis compare`."""
+        """Return one row for each peak, as in the table of `analysis compare`."""
         rows = list(zip(*(_row(*change) for change in self.changes), strict=True)) or [()] * len(_HEADING)
         return {name: np.array(column) for name, column in zip(_HEADING, rows, strict=True)}
 
@@ -83,7 +84,7 @@ class Comparison(ResultBase):
         return f"{changed} of {len(self.changes)} resonance peaks changed by more than their 95 % bounds"
 
     def draw(self, ax: Axes, **style: Any) -> None:
-        """Draw the change of each peak with its 95 % bounds over the mode's frequency."""
+        """Draw the change of each peak with its 95 % bounds against natural frequency."""
         groups: dict[str, list[PeakChange]] = {}
         for _, after, change in self.changes:
             groups.setdefault(f"{after.label}: {change.response}", []).append(change)
@@ -101,15 +102,15 @@ def compare_peaks(paths: Sequence[Path], progress: Progress | None = None) -> Co
     Parameters
     ----------
     paths : sequence of Path
-        Recordings with frequency responses of one structure, first the one to compare with. Of several sweeps in it
-        (levels, directions) the first counts; of the others all do.
+        Recordings with frequency responses of one structure. The first sweep (level, direction) of the first
+        recording is the reference; all sweeps of the other recordings are compared with it.
     progress : callable, optional
-        Called with (done, in all) of each recording's analysis.
+        Called with (completed, total) during the analysis of each recording.
 
     Raises
     ------
     SceneError
-        If there is only one recording, or they have no response in common.
+        If there is only one recording, or if the recordings have no response in common.
     """
     if len(paths) < 2:
         raise SceneError("one recording: expected at least two, first the one to compare with")
@@ -152,7 +153,7 @@ def compare_peaks(paths: Sequence[Path], progress: Progress | None = None) -> Co
 def present_compare(
     paths: Sequence[Path], output: Path | None = None, progress: Progress | None = None
 ) -> Result:
-    """List and tabulate what `compare_peaks` returns; the table goes beside the first recording by default."""
+    """Print and tabulate the results of `compare_peaks`; the default folder is that of the first recording."""
     check_outputs(paths, output, "compare", "csv")
     found = compare_peaks(paths, progress)
     with output_stem(paths, output, "compare", "csv") as stem:
@@ -163,7 +164,7 @@ def present_compare(
 def _without_peaks(
     changes: Sequence[PeakChange], measured: Sequence[tuple[Path, Sequence[Response]]], modes: Modes
 ) -> list[str]:
-    """Say which modes of which responses are not compared, and why."""
+    """List the modes and responses that are not compared, with the reason."""
     compared = {(one.response, one.mode) for one in changes}
     curves = [{curve.response: curve for curve in group} for _, group in measured]
     lines = []
@@ -182,9 +183,10 @@ def _without_peaks(
 
 @dataclass(frozen=True)
 class Places:
-    """What a recording's responses are of: where the force acts, and where each channel is.
+    """Measurement points of a recording: the bodies that are driven, and the location of each channel.
 
-    sensors : of each response and its force, if one sensor measures it, an identification of the two
+    sensors : for each response, an identifier of its sensor and of the force sensor, if a single sensor measures the
+    force
     """
 
     path: Path
@@ -194,7 +196,7 @@ class Places:
 
     @classmethod
     def of(cls, path: Path, rec: Recording) -> Places:
-        """Take them from a recording."""
+        """Return the measurement points of a recording."""
         names = responses(rec)
         below, sensors = reference_of(rec, "force").channels, {}
         if len(below) == 1:
@@ -204,11 +206,11 @@ class Places:
         return cls(path, rec.scene.force_on, {name: rec.channels[name].at for name in names}, sensors)
 
     def same_sensors(self, first: Places) -> list[str]:
-        """Name the responses that the same sensors read in both, with the force by the same sensor."""
+        """Return the responses that were measured with the same response and force sensors in both recordings."""
         return [name for name, sensor in self.sensors.items() if first.sensors.get(name) == sensor]
 
     def comparable_with(self, first: Places) -> None:
-        """Raise `SceneError` if no response is in both, or if those of one name are of different places."""
+        """Raise `SceneError` if the recordings share no response, or if equal names denote different points."""
         if self.force_on != first.force_on:
             raise SceneError(
                 f"{first.path} is driven at {_bodies(first.force_on)}, {self.path} at {_bodies(self.force_on)}: their "

@@ -1,4 +1,4 @@
-"""Damper motion in stepped sines as lines, figures and tables: what `analysis dampers` prints and writes."""
+"""Output of `analysis dampers`: damper motion in stepped-sine tests as text, figures and tables."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from analysis.presentation.tables import write_table
 from analysis.recordings.names import opened, scene_labels
 from rig.results import frequency_ranges, plainly, rounded
 
-# Frequencies listed on the terminal; the CSV file holds all.
+# Number of frequencies printed; the CSV file contains all of them.
 _LISTED = 2
-# Kinds of motion as they are printed.
+# Printed names of the kinds of motion.
 _AT_REST = "at rest on the floor"
 _NEAR_GRAVITY = "near 1 g, may fly"
 _IRREGULAR = "irregular, or impacts missed"
 _TYPES = ("type I", "type II", "type III")
 _OTHER = "other patterns, or irregular"
-# With more kinds than this in a body, those that are no type share a row.
+# If a body shows more kinds of motion than this, the kinds other than types I to III share a row.
 _MAX_KINDS = 3
 _HEADING = (
     "scene", "frequency_Hz", "supplied_J", "structure_J", "dampers_J", "dampers_bound_J", "true_impacts_J",
@@ -37,16 +37,17 @@ _HEADING = (
 def present_dampers(
     paths: Sequence[Path], output: Path | None = None, progress: Progress | None = None
 ) -> Result:
-    """List, draw and tabulate the motion of the dampers at each frequency of stepped sines.
+    """Report the motion of the dampers at each frequency of stepped-sine tests as text, figures and tables.
 
     Parameters
     ----------
     paths : sequence of Path
-        Recordings of stepped sines with dampers.
+        Recordings of stepped-sine tests with dampers.
     output : Path, optional
-        Folder for figures and tables; default beside the first recording.
+        Folder for figures and tables; default: the folder of the first recording.
     progress : callable, optional
-        Called with (frequencies done, in all) of the lock-in, then of the search for impacts in each body.
+        Called with (frequencies completed, total) during the lock-in and then during impact detection in each
+        body.
     """
     from analysis.figures.dampers_figure import dampers_figure
     from rig.figure_style import save
@@ -80,7 +81,7 @@ def _rows(found: Dampers) -> list[tuple[str | float, ...]]:
 
 
 def describe(found: Dampers) -> list[str]:
-    """Describe a sweep: a table of motions, restitution, detection limits, and energies."""
+    """Describe one sweep: a table of the motions, restitution, detection limits and energies."""
     lines = [found.label, *(f"  {reason}" for reason in found.missing)]
     if found.bodies:
         lines += [f"  {line}" for line in describe_motions(found.bodies, found.sweep.lines.left_out.tolist())]
@@ -90,14 +91,14 @@ def describe(found: Dampers) -> list[str]:
 
 
 def describe_motions(bodies: Sequence[list[DamperMotion]], left_out: Sequence[float] = ()) -> list[str]:
-    r"""Table of the motions in each body with their frequencies, then restitution and detection limits.
+    r"""Return a table of the motions in each body with their frequencies, then restitution and detection limits.
 
     Parameters
     ----------
     bodies : sequence of list of DamperMotion
-        Of one channel each.
+        One list for each body, from one channel.
     left_out : sequence of float
-        Hz: frequencies without a result, at which a range ends.
+        Frequencies without a result, Hz; a printed frequency range ends there.
 
     Examples
     --------
@@ -122,7 +123,7 @@ def describe_motions(bodies: Sequence[list[DamperMotion]], left_out: Sequence[fl
 
 
 def _motion_rows(motions: list[DamperMotion], left_out: Sequence[float]) -> list[tuple[str, str, str]]:
-    """Rows of one body: each kind of motion with its frequencies, rest last."""
+    """Rows of one body: each kind of motion with its frequencies; dampers at rest come last."""
     every = [(motion.frequency, _kind(motion)) for motion in motions] + [(f, "") for f in left_out]
     kinds = dict.fromkeys(kind for _, kind in every if kind)
     if len(kinds) - (_AT_REST in kinds) > _MAX_KINDS:
@@ -134,20 +135,21 @@ def _motion_rows(motions: list[DamperMotion], left_out: Sequence[float]) -> list
     rows = []
     for kind in order:
         where = frequency_ranges(frequency, [kind == other for _, other in every])
-        # Rest where all else is listed needs no list of its own.
+        # The other rows list all other frequencies.
         rows.append(("", kind, "elsewhere" if kind == _AT_REST and len(order) > 1 else where))
     return [(motions[0].channel, *rows[0][1:]), *rows[1:]]
 
 
 def _restitution(motions: list[DamperMotion]) -> list[str]:
-    """Restitution that a body's impacts determine, if any do: weighted by its errors."""
+    """Weighted mean of the coefficient of restitution of one body; an empty list if no impact determines it."""
     estimates = [motion.restitution for motion in motions if motion.restitution is not None]
     if not estimates:
         return []
     value = np.array([each.value for each in estimates])
     weight = np.array([each.error**-2.0 for each in estimates])
     mean = float(np.sum(weight * value) / weight.sum())
-    # Errors of the sensor or of the fit of jumps are common to all frequencies; and they are no less than the scatter.
+    # Errors of the sensor and of the fitted velocity jumps are common to all frequencies, so that averaging does not
+    # reduce them. The uncertainty is also at least the observed scatter.
     scatter = float(np.sqrt(np.sum(weight * (value - mean) ** 2) / weight.sum() / max(len(estimates) - 1, 1)))
     bound = 2.0 * max(float(weight.mean() ** -0.5), scatter)
     text = f"{rounded(mean, bound)} ± {rounded(bound, bound)}".replace("-0.000", "0.000")
@@ -155,16 +157,17 @@ def _restitution(motions: list[DamperMotion]) -> list[str]:
 
 
 def _kind(motion: DamperMotion) -> str:
-    """Name the kind of motion for people."""
+    """Translate a motion name into printed text."""
     kind, _, counts = motion.name.partition(": ")
     known = {"riding": _AT_REST, "unseen": _NEAR_GRAVITY, "unsure": _IRREGULAR, "other": counts}
     return known.get(kind, f"type {kind}")
 
 
 def describe_energy(energy: CycleEnergy, true: np.ndarray | None = None) -> list[str]:
-    """Table of the energy per period, at the frequencies at which most is supplied.
+    """Return a table of the energy per period at the frequencies with the largest supplied energy.
 
-    The last columns: change of the dampers' share if the scene's damping is 10 % too high; true share, if recorded.
+    The last columns are the change of the dampers' share if the structural damping of the scene is 10 % too high, and
+    the true share if the recording contains it.
     """
     chosen = np.sort(np.argsort(energy.supplied, kind="stable")[::-1][:_LISTED])
     heading = ["frequency / Hz", "supplied / mJ", "into dampers / %", "per 10 % of scene damping / %"]

@@ -1,4 +1,4 @@
-"""Free decays of recordings as figures and tables: what `analysis decay` does."""
+"""Output of `analysis decay`: free decays as text, figures and tables."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 def present_decay(
     paths: Sequence[Path], output: Path | None = None, channel: str | None = None, hit: int = 1
 ) -> Result:
-    """Draw and tabulate free decays, several recordings overlaid."""
+    """Draw and tabulate free decays; the curves of several recordings are overlaid."""
     from analysis.figures.decay_figure import decay_figure
     from analysis.presentation.tables import damping_table, envelope_table
     from rig.figure_style import save
@@ -47,7 +47,7 @@ def present_decay(
 
 
 def describe_decay(one: Decay) -> list[str]:
-    """Describe when dampers come to rest in a decay, and the damping of each mode."""
+    """Describe a decay: the time from which it stays below 1 g, and the damping ratio of each mode."""
     quiet = one.quiet_from
     until = "not within the recording" if np.isnan(quiet) else f"after {quiet:.3g} s"
     falls = (
@@ -69,6 +69,6 @@ def describe_decay(one: Decay) -> list[str]:
 
 
 def _damping_at(mode: ModalDecay, index: int) -> str:
-    """Write the damping ratio at one amplitude with its 95 % bound from noise."""
+    """Format the damping ratio at one amplitude with its 95 % bound."""
     ratio, bound = 100.0 * mode.damping[index], 200.0 * mode.damping_error[index]
     return f"{bounded(ratio, bound, '%')} at {mode.amplitude[index]:.3g} m/s²"

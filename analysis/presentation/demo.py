@@ -1,4 +1,4 @@
-"""The demonstration: record the paper's tests, and draw Figs 8 and 10b from the recordings."""
+"""The demonstration: record tests of the paper and reproduce its Figs 8 and 10b from the recordings."""
 
 from __future__ import annotations
 
@@ -23,7 +23,8 @@ if TYPE_CHECKING:
 SWEEPS = ("fig8-no-damper", "fig8-three-dampers")
 IMPULSES = ("fig10b-no-damper", "fig10b-three-dampers")
 
-# Coarse over the band, fine where the resonances are, without dampers and with them riding.
+# A coarse grid over the band, and fine grids around the resonances: without dampers, and with the dampers at rest on
+# the floor, whose mass lowers the natural frequencies.
 _COARSE = np.linspace(8.0, 60.0, 34)
 _FINE = (np.linspace(11.8, 13.6, 14), np.linspace(32.0, 35.6, 13), np.linspace(45.5, 51.0, 12))
 
@@ -38,21 +39,21 @@ def frequencies() -> list[float]:
 
 
 def demonstrate(folder: Path, say: Callable[[str], None], at: Sequence[float] | None = None) -> list[Path]:
-    """Record two sweeps and two impulse tests side by side, analyse them, and say what to do next.
+    """Record two stepped sines and two impulse tests in parallel, analyze them, and suggest next commands.
 
     Parameters
     ----------
     folder : Path
-        Where recordings, figures and tables go.
+        Output folder for recordings, figures and tables.
     say : callable
-        Takes one line of text at a time.
+        Called with each line of text.
     at : sequence of float, optional
-        Frequencies of the sweeps, Hz; omitted, `frequencies`.
+        Frequencies of the stepped sines, Hz; default: `frequencies`.
 
     Returns
     -------
     list of Path
-        Every file written.
+        All files written.
     """
     began = time.monotonic()
     folder.mkdir(parents=True, exist_ok=True)
@@ -96,8 +97,8 @@ def demonstrate(folder: Path, say: Callable[[str], None], at: Sequence[float] | 
 
 
 def _recorded(recordings: dict[str, Path], at: tuple[float, ...]) -> Iterator[tuple[str, float]]:
-    """Record on all cores; yield each name and the seconds it holds as it is done."""
-    # Sweeps first: the short impulse tests fill in where a core becomes free.
+    """Record on all cores; yield the name and duration (s) of each recording when it is complete."""
+    # The long sweeps start first; the short impulse tests then use the cores that become free.
     jobs = [(name, path, at) for name, path in recordings.items()]
     with Workers() as workers:
         for number, seconds in workers.compute(_record, jobs):
@@ -115,14 +116,14 @@ def _scene(name: str, at: tuple[float, ...]) -> Scene:
 
 
 def _record(job: tuple[str, Path, tuple[float, ...]]) -> float:
-    """Record one scene; the length of its recording in s."""
+    """Record one scene and return the duration of the recording in s."""
     import warnings
 
     import daq
 
     name, path, at = job
     with warnings.catch_warnings():
-        # What the test has to warn of is in the recording's markers, and the analysis says it.
+        # The recording's markers contain the same warnings, and the analysis reports them.
         warnings.simplefilter("ignore", daq.RunWarning)
         daq.record(_scene(name, at), path, overwrite=True)
     with daq.open(path) as rec:

@@ -1,4 +1,4 @@
-"""Which command and which options suit a recording: wrong ones are refused in words that say what suits."""
+"""Check that a command and its options suit the recordings; errors name a suitable command or option."""
 
 from __future__ import annotations
 
@@ -19,20 +19,21 @@ if TYPE_CHECKING:
 
 
 def expect(rec: Recording, path: Path, command: str) -> None:
-    """Refuse a recording that does not hold what a command is about.
+    """Raise an error if a recording lacks the data that a command analyzes.
 
     Parameters
     ----------
     rec : daq.recording.recording.Recording
-        Open.
+        An open recording.
     path : Path
-        Its file.
+        File of the recording, for the message.
     command : {'frf', 'modes', 'decay', 'dampers'}
+        Command to check.
 
     Raises
     ------
     RecordingError
-        Stating what the recording contains, and which command suits it.
+        If the command does not suit the recording. The message states the content and a suitable command.
     """
     test, file = rec.test, shlex.quote(str(path))
     held = f"{path} holds {test.name}"
@@ -54,7 +55,7 @@ def expect(rec: Recording, path: Path, command: str) -> None:
 
 
 def repeats(paths: Sequence[Path]) -> list[str]:
-    """Warn of files that were given twice: what they show is right, but is one measurement."""
+    """Return a warning for each file that was given twice: equal files are not independent measurements."""
     return [
         f"{again}: the same content as {first}. Give each measurement once; these are no two results."
         for first, again in repeated(paths)
@@ -64,12 +65,12 @@ def repeats(paths: Sequence[Path]) -> list[str]:
 def expect_all(
     paths: Sequence[Path], command: str, blocks: Blocks, theory: bool = False, unit: str | None = None
 ) -> list[str]:
-    """Refuse files that do not suit a command, and options that act on none of them.
+    """Raise an error for files that do not suit a command and for options without effect on any file.
 
     Returns
     -------
     list of str
-        Files given twice; of options that act on some of the files, on which they do not, and why.
+        Warnings: files given twice, and options that have no effect on some of the files, with the reason.
     """
     asked = {**vars(blocks), "theory": theory or None, "unit": unit}
     idle: dict[str, list[str]] = {name: [] for name, value in asked.items() if value is not None}

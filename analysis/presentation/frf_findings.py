@@ -1,4 +1,4 @@
-"""Frequency responses of recordings as figures and tables: what `analysis frf` does."""
+"""Output of `analysis frf`: frequency responses as text, figures and tables."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def present_frf(
     window: str | None = None,
     unit: str | None = None,
 ) -> Result:
-    """Draw and tabulate frequency responses; several files are overlaid, one figure per response."""
+    """Draw and tabulate frequency responses; several files are overlaid in one figure for each response."""
     from analysis.presentation.tables import frf_table
 
     curves: list[Response] = []
@@ -70,7 +70,7 @@ def present_frf(
 
 
 def _drawn(curves: Sequence[Response], exact: Sequence[Response], stem: Path) -> list[Path]:
-    """Draw curves: those of one recording together, those of several by their outputs and inputs."""
+    """Draw all curves of one recording in one figure, or those of several in one figure for each FRF."""
     from analysis.figures.frf_figure import frf_figure
     from rig.figure_style import save
 
@@ -92,7 +92,7 @@ def _drawn(curves: Sequence[Response], exact: Sequence[Response], stem: Path) ->
 
 
 def _by_ratio(curves: Sequence[Response]) -> list[list[Response]]:
-    """Group curves by output and input; curves of files that name no input go with the first that has one."""
+    """Group curves by output and input; a curve without an input joins the first group of its output."""
     groups: dict[tuple[str, str], list[Response]] = {}
     for curve in sorted(curves, key=lambda one: not one.input_at):
         known = next((key for key in groups if key[0] == curve.response and not curve.input_at), None)
@@ -101,13 +101,13 @@ def _by_ratio(curves: Sequence[Response]) -> list[list[Response]]:
 
 
 def _marks(curves: Sequence[Response]) -> list[tuple[float, str]]:
-    """Jumps of all curves, each place once."""
+    """Jumps of all curves, without duplicates."""
     found = {(round(frequency, 6), text) for curve in curves for frequency, text in jumps(curve)}
     return sorted(found)
 
 
 def _once(curves: Sequence[Response]) -> list[Response]:
-    """Keep one legend entry for theory and one curve for each output and input."""
+    """Keep one theoretical curve for each output and input, and one legend entry for all of them."""
     out: list[Response] = []
     for curve in curves:
         if all(curve.ratio != other.ratio for other in out):
@@ -116,7 +116,7 @@ def _once(curves: Sequence[Response]) -> list[Response]:
 
 
 def stated_tolerances(rec: Recording, frfs: Sequence[Response]) -> list[str]:
-    """Say which sensors' tolerances make most of the bounds of curves, if they do, and where these figures are from."""
+    """State the sensor tolerances and their source if they dominate the uncertainty of most curves."""
     largest = [part for frf in frfs for part in frf.parts()]
     if 2 * largest.count(SENSITIVITY) < len(largest):
         return []
@@ -134,7 +134,7 @@ def stated_tolerances(rec: Recording, frfs: Sequence[Response]) -> list[str]:
 
 
 def linear_theory(rec: Recording, frf: Response) -> Response:
-    """Exact linear curve of the scene's structure without dampers, for the same response and reference."""
+    """Compute the exact FRF of the linear structure without dampers for the same response and reference."""
     from rig.system.structural_model import receptance
 
     low, high = float(frf.frequency.min()), float(frf.frequency.max())

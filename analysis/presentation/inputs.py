@@ -1,4 +1,4 @@
-"""Recordings and curves of other programs as a command's inputs: their labels, and what curves they hold."""
+"""Input files of a command: labels of recordings, and FRF files of other programs."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from rig.results.response import Response
 
 
 def labels(paths: Sequence[Path]) -> list[str]:
-    """Name recordings after their scenes, and other programs' files after themselves."""
+    """Return legend labels: the scene name of a recording, the file name of another program's FRF file."""
     recordings = [path for path in paths if not is_frf_file(path)]
     named = dict(zip(recordings, scene_labels(recordings), strict=True))
     return [named.get(path, path.stem) for path in paths]
@@ -21,7 +21,7 @@ def labels(paths: Sequence[Path]) -> list[str]:
 def read_curves(
     path: Path, reference: str, channels: Sequence[str] | None, unit: str | None
 ) -> list[Response]:
-    """Read the curves of another program; `reference` is then the force's node and direction."""
+    """Read FRFs of another program; `reference` is the node and direction of the force."""
     curves = read_frfs(path, None if reference == "force" else reference, unit)
     missing = [name for name in channels or () if name not in {curve.response for curve in curves}]
     if missing:

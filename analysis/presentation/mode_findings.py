@@ -1,4 +1,4 @@
-"""Modes of recordings as figures and tables: what `analysis modes` does."""
+"""Output of `analysis modes`: modal parameters as text, figures and tables."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from rig.results import bounded, rounded
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
-#: From this modal assurance criterion on two shapes are usually taken for the same.
+#: Two mode shapes are usually considered the same if their modal assurance criterion is at least this value.
 SAME_SHAPE = 0.9
 
 
@@ -37,7 +37,7 @@ def present_modes(
     progress: Progress | None = None,
     unit: str | None = None,
 ) -> Result:
-    """Identify modes, draw and tabulate them; of recordings, or of responses that other programs have estimated."""
+    """Identify, draw and tabulate the modes of recordings or of FRF files of other programs."""
     from analysis.figures.modes_figure import modes_figure
     from analysis.presentation.tables import modes_table
     from rig.figure_style import save
@@ -75,7 +75,7 @@ def present_modes(
 
 
 def describe_modes(modes: Modes, theory: np.ndarray | None = None) -> list[str]:
-    """List frequency, damping and shape of each mode, and how near it comes to the shapes of theory."""
+    """List natural frequency, damping ratio, shape and, with a theory, the MAC of each mode."""
     out = [
         f"{modes.label}{f', {modes.input}' * bool(modes.input)}: "
         f"{modes.frequency.size} mode{'s' * (modes.frequency.size != 1)}"
@@ -95,16 +95,16 @@ def describe_modes(modes: Modes, theory: np.ndarray | None = None) -> list[str]:
 
 
 def nearest_mac(modes: Modes, theory: np.ndarray) -> NDArray[np.float64]:
-    """Give the MAC of each mode's shape with the shape of theory that is most like it, shape (modes,)."""
+    """Return the largest MAC of each mode shape with any theoretical shape, shape (modes,)."""
     return np.asarray(mac(modes.shapes, theory).max(axis=1))
 
 
 def unlike_theory(modes: Modes, theory: np.ndarray | None) -> list[str]:
-    """Doubt that channels and scene are those of the recording where shapes are known, and none of the scene's."""
+    """Warn of mode shapes that match no theoretical shape: the channels or the scene may be wrong."""
     if theory is None:
         return []
     nearest = nearest_mac(modes, theory)
-    # By so much at most what a shape may be off by lowers its MAC.
+    # Upper bound of the decrease of the MAC that the uncertainty of the shape can cause.
     uncertain = np.sum((2.0 * modes.shape_error) ** 2, axis=0) / np.sum(abs(modes.shapes) ** 2, axis=0)
     off = nearest + uncertain < SAME_SHAPE
     if not off.any():
@@ -119,7 +119,7 @@ def unlike_theory(modes: Modes, theory: np.ndarray | None) -> list[str]:
 
 
 def _element(value: float, bound: float) -> str:
-    """Write an element of a shape with its bound, the largest one, by which all are scaled, without."""
+    """Format a mode-shape element with its bound; the scaling element has none."""
     if not bound:
         return f"{value:.3g}"
     return (
@@ -130,7 +130,7 @@ def _element(value: float, bound: float) -> str:
 
 
 def theoretical_shapes(rec: Recording, modes: Modes) -> np.ndarray | None:
-    """Shapes of the scene's structure at the measured points, shape (responses, bodies)."""
+    """Compute the mode shapes of the scene's structure at the measured points, shape (responses, bodies)."""
     from rig.system.structural_model import structural_model
 
     shapes = structural_model(rec.scene).modes.shapes

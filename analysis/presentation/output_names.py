@@ -1,4 +1,4 @@
-"""Names of the files that a command writes: made from its inputs' names, and never those of other inputs' files."""
+"""Output file names of a command, derived from its input names; results of other inputs are never overwritten."""
 
 from __future__ import annotations
 
@@ -11,30 +11,31 @@ from pathlib import Path
 from rig.errors import RunError
 from rig.provenance import is_from_another_source, made_from, may_overwrite, refuse_others, relative
 
-# Letters of a channel's name in that of a file.
+# Maximum number of characters of a channel name in a file name.
 _LONGEST_PART = 40
-# Longest name of a file made of the names of several recordings.
+# Maximum length of a file name that combines the names of several recordings.
 _LONGEST_NAME = 60
 
 
 @contextmanager
 def output_stem(paths: Sequence[Path], output: Path | None, kind: str, *endings: str) -> Iterator[Path]:
-    """Name the files made from some recordings, next to the first one unless a folder is given.
+    """Name the output files of recordings, by default in the folder of the first recording.
 
-    Recordings of one name in different folders get their folder's name before it. What is written inside the `with`
-    follows the rule of `rig.provenance`: the source is the recordings, by their places relative to the folder.
+    If files of other recordings already use the name, the folder name is added as a prefix. Files written inside the
+    `with` block follow the overwriting rule of `rig.provenance`; their source is the paths of the recordings relative
+    to the output folder.
 
     Parameters
     ----------
     endings : str
-        Of the files that will be written in any case.
+        Endings of the files that are always written.
 
     Raises
     ------
     RunError
-        If the names are taken by files made from other recordings.
+        If files with these names exist and were made from other recordings.
     SceneError
-        If they are taken by files that are not of our making, or were changed since.
+        If files with these names exist and were not written by shotrig, or were changed since.
     """
     folder = output if output is not None else paths[0].parent
     with made_from(kind, *relative(paths, folder)):
@@ -52,13 +53,13 @@ def output_stem(paths: Sequence[Path], output: Path | None, kind: str, *endings:
 
 
 def check_outputs(paths: Sequence[Path], output: Path | None, kind: str, *endings: str) -> None:
-    """Raise the errors of `output_stem` before the work, not after it."""
+    """Raise the errors of `output_stem` before the analysis starts."""
     with output_stem(paths, output, kind, *endings):
         pass
 
 
 def joined(names: Sequence[str]) -> str:
-    """Join names to one that is not too long.
+    """Join names into one name of limited length.
 
     Examples
     --------
@@ -70,13 +71,13 @@ def joined(names: Sequence[str]) -> str:
     name = "+".join(names)
     if len(name) <= _LONGEST_NAME:
         return name
-    # A digest of the omitted names distinguishes sets that begin alike.
+    # A digest distinguishes lists that begin with the same name.
     rest = _digest(name)[:4]
     return f"{names[0]}+{len(names) - 1}-more-{rest}" if len(names) > 1 else name
 
 
 def of_part(stem: Path, part: str) -> Path:
-    """Add the name of a channel, which a file may have made anything but a name of files.
+    """Append a channel name, with characters that are unsafe in a file name replaced.
 
     Examples
     --------
@@ -90,7 +91,7 @@ def of_part(stem: Path, part: str) -> Path:
 
 
 def with_ending(stem: Path, ending: str) -> Path:
-    """Add an ending to a name, which may hold dots of its own.
+    """Add an ending to a name that may contain dots.
 
     Examples
     --------
@@ -101,7 +102,7 @@ def with_ending(stem: Path, ending: str) -> Path:
 
 
 def _digest(names: str) -> str:
-    # Names of files need not be UTF-8.
+    # File names are not necessarily valid UTF-8.
     return hashlib.sha256(os.fsencode(names)).hexdigest()
 
 

@@ -16,7 +16,7 @@ class Result:
     files: tuple[Path, ...]
     lines: tuple[str, ...]
     warnings: tuple[str, ...]
-    """Each begins with the recording that it concerns."""
+    """Each begins with the name of its recording."""
 
 
 def noted(path: Path, notes: Sequence[str]) -> list[str]:
@@ -25,7 +25,7 @@ def noted(path: Path, notes: Sequence[str]) -> list[str]:
 
 
 def aligned(rows: Sequence[Sequence[str]], left: int = 0) -> list[str]:
-    """Lines of a table with aligned columns: the first `left` of them to the left, numbers to the right.
+    """Return the lines of a table: the first `left` columns are aligned to the left, the others to the right.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Tables beside the figures: comma-separated values whose heading names quantity and unit."""
+"""CSV tables of the results; the heading of each column states quantity and unit."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from rig.results.response import Response
 
 Row = Sequence[str | float | int]
 
-# Points of a decay's envelope in the table: every sample would be a copy of the recording.
+# Number of rows of an envelope; the full sample rate would only duplicate the recording.
 _ENVELOPE_ROWS = 400
 
 
 def write_table(path: Path, heading: Sequence[str], rows: Iterable[Row]) -> Path:
-    """Write one table; numbers with nine digits, an empty cell for what was not measured."""
+    """Write one table: numbers with nine significant digits, empty cells for missing values."""
     make_ready(path.parent)
     with replacing(path) as part, part.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
@@ -33,7 +33,7 @@ def write_table(path: Path, heading: Sequence[str], rows: Iterable[Row]) -> Path
 
 def _cell(value: str | float | int) -> str:
     if isinstance(value, str):
-        # Recordings of one scene are named after their files, whose names may be no UTF-8.
+        # The label can be a file name, which is not necessarily valid UTF-8.
         return shown(value)
     if isinstance(value, int | np.integer):
         return str(value)
@@ -41,7 +41,7 @@ def _cell(value: str | float | int) -> str:
 
 
 def frf_table(path: Path, frfs: Sequence[Response]) -> Path:
-    """Table of frequency responses, one line per curve and frequency."""
+    """Write a table of frequency responses, one row for each curve and frequency."""
     unit = frfs[0].unit.replace("²", "^2")
     heading = [
         "scene", "response", "reference", "frequency_Hz", f"real {unit}", f"imag {unit}", f"magnitude {unit}",
@@ -64,7 +64,7 @@ def _frf_rows(frfs: Sequence[Response]) -> Iterator[Row]:
 
 
 def envelope_table(path: Path, decays: Sequence[Decay]) -> Path:
-    """Table of envelopes against time: largest magnitude and energy in each of some hundred intervals."""
+    """Write a table of envelopes against time: largest magnitude and energy in each of about 400 intervals."""
     heading = ["scene", "channel", "hit", "time_s", "peak m/s^2", "envelope m/s^2", "schroeder_dB"]
     return write_table(path, heading, _envelope_rows(decays))
 
@@ -82,7 +82,7 @@ def _envelope_rows(decays: Sequence[Decay]) -> Iterator[Row]:
 
 
 def damping_table(path: Path, decays: Sequence[Decay]) -> Path:
-    """Table of damping ratio and natural frequency against amplitude, mode by mode."""
+    """Write a table of damping ratio and natural frequency against amplitude for each mode."""
     heading = [
         "scene", "channel", "hit", "mode_Hz", "amplitude m/s^2", "damping_ratio", "damping_ratio_std",
         "log_decrement", "frequency_Hz", "frequency_std_Hz",
@@ -102,7 +102,7 @@ def _damping_rows(decays: Sequence[Decay]) -> Iterator[Row]:
 
 
 def modes_table(path: Path, found: Sequence[Modes]) -> Path:
-    """Table of natural frequencies, damping ratios and shapes."""
+    """Write a table of natural frequencies, damping ratios and mode shapes."""
     channels = list(dict.fromkeys(name for modes in found for name in modes.of_bodies().names))
     heading = [
         "scene", "reference", "mode", "frequency_Hz", "frequency_std_Hz", "omega_rad_s", "damping_ratio",

@@ -1,4 +1,4 @@
-"""The answer of a report: up to three sentences, from the same results as its tables."""
+"""Summary of a report: at most three sentences, derived from the same results as its tables."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ _MAX_SENTENCES = 3
 def answer(
     measurements: Sequence[Measured], changes: Sequence[tuple[Measured, Measured, PeakChange]]
 ) -> list[str]:
-    """Sentences that say what was found: decays, then comparisons, then resonances and dampers.
+    """Summarize the results: decays, then comparisons, then resonances and dampers.
 
     Parameters
     ----------
     measurements : sequence of Measured
         All recordings of the report.
     changes : sequence of (Measured, Measured, PeakChange)
-        As `Measurements.changes` gives them.
+        Result of `Measurements.changes`.
     """
     sentences = _decays(measurements) + _comparisons(changes)
     for measured in measurements:
@@ -37,7 +37,7 @@ def answer(
 
 
 def _comparisons(changes: Sequence[tuple[Measured, Measured, PeakChange]]) -> list[str]:
-    """Describe how the highest peak whose change is bounded differs between the first recording and each other one."""
+    """Describe, for each other recording, the change of the highest peak whose change is bounded."""
     sentences = []
     for label in dict.fromkeys(other.label for _, other, _ in changes):
         here = [(first, change) for first, other, change in changes if other.label == label]
@@ -87,7 +87,7 @@ def _resonances(measured: Measured) -> list[str]:
 
 
 def _dampers(measured: Measured, result: Dampers) -> list[str]:
-    """Where impacts were detected, and the largest share of the supplied energy that the dampers dissipate."""
+    """Frequencies with detected impacts, and the largest dissipated share of the supplied energy."""
     frequency = result.sweep.lines.frequency
     hit = np.zeros(frequency.size, dtype=bool)
     for motions in result.bodies:

@@ -15,17 +15,17 @@ from numpy.typing import ArrayLike, NDArray
 from rig.escaping import html
 from rig.figure_style import COLOURS
 
-# From this ratio of its ends on, a frequency axis is logarithmic.
+# A frequency axis is logarithmic if the ratio of its limits exceeds this value.
 _LOGARITHMIC_FROM = 3.0
-# Significant digits of a number in a chart: a screen has no more.
+# Significant digits of a number in a chart: more than a screen can resolve.
 _DIGITS = 5
-# Longer columns are written as 32-bit binary, which takes half the space.
+# Longer columns are written as 32-bit binary, which halves their size.
 _MAX_TEXT_COLUMN = 4000
 
 
 @dataclass(frozen=True)
 class EvenlySpaced:
-    """An abscissa that needs no column of its own."""
+    """Evenly spaced abscissa, stored without a column of values."""
 
     start: float
     step: float
@@ -34,7 +34,7 @@ class EvenlySpaced:
 
 @dataclass(frozen=True)
 class Curve:
-    """One curve of a panel, with limits of its uncertainty where they are known.
+    """One curve of a panel, with its uncertainty limits if they are known.
 
     x, y, low, high : shape (n,)
     color : index into the palette
@@ -75,7 +75,7 @@ class Panel:
 
 @dataclass(frozen=True)
 class Chart:
-    """Panels above each other, with a caption and a description for those who cannot see them."""
+    """Panels above each other, with a caption and a text alternative for screen readers."""
 
     caption: str
     alternative: str
@@ -87,7 +87,7 @@ class Chart:
 
 @dataclass
 class ChartWriter:
-    """Writes charts as HTML with numbers that are unique in the page."""
+    """Writer of charts as HTML, with identifiers that are unique in the page."""
 
     _numbers: count[int] = field(default_factory=count)
 
@@ -103,7 +103,7 @@ class ChartWriter:
             },
             "panels": [_panel(panel) for panel in chart.panels],
         }
-        # A text inside a script element must not end it.
+        # The text "</script>" inside the data would end the script element.
         text = json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
         return (
             f'<figure><div class="chart" role="img" aria-label="{html(chart.alternative)}" data-source="{name}"></div>'
@@ -113,7 +113,7 @@ class ChartWriter:
 
 
 def logarithmic(frequencies: ArrayLike) -> bool:
-    """Whether a frequency axis of these values should be logarithmic."""
+    """Return whether a frequency axis of these values should be logarithmic."""
     values = np.asarray(frequencies, dtype=float)
     return bool(values.size and values.min() > 0 and values.max() > _LOGARITHMIC_FROM * values.min())
 
@@ -144,9 +144,9 @@ def _curve(curve: Curve, positive: bool) -> dict[str, Any]:
 
 
 def _column(values: ArrayLike, positive: bool = False, exact: bool = False) -> Any:
-    """Numbers as JSON: null where there is none; long columns in 32-bit binary.
+    """Numbers as JSON, with null for undefined values; long columns as 32-bit binary.
 
-    `positive`: the axis is logarithmic, which has no place for zero.
+    `positive`: drop values of zero and below, which a logarithmic axis cannot show.
     """
     column = np.asarray(values, dtype=float)
     shown = np.isfinite(column) & (column > 0 if positive else True)

@@ -1,4 +1,4 @@
-"""Drawings of a report as SVG: the rig of a scene, and mode shapes that move."""
+"""SVG drawings of a report: the test rig of a scene, and animated mode shapes."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ _LEFT = 190
 _MARGIN = 20
 _SHAPE_WIDTH, _SHAPE_HEIGHT = 90, 26
 _LARGEST_SWING = 16.0
-# Points of a drawn coil spring.
+# Number of zigzag corners of a drawn spring.
 _COILS = 8
 
 
 def rig_drawing(scene: Scene) -> str:
-    """Draw a scene: bodies with masses, springs, dampers, shakers and sensors; not to scale.
+    """Draw the bodies, springs, dampers, shakers and sensors of a scene, not to scale.
 
     Examples
     --------
@@ -102,7 +102,7 @@ def _spring(x: float, top: float, bottom: float) -> str:
 
 
 def _shaker(shaker: Shaker, y: float, number: int | None) -> Iterator[str]:
-    """Shaker to the left of the body that it drives, with its coil spring if it has one."""
+    """Shaker to the left of the body that it drives, with its spring if it has one."""
     title = {"force": "force", "table": "shaker table", "electrodynamic": "electrodynamic shaker"}[
         shaker.kind
     ]
@@ -117,7 +117,7 @@ def _shaker(shaker: Shaker, y: float, number: int | None) -> Iterator[str]:
 
 
 def _sensors(scene: Scene, tops: Sequence[float]) -> Iterator[str]:
-    """Names of the channels to the right of what they measure."""
+    """Names of the channels to the right of the bodies on which they are mounted."""
     places: dict[str, list[str]] = {}
     for channel in scene.channels or ():
         places.setdefault(channel.at, []).append(channel.name)

@@ -15,20 +15,21 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-# A recording with at most so many samples in all is shown whole; a longer one by the envelope of each interval.
+# A recording with at most this number of samples (all channels) is drawn completely; a longer recording is drawn as
+# the envelope of each interval.
 _MAX_SAMPLES = 300_000
 _INTERVALS = 1500
-# A spectrogram has so many spectra at most, and so many lines.
+# Maximum number of spectra in a spectrogram, and of spectral lines in each.
 _SPECTRA = 300
 _LINES = 160
 # Highest frequency of a spectrogram, as a multiple of the highest natural frequency of the structure.
 _SPECTRUM_TO = 3.0
-# Blocks with less than this many samples resolve nothing.
+# Minimum block length in samples: shorter blocks have too little frequency resolution.
 _MIN_BLOCK = 64
 
 
 def time_histories(rec: Recording) -> Chart:
-    """Chart of all channels against time: every sample of a short recording, the envelope of a long one."""
+    """Return a chart of all channels against time: every sample, or the envelope of a long recording."""
     names = list(rec.channels)
     whole = rec.samples * len(names) <= _MAX_SAMPLES
     time: Array | EvenlySpaced = EvenlySpaced(0.0, 1.0 / rec.rate, rec.samples)
@@ -53,7 +54,7 @@ def time_histories(rec: Recording) -> Chart:
 
 
 def _envelopes(rec: Recording, names: list[str]) -> tuple[Array, Array]:
-    """Smallest and largest value of each interval in turn: time, shape (2 n,), and values, shape (channels, 2 n)."""
+    """Alternating minimum and maximum of each interval: time, shape (2 n,), and values, shape (channels, 2 n)."""
     edges = np.linspace(0, rec.samples, _INTERVALS + 1).astype(int)
     low = np.full((len(names), _INTERVALS), np.inf)
     high = -low
@@ -69,7 +70,7 @@ def _envelopes(rec: Recording, names: list[str]) -> tuple[Array, Array]:
 
 
 def spectrograms(rec: Recording) -> list[Chart]:
-    """One chart for each channel: power spectra with a Hann window at equal distances in time."""
+    """Return one spectrogram for each channel: Hann-windowed power spectra at equal time steps."""
     natural = structural_model(rec.scene).modes.frequency
     highest = min(rec.rate / 2, _SPECTRUM_TO * float(natural.max()))
     block = int(min(rec.samples, rec.rate * _LINES / highest))

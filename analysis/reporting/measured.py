@@ -1,4 +1,4 @@
-"""What the analyses find in one recording, each computed once and shared by all sections of a report."""
+"""Results of all analyses of the recordings, computed once and shared by all sections of a report."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ Found = TypeVar("Found")
 
 @dataclass(frozen=True)
 class Pass:
-    """One pass through the frequencies.
+    """One sweep through the frequencies.
 
-    modes : None where none were identified
-    peaks : for each mode the response with the highest compliance peak near it; None where there is none
+    modes : None if the identification failed
+    peaks : for each mode, the response with the highest compliance peak near it, or None if no response has a peak
     """
 
     frfs: list[Response]
@@ -51,7 +51,7 @@ class Pass:
 
 @dataclass(frozen=True)
 class Measured:
-    """One open recording and what was found in it."""
+    """One open recording and its results."""
 
     path: Path
     label: str
@@ -63,7 +63,7 @@ class Measured:
 
 @dataclass
 class Measurements:
-    """The recordings of a report, open as long as the `with` lasts, and the warnings about them."""
+    """The recordings of a report, which stay open inside the `with` block, and the warnings about them."""
 
     paths: Sequence[Path]
     progress: Callable[[int, int], None] | None = None
@@ -84,7 +84,7 @@ class Measurements:
         self._open.close()
 
     def changes(self) -> list[tuple[Measured, Measured, PeakChange]]:
-        """How each resonance of the first recording's responses changes in every other one."""
+        """Compute the change of each resonance peak from the first recording to every other recording."""
         first, *others = self.all
         if not first.passes or first.passes[0].modes is None:
             return []
@@ -131,7 +131,7 @@ class Measurements:
     def _attempt(
         self, path: Path, what: str, compute: Callable[P, Found], *args: P.args, **kwargs: P.kwargs
     ) -> Found | None:
-        """Return what an analysis finds, or None with a warning that gives the reason."""
+        """Return the result of an analysis; if it fails, add a warning with the reason and return None."""
         try:
             return compute(*args, **kwargs)
         except ShotrigError as error:
@@ -157,7 +157,7 @@ def _highest_peaks(frfs: Sequence[Response], modes: Modes) -> tuple[tuple[Respon
 
 
 def _changes(first: Measured, other: Measured) -> list[PeakChange]:
-    """Compare the peaks of two recordings, whose errors by the same sensors are in no change."""
+    """Compare the peaks of two recordings; errors of shared sensors cancel in the ratio."""
     modes = first.passes[0].modes
     assert modes is not None
     before, after = Places.of(first.path, first.rec), Places.of(other.path, other.rec)

@@ -1,4 +1,4 @@
-"""Writes the report page: the answer first, then results, then settings, warnings and how to repeat it."""
+"""Write the report page: summary, results, settings, warnings and the commands that reproduce it."""
 
 from __future__ import annotations
 
@@ -27,21 +27,21 @@ from rig.provenance import made_from, refuse_others, relative
 def write_report(
     paths: Sequence[Path], output: Path | None = None, progress: Callable[[int, int], None] | None = None
 ) -> Result:
-    """Write one self-contained HTML page about recordings.
+    """Write one self-contained HTML report about recordings.
 
     Parameters
     ----------
     paths : sequence of Path
-        Recordings; with several, the first is the one that the others are compared with.
+        Recordings; the first is the reference of the comparisons.
     output : Path, optional
-        Folder for the page, or its name if it ends in .html; default: next to the first recording.
+        Folder for the page, or its file name if it ends in .html; default: the folder of the first recording.
     progress : callable, optional
-        Called with (done, total) while the recordings are analyzed.
+        Called with (completed, total) during the analysis of the recordings.
 
     Returns
     -------
     Result
-        The page, the sentences of its answer, and the warnings.
+        The page, the sentences of its summary, and the warnings.
 
     Raises
     ------
@@ -51,7 +51,7 @@ def write_report(
         If the page exists and was not made from these recordings.
     """
     with _page(paths, output):
-        pass  # An existing page of the user's is reported before the analysis, not after it.
+        pass  # Raise the error of an existing page before the long analysis.
     with Measurements(paths, progress) as measurements:
         sentences, body = _body(measurements, paths)
     title = f"Vibration test: {', '.join(path.stem for path in paths)}"
@@ -77,7 +77,7 @@ def write_report(
 
 @contextmanager
 def _page(paths: Sequence[Path], output: Path | None) -> Iterator[Path]:
-    """Name of the page; what is written inside the `with` follows the rule for outputs."""
+    """Path of the page; writing inside the `with` block follows the overwriting rule of `rig.provenance`."""
     if output is not None and output.suffix.lower() in {".html", ".htm"} and not output.is_dir():
         with made_from("report", *relative(paths, output.parent)):
             refuse_others(output)
@@ -88,7 +88,7 @@ def _page(paths: Sequence[Path], output: Path | None) -> Iterator[Path]:
 
 
 def _body(measurements: Measurements, paths: Sequence[Path]) -> tuple[list[str], str]:
-    """Return the answer, and the page's sections as HTML."""
+    """Return the summary, and the sections of the page as HTML."""
     found, charts = measurements.all, ChartWriter()
     compared = measurements.changes()
     sentences = answer(found, compared)
@@ -120,7 +120,7 @@ def _body(measurements: Measurements, paths: Sequence[Path]) -> tuple[list[str],
 
 
 def _modes(found: Sequence[Measured]) -> list[str]:
-    """Mode shapes of the first pass through the frequencies of each recording."""
+    """Mode shapes of the first sweep of each recording."""
     parts = []
     for each in found:
         for modes in [one.modes for one in each.passes[:1] if one.modes is not None]:
@@ -143,7 +143,7 @@ def _budgets(found: Sequence[Measured]) -> list[str]:
 
 
 def _commands(paths: Sequence[Path], found: Sequence[Measured]) -> list[str]:
-    """Commands that give the same results again, and the version that gave them."""
+    """Commands that reproduce the results, and the version of shotrig."""
     every = " ".join(shlex.quote(str(path)) for path in paths)
     named = [
         ("frf", [each for each in found if each.passes]),

@@ -12,15 +12,15 @@ from analysis.reporting.charts import Chart, Curve, Panel, logarithmic
 from analysis.reporting.measured import Measured
 from rig.results.response import Response
 
-# Longer curves are thinned to the highest and the lowest point of so many intervals.
+# A long curve is reduced to the highest and the lowest point of this number of intervals.
 _INTERVALS = 1200
 
 
 def response_charts(measurements: Sequence[Measured]) -> list[Chart]:
-    """Charts of all frequency responses.
+    """Return charts of all frequency responses.
 
-    The responses of one recording share a chart; with several recordings each response has one, so that they can be
-    compared. Responses to different inputs never share a chart.
+    The responses of a single recording share a chart. With several recordings each response has its own chart, so
+    that the recordings can be compared. Responses to different inputs never share a chart.
     """
     measured = [each for each in measurements if each.passes]
     curves = [frf for each in measured for one in each.passes for frf in one.frfs]
@@ -36,7 +36,7 @@ def response_charts(measurements: Sequence[Measured]) -> list[Chart]:
 
 
 def response_chart(curves: Sequence[Response], names: Sequence[str]) -> Chart:
-    """Magnitude with 95 % bounds, phase, coherence and relative bound of responses to one input."""
+    """Return a chart of magnitude with 95 % bounds, phase, coherence and relative bound, for one input."""
     shown = [_thinned(frf.with_gaps()) for frf in curves]
     unit, factor = shown[0].shown_in
     magnitude, phase, coherence, relative = [], [], [], []
@@ -64,14 +64,14 @@ def response_chart(curves: Sequence[Response], names: Sequence[str]) -> Chart:
 
 
 def _limits(curves: Sequence[Curve]) -> tuple[float, float]:
-    """Limits of a logarithmic axis that show all values, whatever their bounds."""
+    """Limits of a logarithmic axis for all values; the uncertainty bounds may exceed them."""
     values = np.concatenate([np.asarray(curve.y, dtype=float) for curve in curves])
     values = values[np.isfinite(values) & (values > 0)]
     return (float(values.min()) / 1.5, 1.5 * float(values.max())) if values.size else (0.1, 10.0)
 
 
 def _thinned(frf: Response) -> Response:
-    """Keep the highest and the lowest point of each of many intervals of a long curve."""
+    """Reduce a long curve to the highest and the lowest point of each interval."""
     count = frf.frequency.size
     if count <= 2 * _INTERVALS:
         return frf
@@ -82,7 +82,7 @@ def _thinned(frf: Response) -> Response:
 
 
 def damper_chart(measured: Measured, result: Dampers) -> Chart:
-    """Impacts per period of each body's dampers, and the share of the supplied energy that all dampers dissipate."""
+    """Return a chart of impacts per period for each body, and the share of energy dissipated by all dampers."""
     frequency = result.sweep.lines.frequency
     order = np.argsort(frequency)
     panels = []
@@ -114,7 +114,7 @@ def _percent(part: NDArray[np.float64], whole: NDArray[np.float64]) -> NDArray[n
 
 
 def decay_charts(measurements: Sequence[Measured]) -> list[Chart]:
-    """Envelopes and energies of free decays, and damping ratio against amplitude."""
+    """Return charts of the envelopes and energies of free decays, and of damping ratio against amplitude."""
     found = [(measured.label, measured.decay) for measured in measurements if measured.decay is not None]
     if not found:
         return []

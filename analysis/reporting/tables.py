@@ -19,12 +19,12 @@ if TYPE_CHECKING:
     from daq.recording.recording import Recording
     from rig.scene.damper import Damper
 
-# Entries of a list of places that are named.
+# Maximum number of overloads or gaps that are listed individually.
 _NAMED = 5
 
 
 def table(caption: str, heading: Sequence[str], rows: Iterable[Sequence[str]], numbers: int = 0) -> str:
-    """Write a table; the last `numbers` columns are aligned to the right. A row of one cell is a heading of its own."""
+    """Write an HTML table with the last `numbers` columns aligned to the right; a row of one cell is a subheading."""
     align = ["" if k < len(heading) - numbers else ' class="number"' for k in range(len(heading))]
     head = "".join(f"<th{a}>{html(text)}</th>" for a, text in zip(align, heading, strict=True))
     body = ""
@@ -38,7 +38,7 @@ def table(caption: str, heading: Sequence[str], rows: Iterable[Sequence[str]], n
 
 
 def resonances(measurements: Sequence[Measured]) -> str:
-    """Table of natural frequencies, damping ratios and the highest peak near each."""
+    """Write a table of natural frequencies, damping ratios and the highest peak near each."""
     rows: list[tuple[str, ...]] = []
     for modes, peaks in ((each.modes, each.peaks) for measured in measurements for each in measured.passes):
         if modes is None:
@@ -53,14 +53,14 @@ def resonances(measurements: Sequence[Measured]) -> str:
 
 
 def peak_height(found: Peak) -> str:
-    """Write the height of a peak with its bound, µm/N; its lower bound where there is no upper one."""
+    """Format the height of a peak with its bound, µm/N, or its lower bound if the upper bound is infinite."""
     if isinf(found.bound):
         return f"at least {1e6 * found.low:.4g}"
     return with_bound(1e6 * found.value, 1e6 * found.bound)
 
 
 def with_bound(value: float, bound: float) -> str:
-    """Write a value and its bound with matching digits.
+    """Format a value and its bound with the same number of decimals.
 
     >>> with_bound(34.7812, 0.0123), with_bound(1.0, 0.0), with_bound(2.0, float("inf"))
     ('34.781 ± 0.012', '1', '2 (unbounded)')
@@ -71,7 +71,7 @@ def with_bound(value: float, bound: float) -> str:
 
 
 def changes_table(found: Sequence[tuple[Measured, Measured, PeakChange]]) -> str:
-    """Table of changes of peaks, and whether each exceeds its bounds."""
+    """Write a table of the changes of peaks, and whether each exceeds its uncertainty."""
     rows: list[tuple[str, ...]] = []
     for first, other, change in found:
         pair = f"{first.label} → {other.label}"
@@ -99,7 +99,7 @@ def changes_table(found: Sequence[tuple[Measured, Measured, PeakChange]]) -> str
 
 
 def _exceeds(low: float, high: float) -> str:
-    """Whether a change with these limits is more than its uncertainty."""
+    """Whether the interval from `low` to `high` excludes zero."""
     if low > 0.0 or high < 0.0:
         return "yes"
     return "no" if isfinite(low) and isfinite(high) else "not bounded"
@@ -114,7 +114,7 @@ def _interval(low: float, high: float) -> str:
 
 
 def decays(measurements: Sequence[Measured]) -> str:
-    """Table of the modes of free decays, with damping at the largest and the smallest amplitude."""
+    """Write a table of free-decay modes with their damping at the largest and the smallest amplitude."""
     rows: list[tuple[str, ...]] = []
     for measured in measurements:
         found = measured.decay
@@ -140,7 +140,7 @@ def decays(measurements: Sequence[Measured]) -> str:
 
 
 def budget(measured: Measured, curve: Response, found: Peak) -> str:
-    """Uncertainty budget of a response at its highest measured point: contribution, type, bound, share."""
+    """Write the uncertainty budget of a response at its peak: contribution, type, bound and share."""
     point = int(np.argmin(abs(curve.frequency - found.frequency)))
     unit, factor = curve.shown_in
     parts = {"noise (scatter)": ("A", float(curve.random_bound()[point]))}
@@ -167,7 +167,7 @@ def budget(measured: Measured, curve: Response, found: Peak) -> str:
 
 
 def settings(measured: Measured) -> str:
-    """Tables of the test and its channels."""
+    """Write the tables of the test settings and of the channels."""
     rec, scene = measured.rec, measured.rec.scene
     test = scene.test
     facts = [
@@ -209,7 +209,7 @@ def settings(measured: Measured) -> str:
 
 
 def _middle_frequency(measured: Measured) -> float:
-    """Geometric mean of the test's frequencies, or of the decay's modes: where the gain of the channels matters."""
+    """Frequency at which channel gains are listed, Hz: geometric mean of the test band or of the modes."""
     if measured.passes:
         band = measured.passes[0].frfs[0].frequency
         return float(np.sqrt(band[band > 0].min() * band.max()))

@@ -1,4 +1,4 @@
-"""What a periodic motion that meets its conditions must also be: possible between its events, and stable."""
+"""Admissibility and stability of periodic motions: contact conditions between events, and Floquet multipliers."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from rig.single_mode.periodic_motion import (
 
 Floats = NDArray[np.float64]
 
-# What is read as zero: a gap in lengths of g/w^2, or an acceleration in g.
+# Largest rounding error of a gap in units of g/w^2, and of an acceleration in g.
 ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
 class Batch:
-    """Solutions of one type, side by side."""
+    """Solutions of one motion type, evaluated as a batch."""
 
     kind: MotionType
     """Motion type; {'I', 'II', 'III'}."""
@@ -40,14 +40,14 @@ class Batch:
         return PeriodicMotion(self.kind, self.unknowns, self.setting)
 
     def take(self, which: NDArray[np.int64]) -> PeriodicMotion:
-        """Return the motions of some solutions (an index may come more than once)."""
+        """Return the motions of selected solutions; indices may repeat."""
         return PeriodicMotion(
             self.kind, self.unknowns[:, which], MotionParameters(*(f[which] for f in self.setting))
         )
 
 
 def _fractions(batch: Batch) -> Floats:
-    """Sample a phase at fractions of its length, at least 24 a turn of the faster oscillation."""
+    """Sample a phase at fractions of its length, at least 24 per cycle of the faster oscillation."""
     fastest = max(1.0, float(np.max(1 / batch.setting.ratio)))
     return np.linspace(0.0, 1.0, 48 + int(24 * fastest))[:, None]
 
@@ -66,15 +66,15 @@ def _coordinate(motion: PeriodicMotion, phase: MotionPhase, t: Floats) -> tuple[
 
 
 def _contact(motion: PeriodicMotion, phase: MotionPhase, t: Floats) -> tuple[Floats, Floats]:
-    """Contact force over mu, q'' + 1 (above 0 on the floor, below 0 at the ceiling), and its slope."""
+    """Contact force over mu, q'' + 1 (positive on the floor, negative at the ceiling), and its time derivative."""
     state = motion.advance(phase, t)
     return motion.acceleration(phase, t, state) + 1, motion.jerk(phase, t, state)
 
 
 def extremes(batch: Batch, index: int, quantity: Quantity) -> tuple[Floats, Floats]:
-    """Smallest and largest value of a quantity in the phase of a given index, shape (solutions,) each.
+    """Compute the smallest and largest value of a quantity in a phase, shape (solutions,) each.
 
-    Sampled densely, then each turning point between samples is closed in by bisection on the slope.
+    The quantity is sampled densely; extrema between samples are located by bisection of its derivative.
     """
     motion = batch.motion
     phase = motion.phases[index]
@@ -98,12 +98,12 @@ def extremes(batch: Batch, index: int, quantity: Quantity) -> tuple[Floats, Floa
 
 
 def flaws(batch: Batch) -> NDArray[np.str_]:
-    """Say what makes each solution impossible as a motion; "" for one that is possible.
+    """Return the reason why each solution is inadmissible; "" if it is admissible.
 
     Returns
     -------
     ndarray of str, shape (solutions,)
-        The first flaw found, in the order of the motion.
+        The first violation in time order.
     """
     kind, motion = batch.kind, batch.motion
     found = np.full(batch.unknowns.shape[1], "", dtype="U32")
@@ -138,9 +138,9 @@ def _slope_at_start(motion: PeriodicMotion, index: int) -> Floats:
 
 
 def first_harmonic(batch: Batch) -> NDArray[np.complex128]:
-    """Complex amplitude Q of the coordinate's first harmonic, q = Re(Q exp(i tau)) + ..., shape (solutions,).
+    """Compute the first harmonic Q of the coordinate, q = Re(Q exp(i tau)) + ..., shape (solutions,).
 
-    Gauss-Legendre quadrature of each phase, with enough nodes for rounding.
+    Each phase is integrated by Gauss-Legendre quadrature with enough nodes for rounding accuracy.
     """
     motion = batch.motion
     fastest = max(1.0, float(np.max(1 / batch.setting.ratio)))
@@ -154,18 +154,18 @@ def first_harmonic(batch: Batch) -> NDArray[np.complex128]:
 
 
 def peak_to_peak(batch: Batch) -> Floats:
-    """Largest less smallest coordinate over the period, shape (solutions,)."""
+    """Compute the peak-to-peak value of the coordinate over the period, shape (solutions,)."""
     pairs = [extremes(batch, index, _coordinate) for index in range(len(batch.motion.phases))]
     return np.max([high for _, high in pairs], axis=0) - np.min([low for low, _ in pairs], axis=0)
 
 
 def multipliers(batch: Batch) -> NDArray[np.complex128]:
-    """Floquet multipliers of the period map from floor impact to floor impact, shape (2, solutions).
+    """Compute the Floquet multipliers of the map from floor impact to floor impact, shape (2, solutions).
 
-    The state there is (q, q'), as the damper rides. Between events deviations follow the homogeneous flow;
-    through an impact they follow the saltation matrix R + (f_after - R f_before) n^T / (n^T f_before), with R
-    the linear map of the impact and n the gradient of the gap; take-off is smooth (both sides fall freely),
-    so it changes nothing.
+    The state after the impact is (q, q'), because the damper is at rest on the floor. Between events, perturbations
+    follow the homogeneous flow. At an impact they are multiplied by the saltation matrix
+    R + (f_after - R f_before) n^T / (n^T f_before), with R the linear map of the impact and n the gradient of the
+    gap. Take-off is smooth (free fall on both sides), so its saltation matrix is the identity.
     """
     motion = batch.motion
     count = batch.unknowns.shape[1]
@@ -188,7 +188,7 @@ def multipliers(batch: Batch) -> NDArray[np.complex128]:
 
 
 def _saltation(motion: PeriodicMotion, before: MotionPhase, end: ModeState, after: MotionPhase) -> Floats:
-    """Saltation matrix of the impact between two phases, (solutions, 2 if riding follows or 4, 4)."""
+    """Saltation matrix of the impact between two phases, (solutions, 2 if riding follows, else 4, 4)."""
     mu = motion.setting.mass_ratio
     share, one, zero = mu / (1 + mu), np.ones_like(end.q), np.zeros_like(end.q)
     common = [zero, one - share, zero, share]

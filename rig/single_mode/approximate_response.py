@@ -1,10 +1,9 @@
 """The paper's approximate method: all periodic motions of Types I, II and III of one mode, over frequency.
 
-At some frequencies every solution of each type is searched for (`rig.single_mode.motion_search`). Each
-solution found is
-then followed over frequency, through folds, and the points of a branch are checked (possible between the
-events? stable?). Solutions that are impossible motions are followed too, for a branch may become possible
-further on; a branch that never does is left out.
+At selected frequencies all solutions of each type are computed (`rig.single_mode.motion_search`). Each solution is
+continued over frequency, through folds, and every point of a branch is checked for admissibility and stability.
+Inadmissible solutions are continued too, because a branch may become admissible at another frequency. Branches
+without an admissible point are discarded.
 """
 
 from __future__ import annotations
@@ -59,13 +58,13 @@ class Branch:
     stable : ndarray of bool, shape (points,)
         Both multipliers inside the unit circle.
     flaw : ndarray of str, shape (points,)
-        What makes the motion impossible; "" if nothing.
+        Reason why the motion is inadmissible; "" if it is admissible.
     unknowns : ndarray, shape (4 + instants, points)
         q_0, q'_0, a, b and instants, dimensionless, as in `rig.single_mode.periodic_motion`.
     ends : tuple of str
         Why the curve ends before its first and after its last point.
     folds : ndarray, shape (folds,)
-        Frequencies [Hz] at which the curve turns back.
+        Frequencies [Hz] of the fold bifurcations.
     """
 
     motion_type: MotionType
@@ -85,26 +84,25 @@ class Branch:
 
     @property
     def valid(self) -> NDArray[np.bool_]:
-        """Whether each point is a possible motion."""
+        """Whether each point is an admissible motion."""
         return np.asarray(self.flaw == "")
 
 
 @dataclass(frozen=True, repr=False)
 class Approximation(Result):
-    """What the approximate method finds for one mode.
+    """Result of the approximate method for one mode.
 
     Attributes
     ----------
     mode : SingleMode
-        The reduced system; its `receptance` gives the curves without damper and with the damper riding
-        always.
+        The reduced system; its `receptance` gives the curves without damper and with the damper always riding.
     branches : tuple of Branch
-        Branches with at least one possible motion.
+        Branches with at least one admissible motion.
     riding : tuple of float or None
-        Frequencies [Hz] between which the damper would leave its floor were it riding (the linear response
-        exceeds 1 g there): Types I to III live in and about this band. None if it never leaves.
+        Frequency band [Hz] in which the linear response with a riding damper exceeds 1 g, so that the damper takes
+        off. Types I to III occur in and near this band. None if the damper never takes off.
     failures : tuple of str
-        Where a branch could not be followed to the end of the range, why, and its last good point.
+        Branches whose continuation ended inside the range: location, reason and last converged point.
     """
 
     mode: SingleMode
@@ -113,7 +111,7 @@ class Approximation(Result):
     failures: tuple[str, ...]
 
     def summary(self) -> str:
-        """Say which mode, and which motions it has where."""
+        """Summarize the mode, and the frequency ranges of its motion types."""
         found = ", ".join(
             f"{b.motion_type} {b.frequency[b.valid].min():.4g} to {b.frequency[b.valid].max():.4g} Hz"
             for b in self.branches
@@ -121,7 +119,7 @@ class Approximation(Result):
         return f"mode at {self.mode.frequency:.4g} Hz, {len(self.branches)} branches: {found or 'none'}"
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """Every point of every branch: frequency, compliance, type, whether it is stable and possible."""
+        """Return all points of all branches: frequency, compliance, type, stability and admissibility."""
         return joined(
             [
                 {
@@ -138,7 +136,7 @@ class Approximation(Result):
         )
 
     def draw(self, ax: Axes, **style: Any) -> None:
-        """Compliance of the possible motions; dashed where they are not stable."""
+        """Draw the compliance of admissible motions; unstable motions are dashed."""
         for branch in self.branches:
             colour, size = f"C{('I', 'II', 'III').index(branch.motion_type)}", 1e6 * abs(branch.compliance)
             known = {line.get_label() for line in ax.lines}
@@ -159,27 +157,28 @@ def approximate_response(
     weighting: Weighting = "printed",
     at: int | str | None = None,
 ) -> Approximation:
-    """Find the periodic motions of a scene by the paper's one-mode method.
+    """Compute the periodic motions of a scene by the paper's one-mode method.
 
     Parameters
     ----------
     scene : Scene, str, Path or mapping
-        A scene, or what `rig.load` takes; with dampers of one common clearance that land at once, restitution 0.
+        A scene, or an argument of `rig.load`. Dampers need one common clearance, instantaneous contact and
+        restitution 0.
     mode : int
-        Mode that is kept, from 1.
+        Number of the retained mode, from 1.
     band : tuple of float or str
         Lowest and highest frequency, in Hz or as texts with units.
     force : float or str, optional
-        Force amplitude, in N or as text with its unit; by default the scene's test gives it.
+        Force amplitude, in N or as text with its unit; default the force of the scene's test.
     weighting : {'printed', 'energy'}
-        How damper masses are weighted, see `rig.single_mode.reduction`.
+        Weighting of the damper masses, see `rig.single_mode.reduction`.
     at : int or str, optional
-        Body, by number or name, at which the mode shape is 1; by default the one that moves most.
+        Body, by number or name, at which the mode shape is 1; default the body with the largest displacement.
 
     Returns
     -------
     Approximation
-        Coordinates are those of the body where the shape is 1; multiply by `mode.shape` for the others.
+        Coordinates refer to the body where the shape is 1; multiply by `mode.shape` for the others.
     """
     ends, level = span(band, FREQUENCY, "band"), number(force, FORCE, "force")
     if not isinstance(mode, int):
@@ -195,9 +194,9 @@ def approximate_response(
 
 
 def follow_mode(mode: SingleMode, band: tuple[float, float], searches: int = 13) -> Approximation:
-    """Find all periodic motions of a reduced system between two frequencies [Hz].
+    """Compute all periodic motions of a reduced system between two frequencies [Hz].
 
-    `searches` is the number of frequencies at which all solutions are looked for.
+    `searches` is the number of frequencies at which all solutions are searched.
     """
     low, high = (f / mode.frequency for f in band)
     if not 0 < low < high:
@@ -234,7 +233,7 @@ def follow_mode(mode: SingleMode, band: tuple[float, float], searches: int = 13)
 
 
 def dimensionless(mode: SingleMode, ratio: float | Floats) -> MotionParameters:
-    """Parameters of the dimensionless equations at a ratio of driving to natural frequency."""
+    """Return the dimensionless parameters at a ratio of driving to natural frequency."""
     return MotionParameters(
         ratio=ratio,
         damping=mode.damping_ratio,
@@ -245,7 +244,7 @@ def dimensionless(mode: SingleMode, ratio: float | Floats) -> MotionParameters:
 
 
 def leaving_band(mode: SingleMode, band: tuple[float, float]) -> tuple[float, float] | None:
-    """Frequencies [Hz] between which a riding damper is accelerated beyond gravity; None if it never is."""
+    """Compute the band [Hz] in which a riding damper exceeds 1 g; None if it never does."""
     frequency = np.union1d(np.linspace(*band, 2001), np.clip(mode.riding_frequency, *band))
     level = np.abs(mode.receptance(frequency, riding=True)) * mode.force * (2 * np.pi * frequency) ** 2
     above = np.flatnonzero(level > mode.gravity)
@@ -260,7 +259,7 @@ def _equations(mode: SingleMode, kind: MotionType) -> continuation.Equations:
 
 
 def _short_stays(mode: SingleMode, curves: list[continuation.Curve]) -> list[Floats]:
-    """Type III motions that begin where Type II begins to stay at the ceiling; a grid may miss their short stays."""
+    """Locate Type III motions with short stays at the ceiling, starting from Type II; a grid may miss them."""
     found = []
     for curve in curves:
         points = curve.points.T
@@ -286,7 +285,7 @@ def _short_stays(mode: SingleMode, curves: list[continuation.Curve]) -> list[Flo
 
 
 def _scale(mode: SingleMode, kind: MotionType) -> Floats:
-    """Natural size of the unknowns and of the frequency ratio, in which arclength is measured."""
+    """Scale of the unknowns and of the frequency ratio, for the arclength."""
     setting = dimensionless(mode, 1.0)
     size = max(1.0, setting.force)
     width = max(mode.damping_ratio, 0.3 * mode.mass_ratio, 1e-3)
@@ -294,7 +293,7 @@ def _scale(mode: SingleMode, kind: MotionType) -> Floats:
 
 
 def _search_ratios(mode: SingleMode, low: float, high: float, count: int) -> Floats:
-    """Spread the searches over where the damper can leave its floor, and half as many over what is left."""
+    """Distribute the searches over the take-off band, and half as many over the rest of the range."""
     leaving = leaving_band(mode, (low * mode.frequency, high * mode.frequency))
     if leaving is None:
         return np.linspace(low, high, count + 2)[1:-1]
@@ -314,7 +313,7 @@ def _follow(
 
 
 def _passes_through(mode: SingleMode, kind: MotionType, curve: continuation.Curve, solution: Floats) -> bool:
-    """Whether a curve already holds a solution, at the solution's own frequency."""
+    """Whether a curve already contains a solution."""
     ratio = curve.points[:, -1] - solution[-1]
     for i in np.flatnonzero(ratio[:-1] * ratio[1:] <= 0):
         share = ratio[i] / (ratio[i] - ratio[i + 1]) if ratio[i] != ratio[i + 1] else 0.0
@@ -336,8 +335,8 @@ def _branch(mode: SingleMode, kind: MotionType, curve: continuation.Curve) -> Br
     setting = MotionParameters(*(np.broadcast_to(f, ratio.shape) for f in dimensionless(mode, ratio)))
     batch = Batch(kind, points[:-1], setting)
     length = mode.gravity / (2 * np.pi * mode.frequency * ratio) ** 2
-    # Positive force means sin(tau - phi) = Re(-i exp(-i phi) exp(i tau)); a mode driven against its shape's
-    # sign has the opposite force on its coordinate.
+    # A positive force is sin(tau - phi) = Re(-i exp(-i phi) exp(i tau)). If the participation is negative, the
+    # force on the modal coordinate has the opposite sign.
     sign = np.sign(mode.participation)
     phi = np.arctan2(-sign * points[3], sign * points[2]) % TURN
     compliance = first_harmonic(batch) * length / (-1j * np.exp(-1j * phi) * mode.force)

@@ -1,9 +1,9 @@
 """Search for all periodic motions of one type of a mode with a damper at one frequency.
 
 For given instants (take-off, ceiling impact, take-off from the ceiling) the conditions of
-`rig.single_mode.periodic_motion` are linear in all other unknowns. Those are eliminated, which leaves one, two or three
-equations in as many instants between 0 and 2 pi. The equations are evaluated on a grid over the whole range;
-cells in which each changes sign are refined by Newton's iteration in the instants alone.
+`rig.single_mode.periodic_motion` are linear in all other unknowns. These are eliminated, which leaves one, two or
+three equations in the same number of instants between 0 and 2 pi. The equations are evaluated on a grid over the
+whole range; cells in which every equation changes sign are refined by Newton's method.
 """
 
 from __future__ import annotations
@@ -24,13 +24,12 @@ from rig.single_mode.periodic_motion import (
 
 Floats = NDArray[np.float64]
 
-# Points per instant: the equations are smooth in the instants, so that solutions closer than such a cell are
-# a matter of a fold, from whose other side (or from another frequency) the continuation arrives.
+# Points per instant. The equations are smooth in the instants, so two solutions in one cell occur only near a fold.
+# Continuation from the other side of the fold, or from another frequency, then reaches both.
 _GRID: dict[MotionType, int] = {"I": 720, "II": 72, "III": 32}
 
-# A flight shorter than this [rad] is not looked for: at length 0 take-off and landing are one event and the
-# conditions say nothing. A damper thrown for so short was accelerated by 1 + 3e-6 of gravity (t = 4 sqrt(G^2
-# - 1)).
+# Shortest flight of the search [rad]: at length 0 take-off and landing coincide and the conditions are singular. A
+# flight this short corresponds to an acceleration of 1 + 3e-6 g (t = 4 sqrt(G^2 - 1)).
 SHORTEST_FLIGHT = 0.01
 
 
@@ -38,7 +37,7 @@ ENDS = ("the ride on the floor vanishes", "the flight vanishes", "the stay at th
 
 
 def order(kind: MotionType, instants: Floats) -> Floats:
-    """Measure the room that is left before a ride, a flight or (Type III) a stay ends; negative if out of order."""
+    """Compute the margins to a vanishing ride, flight or (Type III) stay; negative if instants are out of order."""
     lengths = np.diff([0.0, *instants, TURN])
     flights = np.delete(lengths, [0, 2] if kind == "III" else [0])
     stay = [lengths[2]] if kind == "III" else []
@@ -46,24 +45,24 @@ def order(kind: MotionType, instants: Floats) -> Floats:
 
 
 def eliminate(kind: MotionType, instants: Array, setting: MotionParameters) -> tuple[Array, Array]:
-    """Solve the linear conditions for given instants, and evaluate the others.
+    """Solve the linear conditions for given instants, and evaluate the remaining conditions.
 
     Parameters
     ----------
     kind : {'I', 'II', 'III'}
         Motion type.
     instants : array, shape (instants, batch)
-        Given instants; complex ones are allowed, for derivatives by a complex step.
+        Given instants; complex values are allowed, for complex-step derivatives.
 
     Returns
     -------
     unknowns : array, shape (4 + instants, batch)
-        With the (q_0, q'_0, a, b) that meet the first four conditions.
+        Unknowns whose (q_0, q'_0, a, b) satisfy the first four conditions.
     left : array, shape (instants, batch)
-        What remains: the ceiling contact (Type III), the ceiling's height over the gap there (II and III)
-        and, last, half the logarithm of the squared force that the motion needs over the one that acts.
+        Residuals: ceiling contact force (Type III), gap at the ceiling impact (II and III), and half the
+        logarithm of the squared ratio of required to applied force.
     """
-    # None of the four, and each by itself, at the same instants.
+    # The affine conditions are evaluated at zero and at the four unit vectors, to obtain their matrix.
     trials = np.concatenate([np.zeros((4, 1, 1)), np.eye(4)[:, :, None]], axis=1)
     values = PeriodicMotion(kind, [*trials, *instants], setting).affine_conditions()
     matrix = np.moveaxis(values[:4, 1:] - values[:4, :1], 2, 0)
@@ -79,7 +78,7 @@ def eliminate(kind: MotionType, instants: Array, setting: MotionParameters) -> t
 
 
 def solutions(kind: MotionType, setting: MotionParameters) -> Floats:
-    """Find all solutions of one type at one frequency; impossible motions are among them.
+    """Compute all solutions of one type at one frequency, including inadmissible motions.
 
     Parameters
     ----------
@@ -94,7 +93,7 @@ def solutions(kind: MotionType, setting: MotionParameters) -> Floats:
     count, points = INSTANTS[kind], _GRID[kind]
     grid = (np.arange(points) + 0.5) * TURN / points
     instants = np.array(np.meshgrid(*[grid] * count, indexing="ij"))
-    # Cells across the diagonal belong to the search too, so that short stays and flights are not lost.
+    # Cells across the diagonal are included, so that short stays and flights are not missed.
     ordered = (np.diff(instants, axis=0) > -3 * grid[0]).all(axis=0)
     left = np.full(instants.shape, np.nan)
     left[:, ordered] = eliminate(kind, instants[:, ordered], setting)[1]
@@ -116,7 +115,7 @@ def solutions(kind: MotionType, setting: MotionParameters) -> Floats:
 
 
 def _refine(kind: MotionType, instants: Floats, setting: MotionParameters) -> Floats:
-    """Solve the remaining equations from many starts at once; the instants of those that settled."""
+    """Solve the remaining equations from many starts at once; return the converged instants."""
     count = instants.shape[0]
     longest = TURN / _GRID[kind]
     for _ in range(15):
@@ -130,7 +129,7 @@ def _refine(kind: MotionType, instants: Floats, setting: MotionParameters) -> Fl
         size = np.abs(move).max(axis=0)
         with np.errstate(invalid="ignore"):
             move = move * np.minimum(1.0, longest / np.maximum(size, 1e-300))
-        # Starts of changes of sign through infinity, and of near misses, leave here.
+        # Discard starts from sign changes through infinity, and starts without a root nearby.
         keep = np.isfinite(move).all(axis=0) & (instants > 0).all(axis=0) & (instants < TURN).all(axis=0)
         instants, size = (instants + move)[:, keep], size[keep]
     return instants[:, size < 1e-9] if instants.size else instants

@@ -1,27 +1,27 @@
 """Periodic motions of one mode with a damper: Types I, II and III as conditions over one period.
 
-Everything is dimensionless: time is tau = w t, length is g/w^2, so that free fall is y'' = -1. With r = w/w_i
-the mode's coordinate q moves by
+All quantities are dimensionless: time is tau = w t, the unit of length is g/w^2, so that free fall is y'' = -1. With
+r = w/w_i the equations of motion of the modal coordinate q are
 
     flight   q'' + 2 (zeta/r) q' + q/r^2 = a sin(tau) + b cos(tau)            and  y'' = -1
     riding   (1 + mu) q'' + 2 (zeta/r) q' + q/r^2 = a sin(tau) + b cos(tau) - mu
 
 where a riding damper is at y = q (floor) or y = q + D (ceiling).
 
-A period begins at tau = 0, just after the impact on the floor, in riding. The damper leaves the floor at
-tau_0, where the contact force mu (q'' + 1) has fallen to 0 (so q'' = -1); Type I then falls back to the floor
-at 2 pi. In Types II and III it hits the ceiling at tau_1; in Type II it leaves it at once with the common
-velocity; in Type III it rides the ceiling until its contact force there has fallen to 0 (q'' = -1 again) at
+A period begins at tau = 0, just after the floor impact, with the damper riding on the floor. The damper leaves the
+floor at tau_0, where the contact force mu (q'' + 1) has decreased to 0 (so q'' = -1). In Type I it falls back to the
+floor at 2 pi. In Types II and III it hits the ceiling at tau_1. In Type II it leaves the ceiling immediately with the
+common velocity. In Type III it rides on the ceiling until the contact force has decreased to 0 (q'' = -1 again) at
 tau_2. All impacts are perfectly plastic.
 
-The force is F sin(tau - phi): a = F cos(phi), b = -F sin(phi). For given instants every condition but a^2 +
-b^2 = F^2 and the ceiling's height is linear in (q_0, q'_0, a, b), which is what
-`rig.single_mode.approximate_response` uses to find all solutions; and each condition is analytic in every unknown and
-parameter, so that a complex step gives exact derivatives.
+The force is F sin(tau - phi): a = F cos(phi), b = -F sin(phi). For given instants every condition except a^2 +
+b^2 = F^2 and the ceiling's height is linear in (q_0, q'_0, a, b). `rig.single_mode.approximate_response` uses this to
+compute all solutions. Each condition is analytic in every unknown and parameter, so that a complex step gives exact
+derivatives.
 
-In the paper: flight is Eq. 8 for the mode and Eqs 10 and 11 for the damper, riding Eq. 9; the conditions are Eqs
-14-17, which it reduces to three transcendental equations in the instants (18-20) and a linear one (21). Here they
-stay as they are, because the reduced ones hold for Type II alone.
+In the paper, flight is Eq. 8 for the mode and Eqs 10 and 11 for the damper, and riding is Eq. 9. The conditions are
+Eqs 14-17. The paper reduces them to three transcendental equations in the instants (18-20) and a linear equation
+(21). The reduction is valid for Type II only, so the unreduced conditions are used here.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 MotionType = Literal["I", "II", "III"]
-# How many instants a type has besides the floor impact: tau_0, then tau_1, then tau_2.
+# Number of instants in addition to the floor impact: tau_0, tau_1, tau_2.
 INSTANTS: dict[MotionType, int] = {"I": 1, "II": 2, "III": 3}
 
 TURN = 2 * np.pi
@@ -46,13 +46,13 @@ class MotionParameters(NamedTuple):
     """The dimensionless parameters of a motion."""
 
     ratio: Any
-    """r, driving frequency over the mode's own."""
+    """r, driving frequency over the natural frequency of the mode."""
     damping: Any
     """zeta, damping ratio of the mode."""
     mass_ratio: Any  # mu
     force: Any  # F = phi_k f / (M g)
     height: Any
-    """Clearance in lengths of g/w_i^2 (the mode's own frequency, so that it does not change with r)."""
+    """Clearance in units of g/w_i^2, with the natural frequency w_i, so that it does not depend on r."""
 
 
 class ModeState(NamedTuple):
@@ -66,7 +66,7 @@ class ModeState(NamedTuple):
 
 @dataclass(frozen=True)
 class MotionPhase:
-    """A stretch of motion between two events: how long, how it starts, and whether the damper rides."""
+    """A phase of the motion between two events: duration, initial state, and whether the damper rides."""
 
     riding: bool
     """Whether the damper's mass moves with the mode."""
@@ -74,19 +74,19 @@ class MotionPhase:
     length: Array
     """Start and duration in tau."""
     start: ModeState
-    """At its begin, after the impact there if one happens."""
+    """Initial state, after the impact if the phase begins with an impact."""
     offset: Any
     """Height of the damper over the floor while riding (0 or the clearance)."""
 
 
 class PeriodicMotion:
-    """The motion that a set of unknowns stands for, whether or not it satisfies the conditions.
+    """The motion defined by a set of unknowns, whether or not it satisfies the conditions.
 
     Parameters
     ----------
     kind : {'I', 'II', 'III'}
         Motion type.
-    unknowns : array, shape (4 + instants, ...), or so many arrays
+    unknowns : array, shape (4 + instants, ...), or a sequence of 4 + instants arrays
         q_0, q'_0, a, b and the instants; they broadcast against each other.
     setting : MotionParameters
         Parameters; broadcast against unknowns[0].
@@ -118,13 +118,13 @@ class PeriodicMotion:
         self.landing = self.advance(self.phases[-1], self.phases[-1].length)
 
     def _follow(self, phase: MotionPhase, riding: bool) -> MotionPhase:
-        """Return the phase that starts where one ends, without impact, and lasts to the period's end."""
+        """Return the phase that follows without impact, up to the end of the period."""
         begin = phase.begin + phase.length
         return MotionPhase(riding, begin, TURN - begin, self.advance(phase, phase.length), 0.0)
 
     @property
     def height(self) -> Array:
-        """Clearance in lengths of g/w^2."""
+        """Clearance in units of g/w^2."""
         return np.asarray(self.setting.height * self.setting.ratio**2)
 
     @staticmethod
@@ -143,20 +143,20 @@ class PeriodicMotion:
         return inertia, zeta / (r * inertia), 1 / (r * r * inertia)
 
     def homogeneous(self, phase: MotionPhase, t: Array) -> tuple[Array, Array, Array, Array]:
-        """Responses after a time `t`: q to unit q and to unit q', then q' to unit q and to unit q'."""
+        """Compute the free response at time `t`: q for unit q and unit q', then q' for unit q and unit q'."""
         inertia, decay, stiffness = self._oscillator(phase)
-        # The root of stiffness - decay**2, whose difference may round to zero near critical damping.
+        # sqrt(stiffness - decay**2); the direct difference may round to zero near critical damping.
         s = np.sqrt(inertia - self.setting.damping**2) / (self.setting.ratio * inertia)
         fading = np.exp(-decay * t)
         c, si = fading * np.cos(s * t), fading * np.sin(s * t) / s
         return c + decay * si, si, -stiffness * si, c - decay * si
 
     def advance(self, phase: MotionPhase, t: Array) -> ModeState:
-        """State a time `t` after a phase's begin (closed form)."""
+        """Compute the state at time `t` after the start of a phase, in closed form."""
         inertia, decay, stiffness = self._oscillator(phase)
         q_q, q_u, u_q, u_u = self.homogeneous(phase, t)
-        # Responses from rest to cos(t) and sin(t), by taking the homogeneous part off the steady one. The paper keeps
-        # the steady part (A_p and beta) as it is; it is singular at resonance without damping, and so is this.
+        # Responses from rest to cos(t) and sin(t): the steady response minus its homogeneous part. As in the paper,
+        # the steady response (A_p and beta) is singular at an undamped resonance.
         d_r, d_i = stiffness - 1, 2 * decay
         size = inertia * (d_r**2 + d_i**2)
         nc, ns = np.cos(t) - q_q, np.sin(t) - q_u
@@ -168,7 +168,7 @@ class PeriodicMotion:
         q = q_q * q0 + q_u * u0 + q_c * cos_part + q_s * sin_part
         u = u_q * q0 + u_u * u0 + u_c * cos_part + u_s * sin_part
         if phase.riding:
-            # The riding mass adds its weight, the constant -gamma_i of Eq. 9.
+            # The weight of the riding mass is the constant -gamma_i of Eq. 9.
             weight = -self.setting.mass_ratio / inertia
             q = q + weight * (1 - q_q) / stiffness
             u = u + weight * q_u
@@ -176,14 +176,14 @@ class PeriodicMotion:
         return ModeState(q, u, y0 + v0 * t - t * t / 2, v0 - t)
 
     def acceleration(self, phase: MotionPhase, t: Array, state: ModeState) -> Array:
-        """Second derivative of q in a phase, a time `t` after its begin."""
+        """Compute the second derivative of q at time `t` after the start of a phase."""
         r, zeta, mu = self.setting.ratio, self.setting.damping, self.setting.mass_ratio
         sin_part, cos_part = self._local_force(phase.begin)
         force = sin_part * np.sin(t) + cos_part * np.cos(t) - 2 * zeta / r * state.u - state.q / r**2
         return (force - mu) / (1 + mu) if phase.riding else force
 
     def jerk(self, phase: MotionPhase, t: Array, state: ModeState) -> Array:
-        """Third derivative of q in a phase, a time `t` after its begin."""
+        """Compute the third derivative of q at time `t` after the start of a phase."""
         r, zeta, mu = self.setting.ratio, self.setting.damping, self.setting.mass_ratio
         sin_part, cos_part = self._local_force(phase.begin)
         acceleration = self.acceleration(phase, t, state)
@@ -196,16 +196,17 @@ class PeriodicMotion:
         return self.a * c - self.b * s, self.a * s + self.b * c
 
     def affine_conditions(self) -> Array:
-        """Conditions that are affine in (q_0, q'_0, a, b): shape (4 or 5, ...).
+        """Evaluate the conditions that are affine in (q_0, q'_0, a, b), shape (4 or 5, ...).
 
-        Periodicity of q; of the velocity, through the floor impact; no contact force at take-off; damper on
-        the floor at 2 pi; and for Type III no contact force at the end of the stay at the ceiling.
+        The conditions are: periodicity of q; periodicity of the velocity across the floor impact; zero contact force
+        at take-off; damper on the floor at 2 pi; for Type III, zero contact force at the end of the stay at the
+        ceiling.
         """
         floor, up = self.phases[0], self.phases[1]
         found = [
             self.landing.q - floor.start.q,  # Eqs 14 and 17: rho_c1 at both ends of the period
             self.common_velocity(self.landing) - floor.start.u,  # Eq. 14: u_c1 from u_b1 and v_b1
-            # Separation: Eq. 15 takes over position and velocity; that it happens here needs the force to vanish.
+            # Separation: Eq. 15 gives continuity of position and velocity; in addition the contact force must vanish.
             self.acceleration(up, np.zeros_like(up.length), up.start) + 1,
             self.landing.y - self.landing.q,  # Eq. 17: both at rho_c1
         ]
@@ -215,15 +216,15 @@ class PeriodicMotion:
         return np.array(found)
 
     def ceiling_gap(self) -> Array:
-        """Gap when the ceiling is hit (Types II and III)."""
+        """Compute the gap at the ceiling impact (Types II and III)."""
         return self.before_ceiling.y - self.before_ceiling.q
 
     def conditions(self) -> Array:
-        """All conditions, shape (4 + instants, ...): the motion is periodic where they vanish."""
+        """Evaluate all conditions, shape (4 + instants, ...); the motion is periodic where they are zero."""
         found = list(self.affine_conditions())
         if self.kind != "I":
             found.append(self.ceiling_gap() - self.height)  # Eq. 16: the damper is d_j above the body
-        # The force condition is divided by F, which keeps its size like the others'.
+        # The force condition is divided by F, so that all conditions have similar magnitudes.
         force = self.setting.force
         found.append((self.a**2 + self.b**2) / force - force)
         return np.array(found)
@@ -232,7 +233,7 @@ class PeriodicMotion:
 def jacobian(
     kind: MotionType, unknowns: Array, setting: MotionParameters, parameter: str
 ) -> tuple[Array, Array]:
-    """Conditions and their exact derivatives with respect to the unknowns and one parameter of the setting.
+    """Compute the conditions and their exact derivatives by the unknowns and one parameter.
 
     Parameters
     ----------
@@ -241,7 +242,7 @@ def jacobian(
     unknowns : ndarray, shape (n,)
         q_0, q'_0, a, b and the instants.
     parameter : str
-        The field of `setting` to differentiate by.
+        Field of `setting` for the last derivative.
 
     Returns
     -------
@@ -251,7 +252,7 @@ def jacobian(
 
     Notes
     -----
-    A complex step: Im f(x + i h)/h has no cancellation, so h can be so small that the derivative is exact to
+    The complex-step derivative Im f(x + i h)/h has no cancellation, so a very small h gives derivatives exact to
     rounding.
     """
     n = len(unknowns)

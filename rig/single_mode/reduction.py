@@ -1,15 +1,15 @@
 """One mode of the structure with one equivalent damper: the paper's approximate system (Eqs 4-13).
 
 The structure is replaced by a single mass M_i on a spring K_i with a dashpot C_i, forced by phi_ki f_k, which
-carries one damper of mass mu_i M_i in a cavity of the scene's clearance. M_i depends on how the shape is
-normalised: the paper sets its largest element to 1, so that the single mass moves as the body that moves
-most.
+carries one damper of mass mu_i M_i in a cavity of the scene's clearance. M_i depends on the normalization of the
+mode shape: the paper sets its largest element to 1, so that the single mass represents the body with the largest
+displacement.
 
-Two weights turn the dampers into mu_i. As printed (Eq 13) it is the signed sum of phi_ji md_j / M_i; the
-kinetic energy of masses that ride is that of phi_ji^2. They agree for a damper where phi_ji = 1. Where the
-damper's body moves less than the largest one, both still let the equivalent damper feel the largest
-acceleration; normalising the shape at the damper's own body (`at`) avoids that, and is the exact one-mode
-reduction for a single damper.
+Two weightings of the damper masses give mu_i. As printed (Eq 13), mu_i is the signed sum of phi_ji md_j / M_i. The
+kinetic energy of riding masses gives phi_ji^2 instead. Both agree for a damper on a body with phi_ji = 1. If the
+damper's body moves less than the largest displacement, both subject the equivalent damper to the largest
+acceleration. Normalizing the shape at the damper's own body (`at`) avoids this; it is the exact one-mode reduction
+for a single damper.
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ class SingleMode:
     """Natural angular frequency of the mode without dampers [rad/s]."""
     damping_ratio: float  # C_i / (2 M_i omega)
     participation: float
-    """phi_ki, the shape at the driven body (summed over several)."""
+    """phi_ki, mode shape at the driven body, or its sum over several driven bodies."""
     force: float  # Amplitude of the force [N]
     mass_ratio: float
     """mu_i, the equivalent damper's mass over M_i."""
     clearance: float
-    """Clearance of its cavity [m]; inf without a ceiling."""
+    """Clearance of the damper's cavity [m]; inf without a ceiling."""
     gravity: float  # [m/s^2]
 
     @property
@@ -54,11 +54,11 @@ class SingleMode:
 
     @property
     def riding_frequency(self) -> float:
-        """Natural frequency with the damper riding always [Hz]."""
+        """Natural frequency with the damper always riding [Hz]."""
         return self.frequency / np.sqrt(1 + self.mass_ratio)
 
     def receptance(self, frequencies: ArrayLike, riding: bool = False) -> NDArray[np.complex128]:
-        """Linear compliance of the mode's coordinate [m/N]: without damper, or with it riding always.
+        """Compute the linear compliance of the modal coordinate [m/N], without damper or with it always riding.
 
         Parameters
         ----------
@@ -70,7 +70,7 @@ class SingleMode:
         Returns
         -------
         ndarray, shape (frequencies,)
-            Complex amplitude of the mode's coordinate over that of the force.
+            Ratio of the complex amplitudes of modal coordinate and force.
         """
         omega = 2 * np.pi * np.asarray(frequencies, dtype=float)
         inertia = self.mass * (1 + self.mass_ratio * riding)
@@ -92,7 +92,7 @@ def reduce_to_mode(
     weighting: Weighting = "printed",
     at: int | None = None,
 ) -> SingleMode:
-    """Keep one mode of a structure.
+    """Reduce a structure to one mode.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ def reduce_to_mode(
     mode : int
         Number of the mode, from 1.
     driven : tuple of int
-        Bodies that the force drives, from 1.
+        Driven bodies, from 1.
     force : float
         Amplitude of the force [N].
     dampers : dict
@@ -113,13 +113,13 @@ def reduce_to_mode(
     weighting : {'printed', 'energy'}
         Eq 13 as printed (signed shape), or squared shape.
     at : int, optional
-        Body at which the shape is 1; by default the one that moves most.
+        Body at which the shape is 1; default the body with the largest displacement.
 
     Raises
     ------
     SceneError
         If the mode does not exist, gravity is not positive, the mode is not oscillatory, or the printed sum
-        is not positive (dampers on bodies that move against the largest one).
+        is not positive (dampers on bodies in antiphase with the largest displacement).
 
     Examples
     --------
@@ -178,11 +178,11 @@ def single_mode(
     weighting: Weighting = "printed",
     at: int | None = None,
 ) -> SingleMode:
-    """Keep one mode of a scene; see `reduce_to_mode` for the arguments and errors.
+    """Reduce a scene to one mode; see `reduce_to_mode` for the arguments and errors.
 
-    `force` [N] defaults to the scene's test. Locked dampers belong to the structure; all others must share
-    one clearance, because they become one equivalent damper, land at once and have restitution 0, as the method has
-    no other.
+    `force` [N] defaults to the force of the scene's test. Locked dampers belong to the structure. All other dampers
+    form one equivalent damper, so they must have the same clearance. The method requires instantaneous contact and
+    restitution 0.
     """
     model = structural_model(scene)
     mass = model.mass.copy()

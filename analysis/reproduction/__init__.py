@@ -1,4 +1,4 @@
-"""The paper's claims, each reproduced or refuted with figures and a verdict: `analysis paper`.
+"""Reproduce the paper's figures and assess its claims: `analysis paper`.
 
-Start with `reproduce`; `claims` holds the verdicts.
+Start with `reproduce`; `claims` contains the verdicts.
 """

@@ -1,4 +1,4 @@
-"""The chart of claim C7: how far beds of grains are from one mass, over acceleration, clearance and depth."""
+"""Chart of claim C7: deviation of grain beds from one mass, over acceleration, clearance and depth."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.image import AxesImage
 
-_MOST = 40.0  # Per cent at the ends of the colours
+_MOST = 40.0  # Percent at the ends of the color scale
 
 
 def beds(parts: Parts) -> Figure:
-    """Deviation of grains at 50 Hz from a mass that lands at once and on a contact that lasts; a row for each depth."""
+    """Draw the deviation of grains at 50 Hz from one mass on instantaneous and finite-duration contact, by depth."""
     data = at_shaking_frequency(parts["beds"])
     layers = np.unique(data["layers"])
     one = fit_contact(with_ceiling(data), parts["contacts"])
@@ -63,7 +63,7 @@ def beds(parts: Parts) -> Figure:
 
 
 def modes(parts: Parts) -> Figure:
-    """Deviation of the compliance with grains from that with one mass at the other resonances; a row for each depth."""
+    """Draw the deviation of the compliance with grains from one mass at the other resonances, by depth."""
     own = select(parts["beds"], parts["beds"]["frequency"] != FREQUENCY)
     frequencies, layers = np.unique(own["frequency"]), np.unique(own["layers"])
     with drawing(2.3 * len(layers), 4.0 * len(frequencies)) as figure:

@@ -1,4 +1,4 @@
-"""Claim C7, about the bed as one mass without rebound: judged by grains, setting by setting."""
+"""Claim C7, the bed as one mass without rebound: assessed by grain simulations, setting by setting."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ Cells = NDArray[np.bool_]
 
 #: Largest relative deviation at which one mass describes grains well.
 NEAR = 0.05
-#: The same for acceptably.
+#: Largest relative deviation at which one mass describes grains acceptably.
 NOT_FAR = 0.10
-#: A mass that rides takes no energy: of its weight over a millimetre.
+#: Energy below which a mass counts as riding, relative to its weight times 1 mm.
 _NOTHING = 1e-3
-#: Landings that a figure shows as one, in degrees.
+#: Phase difference below which landings appear as one in a figure, degrees.
 SAME_LANDING = 20.0
 
 
 def bed_claim(parts: Parts, consequences: Sequence[Claim]) -> Claim:
-    """Judge C7: what a bed of grains does that one mass does not, and what became of the consequences."""
+    """Assess C7: deviations of a bed of grains from one mass, and the verdicts on the consequences."""
     beds = parts["beds"]
     error = trust_error(parts)
     became = ", ".join(f"{claim.name} {claim.verdict.split(':')[0]}" for claim in consequences)
@@ -90,12 +90,12 @@ def bed_claim(parts: Parts, consequences: Sequence[Claim]) -> Claim:
 
 
 def deviation(beds: Arrays, name: str) -> NDArray[np.float64]:
-    """Say by what share of the mass's value that of grains is above it, shape (settings,); NaN where it has none."""
+    """Compute the relative deviation of grains from one mass, shape (settings,); NaN where the mass has no value."""
     return _over(beds[f"grains_{name}"] - beds[f"mass_{name}"], beds[f"mass_{name}"])
 
 
 def deviation_error(beds: Arrays, name: str) -> NDArray[np.float64]:
-    """Give the standard error of `deviation` over seeds, shape (settings,)."""
+    """Compute the standard error of `deviation` over seeds, shape (settings,)."""
     return _over(beds[f"error_{name}"], beds[f"mass_{name}"])
 
 
@@ -104,7 +104,7 @@ def _over(values: np.ndarray, of_mass: np.ndarray) -> NDArray[np.float64]:
 
 
 def verdict(beds: Arrays) -> str:
-    """Say what becomes of the claim: by the compliance, which is what a damper is for."""
+    """Return the verdict on the claim, from the compliance."""
     off = np.abs(deviation(beds, "compliance"))
     count, near, far = len(off), int((off <= NEAR).sum()), int((off <= NOT_FAR).sum())
     words = (
@@ -148,7 +148,7 @@ def _frequencies(beds: Arrays) -> str:
 
 
 def _at_mode(beds: Arrays, frequency: float) -> str:
-    """Say what grains are beside one mass at another resonance."""
+    """Compare grains with one mass at another resonance."""
     own = select(beds, beds["frequency"] == frequency)
     off, high = 100.0 * deviation(own, "compliance"), np.isinf(own["clearance"])
     parts = (
@@ -180,7 +180,7 @@ def _deviation(beds: Arrays, name: str, words: str) -> str:
 
 
 def _on_contact(beds: Arrays, contacts: Arrays) -> str:
-    """Say how good the rung between one mass that lands at once and grains is."""
+    """Assess one mass on finite-duration contact, the model between instantaneous contact and grains."""
     below = with_ceiling(beds)
     one = fit_contact(below, contacts)
     off, unseen = deviation_on_contact(one, below, contacts), cross_validated_deviation(below, contacts)

@@ -1,10 +1,10 @@
 """One mass compared with grains, setting by setting: the evidence for claim C7.
 
 A body a thousand times heavier than the bed shakes a cavity at 50 Hz, near the paper's third resonance, and at its
-first and second resonance. Both beds therefore meet the same motion, and the body has no transient. The parameters are
+first and second resonance. Both beds therefore see the same motion, and the body has no transient. The parameters are
 its acceleration, the clearance and the depth of the bed; a narrow cavity with few grains and a smooth side represents
 a piece of a wide one. The energy that the bed dissipates gives the compliance, at that amplitude, of a body ten times
-as heavy as its bed at resonance. The package brings the results of all settings; `analysis beds` computes them again.
+as heavy as its bed at resonance. The package contains the results of all settings; `analysis beds` recomputes them.
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ from rig.scene.scene import STANDARD_GRAVITY, Scene
 
 Values = NDArray[np.float64]
 
-#: Acceleration in g, and clearances in m. Clearances that one mass does not cross equal no ceiling and are left out.
+#: Acceleration in g, and clearances in m. Clearances that one mass does not cross are equivalent to no ceiling and
+#: are omitted.
 SETTINGS = {
     0.9: (math.inf,),
     1.3: (math.inf,),
@@ -40,40 +41,40 @@ SETTINGS = {
     4.5: (0.15e-3, 0.3e-3, 0.6e-3, 0.98e-3, 2e-3, math.inf),
     7.0: (0.15e-3, 0.3e-3, 0.6e-3, 0.98e-3, 2e-3, math.inf),
 }
-#: Grains, and diameter of the cavity in m, that make beds of so many layers.
+#: By number of layers: number of grains, and diameter of the cavity in m.
 BEDS = {2: (70, 14.2e-3), 4: (100, 11.3e-3), 6: (120, 10e-3), 20: (400, 10e-3)}
 SEEDS = (1, 2, 3)
-#: Layers of the bed of which only some settings and seeds are followed, as they cost most.
+#: Number of layers for which only some settings and seeds are simulated, because of the computing time.
 DEEPEST = 20
 SETTINGS_OF_DEEPEST = (
     (1.3, math.inf), (3.0, math.inf), (7.0, math.inf), (4.5, 0.3e-3), (4.5, 0.98e-3), (7.0, 0.98e-3),
 )  # fmt: skip
-#: Hz, of the settings above; the resonance of the heavy body is at half of it.
+#: Frequency of the settings above, Hz; the resonance of the heavy body is at half this frequency.
 FREQUENCY = 50.0
-#: The paper's first and second resonance, Hz, with accelerations in g about those that dampers leave of them in its
-#: Figs 8 (without a ceiling) and 9 (below 0.98 mm), and layers.
+#: The paper's first and second resonance, Hz, with layers, and accelerations in g close to the damped peaks in its
+#: Figs 8 (without a ceiling) and 9 (clearance 0.98 mm).
 SETTINGS_OF_MODES = {
     13.0: {math.inf: (1.3, 1.8, 3.0), 0.98e-3: (1.8, 3.0), 0.3e-3: (1.3,)},
     34.8: {math.inf: (1.3, 2.3, 4.5), 0.98e-3: (2.3, 4.5, 7.0), 0.3e-3: (4.5, 7.0)},
 }
 LAYERS_OF_MODES = (4, 6)
-#: The mass of the bed over that of the body that shakes it.
+#: Ratio of the mass of the bed to the mass of the shaking body.
 SHAKEN = 1e-3
-#: Damping ratio of the body whose compliance is listed.
+#: Damping ratio of the body whose compliance is reported.
 DAMPING = 0.005
-#: Mass of the bed over that of this body.
+#: Ratio of the mass of the bed to the mass of this body.
 MASS_RATIO = 0.1
-#: Periods of a block; there are three, of which the last two are averaged. Grains that a ceiling throws back rearrange
-#: for tens of periods, most of all in deep beds: at 7 g below 2 mm, six layers dissipated 10 weights times 1 mm in the
-#: periods up to the 18th, and 7 in those up to the 60th.
+#: Periods in a block; the last two of three blocks are averaged. Grains that hit a ceiling rearrange for tens of
+#: periods, most of all in deep beds: at 7 g and 2 mm, the energy dissipated by six layers decreased from 10 to 7
+#: times the bed's weight times 1 mm between the first 18 and the first 60 periods.
 BLOCK = 6
 BLOCK_WITH_CEILING = 20
 #: Young's modulus of the grains, Pa.
 MODULUS = 1e8
-#: Rayleigh's times in a step: statistics of a bed do not need the rebound of each grain to 1 %. Twice that is too much:
-#: beds of four and six layers that seldom meet a ceiling at 2 mm then dissipate 10 to 80 % less.
+#: Time step over Rayleigh's time: statistics of a bed do not need the rebound of each grain to 1 %. Twice this step
+#: is too long: beds of four and six layers that seldom hit a ceiling at 2 mm then dissipate 10 to 80 % less.
 STEP = 0.1
-#: Results for each of both motions.
+#: Results for grains and for one mass.
 MEASURES = ("compliance", "floor_impulse", "ceiling_impulse", "energy", "landing", "flight")
 _HEADER = (
     "frequency_hz", "level", "clearance_m", "layers", "seed", "depth_diameters",
@@ -101,7 +102,7 @@ class Setting(NamedTuple):
 
 
 def settings() -> list[Setting]:
-    """List all settings, in an order of which every beginning covers them evenly: one seed after the other."""
+    """List all settings, seed by seed, so that any first part of the list covers them evenly."""
     pairs = [(level, clearance) for level, clearances in SETTINGS.items() for clearance in clearances]
     found = []
     for seed in SEEDS:
@@ -123,7 +124,7 @@ def settings() -> list[Setting]:
 
 
 def scene_of_bed(setting: Setting, **grains: float) -> Scene:
-    """Make the scene of a setting; arguments override the defaults of the grains."""
+    """Build the scene of a setting; arguments override the defaults of the grains."""
     count, cavity = BEDS[setting.layers]
     chosen = {"diameter": 2e-3, "cavity": cavity, "side_friction": 0.0, "modulus": MODULUS}
     bed = Grains.model_validate(chosen | grains)
@@ -146,7 +147,7 @@ def scene_of_bed(setting: Setting, **grains: float) -> Scene:
 
 
 def compared(setting: Setting) -> Row:
-    """Simulate the bed of a setting as grains and as one mass; returns a row of the table."""
+    """Simulate the bed of a setting as grains and as one mass; return a row of the table."""
     scene = scene_of_bed(setting)
     (spheres,) = spheres_of(scene).values()
     depth = highest(spheres, settled(spheres)) / spheres.settings.diameter
@@ -159,36 +160,36 @@ def compared(setting: Setting) -> Row:
 
 
 def follow(path: Path, points: int | None, say: Callable[[str], None], cluster: str | None = None) -> None:
-    """Simulate the first settings and add each to a table as soon as it is known; settings in the table are kept.
+    """Simulate settings and add each result to a table; settings already in the table are not repeated.
 
     Parameters
     ----------
     path : Path
-        CSV file; its rows are in the order of `settings` once all are there.
+        CSV file; the rows are sorted in the order of `settings` when all are complete.
     points : int or None
-        How many settings; None: all.
+        Number of settings, from the first; None: all.
     say : callable
-        Called with a line for each.
+        Called with one line of text per setting.
     cluster : str, optional
         See `rig.workers.Workers`.
 
     Raises
     ------
     RunError
-        If the file is another one, or cannot be written.
+        If the file is not such a table, or cannot be written.
     """
     complete(path, TABLE.study(compared, setting_of), settings()[:points], _words, say, cluster)
 
 
 def table(path: Path | None = None) -> Arrays:
-    """Read a table of settings, seeds gathered.
+    """Read a table of settings, averaged over seeds.
 
     Returns
     -------
     dict of ndarray
-        ``frequency``, ``level``, ``clearance``, ``layers``, ``seeds`` (their number), ``depth``, each (settings,); and
-        ``grains_NAME``, ``mass_NAME``, ``error_NAME`` (the standard error of the mean over the seeds, infinite where
-        there is one) for each NAME of `MEASURES`, with ``grains_type`` and ``mass_type``.
+        ``frequency``, ``level``, ``clearance``, ``layers``, ``seeds`` (their number), ``depth``, each (settings,);
+        and ``grains_NAME``, ``mass_NAME``, ``error_NAME`` (the standard error of the mean over the seeds, infinite
+        where there is one) for each NAME of `MEASURES`, with ``grains_type`` and ``mass_type``.
     """
     groups: dict[tuple[float, float, float, int], list[Row]] = {}
     for row in TABLE.read(path):
@@ -206,7 +207,7 @@ def table(path: Path | None = None) -> Arrays:
         seen = [np.array([float(row[f"grains_{name}"]) for row in groups[key]]) for key in keys]
         mass = np.array([float(groups[key][0][f"mass_{name}"]) for key in keys])
         if name == "landing":
-            # About that of the mass, so that 359 and 1 degree are near each other.
+            # Phase relative to that of the mass, so that 359 and 1 degree are close.
             seen = [
                 (one - middle + 180.0) % 360.0 - 180.0 + middle
                 for one, middle in zip(seen, mass, strict=True)
@@ -224,17 +225,18 @@ def table(path: Path | None = None) -> Arrays:
 
 @cache
 def _of_mass(frequency: float, level: float, clearance: float) -> list[str]:
-    """Simulate the bed as one mass, whose motion does not depend on the depth."""
+    """Simulate the bed as one mass; the result does not depend on the depth."""
     scene = scene_of_bed(Setting(level, clearance, min(BEDS), 1, frequency))
     return summary_row(scene, steady_mass(scene, frequency))
 
 
 def summary_row(scene: Scene, motion: SteadyBed) -> list[str]:
-    """Write the measures of a motion without dimensions, and its type.
+    """Return the dimensionless measures of a motion, and its type.
 
-    Compliance by that of the body's spring, impulses by the bed's weight over a period, energy by its weight over a
-    millimetre; landings in degrees, flight as a share. The compliance is that at the peak, where the force makes up
-    for what body and bed take: k X / F = 1 / (2 zeta + E / (pi M omega^2 X^2)).
+    Compliance is relative to the compliance of the body's spring, impulses to the bed's weight times a period,
+    energy to its weight times 1 mm. Landings are in degrees, flight is a share of the period. The compliance is the
+    peak value, where the force balances the dissipation of body and bed: k X / F = 1 / (2 zeta + E / (pi M omega^2
+    X^2)).
     """
     mass, test = scene.dampers[0].mass, scene.test
     assert mass is not None
@@ -255,7 +257,7 @@ def summary_row(scene: Scene, motion: SteadyBed) -> list[str]:
 
 
 def compliance_at_peak(level: Values, energy: Values) -> Values:
-    """Return the compliance as in `summary_row`, of beds that dissipate an energy at a level in g; any shape."""
+    """Compute the compliance as in `summary_row` from dissipated energy and level in g; any shape."""
     speed = level * STANDARD_GRAVITY / (2.0 * math.pi * FREQUENCY)
     stored = math.pi / MASS_RATIO * speed**2
     return np.asarray(1.0 / (2.0 * DAMPING + energy * STANDARD_GRAVITY * 1e-3 / stored))

@@ -1,4 +1,4 @@
-"""Charts beyond the paper: where claim C2 holds, a design chart, the trust map of the approximate method."""
+"""Charts beyond the paper: region of claim C2, design chart, error map of the approximate method."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def region(parts: Parts) -> Figure:
-    """Where three dampers cut the single damper's peak to between 1/2.5 and 1/4."""
+    """Draw the region in which three dampers reduce the single damper's peak by a factor of 2.5 to 4."""
     single, three = parts["scan-single"], parts["scan-three"]
     ratio = single["peak"] / three["peak"]
     with drawing(4.0) as figure:
@@ -32,10 +32,10 @@ def region(parts: Parts) -> Figure:
 
 
 def holds_c2(parts: Parts) -> np.ndarray:
-    """Cells in which all of C2 holds.
+    """Return the cells in which all parts of C2 are true.
 
-    The ratio; Type III with one damper; and with three Types I and II, which make the peak, too: neither Type III nor
-    motion that repeats after several periods only does.
+    These are the ratio, Type III with one damper, and Types I and II with three dampers, also at the peak. Type III
+    and motion with a longer period must not occur with three dampers.
     """
     single, three = parts["scan-single"], parts["scan-three"]
     ratio = single["peak"] / three["peak"]
@@ -46,7 +46,7 @@ def holds_c2(parts: Parts) -> np.ndarray:
 
 
 def design(parts: Parts) -> Figure:
-    """Design chart: peak compliance and motion type at the peak, over clearance and force."""
+    """Draw the design chart: peak compliance and motion type at the peak, over clearance and force."""
     with drawing(6.8) as figure:
         rows = figure.subplots(2, 1)
         for axes, name, title in (
@@ -55,7 +55,7 @@ def design(parts: Parts) -> Figure:
         ):  # fmt: skip
             data = parts[name]
             image = _map(axes, data, 1e6 * data["peak"], "magma_r", 40.0, 450.0)
-            # A wavy sign marks peaks of irregular motion, simulated and averaged; all others are exact orbits.
+            # A tilde marks peaks of irregular motion, which are simulated and averaged; all others are exact orbits.
             cells = zip(data["peak"].flat, short(data["type_there"]).flat, data["exact"].flat, strict=True)
             labels = [f"{'' if exact else '~'}{1e6 * peak:.0f}\n{kind}" for peak, kind, exact in cells]
             texts = np.array(labels).reshape(data["peak"].shape)
@@ -68,7 +68,7 @@ def design(parts: Parts) -> Figure:
 
 
 def short(types: np.ndarray) -> np.ndarray:
-    """Motion types short enough for a cell: what is neither riding nor I to III is "other"."""
+    """Abbreviate motion types for a cell; types except riding and I to III become "other"."""
 
     def one(text: str) -> str:
         parts = text.split("/")
@@ -80,7 +80,7 @@ def short(types: np.ndarray) -> np.ndarray:
 
 
 def trust(parts: Parts) -> Figure:
-    """How far the approximate method can be trusted: error of its peak against the full simulation."""
+    """Draw the error of the approximate method: its peak compared with the full simulation."""
     error = trust_error(parts)
     with drawing(3.8) as figure:
         axes = figure.subplots()
@@ -95,12 +95,12 @@ def trust(parts: Parts) -> Figure:
 
 
 def trust_error(parts: Parts) -> np.ndarray:
-    """Error of the approximate peak in % of the simulated one, (forces, clearances)."""
+    """Compute the error of the approximate peak in % of the simulated peak, (forces, clearances)."""
     return np.asarray(100 * (parts["approx-peaks"]["peak"] / parts["scan-single"]["peak"] - 1))
 
 
 def optimum(parts: Parts) -> Figure:
-    """Worst peak over a range of forces against clearance, for several mass ratios."""
+    """Draw the worst peak over a range of forces against clearance, for several mass ratios."""
     with drawing(3.8) as figure:
         axes = figure.subplots()
         names = sorted(name for name in parts if name.startswith("best-"))

@@ -1,4 +1,4 @@
-"""What a claim of the paper is, and the evidence for and against it."""
+"""A claim of the paper, with its evidence and verdict."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 
 class Evidence(NamedTuple):
-    """A sentence with numbers, and the parts of the reproduction that they come from."""
+    """A sentence with numbers, and the parts of the reproduction that produced them."""
 
     text: str
     parts: tuple[str, ...]
@@ -15,10 +15,10 @@ class Evidence(NamedTuple):
 
 @dataclass(frozen=True)
 class Claim:
-    """A claim and what became of it."""
+    """A claim and its verdict."""
 
     name: str
-    """C1 to C7, or a title for what goes beyond the paper."""
+    """C1 to C7, or a title for results beyond the paper."""
     text: str
     evidence: tuple[Evidence, ...]
     verdict: str

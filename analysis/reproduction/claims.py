@@ -1,4 +1,4 @@
-"""The paper's claims, each with a number from the reproduction and a verdict that follows from it."""
+"""The paper's claims, each with a number from the reproduction and the resulting verdict."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Arrays = Mapping[str, np.ndarray]
 
 PAPER_OMEGA = np.array([81.9, 218.8, 312.4])
 FORCE_C3 = 2.6
-# Smallest relative difference of curves that counts as a difference.
+# Smallest relative difference at which curves count as different.
 PARTED = 0.1
 # Smallest ratio of the difference at antiresonances to that at peaks.
 MORE = 5.0
@@ -26,7 +26,7 @@ PAPER_SHAPES = np.array([[0.415, 0.783, 1], [1, 0.498, -0.91], [-0.848, 1, -0.46
 
 
 def claims(parts: Parts) -> list[Claim]:
-    """Judge all claims."""
+    """Assess all claims."""
     tested = [_c1(parts), _c2(parts), _c3(parts), fig9_claim(parts), _c5(parts), _c6(parts)]
     return [*tested, bed_claim(parts, [claim for claim in tested if claim.name in ("C3", "C4", "C6")])]
 
@@ -116,7 +116,7 @@ def _c2(parts: Parts) -> Claim:
 
 
 def _enhanced(single: Arrays) -> str:
-    """How much higher peaks of Type III are than the others at the same force (the paper: it enhances the motion)."""
+    """Compare peaks of Type III with other types at the same force (paper: Type III enhances the motion)."""
     factors = []
     for peak, kind in zip(single["peak"], single["type_there"], strict=True):
         third = kind == "III"
@@ -136,13 +136,13 @@ def _enhanced(single: Arrays) -> str:
 
 
 def _ridge(cells: np.ndarray, data: Arrays) -> str:
-    """Say so if the clearances at which something holds grow with the force."""
+    """Report whether the clearances at which a property is true increase with force."""
     middle = [np.median(data["clearance"][row]) for row in cells if row.any()]
     return ": the clearance grows with the force" if len(middle) > 1 and (np.diff(middle) > 0).all() else ""
 
 
 def _cell(data: Arrays, setting: tuple[float, float]) -> list[int]:
-    """Row and column of the cell nearest to a force and a clearance."""
+    """Return row and column of the cell nearest to a force and a clearance."""
     force, clearance = setting
     return [
         int(np.abs(data["force"] - force).argmin()),
@@ -155,7 +155,7 @@ def _cells(cells: np.ndarray, data: Arrays) -> list[tuple[float, float]]:
 
 
 def resonance_peaks(data: Arrays, body: int = 2) -> np.ndarray:
-    """Largest compliance of a body about each resonance [m/N]."""
+    """Compute the largest compliance of a body around each resonance [m/N]."""
     frequency, size = data["frequency"], np.abs(data["compliance"][body])
     bands = ((10.5, 15.0), (30.0, 37.0), (45.0, 52.0))
     return np.array([size[(frequency > low) & (frequency < high)].max() for low, high in bands])
@@ -215,7 +215,7 @@ def _c3(parts: Parts) -> Claim:
 
 
 def _by_force(scanned: Arrays, held: np.ndarray) -> str:
-    """At each force, in how many of the other settings something holds."""
+    """Report, for each force, in how many of the other settings a property is true."""
     counts = [
         f"{force:g} N {int(cells.sum())} of {cells.size}"
         for force, cells in zip(scanned["force"], np.moveaxis(held, 2, 0), strict=True)
@@ -224,7 +224,7 @@ def _by_force(scanned: Arrays, held: np.ndarray) -> str:
 
 
 def _largest_force(scanned: Arrays, held: np.ndarray) -> str:
-    """Largest force up to which something holds in all other settings."""
+    """Report the largest force up to which a property is true in all other settings."""
     whole = np.logical_and.accumulate(held.all(axis=(0, 1)))
     return f"up to {scanned['force'][whole].max():g} N" if whole.any() else "at none of the forces tried"
 
@@ -261,10 +261,9 @@ def _c5(parts: Parts) -> Claim:
 
 
 def differences(true: Arrays, measured: Arrays) -> tuple[float, float]:
-    """Median relative difference of compliances where they are smallest, and where they are largest.
+    """Compute the median relative difference of compliances near antiresonances, and near peaks.
 
-    Smallest and largest of the bodies 1 and 2: the fifth of the grid that is nearest to the antiresonances, and to
-    the peaks.
+    Near means the fifth of the frequencies with the smallest, or the largest, compliance of bodies 1 and 2.
     """
     weak, strong = [], []
     for body in range(2):

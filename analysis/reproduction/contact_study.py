@@ -1,10 +1,10 @@
 """One mass on a floor and ceiling with contacts of finite duration: the contact that describes a bed of grains best.
 
-At the settings of `bed_study` at 50 Hz one mass is simulated on contacts of several restitutions and durations. A share
-of the bed may move and the rest be held; the moving share dissipates its share of the energy. The contact that is
-chosen minimizes the deviation of the body's compliance from that with grains, over all settings below a ceiling;
-without a ceiling an instant landing is closer. Its deviation is cross-validated: each acceleration is judged by the
-contact fitted to the other accelerations.
+At the settings of `bed_study` at 50 Hz one mass is simulated on contacts of several restitutions and durations. A
+share of the bed may move while the rest is fixed; the moving share dissipates its share of the energy. The fitted
+contact minimizes the deviation of the body's compliance from the compliance with grains, over all settings below a
+ceiling. Without a ceiling, instantaneous contact is closer. The deviation is cross-validated: each acceleration is
+compared with the contact fitted to the other accelerations.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ from rig.system.assembly import assemble
 
 Values = NDArray[np.float64]
 
-#: Restitutions of the contacts that are tried.
+#: Restitutions of the contacts.
 RESTITUTIONS = (0.0, 0.05, 0.1, 0.2, 0.35, 0.5)
 #: Durations of a landing, s.
 DURATIONS = (1e-3, 2e-3, 3e-3, 4e-3, 5e-3, 7e-3)
 #: Shares of the bed that move.
 SHARES = tuple(np.round(np.arange(0.5, 1.001, 0.05), 2).tolist())
-#: Periods in which the transient decays, before those that are averaged.
+#: Periods for the decay of the transient, before averaging.
 _SETTLING = 40
 _WATCHED = 40
 #: Samples in a period.
@@ -70,7 +70,7 @@ class FittedContact(NamedTuple):
 
 
 def contacts() -> list[Contact]:
-    """List all points, contact by contact."""
+    """List all points, ordered by contact."""
     return [
         Contact(level, clearance, restitution, duration)
         for restitution in RESTITUTIONS
@@ -86,9 +86,9 @@ def follow(path: Path, say: Callable[[str], None], cluster: str | None = None) -
 
 
 def followed(contact: Contact) -> Row:
-    """Simulate one mass on a contact; returns a row of the table.
+    """Simulate one mass on a contact; return a row of the table.
 
-    Energy dissipated in a period is relative to the bed's weight times 1 mm, the impulse of the ceiling to its weight
+    Energy dissipated in a period is relative to the bed's weight times 1 mm, the ceiling impulse to the bed's weight
     times a period.
     """
     scene = scene_on_contact(contact)
@@ -106,7 +106,7 @@ def followed(contact: Contact) -> Row:
 
 
 def scene_on_contact(contact: Contact) -> Scene:
-    """Make the scene of a point."""
+    """Build the scene of a point."""
     scene = as_one_mass(scene_of_bed(Setting(contact.level, contact.clearance, min(BEDS), 1)))
     wall = {"duration": contact.duration}
     dampers = [one.replace(contact=wall, restitution=contact.restitution) for one in scene.dampers]
@@ -114,7 +114,7 @@ def scene_on_contact(contact: Contact) -> Scene:
 
 
 def _ceiling_force(scene: Scene, run: Run) -> float:
-    """Mean force of the ceiling on the mass over the periods that are watched, N."""
+    """Compute the mean force of the ceiling on the mass over the averaged periods, N."""
     clearance = scene.dampers[0].clearance
     if math.isinf(clearance):
         return 0.0
@@ -136,9 +136,9 @@ def fit_contact(beds: Mapping[str, np.ndarray], contacts: Mapping[str, np.ndarra
     Parameters
     ----------
     beds : mapping
-        As `analysis.reproduction.bed_study.table` gives it, or some of its settings.
+        As returned by `analysis.reproduction.bed_study.table`, or a selection of its settings.
     contacts : mapping
-        As `table` gives it.
+        As returned by `table`.
     """
     tried = [
         FittedContact(restitution, duration, share)
@@ -153,14 +153,14 @@ def fit_contact(beds: Mapping[str, np.ndarray], contacts: Mapping[str, np.ndarra
 def deviation_on_contact(
     one: FittedContact, beds: Mapping[str, np.ndarray], contacts: Mapping[str, np.ndarray]
 ) -> Values:
-    """Relative deviation of the compliance with grains from that on a contact, shape (settings,)."""
+    """Compute the deviation of the compliance with grains from one mass on a contact, shape (settings,)."""
     return np.asarray(beds["grains_compliance"] / compliance_on_contact(one, beds, contacts) - 1.0)
 
 
 def compliance_on_contact(
     one: FittedContact, beds: Mapping[str, np.ndarray], contacts: Mapping[str, np.ndarray]
 ) -> Values:
-    """Compliance of the body at its peak with one mass on a contact, shape (settings,)."""
+    """Compute the peak compliance of the body with one mass on a contact, shape (settings,)."""
     energy = one.share * _of_setting("energy", one, beds, contacts)
     return compliance_at_peak(beds["level"], energy)
 
@@ -168,7 +168,7 @@ def compliance_on_contact(
 def ceiling_impulse_on_contact(
     one: FittedContact, beds: Mapping[str, np.ndarray], contacts: Mapping[str, np.ndarray]
 ) -> Values:
-    """Impulse of the ceiling in a period, relative to the bed's weight times a period, shape (settings,)."""
+    """Compute the ceiling impulse per period, relative to the bed's weight times a period, shape (settings,)."""
     return one.share * _of_setting("ceiling_impulse", one, beds, contacts)
 
 

@@ -1,4 +1,4 @@
-"""The virtual experiment of the reproduction: recordings, and what can be read from them."""
+"""The virtual experiment of the reproduction: recordings and their evaluation."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ BODIES = ("body1", "body2", "body3")
 
 
 def recorded(scene: Scene, path: Path) -> Recording:
-    """Open the recording of a scene, made now unless there is a whole one of the same scene."""
+    """Open the recording of a scene; make it unless a complete recording of the same scene exists."""
     try:
         recording = daq.open(path)
         if recording.scene == scene and not recording.gaps:
             return recording
         recording.close()
     except ShotrigError:
-        # None, or one that an interruption tore: recorded anew.
+        # The recording is missing or was interrupted: record it again.
         pass
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = partial_name(path)
     with warnings.catch_warnings():
-        # What the test has to warn of is in the recording's markers, and the analysis says it.
+        # Warnings of the test are stored as markers of the recording and reported by the analysis.
         warnings.simplefilter("ignore", daq.RunWarning)
         daq.record(scene, partial, overwrite=True)
     partial.replace(path)
@@ -43,7 +43,7 @@ def recorded(scene: Scene, path: Path) -> Recording:
 
 
 def sweep(scene: Scene, path: Path) -> Arrays:
-    """Compliances of the bodies, X_j / F_1, from a stepped-sine recording.
+    """Estimate the compliances of the bodies, X_j / F_1, from a stepped-sine recording.
 
     Returns
     -------
@@ -61,13 +61,13 @@ def sweep(scene: Scene, path: Path) -> Arrays:
 
 
 def bare_sweep(scene: Scene, path: Path) -> Arrays:
-    """Compliances as `sweep`, transfer = X_j / X_0 from the same recording, and the modes identified in it.
+    """Estimate compliances as `sweep`, transmissibilities X_j / X_0, and modal parameters from a recording.
 
     Returns
     -------
     dict
         As `sweep`, with transfer (bodies, points), omega and omega_error (modes,) in rad/s, damping (modes,),
-        and shapes (bodies, modes) scaled to largest element 1.
+        and mode shapes (bodies, modes) with largest element 1.
     """
     with recorded(scene, path) as recording:
         arrays = sweep(scene, path)
@@ -86,22 +86,22 @@ def bare_sweep(scene: Scene, path: Path) -> Arrays:
 
 
 def damper_sweep(scene: Scene, path: Path, body: int) -> Arrays:
-    """Compliances as `sweep`, with the impact phases of the damper in one body beside them."""
+    """Estimate compliances as `sweep`, and the impact phases of the damper in one body."""
     arrays = sweep(scene, path)
     phases = impact_phases(scene, path, body)
     return {**arrays, **{f"impact_{key}": values for key, values in phases.items()}}
 
 
 def impact_phases(scene: Scene, path: Path, body: int) -> Arrays:
-    """Impact phases of a damper against frequency, from the channel on its body and the spring force.
+    """Estimate impact phases of a damper over frequency, from the channel on its body and the spring force.
 
     Returns
     -------
     dict
         frequency (points,) Hz; phi (points,), lag of the force with respect to the floor impact; tau_1
-        (points,), ceiling impact after the floor impact [rad]; floor and ceiling (points,), impacts a period.
-        NaN where there is not one impact of a kind in every period. A separation is no jump of the velocity,
-        so tau_0 is not measured.
+        (points,), ceiling impact after the floor impact [rad]; floor and ceiling (points,), impacts per period.
+        NaN unless there is exactly one impact of that kind in every period. Take-off causes no velocity jump, so
+        tau_0 cannot be measured.
     """
     frequencies, phis, taus, floors, ceilings = [], [], [], [], []
     with recorded(scene, path) as recording:
@@ -118,8 +118,7 @@ def impact_phases(scene: Scene, path: Path, body: int) -> Arrays:
             frequencies.append(frequency)
             floors.append(len(floor) / periods)
             ceilings.append(len(ceiling) / periods)
-            # The force is sin(theta + pi/2 + phase) at the phase theta of time; at the impact that is
-            # sin(-phi).
+            # The force is sin(theta + pi/2 + phase) at the time phase theta, and sin(-phi) at the impact.
             phis.append((-(phi + phase + np.pi / 2)) % (2 * np.pi))
             taus.append((_mean_phase(ceiling, periods) - phi) % (2 * np.pi))
     return {
@@ -134,7 +133,7 @@ def impact_phases(scene: Scene, path: Path, body: int) -> Arrays:
 def _folded(
     recording: Recording, channel: str, frequency: float, first: int, stop: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Phases of time [rad] at which floor and ceiling impacts happen in a stretch."""
+    """Compute the phases [rad] of floor and ceiling impacts in a section of the recording."""
     try:
         found = impacts(recording, channel, first, stop)
     except RecordingError:
@@ -145,7 +144,7 @@ def _folded(
 
 
 def _mean_phase(phases: NDArray[np.float64], periods: float) -> float:
-    """Mean direction of phases; NaN unless there is about one a period, all alike."""
+    """Compute the circular mean of phases; NaN unless there is about one per period with small scatter."""
     if not 0.85 * periods < len(phases) < 1.15 * periods:
         return float("nan")
     mean = np.exp(1j * phases).mean()
@@ -153,7 +152,7 @@ def _mean_phase(phases: NDArray[np.float64], periods: float) -> float:
 
 
 def _force_phase(recording: Recording, channels: list[str], frequency: float, first: int, stop: int) -> float:
-    """Phase of the spring force's complex amplitude, with sample 0 as the origin of time."""
+    """Estimate the phase of the spring force, with sample 0 as the time origin."""
     turned = np.exp(-2j * np.pi * frequency * np.arange(first, stop) / recording.rate)
     amplitudes = np.array([(recording.read(name, first, stop) * turned).mean() for name in channels])
     row = reference_of(recording, "force").row(recording, channels, np.array([frequency]))[:, 0]
@@ -161,13 +160,13 @@ def _force_phase(recording: Recording, channels: list[str], frequency: float, fi
 
 
 def ring_down(scene: Scene, path: Path) -> Arrays:
-    """Free decay of body 3's acceleration after the first hit.
+    """Compute the free decay of body 3's acceleration after the first hit.
 
     Returns
     -------
     dict
-        time, acceleration, envelope (samples,); halving, quiet_from (): seconds for 6 dB of energy, and until
-        the acceleration stays below gravity.
+        time, acceleration, envelope (samples,); halving, quiet_from (): time for a 6 dB decay of energy [s], and
+        time after which the acceleration remains below 1 g [s].
     """
     with recorded(scene, path) as recording:
         found = decay(recording, "body3")

@@ -1,4 +1,4 @@
-"""Claim C4, about Fig 9: which motion there is, and whether approximation, exact motion and recording agree."""
+"""Claim C4, about Fig 9: motion types, and agreement of approximation, exact motion and recording."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from analysis.reproduction.figures import Parts
 
 Arrays = Mapping[str, np.ndarray]
 
-# Peaks this near to each other agree: what one reads off a figure.
+# Largest relative difference of peaks that agree: the reading accuracy of a figure.
 AGREE = 0.05
 
 
 def fig9_claim(parts: Parts) -> Claim:
-    """Judge C4: what Fig 9 shows, by approximation, exact orbits and recording."""
+    """Assess C4 by approximation, exact orbits and recording."""
     approximate, exact, measured = parts["approx-fig9"], parts["orbit-fig9"], parts["rec-fig9"]
     good = approximate["valid"] & approximate["stable"]
     spans = {
@@ -80,7 +80,7 @@ def fig9_claim(parts: Parts) -> Claim:
 
 
 def both_ways(up: Arrays, down: Arrays) -> str:
-    """How far a sweep downward differs from one upward, body 2."""
+    """Compare a downward sweep with an upward sweep, body 2."""
     rising, falling = np.argsort(up["frequency"]), np.argsort(down["frequency"])
     there, back = abs(up["compliance"][1][rising]), abs(down["compliance"][1][falling])
     apart = 100.0 * abs(back / there - 1.0)
@@ -93,14 +93,14 @@ def both_ways(up: Arrays, down: Arrays) -> str:
 
 
 def _least_damping(damped: Arrays) -> str:
-    """Smallest damping ratio tried from which the paper's clearance shows no Type III."""
+    """Report the smallest computed damping ratio without Type III at the paper's clearance."""
     column = int(np.abs(damped["clearance"] - 0.98e-3).argmin())
     free = damped["damping"][~damped["third"][:, column]]
     return f"damping of {100 * free.min():g} % and more" if free.size else "none of the damping ratios tried"
 
 
 def _free_of_third(damped: Arrays) -> str:
-    """Clearances at which no Type III was met, by damping ratio."""
+    """Report the clearances without Type III, by damping ratio."""
     rows = []
     for damping, third in zip(damped["damping"], damped["third"], strict=True):
         free = [f"{1e3 * c:g}" for c in damped["clearance"][~third]]
@@ -116,7 +116,7 @@ def _span(data: Arrays, keep: np.ndarray, kind: str) -> str:
 
 
 def _nearest(exact: Arrays, frequency: float, value: complex) -> tuple[int, float]:
-    """Stable exact orbit nearest to a measured compliance of body 2, and the relative distance."""
+    """Return the stable exact orbit nearest to a measured compliance of body 2, and the relative distance."""
     near = exact["stable"] & (np.abs(exact["frequency"] - frequency) < 0.06)
     if not near.any():
         return -1, np.nan

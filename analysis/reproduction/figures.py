@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 Parts = Mapping[str, Mapping[str, np.ndarray]]
 
 BLUE, RED, GREEN, PINK, SKY, ORANGE, GREY, BLACK = COLOURS
-# Of the first mode, Hz, which sets the envelope's window.
+# Natural frequency of the first mode, Hz; it determines the window of the envelope.
 LOWEST = 12.4
 _UNDER_WAVES = "time / ms     (solid: body and floor; dashed: damper; shaded: cavity)"
 COMPLIANCE = "compliance |X/F₁| / (µm/N)"
@@ -120,7 +120,7 @@ def figure_6(parts: Parts) -> Figure:
 
 
 def _wave(axes: Axes, wave: Mapping[str, np.ndarray]) -> None:
-    """Bodies and the masses in their cavities over time."""
+    """Draw the displacements of bodies and damper masses over time."""
     t = 1e3 * wave["time"]
     for k, body in enumerate(wave["at"]):
         floor = 1e3 * wave["body"][body]
@@ -254,7 +254,7 @@ def figure_10a(parts: Parts) -> Figure:
             lower.semilogy(true["frequency"], away, mark, color=shade, ms=3, label=f"{name[10:]} µg/√Hz")
         lower.set_ylabel("difference / %")
         lower.set_title("Recordings less exact motion, by the noise of the accelerometers")
-        # Room for the legend above the points.
+        # Leave space for the legend above the points.
         lower.set_ylim(1e-3, 1e4)
         lower.legend(loc="upper left", ncols=3)
         for axes in (upper, lower):
@@ -294,12 +294,12 @@ def figure_10b(parts: Parts) -> Figure:
 def _runs(
     axes: Axes, data: Mapping[str, np.ndarray], values: np.ndarray, shade: str, label: str, keep: Any
 ) -> None:
-    """Draw each branch, stable runs bold and unstable ones thin; wrapped phases are not joined."""
+    """Draw each branch, stable sections bold and unstable sections thin; wrapped phases are not joined."""
     for number in np.unique(data["branch"]):
         own = data["branch"] == number
         for stable in (True, False):
             chosen = own & keep & (data["stable"] == stable)
-            # A run takes the point after it along, so that bold and thin lines meet.
+            # A section includes the following point, so that bold and thin lines connect.
             y = np.where(chosen | (np.roll(chosen, 1) & own & keep), values, np.nan)[own]
             x = data["frequency"][own]
             if not np.isfinite(y).any():

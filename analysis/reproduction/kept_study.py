@@ -1,4 +1,4 @@
-"""Tables of the studies behind claim C7: their columns, the tables that the package brings, and how they continue."""
+"""Result tables of the studies for claim C7: their columns, the bundled tables, and their continuation."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ class Table(NamedTuple):
     header : tuple of str
         Names of its columns.
     what : str
-        Content, for messages.
+        Description of the content, for messages.
     file : str
-        Name of the one that the package brings.
+        Name of the bundled file.
     whole, words : tuple of str
-        Columns of whole numbers and of words; the others are of numbers.
+        Columns of integers and of words; all other columns contain floating-point numbers.
     """
 
     header: tuple[str, ...]
@@ -37,11 +37,11 @@ class Table(NamedTuple):
 
     @property
     def kept(self) -> Path:
-        """The table that the package brings."""
+        """Path of the bundled table."""
         return Path(str(files("analysis.reproduction") / "data" / self.file))
 
     def study(self, compute: Callable[[Piece], Row], piece_of: Callable[[Row], Piece]) -> Study[Piece, Row]:
-        """Give the study whose values are the rows of this table."""
+        """Return the study whose values are the rows of this table."""
         return Study(
             self.what,
             self.header,
@@ -52,7 +52,7 @@ class Table(NamedTuple):
         )
 
     def row(self, line: Sequence[str]) -> Row:
-        """Name the cells of a line; raises `ValueError` where one does not hold what its column is of."""
+        """Convert a line to a row; raise `ValueError` if a cell has the wrong type for its column."""
         for name, cell in zip(self.header, line, strict=True):
             if name not in self.words:
                 (int if name in self.whole else float)(cell)
@@ -61,7 +61,7 @@ class Table(NamedTuple):
         return dict(zip(self.header, line, strict=True))
 
     def read(self, path: Path | None = None) -> list[Row]:
-        """Read the rows of a table, that of the package unless a path is given, leaving out rows that are spoilt."""
+        """Read the rows of a table, by default the bundled table; damaged rows are skipped."""
         rows = []
         for line in rows_of(path or self.kept, self.header, self.what):
             with suppress(ValueError):
@@ -73,14 +73,14 @@ def complete(
     path: Path, study: Study[Piece, Row], pieces: Sequence[Piece], words: Callable[[Row], str],
     say: Callable[[str], None], cluster: str | None = None,
 ) -> None:  # fmt: skip
-    """Compute the pieces that a table lacks, and sort its rows once all are there; rows of other pieces come last.
+    """Compute missing pieces of a table, and sort its rows when complete; rows of other pieces are last.
 
     Parameters
     ----------
     path : Path
         CSV file.
     words : callable
-        Describes a row.
+        Returns a description of a row.
     say : callable
         Called with a line for each new row.
     cluster : str, optional

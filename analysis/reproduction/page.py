@@ -1,4 +1,4 @@
-"""The page on the reproduction, as Markdown and as HTML."""
+"""The page about the reproduction, as Markdown and as HTML."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ COMMAND = "analysis paper"
 
 
 def _more_mass(both: Mapping[str, np.ndarray]) -> str:
-    """Say that there is no best mass ratio where the heaviest damper tried is the best."""
+    """Note that no optimum mass ratio exists if the heaviest computed damper is the best."""
     ratios = both["mass_ratios"]
     if both["mass_ratio"] < ratios.max():
         return ""
@@ -53,7 +53,7 @@ def _more_mass(both: Mapping[str, np.ndarray]) -> str:
 
 
 def write_pages(folder: Path, judged: Sequence[Claim], parts: Parts) -> list[Path]:
-    """Write index.md and index.html; the figures lie beside them."""
+    """Write index.md and index.html into the folder of the figures."""
     beyond = beyond_the_paper(parts)
     page = Template((files("analysis.reproduction") / "page.html").read_text(encoding="utf-8"))
     written = []
@@ -69,7 +69,7 @@ def write_pages(folder: Path, judged: Sequence[Claim], parts: Parts) -> list[Pat
 
 
 def beyond_the_paper(parts: Parts) -> list[Evidence]:
-    """Sentences on the optimum, the exact orbits, and the two weightings of the mass ratio."""
+    """Report the optimum, the exact orbits, and the two weightings of the mass ratio."""
     best = [parts[name] for name in sorted(parts) if name.startswith("best-")]
     found = "; ".join(
         f"{100 * float(b['mass_ratio']):.0f} %: {1e3 * float(b['best']):.2f} mm (worst peak "
@@ -115,7 +115,7 @@ def beyond_the_paper(parts: Parts) -> list[Evidence]:
 
 
 def _weights(parts: Parts) -> str:
-    """Say how either weight of the mass ratio fares against the simulation."""
+    """Compare both weightings of the mass ratio with the simulation."""
     rows, errors = [], []
     for name in sorted(name for name in parts if name.startswith("weights-")):
         data = parts[name]
@@ -139,7 +139,7 @@ def _weights(parts: Parts) -> str:
 
 
 def command(parts: Sequence[str]) -> str:
-    """Command that computes some parts again and writes the page and its figures anew."""
+    """Return the command that recomputes some parts and rewrites the page and its figures."""
     return " ".join([COMMAND, *(f"--fresh {name}" for name in dict.fromkeys(parts))])
 
 

@@ -1,4 +1,4 @@
-"""All pieces of work behind the reproduction, with what each depends on."""
+"""All parts of the reproduction, with their inputs."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from rig.scene.scene import Scene
 BAND = (45.0, 54.0)
 FORCES = np.array([2.0, 2.6, 3.3, 4.0, 5.0, 7.5, 10.0, 15.0])
 CLEARANCES = 1e-3 * np.array([0.3, 0.4, 0.5, 0.6, 0.7, 1.0, 1.4, 2.0, 3.0])
-# Where the scenes of Figs 5 and 6 are: N and m.
+# Force [N] and clearance [m] of Figs 5 and 6.
 FIGURE_5 = (3.3, 0.5e-3)
 MODE_BANDS = {1: (11.5, 14.0), 2: (31.0, 36.0), 3: (45.5, 51.5)}
 DAMPINGS = np.array([0.003, 0.005, 0.0075, 0.01, 0.015])
 NEAR_PAPER = 1e-3 * np.array([0.9, 0.98, 1.05, 1.1, 1.15, 1.2, 1.3])
 MASS_RATIOS = (0.03, 0.06, 0.10)
 WIDE_MASS_RATIOS = np.array([0.02, 0.05, 0.1, 0.15, 0.2, 0.3])
-# What the paper leaves open for Fig 8: by how much each mode is damped, and at which level it is tested.
+# Parameters of Fig 8 that the paper does not state: damping ratio of each mode, and force level.
 OPEN_DAMPINGS = np.array([0.002, 0.005, 0.01, 0.02])
 OPEN_FORCES = np.array([0.65, 1.3, 2.6, 5.2])
 OPEN_MASS_RATIOS = np.array([0.05, 0.10])
-# Noise of the accelerometers in Fig 10a, ug/sqrt(Hz), and a grid that meets the peaks and the antiresonances of
-# bodies 1 and 2 with three dampers.
+# Noise of the accelerometers in Fig 10a, ug/sqrt(Hz), and a frequency grid that resolves the peaks and antiresonances
+# of bodies 1 and 2 with three dampers.
 NOISES = (20, 200, 2000)
 NOISE_GRID = np.concatenate(
     [
@@ -38,9 +38,9 @@ NOISE_GRID = np.concatenate(
         for low, high in ((12.2, 13.0), (16.4, 17.2), (26.4, 26.8), (33.9, 34.7), (41.8, 42.6), (47.0, 49.0))
     ]
 )
-# Third resonance, finer where the single damper peaks.
+# Third resonance, finer near the peak with a single damper.
 RESONANCE = np.unique(np.concatenate([np.linspace(45.5, 53.0, 16), np.linspace(46.2, 50.4, 22)]))
-# Fig 8 covers all resonances: coarse in between, fine about them, with and without the dampers' masses.
+# Fig 8 covers all resonances: fine around them, with and without the dampers' masses, and coarse elsewhere.
 SWEEP = np.unique(
     np.round(
         np.concatenate(
@@ -54,7 +54,7 @@ SWEEP = np.unique(
         3,
     )
 )
-# Seconds that parts took on one core; all others take less than a few.
+# Computing time of the parts on one core, s; all other parts take a few seconds at most.
 EFFORT = {
     "approx-peaks": 70.0, "rec-one": 32.0, "rec-two": 31.0, "rec-three": 30.0, "rec-bare": 27.0, "scan-three": 26.0,
     "optimum": 20.0, "rec-fig9": 14.0, "rec-fig9-down": 14.0, "scan-single": 10.0, "best-03": 7.0, "best-06": 7.0,
@@ -182,7 +182,7 @@ def all_parts(folder: Path) -> list[PaperPart]:
 
 
 def _kept_studies() -> list[PaperPart]:
-    """Beds of grains, and one mass on contacts, from the tables that the package brings."""
+    """Parts for beds of grains and one mass on contacts, from the bundled tables."""
     return [
         PaperPart(
             name, f"{name}\n{study.TABLE.kept.read_text(encoding='utf-8')}", study.table, {}, title, 0.1
@@ -195,7 +195,7 @@ def _kept_studies() -> list[PaperPart]:
 
 
 def _one_body(clearance: float) -> Scene:
-    """One body with a damper, as Fig 3 draws it: mass ratio 6 %, 3.3 N about its resonance at 50 Hz."""
+    """Build the scene of Fig 3: one body with a damper, mass ratio 6 %, 3.3 N around its resonance at 50 Hz."""
     return rig.loads(
         "{name: one body, structure: {masses: [2 kg], springs: [200 kN/m], damping: {modal: 0.5 %}}, "
         "shaker: {kind: force, body: 1}, test: {kind: stepped_sine, frequencies: [49.67 Hz], force: 3.3 N}, "
@@ -233,7 +233,7 @@ def _experiments() -> list[tuple[str, Scene, dict[str, Any]]]:
 
 
 def _with_noise(scene: Scene, density: float) -> Scene:
-    """Give all accelerometers of a scene another noise density, ug/sqrt(Hz)."""
+    """Set the noise density of all accelerometers of a scene, ug/sqrt(Hz)."""
     noise = f"{density:g} ug/sqrt(Hz)"
     channels = [
         channel.replace(accelerometer=channel.accelerometer.replace(noise=noise))

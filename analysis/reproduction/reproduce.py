@@ -1,4 +1,4 @@
-"""Reproduce the paper: its figures, a verdict on each claim, and what goes beyond it."""
+"""Reproduce the paper: its figures, a verdict on each claim, and further results."""
 
 from __future__ import annotations
 
@@ -43,19 +43,18 @@ FIGURES: dict[str, Callable[[paper_figures.Parts], Figure]] = {
 def reproduce(
     folder: Path, say: Callable[[str], None], fresh: Sequence[str] = (), cluster: str | None = None
 ) -> list[Path]:
-    """Compute what is not there yet, draw all figures, and write the page.
+    """Compute missing parts, draw all figures, and write the page.
 
     Parameters
     ----------
     folder : Path
-        Where recordings, data, figures and pages go. What an earlier run left there is used, if it is of the
-        same inputs.
+        Folder for recordings, data, figures and pages. Results of an earlier run with the same inputs are reused.
     say : callable
-        Takes one line of text at a time.
+        Called with one line of text at a time.
     fresh : sequence of str
-        Names of parts to compute again.
+        Names of parts to recompute.
     cluster : str, optional
-        As for `rig.design`; its workers must reach the folder by the same name.
+        As for `rig.design`; its workers must have access to the folder under the same name.
 
     Returns
     -------
@@ -65,12 +64,12 @@ def reproduce(
     Raises
     ------
     SceneError
-        If `fresh` names no part.
+        If `fresh` contains an unknown part.
     RunError
         If the folder cannot be written.
     """
     began = time.monotonic()
-    # Workers elsewhere have another working folder.
+    # Workers on other machines have a different working folder.
     parts = all_parts(folder.resolve() if cluster else folder)
     unknown = set(fresh) - {part.name for part in parts}
     if unknown:
@@ -111,7 +110,7 @@ def reproduce(
 def compute(
     parts: Sequence[PaperPart], folder: Path, cluster: str | None = None
 ) -> Iterator[tuple[PaperPart, Arrays]]:
-    """Compute parts on all cores, or on a cluster, longest first, and store each as soon as it is there."""
+    """Compute parts on all cores or a cluster, longest first, and store each result when it is complete."""
     waiting = sorted(parts, key=lambda part: -part.effort)
     with Workers(cluster) as workers:
         for number, arrays in workers.compute(PaperPart.computed, waiting):
@@ -120,7 +119,7 @@ def compute(
 
 
 class _Progress:
-    """Says after each part how much of the work is done, and how long the rest will take at that pace."""
+    """Progress report: completed share of the work, and estimated remaining time."""
 
     def __init__(self, parts: Sequence[PaperPart], say: Callable[[str], None]) -> None:
         self.say, self.began = say, time.monotonic()
@@ -128,7 +127,7 @@ class _Progress:
         self.finished, self.done = 0, 0.0
 
     def add(self, part: PaperPart) -> None:
-        """Report a part that has been finished."""
+        """Report a finished part."""
         self.finished += 1
         self.done += part.effort
         gone = time.monotonic() - self.began
@@ -141,7 +140,7 @@ class _Progress:
 
 
 def _span(seconds: float) -> str:
-    """Write a length of time.
+    """Format a duration.
 
     >>> _span(42.3), _span(192)
     ('42 s', '3 min 12 s')

@@ -1,7 +1,7 @@
-"""Scans over force, clearance, mass ratio and damping about a resonance, over exact orbits where there are any.
+"""Scans over force, clearance, mass ratio and damping about a resonance, over exact orbits where these exist.
 
-Every curve over frequency is swept as exact stable orbits (`rig.orbit_response`); where the motion is irregular it
-is simulated and averaged, and counted as such.
+Every frequency sweep consists of exact stable orbits (`rig.orbit_response`). Irregular motion is simulated and
+averaged, and its share is reported.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from rig.system.structural_model import receptance
 Floats = NDArray[np.float64]
 
 BODY = 2
-# Levels at which a robust optimum must do well, relative to the nominal force.
+# Force levels of the robust optimum, relative to the nominal force.
 LEVELS = np.array([0.8, 1.0, 1.25])
 
 
 def with_dampers(scene: Scene, clearance: float, mass_ratio: float) -> OrbitProblem:
-    """Set up a scene with one clearance and mass ratio for all its dampers."""
+    """Set up a scene with a common clearance and mass ratio for all its dampers."""
     dampers = [d.replace(clearance=float(clearance), mass=None, mass_ratio=mass_ratio) for d in scene.dampers]
     return OrbitProblem(scene.replace(dampers=dampers))
 
@@ -33,14 +33,14 @@ def with_dampers(scene: Scene, clearance: float, mass_ratio: float) -> OrbitProb
 def scan(
     scene: Scene, forces: Floats, clearances: Floats, frequencies: Floats, mass_ratio: float, body: int = BODY
 ) -> Arrays:
-    """Peak compliance and motion type about a resonance, over force (rows) and clearance (columns).
+    """Compute peak compliance and motion type around a resonance, over force (rows) and clearance (columns).
 
     Returns
     -------
     dict
         peak (forces, clearances): largest |X| / F_1 of the body; where (same): its frequency; type_there: the
-        motion type at the peak; types: all types met by any damper, joined by spaces; orbits: share of the
-        frequencies at which the motion is an exact stable orbit; exact: whether the peak is one.
+        motion type at the peak; types: all types of any damper, joined by spaces; orbits: share of the
+        frequencies with an exact stable orbit; exact: whether the peak is an exact stable orbit.
     """
     shape = (len(forces), len(clearances))
     peak, where, orbits = np.zeros(shape), np.zeros(shape), np.zeros(shape)
@@ -71,12 +71,12 @@ def scan(
 def stays_over_damping(
     scene: Scene, dampings: Floats, clearances: Floats, frequencies: Floats, body: int = BODY
 ) -> Arrays:
-    """Whether Type III appears about the resonance, over damping ratio (rows) and clearance (columns).
+    """Compute whether Type III occurs near the resonance, over damping ratio (rows) and clearance (columns).
 
     Returns
     -------
     dict
-        third (dampings, clearances): whether; peak (same): largest compliance of the body [m/N].
+        third (dampings, clearances): whether Type III occurs; peak (same): largest compliance of the body [m/N].
     """
     shape = (len(dampings), len(clearances))
     third, peak = np.zeros(shape, dtype=bool), np.zeros(shape)
@@ -100,13 +100,13 @@ def least_affected(
     body: int = 3,
     points: int = 40,
 ) -> Arrays:
-    """Peak about each mode with dampers over that without, for what the paper leaves open.
+    """Compute the peak ratio with and without dampers at each mode, over parameters that the paper does not state.
 
     Returns
     -------
     dict
-        share (dampings, mass_ratios, forces, modes): largest compliance of the body about a mode, as a share of that of
-        the bare structure; dampings, mass_ratios, forces.
+        share (dampings, mass_ratios, forces, modes): largest compliance of the body near a mode, relative to the bare
+        structure; dampings, mass_ratios, forces.
     """
     share = np.empty((len(dampings), len(mass_ratios), len(forces), len(bands)))
     for i, damping in enumerate(dampings):
@@ -124,7 +124,7 @@ def least_affected(
 
 
 class _Worst:
-    """Largest peak over the levels of the force, for any clearance and mass ratio; remembers what it computed."""
+    """Worst peak over the force levels, for any clearance and mass ratio; results are cached."""
 
     def __init__(self, scene: Scene, force: float, frequencies: Floats, body: int) -> None:
         self.scene, self.force, self.frequencies, self.body = scene, force, frequencies, body
@@ -144,7 +144,7 @@ class _Worst:
         return self.trials[key]
 
     def found(self) -> Arrays:
-        """Trials in the order of the search, and the best of them."""
+        """Return trials in the order of the search, and the best of them."""
         best = min(self.trials, key=lambda key: self.trials[key])
         return {
             "clearance": np.array([clearance for clearance, _ in self.trials]),
@@ -160,16 +160,16 @@ class _Worst:
 def best_clearance(
     scene: Scene, force: float, mass_ratio: float, clearances: Floats, frequencies: Floats, body: int = BODY
 ) -> Arrays:
-    """Clearance with the smallest peak compliance over a range of forces about a nominal one.
+    """Compute the clearance with the smallest peak compliance over a range of forces.
 
-    A coarse search over the given clearances, then golden sections about the best of them. Robust means: the
-    worst peak at `LEVELS` times the force.
+    A coarse search over the given clearances is refined by golden sections around the best. The robust criterion is
+    the worst peak at `LEVELS` times the force.
 
     Returns
     -------
     dict
         clearance, mass_ratios, worst (trials,) in the order of the search; best, mass_ratio, peak (): the optimum
-        and its worst peak; orbits (): share of all frequencies at which the motion is an exact stable orbit.
+        and its worst peak; orbits (): share of all frequencies with an exact stable orbit.
     """
     worst = _Worst(scene, force, frequencies, body)
     grid = np.log(clearances)
@@ -193,10 +193,10 @@ def best_damper(
     body: int = BODY,
     trials: int = 30,
 ) -> Arrays:
-    """Clearance and mass ratio together with the smallest worst peak; as `best_clearance`.
+    """Compute the clearance and mass ratio with the smallest worst peak; as `best_clearance`.
 
-    The best of a grid of both is improved by the simplex method of Nelder and Mead, the mass ratio within the
-    grid's range.
+    The best point of a grid is improved by the Nelder-Mead simplex method. The mass ratio is limited to the range of
+    the grid.
     """
     worst = _Worst(scene, force, frequencies, body)
     for ratio in mass_ratios:

@@ -1,4 +1,4 @@
-"""The computed side of the reproduction: simulation, exact orbits, and the paper's approximate method."""
+"""Computations of the reproduction: simulation, exact orbits, and the paper's approximate method."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Floats = NDArray[np.float64]
 
 
 def structure_numbers(scene: Scene, frequencies: Floats) -> Arrays:
-    """Natural frequencies [rad/s], shapes (bodies, modes), and the exact compliance over frequency."""
+    """Compute natural frequencies [rad/s], mode shapes (bodies, modes), and the exact compliance over frequency."""
     modes = structural_model(scene).modes
     bare = scene.replace(dampers=[])
     return {
@@ -39,7 +39,7 @@ def structure_numbers(scene: Scene, frequencies: Floats) -> Arrays:
 
 
 def simulated(scene: Scene, frequencies: Floats, direction: str = "up", tolerance: float = 1e-6) -> Arrays:
-    """Steady response to a force that is a pure tone, frequency by frequency."""
+    """Compute the steady response to a purely sinusoidal force, frequency by frequency."""
     found = frequency_response(
         with_ideal_force(scene), frequencies, direction, tolerance=tolerance, longest=4000
     )
@@ -54,13 +54,13 @@ def simulated(scene: Scene, frequencies: Floats, direction: str = "up", toleranc
 
 
 def exact_orbits(scene: Scene, band: tuple[float, float], searches: int = 5) -> Arrays:
-    """Exact orbits over frequency, stable and unstable, one after the other with a branch number each."""
+    """Compute exact orbits over frequency, stable and unstable, in one table with a branch number."""
     curve = follow_orbits(with_ideal_force(scene), "frequency", band, searches=searches)
     rows: dict[str, list[np.ndarray]] = {}
     for number, branch in enumerate(curve.branches):
         omega = 2 * np.pi * branch.value
         instants = np.array([_fig9_instants(orbit) for orbit in branch.orbits]) * omega[:, None]
-        # The force is sin(w t); at the floor impact that is sin(-phi).
+        # The force is sin(w t), and sin(-phi) at the floor impact.
         row = {
             "branch": np.full(branch.value.size, number),
             "frequency": branch.value,
@@ -90,7 +90,7 @@ def exact_orbits(scene: Scene, band: tuple[float, float], searches: int = 5) -> 
 
 
 def _fig9_instants(orbit: Orbit) -> list[float]:
-    """Floor impact, take-off, ceiling impact, ceiling take-off of one damper's Type I-III motion [s]."""
+    """Return floor impact, take-off, ceiling impact and ceiling take-off of a Type I-III motion [s]."""
     events = orbit.events
     nothing = [np.nan] * 4
     if orbit.motion_type not in ("I", "II", "III"):
@@ -113,7 +113,7 @@ def approximated(
     at: int | None = None,
     searches: int = 13,
 ) -> Arrays:
-    """Branches of the approximate method, one after the other; compliances are those of all bodies."""
+    """Compute the branches of the approximate method in one table, with the compliances of all bodies."""
     kept = single_mode(with_ideal_force(scene), mode, weighting=weighting, at=at)
     found = follow_mode(kept, band, searches)
     rows: dict[str, list[np.ndarray]] = {}
@@ -144,7 +144,7 @@ def _branch_rows(number: int, branch: Branch) -> Arrays:
 
 
 def waveforms(scene: Scene, frequency: float, periods: float = 2.0) -> Arrays:
-    """Displacements of bodies and damper masses over some periods of the orbit at a frequency."""
+    """Compute displacements of bodies and damper masses over some periods of the orbit at a frequency."""
     problem = OrbitProblem(scene)
     orbit = periodic_orbit(scene, frequency)
     sequence = orbit.plan.sequence
@@ -178,19 +178,19 @@ def waveforms(scene: Scene, frequency: float, periods: float = 2.0) -> Arrays:
 
 
 def weightings(scene: Scene, bands: dict[int, tuple[float, float]]) -> Arrays:
-    """Peaks of the approximate method with either weight of the mass ratio, beside those of the simulation.
+    """Compute peaks of the approximate method with both weightings of the mass ratio, and of the simulation.
 
     Parameters
     ----------
     bands : dict
-        Frequency band [Hz] about each mode (from 1).
+        Frequency band [Hz] around each mode (from 1).
 
     Returns
     -------
     dict
         mode (modes,), and rows all modes (exact orbits), printed, energy: peak (3, modes) of the body that moves
-        most in the mode [m/N], frequency (3, modes) Hz, mass_ratio (3, modes); NaN where the printed sum is no
-        mass.
+        most in the mode [m/N], frequency (3, modes) Hz, mass_ratio (3, modes); NaN where the printed sum
+        is not a valid mass.
     """
     peak, where, ratio = (np.full((3, len(bands)), np.nan) for _ in range(3))
     forced = with_ideal_force(scene)
@@ -218,7 +218,7 @@ def weightings(scene: Scene, bands: dict[int, tuple[float, float]]) -> Arrays:
 def approximate_peaks(
     scene: Scene, forces: Floats, clearances: Floats, band: tuple[float, float], body: int = BODY
 ) -> Arrays:
-    """Peak compliance by the approximate method, over force (rows) and clearance (columns)."""
+    """Compute peak compliance by the approximate method, over force (rows) and clearance (columns)."""
     peak = np.full((len(forces), len(clearances)), np.nan)
     types = np.empty(peak.shape, dtype="U4")
     for column, clearance in enumerate(clearances):

@@ -1,7 +1,7 @@
-"""Results on disk, so that a long reproduction continues where it stopped.
+"""Stored results, so that an interrupted reproduction can be continued.
 
-Each part of the work has a name and a text with all inputs. Its arrays are stored under that name with a digest of the
-text; a part whose digest is already stored is read, not computed.
+Each part has a name and a text that contains all inputs. Its arrays are stored under that name with a digest of the
+text. If a result with the same digest exists, it is loaded instead of computed.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ Arrays = dict[str, np.ndarray]
 
 
 def partial_name(target: Path) -> Path:
-    """Name of a file while it is written, with the process: a killed run may leave a worker running."""
+    """Return a temporary file name with the process number, because a killed run may leave a worker running."""
     return target.with_name(f"{target.stem}.{os.getpid()}.partial{target.suffix}")
 
 
 def remove_partial(folder: Path) -> None:
-    """Remove files that earlier runs left half written."""
+    """Remove incomplete files of earlier runs."""
     for place in (folder / "data", folder / "recordings"):
         for path in place.glob("*.partial.*"):
             path.unlink(missing_ok=True)
@@ -35,36 +35,35 @@ def remove_partial(folder: Path) -> None:
 
 @dataclass(frozen=True)
 class PaperPart:
-    """A piece of the reproduction that can be computed on its own."""
+    """A part of the reproduction that can be computed independently."""
 
     name: str  # File stem of its results
     depends: str
     """All inputs of its results: scenes, grids, choices."""
     compute: Callable[..., Arrays]
-    """Takes `arguments`, returns arrays by name; a function of a module, so that another process can run
-    it."""
+    """Takes `arguments` and returns arrays by name; a module-level function, for use in other processes."""
     arguments: Mapping[str, Any]
     """Arguments of `compute`."""
     title: str  # For the progress report
     effort: float = 1.0
-    """Approximate time relative to other parts; for the order, and to estimate the remaining time."""
+    """Approximate time relative to other parts, for the order and the estimate of the remaining time."""
 
     @property
     def digest(self) -> str:
-        """Digest of the inputs that a stored result must have."""
+        """Compute the digest of the inputs."""
         return hashlib.sha256(f"{version('shotrig')}\n{self.depends}".encode()).hexdigest()
 
     def path(self, folder: Path) -> Path:
-        """File of the results."""
+        """Return the file of the results."""
         return folder / "data" / f"{self.name}.npz"
 
     def stored(self, folder: Path) -> Arrays | None:
-        """Results from an earlier run, or None if there are none for the same inputs."""
+        """Return the results of an earlier run with the same inputs, or None."""
         try:
             with self.path(folder).open("rb") as file, np.load(file, allow_pickle=False) as archive:
                 arrays = {key: archive[key] for key in archive.files}
         except Exception:
-            # Absent or damaged, for which numpy raises all kinds of errors: computed again.
+            # The file is absent or damaged, for which numpy raises various errors: compute again.
             return None
         return arrays if str(arrays.pop("digest", "")) == self.digest else None
 
@@ -73,7 +72,7 @@ class PaperPart:
         return self.compute(**self.arguments)
 
     def store(self, folder: Path, arrays: Arrays) -> None:
-        """Store results; the file appears when it is complete."""
+        """Store results; the file gets its name only when it is complete."""
         target = self.path(folder)
         partial = partial_name(target)
         try:

@@ -1,4 +1,5 @@
-"""The device: modules on one clock, tasks as data, engines that run them; it knows no client and no network.
+"""The emulated DAQ device: modules on one clock, tasks, and engines that run the tasks.
 
-Start with `chassis`, then `task`; `plans` turns what a task's settings ask into what the engines run.
+This package does not depend on clients or on a network. Start with `chassis`, then `task`; `plans` converts the
+settings of a task into plans for the engines.
 """

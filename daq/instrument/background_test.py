@@ -1,4 +1,4 @@
-"""A test that the bench plays by itself, while no client drives its outputs."""
+"""The test of a scene, played on the bench while no client drives its outputs."""
 
 from __future__ import annotations
 
@@ -19,28 +19,28 @@ Array = NDArray[np.float64]
 
 
 class BackgroundTest:
-    """Plays a test on a bench, with its controller reading the channels.
+    """Plays a test on a bench; the controller of the test reads the channels.
 
     Parameters
     ----------
     station : Station
         The test's view of the bench; `station.now` is the number of its first sample.
     ticks : int
-        Ticks of the bench per sample; the drive is joined by straight lines.
+        Ticks of the bench per sample; the drive is interpolated linearly between samples.
     physical : callable
         Converts samples to the channels' units.
     lead : int
         Ticks without drive before the first sample.
     excite : callable
-        Makes the excitation; the one of the scene's test by default.
+        Creates the excitation; by default, that of the scene's test.
     ended : callable, optional
-        Called once with the reason when the test is over; the reason is empty at its regular end. By default the test
-        starts again, and an error is a warning.
+        Called once with the reason when the test ends; the reason is empty at a regular end. By default the test
+        restarts, and an error is logged as a warning.
 
     Attributes
     ----------
     quiet : bool
-        Whether nothing is played: no test, one that has ended or failed, or one whose output a client has taken.
+        Whether nothing is played: no test, the test has ended or failed, or a client has taken its output.
     """
 
     def __init__(
@@ -71,7 +71,7 @@ class BackgroundTest:
             self._over(failure, str(error))
 
     def _play(self, window: Array) -> None:
-        """Take the drive of the next samples; their readings are sent to the test when the last has been played."""
+        """Start the drive of the next samples; the test receives their readings after the last sample."""
         self._window, self._drive, self._at = window, self._line.through(window), 0
 
     def _over(self, failure: str, reason: str) -> None:
@@ -91,7 +91,7 @@ class BackgroundTest:
         self._stopping = True
 
     def leave_shaker(self) -> None:
-        """Give the outputs to a client. A hammer goes on."""
+        """Release the outputs to a client. A hammer test continues."""
         test = self._station.scene.test
         if not self.quiet and test is not None and test.kind != "impulse":
             if self._ended is None:
@@ -101,17 +101,17 @@ class BackgroundTest:
                 self._over("", "a client has taken the output")
 
     def horizon(self, ticks: int) -> int:
-        """Limit a number of ticks to the current window: the next one depends on its readings."""
+        """Limit a number of ticks to the current window: the next window depends on its readings."""
         return ticks if self.quiet else min(ticks, self._drive.shape[1] - self._at)
 
     def drive(self, ticks: int) -> Array:
-        """Give the drive of the next ticks, shape (inputs, ticks)."""
+        """Return the drive of the next ticks, shape (inputs, ticks)."""
         if self.quiet:
             return np.zeros((len(self._station.inputs), ticks))
         return self._drive[:, self._at : self._at + ticks]
 
     def hear(self, samples: NDArray[np.float64] | NDArray[np.int32], ticks: int) -> None:
-        """Take the readings of so many ticks, shape (channels, samples)."""
+        """Add the readings of `ticks` ticks, shape (channels, samples)."""
         if self.quiet:
             return
         self._heard.append(self._physical(samples))
@@ -120,7 +120,7 @@ class BackgroundTest:
             return
         size = self._window.shape[1]
         heard = np.concatenate(self._heard, axis=1)[:, -size:]
-        # A filter whose delay is removed from the sample numbers gives no samples at first.
+        # A filter whose delay is removed from the sample numbers returns no samples at first.
         readings = np.zeros((heard.shape[0], size))
         readings[:, size - heard.shape[1] :] = heard
         self._station.now += size

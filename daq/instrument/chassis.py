@@ -1,12 +1,13 @@
 """The chassis on the bench: one clock, the modules on it, and the engines that tasks run on them.
 
-There is an input for every channel of the scene (the hammer's force among them) and an output for every shaker. Time is
-counted in ticks of one clock: what runs together is simultaneous to the tick, and outputs act on the inputs through the
-plant. Inputs and outputs of any rate lie on it, in any order of starting: none changes what another sees.
+There is an input for every channel of the scene (including the force of the hammer) and an output for every shaker.
+Time is counted in ticks of one clock: tasks are synchronous to the tick, and outputs act on the inputs through the
+plant. Inputs and outputs of any rate use this clock and may start in any order: no task changes the samples of
+another.
 
-An output keeps its last value when a task ends; what its volts do says `rig.scene.shaker.DRIVE_PER_VOLT`. The bench
-stands still while no task needs it. As long as nobody has ever taken an output, the scene's own test is played, see
-`daq.instrument.background_test`.
+An output keeps its last value when a task ends; `rig.scene.shaker.DRIVE_PER_VOLT` defines the effect of its voltage.
+Bench time stops while no task needs the bench. Until a task takes an output for the first time, the test of the scene
+is played, see `daq.instrument.background_test`.
 """
 
 from __future__ import annotations
@@ -37,16 +38,16 @@ if TYPE_CHECKING:
     from daq.instrument.terminals import Terminals
 
 _BLOCK = 4096
-# The bench may fall behind the wall clock by this long before its inputs count as overflown, s.
+# The bench may be behind the wall clock by this time before its input buffers overflow, s.
 _PATIENCE = 5.0
-# On a clock that only moves when somebody waits, time stands still for this long so that a listener can answer.
+# The fast clock stops for up to this time so that a listener can answer an event, s of the wall clock.
 _ANSWER_S = 0.25
-# Who leaves so many events in a row unanswered is waited for no more, or one listener would hold up all others.
+# Number of consecutive unanswered events after which the clock no longer waits for a listener.
 _SILENT = 8
 
 
 class Runner(Protocol):
-    """What runs on an engine, as the chassis sees it."""
+    """The interface through which the chassis runs a task."""
 
     name: str
 
@@ -56,17 +57,17 @@ class Runner(Protocol):
 
     @property
     def sample_rate(self) -> float | None:
-        """Rate at which it samples its inputs; None on demand, or without inputs."""
+        """Sampling rate of its inputs, S/s; None on demand, or without inputs."""
 
     def horizon(self) -> int:
-        """Count the ticks that may pass before `passed` has to be called."""
+        """Return the number of ticks that may pass before `passed` must be called."""
 
     def passed(self) -> bool:
-        """Report new samples; return whether a callback must finish before more may come."""
+        """Report new samples; return whether a callback must finish before the next samples."""
 
     @property
     def answered(self) -> bool:
-        """Whether that answer has come."""
+        """Whether that callback has finished."""
 
 
 class Chassis:
@@ -75,26 +76,26 @@ class Chassis:
     Parameters
     ----------
     modules : sequence of Module
-        What scripts find, a chassis included.
+        Devices that scripts can use, including a chassis.
     terminals : Terminals
         Of the bench, at rest.
     clock : Clock
-        What lets its time pass.
+        Clock that advances the bench.
 
     Attributes
     ----------
     devices : DeviceList
-        What scripts find.
+        Devices by name.
     position : int
         Ticks that have passed since the bench was switched on.
     changed : threading.Condition
-        Notified when samples have passed; its lock guards everything here.
+        Notified when samples have passed; its lock protects the whole chassis.
     sleepers : Sleepers
-        Who waits for samples to pass.
+        Threads that wait for samples.
     listeners : list of callable
-        Called with every block of the bench at its own sample rate: the scope, a recording.
+        Called with every block of the bench at the bench's sample rate, for example by the scope or a recording.
     wired : list of callable
-        Called with the inputs of a task as they are about to be sampled.
+        Called with the inputs of a task immediately before they are sampled.
     """
 
     def __init__(self, modules: Sequence[Module], terminals: Terminals, clock: Clock) -> None:
@@ -113,14 +114,14 @@ class Chassis:
         self._silent: weakref.WeakKeyDictionary[Runner, int] = weakref.WeakKeyDictionary()
         self.tasks: dict[str, Runner] = {}
         self.position = 0
-        # Ticks at which the clock on the wall was looked at, and what it said: the bench stands still at times.
+        # Ticks and the wall-clock times that belong to them: bench time may stop and continue later.
         self._anchors: list[tuple[int, int]] = []
         self.anchor()
         self.held = np.zeros(len(terminals.drive_per_volt))
 
     def anchor(self) -> None:
-        """Note the time of the tick that comes next; see `Timeline.anchor`."""
-        # The fast and the manual clock know no date; times are then counted from the bench's power-on.
+        """Store the time of the next tick; see `Timeline.anchor`."""
+        # The fast and the manual clock have no date; times are then counted from power-on of the bench.
         now = time.time_ns() if self.clock.runs_free else round(self.position * 1e9 / self.rate)
         self._anchors.append((self.position, now))
 
@@ -135,11 +136,11 @@ class Chassis:
         return self.position / self.rate
 
     def at(self, seconds: float, action: Callable[[], None]) -> None:
-        """Have something done once so many seconds have passed on the bench."""
+        """Schedule an action at a time of the bench, s."""
         self._alarms.append((seconds, action))
 
     def pass_time(self, seconds: float) -> None:
-        """Let some bench time pass; while no task needs the bench, the wall clock's."""
+        """Wait for a time of the bench, s; while no task needs the bench, wait for wall-clock time."""
         with self.changed:
             end = self.position + round(seconds * self.rate)
 
@@ -160,7 +161,7 @@ class Chassis:
     # Tasks
 
     def admit(self, task: Runner, name: str) -> str:
-        """Take a new task in and give it its name."""
+        """Register a new task and return its name."""
         with self.changed:
             if not name:
                 number = 0
@@ -176,26 +177,26 @@ class Chassis:
             return name
 
     def dismiss(self, task: Runner) -> None:
-        """Forget a task that has been closed."""
+        """Remove a closed task."""
         with self.changed:
             self.release(task)
             self._awake.discard(task)
             self.tasks.pop(task.name, None)
 
     def reserve(self, task: Runner, resources: Mapping[Hashable, str]) -> None:
-        """Reserve what a task needs.
+        """Reserve the resources that a task needs.
 
         Parameters
         ----------
         task : Runner
             The task.
         resources : mapping of hashable to str
-            Names by what is reserved: the inputs of a module, and numbers of the bench's drives.
+            Names by resource: the inputs of a module, and the numbers of the bench's drives.
 
         Raises
         ------
         DaqError
-            With -50103, if another task has it.
+            With -50103, if another task has reserved a resource.
         """
         with self.changed:
             for other, theirs in self._reserved.items():
@@ -212,13 +213,13 @@ class Chassis:
             self._reserved[task] = resources
 
     def release(self, task: Runner) -> None:
-        """Give back what a task reserved and run it no more."""
+        """Stop running a task and release the resources that it reserved."""
         with self.changed:
             self._reserved.pop(task, None)
             self.halt(task)
 
     def return_outputs(self) -> None:
-        """Let the bench's own test drive the outputs again; with -50103 while a task holds one."""
+        """Return the outputs to the test of the scene; with -50103 while a task has reserved an output."""
         with self.changed:
             for task, resources in self._reserved.items():
                 if names := [name for each, name in resources.items() if isinstance(each, int)]:
@@ -229,14 +230,14 @@ class Chassis:
             self._output_taken = False
 
     def halt(self, task: Runner) -> None:
-        """Run a task no more; what it reserved stays reserved."""
+        """Stop running a task; its resources stay reserved."""
         with self.changed:
             self.inputs.pop(task, None)
             self.outputs.pop(task, None)
             self._stir()
 
     def wake(self, task: Runner) -> None:
-        """Let time pass from now on, for as long as this task is open."""
+        """Keep bench time running from now on, until this task is closed."""
         with self.changed:
             if not self.live:
                 self.anchor()
@@ -249,7 +250,7 @@ class Chassis:
         return len(self._awake) > 0
 
     def wire(self, task: Runner, channels: Sequence[Channel]) -> None:
-        """Set the couplings and supplies that a task wants; with -50103 for inputs that run with others."""
+        """Set the couplings and supplies of a task; with -50103 for running inputs with other settings."""
         running = [each.plan.rows for other, each in self.inputs.items() if other is not task]
         self.terminals.wire(channels, {row for rows in running for row in rows})
         for hear in self.wired:
@@ -268,17 +269,17 @@ class Chassis:
 
     @property
     def read_at_rest(self) -> bool:
-        """Whether inputs have been read while nobody took an output and nothing else moves the bench."""
+        """Whether inputs were read although neither a task nor the test has excited the bench."""
         return self._read and not self._output_taken and self.terminals.quiet
 
     def wait(self, ready: Callable[[], bool], missing: Callable[[], int], timeout: float) -> bool:
-        """Let time pass until something is ready; see `Clock.wait`."""
+        """Wait until a condition is met; see `Clock.wait`."""
         return self.clock.wait(self, ready, missing, timeout)
 
     # Time
 
     def advance(self, ticks: int) -> None:
-        """Let ticks pass: outputs drive the plant, inputs take the samples, events are sent."""
+        """Advance the bench: outputs drive the plant, inputs store the samples, events are sent."""
         with self.changed:
             target = self.position + ticks
             while self.position < target:
@@ -296,12 +297,12 @@ class Chassis:
                 rows = list(generation.plan.rows)
                 volts[rows] = generation.produce(tick, ticks, self.moment)
                 self.held[rows] = generation.held
-        # Rates of tasks that are only configured count too: their filters go on while they do not run.
+        # Include the rates of tasks that are only configured: their filters continue while the tasks do not run.
         rates = {rate for task in self.tasks.values() if (rate := task.sample_rate) is not None}
         rates |= {acquisition.plan.rate for acquisition in self.inputs.values()}
         blocks = terminals.advance(volts, ticks, rates)
         self.position += ticks
-        # Tasks that wait for others come last.
+        # Tasks that wait for other tasks are processed last.
         waiting = sorted(self.inputs.values(), key=lambda each: isinstance(each.plan.start, OtherTask))
         for acquisition in waiting:
             self._give(acquisition, blocks[acquisition.plan.rate])
@@ -318,14 +319,14 @@ class Chassis:
             alarm[1]()
 
     def _hear(self, curious: Sequence[Runner]) -> None:
-        """Wait for callbacks of events, except those that have not answered for a while."""
+        """Wait for callbacks of events, except those that did not answer several events in a row."""
         awaited = [task for task in curious if self._silent.get(task, 0) < _SILENT]
         self.changed.wait_for(lambda: all(task.answered for task in awaited), _ANSWER_S)
         for task in curious:
             self._silent[task] = 0 if task.answered else self._silent.get(task, 0) + 1
 
     def _give(self, acquisition: Acquisition, block: Block) -> None:
-        """Give an acquisition its samples, up to the first that is lost on the way."""
+        """Pass samples to an acquisition, up to the first sample lost in a buffer overflow."""
         if acquisition.done:
             return
         stop = block.first + block.samples.shape[1]
@@ -345,7 +346,7 @@ class Chassis:
             )
 
     def moment(self, source: OtherTask) -> int | None:
-        """Find the tick at which another task started or was triggered; None if it has not been."""
+        """Return the tick at which another task started or was triggered; None before that."""
         runs: dict[Any, Any] = self.inputs if source.kind == "ai" else self.outputs
         device = source.device.lower()
         named = [run for task, run in runs.items() if device and task.device.lower().startswith(device)]
@@ -356,7 +357,7 @@ class Chassis:
         return None
 
     def _ticks_to_output(self) -> int:
-        """Count the ticks until the next sample that may start an output; time goes no further at once."""
+        """Count the ticks until the next sample that may start an output, an upper limit for one step."""
         waiting = [
             run.plan.start
             for run in self.outputs.values()
@@ -375,7 +376,7 @@ class Chassis:
         )
 
     def fail(self, error: BaseException) -> None:
-        """Hear that the simulation has failed: show why, and end what waits for it."""
+        """Report a failure of the simulation, and end all waiting calls."""
         traceback.print_exception(error)
         self._stop_all(DaqError(f"the simulation of the scene has failed: {error!r}", Code.UNKNOWN))
 
@@ -390,12 +391,12 @@ class Chassis:
                 task.passed()
 
     def _stir(self) -> None:
-        """Wake all that wait: it may not be for time alone."""
+        """Wake all waiting threads: they may wait for more than time."""
         self.changed.notify_all()
         self.sleepers.wake()
 
     def lag(self, seconds: float) -> bool:
-        """Hear how far the bench is behind the wall clock; too far, and its buffers have overflown."""
+        """Process the delay of the bench relative to the wall clock; a long delay overflows its buffers."""
         if seconds < _PATIENCE:
             return False
         self._stop_all(

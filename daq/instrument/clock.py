@@ -1,15 +1,15 @@
-"""Clocks that let a bench's time pass: as fast as the machine goes, in real time, or by hand.
+"""Clocks that advance a bench: as fast as the computer allows, in real time, or on request.
 
-A bench counts its time in samples, and only the clock decides when the next samples are due. Whoever has to
-wait (a read, a write into a full buffer, `wait_until_done`) asks the clock; timeouts are in its time.
+A bench counts its time in samples, and only the clock decides when the next samples are due. A call that must wait
+(a read, a write into a full buffer, `wait_until_done`) waits through the clock; timeouts are in the clock's time.
 
-* `FastClock`: time passes only while somebody waits, as quickly as the machine computes. A run is
-  deterministic: nothing happens between two calls. Who asks again and again how far a task has come waits too
+* `FastClock`: time passes only during waiting calls, as fast as the computer simulates. A run is
+  deterministic: nothing happens between two calls. Repeated queries of a task's progress count as waiting
   (see `Clock.glance`). Time pauses briefly at an event, so that its callback can respond.
-* `RealClock`: a thread keeps the bench at wall-clock time, whether anybody waits or not. A slow reader is
-  overrun as with hardware.
-* `ManualClock`: time passes when `ManualClock.advance` is called. Waiting for samples that have not come gives
-  up at once, as nobody else can bring them.
+* `RealClock`: a thread keeps the bench at wall-clock time, with or without waiting calls. The buffer of a slow
+  reader overflows as with hardware.
+* `ManualClock`: time passes when `ManualClock.advance` is called. A call that waits for future samples times out
+  at once, because no other thread can provide them.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ _LOG = logging.getLogger("shotrig.clock")
 
 
 def seconds(timeout: float) -> float:
-    """Give a time to wait, s; negative for ever.
+    """Return a time to wait, s; a negative time is infinite.
 
     Raises
     ------
     DaqError
-        With -200077, if it is no time.
+        With -200077, if it is not a valid time.
 
     Examples
     --------
@@ -49,7 +49,7 @@ def seconds(timeout: float) -> float:
 
 
 class Timeline(Protocol):
-    """What a clock moves: a bench that counts samples."""
+    """The interface of a bench that a clock advances; it counts samples."""
 
     @property
     def position(self) -> int:
@@ -61,83 +61,84 @@ class Timeline(Protocol):
 
     @property
     def changed(self) -> threading.Condition:
-        """Condition notified whenever samples have passed; its lock guards the bench."""
+        """Condition notified whenever samples have passed; its lock protects the bench."""
 
     @property
     def sleepers(self) -> Sleepers:
-        """Who waits for samples to pass; woken whenever enough have, and whenever a task ends."""
+        """Threads that wait for samples; woken when enough samples have passed, and whenever a task ends."""
 
     @property
     def live(self) -> bool:
-        """Whether the bench wants its time to pass (some task is open and has been started)."""
+        """Whether bench time must pass (a task has been started and is still open)."""
 
     def advance(self, samples: int) -> None:
-        """Let samples pass."""
+        """Advance by a number of samples."""
 
     def fail(self, error: BaseException) -> None:
-        """Hear that time cannot go on."""
+        """Process an error that stops bench time."""
 
     def anchor(self) -> None:
-        """Hear that bench time goes on from now, wherever it has stood still."""
+        """Store the wall-clock time at which bench time continues after a stop."""
 
     def lag(self, seconds: float) -> bool:
-        """Hear that the machine is this far behind the clock; say whether to give that time up as lost."""
+        """Process the delay relative to the clock, s; return whether to skip the delayed time."""
 
 
 class Clock(Protocol):
-    """What all clocks can do."""
+    """The interface of all clocks."""
 
-    # Whether time passes without anybody waiting.
+    # Whether time passes without waiting calls.
     runs_free: bool
 
     def start(self, bench: Timeline) -> None:
-        """Begin to move a bench; called whenever a task starts."""
+        """Start to advance a bench; called whenever a task starts."""
 
     def now(self, bench: Timeline) -> float:
         """Seconds on this clock, for timeouts."""
 
     def glance(self, bench: Timeline) -> None:
-        """Let pass what a look at a bench takes, on a clock that nothing else moves."""
+        """Let a short time pass for a query, on a clock that advances only while a call waits."""
 
     def wait(
         self, bench: Timeline, ready: Callable[[], bool], wanted: Callable[[], int], timeout: float
     ) -> bool:
-        """Let time pass until something is ready.
+        """Wait until a condition is met.
 
         Parameters
         ----------
         bench : Timeline
-            The bench; its lock is held by the caller.
+            The bench; the caller holds its lock.
         ready : callable
-            Whether the wait is over.
+            Returns whether the condition is met.
         wanted : callable
-            Samples that must pass at least before it can be; the bench moves no further than that at once.
+            Lower bound of the samples until the condition can be met; the bench advances by at most this number at
+            once.
         timeout : float
-            Seconds of bench time; 0 looks once, negative waits for ever.
+            Bench time, s; 0 checks once, a negative timeout is infinite.
 
         Returns
         -------
         bool
-            Whether it became ready in time.
+            Whether the condition was met before the timeout.
         """
 
 
 class FastClock:
-    """Time passes while somebody waits, as quickly as the machine computes."""
+    """Time passes during waiting calls, as fast as the computer simulates."""
 
     runs_free = False
-    # Whoever waits for long lets others come by so often and for so long, s of the wall clock.
+    # Interval and duration of the pauses in which a long wait lets other threads take the lock, s of the wall clock.
     TURN, PAUSE = 0.05, 0.002
 
     def start(self, bench: Timeline) -> None:
-        """Do nothing: time passes when somebody waits."""
+        """Do nothing: time passes during waiting calls."""
 
     def now(self, bench: Timeline) -> float:
         """See `Clock.now`."""
         return bench.position / bench.rate
 
     def glance(self, bench: Timeline) -> None:
-        """Let a hundredth of a second pass, so that a loop which only looks comes to its end."""
+        """Let 10 ms pass, so that a loop which only queries the progress terminates."""
         bench.advance(max(1, int(bench.rate / 100)))
 
     def wait(
@@ -152,7 +153,7 @@ class FastClock:
                 return False
             bench.advance(int(samples))
             if time.monotonic() > turn:
-                # What is waited for may have to be brought by another client, or may never come.
+                # The condition may depend on another client, or may never be met.
                 bench.changed.wait(self.PAUSE)
                 turn = time.monotonic() + self.TURN
         return True
@@ -173,7 +174,7 @@ class ManualClock:
         self._benches: weakref.WeakSet[Timeline] = weakref.WeakSet()
 
     def start(self, bench: Timeline) -> None:
-        """Take a bench among those that `advance` moves."""
+        """Add a bench to those that `advance` moves."""
         self._benches.add(bench)
 
     def now(self, bench: Timeline) -> float:
@@ -184,7 +185,7 @@ class ManualClock:
         """Do nothing: time passes on request."""
 
     def advance(self, seconds: float) -> None:
-        """Let time pass on every bench of this clock, to the nearest sample."""
+        """Advance every bench of this clock, to the nearest sample."""
         for bench in list(self._benches):
             with bench.changed:
                 bench.advance(round(seconds * bench.rate))
@@ -192,32 +193,31 @@ class ManualClock:
     def wait(
         self, bench: Timeline, ready: Callable[[], bool], wanted: Callable[[], int], timeout: float
     ) -> bool:
-        """See `Clock.wait`; nothing comes while waiting."""
+        """See `Clock.wait`; no samples pass while waiting."""
         return ready()
 
 
 class RealClock:
-    """Time passes with the wall clock, on a thread of the bench.
+    """Bench time follows the wall clock, in a thread of the bench.
 
-    The thread ends when no task needs the bench any more and starts again with the next one; in between the
-    bench stands still.
+    The thread ends when no task needs the bench and restarts with the next task; bench time stops in between.
     """
 
     runs_free = True
-    # Bench time is brought up to wall time this often, s: a reader waits half of it for its last sample.
+    # Interval at which bench time is updated, s: on average a reader waits half of it for its last sample.
     TICK = 0.004
-    # It moves by no more than this at once, s: others have to come by.
+    # Upper limit of one step, s: other threads need the lock in between.
     MOST = 0.04
-    # A bench that is behind catches up at this multiple of real time: faster, it would overrun clients that keep up.
+    # A delayed bench catches up at this multiple of real time: at a higher speed, client buffers would overflow.
     CATCH_UP = 2.0
-    # Who waits looks up this often, s.
+    # Interval at which a waiting call checks its condition, s.
     NAP = 0.02
 
     def __init__(self) -> None:
         self._moving: weakref.WeakSet[Timeline] = weakref.WeakSet()
 
     def start(self, bench: Timeline) -> None:
-        """Begin to move a bench unless it is moving."""
+        """Start to advance a bench unless it is running."""
         with bench.changed:
             if bench in self._moving:
                 return
@@ -239,32 +239,32 @@ class RealClock:
         """See `Clock.wait`."""
         self.start(bench)
         end = math.inf if timeout < 0 else bench.position + timeout * bench.rate
-        # In bench time, which falls behind the wall clock while something is compiled.
+        # Timeouts are in bench time, which is behind the wall clock during compilation.
         while not ready() and bench.position < end and bench in self._moving:
-            # What is waited for may also end early.
+            # The run may also end early.
             nap = min(max(1, wanted()), math.ceil(self.NAP * bench.rate), end - bench.position)
             bench.sleepers.sleep(bench.position + math.ceil(nap))
         return ready()
 
 
-# Steps of the bench that took longer than this are taken for the compiler's, up to so many of them, s.
+# Steps of the bench longer than this time (s) are attributed to the compiler, up to this number of steps.
 _COMPILING, _COMPILATIONS = 1.0, 20
 
 
-# A machine that is behind by less than this, s, is not reported.
+# Shorter delays are not reported, s.
 _REPORTED_DELAY = 0.25
-# Reports are at least this far apart, s.
+# Minimum interval between two reports, s.
 _REPORT_INTERVAL = 10.0
 
 
 class _Delays:
-    """Reports how far the machine was behind the wall clock, once it has caught up."""
+    """Reports the largest delay relative to the wall clock, after the bench has caught up."""
 
     def __init__(self) -> None:
         self._largest, self._reported = 0.0, -math.inf
 
     def note(self, delay: float, now: float) -> None:
-        """Hear how far the bench is behind at a time of the wall clock, both in s."""
+        """Add the delay of the bench at a time of the wall clock, both in s."""
         self._largest = max(self._largest, delay)
         caught_up = delay < RealClock.MOST
         if self._largest >= _REPORTED_DELAY and caught_up and now - self._reported >= _REPORT_INTERVAL:
@@ -293,7 +293,7 @@ def longest_step(elapsed: float) -> float:
 
 
 def _follow(reference: weakref.ref[Timeline], moving: weakref.WeakSet[Timeline]) -> None:
-    """Keep a bench at wall-clock time for as long as it wants."""
+    """Keep a bench at wall-clock time while it is live."""
     raise_priority()
     pause, delays = threading.Event(), _Delays()
     origin: tuple[int, int, float] | None = None
@@ -320,7 +320,7 @@ def _follow(reference: weakref.ref[Timeline], moving: weakref.WeakSet[Timeline])
                     moving.discard(bench)
                     bench.fail(error)
                     return
-                # What is simulated for the first time may have to be compiled, which is no fault of the scene.
+                # Kernels used for the first time may be compiled; the scene does not cause this delay.
                 compiled = compilations < _COMPILATIONS and time.monotonic_ns() - now > _COMPILING * 1e9
                 compilations += compiled
                 if compiled or bench.lag(due / bench.rate):
@@ -328,7 +328,7 @@ def _follow(reference: weakref.ref[Timeline], moving: weakref.WeakSet[Timeline])
             delays.note(due / bench.rate, now * 1e-9)
         behind = due > RealClock.MOST * bench.rate
         del bench
-        # A bench that is behind goes on almost at once, but lets others have the lock in between.
+        # A delayed bench continues almost at once, but other threads can take the lock in between.
         pause.wait(RealClock.TICK / 4 if behind else RealClock.TICK)
 
 
@@ -336,17 +336,17 @@ CLOCKS: dict[str, Callable[[], Clock]] = {"real": RealClock, "fast": FastClock, 
 
 
 def clock(kind: str | Clock) -> Clock:
-    """Make a clock by name, or take one as it is.
+    """Create a clock by name, or return the given clock.
 
     Parameters
     ----------
     kind : {'real', 'fast', 'manual'} or Clock
-        Which clock.
+        Name of the clock, or a clock.
 
     Raises
     ------
     SceneError
-        If there is no such clock.
+        If there is no clock of that name.
 
     Examples
     --------

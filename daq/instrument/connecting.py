@@ -1,4 +1,4 @@
-"""Putting a chassis in front of a scene: its modules, its clock, its bench."""
+"""Connection of a chassis to a scene: modules, clock and bench."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ from rig.scene.shaker import Output
 
 
 def connect_scene(scene: rig.Scene | str | Path | None = None, clock: str | Clock | None = None) -> Chassis:
-    """Put a chassis in front of a scene's bench.
+    """Connect a chassis to the bench of a scene.
 
     Parameters
     ----------
     scene : Scene or str or Path, optional
-        Scene, name of a bundled one, or path of a scene file. Else the one named by the environment variable
-        SHOTRIG_SCENE, else `default_scene`.
+        Scene, name of a bundled scene, or path of a scene file. The default is the environment variable
+        SHOTRIG_SCENE, then `default_scene`.
     clock : {'real', 'fast', 'manual'} or Clock, optional
-        What lets time pass, see `daq.instrument.clock`. Else what the environment variable SHOTRIG_CLOCK says,
-        else 'real': a live bench.
+        Clock that advances the bench, see `daq.instrument.clock`. The default is the environment variable
+        SHOTRIG_CLOCK, then 'real'.
 
     Raises
     ------
     SceneError
-        If the scene cannot be used or there is no such clock.
+        If the scene cannot be used or there is no clock of that name.
     """
     if scene is None:
         scene = os.environ.get("SHOTRIG_SCENE") or default_scene()
@@ -54,11 +54,11 @@ def connect_scene(scene: rig.Scene | str | Path | None = None, clock: str | Cloc
 
 
 def scene_modules(scene: rig.Scene, terminals: Terminals) -> list[Module]:
-    """Give the devices of a scene.
+    """Create the devices of a scene.
 
-    Inputs fill as many modules of the kind the scene's converter names as are needed, outputs those that its shakers
-    name; modules of the C series sit in a chassis, others are devices of their own. Where no module is named, one takes
-    all inputs, or outputs, as ideal as the scene has them.
+    The converter of the scene names the type of the input modules, the shakers name the output modules; there are as
+    many modules as the channels need. C Series modules are in a chassis, others are separate devices. Without a named
+    module, an ideal module has all inputs, or all outputs.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ def _of(modules: list[Module], bus: int) -> list[Module]:
 
 def _inputs(scene: rig.Scene, terminals: Terminals) -> list[Module]:
     converter, named = filled_in(scene.converter), scene.converter.preset
-    # The coupling that the scene sets is what an input has unless a script says something else.
+    # The coupling of the scene is the default of an input; scripts may override it.
     order = (Coupling.AC, Coupling.DC) if converter.coupling == "AC" else (Coupling.DC, Coupling.AC)
     rows = tuple(range(len(terminals.bench.channels)))
     ideal = Module(
@@ -140,14 +140,14 @@ def _inputs(scene: rig.Scene, terminals: Terminals) -> list[Module]:
 
 
 def _device(sheet: Sheet, like: Module) -> Module:
-    """Give a module the name and the place that its data sheet says."""
+    """Set the product type of a module; modules other than the C Series are separate USB devices."""
     if sheet.family == "c_series":
         return replace(like, product_type=sheet.product_type)
     return replace(like, product_type=sheet.product_type, category=SOUND_AND_VIBRATION, bus=USB_BUS)
 
 
 def _add_output(modules: list[Module], output: Output, row: int) -> None:
-    """Put an output on the first module of its kind that has one free, or on another one."""
+    """Assign an output to the first module of its type with a free output, or to a new module."""
     sheet = None if output.preset is None else module(output.preset)
     outputs = None if sheet is None else sheet.outputs
     like = _IDEAL_OUTPUTS
@@ -174,11 +174,10 @@ def _add_output(modules: list[Module], output: Output, row: int) -> None:
 
 
 def default_scene() -> rig.Scene:
-    """Give what is on the bench unless a scene is named: the paper's rig with three dampers.
+    """Return the default scene: the paper's rig with three dampers.
 
-    Its four accelerometers are wired to the inputs without the integrating amplifiers in between, and the
-    inputs take ±10 V: that is what scripts written for a vibration module, or for a multifunction device,
-    find elsewhere.
+    Its four accelerometers are connected directly to the inputs, without the integrating amplifiers, and the input
+    range is ±10 V, as scripts for a vibration module or a multifunction device expect.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""The driver's texts of the errors that the instrument reports: scripts and people recognize errors by them."""
+"""The driver's texts of the errors that the instrument reports; scripts and users recognize errors by these texts."""
 
 from __future__ import annotations
 

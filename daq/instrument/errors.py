@@ -1,4 +1,4 @@
-"""Errors of the instrument, with the codes that NI publishes for its driver: clients look for them."""
+"""Errors of the instrument, with the codes that NI publishes for its driver: clients check these codes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ STOPPED_BEFORE_DONE = int(DAQmxWarnings.STOPPED_BEFORE_DONE)
 
 
 def meaning(code: int) -> str:
-    """Give the driver's text of a code, or its name where that text is not known; empty for an unknown code.
+    """Return the driver's text of a code, or its name where that text is not known; empty for an unknown code.
 
     Examples
     --------
@@ -25,16 +25,16 @@ def meaning(code: int) -> str:
 
 
 class DaqError(ShotrigError):
-    """A call the instrument could not carry out.
+    """An error in a call of the instrument.
 
     Parameters
     ----------
     message : str
-        What was wrong and what to do.
+        Cause and remedy.
     code : int
-        The driver's code for it.
+        The driver's code of the error.
     done : int, optional
-        Samples per channel that were read or written all the same.
+        Samples per channel that were read or written before the error.
 
     Examples
     --------
@@ -50,12 +50,12 @@ class DaqError(ShotrigError):
 
 
 def bad(message: str) -> DaqError:
-    """Make the error for a value that cannot be (-200077)."""
+    """Return the error for an invalid value (-200077)."""
     return DaqError(message, Code.INVALID_ATTRIBUTE_VALUE)
 
 
 def unsupported(what: str, instead: str = "") -> DaqError:
-    """Make the error for something this instrument does not have (-200452)."""
+    """Return the error for a function that this instrument does not support (-200452)."""
     hint = f" {instead}" if instead else ""
     return DaqError(
         f"{what} is not supported by the rig's instrument.{hint}",

@@ -8,7 +8,7 @@ from typing import Any
 from daq.instrument.errors import Code, DaqError
 from daq.instrument.values import EverySamples, Signal, named
 
-# Receives the value of an event: the number of samples, the status at the end, or the signal.
+# A function called with the value of an event: the number of samples, the status at the end, or the signal.
 Listener = Callable[[int], None]
 
 _ALREADY = {
@@ -19,12 +19,12 @@ _WRONG = {
     EverySamples.ACQUIRED: Code.EVERY_N_SAMPLES_ACQ_INTO_BUFFER_EVENT_NOT_SUPPORTED_BY_DEVICE,
     EverySamples.TRANSFERRED: Code.EVERY_N_SAMPS_TRANSFERRED_FROM_BUFFER_EVENT_NOT_SUPPORTED_BY_DEVICE,
 }
-# Signals that come with every sample, or once.
+# Signals that occur with every sample, or once.
 _EACH_SAMPLE = (Signal.SAMPLE_COMPLETE, Signal.SAMPLE_CLOCK)
 
 
 class Events:
-    """The listeners of a task. They are called with the chassis locked and must return at once."""
+    """The listeners of a task; they are called with the chassis locked and must return immediately."""
 
     def __init__(self) -> None:
         self._every: tuple[EverySamples, int, Listener] | None = None
@@ -34,13 +34,13 @@ class Events:
         self.begin()
 
     def listen_every(self, kind: int, samples: int, listener: Listener | None, outputs: bool = False) -> None:
-        """Call a listener whenever so many samples have come, or been put out; None ends that.
+        """Register a listener that is called after every `samples` samples acquired or generated; None removes it.
 
         Raises
         ------
         DaqError
-            With -200966 or -200967 if somebody listens already, -200980 or -200981 for the kind of samples
-            that the task, of inputs or of outputs, does not have, -200880 for no samples.
+            With -200966 or -200967 if there is a listener already, -200980 or -200981 for output samples of an
+            input task or input samples of an output task, -200880 for zero samples.
         """
         chosen = named(EverySamples, kind, "every_n_samples_event_type")
         if listener is None:
@@ -64,7 +64,7 @@ class Events:
         self._every = chosen, samples, listener
 
     def listen_done(self, listener: Listener | None) -> None:
-        """Call a listener with the status when the task has come to its end; None ends that."""
+        """Register a listener that is called with the status when the task ends; None removes it."""
         if listener is None:
             self._done = None
             return
@@ -76,7 +76,7 @@ class Events:
         self._done = listener
 
     def listen_signal(self, signal: int, listener: Listener | None) -> None:
-        """Call a listener whenever a signal occurs; None ends that."""
+        """Register a listener that is called whenever a signal occurs; None removes it."""
         chosen = named(Signal, signal, "signal_id")
         if listener is None:
             self._signals.pop(chosen, None)
@@ -89,7 +89,7 @@ class Events:
         self._signals[chosen] = listener
 
     def leave(self, listener: Callable[[Any], None]) -> None:
-        """Hear that a listener has gone, whatever it listened to."""
+        """Remove a listener from all events."""
         if self._every is not None and self._every[2] == listener:
             self._every = None
         if self._done == listener:
@@ -98,32 +98,32 @@ class Events:
         self._ends = [each for each in self._ends if each != listener]
 
     def at_end(self, listener: Callable[[None], None]) -> None:
-        """Call a listener with None when the task is closed."""
+        """Register a listener that is called with None when the task is closed."""
         self._ends.append(listener)
 
     def close(self) -> None:
-        """Hear that the task has been closed."""
+        """Notify the listeners that the task has been closed."""
         for listener in self._ends:
             listener(None)
 
     def begin(self) -> None:
-        """Start with a task."""
+        """Reset the counts at the start of a run."""
         self._sent, self._signalled, self._done_sent = 0, 0, False
         self._come: set[Signal] = set()
 
     def due(self, passed: int) -> int | None:
-        """Count the samples at which the next event is due, in all; None if nobody counts them."""
+        """Return the total number of samples at which the next event is due; None without a listener."""
         return None if self._every is None else (passed // self._every[1] + 1) * self._every[1]
 
     def notify(self, passed: int, run: Any) -> bool:
-        """Send all events that are due; return whether a callback may answer one by reading or writing.
+        """Send all events that are due; return whether a callback may respond with a read or a write.
 
         Parameters
         ----------
         passed : int
-            Samples per channel that have come, or been put out.
+            Samples per channel acquired or generated.
         run : Acquisition or Generation or None
-            What they came from.
+            Their run.
         """
         sent = False
         if self._every is not None:

@@ -1,4 +1,4 @@
-"""What a task's settings ask of the engines, checked."""
+"""Conversion of the checked settings of a task into plans for the engines."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ _OWN_CLOCK = re.compile(
 
 
 def check_timing(task: TaskSettings) -> None:
-    """Check what paces a task.
+    """Check the timing of a task.
 
     Raises
     ------
     DaqError
-        With -201087 for channels that need a sample clock, -89136 for a clock that is not there, -200077 for
-        rates and numbers that cannot be, -89121 for a signal exported to no terminal.
+        With -201087 for channels that need a sample clock, -89136 for a clock that does not exist, -200077 for
+        invalid rates and numbers, -89121 for a signal exported to an invalid terminal.
     """
     timing = task.groups["timing"]
     if task.kind == "ai" and not task.clocked and not all(each.module.on_demand for each in task.channels):
@@ -89,13 +89,13 @@ def check_timing(task: TaskSettings) -> None:
 
 
 def sources(task: TaskSettings, chassis: Chassis) -> tuple[Source | None, Source | None]:
-    """Give what start and reference trigger listen to.
+    """Return the sources of the start trigger and the reference trigger.
 
     Raises
     ------
     DaqError
         With -200262 without a sample clock, -200358 for a reference trigger of a continuous task, -200213
-        for more pretrigger samples than there is room for, -200265 for a source that is not there.
+        for more pretrigger samples than the record has, -200265 for a source that does not exist.
     """
     settings = task.groups["trig"]
     kinds = [settings[f"{name}_trig_type"] for name in ("start", "ref")]
@@ -191,7 +191,7 @@ def input_plan(
     reference: Source | None,
     on_demand: int | None = None,
 ) -> InputPlan:
-    """Say what an acquisition is to do.
+    """Return the plan of an acquisition.
 
     Parameters
     ----------
@@ -202,7 +202,7 @@ def input_plan(
     start, reference : Source or None
         Its triggers.
     on_demand : int, optional
-        Samples to take from now on, whatever the sample clock's settings are.
+        Samples to acquire immediately, independent of the settings of the sample clock.
     """
     samples, size, rate = on_demand, on_demand or 1, bench.rate
     if on_demand is None:
@@ -231,9 +231,9 @@ def input_plan(
 def output_plan(
     task: TaskSettings, ticks: float, start: Source | None
 ) -> tuple[OutputPlan, OtherTask | None]:
-    """Say what a generation is to do, and whose clock it runs on if that is another task's.
+    """Return the plan of a generation, and the task whose clock it uses, if any.
 
-    An output on the clock of the inputs begins with them.
+    An output on the clock of the inputs starts with the inputs.
     """
     if isinstance(start, AnalogSource):
         raise unsupported("an analog start trigger of an output", "Start it by ai/StartTrigger.")

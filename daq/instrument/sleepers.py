@@ -1,23 +1,23 @@
-"""Who waits for a bench's time to come: each is woken when its own has, not at every block."""
+"""Threads that wait for a bench time: each is woken at its own time, not at every block."""
 
 from __future__ import annotations
 
 import threading
 
-# Who sleeps longer looks up anyway, s: what is waited for may have become impossible.
+# Maximum sleep before the condition is checked again, s: it may have become impossible.
 _NAP = 1.0
 
 
 class Sleepers:
     """Threads that wait for positions of a bench.
 
-    Ten readers that each wait for a tenth of a second would be woken 25 times for nothing by a bench that moves every
-    four milliseconds, and would hold up the one whose samples have come.
+    A bench that advances every 4 ms would wake ten readers that each wait for 100 ms unnecessarily 25 times. This
+    would delay the reader whose samples are available.
 
     Parameters
     ----------
     lock : lock
-        The bench's; whoever sleeps holds it, and lets go of it meanwhile.
+        Lock of the bench; the calling thread holds it, and releases it while it sleeps.
     """
 
     def __init__(self, lock: threading.RLock) -> None:
@@ -25,7 +25,7 @@ class Sleepers:
         self._waiting: dict[threading.Condition, int] = {}
 
     def sleep(self, until: int) -> None:
-        """Sleep until the bench has come to a position, or something else has happened."""
+        """Sleep until the bench has reached a position, or until all threads are woken."""
         mine = threading.Condition(self._lock)
         self._waiting[mine] = until
         try:
@@ -34,7 +34,7 @@ class Sleepers:
             del self._waiting[mine]
 
     def wake(self, position: int | None = None) -> None:
-        """Wake those whose position has come; without one, all."""
+        """Wake the threads whose position has been reached; without a position, wake all."""
         for each, until in self._waiting.items():
             if position is None or until <= position:
                 each.notify()

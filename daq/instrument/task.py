@@ -1,4 +1,4 @@
-"""Tasks: channels, timing, triggers and streams as settings, and their life on the chassis."""
+"""Tasks: their settings (channels, timing, triggers, streams) and their states on the chassis."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 
 
 class Task:
-    """A task on the chassis: settings, an input or an output, events, and its life.
+    """A task on the chassis: settings, an input or an output, events, and its state.
 
     Parameters
     ----------
@@ -36,14 +36,14 @@ class Task:
     name : str
         Name; an empty one is replaced by a generated name.
     scales : mapping of str to Scale
-        Custom scales that its channels may name.
+        Custom scales that its channels may use.
 
     Attributes
     ----------
     settings : TaskSettings
         Settings of the script.
     input, output : TaskInput and TaskOutput
-        Its parts; a task with inputs uses the first, a task with outputs the second.
+        Its parts; a task with inputs uses `input`, a task with outputs uses `output`.
     events : Events
         Registered callbacks.
     running, closed : bool
@@ -56,13 +56,13 @@ class Task:
         self.output = TaskOutput(chassis, self.settings, self)
         self.events = Events()
         self.running = self.closed = False
-        # Started by a read or a write; its modules stay reserved when it stops; its failure has been raised.
+        # Flags: started by a read or a write; modules stay reserved after a stop; failure already raised.
         self._automatic = self._committed = self._reported = False
         self._looked: dict[str, int] = {}
         self.name = ""
         self.name = chassis.admit(self, name)
 
-    # What it is
+    # Description
 
     @property
     def sample_rate(self) -> float | None:
@@ -75,19 +75,19 @@ class Task:
             return None
 
     def check_idle(self, what: str, code: Code = Code.CAN_NOT_PERFORM_OP_WHILE_TASK_RUNNING) -> None:
-        """Make sure that the task is not running."""
+        """Check that the task is not running."""
         if self.running:
             raise DaqError(f"{what}: not while the task is running; call stop() first", code)
 
-    # Life
+    # States
 
     def verify(self) -> None:
-        """Check the settings against each other."""
+        """Check that the settings are consistent."""
         check_timing(self.settings)
         sources(self.settings, self.chassis)
 
     def start(self, automatic: bool = False) -> None:
-        """Start the task; its triggers are armed and its time passes from now on."""
+        """Start the task: arm its triggers and keep bench time running."""
         self.check_idle("start")
         if not self.settings.channels:
             raise DaqError(
@@ -129,7 +129,7 @@ class Task:
         Raises
         ------
         DaqError
-            If the task ended early and the error was not reported yet.
+            If the task ended early and the error has not been reported.
         """
         if not self.running:
             return 0
@@ -141,7 +141,7 @@ class Task:
         return STOPPED_BEFORE_DONE if early else 0
 
     def end(self) -> None:
-        """End the run, if there is one."""
+        """End the present run, if any."""
         with self.chassis.changed:
             self._end()
 
@@ -154,7 +154,7 @@ class Task:
         self._part.stop()
 
     def close(self) -> None:
-        """Stop the task and give everything back; it cannot be used again."""
+        """Stop the task and release its resources; it cannot be used again."""
         if self.closed:
             return
         try:
@@ -165,7 +165,7 @@ class Task:
             self.chassis.dismiss(self)
 
     def control(self, action: int) -> int:
-        """Take a step of the task's life; COMMIT and RESERVE keep its modules until UNRESERVE or close."""
+        """Change the state of the task; COMMIT and RESERVE keep its modules reserved until UNRESERVE or close."""
         if action not in list(TaskMode):
             raise bad(f"task mode {action}: expected one of {', '.join(each.name for each in TaskMode)}")
         if action == TaskMode.START:
@@ -199,7 +199,7 @@ class Task:
 
     @property
     def endless(self) -> bool:
-        """Whether it runs until it is stopped."""
+        """Whether the task runs until it is stopped."""
         return not self.settings.clocked or not self.settings.finite or self._part.retriggers
 
     @property
@@ -220,16 +220,16 @@ class Task:
         return None if self.run is None else self.run.error
 
     def raise_failure(self) -> None:
-        """Raise the reason why the run ended early, as often as somebody asks until the task is stopped."""
+        """Raise the reason why the run ended early, at every call until the task is stopped."""
         if self.failure is not None and self.running:
             self._reported = True
             raise self.failure
 
     def look(self, question: str) -> None:
-        """Hear that a script asks how far the run has come.
+        """Note that a script queries the progress of the run.
 
-        A script that asks the same again although nothing has passed waits in a loop of its own: a clock
-        that moves only while somebody waits then lets a little time pass.
+        A script that repeats a query while no samples have passed is waiting in a loop: the fast clock then lets a
+        short time pass.
         """
         chassis = self.chassis
         again = self._looked.get(question) == chassis.position
@@ -238,7 +238,7 @@ class Task:
         self._looked[question] = chassis.position
 
     def is_done(self) -> bool:
-        """Whether the task is done, or not running; a task without a clock always is."""
+        """Whether the task is done or not running; a task without a sample clock is always done."""
         with self.chassis.changed:
             self.look("is_task_done")
             self.raise_failure()
@@ -265,7 +265,7 @@ class Task:
     # Events
 
     def listen_every(self, kind: int, samples: int, listener: Listener | None) -> None:
-        """Listen for so many samples; see `Events.listen_every`. With -200960 while the task runs."""
+        """Listen for every `samples` samples; see `Events.listen_every`. With -200960 while the task runs."""
         self._check_listener(listener)
         self.events.listen_every(kind, samples, listener, outputs=self.settings.kind == "ao")
 
@@ -284,7 +284,7 @@ class Task:
             code = Code.CANNOT_REGISTER_DA_QMX_SOFTWARE_EVENT_WHILE_TASK_IS_RUNNING
             self.check_idle("registering an event", code)
 
-    # As the chassis sees it
+    # Interface for the chassis (`Runner`)
 
     @property
     def device(self) -> str:
@@ -332,9 +332,9 @@ class Task:
         Returns
         -------
         Reading
-            With -200284 after the timeout, -200279 when samples were overwritten (the next read begins with the oldest
-            left), -200278 beyond the end of a finite acquisition, or the reason why the acquisition stopped; it has the
-            samples before.
+            Samples before an error, and the error: -200284 after the timeout, -200279 when samples were overwritten
+            (the next read begins with the oldest stored sample), -200278 after the end of a finite acquisition, or
+            the reason why the acquisition stopped.
         """
         timeout = seconds(timeout)
         with self.chassis.changed:
@@ -356,7 +356,7 @@ class Task:
                 self._reported |= reading.error is not None and reading.error is self.failure
                 return reading
             finally:
-                # A read that has started a finite task and emptied it stops it.
+                # A read that started a finite task and read all its samples also stops it.
                 if self._automatic and self.running and self.finished and self.input.answered:
                     self.end()
 
@@ -371,8 +371,8 @@ class Task:
         Raises
         ------
         DaqError
-            With -200292 after the timeout; the reason why the output stopped; -200561 for samples beyond the channel's
-            limits, -200524 for the wrong number of channels.
+            With -200292 after the timeout; the reason why the output stopped; -200561 for samples beyond the
+            channel's limits, -200524 for the wrong number of channels.
         """
         timeout = seconds(timeout)
         self.settings.require("ao")
@@ -397,7 +397,7 @@ class Task:
 
     @contextmanager
     def _on_demand(self) -> Iterator[None]:
-        """Reserve the modules and let time pass for samples without a sample clock."""
+        """Reserve the modules and keep bench time running for samples without a sample clock."""
         self.verify()
         self.reserve()
         try:

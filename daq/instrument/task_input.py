@@ -51,7 +51,7 @@ class TaskInput:
         self.log: TaskLog | None = None
         self._overloads_reported: list[str] | None = None
 
-    # Life
+    # States
 
     def start(self, start: Source | None, reference: Source | None) -> None:
         """Start an acquisition, and its log."""
@@ -87,7 +87,7 @@ class TaskInput:
 
     @property
     def retriggers(self) -> bool:
-        """Whether the start trigger starts a record whenever one is complete."""
+        """Whether the start trigger is re-armed after each complete record."""
         return self.run is not None and self.run.plan.again
 
     # Progress
@@ -115,7 +115,7 @@ class TaskInput:
         return _FOR_EVER if run is None else run.ticks(samples - self.samples_passed, self._chassis.position)
 
     def horizon(self) -> int:
-        """Count the ticks that may pass before the log has to write."""
+        """Return the number of ticks that may pass before the log must be written."""
         if self.run is None or self.log is None or not self.log.by_itself or self.run.done:
             return _FOR_EVER
         return self.run.ticks(self.run.plan.buffer, self._chassis.position)
@@ -141,7 +141,7 @@ class TaskInput:
     # Overloads
 
     def overloaded_exist(self) -> bool:
-        """Whether any channel was overloaded since the last question; clears the flags."""
+        """Whether any channel was overloaded since the last query; clears the flags."""
         flags = [] if self.run is None else self.run.overloaded.tolist()
         names = [each.name for each in self._settings.channels]
         self._overloads_reported = [name for name, flag in zip(names, flags, strict=False) if flag]

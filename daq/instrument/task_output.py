@@ -35,7 +35,7 @@ class TaskOutput:
         Written samples.
     """
 
-    # An output has no log, and an event waits for no answer of it.
+    # An output has no log, and no event waits for its response.
     retriggers, answered = False, True
 
     def __init__(self, chassis: Chassis, settings: TaskSettings, task: Runner) -> None:
@@ -44,7 +44,7 @@ class TaskOutput:
         self.buffer: OutputBuffer | None = None
         self._running = self._played = False
 
-    # Life
+    # States
 
     def start(self, start: Source | None, reference: Source | None) -> None:
         """Start to play the buffer."""
@@ -122,7 +122,7 @@ class TaskOutput:
     def write(self, volts: Array, timeout: float) -> int:
         """Write samples into the buffer; see `Task.write`."""
         if not self._running and (self.buffer is None or self._played):
-            # A buffer that has been played is finished: a new write begins another.
+            # A buffer that has been played is complete: a new write starts another buffer.
             chosen = self._settings.groups["buffer"]
             size = int(chosen["output_buf_size"]) if chosen.was_set("output_buf_size") else None
             self.buffer, self._played = OutputBuffer(volts.shape[0], size), False
@@ -130,7 +130,7 @@ class TaskOutput:
         return self._fill(self.buffer, volts, timeout)
 
     def write_on_demand(self, volts: Array) -> int:
-        """Put samples out one after the other at the rate of the bench; the last one stays."""
+        """Output samples one after the other at the rate of the bench; the output keeps the last value."""
         chassis, rows = self._chassis, [each.row for each in self._settings.channels]
         if volts.shape[1] > 1:
             buffer = OutputBuffer(volts.shape[0], None)

@@ -1,4 +1,4 @@
-"""Properties of a task: reading, setting and resetting them by the driver's names, with what follows from others."""
+"""Properties of a task, stored and derived: reading, setting and resetting them by the driver's names."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def get_channel(task: Task, names: str, name: str) -> Any:
     Raises
     ------
     DaqError
-        With -200077, if it differs among them.
+        With -200077, if the channels have different values.
     """
     channels = task.settings.find(names)
     if not channels:
@@ -47,14 +47,14 @@ def set_channel(task: Task, names: str, name: str, value: Any) -> None:
 
 
 def reset_channel(task: Task, names: str, name: str) -> None:
-    """Give a property of channels its default back."""
+    """Reset a property of channels to its default."""
     task.check_idle(name, Code.CANNOT_SET_PROPERTY_WHEN_TASK_RUNNING)
     for each in task.settings.find(names):
         each.reset(name)
 
 
 def get_value(task: Task, group: str, name: str) -> Any:
-    """Read a setting or a figure.
+    """Read a setting or a derived value.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def get_value(task: Task, group: str, name: str) -> Any:
     Raises
     ------
     DaqError
-        With -200452, if there is none of that name.
+        With -200452, if there is no property of that name.
     """
     computed = _COMPUTED.get((group, name))
     with task.chassis.changed:
@@ -74,7 +74,7 @@ def get_value(task: Task, group: str, name: str) -> Any:
 
 
 def set_value(task: Task, group: str, name: str, value: Any) -> None:
-    """Change a setting; with -200557 while the task runs, -200077 for a value that cannot be."""
+    """Change a setting; with -200557 while the task runs, -200077 for an invalid value."""
     if name not in WHILE_RUNNING.get(group, ()):
         task.check_idle(name, Code.CANNOT_SET_PROPERTY_WHEN_TASK_RUNNING)
     if name == "samp_clk_timebase_div":
@@ -102,18 +102,19 @@ def set_values(task: Task, group: str, **settings: Any) -> None:
 
 
 def reset_value(task: Task, group: str, name: str) -> None:
-    """Give a setting its default back."""
+    """Reset a setting to its default."""
     task.check_idle(name, Code.CANNOT_SET_PROPERTY_WHEN_TASK_RUNNING)
     task.settings.groups[group].reset("samp_clk_rate" if name == "samp_clk_timebase_div" else name)
 
 
 def time_of(task: Task, event: TimestampEvent, timeout: float) -> int:
-    """Time at which the task started or was triggered, ns.
+    """Return the time at which the task started or was triggered, ns.
 
     Raises
     ------
     DaqError
-        With -209842, if times of triggers were switched off; with -200284, if it has not happened in time.
+        With -209842, if timestamps of triggers are disabled; with -200284, if the event did not occur before the
+        timeout.
     """
     name = {TimestampEvent.START_TRIGGER: "start", TimestampEvent.REFERENCE_TRIGGER: "ref"}.get(event)
     settings, key = task.settings.groups["trig"], f"{name}_trig_timestamp_enable"
@@ -145,12 +146,12 @@ def time_of(task: Task, event: TimestampEvent, timeout: float) -> int:
 
 
 def full_terminal(task: Task, name: str) -> str:
-    """Write a terminal as the driver does, with its device.
+    """Return the driver's full name of a terminal, with its device.
 
     Raises
     ------
     DaqError
-        With -89120, if it is no terminal.
+        With -89120, if it is not a terminal.
     """
     if not name or name.startswith("/"):
         return name
@@ -187,7 +188,7 @@ def _clock_source(task: Task) -> str:
 
 
 def _module(task: Task) -> Module:
-    """Find the module whose clock the task has; with -200478, if it has no channels yet."""
+    """Return the module whose clock the task uses; with -200478, if it has no channels."""
     if not task.settings.channels:
         raise DaqError(
             "the task has no channels: add some first", Code.CAN_NOT_PERFORM_OP_WHEN_NO_CHANS_IN_TASK

@@ -1,4 +1,4 @@
-"""The terminals of a scene's bench: volts at its outputs, settings of its inputs, and the test that it plays itself."""
+"""The terminals of a scene's bench: output voltages, settings of its inputs, and the test of the scene."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ if TYPE_CHECKING:
 
 
 class Terminals:
-    """A bench as its instrument connects to it.
+    """The interface between a bench and its instrument.
 
-    The plant ticks as finely as the fastest module needs, so that neither its motion nor a sample depends on the tasks
-    that run.
+    The time step of the plant suits the fastest module, so that neither the motion nor a sample depends on the
+    running tasks.
 
     Attributes
     ----------
@@ -70,7 +70,7 @@ class Terminals:
     def advance(
         self, volts: NDArray[np.float64] | None, ticks: int, rates: Collection[float]
     ) -> Mapping[float, Block]:
-        """Let ticks pass with volts at the outputs, shape (outputs, ticks), or with the test alone where None.
+        """Advance the bench with output voltages, shape (outputs, ticks), or with the test alone for None.
 
         The samples are those of `Bench.advance`.
         """
@@ -101,12 +101,12 @@ class Terminals:
         return self._test
 
     def leave_outputs(self) -> None:
-        """End the test's drive because a task has taken an output."""
+        """End the drive of the test because a task has taken an output."""
         self._test.leave_shaker()
 
     @property
     def quiet(self) -> bool:
-        """Whether the test drives nothing."""
+        """Whether the test drives no output."""
         return self._test.quiet
 
     # Inputs
@@ -139,7 +139,7 @@ class Terminals:
         self.bench.rewire(wiring)
 
     def _wanted_supply(self, channel: Channel) -> float | None:
-        """Return the current that a task sets for a sensor, A; None where the scene does not model the supply."""
+        """Return the supply current that a task sets for a sensor, A; None if the scene does not model the supply."""
         if self._converter.excitation is None:
             return None
         if channel.settings["ai_excit_src"] == Excitation.NONE:
@@ -147,14 +147,14 @@ class Terminals:
         return self._converter.excitation or channel.module.currents[0]
 
     def supply(self, row: int) -> float | None:
-        """Return the present supply of a channel's sensor, A; None without need, or where the scene leaves it open."""
+        """Return the present supply current of a channel's sensor, A; None if not needed or not modeled."""
         channel = self.bench.wiring[row]
         return (
             input_settings(self.bench.scene.converter, channel).excitation if needs_supply(channel) else None
         )
 
     def data_sheet(self, row: int) -> bytes | None:
-        """Return the electronic data sheet of a channel's sensor; None where there is none to read."""
+        """Return the electronic data sheet of a channel's sensor; None without a readable data sheet."""
         channel = self.bench.wiring[row]
         sheet = None if channel.integrator else electronic_data_sheet(channel, self.bench.scene.seed)
         if sheet is None:
@@ -174,8 +174,8 @@ class Terminals:
 def _ticks_for_all_rates(scene: Scene) -> int:
     """Return the ticks per sample of the scene's converter that suit all rates of its modules.
 
-    They suit the fastest rate of each module and the intervals that its converter needs (`oversampling`). Where modules
-    divide one clock, all their samples then coincide with ticks.
+    They suit the fastest rate of each module and the intervals that its converter needs (`oversampling`). Where
+    modules divide one clock, all their samples then coincide with ticks.
     """
     own, named = scene.converter.sample_rate, scene.converter.preset
     sheets = [None if shaker.output is None else shaker.output.preset for shaker in scene.shakers]

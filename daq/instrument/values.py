@@ -1,4 +1,4 @@
-"""Values of settings that the instrument understands; names and numbers as NI-DAQmx has them."""
+"""Values of settings that the instrument supports; names and numbers are those of NI-DAQmx."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ Named = TypeVar("Named", bound=IntEnum)
 
 
 def named(kind: type[Named], value: int, what: str) -> Named:
-    """Give the value of that number.
+    """Return the named value of a number.
 
     Raises
     ------
     DaqError
-        With -200077, if there is none.
+        With -200077, if there is no value of that number.
     """
     if value not in list(kind):
         names = ", ".join(f"{each.name} ({int(each)})" for each in kind)
@@ -25,14 +25,14 @@ def named(kind: type[Named], value: int, what: str) -> Named:
 
 
 class SampleMode(IntEnum):
-    """How long a task samples."""
+    """Number of samples: finite, continuous or on demand."""
 
     FINITE = 10178
     CONTINUOUS = 10123
 
 
 class TimingType(IntEnum):
-    """What paces a task."""
+    """Type of timing of a task."""
 
     SAMPLE_CLOCK = 10388
     ON_DEMAND = 10390
@@ -58,7 +58,7 @@ class TriggerType(IntEnum):
 
 
 class WindowCondition(IntEnum):
-    """When a window triggers."""
+    """Condition of a window trigger."""
 
     ENTERING = 10163
     LEAVING = 10208
@@ -72,7 +72,7 @@ class Overwrite(IntEnum):
 
 
 class RelativeTo(IntEnum):
-    """What a read position counts from."""
+    """Origin of a read position."""
 
     FIRST_SAMPLE = 10424
     CURRENT_READ_POSITION = 10425
@@ -83,14 +83,14 @@ class RelativeTo(IntEnum):
 
 
 class Regeneration(IntEnum):
-    """Whether an output's buffer may be played again."""
+    """Whether an output repeats its buffer."""
 
     ALLOWED = 10097
     NOT_ALLOWED = 10158
 
 
 class LoggingMode(IntEnum):
-    """Whether a task logs, and whether it is read meanwhile."""
+    """Whether a task logs, and whether it can be read at the same time."""
 
     OFF = 10231
     LOG = 15844
@@ -98,7 +98,7 @@ class LoggingMode(IntEnum):
 
 
 class LoggingOperation(IntEnum):
-    """What becomes of a log's file that exists."""
+    """Handling of an existing log file."""
 
     OPEN = 10437
     OPEN_OR_CREATE = 15846
@@ -107,7 +107,7 @@ class LoggingOperation(IntEnum):
 
 
 class TaskMode(IntEnum):
-    """A step of a task's life."""
+    """Transition between the states of a task."""
 
     START = 0
     STOP = 1
@@ -127,7 +127,7 @@ class Coupling(IntEnum):
 
 
 class Excitation(IntEnum):
-    """Where a sensor's supply comes from."""
+    """Source of a sensor's supply."""
 
     INTERNAL = 10200
     EXTERNAL = 10167
@@ -154,7 +154,7 @@ class Signal(IntEnum):
 
 
 class TimestampEvent(IntEnum):
-    """Events whose time can be asked for."""
+    """Events whose time can be queried."""
 
     START_TRIGGER = 12491
     REFERENCE_TRIGGER = 12490
@@ -162,7 +162,7 @@ class TimestampEvent(IntEnum):
 
 
 class EverySamples(IntEnum):
-    """Which samples an event counts."""
+    """Samples that an event counts: acquired or generated."""
 
     ACQUIRED = 1
     TRANSFERRED = 2

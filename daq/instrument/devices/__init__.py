@@ -1,1 +1,1 @@
-"""What scripts find: devices as data sheets describe them, their names, what they measure, sensors' data sheets."""
+"""Devices that scripts can use: data sheets, names, kinds of measurement, and electronic data sheets of sensors."""

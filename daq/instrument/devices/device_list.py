@@ -1,4 +1,4 @@
-"""The devices on the bench, by the names that scripts call them."""
+"""The devices on the bench, by the names that scripts use."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ class DeviceList:
     Parameters
     ----------
     modules : sequence of Module
-        What scripts find, a chassis included; one without a name stands for all inputs and outputs.
+        Devices, including a chassis; a module without a name has all inputs and outputs.
     """
 
     def __init__(self, modules: Sequence[Module]) -> None:
         self._modules = {each.name.lower(): each for each in modules}
 
     def module(self, name: str) -> Module:
-        """Find a device by its name; names the driver gives stand for all inputs and outputs.
+        """Return a device by its name; a typical driver name selects all inputs and outputs.
 
         Raises
         ------
         DaqError
-            With -200220, if no device goes by that name.
+            With -200220, if there is no device of that name.
         """
         bare = name.strip().lstrip("/").partition("/")[0]
         found = self._modules.get(bare.lower())

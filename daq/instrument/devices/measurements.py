@@ -1,4 +1,4 @@
-"""Kinds of measurement: which settings a channel of each has, and what a volt at its terminal means."""
+"""Kinds of measurement: the settings of their channels, and their sensitivities in volts per unit."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ VOLTAGE, ACCELERATION, FORCE, VELOCITY, MICROPHONE = 10322, 10356, 15895, 15966,
 
 _G, _POUND, _INCH = STANDARD_GRAVITY, 4.4482216152605, 0.0254
 
-# Size in SI of the units scripts read in, with their names.
+# SI factors and names of the units of the readings.
 UNITS: dict[int, tuple[float, str]] = {
     10348: (1.0, "V"),
     10186: (_G, "g"),
@@ -29,7 +29,7 @@ UNITS: dict[int, tuple[float, str]] = {
     FROM_CUSTOM_SCALE: (1.0, ""),
     FROM_TEDS: (1.0, ""),
 }
-# Volts per SI unit of the units sensitivities are stated in.
+# Volts per SI unit of the units of sensitivities.
 SENSITIVITY_UNITS: dict[int, float] = {
     12509: 1e-3 / _G,
     12510: 1.0 / _G,
@@ -49,9 +49,9 @@ class Measurement:
     type : int
         The driver's number.
     units : str
-        Setting that holds the units read in.
+        Setting with the units of the readings.
     sensitivity : str
-        Setting that holds the sensor's sensitivity; its units are in the one with `_units` at its end.
+        Setting with the sensitivity of the sensor; the setting of the same name plus `_units` has its units.
     """
 
     type: int
@@ -59,7 +59,7 @@ class Measurement:
     sensitivity: str = ""
 
     def settings(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        """Name what a script gave for a channel by the driver's names of the settings."""
+        """Convert the arguments of a script for a channel to the driver's names of the settings."""
         own = {
             "units": self.units,
             "sensitivity": self.sensitivity,
@@ -69,7 +69,7 @@ class Measurement:
 
     @property
     def takes_volts(self) -> bool:
-        """Whether it is known what a volt at the terminal means."""
+        """Whether the readings can be computed from volts at the terminal."""
         return self.type in (VOLTAGE, 10323, 10350, ACCELERATION, FORCE, VELOCITY, MICROPHONE)
 
     def volts_per_unit(self, settings: Mapping[str, Any]) -> float:
@@ -83,7 +83,7 @@ class Measurement:
         return 1.0 if volts is None else float(settings[self.sensitivity] * volts * size)
 
     def check_units(self, settings: Mapping[str, Any]) -> None:
-        """Refuse units that are no units of this kind, with -200077."""
+        """Reject units that do not belong to this kind, with -200077."""
         units = settings[self.units]
         known = _UNITS_OF.get(self.units)
         if known is not None and units not in (*known, FROM_CUSTOM_SCALE, FROM_TEDS):
@@ -94,7 +94,7 @@ class Measurement:
             )
 
     def sensitivity_settings(self, volts_per_unit: float) -> dict[str, Any]:
-        """State a sensor's sensitivity [V per SI unit] as its data sheet does: in V/g, mV/N, V s/m or mV/Pa."""
+        """Convert a sensitivity [V per SI unit] to the units of a data sheet: V/g, mV/N, V s/m or mV/Pa."""
         size, units = {
             ACCELERATION: (_G, 12510),
             FORCE: (1e3, 15891),
@@ -105,11 +105,11 @@ class Measurement:
         return found | ({f"{self.sensitivity}_units": units} if units else {})
 
     def unit(self, settings: Mapping[str, Any]) -> str:
-        """Name the unit of the readings."""
+        """Return the name of the unit of the readings."""
         return UNITS.get(settings[self.units], (1.0, ""))[1]
 
 
-# Units that channels of a kind can be read in.
+# Units of the readings by kind of measurement.
 _UNITS_OF = {
     "ai_voltage_units": (10348,),
     "ai_accel_units": (10186, 12470, 12471),
@@ -118,7 +118,7 @@ _UNITS_OF = {
     "ai_sound_pressure_units": (10081,),
 }
 
-# What scripts pass when they make a channel, and the settings it becomes; units and sensitivity see above.
+# Arguments of scripts that create a channel, and the settings that they become; for units and sensitivity see above.
 _SETTINGS = {
     "min_val": "ai_min",
     "max_val": "ai_max",
@@ -155,7 +155,7 @@ _SETTINGS = {
     "max_snd_press_level": "ai_sound_pressure_max_sound_pressure_lvl",
 }
 
-# By the names the driver's calls have: "Accel" for create_ai_accel_chan.
+# Keys are from the names of the driver's calls: "Accel" for create_ai_accel_chan.
 MEASUREMENTS: dict[str, Measurement] = {
     "Voltage": Measurement(VOLTAGE, "ai_voltage_units"),
     "VoltageWithExcit": Measurement(10323, "ai_voltage_units"),
@@ -184,12 +184,12 @@ _BRIDGE_SCALES = {"TwoPointLin": 15898, "Table": 10450, "Polynomial": 10449}
 
 
 def measurement(name: str) -> tuple[Measurement, dict[str, Any]]:
-    """Find a kind of measurement by its name in the driver's calls, with settings that the name implies.
+    """Return a kind of measurement by its name in the driver's calls, with the settings that the name implies.
 
     Raises
     ------
     KeyError
-        If the instrument has none of that name.
+        If the instrument has no measurement of that name.
 
     Examples
     --------

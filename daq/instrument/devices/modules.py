@@ -1,4 +1,4 @@
-"""Modules and devices as their data sheets describe them: what a script can find out about them."""
+"""Modules and devices with the properties of their data sheets, as scripts can query them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from daq.instrument.values import Coupling, SampleMode, Wiring
 from rig.errors import SceneError
 from rig.scene.modules import Rates
 
-# Bits of the sets that the driver packs into one number.
+# Bits of the sets that the driver encodes in one number.
 _COUPLING_BITS = {Coupling.AC: 1, Coupling.DC: 2, Coupling.GND: 4}
 _WIRING_BITS = {Wiring.RSE: 1, Wiring.NRSE: 2, Wiring.DIFFERENTIAL: 4, Wiring.PSEUDO_DIFFERENTIAL: 8}
 _REFERENCE_TRIGGER, _START_TRIGGER = 4, 8
@@ -28,27 +28,27 @@ _REFERENCE_TRIGGER, _START_TRIGGER = 4, 8
 # Product categories and bus types, as the driver numbers them.
 CHASSIS_CATEGORY, MODULE_CATEGORY, SOUND_AND_VIBRATION = 14658, 14659, 14649
 COMPACT_DAQ_BUS, USB_BUS = 14637, 12586
-# Where signals of the chassis, or of a device of its own, can be found.
+# Terminals with the signals of the chassis, or of a separate device.
 _TERMINALS = (
     "PFI0",
     "PFI1",
     *(f"a{way}/{signal}" for way in "io" for signal in ("SampleClock", "StartTrigger")),
 )
 _TERMINALS += ("ai/ReferenceTrigger",)
-# What inputs and outputs do that no module is named for: 51.2 kS/s divided by whole numbers up to 31.
+# Rates of inputs and outputs without a named module: 51.2 kS/s divided by integers up to 31.
 DIVIDED = Rates(51200.0 / 31, 51200.0, tuple(51200.0 / divisor for divisor in range(31, 0, -1)))
 
 
 @dataclass(frozen=True)
 class Module:
-    """A device as scripts find it.
+    """A device that scripts can use.
 
     Parameters
     ----------
     name : str
-        What it is called on this bench.
+        Name on this bench.
     product_type : str
-        As the driver names it, for example "NI 9234".
+        Name in the driver, for example "NI 9234".
     category, bus : int
         The driver's numbers for product category and bus type.
     inputs, outputs : tuple of int
@@ -60,25 +60,24 @@ class Module:
     bits, output_bits : int or None
         Resolution of its converters; None if they are ideal.
     rates, output_rates : Rates
-        What the sample clocks of its inputs and outputs can make.
+        Rates that the sample clocks of its inputs and outputs can generate.
     timebase : float
-        What they divide, Hz.
+        Frequency of the clock that they divide, Hz.
     own_rate : float or None
-        A rate the clock makes exactly: that of the scene's converter, where no module is named.
+        A rate that the clock generates exactly: that of the scene's converter, where no module is named.
     couplings, wirings, currents : tuple
-        Couplings and terminal configurations that its inputs can be set to, the first being the default;
-        currents of its IEPE supply, A.
+        Couplings and terminal configurations of its inputs, the first is the default; currents of its IEPE supply, A.
     supply_coupling : {"AC", "any"}
-        With which coupling that supply can be on.
+        Coupling that this supply requires.
     on_demand, output_on_demand : bool
-        Whether its inputs can be read, and its outputs be written to, without a sample clock; those of delta-sigma
-        modules cannot.
+        Whether its inputs can be read and its outputs written without a sample clock; delta-sigma modules require a
+        clock.
     teds : bool
-        Whether it reads the data sheets in sensors.
+        Whether it reads the electronic data sheets of sensors.
     measurements : frozenset of int
         Kinds of measurement that it supports, by the driver's numbers.
     chassis, slot : str and int
-        Where it sits; empty and 0 where it is a device of its own.
+        Its chassis and slot; empty and 0 for a separate device.
     number : int
         The driver's product number; 0 if not known.
     """
@@ -111,7 +110,7 @@ class Module:
     number: int = 0
 
     def coerced(self, rate: float, output: bool = False) -> float:
-        """Give the rate the sample clock makes of a request: the next one not below it.
+        """Return the lowest rate of the sample clock that is not below the requested rate.
 
         Raises
         ------
@@ -132,12 +131,12 @@ class Module:
             raise bad(f"sample clock rate of {self.product_type}: {error}") from None
 
     def range_for(self, limit: float) -> float:
-        """Give the smallest range that takes ± a voltage; infinite if the inputs are not limited.
+        """Return the smallest range that includes ± a voltage; infinite if the inputs are not limited.
 
         Raises
         ------
         DaqError
-            With -200077, if none does.
+            With -200077, if no range does.
         """
         if not self.ranges:
             return math.inf
@@ -148,12 +147,12 @@ class Module:
 
     @property
     def fastest(self) -> float:
-        """Fastest rate of its inputs, S/s."""
+        """Highest rate of its inputs, S/s."""
         return self.rates.fastest
 
     @property
     def wiring_bits(self) -> int:
-        """Terminal configurations of its inputs, as the driver packs them into a number."""
+        """Terminal configurations of its inputs, in the driver's bit encoding."""
         return sum(_WIRING_BITS[each] for each in self.wirings if each in _WIRING_BITS)
 
     def channel_names(self, kind: str) -> list[str]:
@@ -162,12 +161,12 @@ class Module:
         return [f"{self.name}/{kind}{number}" for number in range(count)]
 
     def row(self, kind: str, number: int) -> int:
-        """Give the bench's channel or drive behind one of its terminals.
+        """Return the bench's channel or drive at a terminal.
 
         Raises
         ------
         DaqError
-            With -200170, if there is no such terminal.
+            With -200170, if the terminal does not exist.
         """
         rows = {"ai": self.inputs, "ao": self.outputs}.get(kind, ())
         if not 0 <= number < len(rows):
@@ -175,7 +174,7 @@ class Module:
         return rows[number]
 
     def no_measurement(self, where: str) -> DaqError:
-        """Make the error for a measurement that it does not support (-200431)."""
+        """Return the error for a measurement that it does not support (-200431)."""
         names = ", ".join(name for name, each in MEASUREMENTS.items() if each.type in self.measurements)
         return DaqError(
             f"{where}: {self.product_type} does not support this measurement; it measures {names}",
@@ -183,7 +182,7 @@ class Module:
         )
 
     def no_channel(self, kind: str, number: int) -> DaqError:
-        """Make the error for a terminal that is not there, or is of the other kind (-200170)."""
+        """Return the error for a terminal that does not exist, or is of the other kind (-200170)."""
         names = self.channel_names("ai") + self.channel_names("ao")
         return DaqError(
             f"there is no such channel {self.name}/{kind}{number} here: {self.name} has "
@@ -192,12 +191,12 @@ class Module:
         )
 
     def attributes(self, modules: Sequence[str] = ()) -> dict[str, Any]:
-        """Give what scripts can ask about the device, by the driver's names of the attributes.
+        """Return the properties of the device, by the driver's names of the attributes.
 
         Parameters
         ----------
         modules : sequence of str
-            Names of the modules in it, of a chassis.
+            Names of the modules in a chassis.
         """
         found: dict[str, Any] = {
             "product_type": self.product_type,

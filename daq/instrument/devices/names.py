@@ -1,9 +1,9 @@
 """Names on the instrument: devices, physical channels, terminals, and lists and ranges of them.
 
-The bench holds a chassis with its modules, under the names `Chassis` gives them. Scripts are written for all
-kinds of benches, so any name the driver hands out is taken for it as well: `Dev1`, `cDAQ1Mod1`,
-`cDAQ9189-1D91958Mod1`, `PXI1Slot2`. Each of them offers all inputs and all outputs. Inputs under different
-names are separate modules on the same sensors (a T-piece in every cable); an output is one, whatever its name.
+The bench has a chassis with modules, named by `Chassis`. Scripts are written for other hardware too, so names that
+the driver typically assigns are also accepted: `Dev1`, `cDAQ1Mod1`, `cDAQ9189-1D91958Mod1`, `PXI1Slot2`. Each of
+these devices has all inputs and all outputs. Inputs under different names are separate modules on the same sensors
+(a T-piece in every cable); an output is the same under all names.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from daq.instrument.errors import Code, DaqError
 
-# What a range stands for, at most, as with the driver.
+# Maximum number of names in a range, as in the driver.
 MOST_NAMES = 14_999
 
 GIVEN_BY_DRIVER = re.compile(r"(Dev\d+|cDAQ\w*(-\w+)?|PXI\d+Slot\d+)", re.IGNORECASE)
@@ -33,12 +33,12 @@ class Port(NamedTuple):
 
 
 def parse_port(name: str) -> Port:
-    """Take a physical channel's name apart.
+    """Parse the name of a physical channel.
 
     Raises
     ------
     DaqError
-        With -200170, if it is none.
+        With -200170, if it is not the name of a physical channel.
 
     Examples
     --------
@@ -103,7 +103,7 @@ def _expand(item: str) -> list[str]:
 
 
 def numbered(name: str, count: int) -> list[str]:
-    """Name several channels after one: from 0 on, or on from the number the name ends with.
+    """Return names of several channels: numbered from 0, or from the number at the end of the given name.
 
     Examples
     --------

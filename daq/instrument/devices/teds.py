@@ -1,4 +1,4 @@
-"""Electronic data sheets of sensors (TEDS, IEEE 1451.4): those in the sensors, and files that stand in for them."""
+"""Transducer electronic data sheets (TEDS, IEEE 1451.4): in the sensors, or virtual TEDS in files."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from daq.instrument.devices.names import Port
 from daq.instrument.errors import Code, DaqError
 from rig.input_files import read_whole
 
-# Bits of the basic TEDS, in the order in which they come, lowest bit first.
+# Fields of the basic TEDS in their order, with their bits, lowest bit first.
 _BASIC = (
     ("teds_mfg_id", 14),
     ("teds_model_num", 15),
@@ -20,31 +20,31 @@ _BASIC = (
     ("teds_serial_num", 24),
 )
 _LEAST_BYTES = 8
-# Where in a template the sensor's sensitivity stands, 16 bits long, and what it is coded as: volts per unit in steps
-# of a ratio, from a smallest one on. 25: accelerometer (m/s^2) or force transducer (N), 27: microphone (Pa).
+# Position of the 16-bit sensitivity in a template, and its logarithmic coding: smallest sensitivity (V per unit) and
+# step ratio. 25: accelerometer (m/s^2) or force transducer (N), 27: microphone (Pa).
 _SENSITIVITY = {25: (2, 5e-7, 1.0003), 27: (1, 1e-5, 1.0002)}
 _HEAD = 74
-# Bits at the beginning of a virtual data sheet that belong to the file.
+# Header of a virtual data sheet file, bits.
 _FILE_HEADER = 40
 
 
 def basic_teds(data: bytes) -> dict[str, Any]:
-    """Read the basic part of a data sheet, and which template follows.
+    """Read the basic TEDS of a data sheet, and the number of the template that follows.
 
     Parameters
     ----------
     data : bytes
-        The memory of the sensor without the checksum bytes that its readers take out.
+        The memory of the sensor without the checksum bytes, which TEDS readers remove.
 
     Returns
     -------
     dict
-        By the driver's names of the properties.
+        Values by the driver's names of the properties.
 
     Raises
     ------
     DaqError
-        With -200826, if it is no data sheet.
+        With -200826, if it is not a data sheet.
 
     Examples
     --------
@@ -62,14 +62,14 @@ def basic_teds(data: bytes) -> dict[str, Any]:
     for name, width in _BASIC:
         found[name], bits = bits & ((1 << width) - 1), bits >> width
     found["teds_version_letter"] = chr(ord("A") + found["teds_version_letter"] - 1)
-    # Two bits say what follows (0: a template of IEEE 1451.4), eight say which.
+    # Two bits select what follows (0: a template of IEEE 1451.4), eight bits are the number of the template.
     selector, template = bits & 3, (bits >> 2) & 0xFF
     found["teds_template_i_ds"] = [template] if selector == 0 and template else []
     return found
 
 
 def sensitivity(data: bytes) -> float | None:
-    """Read what a sensor gives per unit [V]; None from a template that does not say.
+    """Read the sensitivity of a sensor [V per unit]; None for a template without sensitivity.
 
     Examples
     --------
@@ -85,7 +85,7 @@ def sensitivity(data: bytes) -> float | None:
 
 
 def with_sensitivity(basic: bytes, template: int, volts: float) -> bytes:
-    """Put a template with a sensor's sensitivity [V per unit] behind the basic part of its data sheet."""
+    """Append a template with a sensor's sensitivity [V per unit] to its basic TEDS."""
     bits = int.from_bytes(basic, "little") | template << 66
     if template in _SENSITIVITY:
         offset, smallest, ratio = _SENSITIVITY[template]
@@ -94,7 +94,7 @@ def with_sensitivity(basic: bytes, template: int, volts: float) -> bytes:
 
 
 def _unpacked(data: bytes) -> bytes:
-    """Give the bytes of a virtual data sheet, which keeps a byte for every bit behind a header."""
+    """Convert a virtual data sheet, a header and one byte per bit, to bytes."""
     if set(data) - {0, 1}:
         return data
     bits = data[_FILE_HEADER:]
@@ -103,12 +103,12 @@ def _unpacked(data: bytes) -> bytes:
 
 
 class TedsMemory:
-    """The data sheets of the sensors, and those that scripts have put in their place.
+    """The data sheets of the sensors, and the virtual data sheets that replace them.
 
     Parameters
     ----------
     sensor : callable
-        Gives the data sheet of the sensor at a terminal, None if there is none.
+        Returns the data sheet of the sensor at a terminal, None without a data sheet.
     """
 
     def __init__(self, sensor: Callable[[Port], bytes | None]) -> None:
@@ -116,7 +116,7 @@ class TedsMemory:
         self._virtual: dict[str, bytes] = {}
 
     def configure(self, port: Port, path: str) -> None:
-        """Let a file stand in for a sensor's data sheet; without a file, read that of the sensor itself."""
+        """Replace a sensor's data sheet by a file; without a file, read the data sheet of the sensor."""
         if not path:
             self._virtual.pop(port.name.lower(), None)
             self.sheet(port)
@@ -130,16 +130,16 @@ class TedsMemory:
         self._virtual[port.name.lower()] = data
 
     def clear(self, port: Port) -> None:
-        """Forget the file that stands in for a sensor's data sheet."""
+        """Remove the file that replaces a sensor's data sheet."""
         self._virtual.pop(port.name.lower(), None)
 
     def write(self, port: Port, data: bytes) -> None:
-        """Refuse to write into a sensor: there is no memory that would keep it."""
+        """Reject a write into a sensor: the emulated sensors have no writable memory."""
         basic_teds(data)
         raise DaqError(f"{port.name}: no sensor with a memory was found", Code.TEDS_SENSOR_NOT_DETECTED)
 
     def sheet(self, port: Port) -> bytes:
-        """Give the data sheet at a terminal; with -200709, if there is none."""
+        """Return the data sheet at a terminal; with -200709, if there is no data sheet."""
         found = self._virtual.get(port.name.lower()) or self._sensor(port)
         if found is None:
             raise DaqError(
@@ -149,7 +149,7 @@ class TedsMemory:
         return found
 
     def read(self, port: Port, name: str) -> Any:
-        """Read a property of the data sheet at a terminal; with -200709, if there is none that has it."""
+        """Read a property of the data sheet at a terminal; with -200709, if the property is missing."""
         found = basic_teds(self.sheet(port))
         if name not in found:
             raise DaqError(

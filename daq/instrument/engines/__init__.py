@@ -1,1 +1,4 @@
-"""What runs on the clock: inputs with their buffers, triggers and logs, and outputs; knows no task and no device."""
+"""Engines that run on the clock: inputs with buffers, triggers and logs, and outputs.
+
+This package does not depend on tasks or devices.
+"""

@@ -1,4 +1,4 @@
-"""A running input task: its triggers, its buffer, and what is still to come."""
+"""A running input task: its triggers, its buffer, and its remaining samples."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from daq.instrument.engines.triggers import AnalogSource, AtTime, CrossingFinder
 from daq.instrument.errors import Code, DaqError
 from daq.instrument.settings.scales import Scale
 
-# Returns the tick at which another task started or was triggered; None before that.
+# A function that returns the tick at which another task started or was triggered; None before that.
 Moment = Callable[[OtherTask], int | None]
 
 
@@ -29,7 +29,7 @@ class InputPlan:
     rows : tuple of int
         The bench's channels, in the order of the task's.
     factors : ndarray, shape (channels,)
-        From converter samples to each channel's units.
+        Units of each channel per unit of the converter samples.
     scales : tuple of Scale or None
         Custom scale of each channel.
     rate : float
@@ -37,15 +37,15 @@ class InputPlan:
     samples : int or None
         Samples of a finite acquisition; None for a continuous one.
     buffer : int
-        Unread samples per channel the buffer holds.
+        Capacity of the buffer, samples per channel.
     keep : bool
-        Whether the acquisition stops rather than overwrite unread samples.
+        Whether the acquisition stops before it overwrites unread samples.
     start, reference : Source or None
         Triggers.
     pretrigger : int
         Samples before the reference trigger.
     again : bool
-        Whether the start trigger starts a new record whenever one is complete.
+        Whether the start trigger is re-armed after each complete record.
     """
 
     rows: tuple[int, ...]
@@ -61,7 +61,7 @@ class InputPlan:
     again: bool = False
 
     def reading(self, row: int, samples: NDArray[Any]) -> NDArray[np.float64]:
-        """Turn converter samples of a channel into its units."""
+        """Convert converter samples to the units of their channel."""
         values: NDArray[np.float64] = samples * self.factors[row]
         scale = self.scales[row]
         return values if scale is None else scale.convert(values)
@@ -73,10 +73,10 @@ class Acquisition:
     Samples are numbered from 0, the first one after the start trigger; instants are samples at the task's rate since
     power-on, and ticks are counted by the bench.
 
-    A reader that is late by more than the buffer has lost what is older than the buffer, and goes on with what
-    the buffer holds. It finds a full buffer then, whose oldest sample the very next one would overwrite: so the
-    ring keeps as much again in reserve, for a reader that has been late only, until it is half a buffer behind.
-    Without that, a reader that pauses between its reads would be late again and again.
+    A reader that is late by more than the buffer loses the older samples, and continues with the oldest sample in the
+    buffer. The buffer is then full, and the next sample would overwrite the oldest. After an overflow the ring
+    therefore stores up to twice as many samples, until the reader is half a buffer behind. Without this reserve, a
+    reader that pauses between its reads would lose samples at every read.
 
     Parameters
     ----------
@@ -85,26 +85,26 @@ class Acquisition:
     tick_rate : float
         Ticks of the bench per second.
     position : int
-        Ticks that have passed on the bench.
+        Number of ticks that have passed on the bench.
     dtype : dtype_like
-        Kind of the converter's samples.
+        Type of the converter's samples.
 
     Attributes
     ----------
     ring : RingBuffer
-        The samples, as the converter gives them.
+        The converter's samples.
     overloads : RingBuffer
         Whether each of them was overloaded.
     position : int
-        Number of the sample that is read next, if nothing else is said.
+        Number of the sample that is read next by default.
     first_tick : int or None
-        Tick of the current record's first sample; None while the start trigger has not come.
+        Tick of the first sample of the current record; None before the start trigger.
     trigger : int or None
-        Number of the sample the reference trigger was found at.
+        Number of the sample at which the reference trigger was detected.
     done : bool
-        Whether nothing more will come.
+        Whether the acquisition is complete or has stopped.
     error : DaqError or None
-        Why it stopped early.
+        Reason of an early stop.
     overloaded : ndarray of bool, shape (channels,)
         Channels overloaded since this was last cleared.
     """
@@ -123,7 +123,7 @@ class Acquisition:
         # Number of the first sample not yet reported as lost.
         self._kept = 0
         self._record = 0
-        # Number and tick of the first sample of each record, the latest last.
+        # Number and tick of the first sample of each record, in order of time.
         self._records: deque[tuple[int, int]] = deque(maxlen=1000)
         self._end: int | None = None
         instant = first_sample(self._per_tick, position)
@@ -151,7 +151,7 @@ class Acquisition:
 
     @property
     def readable(self) -> int:
-        """Number after the last sample that may be read; 0 until a reference trigger has been dealt with."""
+        """Number after the last sample that may be read; 0 until the record of a reference trigger is complete."""
         return 0 if self.plan.reference is not None and not self.done else self.ring.written
 
     @property
@@ -168,7 +168,7 @@ class Acquisition:
         return self.position - at
 
     def take_out(self, count: int) -> NDArray[Any]:
-        """Read samples that are there, shape (channels, count)."""
+        """Read available samples, shape (channels, count)."""
         samples = self.ring.read(self.position, count)
         self.position += count
         self._late &= self.ring.written - self.position > self.plan.buffer // 2
@@ -176,7 +176,7 @@ class Acquisition:
 
     @property
     def first_readable(self) -> int:
-        """Number of the first sample that a script gets to see."""
+        """Number of the first sample that a script can read."""
         return 0 if self.trigger is None else self.trigger - self.plan.pretrigger
 
     def instant_of(self, sample: int) -> int:
@@ -196,9 +196,9 @@ class Acquisition:
         return max(1, self.tick_at(instant + samples - 1) - position + 1)
 
     def missing(self, samples: int) -> int:
-        """Lower bound of the instants until there are that many samples after the read position.
+        """Lower bound of the instants until that number of samples is available after the read position.
 
-        While a trigger is awaited the number is unknown; a hundredth of a second is a guess.
+        Before a trigger the number is unknown; 10 ms is assumed.
         """
         guess = max(1, int(self.plan.rate / 100))
         if self.first_tick is None:
@@ -208,7 +208,7 @@ class Acquisition:
         return self.position + samples - self.ring.written
 
     def start_tick(self, reference: bool, position: int) -> int | None:
-        """Return the tick at which this task started (was triggered), or will start, from a position on."""
+        """Return the tick at or after a position at which this task starts or started (was triggered)."""
         found = self.first_tick
         if reference:
             found = None if self.trigger is None else self.instant_of(self.trigger)
@@ -218,12 +218,12 @@ class Acquisition:
         return None if found is None else self.tick_at(found)
 
     def take(self, tick: int, samples: NDArray[Any], overload: NDArray[np.bool_], moment: Moment) -> None:
-        """Take a block of the bench.
+        """Process a block of the bench.
 
         Parameters
         ----------
         tick : int
-            Instant of the block's first sample; blocks follow each other without a gap.
+            Instant of the block's first sample; blocks are contiguous.
         samples : ndarray, shape (bench channels, n)
             Converter samples.
         overload : ndarray of bool, shape (bench channels, n)
@@ -233,7 +233,7 @@ class Acquisition:
         """
         rows = list(self.plan.rows)
         x, over = samples[rows], overload[rows]
-        # What a filter still held back when the task was started belongs to the time before.
+        # Samples that were still delayed in a filter when the task started precede the start.
         at, count = max(0, self.armed_at - tick), x.shape[1]
         while at < count and not self.done:
             if self.first_tick is None:
@@ -261,7 +261,7 @@ class Acquisition:
     def _crossing(
         self, finders: list[tuple[int, CrossingFinder]], x: NDArray[Any], skip: int = 0
     ) -> int | None:
-        """Find the first crossing of any of several channels; all of them see all samples."""
+        """Return the first crossing of several channels; all finders process all samples."""
         found = [finder.find(self.plan.reading(row, x[row]), skip) for row, finder in finders]
         return min((each for each in found if each is not None), default=None)
 
@@ -321,5 +321,5 @@ class Acquisition:
             self.done = True
 
     def stop(self, error: DaqError | None = None) -> None:
-        """Take no more samples."""
+        """Stop the acquisition."""
         self.done, self.error = True, self.error or error

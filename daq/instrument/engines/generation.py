@@ -1,4 +1,4 @@
-"""A running output task: its buffer, its triggers, and the volts it makes."""
+"""A running output task: its buffer, its triggers, and its output voltages."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ Array = NDArray[np.float64]
 
 
 class OutputBuffer:
-    """Samples waiting to be played, shape (channels, size), played round and round.
+    """Samples to play, shape (channels, size), repeated in a loop.
 
-    Until the task starts the buffer grows with what is written, unless it was given a size.
+    Until the task starts the buffer grows with every write, unless its size is set.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ class OutputPlan:
     samples : int or None
         Samples of a finite generation; None for a continuous one.
     regenerate : bool
-        Whether the buffer may be played again.
+        Whether the buffer is repeated.
     start : SyncPulse, AtTime, OtherTask or None
         Start trigger.
     """
@@ -93,20 +93,20 @@ class Generation:
     plan : OutputPlan
         What to generate.
     buffer : OutputBuffer
-        What to generate it from; may be written to meanwhile.
+        Samples to play; may be written during the run.
     tick : int
-        The bench's position at the start.
+        Position of the bench at the start.
     held : ndarray, shape (channels,)
-        Volts at the output before.
+        Output voltage before the start, V.
 
     Attributes
     ----------
     generated : int
-        Samples per channel made so far.
+        Samples per channel generated so far.
     done : bool
-        Whether the generation has ended; the output holds its last value.
+        Whether the generation has ended; the output keeps its last value.
     error : DaqError or None
-        Why it ended early.
+        Reason of an early end.
     """
 
     def __init__(self, plan: OutputPlan, buffer: OutputBuffer, tick: int, held: Array) -> None:
@@ -119,13 +119,13 @@ class Generation:
         self.first_tick: int | None = tick if plan.start is None else None
 
     def join(self, started: int | None) -> None:
-        """Begin at once if the task whose clock this one runs on has started already."""
+        """Begin at once if the task that provides the clock has started already."""
         if started is not None and started <= self.armed_at:
             self.first_tick = self.armed_at
 
     @property
     def begun(self) -> bool:
-        """Whether it has started to put samples out."""
+        """Whether the output of samples has started."""
         return self.first_tick is not None
 
     @property
@@ -134,7 +134,7 @@ class Generation:
         return self.buffer.written - self.generated
 
     def start_tick(self, reference: bool, tick: int) -> int | None:
-        """Return the tick at which this task started, or will start; an output has no reference trigger."""
+        """Return the tick at which this task started or will start; an output has no reference trigger."""
         if reference:
             return None
         if self.first_tick is None and isinstance(self.plan.start, SyncPulse | AtTime):
@@ -142,18 +142,18 @@ class Generation:
         return self.first_tick
 
     def missing(self) -> int:
-        """Ticks that must pass at least until a finite generation is complete."""
+        """Lower bound of the ticks until a finite generation is complete."""
         if self.first_tick is None or self.plan.samples is None:
             return max(1, int(self.plan.rate / 100))
         return max(1, self.ticks_until(self.plan.samples))
 
     def ticks_until(self, samples: int) -> int:
-        """Count the ticks from here on until so many samples have been put out in all."""
+        """Count the ticks until the total number of generated samples is `samples`."""
         assert self.first_tick is not None
         return math.ceil(samples / self.plan.per_tick) - self._passed
 
     def produce(self, tick: int, count: int, moment: Moment) -> Array:
-        """Make the volts of the next ticks, shape (channels, count)."""
+        """Return the output voltages of the next ticks, V, shape (channels, count)."""
         out = np.repeat(self.held[:, None], count, axis=1)
         if self.done:
             return out
@@ -164,7 +164,7 @@ class Generation:
         at = max(0, self.first_tick - tick)
         began, self._passed = self._passed, self._passed + count - at
         ratio = self.plan.per_tick
-        # Samples in their turn; on the ticks of the bench between them, straight lines lead to the next.
+        # Ticks of the bench between two samples are interpolated linearly.
         turn, rest = np.divmod((began + np.arange(count - at)) * ratio.numerator, ratio.denominator)
         last = self._passed * ratio.numerator // ratio.denominator
         ends = [] if self.plan.samples is None else [self.plan.samples]
@@ -201,12 +201,12 @@ class Generation:
             assert source is not None
             when = moment(source)
             if when is not None and when >= self.armed_at:
-                # Found in samples of the block just taken: the output follows at the next tick.
+                # The trigger is in samples of the block before: the output follows at the next tick.
                 when = max(when, tick)
         if when is None or when < self.armed_at or when >= tick + count:
             return None
         return when
 
     def stop(self, error: DaqError | None = None) -> None:
-        """Make no more samples; the output holds its last value."""
+        """Stop the generation; the output keeps its last value."""
         self.done, self.error = True, self.error or error

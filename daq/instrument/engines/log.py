@@ -1,4 +1,4 @@
-"""Logging of what a task acquires: into a recording (.mcap), or a TDMS file for scripts that expect one."""
+"""Logging of the samples of a task into a recording (.mcap), or into a TDMS file for scripts that expect it."""
 
 from __future__ import annotations
 
@@ -26,26 +26,26 @@ if TYPE_CHECKING:
 
 
 class _File(Protocol):
-    """A file being logged into."""
+    """The interface of a log file."""
 
     def write(self, samples: NDArray[Any], overload: NDArray[np.bool_]) -> None:
         """Append converter samples and their overload flags, shape (channels, n)."""
 
     def gap(self, samples: int) -> None:
-        """Pass over samples that were lost."""
+        """Mark lost samples as a gap."""
 
     def trigger(self, sample: int) -> None:
-        """Note the sample the reference trigger was found at."""
+        """Store the sample at which the reference trigger was detected."""
 
     def abort(self, reason: str) -> None:
-        """Note that the acquisition ended early, here."""
+        """Store that the acquisition ended early at this position."""
 
     def close(self) -> None:
         """Complete the file."""
 
 
 class _Recording:
-    """A recording, as `daq record` makes them."""
+    """A recording in the format of `daq record`."""
 
     def __init__(
         self,
@@ -58,7 +58,7 @@ class _Recording:
     ) -> None:
         from daq.recording.recorder import Recorder
 
-        # The truth of a scene belongs to a whole test; a task logs its channels.
+        # The truth of a scene belongs to a complete test; a task logs only its channels.
         scene = scene.replace(recording=scene.recording.replace(truth=False))
         self._recorder = Recorder(path, scene, channels, rate, start_ns, overwrite)
         self._overloads = Stretches("overload", channels, self._mark)
@@ -160,16 +160,16 @@ class _Tdms:
 class TaskLog:
     """The log of one run of a task.
 
-    While reads are allowed (`LOG_AND_READ`) it is written as the script reads, and at the end: samples
-    overwritten before that are lost to the log too, and stand in it as a gap. With `LOG` alone it is
-    written as samples come. While it is paused, samples are left out.
+    With `LOG_AND_READ` it is written when the script reads, and at the end: samples overwritten before that are
+    also lost in the log and marked as a gap. With `LOG` it is written as samples are acquired. While it is paused,
+    samples are omitted.
 
     Parameters
     ----------
     open_file : callable
         Opens a file by its path and the number of its first sample.
     settings : Properties
-        Say where to, how much into one file, and whether the log is paused.
+        Path, size of one file, and whether the log is paused.
     """
 
     def __init__(self, open_file: Callable[[Path, int], _File], settings: Properties) -> None:
@@ -182,14 +182,14 @@ class TaskLog:
         self._in_file = 0
 
     def start_new_file(self, path: Path, acquisition: Acquisition) -> None:
-        """Complete the file and go on in another."""
+        """Complete the file and continue in another file."""
         self.follow(acquisition)
         self._file.close()
         self._path, self._in_file = path, 0
         self._file = self._open(path, self._logged or 0)
 
     def follow(self, acquisition: Acquisition) -> None:
-        """Log what has come since the last time."""
+        """Log the samples acquired since the last call."""
         stop = acquisition.readable
         if stop == 0:
             return
@@ -218,7 +218,7 @@ class TaskLog:
             self._in_file += count
 
     def close(self, acquisition: Acquisition) -> None:
-        """Log the rest, and why there is no more if that was not meant, and complete the file."""
+        """Log the remaining samples and the reason of an early end, and complete the file."""
         try:
             self.follow(acquisition)
             if acquisition.error is not None:
@@ -230,25 +230,25 @@ class TaskLog:
 def open_log(
     name: str, task: TaskSettings, bench: Bench, plan: InputPlan, time_ns: Callable[[int], int]
 ) -> TaskLog:
-    """Open a log for a task that starts.
+    """Open a log for a task at its start.
 
     Parameters
     ----------
     name : str
         Name of the task.
     task : TaskSettings
-        Its settings. The suffix of the log's path says what it becomes, `.mcap` or `.tdms`.
+        Its settings. The suffix of the log's path selects the format, `.mcap` or `.tdms`.
     bench : Bench
         The bench.
     plan : InputPlan
-        What it acquires.
+        Plan of the acquisition.
     time_ns : callable
-        Gives the time of a sample by its number, ns.
+        Returns the time of a sample by its number, ns.
 
     Raises
     ------
     DaqError
-        If the file cannot be opened in that way; the message says what to do.
+        If the file cannot be opened with these settings; the message contains the remedy.
     """
     settings = task.groups["read"]
     infos = [replace(bench.channels[row], rate=plan.rate) for row in plan.rows]
@@ -273,7 +273,7 @@ def open_log(
 
 
 def _appends(path: Path, suffix: str, exists: bool, operation: int) -> bool:
-    """Whether a log goes on in a file that is there, if it may be written at all."""
+    """Return whether a log is appended to an existing file; reject a file that must not be written."""
     if suffix not in (".mcap", ".tdms"):
         raise _refuse(f"cannot log to {path}: expected a name that ends in .mcap (a recording) or .tdms")
     if operation == LoggingOperation.CREATE and exists:
@@ -290,10 +290,10 @@ def _appends(path: Path, suffix: str, exists: bool, operation: int) -> bool:
 
 
 def _named(channels: Sequence[ChannelInfo], names: Sequence[str]) -> list[ChannelInfo]:
-    """Give channels their names in a recording: those a script gave them, otherwise those on the bench.
+    """Set the names of channels in a recording: from the script, otherwise from the bench.
 
-    A channel that no script named goes by its terminal's name, which has a slash. Where its name on the bench
-    is taken (two modules on one sensor), the module is added to the name.
+    The name of a channel that no script named is its terminal, which contains a slash. If its name on the bench is
+    taken (two modules on one sensor), the module is added to the name.
     """
     named: list[ChannelInfo] = []
     for info, name in zip(channels, names, strict=True):

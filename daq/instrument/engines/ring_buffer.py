@@ -1,4 +1,4 @@
-"""A buffer that keeps the last samples of a stream."""
+"""A ring buffer for the latest samples of a stream."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from numpy.typing import DTypeLike, NDArray
 
 from daq.instrument.errors import bad
 
-# A buffer larger than this is refused, bytes: a machine that swaps is of no use to anybody.
+# Maximum size of a buffer, bytes: a larger buffer could make the computer swap memory to disk.
 MOST_BYTES = 2 << 30
 
 
 def memory(channels: int, samples: int, dtype: DTypeLike = np.float64) -> NDArray[Any]:
-    """Make an array of zeros, shape (channels, samples).
+    """Allocate an array of zeros, shape (channels, samples).
 
     Raises
     ------
     DaqError
-        With -200077, if there is no memory for it.
+        With -200077, if there is not enough memory.
     """
     if samples < 0:
         raise bad(f"{samples} samples per channel: expected 0 at least, or READ_ALL_AVAILABLE (-1)")
@@ -42,19 +42,19 @@ class RingBuffer:
     channels : int
         Channels.
     size : int
-        Samples per channel held.
+        Samples per channel that fit.
     dtype : dtype_like
-        Kind of sample.
+        Type of a sample.
 
     Raises
     ------
     DaqError
-        With -200077, if there is no memory for so many.
+        With -200077, if there is not enough memory.
 
     Attributes
     ----------
     written : int
-        Samples per channel written so far, which is the number of the next.
+        Samples per channel written so far, which is the number of the next sample.
 
     Examples
     --------
@@ -70,21 +70,21 @@ class RingBuffer:
 
     @property
     def size(self) -> int:
-        """Samples per channel held."""
+        """Samples per channel that fit."""
         return self._data.shape[1]
 
     @property
     def bytes(self) -> int:
-        """Memory that it takes."""
+        """Size of the buffer, bytes."""
         return self._data.nbytes
 
     @property
     def oldest(self) -> int:
-        """Number of the oldest sample still there."""
+        """Number of the oldest stored sample."""
         return max(0, self.written - self.size)
 
     def write(self, samples: NDArray[Any]) -> None:
-        """Append samples, shape (channels, n); older ones make room."""
+        """Append samples, shape (channels, n); they overwrite the oldest samples."""
         count = samples.shape[1]
         kept = samples[:, -self.size :]
         start = (self.written + count - kept.shape[1]) % self.size
@@ -99,7 +99,7 @@ class RingBuffer:
         Raises
         ------
         IndexError
-            If some are not there any more, or not yet.
+            If samples have been overwritten, or not written yet.
         """
         if first < self.oldest or first + count > self.written:
             raise IndexError(

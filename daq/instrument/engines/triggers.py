@@ -1,13 +1,13 @@
-"""Triggers: what starts an acquisition or an output, and what an acquisition is cut out around.
+"""Triggers: start triggers of acquisitions and outputs, and reference triggers of acquisitions.
 
-Which sample an analog edge is found at: for a rising edge the first sample *above* the level after one at or
-below it (at or below ``level - hysteresis`` where a hysteresis is given); for a falling edge the mirror
-image; for a window the first sample inside after one outside, or the other way round. That sample is number 0
-after a start trigger, and has index `pretrigger_samples` in what a reference trigger cuts out.
+A rising analog edge is at the first sample *above* the level after a sample at or below it (at or below
+``level - hysteresis`` with a hysteresis); a falling edge is the mirror image. A window trigger is at the first sample
+inside the window after a sample outside, or the reverse. That sample has number 0 after a start trigger, and index
+`pretrigger_samples` in the record of a reference trigger.
 
-Digital edges come from terminals. Every PFI line of the chassis carries the bench's sync output, one pulse a
+Digital edges are signals at terminals. Every PFI line of the chassis has the sync output of the bench, one pulse per
 second: it rises at 1 s, 2 s, ... of bench time and falls half a second later. `ai/StartTrigger`,
-`ao/StartTrigger` and `ai/ReferenceTrigger` are the moments at which other tasks start or are triggered.
+`ao/StartTrigger` and `ai/ReferenceTrigger` are the times at which other tasks start or are triggered.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from daq.instrument.values import Slope, WindowCondition
 
 _SIGNAL = re.compile(r"/?(?:([^/]+)/)?(PFI\d+|a[io]/(?:StartTrigger|ReferenceTrigger))", re.IGNORECASE)
 
-# Tells for samples which of them are beyond what is waited for, and which arm the trigger.
+# A function that returns, for each sample, whether it meets the condition and whether it arms the trigger.
 Condition = Callable[[NDArray[np.float64]], tuple[NDArray[np.bool_], NDArray[np.bool_]]]
 
 
 def edge(slope: Slope, level: float, hysteresis: float = 0.0) -> Condition:
-    """Make the condition of a crossing of a level.
+    """Return the condition of a level crossing.
 
     Parameters
     ----------
@@ -39,14 +39,14 @@ def edge(slope: Slope, level: float, hysteresis: float = 0.0) -> Condition:
     level : float
         Level, in the units of the samples.
     hysteresis : float
-        How far beyond the level, on the side it comes from, the signal must have been.
+        Distance from the level that the signal must have had before the crossing, on the opposite side.
     """
     sign = 1.0 if slope == Slope.RISING else -1.0
     return lambda x: (sign * x > sign * level, sign * x <= sign * level - hysteresis)
 
 
 def window(condition: WindowCondition, bottom: float, top: float) -> Condition:
-    """Make the condition of entering or leaving a window, whose limits belong to it."""
+    """Return the condition of entering or leaving a window, limits included."""
 
     def classify(x: NDArray[np.float64]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         inside = (x >= bottom) & (x <= top)
@@ -56,7 +56,7 @@ def window(condition: WindowCondition, bottom: float, top: float) -> Condition:
 
 
 class CrossingFinder:
-    """Finds where a signal meets a condition.
+    """Finds the first sample at which a signal meets a condition.
 
     Parameters
     ----------
@@ -75,19 +75,19 @@ class CrossingFinder:
         self._armed = False
 
     def find(self, samples: NDArray[np.float64], skip: int = 0) -> int | None:
-        """Look for the first crossing in the samples that follow those of the last call.
+        """Return the first crossing in samples that directly follow those of the last call.
 
         Parameters
         ----------
         samples : ndarray, shape (n,)
             Samples.
         skip : int
-            Samples at the beginning in which a crossing does not count; they still arm the trigger.
+            Number of first samples in which crossings are ignored; they still arm the trigger.
 
         Returns
         -------
         int or None
-            Index of the first sample beyond; None if there is none.
+            Index of the first sample after the crossing; None without a crossing.
         """
         beyond, before = self._condition(samples)
         if skip:
@@ -112,43 +112,44 @@ class CrossingFinder:
 
 @dataclass(frozen=True)
 class AnalogSource:
-    """Analog triggers on channels of a task, by their positions in it; the first that comes counts."""
+    """Analog triggers on channels of a task, by the positions of the channels; the earliest trigger is used."""
 
     conditions: tuple[tuple[int, Condition], ...]
 
     def finders(self) -> list[tuple[int, CrossingFinder]]:
-        """Make finders that have seen no sample yet."""
+        """Return new finders."""
         return [(row, CrossingFinder(condition)) for row, condition in self.conditions]
 
 
 @dataclass(frozen=True)
 class SyncPulse:
-    """Digital edges of the sync output: one a second."""
+    """Digital edges of the sync output, one per second."""
 
     edge: Slope
 
     def next_tick(self, tick: int, rate: float) -> int:
-        """Give the sample at which the first edge comes that is not before a given sample."""
+        """Return the tick of the first edge at or after a given tick."""
         phase = 0.0 if self.edge == Slope.RISING else 0.5
-        # The edge at 0 s belongs to power-on; the first one that can trigger comes at 1 s, or falls at 1.5 s.
+        # The edge at 0 s is power-on; the first rising edge that can trigger is at 1 s, the first falling edge at
+        # 1.5 s.
         second = max(1, math.ceil(tick / rate - phase - 1e-9))
         return math.ceil((second + phase) * rate - 1e-6)
 
 
 @dataclass(frozen=True)
 class AtTime:
-    """A moment that is known beforehand: a start by the clock on the wall."""
+    """A time that is known in advance: a start at a wall-clock time."""
 
     seconds: float
 
     def next_tick(self, tick: int, rate: float) -> int:
-        """Give the moment; see `SyncPulse.next_tick`."""
+        """Return the tick of that time; see `SyncPulse.next_tick`."""
         return max(math.ceil(self.seconds * rate - 1e-6), tick)
 
 
 @dataclass(frozen=True)
 class OtherTask:
-    """The moment at which another task starts or meets its reference trigger."""
+    """The time at which another task starts or detects its reference trigger."""
 
     device: str
     kind: str
@@ -160,12 +161,12 @@ Source = AnalogSource | SyncPulse | AtTime | OtherTask
 
 
 def digital_source(source: str, slope: Slope) -> SyncPulse | OtherTask:
-    """Find what a terminal carries.
+    """Return the signal at a terminal.
 
     Raises
     ------
     DaqError
-        With -89136, if there is no such terminal.
+        With -89136, if the terminal does not exist.
     """
     match = _SIGNAL.fullmatch(source.strip())
     if not match:

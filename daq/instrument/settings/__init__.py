@@ -1,1 +1,1 @@
-"""What a script says of a task, as data: its channels, timing, triggers and streams, and what is saved under a name."""
+"""Settings of tasks as data: channels, timing, triggers and streams, and settings saved under a name."""

@@ -1,4 +1,4 @@
-"""Channels of a task: what a script declared about the terminals it uses."""
+"""Channels of a task: a script's settings for the terminals that it uses."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from daq.instrument.settings.properties import alike
 from daq.instrument.values import FROM_CUSTOM_SCALE, Coupling, Excitation, Wiring
 
 _ANALOG_INPUT, _ANALOG_OUTPUT = 10100, 10102
-# Limits that a script has taken away: there is no other that could hold.
+# Limits that a script has reset: they have no default.
 _NOT_SPECIFIED = {"ai_max": Code.AI_MAX_NOT_SPECIFIED, "ai_min": Code.AI_MIN_NOT_SPECIFIED}
 
-# Settings every input has, with what holds until something else is said.
+# Settings of every input, with their defaults.
 _INPUT: dict[str, Any] = {
     "ai_min": -5.0,
     "ai_max": 5.0,
@@ -45,7 +45,7 @@ _INPUT: dict[str, Any] = {
     "chan_descr": "",
     "chan_is_global": False,
 }
-# Settings of single kinds of measurement.
+# Settings of specific kinds of measurement.
 _OF_KIND: dict[str, dict[str, Any]] = {
     "bridge": {
         "ai_bridge_cfg": 10182,
@@ -112,19 +112,19 @@ class Channel:
     name : str
         Virtual name.
     port : Port
-        The terminal, by the name the script used.
+        The terminal, by the name in the script.
     module : Module
-        Where that is.
+        Module of the terminal.
     row : int
-        Channel or drive of the bench behind it.
+        Channel or drive of the bench at the terminal.
     kind : Measurement or None
-        Of an input.
+        Kind of measurement of an input.
     settings : dict
-        By the driver's names of the properties.
+        Values by the driver's names of the properties.
     defaults : dict
-        What holds until something else is said.
+        Default values.
     without : set of str
-        Limits that a script has taken away and has to set anew.
+        Limits that a script has reset and must set again.
     """
 
     name: str
@@ -145,14 +145,14 @@ class Channel:
         Raises
         ------
         DaqError
-            With -200170, if there is no such terminal; -200431, if its module does not measure that;
-            -200077, for limits, a sensitivity, a wiring or a coupling that it does not take.
+            With -200170, if the terminal does not exist; -200431, if its module does not support the measurement;
+            -200077, for limits, a sensitivity, a wiring or a coupling that it does not support.
         """
         row = module.row("ai", port.number)
         if kind.type not in module.measurements:
             raise module.no_measurement(port.name)
         defaults = _defaults(kind)
-        # A module whose supply needs AC coupling couples so where it feeds a sensor, unless something else is said.
+        # A module whose IEPE supply requires AC coupling uses it by default where it supplies a sensor.
         feeds = given.get("ai_excit_src") == Excitation.INTERNAL and module.supply_coupling == "AC"
         defaults["ai_coupling"] = Coupling.AC if feeds else module.couplings[0]
         if kind.type == MICROPHONE:
@@ -187,7 +187,7 @@ class Channel:
 
     @property
     def range(self) -> float:
-        """Range its limits select, ± V; infinite if the inputs are not limited."""
+        """Range selected by its limits, ± V; infinite if the inputs are not limited."""
         if self.kind is None:
             return self.module.output_range
         if "rng" in self.settings:
@@ -204,7 +204,7 @@ class Channel:
 
     @property
     def scale_name(self) -> str:
-        """Name of its custom scale; empty if there is none."""
+        """Name of its custom scale; empty without a custom scale."""
         return str(self.settings["ao_custom_scale_name" if self.kind is None else "ai_custom_scale_name"])
 
     def _largest(self) -> float:
@@ -213,11 +213,11 @@ class Channel:
 
     @property
     def fed(self) -> bool:
-        """Whether the module feeds an IEPE sensor."""
+        """Whether the module supplies an IEPE sensor."""
         return bool(self.settings.get("ai_excit_src") == Excitation.INTERNAL)
 
     def check_complete(self) -> None:
-        """Make sure that the channel has limits, and that its module can feed the sensor at its coupling.
+        """Check that the channel has limits, and that its module can supply the sensor with its coupling.
 
         Raises
         ------
@@ -234,7 +234,7 @@ class Channel:
             )
 
     def check(self) -> None:
-        """Check the settings against each other and against what the module can do; see `input`."""
+        """Check that the settings are consistent and that the module supports them; see `input`."""
         own = self.settings
         if self.kind is not None:
             self.kind.check_units(own)
@@ -278,7 +278,7 @@ class Channel:
         Raises
         ------
         DaqError
-            With -200452, if channels of this kind have no such property.
+            With -200452, if channels of this kind do not have the property.
         """
         if name in self.without:
             raise DaqError(
@@ -308,7 +308,7 @@ class Channel:
         self.without.discard(name)
 
     def reset(self, name: str) -> None:
-        """Give a property its default back."""
+        """Reset a property to its default."""
         if name in ("ai_rng_high", "ai_rng_low"):
             self.settings.pop("rng", None)
             return
@@ -341,7 +341,7 @@ _COMMON: dict[str, Any] = {
 _INPUT_COMPUTED: dict[str, Any] = _COMMON | {
     "chan_type": lambda channel: _ANALOG_INPUT,
     "ai_meas_type": lambda channel: channel.kind.type,
-    # Limits are coerced to the range that takes them.
+    # Limits are coerced to the smallest range that includes them.
     "ai_max": lambda channel: _limit(channel, 1.0),
     "ai_min": lambda channel: _limit(channel, -1.0),
     "ai_rng_high": lambda channel: channel.range,

@@ -1,4 +1,4 @@
-"""Settings by the driver's names: what there is, what holds until something else is said."""
+"""Settings of a task by the driver's names, with their defaults."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ _FILTER = {
 
 
 def _trigger(name: str) -> dict[str, Any]:
-    """Give the settings of the start trigger or the reference trigger."""
+    """Return the settings of the start trigger or the reference trigger."""
     found: dict[str, Any] = {
         f"{name}_trig_type": TriggerType.NONE,
         f"{name}_trig_delay": 0.0,
@@ -116,7 +116,7 @@ TRIGGER: dict[str, Any] = {
     "ref_trig_auto_trig_enable": False,
     "start_trig_delay_units": _SAMPLE_CLOCK_PERIODS,
     "start_trig_timescale": _USE_DEVICE,
-    # Seconds since 1970 of a start by the clock on the wall; the driver's default is the beginning of 1904.
+    # Wall-clock time of a timed start, s since 1970; the driver's default is the beginning of 1904.
     "start_trig_trig_when": -2_082_844_800.0,
     "pause_trig_type": TriggerType.NONE,
     "arm_start_trig_type": TriggerType.NONE,
@@ -140,7 +140,7 @@ GROUPS = {
     "buffer": BUFFER,
     "exported_signal": EXPORT,
 }
-# These may be changed while a task runs.
+# Settings that may be changed while a task runs.
 WHILE_RUNNING = {
     "read": {*READ} - {"overwrite", "logging_file_path", "logging_mode", "logging_tdms_operation"},
     "write": {"relative_to", "offset", "wait_mode", "sleep_time", "next_write_is_last"},
@@ -148,12 +148,12 @@ WHILE_RUNNING = {
 
 
 def alike(name: str, value: Any, default: Any) -> Any:
-    """Give the value of a setting in the type of its default.
+    """Convert the value of a setting to the type of its default.
 
     Raises
     ------
     DaqError
-        With -200077, if it is none of the values that have a name, or no finite number.
+        With -200077, if it is not one of the named values, or not a finite number.
 
     Examples
     --------
@@ -170,14 +170,14 @@ def alike(name: str, value: Any, default: Any) -> Any:
 
 
 class Properties:
-    """Settings with the values that hold until something else is said.
+    """Settings with their defaults.
 
     Parameters
     ----------
     what : str
-        Whose settings, for errors.
+        Group of the settings, for error messages.
     defaults : mapping of str to any
-        Every setting there is, with its default.
+        All settings with their defaults.
 
     Examples
     --------
@@ -203,14 +203,14 @@ class Properties:
         return name in self._defaults
 
     def reset(self, name: str) -> None:
-        """Give a setting its default back."""
+        """Reset a setting to its default."""
         self[name]
         self._set.pop(name, None)
 
     def was_set(self, name: str) -> bool:
-        """Whether a script has said something else."""
+        """Whether a script has set the value."""
         return name in self._set
 
     def keys(self) -> list[str]:
-        """Names of the settings there are."""
+        """Names of all settings."""
         return list(self._defaults)

@@ -1,4 +1,4 @@
-"""Custom scales: what readings become before a script sees them."""
+"""Custom scales: conversions of readings before a script receives them."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from daq.instrument.settings.properties import alike
 
 Array = NDArray[np.float64]
 
-# A least squares fit through these takes moments.
+# Maximum number of points and order: they limit the time of the least-squares fit.
 _MOST_POINTS, _HIGHEST_ORDER = 100_000, 50
 LINEAR, MAP_RANGES, POLYNOMIAL, TABLE = 10447, 10448, 10449, 10450
 
 
 class Scale:
-    """A scale under a name, as the driver keeps them.
+    """A custom scale, as in the driver.
 
     Parameters
     ----------
     kind : int
         LINEAR, MAP_RANGES, POLYNOMIAL or TABLE.
     settings : dict
-        Its figures, by the driver's names of the attributes.
+        Its parameters, by the driver's names of the attributes.
     """
 
     def __init__(self, kind: int, settings: dict[str, Any]) -> None:
@@ -44,12 +44,12 @@ class Scale:
         self.convert(np.zeros(1))
 
     def changed(self, name: str, value: Any) -> Scale:
-        """Give the scale with another figure.
+        """Return the scale with a changed parameter.
 
         Raises
         ------
         DaqError
-            With -200077 for a figure that cannot be, -200601 for one that a scale of this type has not.
+            With -200077 for an invalid value, -200601 for a parameter that a scale of this type does not have.
         """
         own = self.settings
         if name not in own or name == "type":
@@ -80,7 +80,7 @@ class Scale:
         Raises
         ------
         DaqError
-            With -200077, if the scale cannot.
+            With -200077, if the scale is invalid.
         """
         own = self.settings
         if own["type"] == MAP_RANGES and own["map_pre_scaled_min"] == own["map_pre_scaled_max"]:
@@ -95,7 +95,7 @@ class Scale:
 
 
 def reverse_polynomial(forward: list[float], low: float, high: float, points: int, order: int) -> list[float]:
-    """Fit the polynomial that takes scaled values back.
+    """Fit the inverse polynomial, from scaled values to readings.
 
     Examples
     --------
@@ -118,6 +118,6 @@ def reverse_polynomial(forward: list[float], low: float, high: float, points: in
         raise bad(
             "a polynomial whose powers are not finite over the range: expected smaller coefficients and limits"
         )
-    # Asked for all it finds, numpy keeps its warning of a poor fit to itself.
+    # With full=True, numpy returns the fit diagnostics and does not warn of a poor fit.
     fitted, _ = np.polynomial.polynomial.polyfit(y, x, degree, full=True)
     return [float(each) for each in fitted]

@@ -1,4 +1,4 @@
-"""What has been saved under a name: tasks, channels, scales; kept as long as the instrument runs."""
+"""Tasks, channels and scales saved under a name; they are stored while the instrument runs."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from daq.instrument.settings.properties import Properties
 from daq.instrument.settings.scales import Scale
 from daq.instrument.settings.task_settings import TaskSettings
 
-# Tasks, channels, or scales: whoever saves ever more of them would take all memory.
+# Maximum number of saved tasks, channels or scales, so that a client cannot exhaust the memory.
 MOST_SAVED = 1000
 Kept = TypeVar("Kept")
 
@@ -27,7 +27,7 @@ class SavedTask:
 
 @dataclass
 class Storage:
-    """What has been saved, by name."""
+    """Saved tasks, channels and scales, by name."""
 
     tasks: dict[str, SavedTask] = field(default_factory=dict)
     channels: dict[str, Channel] = field(default_factory=dict)
@@ -35,7 +35,7 @@ class Storage:
     authors: dict[str, str] = field(default_factory=dict)
 
     def keep(self, kept: dict[str, Kept], name: str, value: Kept) -> None:
-        """Keep something under a name; with -200077, if there is as much as there may be."""
+        """Store a value under a name; with -200077, if the maximum number is reached."""
         if name not in kept and len(kept) >= MOST_SAVED:
             raise bad(
                 f"{MOST_SAVED} of these are saved already, which is as many as there may be: delete some"
@@ -43,7 +43,7 @@ class Storage:
         kept[name] = value
 
     def scale(self, name: str) -> Scale:
-        """Find a scale; with -200378, if there is none of that name."""
+        """Return a scale by name; with -200378, if it does not exist."""
         if name not in self.scales:
             raise DaqError(f"there is no scale {name!r}", Code.CUSTOM_SCALE_DOES_NOT_EXIST)
         return self.scales[name]
@@ -54,7 +54,7 @@ class Storage:
         self.authors[name] = author
 
     def load_task(self, task: TaskSettings, name: str) -> None:
-        """Give a task the settings that were saved; with -200485, if there are none."""
+        """Load saved settings into a task; with -200485, if they do not exist."""
         if name not in self.tasks:
             raise DaqError(f"there is no saved task {name!r}", Code.TASK_NOT_IN_DATA_NEIGHBORHOOD)
         saved = self.tasks[name]
@@ -68,7 +68,7 @@ class Storage:
         self.authors[name] = author
 
     def channel(self, name: str) -> Channel:
-        """Find a saved channel; with -200882, if there is none of that name."""
+        """Return a saved channel by name; with -200882, if it does not exist."""
         if name not in self.channels:
             raise DaqError(f"there is no saved channel {name!r}", Code.INVALID_GLOBAL_CHAN)
         return deepcopy(self.channels[name])

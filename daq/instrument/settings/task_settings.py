@@ -1,4 +1,4 @@
-"""What a script has said of a task: its channels, timing, triggers and streams, as data."""
+"""Settings of a task: its channels, timing, triggers and streams."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from daq.instrument.settings.properties import GROUPS, Properties
 from daq.instrument.settings.scales import Scale
 from daq.instrument.values import Regeneration, SampleMode, TimingType
 
-# Size of the buffer of a continuous task, by the rate up to which it holds.
+# Size of the buffer of a continuous task, by maximum rate.
 _BUFFERS = ((100.0, 1000), (10_000.0, 10_000), (1_000_000.0, 100_000), (math.inf, 1_000_000))
 
 
@@ -25,9 +25,9 @@ class TaskSettings:
     Parameters
     ----------
     module : callable
-        Finds a device by its name.
+        Returns a device by its name.
     scales : mapping of str to Scale
-        Custom scales that channels may name.
+        Custom scales that channels may use.
     """
 
     def __init__(self, module: Callable[[str], Module], scales: Mapping[str, Scale]) -> None:
@@ -37,12 +37,12 @@ class TaskSettings:
 
     @property
     def kind(self) -> str:
-        """Direction of the task: "ai", "ao", or "" as long as it has no channels."""
+        """Direction of the task: "ai", "ao", or "" without channels."""
         return "" if not self.channels else "ao" if self.channels[0].kind is None else "ai"
 
     @property
     def device_names(self) -> list[str]:
-        """Names of the devices in use, as the script calls them."""
+        """Names of the devices in use, as in the script."""
         return list(dict.fromkeys(each.port.device for each in self.channels))
 
     @property
@@ -52,7 +52,7 @@ class TaskSettings:
 
     @property
     def clocked(self) -> bool:
-        """Whether the sample clock paces the task."""
+        """Whether the task uses the sample clock."""
         return bool(self.groups["timing"]["samp_timing_type"] == TimingType.SAMPLE_CLOCK)
 
     @property
@@ -62,7 +62,7 @@ class TaskSettings:
 
     @property
     def rate(self) -> float:
-        """Samples per second, as the clock makes them."""
+        """Actual rate of the sample clock, S/s."""
         wanted = self.groups["timing"]["samp_clk_rate"]
         if not self.channels:
             return float(wanted)
@@ -70,11 +70,11 @@ class TaskSettings:
 
     @property
     def regenerates(self) -> bool:
-        """Whether the output's buffer may be played again."""
+        """Whether the output repeats its buffer."""
         return bool(self.groups["write"]["regen_mode"] == Regeneration.ALLOWED)
 
     def scale_of(self, channel: Channel) -> Scale | None:
-        """Find the custom scale of a channel."""
+        """Return the custom scale of a channel."""
         if not channel.scaled:
             return None
         if channel.scale_name not in self._scales:
@@ -86,7 +86,7 @@ class TaskSettings:
         return self._scales[channel.scale_name]
 
     def require(self, kind: str) -> None:
-        """Make sure that the task reads (-200460) or writes (-200459)."""
+        """Check that the task has inputs (-200460) or outputs (-200459)."""
         if self.kind != kind:
             what, code = {
                 "ai": ("input channels: add some with ai_channels.add_...", Code.READ_NO_INPUT_CHANS_IN_TASK),
@@ -107,11 +107,11 @@ class TaskSettings:
         physical : str
             Terminals, such as "cDAQ1Mod1/ai0:3".
         name : str
-            Virtual name; of several channels, what their names begin with. Empty: the terminals' names.
+            Virtual name, or the common prefix of several names. Empty: the names of the terminals.
         kind : Measurement
-            What they measure.
+            Kind of measurement.
         given : mapping of str to any
-            Their settings, by the driver's names.
+            Settings, by the driver's names.
 
         Raises
         ------
@@ -154,7 +154,7 @@ class TaskSettings:
                 raise module.no_channel(port.kind, port.number)
             taken = [each.name.lower() for each in (*self.channels, *added)]
             if virtual.lower() in taken and not name:
-                # One terminal may be read twice, under names that differ.
+                # A terminal may be used twice, under different names.
                 number = 1
                 while f"{virtual}_{number}".lower() in taken:
                     number += 1
@@ -176,12 +176,12 @@ class TaskSettings:
         return added
 
     def find(self, names: str) -> list[Channel]:
-        """Find channels by their names, or those of their terminals; all if no name is given.
+        """Return channels by their names or the names of their terminals; all channels for an empty string.
 
         Raises
         ------
         DaqError
-            With -200488, if there is none of that name.
+            With -200488, if there is no channel of that name.
         """
         found = []
         for name in unflatten(names):
@@ -198,7 +198,7 @@ class TaskSettings:
 
     @property
     def input_size(self) -> int:
-        """Samples per channel that the buffer of an input holds."""
+        """Samples per channel in the buffer of an input."""
         chosen = self.groups["buffer"]
         if chosen.was_set("input_buf_size"):
             return int(chosen["input_buf_size"])
@@ -211,7 +211,7 @@ class TaskSettings:
 
     @property
     def samples(self) -> int:
-        """Samples per channel of a finite task; a hint for the buffer of a continuous one.
+        """Samples per channel of a finite task; a hint for the buffer size of a continuous task.
 
         Raises
         ------
@@ -229,7 +229,7 @@ class TaskSettings:
 
 
 def _names(given: str, terminals: list[str]) -> list[str]:
-    """Name channels: one name for all, a list of names, or none; what has no name goes by its terminal's."""
+    """Return names of channels from a common prefix or a list; channels without a name use their terminal's name."""
     if "," not in given:
         return numbered(given, len(terminals)) if given else terminals
     names = [each.strip() for each in given.split(",")]

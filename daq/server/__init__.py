@@ -1,4 +1,4 @@
-"""The device on the network: NI's gRPC device protocol on top of the instrument; nothing of the physics in it.
+"""The device on the network: NI's gRPC device protocol for the instrument.
 
-Start with `service`, where calls arrive; `protocol` says what goes in and out of them, `calls` does them.
+Start with `service`, which receives calls; `protocol` decodes requests and encodes responses, `calls` executes them.
 """

@@ -1,4 +1,4 @@
-"""Attributes: the calls that read, set and reset a property of a task, a channel, a device, a scale."""
+"""Attributes: the calls that read, set and reset a property of a task, a channel, a device or a scale."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from daq.server.calls.call import Call
 
 _CALL = re.compile(r"(Get|Set|Reset)([A-Za-z]+?)Attribute(Ex)?(\w*?)")
-# Groups of a task's settings, by the names the calls have.
+# Groups of a task's settings, by the names in the calls.
 _GROUPS = {
     "Timing": "timing",
     "Trig": "trig",
@@ -33,12 +33,12 @@ _GROUPS = {
     "Buffer": "buffer",
     "ExportedSignal": "exported_signal",
 }
-# Version of the driver whose interface this follows: major, minor, update.
+# Version of the emulated driver: major, minor, update.
 DRIVER_VERSION = (26, 0, 0)
 
 
 def attribute_call(name: str) -> Callable[[Call], dict[str, Any]] | None:
-    """Find what answers a call that reads, sets or resets an attribute; None if it is no such call."""
+    """Return the handler of a call that reads, sets or resets an attribute; None for other calls."""
     match = _CALL.fullmatch(name)
     if not match:
         return None
@@ -65,7 +65,7 @@ def attribute_call(name: str) -> Callable[[Call], dict[str, Any]] | None:
 
 
 def _plain(value: Any, kind: str) -> Any:
-    """Give a value in the form that the call has."""
+    """Convert a value to the type of the call."""
     if kind == "String":
         return ", ".join(value) if isinstance(value, list) else str(value)
     if kind in ("Int32", "UInt32", "UInt64"):
@@ -190,7 +190,7 @@ def _of_saved(call: Call, name: str) -> Any:
     return True
 
 
-# What the driver's simulated devices, which are never calibrated, state: temperatures in °C, an interval in months.
+# Values of the driver's simulated devices, which are never calibrated: temperatures in °C, an interval in months.
 _CALIBRATION = {
     "cal_dev_temp": 0.0,
     "ext_cal_last_temp": 0.0,

@@ -1,4 +1,4 @@
-"""Time on the bench, for scripts that are run with it: while they sleep or wait for Enter, it passes."""
+"""Bench time for scripts: it passes while a script sleeps or waits for Enter."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ import grpc
 
 from daq.instrument.chassis import Chassis
 
-# How long a script that asks for Enter is left waiting when nothing else limits it, s of bench time.
+# Time for which a script waits for Enter without another limit, s of bench time.
 PROMPT = 10.0
-# A longer time passes in pieces of this one, s, so that nobody waits for a client that has gone.
+# A longer time passes in steps of this length, s, so that the wait for a disconnected client ends.
 _AT_ONCE = 100.0
 
 
 class TimeLimit:
-    """Ends a process after a time on the bench.
+    """Ends a process after a bench time.
 
     Parameters
     ----------
     chassis : Chassis
         The bench.
     seconds : float or None
-        When; None: never.
+        Bench time; None for no limit.
     """
 
     def __init__(self, chassis: Chassis, seconds: float | None) -> None:
@@ -42,7 +42,7 @@ class TimeLimit:
         return self._seconds is None
 
     def left(self) -> float:
-        """Seconds that a prompt waits; the answer to it is then the end."""
+        """Time for which a prompt waits, s; with its answer the limit counts as reached."""
         self.reached = True
         return PROMPT if self._seconds is None else max(0.0, self._seconds - self._chassis.elapsed)
 
@@ -50,7 +50,8 @@ class TimeLimit:
         if not self.reached and self.process is not None:
             self.reached = True
             if sys.platform == "win32":
-                # There a signal to one process ends it; Ctrl-C goes to all on the console, and we are deaf to it.
+                # On Windows a signal to one process kills it; Ctrl-C reaches all processes of the console, and this
+                # one ignores it.
                 os.kill(0, signal.CTRL_C_EVENT)
             else:
                 os.kill(self.process, signal.SIGINT)
@@ -64,14 +65,14 @@ class BenchTime(grpc.GenericRpcHandler):
     chassis : Chassis
         The bench.
     limit : TimeLimit, optional
-        Says how long a prompt waits.
+        Limit of the waiting time of a prompt.
     """
 
     def __init__(self, chassis: Chassis, limit: TimeLimit | None = None) -> None:
         self._chassis, self._limit = chassis, limit or TimeLimit(chassis, None)
 
     def service(self, handler_call_details: grpc.HandlerCallDetails) -> grpc.RpcMethodHandler | None:
-        """Find what answers a call; see the class."""
+        """Return the handler of a call; see the class."""
         calls: dict[str, Callable[[bytes], float]] = {
             "/shotrig.Bench/Pass": float,
             "/shotrig.Bench/Prompt": lambda request: self._limit.left(),
@@ -85,7 +86,7 @@ class BenchTime(grpc.GenericRpcHandler):
                 seconds = wanted(request)
             except ValueError:
                 context.abort(grpc.StatusCode.INVALID_ARGUMENT, "expected a number of seconds")
-            # Of whoever has gone meanwhile, the rest need not pass.
+            # If the client has disconnected, the remaining time is not needed.
             while 0 < seconds < math.inf and context.is_active():
                 self._chassis.pass_time(min(seconds, _AT_ONCE))
                 seconds -= _AT_ONCE

@@ -1,8 +1,8 @@
-"""Lets scripts that know nothing of gRPC use the rig: NI's client, with the rig as what it uses by default.
+"""Connects scripts without gRPC options to the rig, through changed defaults of NI's client.
 
-Only public names of the client are touched: its classes that take `grpc_options` get them when a script gives
-none, and `System.local` is answered by `System.remote`. It takes effect when a script imports the client, in the
-script's process and in those it starts, by fork and by spawn.
+Only public names of the client are changed: its classes with a parameter `grpc_options` receive default options, and
+`System.local` returns `System.remote`. The change takes effect when a script imports the client, in the process of
+the script and in its child processes, by fork and by spawn.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from types import ModuleType
 from typing import Any
 
 SERVER, FAST, LIMITED = "SHOTRIG_SERVER", "SHOTRIG_FAST", "SHOTRIG_LIMITED"
-# The key of clients that know nothing of sessions: a name that is taken is the driver's error to them.
+# Key of clients without sessions: a duplicate name is then an error of the driver.
 STRICT = "shotrig: no sessions"
 _channels: dict[int, Any] = {}
 
 
 def prepare() -> None:
-    """Get ready for the script to import the client, and let bench time pass where the script sleeps."""
+    """Prepare the import of the client, and let bench time pass while the script sleeps."""
     sys.meta_path.insert(0, _ClientFinder())
     if os.environ.get(FAST):
         time.sleep = functools.partial(_ask, "Pass")
@@ -37,7 +37,7 @@ def prepare() -> None:
 
 
 class _ClientFinder:
-    """Finds the client's package, and changes its defaults once it has been imported."""
+    """Finds the package of the client, and changes its defaults after the import."""
 
     def find_spec(
         self, name: str, path: Sequence[str] | None = None, target: ModuleType | None = None
@@ -59,7 +59,7 @@ class _ClientFinder:
 
 
 def install() -> None:
-    """Give the client's classes the rig as what they use by default."""
+    """Set the rig as the default connection of the client's classes."""
     import nidaqmx
     from nidaqmx import system
     from nidaqmx.system import storage
@@ -102,14 +102,14 @@ def _default_static(owner: Any, name: str) -> None:
 
 
 def _options() -> Any:
-    """Make session options for this process; a name that is taken is an error, as without a network."""
+    """Return session options for this process; a duplicate name is an error, as without a network."""
     from nidaqmx import GrpcSessionOptions
 
     return GrpcSessionOptions(_channel(), "", api_key=STRICT)
 
 
 def _channel() -> Any:
-    """Give this process its own connection: one that was made before a fork belongs to the other process."""
+    """Return the connection of this process: a connection opened before a fork belongs to the parent process."""
     from daq.server.grpc_channel import open_channel
 
     if os.getpid() not in _channels:

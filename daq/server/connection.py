@@ -1,4 +1,4 @@
-"""Connecting to a rig in this process: `daq.connect`."""
+"""Connection to a rig in this process: `daq.connect`."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from rig.scene.scene import Scene
 class Connection(GrpcSessionOptions):
     """A rig in this process, for NI's client: ``nidaqmx.Task(grpc_options=connection)``.
 
-    It is the client's own session options, with the rig behind it. Close it, or use it in a `with` block.
+    It extends the client's session options. Close it, or use it in a `with` block.
 
     Attributes
     ----------
     chassis : Chassis
         The instrument.
     address : str
-        Where it can be reached from other processes.
+        Address of the server for other processes.
     """
 
     def __init__(self, scene: Scene | str | Path | None, clock: str | Clock | None, limits: Limits) -> None:
@@ -48,15 +48,15 @@ class Connection(GrpcSessionOptions):
 
     @property
     def sensors(self) -> tuple[ChannelInfo, ...]:
-        """What is wired to ai0, ai1, ...; each with its position, quantity and sensitivity."""
+        """Sensors at ai0, ai1, ..., each with its position, quantity and sensitivity."""
         return tuple(self.chassis.bench.channels)
 
     def pass_time(self, seconds: float) -> None:
-        """Let some bench time pass."""
+        """Wait for a time of the bench, s."""
         self.chassis.pass_time(seconds)
 
     def close(self, grace: float | None = 0.5) -> None:
-        """End the rig and all its tasks; calls that are still being answered have so many seconds to end, or none."""
+        """Close the rig and all its tasks; running calls have `grace` seconds to finish, for None no time."""
         if self._open:
             self._open = False
             _left_open.discard(self)
@@ -72,17 +72,17 @@ class Connection(GrpcSessionOptions):
         self.close()
 
 
-# Rigs that nobody has closed.
+# Rigs that are still open.
 _left_open: set[Connection] = set()
 
 
 def _close_left_open() -> None:
-    # A server that gives its calls time starts a thread, which Python refuses when it ends.
+    # Closing with a grace period starts a thread, which Python does not allow during its shutdown.
     for each in list(_left_open):
         each.close(grace=None)
 
 
-# Python waits for the threads that answer calls before it comes to `atexit`: they have to end earlier.
+# Python joins the threads that answer calls before it runs `atexit` functions: the threads must end earlier.
 getattr(threading, "_register_atexit", atexit.register)(_close_left_open)
 
 
@@ -91,18 +91,18 @@ def connect(
     clock: str | Clock | None = None,
     limits: Limits | None = None,
 ) -> Connection:
-    """Put an instrument in front of a scene's bench, for NI's client `nidaqmx`.
+    """Connect an instrument to the bench of a scene, for NI's client `nidaqmx`.
 
     Parameters
     ----------
     scene : Scene or str or Path, optional
-        Scene, name of a bundled one, or path of a scene file. Else the one named by the environment variable
-        SHOTRIG_SCENE, else the paper's rig with three dampers and inputs of ±10 V.
+        Scene, name of a bundled scene, or path of a scene file. The default is the environment variable
+        SHOTRIG_SCENE, then the paper's rig with three dampers and inputs of ±10 V.
     clock : {'real', 'fast', 'manual'} or Clock, optional
-        What lets time pass, see `daq.instrument.clock`. Else what the environment variable SHOTRIG_CLOCK says,
-        else 'real': a live bench.
+        Clock that advances the bench, see `daq.instrument.clock`. The default is the environment variable
+        SHOTRIG_CLOCK, then 'real'.
     limits : Limits, optional
-        What clients may ask for.
+        Limits of the resources of clients.
 
     Returns
     -------
@@ -111,7 +111,7 @@ def connect(
     Raises
     ------
     SceneError
-        If the scene cannot be used or there is no such clock.
+        If the scene cannot be used or there is no clock of that name.
 
     Examples
     --------

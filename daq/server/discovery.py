@@ -1,4 +1,4 @@
-"""What a client in another language learns from the server itself: reflection, health, and the protocol's files."""
+"""Description of the server for clients in other languages: reflection, health service, and .proto files."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ SERVICES = (SERVICE, SESSION_SERVICE, _HEALTH, _REFLECTION)
 
 
 class Discovery:
-    """The services of reflection and health.
+    """The reflection service and the health service.
 
     Attributes
     ----------
     handlers : tuple of grpc.GenericRpcHandler
-        What answers their calls.
+        Handlers of their calls.
     """
 
     def __init__(self) -> None:
@@ -41,14 +41,14 @@ class Discovery:
         )
 
     def end(self) -> None:
-        """Report to all who watch that the server ends."""
+        """Report the end of the server to all watching clients."""
         self._health.enter_graceful_shutdown()
 
 
 def _handler(service: Any, servicer: Any) -> grpc.GenericRpcHandler:
-    """Make the handler of a service; a request that cannot be read is the client's error, without a traceback here."""
+    """Return the handler of a service; an invalid request is an error of the client, without a traceback here."""
     made = {}
-    # Releases of the packages describe calls that their servicers do not carry out.
+    # Some releases of the packages describe calls that their servicers do not implement.
     for method in (each for each in service.methods if each.name in vars(type(servicer))):
         request, answer = message_factory.GetMessageClass(method.input_type), getattr(servicer, method.name)
         if method.client_streaming:
@@ -91,12 +91,12 @@ def _of_stream(
 
 
 def write_proto_files(folder: Path) -> list[Path]:
-    """Write the protocol's .proto files, with all that they import.
+    """Write the .proto files of the protocol, including their imports.
 
     Raises
     ------
     SceneError
-        If a file of that name has other text, or cannot be written.
+        If a file of that name has different text, or cannot be written.
     """
     files: dict[str, Any] = {}
     for service in SERVICES:

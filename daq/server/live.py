@@ -1,4 +1,4 @@
-"""What any client's test does, live: a view in the rerun viewer, and a recording."""
+"""Live view of a client's test in the rerun viewer, and a recording of it."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from daq.recording.recorder import Recorder
 if TYPE_CHECKING:
     import rerun as rr
 
-# Blocks that may wait to be shown; a view that is behind leaves some out, a recording never does.
+# Maximum number of blocks that wait for the display; a delayed view omits blocks, a recording never does.
 _WAITING = 64
 
 
 class LiveView:
-    """Shows the bench of a chassis in a viewer, from a thread of its own.
+    """Shows the bench of a chassis in a viewer, from a separate thread.
 
     Parameters
     ----------
     chassis : Chassis
         The instrument.
     stream : rerun RecordingStream
-        Its sink is set.
+        Stream with a sink.
     """
 
     def __init__(self, chassis: Chassis, stream: rr.RecordingStream) -> None:
@@ -52,7 +52,7 @@ class LiveView:
             self._screen.show(*block)
 
     def close(self) -> None:
-        """Show what has come, and end."""
+        """Show the waiting blocks, and end."""
         with self._chassis.changed:
             self._chassis.listeners.remove(self._hear)
         self._blocks.put(None)
@@ -62,16 +62,16 @@ class LiveView:
 class LiveRecording:
     """Records all channels of a bench while clients use it.
 
-    A change of what the inputs are set to begins another file, with a number behind its name.
+    A change of the input settings starts another file, with a number appended to its name.
 
     Parameters
     ----------
     chassis : Chassis
         The instrument.
     path : Path
-        Recording to make.
+        Recording to write.
     overwrite : bool
-        Whether it may replace a file.
+        Whether an existing file may be replaced.
     """
 
     def __init__(self, chassis: Chassis, path: Path, overwrite: bool = False) -> None:
@@ -92,7 +92,7 @@ class LiveRecording:
             )
             self.paths.append(self._path.with_name(name))
             start = self._chassis.time_ns(round(block.first * bench.tick_rate / bench.rate))
-            # The truth of a scene belongs to a whole test.
+            # The truth of a scene belongs to a complete test.
             scene = bench.scene.replace(recording=bench.scene.recording.replace(truth=False))
             self._bench, self._channels = bench, bench.channels
             self._recorder = Recorder(
@@ -107,12 +107,12 @@ class LiveRecording:
             self._recorder = None
 
     def close(self) -> None:
-        """Complete the recording; report on stderr that there is none."""
+        """Complete the recording; if it is empty, report this on stderr."""
         with self._chassis.changed:
             self._chassis.listeners.remove(self._hear)
             self._complete()
         if not self.paths:
-            # A closed terminal cannot show it.
+            # The terminal may be closed already.
             with suppress(OSError):
                 print(
                     f"note: {self._path}: nothing was recorded, because no client ran a task. Start a task before the "

@@ -1,4 +1,4 @@
-"""What ends `daq run` ends the script it runs: signals to this process alone are passed on to the script's."""
+"""Forwarding of signals from `daq run` to its script, so that the script ends too."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from typing import Any, Self
 
 from daq.recording.interrupts import answered
 
-# Time that a script has to end after a request, before it is killed, s.
+# Time between the request to end and the kill of a script, s.
 PATIENCE = 1.0
-# Where a signal reached a whole group, all of it has heard after this, s.
+# Time after which a signal to a process group has reached all its processes, s.
 _HEARD = 1.0
 
 
 class _Witness:
-    """A process of the same group, which Ctrl-C ends: it shows whether a Ctrl-C went to the group or to one process."""
+    """A process of the same group that Ctrl-C ends: it shows whether the group or a single process received Ctrl-C."""
 
     _COMMAND = (sys.executable, "-I", "-S", "-c", "import sys; sys.stdin.read()")
 
@@ -29,13 +29,13 @@ class _Witness:
         self._begin()
 
     def _begin(self) -> None:
-        # With its input it ends, whatever becomes of this process.
+        # It ends when its input closes, even if this process crashes.
         self._process = subprocess.Popen(
             self._COMMAND, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
         )
 
     def heard(self) -> bool:
-        """Whether it has heard the latest Ctrl-C as well; it then waits for the next."""
+        """Return whether it received the latest Ctrl-C; it is then restarted for the next signal."""
         try:
             self._process.wait(_HEARD)
         except subprocess.TimeoutExpired:
@@ -56,14 +56,14 @@ class _Witness:
 
 @contextmanager
 def signals_passed_on(process: subprocess.Popen[Any]) -> Iterator[None]:
-    """Pass on to a process what comes to this one in the body, and leave none of it running after.
+    """Forward signals to a process while the body runs, and end the process afterwards.
 
-    Ctrl-C is the script's to deal with. Other signals ask it to end, and `PATIENCE` later it has to.
+    The script handles Ctrl-C. Other signals request its end; after `PATIENCE` it is killed.
 
     Parameters
     ----------
     process : Popen
-        In this process's group, which a terminal's Ctrl-C reaches as a whole.
+        Process in the group of this process; Ctrl-C in a terminal reaches the whole group.
     """
     end = threading.Timer(PATIENCE, process.kill)
     end.daemon = True

@@ -1,7 +1,7 @@
-"""Writes a protocol's description as the text of a .proto file, which compilers of all languages read.
+"""Conversion of a protocol descriptor to the text of a .proto file, for compilers of all languages.
 
-Reference: the grammar at https://protobuf.dev/reference/protobuf/proto3-spec/. Options are left out, but for those
-that change the meaning of the text or the bytes: `allow_alias`, `packed`.
+Reference: the grammar at https://protobuf.dev/reference/protobuf/proto3-spec/. Options are omitted, except those that
+change the meaning of the text or the bytes: `allow_alias`, `packed`.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ _INDENT = "  "
 
 
 def proto_text(file: Any) -> str:
-    """Write a file.
+    """Return the text of a .proto file.
 
     Parameters
     ----------
     file : FileDescriptor
-        In syntax proto3.
+        Descriptor in syntax proto3.
     """
     described = descriptor_pb2.FileDescriptorProto()
     file.CopyToProto(described)
@@ -78,7 +78,7 @@ def _message(message: Any, scope: str) -> Iterator[str]:
 
 
 def _in_choice(field: Any) -> bool:
-    """Whether a field belongs to a choice that is written; that of an optional field is not."""
+    """Return whether a field belongs to a `oneof`; the implicit `oneof` of an optional field does not count."""
     return field.HasField("oneof_index") and not field.proto3_optional
 
 
@@ -94,5 +94,5 @@ def _field(field: Any, maps: dict[str, Any]) -> str:
 
 
 def _type(field: Any) -> str:
-    """Name a field's type; messages and enumerations by their whole name."""
+    """Return the name of a field's type; messages and enumerations by their full name."""
     return str(field.type_name) or _FIELD.Type.Name(field.type).removeprefix("TYPE_").lower()

@@ -1,8 +1,8 @@
-"""NI's gRPC device protocol, service `nidaqmx_grpc.NiDAQmx`: its calls, and what goes in and out of them.
+"""NI's gRPC device protocol, service `nidaqmx_grpc.NiDAQmx`: its calls, requests and responses.
 
-The protocol is public; its message classes, generated from `nidaqmx.proto`, come with every release of
-`nidaqmx[grpc]`. What this server answers is found from the descriptors of the release that is installed, so
-that calls it has more or fewer of do not matter.
+The protocol is public; every release of `nidaqmx[grpc]` contains its message classes, generated from `nidaqmx.proto`.
+The server uses the descriptors of the installed release, so that it works with releases that have more or fewer
+calls.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ _SESSION_FILE = next(
     each for each in nidaqmx_pb2.DESCRIPTOR.dependencies if each.name.endswith("session.proto")
 )
 SESSION_SERVICE = _SESSION_FILE.services_by_name["SessionUtilities"]
-# Entries of a list but for samples, and letters of a text, which may name thousands of channels.
+# Maximum entries of a list other than samples, and maximum characters of a text, which may name thousands of
+# channels.
 _MOST, _LONGEST = 10_000, 1 << 16
 _SAMPLES = ("write_array", "waveforms")
 _SESSION, _TIMESTAMP, _ENUM = "nidevice_grpc.Session", "google.protobuf.Timestamp", "_enum"
@@ -46,7 +47,7 @@ class Method:
     request, response : type
         Message classes.
     streams : bool
-        Whether it answers with a stream.
+        Whether its response is a stream.
     """
 
     name: str
@@ -69,16 +70,16 @@ def methods(service: Any = SERVICE) -> list[Method]:
 
 
 def decode(request: Any) -> dict[str, Any]:
-    """Give the fields of a request by name.
+    """Return the fields of a request by name.
 
-    A choice between a named value and a raw one becomes the number, under the name of the choice, 0 if none is given; a
+    A choice between a named and a raw value becomes the number, under the name of the choice, 0 if absent; a
     session becomes its name; lists become lists, or arrays of numbers; a time becomes seconds since 1970.
 
     Raises
     ------
     DaqError
-        With -200077 for a text, or a list of anything but samples, that is longer than any that is meant, and for
-        a text with a zero in it.
+        With -200077 for a text, or a list other than samples, above the maximum length, and for a text with a null
+        character.
     """
     found: dict[str, Any] = {}
     for name, choice, kind, repeated in _fields(request.DESCRIPTOR):
@@ -116,7 +117,7 @@ def _listed(values: Any, kind: str) -> Any:
 
 @cache
 def _fields(descriptor: Any) -> list[tuple[str, str, str, bool]]:
-    """List what a request holds: name, choice, kind, whether it is a list."""
+    """List the fields of a request: name, choice, kind, and whether it is a list."""
     found, seen = [], set()
     for field in descriptor.fields:
         choice = field.containing_oneof.name if field.containing_oneof is not None else ""
@@ -138,10 +139,10 @@ def _is_list(field: Any) -> bool:
 
 
 def encode(response: Any, values: Mapping[str, Any]) -> bytes:
-    """Write a response from values by field name; where it has a raw form of a field, that too.
+    """Encode a response from values by field name, including the raw forms of fields.
 
-    Samples are written as they lie in memory, which is the form that the protocol has for them: as numbers of Python's,
-    thousands of them would hold up all other clients.
+    Samples are copied from memory, because the protocol has the same format: a conversion of thousands of samples to
+    Python numbers would delay all other clients.
     """
     names, samples = response.DESCRIPTOR.fields_by_name, b""
     for name, value in values.items():
@@ -166,15 +167,15 @@ def encode(response: Any, values: Mapping[str, Any]) -> bytes:
 
 
 def timestamp(seconds: float) -> Timestamp:
-    """Write seconds since 1970 as a time."""
+    """Convert seconds since 1970 to a timestamp message."""
     whole = int(seconds // 1)
     return Timestamp(seconds=whole, nanos=min(round((seconds - whole) * 1e9), 999_999_999))
 
 
 def attribute_name(request: Any) -> str | None:
-    """Give the driver's name of the attribute that a request is about; None if this release has no name for it.
+    """Return the driver's name of the attribute in a request; None if this release has no name for it.
 
-    The name is that of the attribute's number in the protocol, without what group it belongs to.
+    The name is that of the attribute's number in the protocol, without the prefix of its group.
     """
     field = request.DESCRIPTOR.fields_by_name["attribute"]
     given = request.WhichOneof("attribute_enum")
@@ -187,5 +188,5 @@ def attribute_name(request: Any) -> str | None:
     return str(value.name).partition("_ATTRIBUTE_")[2].lower()
 
 
-# Asked for by the client's reads, but named nowhere in the protocol.
+# The client's reads use this attribute, but the protocol does not name it.
 DEFAULT_NUMBER_OF_SAMPLES = 0x31E8

@@ -7,20 +7,20 @@ from collections.abc import Callable
 
 from daq.instrument.errors import Code, DaqError
 
-# A client that waits for a reservation is looked after this often, s: it may have gone.
+# Interval at which a waiting client is checked, s: it may have disconnected.
 _LOOK = 0.1
 _MOST = 10_000
 
 
 class Reservations:
-    """Names that clients reserve among themselves; the server gives them no meaning."""
+    """Names that clients reserve among themselves; they have no meaning for the server."""
 
     def __init__(self) -> None:
         self._holders: dict[str, str] = {}
         self._changed = threading.Condition()
 
     def reserve(self, name: str, client: str, waits: Callable[[], bool]) -> bool:
-        """Reserve a name once no other client holds it; False if the client waits no more."""
+        """Reserve a name as soon as no other client has reserved it; return False if the client no longer waits."""
         with self._changed:
             while self._holders.get(name, client) != client:
                 if not waits():
@@ -35,11 +35,11 @@ class Reservations:
             return True
 
     def held(self, name: str, client: str) -> bool:
-        """Whether a client holds a name."""
+        """Return whether a client has reserved a name."""
         return self._holders.get(name) == client
 
     def release(self, name: str, client: str) -> bool:
-        """Release a name; False if the client does not hold it."""
+        """Release a name; return False if the client has not reserved it."""
         with self._changed:
             if not self.held(name, client):
                 return False

@@ -1,4 +1,4 @@
-"""Running a script for NI's client with the rig as its hardware: `daq run`."""
+"""Execution of a script for NI's client with the rig as its hardware: `daq run`."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from daq.server.unfed_sensors import tell_unfed_sensors
 from rig.errors import SceneError
 from rig.scene.scene import Scene
 
-#: How a process ends of Ctrl-C on Windows.
+#: Exit code of a process after Ctrl-C on Windows.
 CTRL_C_EXIT = 0xC000013A
 STARTUP = Path(__file__).resolve().parent / "startup"
 
@@ -31,32 +31,32 @@ def run_script(
     clock: str | None = None,
     seconds: float | None = None,
 ) -> int:
-    """Run a script as Python would, in a process of its own, with the rig as its hardware.
+    """Run a Python script in a separate process, with the rig as its hardware.
 
     Parameters
     ----------
     path : str or Path
         The script.
     arguments : sequence of str
-        What it finds in `sys.argv` after its name.
+        Arguments in `sys.argv` after the name of the script.
     scene : Scene or str, optional
-        What is on the bench, see `daq.connect`.
+        Scene on the bench, see `daq.connect`.
     clock : str, optional
-        Clock, see `daq.connect`. On the fast one `time.sleep` lets bench time pass, and so does `input`,
+        Clock, see `daq.connect`. With the fast clock `time.sleep` lets bench time pass, and so does `input`,
         which then returns an empty line.
     seconds : float, optional
-        Bench time after which the script gets a Ctrl-C; if it waits for Enter then, it gets that instead.
+        Bench time after which the script receives Ctrl-C; if it is waiting for Enter, it receives Enter instead.
 
     Returns
     -------
     int
         Exit code: the script's own; 1 if it raised an exception, whose traceback is then on stderr; 128 + n if signal
-        n ended it, which may have come to this process.
+        n ended it, possibly forwarded from this process.
 
     Raises
     ------
     SceneError
-        If there is no such script, the scene cannot be used, or `seconds` is no time.
+        If the script does not exist, the scene cannot be used, or `seconds` is not a valid time.
     """
     path = Path(path)
     if seconds is not None and not 0 < seconds < math.inf:
@@ -80,14 +80,14 @@ def run_script(
     return code
 
 
-#: The call by the name of the command, `daq.run`.
+#: Alias with the name of the command, `daq.run`.
 run = run_script
 
 
 def _run(command: list[str], port: int, real: bool, limit: TimeLimit) -> int:
     paths = [str(STARTUP), *filter(None, [os.environ.get("PYTHONPATH")])]
     environment = os.environ | {SERVER: f"127.0.0.1:{port}", "PYTHONPATH": os.pathsep.join(paths)}
-    # Forked children make connections of their own, which grpc allows only if this is set before the fork.
+    # Forked child processes open new connections, which grpc allows only if this is set before the fork.
     environment |= {"GRPC_ENABLE_FORK_SUPPORT": "1"}
     environment |= ({} if real else {FAST: "1"}) | ({} if limit.endless else {LIMITED: "1"})
     process = subprocess.Popen([sys.executable, *command], env=environment)

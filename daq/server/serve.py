@@ -1,4 +1,4 @@
-"""Serving a rig to other processes and machines: `daq serve`."""
+"""Server of a rig for other processes and computers: `daq serve`."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ from rig.scene.scene import Scene
 
 @dataclass(frozen=True)
 class Certificates:
-    """Files that say who the server is, and whom it lets in.
+    """Certificate files of the server, and of the authority that signs clients' certificates.
 
     Parameters
     ----------
     certificate, key : Path
         The server's certificate chain and its private key, PEM.
     clients : Path or None
-        Certificate of who signs the clients' certificates; with it, clients must have one.
+        Certificate of the authority that signs clients' certificates; clients must then have a certificate.
     """
 
     certificate: Path
@@ -54,7 +54,7 @@ class Certificates:
         Raises
         ------
         SceneError
-            If one cannot be read.
+            If a file cannot be read.
         """
         pair = (_read(self.key), _read(self.certificate))
         root = None if self.clients is None else _read(self.clients)
@@ -85,26 +85,26 @@ def serve(
     Parameters
     ----------
     scene, clock
-        As `daq.connect` takes them.
+        As in `daq.connect`.
     host, port : str and int
-        Where to listen; an IPv6 address may be in brackets, and a port may follow the host.
+        Address of the server; an IPv6 address may be in brackets, and a port may follow the host.
     certificates : Certificates, optional
-        Needed for any address that other machines can reach.
+        Required for addresses that other computers can reach.
     limits : Limits, optional
-        What clients may ask for.
+        Limits of the resources of clients.
     record : Path, optional
-        Recording of all that the bench does meanwhile.
+        Recording of all channels during the session.
     overwrite : bool
-        Whether it may replace a file.
+        Whether an existing file may be replaced.
     viewer : bool
-        Whether to show it in the rerun viewer.
+        Whether to show the bench in the rerun viewer.
     protocol : Path, optional
         Folder for the .proto files of the protocol.
 
     Raises
     ------
     SceneError
-        If the scene cannot be used, the address needs certificates, or cannot be listened at.
+        If the scene cannot be used, or the address requires certificates or is not available.
     """
     host, port = parse_address(host, port)
     if certificates is None and not _is_loopback(host):
@@ -130,7 +130,7 @@ def serve(
             stack.callback(LiveRecording(chassis, record, overwrite).close)
         if viewer:
             stack.enter_context(_viewing(chassis))
-        # Python's collector would look through all that is there by now, time and again, while every client waits.
+        # Otherwise Python's garbage collector would repeatedly scan all present objects while the clients wait.
         gc.collect()
         gc.freeze()
         print(announcement(chassis, host, server.port, certificates is not None), flush=True)
@@ -139,7 +139,7 @@ def serve(
 
 
 def announcement(chassis: Chassis, host: str, port: int, encrypted: bool) -> str:
-    """Say where the rig is, what is on it, and how a script reaches it."""
+    """Return the text with the address of the rig, its devices, and the connection of a script."""
     address = _endpoint(host, port)
     lines = [f"Server listening on port {port} ({address}{', with TLS' if encrypted else ''})", ""]
     modules = [chassis.devices.module(name) for name in chassis.devices.names]
@@ -167,12 +167,12 @@ def _span(names: list[str]) -> str:
 
 
 def parse_address(address: str, port: int) -> tuple[str, int]:
-    """Give host and port of an address, where an IPv6 address may be in brackets; `port` if it names none.
+    """Return host and port of an address; an IPv6 address may be in brackets, and `port` is the default port.
 
     Raises
     ------
     SceneError
-        If what follows the host is not a port.
+        If the part after the host is not a port.
 
     Examples
     --------
@@ -195,7 +195,7 @@ def _endpoint(host: str, port: int) -> str:
 
 
 def _is_loopback(host: str) -> bool:
-    """Whether only this machine reaches a host, by all addresses of its name."""
+    """Return whether all addresses of a host are loopback addresses."""
     try:
         found = {str(each[4][0]).partition("%")[0] for each in socket.getaddrinfo(host, None)}
     except (OSError, UnicodeError):
@@ -206,7 +206,7 @@ def _is_loopback(host: str) -> bool:
 def wait_for_signal() -> None:
     """Wait for Ctrl-C, SIGTERM or the end of the terminal."""
     ended = threading.Event()
-    # Under nohup it is to serve on.
+    # Under nohup the server must continue.
     heard = [
         each for each in ENDINGS if each == signal.SIGINT or signal.getsignal(each) is not signal.SIG_IGN
     ]

@@ -1,4 +1,4 @@
-"""The instrument as clients of the server have it in common: chassis, tasks, stored settings, reservations, errors."""
+"""The instrument that all clients share: chassis, tasks, stored settings, reservations, errors."""
 
 from __future__ import annotations
 
@@ -16,28 +16,28 @@ from daq.server.sessions import Sessions
 if TYPE_CHECKING:
     from daq.instrument.chassis import Chassis
 
-# Message text travels in headers, which have little room: bytes.
+# Maximum length of an error text, bytes: it is sent in a header of limited size.
 _LONGEST_TEXT, _LONGEST_NAME = 3000, 200
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What clients may ask for.
+    """Limits of the resources of clients.
 
     Parameters
     ----------
     message : int
-        Bytes of a message.
+        Maximum size of a message, bytes.
     tasks : int
-        Open tasks of one client.
+        Maximum number of open tasks per client.
     memory : int
-        Bytes that the buffers of one client's tasks take in all.
+        Maximum total size of the buffers of a client's tasks, bytes.
     calls : int
-        Calls of one client that are answered at the same time, event streams included.
+        Maximum number of simultaneous calls per client, including event streams.
     all_calls : int
-        Calls of all clients that are answered at the same time; what is beyond is refused at once.
+        Maximum number of simultaneous calls of all clients; further calls are rejected immediately.
     patience : float
-        Seconds after which the session of a client that has gone without goodbye is ended.
+        Time after which the sessions of a disconnected client are ended, s.
     """
 
     message: int = 256 << 20
@@ -49,14 +49,14 @@ class Limits:
 
 
 class ServedInstrument:
-    """What the calls of all clients act on.
+    """The instrument and the state that all clients share.
 
     Parameters
     ----------
     chassis : Chassis
         The instrument.
     limits : Limits
-        What clients may ask for.
+        Limits of the resources of clients.
     """
 
     def __init__(self, chassis: Chassis, limits: Limits) -> None:
@@ -72,7 +72,7 @@ class ServedInstrument:
         return self.chassis.terminals.data_sheet(row) if module.teds else None
 
     def check_size(self, size: int) -> None:
-        """Make sure that an answer is not too large; with -200077."""
+        """Check that a response is not too large; with -200077."""
         if size > self.limits.message:
             raise bad(
                 f"an answer of {size >> 20} MB: this server sends {self.limits.message >> 20} MB at a time; read "
@@ -80,25 +80,25 @@ class ServedInstrument:
             )
 
     def remember(self, peer: str, error: DaqError, task: str) -> None:
-        """Keep the text of an error that the protocol reports by its number alone."""
+        """Store the text of an error that the protocol reports only by its number."""
         if len(self._reported) > 1000:
             self._reported.clear()
         self._reported[peer, error.code] = error_text(error, task)
 
     def recall(self, peer: str, code: int) -> str:
-        """Say what an error number means; what was last said of it to this client."""
+        """Return the latest text of an error number for this client, or its general meaning."""
         if (peer, code) in self._reported:
             return self._reported[peer, code]
         return meaning(code)
 
 
 def cut(text: str, most: int = _LONGEST_TEXT) -> str:
-    """Shorten a text to what fits into a header."""
+    """Shorten a text to the size of a header."""
     return text.encode(errors="replace")[:most].decode(errors="ignore")
 
 
 def error_text(error: DaqError, task: str) -> str:
-    """Write an error as the driver does."""
+    """Return the text of an error in the driver's format."""
     named = f"Task Name: {cut(task, _LONGEST_NAME)}" if task else ""
     lines = [DRIVER_TEXTS.get(error.code, ""), cut(str(error)), named, f"Status Code: {error.code}"]
     return "\n\n".join(line for line in lines if line)

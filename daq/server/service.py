@@ -1,4 +1,4 @@
-"""The server: remote calls in; answers, events and errors out, as the protocol defines them."""
+"""The server: it receives remote calls and sends responses, events and errors, as defined by the protocol."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from rig.command_line import unexpected
 if TYPE_CHECKING:
     from daq.instrument.chassis import Chassis
 
-# The protocol's default port.
+# Default port of the protocol.
 PORT = 31763
 
 
@@ -42,18 +42,18 @@ class Server:
     chassis : Chassis
         The instrument.
     address : str
-        Where to listen, with a port; port 0 takes a free one.
+        Address and port; port 0 selects a free port.
     credentials : grpc.ServerCredentials, optional
-        Certificates; without them nothing is encrypted.
+        Certificates; without them the connection is not encrypted.
     limits : Limits
-        What clients may ask for.
+        Limits of the resources of clients.
     further : sequence of grpc.GenericRpcHandler
-        What else is answered.
+        Additional handlers.
 
     Attributes
     ----------
     port : int
-        Where it listens.
+        Port of the server.
     """
 
     def __init__(
@@ -94,13 +94,14 @@ class Server:
         else:
             self.port = self._server.add_secure_port(address, credentials)
         self._server.start()
-        # Answers wait for the simulation to make way: Python's own 5 ms, several times a call, are long.
+        # Responses wait for the simulation to release the interpreter lock: Python's default of 5 ms, several times
+        # per call, is too long.
         self._switching = sys.getswitchinterval()
         sys.setswitchinterval(0.0005)
         threading.Thread(target=self._watch, name="sessions", daemon=True).start()
 
     def close(self, grace: float | None = 0.5) -> None:
-        """End all sessions and stop listening; calls have so many seconds to end, or none."""
+        """End all sessions and close the server; running calls have `grace` seconds to finish, for None no time."""
         self._closing.set()
         self._discovery.end()
         sys.setswitchinterval(self._switching)
@@ -112,7 +113,7 @@ class Server:
         self._server.wait_for_termination()
 
     def _handler(self, method: Method) -> Any:
-        # Requests come as bytes: of those that are none, gRPC would write a traceback to our terminal.
+        # Requests are decoded here: for an invalid request, gRPC would print a traceback on the terminal.
         if method.streams:
             return grpc.unary_stream_rpc_method_handler(self._stream(method))
         return grpc.unary_unary_rpc_method_handler(self._unary(method))
@@ -160,7 +161,7 @@ class Server:
             context.abort(grpc.StatusCode.INVALID_ARGUMENT, cut(f"{name}: {self._fault(name, error)}"))
 
     def _answer_one_more(self, peer: str, context: grpc.ServicerContext) -> None:
-        """Count the calls of a client that are being answered; with -50103, if it has as many as it may."""
+        """Count a running call of a client; with -50103, if the client has reached its maximum."""
 
         def answered() -> None:
             with self._counting:
@@ -177,7 +178,7 @@ class Server:
             answered()
 
     def _fault(self, name: str, error: Exception) -> str:
-        """Say that a call met a fault of ours; the details are kept once, however often it is called."""
+        """Return the message for an internal error in a call; details of equal errors are printed only once."""
         kind = name, type(error)
         if kind not in self._faults:
             self._faults[kind] = unexpected(error)
@@ -195,7 +196,7 @@ class Server:
                     register(task, given, values.put)
             task.events.at_end(values.put)
             context.add_callback(lambda: values.put(None))
-            # Only now does the client go on: what it starts next is heard.
+            # The client continues only after this header: the listener is then registered.
             context.send_initial_metadata(())
             try:
                 while (value := values.get()) is not None and context.is_active():
@@ -207,7 +208,7 @@ class Server:
         return events
 
     def _watch(self) -> None:
-        """End sessions whose clients have gone, now and then."""
+        """End sessions of disconnected clients, periodically."""
         while not self._closing.wait(min(1.0, self.limits.patience / 4)):
             there = _connected_to(self.port)
             if there is None:
@@ -238,7 +239,7 @@ _EVENTS: dict[str, tuple[Callable[[Task, dict[str, Any], Any], None], Callable[.
 
 
 def _connected_to(port: int) -> set[tuple[str, int]] | None:
-    """List who is connected to a port of this process; None if that cannot be found out."""
+    """Return the addresses connected to a port of this process; None if they cannot be determined."""
     import psutil
 
     try:

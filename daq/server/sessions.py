@@ -1,4 +1,4 @@
-"""Sessions: the tasks of all clients, who may end them, and what becomes of those that are left behind."""
+"""Sessions: the tasks of all clients, the right to end them, and the end of abandoned tasks."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ class Session:
     task : Task
         The task.
     owner : str
-        The connection that made it.
+        Connection that created it.
     users : set of str
         Connections that have used it.
     left_at : float or None
-        When all of them were found gone, s.
+        Time at which all of them were disconnected, s.
     """
 
     task: Task
@@ -41,7 +41,7 @@ class Session:
 
 
 class SessionExists(ShotrigError):
-    """A new session was asked for under a name that is taken."""
+    """A new session was requested under an existing name."""
 
 
 class Sessions:
@@ -50,11 +50,11 @@ class Sessions:
     Parameters
     ----------
     chassis : Chassis
-        Where tasks run.
+        Chassis of the tasks.
     storage : Storage
-        Where their custom scales are.
+        Storage of their custom scales.
     most : int
-        Tasks that one connection may have open.
+        Maximum number of open tasks per connection.
     """
 
     def __init__(self, chassis: Chassis, storage: Storage, most: int) -> None:
@@ -64,7 +64,7 @@ class Sessions:
         self._lock = threading.RLock()
 
     def open(self, name: str, behavior: int, peer: str) -> tuple[str, bool]:
-        """Open a session, or attach to the one of that name.
+        """Open a session, or attach to the session of that name.
 
         Returns
         -------
@@ -74,9 +74,9 @@ class Sessions:
         Raises
         ------
         SessionExists
-            If a new one was asked for and there is one of that name.
+            If a new session was requested and the name exists.
         DaqError
-            With -200088, if there is none to attach to; with -50103, if the client has as many as it may.
+            With -200088, if there is no session to attach to; with -50103, if the client has reached its maximum.
         """
         with self._lock:
             if name and name in self._open:
@@ -97,7 +97,7 @@ class Sessions:
             return session, True
 
     def check_memory(self, name: str, most: int) -> None:
-        """Make sure that the buffers of a client do not take more than so many bytes; else the last one has to go."""
+        """Check that the buffers of a client do not exceed `most` bytes; otherwise release the last buffer."""
         with self._lock:
             session = self._open.get(name)
             if session is None:
@@ -111,7 +111,7 @@ class Sessions:
             )
 
     def check_free(self, name: str) -> None:
-        """Make sure that no task has a name; with -200089."""
+        """Check that no task has the name; with -200089."""
         if name in self._chassis.tasks:
             raise DaqError(
                 f"there is a task named {name!r} already: close it first, or choose another name",
@@ -119,7 +119,7 @@ class Sessions:
             )
 
     def find(self, name: str, peer: str) -> Task:
-        """Find the task of a session; with -200088, if there is none."""
+        """Return the task of a session; with -200088, if the session does not exist."""
         with self._lock:
             session = self._open.get(name)
             if session is None:
@@ -131,13 +131,13 @@ class Sessions:
             return session.task
 
     def task_name(self, name: str) -> str:
-        """Give the name of a session's task; the session's own if it is not open."""
+        """Return the name of a session's task; the name of the session if it is not open."""
         with self._lock:
             session = self._open.get(name)
             return name if session is None else session.task.name
 
     def close(self, name: str, peer: str) -> None:
-        """End a session; a client that only attached to it leaves it to the one that made it."""
+        """End a session; a client that only attached to it detaches, and the session stays with its creator."""
         with self._lock:
             self.find(name, peer)
             session = self._open[name]
@@ -148,7 +148,7 @@ class Sessions:
         session.task.close()
 
     def end_on(self, device: str, peer: str) -> None:
-        """Abort what a client runs on a device; with -50103, if others use it too."""
+        """Abort the tasks of a client on a device; with -50103, if other clients use the device too."""
         with self._lock:
             there = [each for each in self._open.values() if device in each.task.settings.device_names]
             others = [each.task.name for each in there if each.owner != peer]
@@ -161,19 +161,19 @@ class Sessions:
                 each.task.control(5)
 
     def sweep(self, there: Collection[tuple[str, int]], patience: float) -> list[str]:
-        """End the sessions whose clients have gone without goodbye.
+        """End the sessions of clients that disconnected without closing them.
 
         Parameters
         ----------
         there : collection of tuple
-            Address and port of every client that is connected.
+            Address and port of every connected client.
         patience : float
-            Seconds that a session is kept for its client to come back.
+            Time for which a session waits for its client to reconnect, s.
 
         Returns
         -------
         list of str
-            Names of the tasks that were ended.
+            Names of the ended tasks.
         """
         ended = []
         with self._lock:
@@ -198,6 +198,6 @@ class Sessions:
 
 
 def _endpoint(peer: str) -> tuple[str, int]:
-    """Give address and port of a peer, as in "ipv4:127.0.0.1:40022"."""
+    """Return address and port of a peer, as in "ipv4:127.0.0.1:40022"."""
     host, _, port = unquote(peer).partition(":")[2].rpartition(":")
     return host.strip("[]"), int(port) if port.isdigit() else 0

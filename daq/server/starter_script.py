@@ -1,4 +1,4 @@
-"""A script for NI's client that reads what is on a bench, each input as its sensor needs it."""
+"""A script for NI's client that reads the inputs of a bench, with settings that suit the sensors."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from daq.instrument.devices.modules import Module
 from daq.signal_chain.channel import ChannelInfo
 from rig.scene.scene import STANDARD_GRAVITY
 
-# Limits stay this far below full scale, that rounding does not put them above it.
+# Relative margin of limits below full scale, so that rounded limits do not exceed it.
 _BELOW = 1 - 1e-5
-# What makes a channel for a quantity: the driver's call, the unit, and what V per SI unit is as its sensitivity.
+# Channel type per quantity: the driver's call, the unit, and the factor from V per SI unit to its unit of sensitivity.
 _SENSORS = {
     "acceleration": ("add_ai_accel_chan", "AccelUnits.METERS_PER_SECOND_SQUARED", 1e3 * STANDARD_GRAVITY),
     "force": ("add_ai_force_iepe_chan", "ForceUnits.NEWTONS", 1e3),
@@ -21,21 +21,21 @@ _CONSTANTS = ("AccelUnits", "Coupling", "ExcitationSource", "ForceUnits")
 
 
 def starter_script(chassis: Chassis, channel: str) -> list[str]:
-    """Write a script that reads the inputs of a bench in their units.
+    """Return a script that reads the inputs of a bench in their units.
 
-    Modules of one chassis make one task; of devices of their own it is the first.
+    The modules of a chassis are one task; of several separate devices, the script uses the first.
 
     Parameters
     ----------
     chassis : Chassis
         The instrument.
     channel : str
-        Expression for the connection to it.
+        Expression for the connection to the instrument.
 
     Returns
     -------
     list of str
-        Its lines, an empty one first.
+        Lines of the script, beginning with an empty line.
     """
     modules = [each for name in chassis.devices.names if (each := chassis.devices.module(name)).inputs]
     first = modules[0]
@@ -57,7 +57,7 @@ def starter_script(chassis: Chassis, channel: str) -> list[str]:
 
 
 def _made(chassis: Chassis, module: Module) -> list[str]:
-    """Write the statements that make the channels of a module; neighbours that are alike take one."""
+    """Return the statements that create the channels of a module; equal neighbors are one statement."""
     numbered = [(_making(chassis, module, row), number) for number, row in enumerate(module.inputs)]
     lines = []
     for statement, group in groupby(numbered, key=lambda each: each[0]):
@@ -68,7 +68,7 @@ def _made(chassis: Chassis, module: Module) -> list[str]:
 
 
 def _making(chassis: Chassis, module: Module, row: int) -> str:
-    """Write the statement that makes a channel, its terminal left open, and what has to be set afterwards."""
+    """Return the statement that creates a channel, with a placeholder for the terminal, and further settings."""
     info = chassis.bench.channels[row]
     fed, current = chassis.terminals.supply(row) is not None, module.currents[0]
     if info.quantity in _SENSORS:
@@ -81,7 +81,8 @@ def _making(chassis: Chassis, module: Module, row: int) -> str:
     call = f'task.ai_channels.add_ai_voltage_chan("{_TERMINAL}"{_limits(info, 1.0)})'
     if not fed:
         return call
-    # A sensor in front of an integrating amplifier: voltage channels take no excitation as they are made.
+    # The sensor is connected through an integrating amplifier: calls for voltage channels have no excitation
+    # argument.
     after = ["made.ai_excit_src = ExcitationSource.INTERNAL", f"made.ai_excit_val = {current!r}"]
     if module.supply_coupling == "AC":
         after.append("made.ai_coupling = Coupling.AC")
@@ -89,7 +90,7 @@ def _making(chassis: Chassis, module: Module, row: int) -> str:
 
 
 def _limits(info: ChannelInfo, volts_per_unit: float) -> str:
-    """Write limits that take the whole range; nothing where it has none."""
+    """Return limits for the full range; an empty text without a range."""
     if info.range is None:
         return ""
     largest = info.range if volts_per_unit == 1.0 else _BELOW * info.range / volts_per_unit

@@ -1,4 +1,4 @@
-"""A word on the bench's terminal where a script reads a sensor that gets no current: hardware would give it noise."""
+"""Message for a script that reads a sensor without supply current: hardware would return noise."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from daq.instrument.settings.channels import Channel
 
 
 def tell_unfed_sensors(chassis: Chassis) -> None:
-    """Say on stderr, once for each input, when a task samples a sensor whose supply it leaves off."""
+    """Report on stderr, once per input, that a task samples a sensor whose supply is off."""
     reported: set[int] = set()
 
     def hear(channels: Sequence[Channel]) -> None:
@@ -23,7 +23,7 @@ def tell_unfed_sensors(chassis: Chassis) -> None:
         infos = chassis.bench.channels
         inputs = ", ".join(f"{each.port.name} ({infos[row].name})" for row, each in fresh.items())
         current = next(iter(fresh.values())).module.currents[0]
-        # A terminal that is gone is not the client's affair.
+        # A closed terminal must not cause an error in the client.
         with suppress(OSError):
             print(
                 f"note: no excitation for {inputs}: an IEPE sensor without it gives no more than noise; make the "

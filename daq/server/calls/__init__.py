@@ -1,1 +1,1 @@
-"""What each remote call does on the instrument."""
+"""Handlers that execute the remote calls on the instrument."""

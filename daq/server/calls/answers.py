@@ -1,4 +1,4 @@
-"""Which remote call is answered by what."""
+"""The table of handlers of remote calls."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from daq.server.calls.channels import create_input, create_teds_input
 
 
 def answer_to(name: str) -> Callable[[Call], Answer] | None:
-    """Find what answers a call of the service; None if the instrument has no answer to it."""
+    """Return the handler of a call of the service; None if the instrument does not support the call."""
     for group in (tasks, channels, timing, samples, scales, devices, session_utilities):
         if name in group.CALLS:
             return group.CALLS[name]

@@ -1,4 +1,4 @@
-"""A remote call, and what its answers are made of."""
+"""A remote call, and helpers for its handlers."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ class Call:
     Attributes
     ----------
     instrument : ServedInstrument
-        What it acts on.
+        Instrument of the server.
     peer : str
-        Who calls.
+        Address of the client.
     message : Message
         The request.
     fields : dict
-        What it holds, see `daq.server.protocol.decode`.
+        Decoded fields of the request, see `daq.server.protocol.decode`.
     strict : bool
-        Whether a duplicate name is reported as the driver does, not as the network does.
+        Whether a duplicate name is the error of the driver instead of that of the network.
     is_active : callable
-        Whether the client still waits for the answer.
+        Returns whether the client still waits for the response.
     """
 
     instrument: ServedInstrument
@@ -45,17 +45,17 @@ class Call:
 
     @property
     def task(self) -> Task:
-        """The task it is about; with -200088, if there is none of that name."""
+        """Task of the call; with -200088, if there is no task of that name."""
         return self.instrument.sessions.find(self.fields["task"], self.peer)
 
 
 def plain(value: Any) -> Any:
-    """Give a field's value, lists of numbers as such."""
+    """Return the value of a field; numpy arrays become lists."""
     return value.tolist() if isinstance(value, np.ndarray) else value
 
 
 def does(action: Callable[[Task, dict[str, Any]], Any]) -> Callable[[Call], Answer]:
-    """Make a call of something that a task does; a number it gives back is the status."""
+    """Return the handler for an action of a task; a number that the action returns is the status."""
 
     def act(call: Call) -> Answer:
         status = action(call.task, call.fields)

@@ -1,4 +1,4 @@
-"""Calls that make channels."""
+"""Calls that create channels."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from daq.server.calls.call import Answer, Call, plain
 
 
 def create_input(kind: str) -> Callable[[Call], Answer]:
-    """Make the call that declares inputs of a kind, by its name in the driver's calls."""
+    """Return the handler that creates inputs of a kind, by its name in the driver's calls."""
     chosen, implied = measurement(kind)
 
     def create(call: Call) -> Answer:
@@ -25,7 +25,7 @@ def create_input(kind: str) -> Callable[[Call], Answer]:
 
 
 def create_teds_input(kind: str) -> Callable[[Call], Answer]:
-    """Make the call that declares inputs of a kind whose sensors say what they are."""
+    """Return the handler that creates inputs of a kind with the settings of the sensors' TEDS."""
     chosen, implied = measurement(kind)
 
     def create(call: Call) -> Answer:
@@ -41,7 +41,7 @@ def create_teds_input(kind: str) -> Callable[[Call], Answer]:
 
 
 def _declared(call: Call, kind: Measurement) -> tuple[str, str, dict[str, Any]]:
-    """Give the terminals, the name and the settings that a call declares inputs with."""
+    """Return the terminals, the name and the settings in a call that creates inputs."""
     call.task.check_idle("adding channels")
     given = {key: plain(value) for key, value in call.fields.items() if key != "task"}
     physical, name = given.pop("physical_channel"), given.pop("name_to_assign_to_channel")
@@ -49,12 +49,12 @@ def _declared(call: Call, kind: Measurement) -> tuple[str, str, dict[str, Any]]:
 
 
 def _settings_of_sensor(call: Call, physical: str, kind: Measurement) -> dict[str, Any]:
-    """Give the settings that a sensor's own data sheet makes for a channel on its terminal.
+    """Return the settings of a channel from its sensor's TEDS.
 
     Raises
     ------
     DaqError
-        With -200709 where no sensor says what it is, -200826 where it is none of that kind.
+        With -200709 for a sensor without TEDS, -200826 for a sensor of another kind.
     """
     port = parse_port(physical)
     volts = sensitivity(call.instrument.teds.sheet(port))

@@ -19,17 +19,17 @@ _BY_CHANNEL = 0
 
 @dataclass(frozen=True)
 class _Counts:
-    """The numbers that a call transfers converter counts in; unsigned, they are two's complement of the count."""
+    """The integer type in which a call transfers converter counts; unsigned integers are the two's complement."""
 
     dtype: type[np.signedinteger[Any]] | type[np.unsignedinteger[Any]]
 
     @property
     def bits(self) -> int:
-        """Width of a number."""
+        """Width of the type, bits."""
         return np.iinfo(self.dtype).bits
 
     def check_width(self, count: int, code: Code) -> None:
-        """Refuse converters whose counts are wider, with the code."""
+        """Reject converters with wider counts, with the code."""
         if count > self.bits:
             raise DaqError(
                 f"the converter's counts have {count} bits: use numbers of {count} bits in place of {self.bits}",
@@ -38,7 +38,7 @@ class _Counts:
             )
 
     def from_numbers(self, values: Sequence[int]) -> NDArray[np.float64]:
-        """Give the counts that a client sent; with -200561 for numbers that its type does not have."""
+        """Convert the numbers of a client to counts; with -200561 for numbers outside the range of the type."""
         limits, numbers = np.iinfo(self.dtype), np.array(values, dtype=np.int64)
         wrong = (numbers < limits.min) | (numbers > limits.max)
         if wrong.any():
@@ -59,7 +59,7 @@ _COUNTS = {
 
 
 def _check_room(room: int, needed: int, what: str) -> None:
-    """Make sure that a client's array takes what is to be read."""
+    """Check that the array of the client is large enough for the samples."""
     if needed > room:
         raise DaqError(
             f"the array has room for {room} {what}, {needed} are to be read: make it larger",
@@ -86,7 +86,7 @@ def _read(counts: _Counts | None = None) -> Callable[[Call], Answer]:
         if counts is not None:
             values = values.astype(counts.dtype)
         if by_channel and reading.error is None and done < samples:
-            # All that a finite task had left: each channel keeps its place in the array.
+            # These are the remaining samples of a finite task: each channel keeps its position in the array.
             values = np.pad(values, ((0, 0), (0, samples - done)))
         values = values if by_channel else values.T
         return _with_status(call, reading, {"read_array": values, "samps_per_chan_read": done})
@@ -95,7 +95,7 @@ def _read(counts: _Counts | None = None) -> Callable[[Call], Answer]:
 
 
 def _with_status(call: Call, reading: Reading, answer: Answer) -> Answer:
-    """Give what was read with the reason why there is no more, if there should be."""
+    """Return the samples read, with the error if there are fewer than requested."""
     error = reading.error
     if error is None:
         return answer
@@ -145,7 +145,7 @@ def _read_waveforms(call: Call) -> Answer:
         waveform = DoubleAnalogWaveform(y_data=samples.tolist())
         if mode & 1:
             start = task.input.time_of_sample(reading.first)
-            # The waveform's time counts from 1904, in seconds and 2^-64 of one.
+            # The time of a waveform counts from 1904, in seconds and fractions of 2^-64 s.
             seconds, rest = divmod(start, 10**9)
             waveform.t0.seconds = seconds + 2_082_844_800
             waveform.t0.fractional_seconds = rest * 2**64 // 10**9
@@ -159,7 +159,7 @@ def _read_waveforms(call: Call) -> Answer:
 
 
 def _table(task: Task, data: NDArray[np.float64], samples: int, by_channel: bool) -> NDArray[np.float64]:
-    """Put samples into rows, one for each channel."""
+    """Arrange samples in rows, one row per channel."""
     channels = len(task.settings.channels) or 1
     if data.size != channels * samples:
         raise DaqError(
@@ -187,13 +187,13 @@ def _write(counts: _Counts | None = None) -> Callable[[Call], Answer]:
 
 
 def _count_bits(task: Task) -> int:
-    """Give the width of the counts that the outputs of a task take."""
+    """Return the width of the counts of a task's outputs, bits."""
     task.settings.require("ao")
     return 16 if all((each.module.output_bits or 32) <= 16 for each in task.settings.channels) else 32
 
 
 def _volts_per_count(task: Task) -> NDArray[np.float64]:
-    """Give what a count of each output is in volts, shape (channels, 1)."""
+    """Return the volts per count of each output, shape (channels, 1)."""
     sizes = []
     for each in task.settings.channels:
         if each.module.output_bits is None:

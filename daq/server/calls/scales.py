@@ -1,4 +1,4 @@
-"""Calls about custom scales, and about what is saved under a name."""
+"""Calls about custom scales, and about saved tasks, channels and scales."""
 
 from __future__ import annotations
 

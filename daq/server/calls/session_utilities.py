@@ -1,4 +1,4 @@
-"""Calls of the session service: the devices there are, reservations by name, a reset of the server."""
+"""Calls of the session service: list of devices, reservations by name, reset of the server."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Calls about a task as a whole: sessions, its life, its events."""
+"""Calls about a task as a whole: sessions, states, events."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ def _sample_clock(call: Call) -> Answer:
 
 
 def _trigger(which: str, kind: TriggerType, **names: str) -> Callable[[Call], Answer]:
-    """Make the call that sets a trigger up; `names` maps fields to settings."""
+    """Return the handler that configures a trigger; `names` maps fields to settings."""
     prefix = {
         TriggerType.ANALOG_EDGE: "anlg_edge",
         TriggerType.ANALOG_WINDOW: "anlg_win",

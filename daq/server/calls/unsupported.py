@@ -1,4 +1,4 @@
-"""Calls of the driver that no device on a bench can carry out: each is refused as hardware refuses it."""
+"""Calls of the driver that no device on a bench supports; each returns the same error as hardware."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _WORDS = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
 
 
 def script_function(method: str) -> str:
-    """Name the function that a script calls: that of the package nidaqmx for channels and timing, else the driver's.
+    """Return the function name in a script: for channels and timing that of the package nidaqmx, else the driver's.
 
     Examples
     --------
@@ -30,9 +30,9 @@ def script_function(method: str) -> str:
 
 
 def refusal(method: str) -> Callable[[Call], NoReturn]:
-    """Make the answer to a call that the instrument does not have.
+    """Return the handler of a call that the instrument does not support.
 
-    The answer is -200220 for a device that is not on the bench, -200170 for a counter or a digital line, -200431 for a
+    The error is -200220 for a device that is not on the bench, -200170 for a counter or a digital line, -200431 for a
     measurement that no input supports, and -200452 for anything else.
     """
     function = script_function(method)

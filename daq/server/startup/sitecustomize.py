@@ -1,6 +1,7 @@
-"""Runs when Python starts in a process of `daq run`, whose first folder to import from is this one.
+"""Startup code of Python in a process of `daq run`, whose first import folder is this folder.
 
-It is no package: Python looks for a module of this name when it starts. One that lies further back is run too.
+It is not a package: Python imports a module of this name at startup. A later module of this name on the path is also
+executed.
 """
 
 import importlib.machinery

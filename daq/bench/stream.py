@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from fractions import Fraction
 from typing import TYPE_CHECKING
@@ -68,7 +69,11 @@ class Stream:
     ) -> None:
         self._scene = at_rate(scene, rate)
         clock = SampleClock.of(self._scene.converter)
-        self._intervals = _intervals(oversampling(self._scene, clock), per_tick)
+        needed = oversampling(self._scene, clock)
+        if _reads_drive(scene):
+            # The drive is a straight line from tick to tick: longer intervals would lose what lies between.
+            needed = max(needed, math.ceil(1 / per_tick))
+        self._intervals = _intervals(needed, per_tick)
         motion_rate = clock.true_rate * self._intervals
         self._chain = Chain(self._scene, motion_rate, plant.points, plant.inputs)
         self._interval = 1.0 / motion_rate
@@ -149,6 +154,11 @@ def at_rate(scene: Scene, rate: float) -> Scene:
         return scene.replace(converter=converter)
     except SceneError:
         return scene.replace(converter=converter, test=None)
+
+
+def _reads_drive(scene: Scene) -> bool:
+    """Whether a channel reads the drive itself: the force of a shaker or hammer, or the voltage of an output."""
+    return any(channel.measures_force or channel.measures_voltage for channel in scene.channels or ())
 
 
 def _intervals(needed: int, per_tick: Fraction) -> int:

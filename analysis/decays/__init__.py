@@ -1,4 +1,4 @@
-"""Free decays: envelopes, and damping ratio against amplitude, of a channel and of each mode in it.
+"""Free decays: envelope of a channel, and damping ratio against amplitude for each mode.
 
-Start with `free_decay`; `modal_decay` takes modes apart.
+Start with `free_decay`; `modal_decay` separates and analyzes the modes.
 """

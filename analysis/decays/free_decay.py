@@ -1,4 +1,7 @@
-"""Free decay after a hit: envelope, energy, modes, and the amplitude at which dampers fall silent."""
+"""Free decay after a hit: envelope, energy, modes, and the time at which the dampers come to rest.
+
+Energy: backward integration (M. R. Schroeder, J. Acoust. Soc. Am. 37 (1965) 409).
+"""
 
 from __future__ import annotations
 
@@ -28,19 +31,19 @@ if TYPE_CHECKING:
     from daq.signal_chain.channel import ChannelInfo
 
 Array = NDArray[np.float64]
-# Where modes are looked for, Hz; higher, too, where the scene's structure has higher ones.
+# Frequency range that is searched for modes, Hz; the upper limit is raised if the scene's structure has higher modes.
 LOWEST_MODE = 2.0
 HIGHEST_MODE = 200.0
-# Samples that a decay has at least.
+# Minimum number of samples in a decay.
 _FEWEST = 256
-# A motion that keeps more than this part of its energy for the last tenth of the record, and does not fall there, is
-# no decay.
+# If the last tenth of a record contains more than this share of the energy, and the energy does not fall there, the
+# motion is not a decay.
 _STILL_MUCH = 0.02
-#: Levels of the energy between which its initial decay is fitted, dB.
+#: Energy levels between which the slope of the initial decay is fitted, dB.
 FIRST_FALL = -1.0, -11.0
-# Share of a decay's energy that is rounding.
+# Relative energy below which only rounding errors remain.
 _LEAST_ENERGY = 1e-30
-# A decay that is clipped for more than this part has no amplitudes worth reporting.
+# If the channel is overloaded for more than this share of a decay, its amplitudes are unusable.
 _MOST_CLIPPED = 0.1
 
 
@@ -51,24 +54,25 @@ class Decay(Result):
     Attributes
     ----------
     channel, label : str
-        Channel, and scene for legends.
+        Channel, and scene name for legends.
     hit : int
-        Which hit, from 1.
+        Number of the hit, from 1.
     time : ndarray, shape (n,)
-        s from the beginning of the free decay.
+        Time from the beginning of the free decay, s.
     acceleration, envelope : ndarray, shape (n,)
-        m/s²; the envelope is the magnitude of the analytic signal (Hilbert).
+        Acceleration, and its envelope (magnitude of the analytic signal, by Hilbert transform), m/s².
     peak_time, peak : ndarray, shape (peaks,)
-        Largest magnitudes, at least a period of the lowest mode apart: the envelope by peak picking.
+        Envelope by peak picking: local maxima of the magnitude, at least one period of the lowest mode apart; s,
+        m/s².
     energy : ndarray, shape (n,)
-        Schroeder integral: energy of the acceleration from each instant on, dB re its beginning. What follows the
-        end counts as if the decay went on as in its last two tenths [1]_.
+        Backward-integrated (Schroeder) energy of the acceleration, dB relative to its initial value. Beyond the end
+        of the record the decay is extrapolated from its last two tenths [1]_.
     modes : tuple of ModalDecay
-        Decay of each mode found.
+        Decay of each detected mode.
     gravity : float
-        Below this acceleration amplitude a damper at rest on its floor stays there, m/s².
+        Acceleration due to gravity, m/s²: a damper at rest on the floor stays there below this amplitude.
     warnings : tuple of str
-        In full sentences.
+        Consequences for the results, in full sentences.
 
     References
     ----------
@@ -89,7 +93,7 @@ class Decay(Result):
     warnings: tuple[str, ...]
 
     def summary(self) -> str:
-        """Say what decayed, from where, and each mode with its damping ratio at its largest amplitude."""
+        """Return the channel, its largest acceleration, and the damping ratio of each mode at its largest amplitude."""
         modes = [f"{m.frequency_text()} ({100 * m.damping[0]:.3g} %)" for m in self.modes if m.damping.size]
         largest = float(abs(self.acceleration).max())
         return (
@@ -97,7 +101,7 @@ class Decay(Result):
         )
 
     def columns(self) -> dict[str, Array]:
-        """Time, acceleration, its envelope, and the energy left."""
+        """Return time, acceleration, envelope and backward-integrated energy."""
         return {
             "time_s": self.time,
             "acceleration_m/s²": self.acceleration,
@@ -106,19 +110,19 @@ class Decay(Result):
         }
 
     def draw(self, ax: Axes, **style: Any) -> None:
-        """Acceleration with its outline on both sides."""
+        """Draw the acceleration with its upper bound `outline` on both sides."""
         (line,) = ax.plot(self.time, self.outline(), **styled(style, lw=1.2, label=self.label))
         ax.plot(self.time, -self.outline(), color=line.get_color(), lw=line.get_linewidth())
         ax.plot(self.time, self.acceleration, color=line.get_color(), lw=0.5, alpha=0.6)
         ax.set(xlabel="time after the hit / s", ylabel="acceleration / (m/s²)")
 
     def outline(self) -> Array:
-        """Give a smooth line that no sample of the acceleration passes, shape (n,), m/s²."""
+        """Return a smooth upper bound of the magnitude of the acceleration, shape (n,), m/s²."""
         lowest = min((mode.frequency for mode in self.modes), default=1.0 / self.time[-1])
         return outline(self.acceleration, 1.0 / (lowest * self.time[1]))
 
     def time_below(self, amplitude: float) -> float:
-        """Time in s from which the acceleration stays below an amplitude; NaN when it never does."""
+        """Return the time in s from which the acceleration stays below an amplitude; NaN if it never does."""
         above = np.flatnonzero(abs(self.acceleration) >= amplitude)
         if not above.size:
             return 0.0
@@ -131,7 +135,7 @@ class Decay(Result):
 
     @property
     def halving(self) -> float:
-        """Time in s in which the energy falls by 6 dB at first, fitted to its curve between -1 and -11 dB."""
+        """Time in s for the initial 6 dB fall of the energy, from a line fitted between -1 and -11 dB."""
         inside = (self.energy <= FIRST_FALL[0]) & (self.energy >= FIRST_FALL[1])
         if np.sum(inside) < 8:
             return float("nan")
@@ -139,10 +143,10 @@ class Decay(Result):
 
 
 def outline(acceleration: Array, period: float) -> Array:
-    """Give a smooth line that no sample of an acceleration passes.
+    """Return a smooth upper bound of the magnitude of an acceleration.
 
-    The largest magnitude within half a period of the lowest mode [samples] on either side, averaged over as long:
-    every value of the average is as large as the sample in its middle.
+    The running maximum over half a period [samples] on either side is smoothed with a window of the same length. Each
+    maximum in that window includes the sample in its middle, so that the smoothed value is at least as large.
 
     Examples
     --------
@@ -158,18 +162,18 @@ def outline(acceleration: Array, period: float) -> Array:
 
 @takes_path
 def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int | None = None) -> Decay:
-    """Free decay of a channel's acceleration after a hit.
+    """Analyze the free decay of a channel's acceleration after a hit.
 
     Parameters
     ----------
     rec : daq.Recording, str or Path
-        An impulse test or a free decay.
+        Recording of an impulse test or a free decay.
     channel : str, optional
-        Channel; omitted, the last body's.
+        Motion channel; default: that of the last body.
     hit : int
-        Which hit, from 1.
+        Number of the hit, from 1.
     modes : int, optional
-        How many modes to look for; omitted, as many as the structure has bodies.
+        Maximum number of modes; default: the number of bodies of the structure.
     """
     names = responses(rec)
     if not names:
@@ -218,17 +222,17 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
             f"{min(highest, high):.4g} Hz."
         )
     cycle = int(rec.rate / found[0]) if found.size else int(rec.rate / 10.0)
-    # The envelope of the last cycle depends on what follows the end: it is left out.
+    # The envelope of the last cycle depends on samples after the end, so the last cycle is discarded.
     last = acceleration.size - min(cycle, (acceleration.size - free) // 10)
     shown = acceleration[free:last]
-    # Mirrored, so that the transform finds no step anywhere: one lifts its neighbourhood by its logarithm.
+    # Mirrored, because a step in the periodic continuation would distort the Hilbert transform around it.
     envelope = abs(scipy.signal.hilbert(np.concatenate([acceleration, acceleration[::-1]])))[free:last]
     where, _ = scipy.signal.find_peaks(abs(shown), distance=max(cycle, 1))
     power = np.cumsum(shown[::-1] ** 2)[::-1]
     after = _energy_after(shown)
     energy = np.zeros(shown.size)
     if not np.isinf(after):
-        # A reading that ends in zeros has no energy left, whose logarithm is none.
+        # If the samples end in zeros, the energy is zero there, and its logarithm is undefined.
         energy = 10.0 * np.log10(np.maximum((power + after) / (power[0] + after), _LEAST_ENERGY))
     if energy.min() > FIRST_FALL[1]:
         notes.append(
@@ -252,14 +256,14 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
 
 
 def _highest_mode(rec: Recording) -> float:
-    """Frequency up to which modes are looked for, Hz: an octave above the highest of the scene's structure."""
+    """Upper limit of the mode search, Hz: at least an octave above the highest mode of the scene."""
     return max(HIGHEST_MODE, 2.0 * float(structural_model(rec.scene).modes.frequency.max()))
 
 
 def _energy_after(shown: Array) -> float:
-    """Energy after the end of a decay that goes on as in its last two tenths.
+    """Energy after the end of the record, extrapolated exponentially from its last two tenths.
 
-    What no longer falls there is noise after a decay, of which nothing counts; infinite where it is no small part.
+    If the energy does not fall there, it is noise and the result is 0, or infinite if its share is large.
     """
     tenth = max(1, shown.size // 10)
     before, last = (float(np.sum(each**2)) for each in (shown[-2 * tenth : -tenth], shown[-tenth:]))
@@ -269,24 +273,24 @@ def _energy_after(shown: Array) -> float:
 
 
 def _clipped(rec: Recording, channel: str, begin: int, stop: int) -> float:
-    """Part of a stretch in which a channel was overloaded."""
+    """Share of a stretch in which a channel was overloaded."""
     spans = [(m.first_sample, m.end) for m in rec.overloads if m.fields.get("channel") == channel]
     inside = sum(max(min(last + 1, stop) - max(first, begin), 0) for first, last in spans)
     return inside / max(stop - begin, 1)
 
 
 def _stretch(rec: Recording, info: ChannelInfo, hit: int) -> tuple[int, int, int, int]:
-    """Find where to read from, where the decay begins and stops, and to where samples are to be read for it."""
+    """Return the first sample to read, the beginning and end of the decay, and the end of the samples to read."""
     marked = hits(rec)
     if not 1 <= hit <= len(marked):
         raise SceneError(f"hit {hit} of {len(marked)}: the recording holds hits 1 to {len(marked)}")
     first, last = marked[hit - 1]
-    # What a filter delays is put back in time: the last of the decay is in samples after it, and the next
-    # hit shows in samples before.
+    # The correction removes the delay of the filter. The end of the decay is therefore in later samples, and the
+    # response to the next hit begins in earlier ones because the filter is not causal.
     end = arrival(info, marked[hit][0], marked[hit][0])[0] if hit < len(marked) else rec.samples
     stop = end - arrival(info, 0, 0)[1]
     begin = last + 1
-    # Enough before the hit for the band-pass to see the structure at rest.
+    # Include samples before the hit, so that the band-pass starts with the structure at rest.
     before = max(first - int(0.5 * rec.rate), marked[hit - 2][1] + 1 if hit > 1 else 0, 0)
     if stop - begin < _FEWEST:
         raise RecordingError(

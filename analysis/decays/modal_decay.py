@@ -1,4 +1,4 @@
-"""One mode of a free decay: its envelope, and its damping ratio against amplitude."""
+"""Envelope of one mode of a free decay, and its damping ratio and natural frequency against amplitude."""
 
 from __future__ import annotations
 
@@ -17,48 +17,52 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+# Relative frequency difference below which two spectral peaks are considered the same mode.
 _SAME_MODE = 0.1
-# A damping ratio counts when noise leaves it uncertain by less than this part (one standard deviation).
+# Maximum relative standard uncertainty, due to noise, of a reported damping ratio.
 WORST = 0.05
-# Levels in nepers: the damping ratio at an amplitude is read off the fall by 6 dB around it, every 1.5 dB.
+# Half of the fitted fall, in nepers: the damping ratio at an amplitude is the slope of the envelope while it falls by
+# 6 dB around that amplitude. The amplitudes are 1.5 dB apart.
 _HALF = 3.0 / 20.0 * np.log(10.0)
-# What the band-pass and the fall do to a damping ratio that changes with amplitude is estimated by doing more of it:
-# with a band-pass that smears over so much more time, and over so much more of a fall.
+# Band-pass and fall average a damping ratio that depends on amplitude. This bias is estimated by repeating the fit
+# with a band-pass whose impulse response is longer, and with a longer fall, by these factors.
 _SMEAR, _FALL = 2.0**0.5, 1.5
-# The smear shifts a smooth change by its square and a kink by itself: the difference gives it to this factor.
+# The bias grows with the square of the length of the impulse response for a smooth change, and linearly for a kink.
+# In the linear case the bias is the observed difference times 1 / (sqrt(2) - 1), rounded up.
 _SMEAR_SHARE = 2.5
-# Where a fall has a kink in its middle, a parabola misses it by an eighth (rms) of what it says too little.
+# If the fall has a kink in its middle, the error of the slope is this multiple of the rms residual of the parabola.
 _KINK = 8.0
-# A change is felt by so many levels on either side of it.
+# A change of damping affects this number of levels on either side.
 _FELT = 2
-# Points of the envelope that one damping ratio is fitted to, at most.
+# Maximum number of envelope points in the fit of one damping ratio.
 _POINTS = 64
 
 
 @dataclass(frozen=True, repr=False)
 class ModalDecay(Result):
-    """Decay of one mode after band-pass.
+    """Decay of one mode after a band-pass filter.
 
     Attributes
     ----------
     frequency, frequency_error : float
-        Natural frequency at the amplitude at which it is known best, Hz, and its standard uncertainty: noise, what
-        band-pass and fall do, the clock. NaN where no amplitude determines it: it is then the centre.
+        Natural frequency at the amplitude with the smallest uncertainty, Hz, and its standard uncertainty (noise,
+        bias of band-pass and fall, clock). If no amplitude determines it, the frequency is `centre` and the
+        uncertainty is NaN.
     centre : float
-        Of the band-pass, Hz: the peak in the spectrum.
+        Centre frequency of the band-pass, Hz: the peak of the spectrum.
     time, envelope : ndarray, shape (n,)
-        s after the hit; amplitude of the acceleration in m/s².
+        Time after the hit, s, and amplitude of the acceleration, m/s².
     noise : float
-        Root mean square of what noise adds to the envelope, m/s².
+        Noise of the band-passed acceleration, rms, m/s².
     amplitude : ndarray, shape (levels,)
-        Acceleration amplitudes, m/s², falling; only those at which noise limits the damping ratio to
-        `WORST`.
+        Acceleration amplitudes in descending order, m/s²; only amplitudes at which the relative uncertainty due to
+        noise is below `WORST`.
     damping, damping_error : ndarray, shape (levels,)
         Damping ratio at those amplitudes, and its standard uncertainty: noise, and half of `damping_smear`.
     damping_smear : ndarray, shape (levels,)
-        How far the damping ratio may be off because band-pass and fall take in what it is at amplitudes around.
+        Bound of the bias of the damping ratio, because band-pass and fall average over neighbouring amplitudes.
     natural, natural_error : ndarray, shape (levels,)
-        Natural frequency at those amplitudes, Hz, and its standard uncertainty from the same causes.
+        Natural frequency at those amplitudes, Hz, and its standard uncertainty (noise, bias, clock).
     """
 
     frequency: float
@@ -75,7 +79,7 @@ class ModalDecay(Result):
     natural_error: Array
 
     def summary(self) -> str:
-        """Say which mode, and its damping ratio from the largest amplitude to the smallest."""
+        """Return the natural frequency, and the damping ratio at the largest and at small amplitudes."""
         what = f"{self.frequency_text()}, {self.damping.size} amplitudes"
         if not self.damping.size:
             return what
@@ -85,7 +89,7 @@ class ModalDecay(Result):
         )
 
     def columns(self) -> dict[str, Array]:
-        """Amplitude, damping ratio and natural frequency there, and their standard uncertainties."""
+        """Return amplitude, damping ratio and natural frequency, with standard uncertainties."""
         return {
             "amplitude_m/s²": self.amplitude,
             "damping_ratio": self.damping,
@@ -95,11 +99,11 @@ class ModalDecay(Result):
         }
 
     def frequency_text(self) -> str:
-        """Write the natural frequency with its 95 % bound."""
+        """Format the natural frequency with its 95 % bound."""
         return bounded(self.frequency, 2.0 * self.frequency_error, "Hz")
 
     def draw(self, ax: Axes, **style: Any) -> None:
-        """Damping ratio against amplitude, with its 95 % bound."""
+        """Draw the damping ratio against amplitude with its 95 % bound."""
         percent, half = 100.0 * self.damping, 200.0 * self.damping_error
         (line,) = ax.semilogx(
             self.amplitude, percent, "o-", **styled(style, ms=3, label=self.frequency_text())
@@ -115,13 +119,13 @@ class ModalDecay(Result):
         return 2.0 * np.pi * self.damping / np.sqrt(1.0 - np.minimum(self.damping, 0.99) ** 2)
 
     def small_damping(self) -> float:
-        """Damping ratio near the end of the decay: median of the lowest third of the amplitudes."""
+        """Return the damping ratio at small amplitudes: median over the lowest third of the levels."""
         return (
             float(np.median(self.damping[-max(1, self.damping.size // 3) :])) if self.damping.size else np.nan
         )
 
     def at(self, amplitude: float) -> float:
-        """Damping ratio at an amplitude, between those measured; NaN outside."""
+        """Interpolate the damping ratio at an amplitude; NaN outside the measured range."""
         if not self.damping.size:
             return float("nan")
         order = np.argsort(self.amplitude)
@@ -131,10 +135,10 @@ class ModalDecay(Result):
 
 
 def spectral_peaks(acceleration: Array, rate: float, most: int, low: float, high: float) -> Array:
-    """Frequencies of the `most` highest resonances of a decay, in Hz, rising.
+    """Return the frequencies of the `most` highest resonances of a decay in ascending order, Hz.
 
-    Peaks of the spectrum that stand out by 10 dB from what lies around them and by 20 dB from the median
-    of the band, refined by a parabola through the logarithm of three bins.
+    A resonance is a peak of the spectrum with a prominence of 10 dB and a level of 20 dB above the median of the
+    band. Its frequency is refined by a parabola through the logarithm of three bins.
     """
     size = fft.next_fast_len(4 * acceleration.size, real=True)
     fall = np.cos(np.linspace(0.0, np.pi / 2, acceleration.size)) ** 2
@@ -145,7 +149,7 @@ def spectral_peaks(acceleration: Array, rate: float, most: int, low: float, high
     where, _ = scipy.signal.find_peaks(level, prominence=10.0, height=float(np.median(level)) + 20.0)
     kept: list[int] = []
     for peak in where[np.argsort(level[where], kind="stable")[::-1]]:
-        # Dampers shift a mode as they come to rest; that smears or splits its peak but makes no second mode.
+        # Dampers that come to rest shift the natural frequency. This smears or splits the peak of a single mode.
         if all(abs(frequency[peak] / frequency[other] - 1.0) > _SAME_MODE for other in kept):
             kept.append(int(peak))
     where = np.sort(np.array(kept[:most], dtype=int))
@@ -155,10 +159,10 @@ def spectral_peaks(acceleration: Array, rate: float, most: int, low: float, high
 
 
 def band_width(frequencies: Array, index: int) -> float:
-    """Choose the Gaussian band-pass for one of several modes: its standard deviation in Hz.
+    """Return the standard deviation of the Gaussian band-pass for one of several modes, Hz.
 
-    A quarter of the distance to the nearest other mode (the neighbour is then let through at exp(-8) of its
-    amplitude), and at most a quarter of the frequency.
+    It is a quarter of the distance to the nearest other mode, which is then attenuated by a factor of exp(-8), and at
+    most a quarter of the natural frequency.
     """
     others = np.delete(frequencies, index)
     nearest = np.min(abs(others - frequencies[index])) if others.size else np.inf
@@ -174,29 +178,29 @@ def modal_decay(
     amplitudes: Array | None = None,
     clock: float = 0.0,
 ) -> ModalDecay:
-    """Envelope of one mode, and its damping ratio against amplitude.
+    """Estimate the envelope of one mode, and its damping ratio against amplitude.
 
-    A Gaussian band-pass over positive frequencies gives the analytic signal at once; a Gaussian changes an
-    exponential decay by a constant factor only, so the slope of the envelope is unbiased from three of its
-    widths in time after the hit on. The damping ratio at an amplitude is the slope of the logarithm of the
-    envelope while it falls by 6 dB around it, from when it is last above the upper level to when it is last
-    above the lower one.
+    A Gaussian band-pass over positive frequencies yields the analytic signal directly. It changes an exponential
+    decay only by a constant factor, so that the slope of the envelope is unbiased once three standard deviations of
+    its impulse response have passed after the hit. The damping ratio at an amplitude is the slope of the logarithm
+    of the envelope while it falls by 6 dB around that amplitude: from the last time above the upper level to the
+    last time above the lower level.
 
     Parameters
     ----------
     acceleration : ndarray, shape (n,)
-        m/s², beginning before the hit.
+        Acceleration that begins before the hit, m/s².
     rate : float
-        Hz.
+        Sample rate, Hz.
     frequency, width : float
         Centre and standard deviation of the band-pass, Hz.
     begin : int
         Sample at which the free decay begins.
     amplitudes : ndarray, optional
-        Amplitudes in m/s² at which the damping ratio is wanted, NaN where the decay has none; omitted, every
+        Amplitudes at which to estimate the damping ratio, m/s²; the result is NaN outside the decay. Default: every
         1.5 dB down to the noise.
     clock : float
-        Share of itself by which the rate may be off.
+        Bound of the relative error of the sample rate.
     """
     analytic, edge = _band_passed(acceleration, rate, frequency, width)
     envelope = np.abs(analytic)
@@ -205,18 +209,19 @@ def modal_decay(
     noise = _noise(analytic[usable], rate, frequency, width)
     levels = _levels(envelope[usable]) if amplitudes is None else np.log(amplitudes)
     damping, natural, kink = _damping(analytic[usable], levels, _HALF)
-    # Half of the noise changes the envelope; at the two levels it is independent.
+    # Half of the noise power is in phase with the signal and changes the envelope. The noise at the two levels is
+    # independent.
     amplitude = np.exp(levels)
     relative = np.hypot(np.exp(-_HALF), np.exp(_HALF)) * noise / np.sqrt(2.0) / amplitude / (2.0 * _HALF)
     more, more_edge = _band_passed(acceleration, rate, frequency, width / _SMEAR)
     late = slice(begin + more_edge, max(acceleration.size - more_edge, begin + more_edge))
     smeared, natural_smeared, _ = _damping(more[late], levels, _HALF)
     longer, natural_longer, _ = _damping(analytic[usable], levels, _FALL * _HALF)
-    # What noise bends is no kink.
+    # Subtract the residual that noise alone causes.
     kink = np.sqrt(np.maximum(kink**2 - (_KINK * np.sqrt(1.5) * noise / amplitude / _HALF) ** 2, 0.0))
     smear = _smear(damping, smeared, longer, kink)
     error = np.hypot(relative * damping, 0.5 * smear)
-    # The phase at the two levels is as uncertain as the logarithm of the envelope; between them it turns by much more.
+    # Phase and logarithm of the envelope have the same uncertainty, relative to a much larger change of the phase.
     natural_error = np.hypot(
         np.hypot(relative * damping, 0.5 * clock) * natural,
         0.5 * _natural_smear(natural, natural_smeared, natural_longer),
@@ -233,9 +238,10 @@ def modal_decay(
 
 
 def _best(natural: Array, error: Array, peak: float) -> tuple[float, float]:
-    """Choose the natural frequency that is known best, with its error; the peak in the spectrum where none is.
+    """Choose the natural frequency with the smallest error, or the spectral peak if none is determined.
 
-    A neighbour that is not resolved and decays more slowly has the small amplitudes for itself.
+    Frequencies far from the peak are excluded: an unresolved neighbour that decays more slowly dominates at small
+    amplitudes.
     """
     own = np.flatnonzero(np.isfinite(error) & (abs(natural / peak - 1.0) < _SAME_MODE))
     if not own.size:
@@ -247,7 +253,7 @@ def _best(natural: Array, error: Array, peak: float) -> tuple[float, float]:
 def _band_passed(
     acceleration: Array, rate: float, frequency: float, width: float
 ) -> tuple[ComplexArray, int]:
-    """Analytic signal behind a Gaussian band-pass, and the samples over which an end is felt."""
+    """Analytic signal after a Gaussian band-pass, and the number of samples that each end affects."""
     size = fft.next_fast_len(acceleration.size + int(8 * rate / (2 * np.pi * width)))
     spectrum = fft.fft(acceleration, size)
     bins = fft.fftfreq(size, 1.0 / rate)
@@ -256,10 +262,9 @@ def _band_passed(
 
 
 def _noise(analytic: ComplexArray, rate: float, frequency: float, width: float) -> float:
-    """Find what noise adds to the envelope, rms: what the end of the decay differs by from an exponential.
+    """Estimate the noise, rms: residual of an exponential fit to the last quarter of the decay.
 
-    At the end all dampers are at rest and the structure rings linearly; while they are not, their doing
-    counts as noise.
+    The dampers are usually at rest there, and the structure responds linearly; any damper motion counts as noise.
     """
     step = max(1, int(rate / (8.0 * width)))
     tail = analytic[-(analytic.size // 4) :][::step]
@@ -271,18 +276,18 @@ def _noise(analytic: ComplexArray, rate: float, frequency: float, width: float) 
     decay, size = np.polyfit(t, np.log(np.maximum(weight, 1e-300)), 1, w=weight)
     turn, angle = np.polyfit(t, np.unwrap(np.angle(slow)), 1, w=weight)
     left = slow - np.exp(decay * t + size + 1j * (turn * t + angle))
-    # Four numbers were fitted to as many complex readings as are independent.
+    # The fit has four real parameters, that is two complex degrees of freedom.
     independent = max(t[-1] * np.sqrt(np.pi) * width, 3.0)
     return float(np.sqrt(np.mean(abs(left) ** 2) * independent / (independent - 2.0)))
 
 
 def _falling(envelope: Array) -> Array:
-    """Logarithm of the largest amplitude still to come: falls steadily, so that each level is passed once."""
+    """Logarithm of the largest later amplitude, which falls monotonically: each level is crossed once."""
     return np.log(np.maximum(np.maximum.accumulate(envelope[::-1])[::-1], 1e-300))
 
 
 def _levels(envelope: Array) -> Array:
-    """Logarithms of the amplitudes at which a decay has a damping ratio."""
+    """Logarithms of the amplitudes at which the damping ratio is estimated."""
     if envelope.size < 8 or envelope.max() <= 0:
         return np.empty(0)
     hull = _falling(envelope)
@@ -290,10 +295,9 @@ def _levels(envelope: Array) -> Array:
 
 
 def _damping(analytic: ComplexArray, levels: Array, half: float) -> tuple[Array, Array, Array]:
-    """Damping ratios at levels, each from the fall by `half` nepers on either side; NaN where there is none.
+    """Damping ratio, natural frequency (rad/sample) and relative error bound for a kink at each level.
 
-    The natural frequency, in radians per sample, is that of the same fall: dampers that come to rest lower it. And the
-    part of each damping ratio by which a kink in the fall would let it be off.
+    Each is estimated while the envelope falls by `half` nepers on either side of the level; NaN outside the decay.
     """
     envelope = np.abs(analytic)
     if envelope.size < 8 or envelope.max() <= 0:
@@ -312,10 +316,9 @@ def _damping(analytic: ComplexArray, levels: Array, half: float) -> tuple[Array,
 
 
 def _slope(logarithm: Array, first: float, last: float, level: float) -> tuple[float, float]:
-    """Rate of fall per sample where a curve passes a level, and what the fit leaves of the curve, rms.
+    """Rate of fall per sample at which a curve crosses a level, and the rms residual of the fit.
 
-    The fit is a parabola between two places: a straight line would give the mean of a slope that changes. Along
-    either beats average out.
+    The fit is a parabola, because a straight line would yield the mean of a varying slope. Beats average out.
     """
     if not (np.isfinite(first) and np.isfinite(last)) or last - first < 4.0:
         return float("nan"), 0.0
@@ -324,7 +327,7 @@ def _slope(logarithm: Array, first: float, last: float, level: float) -> tuple[f
     along = (places - middle) / half
     bend, slope, value = np.polyfit(along, logarithm[places] - level, 2)
     rest = logarithm[places] - level - (bend * along**2 + slope * along + value)
-    # Where the parabola passes the level: one step from where the straight part does.
+    # Crossing of the parabola with the level: one Newton step from the crossing of its linear part.
     at = -value / slope if slope < 0 else 0.0
     steep = slope + 2.0 * bend * at
     if steep < 0:
@@ -334,26 +337,26 @@ def _slope(logarithm: Array, first: float, last: float, level: float) -> tuple[f
 
 
 def _smear(damping: Array, smeared: Array, longer: Array, kink: Array) -> Array:
-    """How far damping ratios may be off, from how they change where band-pass and fall take in more."""
+    """Bias bound of damping ratios, from their change with a longer band-pass response and a longer fall."""
     out = np.nan_to_num(kink * damping)
     for other, share in ((smeared, _SMEAR_SHARE), (longer, 1.0)):
         off = abs(other - damping)
         known = np.flatnonzero(np.isfinite(off))
         if known.size:
-            # At the ends, where more cannot be taken in, what is known nearest counts.
+            # The longer fits do not reach the first and last levels; the nearest known difference is used there.
             out += share * np.interp(np.arange(off.size), known, off[known])
     return np.asarray(scipy.ndimage.maximum_filter1d(out, 2 * _FELT + 1) if out.size else out)
 
 
 def _natural_smear(natural: Array, smeared: Array, longer: Array) -> Array:
-    """How far natural frequencies may be off for band-pass and fall; NaN where one of the effects is undetermined."""
+    """Bias bound of natural frequencies due to band-pass and fall; NaN if one effect is undetermined."""
     if not (np.isfinite(smeared - natural).any() and np.isfinite(longer - natural).any()):
         return np.full(natural.size, np.nan)
     return _smear(natural, smeared, longer, np.zeros(natural.size))
 
 
 def _passed(hull: Array, levels: Array) -> Array:
-    """Place, between samples, at which a falling curve passes each level; NaN where it does not."""
+    """Interpolated sample index at which a falling curve crosses each level; NaN if it does not."""
     after = hull.size - np.searchsorted(hull[::-1], levels, side="left")
     inside = (after > 0) & (after < hull.size)
     after = np.clip(after, 1, hull.size - 1)

@@ -1,4 +1,4 @@
-"""Correct a stretch of samples for sensor, amplifier and converter."""
+"""Correction of sampled data for the frequency response of sensor, amplifier and converter."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ Array = NDArray[np.float64]
 
 
 class CorrectedMotion:
-    """True motion behind a stretch of samples inside a band, as displacement, velocity or acceleration.
+    """Band-limited true motion of a stretch of samples, as displacement, velocity or acceleration.
 
     Parameters
     ----------
     samples : ndarray, shape (n,)
-        As read, in the channel's unit, at even intervals.
+        Uncorrected samples in the channel's unit, evenly spaced.
     low, high : float
-        Hz. Inside, the result is exact; it fades out over half an octave beyond either end.
+        Limits of the pass band, Hz. The correction is exact inside and fades out over half an octave outside.
 
     Notes
     -----
-    The samples are mirrored at both ends before the transform, so that there is no jump between the last sample and the
-    first. Where they are differentiated, the mirror image is turned upside down as well: then there is no kink either,
-    but the mean differs from side to side, which differentiation does not see.
+    The samples are mirrored at both ends before the Fourier transform, so that the periodic continuation has no step
+    between the last sample and the first. If the samples are differentiated, the mirror image is also inverted (odd
+    extension), which removes the kink at the ends. It changes the mean, which differentiation removes.
     """
 
     def __init__(self, info: ChannelInfo, samples: Array, low: float, high: float) -> None:
@@ -41,7 +41,7 @@ class CorrectedMotion:
         frequency = fft.rfftfreq(size, 1.0 / info.rate)
         window = _band(frequency, low, high)
         inside = np.flatnonzero(window)
-        # The window is one interval of frequencies.
+        # The pass band is one contiguous interval of frequencies.
         self._inside = slice(int(inside[0]), int(inside[-1]) + 1) if inside.size else slice(0, 0)
         self._size, self._angular = size, 2j * np.pi * frequency[self._inside]
         self._factor = window[self._inside] / info.response(frequency[self._inside])
@@ -50,7 +50,7 @@ class CorrectedMotion:
     def __call__(self, motion: str) -> Array:
         """Return ``"displacement"``, ``"velocity"`` or ``"acceleration"`` (of a force channel: the force); shape (n,).
 
-        In m, m/s, m/s² or N.
+        The unit is m, m/s, m/s² or N.
         """
         quantity, count = self.info.quantity, self.samples.size
         order = MOTIONS.index(motion) - MOTIONS.index(quantity) if quantity in MOTIONS else 0
@@ -73,15 +73,14 @@ class CorrectedMotion:
 
 
 def corrected(info: ChannelInfo, samples: Array, motion: str, low: float, high: float) -> Array:
-    """Return the true motion behind a stretch of samples, inside a band (see `CorrectedMotion`)."""
+    """Return the band-limited true motion of a stretch of samples (see `CorrectedMotion`)."""
     return CorrectedMotion(info, samples, low, high)(motion)
 
 
 def _band(frequency: Array, low: float, high: float) -> Array:
-    """One between `low` and `high`, falling like a cosine over half an octave outside; never at zero."""
+    """Window: 1 from `low` to `high`, cosine tapers of half an octave outside, 0 at zero frequency if `low` > 0."""
     out = np.ones(frequency.size)
     if low > 0:
-        # Only up to `low` is there anything to compute.
         below = slice(1, int(np.searchsorted(frequency, low)))
         octaves = np.clip(np.log2(frequency[below] / low) * 2.0 + 1.0, 0.0, 1.0)
         out[below] = 0.5 - 0.5 * np.cos(np.pi * octaves)

@@ -1,4 +1,4 @@
-"""Figures of responses, decays, modes and dampers, in the style that all figures share (`rig.figure_style`).
+"""Figures of responses, decays, modes and dampers, in the common style of `rig.figure_style`.
 
 Start with `frf_figure`.
 """

@@ -1,4 +1,4 @@
-"""Figure of the dampers in a stepped sine: type of motion in each body, and energy per period."""
+"""Figure of damper motion in a stepped-sine test: type of motion in each body, and energy per period."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-#: Kinds of motion in the order of the legend, with what each means.
+#: Kinds of motion in the order of the legend, with their legend texts.
 _KINDS = {
     "riding": "at rest on the floor",
     "I": "type I: flies, hits the floor once a period",
@@ -32,7 +32,7 @@ _SHADES = dict(zip(_KINDS, ("#cccccc", *COLOURS[:4], "#8c8c8c", "#444444"), stri
 
 
 def dampers_figure(found: Dampers) -> Figure:
-    """Draw the motion of each damper at each frequency and, where it is known, the energy per period."""
+    """Draw the motion of each damper at each frequency and, if available, the energy per period."""
     motions, energy, lines = found.bodies, found.energy, found.sweep.lines
     every = np.append(lines.frequency, lines.left_out)
     low, high = 0.98 * float(every.min()), 1.02 * float(every.max())
@@ -54,7 +54,7 @@ def dampers_figure(found: Dampers) -> Figure:
 
 
 def _strip(strip: Axes, motions: Sequence[Sequence[DamperMotion]]) -> None:
-    """One row for each body, with a bar at each measured frequency."""
+    """Draw one row for each body, with a bar at each measured frequency."""
     used: set[str] = set()
     for row, body in enumerate(motions):
         strip.axhline(row, color="#d9d9d9", lw=0.8, zorder=0)
@@ -73,7 +73,7 @@ def _strip(strip: Axes, motions: Sequence[Sequence[DamperMotion]]) -> None:
 
 
 def _energies(axes: Axes, energy: CycleEnergy, lines: Lines, true: np.ndarray | None) -> None:
-    """Energies over frequency; those into dampers with their bounds, or as limits where these include zero."""
+    """Draw the energies against frequency; damper energies as upper limits if their interval includes zero."""
     order = np.argsort(energy.frequency, kind="stable")
     frequency = energy.frequency[order]
     gaps = np.searchsorted(frequency, np.sort(lines.left_out))
@@ -111,7 +111,7 @@ def _energies(axes: Axes, energy: CycleEnergy, lines: Lines, true: np.ndarray | 
 
 
 def _caption(energy: CycleEnergy | None, lines: Lines) -> list[str]:
-    """Sentences about bars and marks."""
+    """Explanation of error bars and markers."""
     out = []
     if energy is not None:
         out.append("Bars: 95 % bounds of the energy, scatter and systematic errors.")

@@ -1,4 +1,4 @@
-"""Figure of free decays: acceleration with envelopes, their logarithm, damping ratio against amplitude."""
+"""Figure of free decays: acceleration with envelope, envelope in dB scale, damping ratio against amplitude."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-# Two modes of different recordings are the same one when their frequencies differ by less than this.
+# Modes of different recordings are considered the same if their frequencies differ by less than this relative amount.
 _SAME_MODE = 0.15
-# Frequencies that a panel has room for in its title.
+# Maximum number of frequencies in the title of a panel.
 _MOST_TITLED = 3
 
 
 def decay_figure(decays: Sequence[Decay], title: str) -> Figure:
-    """Overlay decays: what the sensor saw, how fast it died away, and the damping behind it.
+    """Overlay decays: measured acceleration, logarithmic envelope, and damping ratio of each mode.
 
     Parameters
     ----------
     decays : sequence of Decay
-        One per recording.
+        One decay for each recording.
     """
     columns = _columns(decays)
     gravity = decays[0].gravity
@@ -111,7 +111,7 @@ def _damping_row(
         flat = flat[flat > 0]
         if flat.size:
             low, high = float(flat.min()), float(flat.max())
-            # Bands, too, as long as they leave the curves their place.
+            # The axis includes uncertainty bands, except those that are so wide that they would compress the curves.
             bounds = [200.0 * m.damping_error for members in columns for _, m in members]
             edges = np.concatenate(
                 [v + sign * b for v, b in zip(values, bounds, strict=True) for sign in (-1, 1)]
@@ -123,7 +123,7 @@ def _damping_row(
 
 
 def _frequencies(members: list[tuple[int, ModalDecay]]) -> str:
-    """Write a mode's frequency in one recording after the other, of many the lowest and the highest."""
+    """Frequencies of a mode in the order of the recordings, or their range if there are many."""
     listed = list(
         dict.fromkeys(f"{mode.frequency:.1f}" for _, mode in sorted(members, key=lambda member: member[0]))
     )
@@ -134,7 +134,7 @@ def _frequencies(members: list[tuple[int, ModalDecay]]) -> str:
 
 
 def _columns(decays: Sequence[Decay]) -> list[list[tuple[int, ModalDecay]]]:
-    """Group the modes of all decays whose damping is determined by frequency, each with the index of its decay."""
+    """Group modes with a known damping ratio by frequency; each has the index of its decay."""
     every = sorted(
         ((index, mode) for index, decay in enumerate(decays) for mode in decay.modes if mode.damping.size),
         key=lambda pair: pair[1].frequency,
@@ -149,6 +149,6 @@ def _columns(decays: Sequence[Decay]) -> list[list[tuple[int, ModalDecay]]]:
 
 
 def _interesting(decay: Decay) -> float:
-    """Time until the envelope has fallen to 1 % of its start, or all there is."""
+    """Time until the acceleration stays below 2 % of its maximum, or the whole duration."""
     end = decay.time_below(0.02 * float(abs(decay.acceleration).max()))
     return float(decay.time[-1]) if np.isnan(end) or end <= 0 else end

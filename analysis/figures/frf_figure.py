@@ -1,4 +1,4 @@
-"""Figure of frequency responses: magnitude with its 95 % band, phase, coherence."""
+"""Figure of frequency responses: magnitude with its 95 % band, phase and coherence."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Points over which the roughness of a curve is judged.
+# Number of points over which the roughness of a curve is estimated.
 _AROUND = 25
-# Where less of the response than this repeats with the reference, it is not drawn like a measurement.
+# Points with a coherence below this are drawn as noise.
 _COHERENT = 0.5
-# Systematic parts below this share of the curve cannot be seen.
+# Systematic errors below this share of the curve are too small to be visible.
 _VISIBLE = 3e-3
-# What a logarithmic axis shows for zero, and its inverse for no bound, as a share of the curve.
+# Stand-in for zero on a logarithmic axis, as a share of the curve; its inverse stands in for infinity.
 _ZERO = 1e-9
 THEORY, NOISE = "#555555", "#c4c4c4"
 
@@ -36,14 +36,14 @@ def frf_figure(
     theory: Sequence[Response] = (),
     marks: Sequence[tuple[float, str]] = (),
 ) -> Figure:
-    """Overlay measured curves.
+    """Draw measured frequency responses on common axes.
 
     Parameters
     ----------
     frfs : sequence of Response
         Curves of one kind (same motion and reference); the legend shows their labels.
     theory : sequence of Response
-        Curves without error bars, drawn thin and dashed in the colour of the response they belong to.
+        Curves without error bars, drawn thin and dashed in the colour of their response.
     marks : sequence of (frequency in Hz, text)
         Vertical lines, such as jumps.
     """
@@ -97,7 +97,7 @@ def frf_figure(
 
 
 def _caption(frfs: Sequence[Response]) -> list[str]:
-    """Say in sentences what bands and marks are."""
+    """Explain bands and markers in sentences."""
     out = []
     if any(np.any(frf.degrees > 0) for frf in frfs):
         out.append("Dark band: 95 % confidence interval of the random error.")
@@ -119,7 +119,7 @@ def _caption(frfs: Sequence[Response]) -> list[str]:
 
 def _curve(frf: Response, shade: str, upper: Axes, middle: Axes, lower: Axes) -> None:
     """Draw one measured curve into the three panels."""
-    # A pass downwards has open marks, larger, so that one upwards shows through where they agree.
+    # A downward sweep has larger, open markers, so that an upward sweep remains visible where both coincide.
     falls = frf.frequency.size > 1 and frf.frequency[0] > frf.frequency[-1]
     few = frf.frequency.size <= DOTS
     curve, frf = frf.sorted(), frf.with_gaps()
@@ -138,7 +138,7 @@ def _curve(frf: Response, shade: str, upper: Axes, middle: Axes, lower: Axes) ->
     for place in frf.omitted:
         upper.plot(place, 0.0, "x", color=shade, ms=5, clip_on=False, transform=upper.get_xaxis_transform())
     if not (clear | np.isnan(size)).all():
-        # A point on either side, so that the line does not break where it turns grey.
+        # One extra point on either side, so that the line stays continuous where it turns grey.
         noisy = ~clear | ~np.roll(clear, 1) | ~np.roll(clear, -1)
         upper.plot(frf.frequency, np.where(noisy, size, np.nan), color=NOISE, lw=0.7, zorder=2)
     upper.plot(frf.frequency, np.where(clear, size, np.nan), label=drawn(frf.label), **look)
@@ -156,7 +156,7 @@ def _curve(frf: Response, shade: str, upper: Axes, middle: Axes, lower: Axes) ->
 
 
 def shown_parts(frfs: Sequence[Response]) -> list[str]:
-    """Names of the systematic parts that can be seen anywhere along curves, the largest one first."""
+    """List the systematic errors that are visible anywhere along the curves, the largest first."""
     sizes: dict[str, float] = {}
     for frf in frfs:
         for name, part in frf.limits.items():
@@ -167,7 +167,7 @@ def shown_parts(frfs: Sequence[Response]) -> list[str]:
 
 
 def _whole(frf: Response) -> Array:
-    """Half-width of the band of all errors, infinite where nothing bounds them."""
+    """Half-width of the band of random and systematic errors; infinite where the error is unbounded."""
     return np.hypot(np.nan_to_num(frf.magnitude_bound()), frf.systematic_bound())
 
 
@@ -176,7 +176,7 @@ def _reaches_zero(frf: Response) -> NDArray[np.bool_]:
 
 
 def _reach(frf: Response) -> Array:
-    """Both edges of the band, as far as an axis goes for their sake: a decade beyond the curve."""
+    """Edges of the band that the axis includes: at most a decade beyond the curve."""
     size, whole = abs(frf.value), _whole(frf)
     known = exceeds_noise(frf) & np.isfinite(size) & (size > 0)
     if not known.any():
@@ -187,9 +187,9 @@ def _reach(frf: Response) -> Array:
 
 
 def exceeds_noise(frf: Response) -> NDArray[np.bool_]:
-    """Whether each point stands out of its noise: most of it repeats with the reference, its phase is known.
+    """Return whether each point exceeds its noise, so that its phase is determined.
 
-    By coherence and error bar where there are any, else by how roughly the curve runs from point to point.
+    The criterion is coherence and error bar if available, otherwise the roughness of the curve from point to point.
     """
     size = np.maximum(abs(frf.value), 1e-300)
     if np.isfinite(frf.error).all():
@@ -201,12 +201,12 @@ def exceeds_noise(frf: Response) -> NDArray[np.bool_]:
 
 
 def _broken(frequency: Array, angle: Array, values: Array | None = None) -> tuple[Array, Array]:
-    """Break a line, that of the angle by default, where the phase wraps round."""
+    """Break a line (by default that of the angle) where the phase wraps."""
     with np.errstate(invalid="ignore"):
         wraps = np.flatnonzero(abs(np.diff(angle)) > 180.0) + 1
     return np.insert(frequency, wraps, np.nan), np.insert(angle if values is None else values, wraps, np.nan)
 
 
 def phase_degrees(frf: Response) -> Array:
-    """Phase in degrees, from -270 to 90: cut where it runs steeply, not at the half turn it stays at."""
+    """Return the phase in degrees, from -270 to 90: the cut at ±180° would lie where many FRFs stay near it."""
     return 90.0 - np.mod(90.0 - np.degrees(np.angle(frf.value)), 360.0)

@@ -1,4 +1,4 @@
-"""Figure of an identification: measured curves with the model, stabilisation chart, mode shapes."""
+"""Figure of a modal identification: measured FRFs with the model, stabilization chart, mode shapes."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ if TYPE_CHECKING:
 
 
 def modes_figure(frfs: Sequence[Response], modes: Modes, title: str) -> Figure:
-    """Show how well a modal model fits and how its poles were chosen.
+    """Draw measured FRFs with the modal model, the stabilization chart and the mode shapes.
 
     Parameters
     ----------
     frfs : sequence of Response
-        The curves given to `analysis.modal.identification.identify`.
+        The FRFs from which `analysis.modal.identification.identify` estimated the modes.
     """
     curves = [frf.to("displacement").with_gaps() for frf in frfs]
     low, high = float(curves[0].frequency[0]), float(curves[0].frequency[-1])
@@ -36,7 +36,8 @@ def modes_figure(frfs: Sequence[Response], modes: Modes, title: str) -> Figure:
         dense = dense[(dense >= low) & (dense <= high)]
         for index, curve in enumerate(curves):
             shade = colour(index)
-            # The model lies as a line through dots, or dark and thin on a broad spectrum.
+            # Few points are drawn as dots with the model as a line; many as a broad line with the model thin and
+            # dark.
             few = curve.frequency.size <= DOTS
             fit.plot(
                 curve.frequency, 1e6 * abs(curve.value), "o" if few else "-", ms=2.4, color=shade,
@@ -60,7 +61,7 @@ def modes_figure(frfs: Sequence[Response], modes: Modes, title: str) -> Figure:
             chart.plot(some[:, 0], some[:, 1], mark, ms=2.6, color=shade, label=text, ls="")
         frequency_axis(chart, low, high, True)
         chart.set_ylabel("order")
-        # Above the axes, as poles may lie anywhere inside.
+        # The legend is above the axes because poles can lie anywhere inside.
         chart.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.0, borderpad=0.0)
         for f in modes.frequency:
             for axes in (fit, chart):
@@ -83,7 +84,7 @@ def modes_figure(frfs: Sequence[Response], modes: Modes, title: str) -> Figure:
 
 
 def _around(modes: Modes) -> list[np.ndarray]:
-    """Frequencies so dense around every resonance that the peak of the model is seen."""
+    """Dense frequencies around each resonance, so that the drawn model reaches its peaks."""
     return [
         f * (1.0 + zeta * np.linspace(-8.0, 8.0, 161))
         for f, zeta in zip(modes.frequency, modes.damping, strict=True)

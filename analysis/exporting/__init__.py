@@ -1,4 +1,4 @@
-"""Recordings, responses and modes in other programs' formats: UFF, MATLAB, WAV, CSV, NPZ, SEP-005.
+"""Export of recordings, frequency responses and modes: UFF, MATLAB, WAV, CSV, NPZ, SEP-005.
 
 Start with `export`.
 """

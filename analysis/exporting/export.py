@@ -1,4 +1,4 @@
-"""Recordings for other tools: CSV, NPZ, MATLAB, UFF 58 and WAV files, and SEP-005 dictionaries."""
+"""Export of recordings: CSV, NPZ, MATLAB, UFF 58 and WAV files, and SEP-005 dictionaries."""
 
 from __future__ import annotations
 
@@ -36,20 +36,20 @@ def sep005(
     from_s: float | None = None,
     to_s: float | None = None,
 ) -> list[dict[str, Any]]:
-    """Give channels as SEP-005 time series, which the sdypy packages take directly.
+    """Return channels as SEP-005 time series, the input format of the sdypy packages.
 
     Parameters
     ----------
     recording : daq.Recording, str or Path
-        Its samples are read into memory.
+        The samples are read into memory.
     from_s, to_s : float, optional
-        Times in s.
+        Limits of the stretch, s.
 
     Returns
     -------
     list of dict
         ``data`` (NaN where samples were lost), ``name``, ``unit_str``, ``fs`` [Hz], ``quantity``, ``group``
-        (where the sensor sits) and, where the recording has a date, ``start_timestamp``.
+        (location of the sensor) and, if the recording has a date, ``start_timestamp``.
     """
     stretch = Slice.of(recording, channels, from_s, to_s)
     series = []
@@ -72,7 +72,7 @@ def sep005(
 
 
 def write_csv(stretch: Slice, path: Path) -> None:
-    """Write a table: time in s, then the channels; numbers in full, lost samples as ``nan``."""
+    """Write a CSV table: time in s, then the channels, in full precision; lost samples are ``nan``."""
     with path.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream)
         writer.writerow(["time [s]", *(f"{info.name} [{info.unit}]" for info in stretch.infos)])
@@ -82,7 +82,7 @@ def write_csv(stretch: Slice, path: Path) -> None:
 
 
 def write_npz(stretch: Slice, path: Path) -> None:
-    """Write numpy arrays: each channel by its name; ``channels``, ``units``, ``rate`` [Hz] and ``start_s``."""
+    """Write an array for each channel, and ``channels``, ``units``, ``rate`` [Hz] and ``start_s``."""
     members = {name: re.sub(r"[^\w.-]", "_", name) for name in stretch.channels}
     taken = {"channels", "units", "rate", "start_s"}
     if len({*members.values()} | taken) < len(members) + len(taken):
@@ -108,7 +108,7 @@ def write_npz(stretch: Slice, path: Path) -> None:
 
 
 def _member(name: str) -> zipfile.ZipInfo:
-    # A fixed date: the same recording gives the same bytes.
+    # With a fixed date, equal recordings yield identical files.
     return zipfile.ZipInfo(f"{name}.npy", date_time=(1980, 1, 1, 0, 0, 0))
 
 
@@ -120,7 +120,7 @@ WRITERS: dict[str, Callable[[Slice, Path], Any]] = {
     ".uff": write_uff,
     ".unv": write_uff,
 }
-# Bytes that a sample takes, and a line of text in front of its samples.
+# Bytes for each sample, and bytes for the time at the beginning of each line.
 _BYTES = {
     ".csv": (20.0, 20.0),
     ".npz": (8.0, 0.0),
@@ -128,23 +128,23 @@ _BYTES = {
     ".wav": (3.0, 0.0),
     ".uff": (20.25, 0.0),
 }
-# How often all samples are read.
+# Number of times that all samples are read: WAV needs the peak values first.
 _PASSES = {".wav": 2}
 
 
 def expected_bytes(stretch: Slice, ending: str) -> float:
-    """Size of the file that a stretch becomes, about."""
+    """Estimate the size of the exported file, bytes."""
     sample, line = _BYTES.get(ending, _BYTES[".uff"])
     return (stretch.stop - stretch.start) * (sample * len(stretch.channels) + line)
 
 
 def kind_of(path: Path) -> str:
-    """Give the ending of a file's name that says its format.
+    """Return the file name ending, which determines the format.
 
     Raises
     ------
     SceneError
-        If it says none that can be written.
+        If the format is not supported.
     """
     kind = path.suffix.lower()
     if kind not in WRITERS:
@@ -159,32 +159,32 @@ def export(
     overwrite: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[str]:
-    """Write a stretch of a recording in the format that the file's name says.
+    """Write a stretch of a recording in the format given by the file name ending.
 
     Parameters
     ----------
     path : Path
-        File to make: ``.csv``, ``.npz``, ``.mat``, ``.wav``, ``.uff`` or ``.unv``.
+        Output file: ``.csv``, ``.npz``, ``.mat``, ``.wav``, ``.uff`` or ``.unv``.
     speed : float
-        For sound only: how much faster it plays.
+        Playback speed factor; only for sound (.wav).
     overwrite : bool
-        Whether an existing file with another content may be replaced.
+        Whether an existing file with different content may be replaced.
     progress : callable, optional
-        Called with (samples read, samples to read in all).
+        Called with (samples read, total).
 
     Returns
     -------
     list of str
-        Lines for the user.
+        Messages for the user.
 
     Raises
     ------
     SceneError
-        If the name says no format, the file exists, or the stretch does not fit the format.
+        If the ending is unknown, the file exists, or the stretch does not fit the format.
     RecordingError
-        If samples were lost that the format cannot do without, or the recording is damaged.
+        If samples are lost that the format requires, or the recording is damaged.
     RunError
-        If the file cannot be written, or would not fit on its disk.
+        If the file cannot be written, or the disk is too small.
     """
     kind = kind_of(path)
     if speed != 1.0 and kind != ".wav":
@@ -193,7 +193,7 @@ def export(
         stretch = replace(stretch, on_read=_counter(stretch, _PASSES.get(kind, 1), progress))
     with replacing(path, overwrite or None) as part:
         needed, free = expected_bytes(stretch, kind), shutil.disk_usage(part.parent).free
-        # Where numbers are short, a table takes a quarter of it.
+        # A table of short numbers needs only about a quarter of the expected size.
         if needed > 4 * free:
             raise RunError(
                 f"{path} would take about {needed / 1e6:.3g} MB, and its disk has {free / 1e6:.3g} MB left; choose "

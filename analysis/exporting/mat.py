@@ -1,4 +1,4 @@
-"""Channels, frequency responses and modes as MATLAB files of version 5, which MATLAB, Octave and scipy read."""
+"""Export of channels, frequency responses and modes as MATLAB 5 files for MATLAB, Octave and scipy."""
 
 from __future__ import annotations
 
@@ -14,12 +14,14 @@ from analysis.recordings.slices import Slice
 from rig.errors import SceneError
 from rig.results.response import Response
 
-# A variable of the format takes 2 GB at most.
+# The format limits a variable to 2 GB.
 MOST_SAMPLES = (1 << 28) - 1024
 
 
 def write_mat(stretch: Slice, path: Path) -> None:
-    """Write each channel by its name; ``channels``, ``units``, ``fs`` [Hz] and ``start_s``; lost samples are NaN.
+    """Write a variable for each channel, and ``channels``, ``units``, ``fs`` [Hz] and ``start_s``.
+
+    Lost samples are NaN.
 
     Raises
     ------
@@ -47,7 +49,7 @@ def write_mat(stretch: Slice, path: Path) -> None:
 
 
 def write_frfs(frfs: Sequence[Response], path: Path) -> None:
-    """Write ``frequency`` [Hz], ``unit``, ``reference``; of each response NAME, ``bound_NAME``, ``coherence_NAME``."""
+    """Write ``frequency`` [Hz], ``unit`` and ``reference``; ``NAME``, ``bound_NAME`` and ``coherence_NAME`` of each FRF."""
     curves = [frf.sorted() for frf in frfs]
     names = variables([curve.response for curve in curves], {"frequency", "unit", "reference", "channels"})
     content: dict[str, Any] = {
@@ -75,7 +77,7 @@ def write_modes(modes: Modes, path: Path) -> None:
 
 
 def variables(names: Iterable[str], taken: set[str]) -> list[str]:
-    """Make variables of names.
+    """Convert names to valid MATLAB variable names.
 
     >>> variables(["body1", "3 +Z", "fs"], {"fs"})
     ['body1', 'x3__Z', 'fs_']
@@ -83,7 +85,7 @@ def variables(names: Iterable[str], taken: set[str]) -> list[str]:
     Raises
     ------
     SceneError
-        If two names become one.
+        If two names become equal.
     """
     plain = [re.sub(r"\W", "_", name, flags=re.ASCII)[:50] for name in names]
     made = [f"x{name}" if not name[:1].isalpha() else name for name in plain]

@@ -1,4 +1,4 @@
-"""Frequency responses and modes for other tools: UFF 58 and 55, MATLAB."""
+"""Export of frequency responses and modes: UFF 58 and 55, MATLAB."""
 
 from __future__ import annotations
 
@@ -24,27 +24,28 @@ def export_results(
     overwrite: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[str]:
-    """Write the results of a recording, or another program's responses: one file for each sweep that it holds.
+    """Write the FRFs or modes of a recording or of an FRF file, one output file for each sweep.
 
     Parameters
     ----------
     file : Path
-        A recording, or a file that `analysis.read_frfs` takes.
+        A recording, or an FRF file that `analysis.read_frfs` can read.
     path : Path
-        File to make, ``.uff``, ``.unv`` or ``.mat``; of several sweeps the later ones get a number.
+        Output file, ``.uff``, ``.unv`` or ``.mat``; the files of the second and later sweeps are numbered.
     what : {'frfs', 'modes'}
+        Results to write.
     overwrite : bool
-        Whether existing files with another content may be replaced.
+        Whether existing files with different content may be replaced.
 
     Returns
     -------
     list of str
-        Lines for the user.
+        Messages for the user.
 
     Raises
     ------
     SceneError
-        If the file's name says no format, or the file exists.
+        If the file name ending is unknown, or the file exists.
     """
     kind = path.suffix.lower()
     if what not in ("frfs", "modes"):
@@ -75,13 +76,13 @@ def export_results(
 def _groups(
     file: Path, progress: Callable[[int, int], None] | None
 ) -> list[tuple[Sequence[Response], list[int], int]]:
-    """Give sets of responses, the nodes of their points, and the node of the force."""
+    """Return sets of responses, the nodes of their points, and the node of the force."""
     if is_frf_file(file):
         curves = read_frfs(file)
         return [(curves, list(range(1, len(curves) + 1)), 0)]
     with opened(file) as rec:
         groups = frequency_responses(rec, progress=progress)
-        # A force on several bodies at once has no node of its own.
+        # A force that acts on several bodies has no single node.
         driven = rec.scene.force_on[0] if len(rec.scene.force_on) == 1 else 0
         return [
             (group, [uff.node(rec.channels[one.response].at) for one in group], driven) for group in groups

@@ -1,4 +1,4 @@
-"""Channels, frequency responses and modes as Universal Files, data sets 58 and 55, which modal programs read."""
+"""Export of channels and modes as Universal Files (data sets 58 and 55) for modal analysis programs."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from analysis.recordings.slices import Slice
 from rig.errors import SceneError
 from rig.results.universal_file import KINDS, line, universal_file, write_set
 
-# A data set 58 in text takes 20 bytes a sample, and its writer holds a channel in memory as text.
+# A data set 58 in text needs 20 bytes for each sample, and the writer keeps the text of a channel in memory.
 MOST_TEXT_SAMPLES = 1 << 24
 
 
 def write_uff(stretch: Slice, path: Path) -> None:
-    """Write a UFF file in text, with a data set 58 (time response) for each channel.
+    """Write a UFF text file with a data set 58 (time response) for each channel.
 
     Node n is body n, direction +Z is up; table and hammer are node 0. The format rounds the sample
-    interval to six digits; the exact rate stands in the fourth line of each set.
+    interval to six digits; the fourth line of each data set contains the exact rate.
 
     Raises
     ------
     RecordingError
         If samples were lost.
     SceneError
-        If there are too many samples for a text, or too few for the format.
+        If there are too many samples for a text file, or too few for the format.
     RunError
         If pyuff is not installed.
     """
@@ -62,9 +62,9 @@ def write_uff(stretch: Slice, path: Path) -> None:
 
 
 def write_modes(modes: Modes, path: Path, nodes: Sequence[int]) -> None:
-    """Write modes in text, with a data set 55 (complex eigenvalue) for each: pole in rad/s, shape along +Z.
+    """Write a UFF text file with a data set 55 (complex eigenvalue) for each mode: pole in rad/s, shape along +Z.
 
-    Shapes are scaled to largest element one.
+    The largest element of each shape is scaled to 1.
     """
     file = universal_file(path)
     omega = 2 * np.pi * modes.frequency
@@ -85,7 +85,7 @@ def write_modes(modes: Modes, path: Path, nodes: Sequence[int]) -> None:
 
 
 def node(place: str) -> int:
-    """Give the node of a place: its body, 0 elsewhere.
+    """Return the node number of a location: the number of the body, or 0 for other locations.
 
     >>> node("body 3"), node("table")
     (3, 0)

@@ -1,4 +1,4 @@
-"""Channels as sound, to listen to an impact."""
+"""Export of channels as WAV sound, for example to listen to impacts."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from rig.errors import SceneError
 
 
 def write_wav(stretch: Slice, path: Path, speed: float = 1.0) -> list[float]:
-    """Write sound of 24 bits, each channel as loud as can be.
+    """Write 24-bit sound, with each channel scaled to full scale.
 
     Parameters
     ----------
     speed : float
-        How much faster it plays: 10 makes a tone of 30 Hz one of 300 Hz.
+        Playback speed factor: with 10, a tone of 30 Hz sounds at 300 Hz.
 
     Returns
     -------
     list of float
-        For each channel the value, in its unit, that is full scale.
+        Full-scale value of each channel, in its unit.
 
     Raises
     ------
     RecordingError
         If samples were lost.
     SceneError
-        If the sound would be too long for a WAV file, or its rate none that it can state.
+        If the sound is too long for a WAV file, or its rate cannot be stored in the file header.
     """
     stretch.need_all("a WAV file")
     rate = stretch.recording.rate * speed
@@ -48,6 +48,6 @@ def write_wav(stretch: Slice, path: Path, speed: float = 1.0) -> list[float]:
         sound.setframerate(round(rate))
         for _, samples in stretch.pieces(stretch.channels):
             whole = np.ascontiguousarray(np.rint(samples.T / full * (2**23 - 1)), dtype="<i4")
-            # The lower three of four bytes, channels side by side.
+            # 24-bit samples are the lower three of four bytes; the channels are interleaved.
             sound.writeframesraw(whole.view(np.uint8).reshape(*whole.shape, 4)[..., :3].tobytes())
     return [float(value) for value in full]

@@ -64,7 +64,7 @@ class Comparison(ResultBase):
     lines : tuple of str
         Description of the changes, and the peaks that are not compared.
     warnings : tuple of str
-        Each begins with the name of its recording.
+        Warnings about the recordings and the comparison.
     """
 
     changes: tuple[tuple[Response, Response, PeakChange], ...]

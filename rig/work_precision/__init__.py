@@ -1,5 +1,5 @@
-"""Error against computing time for every way to compute a scene, ours and others': `rig cost`.
+"""Work-precision study: error against computing time for the engine and alternative methods: `rig cost`.
 
-The rest of the product never imports these peers and references. Start with `motion_study`; `high_precision` is the
-reference of forty digits that all are held against.
+No other package imports these alternatives and references. Start with `motion_study`; `high_precision` is the
+forty-digit reference for the error of every method.
 """

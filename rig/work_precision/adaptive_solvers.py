@@ -11,20 +11,20 @@ import numpy as np
 from rig.errors import RunError
 from rig.work_precision.first_order_form import CEILING, FLIGHT, FLOOR, WALLS, Array, FirstOrderForm, Outcome
 
-#: After a separation its guard is at rounding level; a careful user disables it for this long, s.
+#: Time for which a guard is disabled after its separation, s. Its value is then at rounding level.
 BLIND = 2e-5
-#: A solver that separates and lands without end at one instant is stopped after this many events a period.
+#: Events per period after which a solver is stopped, because it separates and lands endlessly at one instant.
 LIVELOCK = 400
-#: Relative tolerance for motions on springs; the springs themselves cause larger errors.
+#: Relative tolerance for motion on penalty springs; the springs themselves cause larger errors.
 PENALTY_TOLERANCE = 1e-8
 
 Guard = Callable[[float, Array], float]
-#: From (M of z' = M z, guards, t, z, sample times ahead) to (t, z, index of the guard that fell or -1, samples).
+#: Maps (M of z' = M z, guards, t, z, later sample times) to (t, z, index of the triggered guard or -1, samples).
 Leg = Callable[[Array, list[Guard], float, Array, Array], tuple[float, Array, int, Array]]
 
 
 class _Contacts:
-    """Wall of each damper, and the guards that this makes necessary."""
+    """Wall of each damper, and the guards that follow from it."""
 
     def __init__(self, problem: FirstOrderForm, blind: float) -> None:
         self.problem, self.blind = problem, blind
@@ -52,7 +52,7 @@ class _Contacts:
         self.guards.append(lambda t, z: float(row @ z) if t > disabled_until else 1.0)
 
     def change(self, z: Array, now: float, j: int, wall: int) -> None:
-        """Let a damper separate from its wall, or hit one."""
+        """Separate a damper from its wall, or apply an impact on a wall."""
         problem, old = self.problem, self.mode[j]
         self.events.append((now, j, WALLS[wall]))
         if wall == FLIGHT:
@@ -66,7 +66,7 @@ class _Contacts:
         self._update()
 
     def release(self, z: Array, now: float) -> None:
-        """Separate dampers whose contact would pull, one after another."""
+        """Separate dampers with a tensile contact force, one after another."""
         while pulled := [
             j
             for (j, wall), guard in zip(self.walls, self.guards, strict=True)
@@ -76,16 +76,16 @@ class _Contacts:
 
 
 def follow(problem: FirstOrderForm, leg: Leg, blind: float, limit: float) -> Outcome:
-    """Follow the motion with an adaptive solver.
+    """Compute the motion with an adaptive solver.
 
     Parameters
     ----------
     leg : callable
-        The solver, from one contact change to the next.
+        Integrates from one contact change to the next.
     blind : float
         Time for which a guard is disabled after its separation, s.
     limit : float
-        CPU time after which to give up, s.
+        CPU time limit, s.
 
     Raises
     ------
@@ -112,7 +112,7 @@ def follow(problem: FirstOrderForm, leg: Leg, blind: float, limit: float) -> Out
 
 
 def scipy_leg(method: str, rtol: float, longest: float) -> Leg:
-    """One of scipy's solvers with its event detection."""
+    """Return a scipy solver with its event detection."""
 
     def leg(
         matrix: Array, guards: list[Guard], t: float, z: Array, ahead: Array
@@ -136,7 +136,7 @@ def _solve_ivp(*given: Any, rtol: float, **options: Any) -> Any:
     try:
         solution = solve_ivp(*given, rtol=rtol, atol=1e-3 * rtol, **options)
     except ValueError as error:
-        # Its search for an event's instant may meet a sign that changes in the step but not in the dense output.
+        # A guard may change sign over the step but not in the dense output, so that scipy's root search fails.
         raise RunError(f"scipy stops with: {error}") from None
     if solution.status < 0:
         raise RunError(str(solution.message))
@@ -152,15 +152,15 @@ def _event(guard: Guard, **attributes: Any) -> Any:
 
 
 def penalty(problem: FirstOrderForm, contacts: int) -> Outcome:
-    """Spring and dashpot at every wall, solved by scipy's LSODA.
+    """Compute the motion with a spring and dashpot at every wall, by scipy's LSODA.
 
-    The dashpot gives the restitution in a free impact. It acts as long as the wall is dented: without its pull, plastic
-    impacts would rebound by 13 % however stiff the wall.
+    The dashpot determines the restitution of a free impact. It acts during the whole penetration: without its tensile
+    force, plastic impacts would rebound by 13 % at any stiffness.
 
     Parameters
     ----------
     contacts : int
-        A contact takes this part of the drive's period: half a swing on the spring.
+        Number of contact durations (half periods on the spring) in a period of the drive.
     """
     system, dampers = problem.system, len(problem.rows)
     mass = 1.0 / (problem.inverse_mass + 1.0 / system.damper_mass)
@@ -178,7 +178,7 @@ def penalty(problem: FirstOrderForm, contacts: int) -> Outcome:
     def slope(_: float, z: Array) -> Array:
         rate = rates.dot(z)
         height, closing = rate[problem.size : -dampers], rate[-dampers:]
-        # Negative: dent of the floor; positive: dent of the ceiling.
+        # Negative: penetration of the floor; positive: penetration of the ceiling.
         dent = height - np.minimum(np.maximum(height, 0.0), system.clearance)
         flowing = rate[: problem.size]
         if dent.any():
@@ -227,7 +227,7 @@ def cvode_leg(rtol: float, longest: float) -> Leg:
         solution = solver.solve(np.concatenate([[t], ahead]), z)
         if not solution.success:
             raise RunError(str(solution.message))
-        # Between two instants only, the solver returns its own steps as well.
+        # Between two instants, the solver also returns its internal steps.
         asked = np.isin(solution.t, ahead)
         if solution.t_events is None or not len(solution.t_events):
             return float(ahead[-1]), z, -1, solution.y[asked]

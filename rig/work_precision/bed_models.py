@@ -1,7 +1,7 @@
 """Cost and error of models of a bed of grains: one mass, contacts of finite duration, and coarser grains.
 
 The reference is the steady motion of the grains as in the scene. It is a mean over chaotic motion: its deviation from
-another packing of the same grains limits what can be compared with it.
+another packing of the same grains is the smallest error that can be resolved.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ from rig.system.open_loop_drive import with_ideal_force
 from rig.work_precision.motion_study import Point, refused, timed
 from rig.work_precision.steady_study import OTHER_PACKING, SteadyStudy
 
-#: Durations of a landing with finite contact, s.
+#: Durations of a landing with finite-duration contact, s.
 DURATIONS = (1e-3, 2e-3, 4e-3, 8e-3)
 #: Restitution of these contacts.
 RESTITUTION = 0.05
-#: Time steps of coarser simulations, in Rayleigh's times.
+#: Time steps of coarser simulations, relative to Rayleigh's time.
 STEPS = (0.1, 0.19)
-#: Ratio of the modulus to that of softer grains.
+#: Ratio of the modulus of the grains to the modulus of softer grains.
 SOFTER = 10.0
-#: Periods of a block over which grains are averaged.
+#: Periods in an averaging block of grains.
 PERIODS = 20
-#: Most blocks to wait for a steady motion.
+#: Largest number of blocks to reach steady motion.
 MOST_BLOCKS = 5
 
 Compliance = NDArray[np.complex128]
@@ -45,8 +45,8 @@ def bed_models(scene: Scene, frequency: float, progress: Callable[[str], None] |
     Parameters
     ----------
     scene : Scene
-        With beds of grains that can move. Where its test holds the amplitude of the spring force, that force acts on
-        the body as a pure tone.
+        With beds of grains that can move. If its test controls the amplitude of the spring force, that force acts on
+        the body as a pure sinusoid.
     frequency : float
         Hz.
     progress : callable, optional
@@ -99,7 +99,7 @@ def _models(scene: Scene, frequency: float) -> Models:
 
 
 def on_contact(scene: Scene, duration: float) -> Scene:
-    """Give the scene with its beds of grains as one mass each, on a contact that lasts."""
+    """Return the scene with each bed of grains as one mass on finite-duration contact."""
     wall = Landing(duration=duration)
     return scene.replace(
         dampers=[
@@ -110,17 +110,17 @@ def on_contact(scene: Scene, duration: float) -> Scene:
 
 
 def softened(scene: Scene) -> Scene:
-    """Give the scene with softer grains."""
+    """Return the scene with softer grains."""
     return _changed(scene, lambda grains: grains.replace(modulus=grains.modulus / SOFTER, time_step=None))
 
 
 def repacked(scene: Scene) -> Scene:
-    """Give the scene with another packing of its grains."""
+    """Return the scene with another packing of its grains."""
     return scene.replace(seed=scene.seed + len(scene.dampers))
 
 
 def with_step(scene: Scene, step: float) -> Scene | None:
-    """Give the scene with steps of so many of Rayleigh's times, or None where its own are as long."""
+    """Return the scene with a time step relative to Rayleigh's time; None if its own step is as long."""
     if all(
         spheres.longest_step() >= step * rayleigh_time(spheres.settings, spheres.density())
         for spheres in spheres_of(scene).values()
@@ -157,7 +157,7 @@ def _of_grains(scene: Scene, frequency: float) -> Compliance:
 
 
 def _pack(scene: Scene) -> None:
-    """Pack all beds that will be followed: once and kept, it is no part of what their motion costs."""
+    """Pack all beds in advance; packings are cached, so they are not part of the cost of the motion."""
     for packing in (scene, repacked(scene), softened(scene)):
         for spheres in spheres_of(packing).values():
             settled(spheres)

@@ -1,7 +1,7 @@
-"""Dormand-Prince 5(4) with event location, compiled: the strongest solver that a good engineer would write for this.
+"""Compiled Dormand-Prince 5(4) with event location: the strongest general-purpose alternative to the engine.
 
-All of it is machine code: the right-hand side with the matrix of every contact configuration, step size control, dense
-output, event location and contact changes. Unlike the engine it cannot exclude that a guard crosses zero and returns
+All parts are compiled: the right-hand side with the matrix of every contact configuration, step size control, dense
+output, event location and contact changes. Unlike the engine, it cannot exclude that a guard crosses zero twice
 within a step.
 
 E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I, 2nd ed., 1993: step size in II.4.
@@ -20,25 +20,26 @@ from rig.numerics.jit import compiled, inlined
 from rig.work_precision.adaptive_solvers import LIVELOCK
 from rig.work_precision.first_order_form import CEILING, FLIGHT, FLOOR, WALLS, Array, FirstOrderForm, Outcome
 
-#: Weights of earlier stages, weights of the error and of the dense output, as scipy gives them.
+#: Weights of the stages, of the error and of the dense output, from scipy.
 STAGES = np.vstack([np.hstack([RK45.A, np.zeros((6, 1))]), RK45.B])
 ERROR = np.array(RK45.E)
 DENSE = np.ascontiguousarray(RK45.P)
-#: Most iterations for the root of a guard.
+#: Largest number of iterations for the root of a guard.
 CLOSINGS = 60
-#: Share of a step to which a root is located.
+#: Tolerance of a root, as a share of the step.
 CLOSE = 1e-15
-#: Steps a period after which it is stopped: it goes to and fro about an instant.
+#: Steps per period after which the solver is stopped, because it alternates around one instant.
 MOST_STEPS = 10_000
-#: More dampers would need too many matrices.
+#: Largest number of dampers; the number of matrices doubles with each.
 MOST_DAMPERS = 8
 
 
 class Tables(NamedTuple):
-    """The scene as the kernel sees it: z' = M z for every set of dampers at rest on a wall.
+    """Scene data of the compiled kernel: z' = M z for every set of dampers at rest on a wall.
 
-    matrix (sets, size, size), bit j of the set's number being damper j; row, inverse_mass, mass, clearance and
-    restitution (dampers,); first, the position of the first damper's height in z; one, that of the constant 1.
+    matrix (sets, size, size), where bit j of the set number represents damper j; row, inverse_mass, mass, clearance
+    and restitution (dampers,); first, the position of the first damper's height in z; one, the position of the
+    constant 1.
     """
 
     matrix: Array
@@ -54,7 +55,7 @@ class Tables(NamedTuple):
 
 
 class Contacts(NamedTuple):
-    """Wall of each damper, end of its guards' pause (dampers, walls), and the log of events with its length."""
+    """Wall of each damper, time until which its guards are disabled (dampers, walls), and the event log."""
 
     mode: NDArray[np.int64]
     awake: Array
@@ -65,7 +66,7 @@ class Contacts(NamedTuple):
 
 
 class DormandPrince:
-    """The solver, prepared for any number of runs.
+    """The solver, reusable for any number of runs.
 
     Parameters
     ----------
@@ -83,12 +84,12 @@ class DormandPrince:
         self._work = (np.zeros((7, size)), np.zeros(size), np.zeros(size))
 
     def follow(self, rtol: float, blind: float, longest: float) -> Outcome:
-        """Follow the motion.
+        """Compute the motion.
 
         Parameters
         ----------
         rtol : float
-            Relative tolerance; the absolute one is a thousandth of it, as for the other adaptive solvers.
+            Relative tolerance; the absolute tolerance is a thousandth of it, as for the other adaptive solvers.
         blind : float
             Time for which a guard is disabled after its separation, s.
         longest : float
@@ -97,7 +98,7 @@ class DormandPrince:
         Raises
         ------
         RunError
-            If it takes off and lands for ever at one instant.
+            If a damper takes off and lands endlessly at one instant.
         """
         problem = self._problem
         dampers, most = len(problem.rows), LIVELOCK * problem.periods
@@ -152,7 +153,7 @@ def _slope(tables: Tables, at: int, z: Array, out: Array) -> None:
 
 @inlined
 def _step(tables: Tables, at: int, h: float, z: Array, new: Array, stages: Array, rtol: float) -> float:
-    """Try a step from its first stage; returns the error relative to the allowed one, root mean square (II.4)."""
+    """Compute a trial step from its first stage; return the RMS error relative to the tolerance (II.4)."""
     for k in range(1, 7):
         for i in range(z.shape[0]):
             total = 0.0
@@ -171,7 +172,7 @@ def _step(tables: Tables, at: int, h: float, z: Array, new: Array, stages: Array
 
 @inlined
 def _dense(z: Array, stages: Array, h: float, theta: float, out: Array) -> None:
-    """State a share theta into the step, of fourth order."""
+    """Interpolate the state at the share theta of the step, to fourth order."""
     for i in range(z.shape[0]):
         out[i] = z[i]
     for k in range(7):
@@ -184,7 +185,7 @@ def _dense(z: Array, stages: Array, h: float, theta: float, out: Array) -> None:
 
 @inlined
 def _guard(tables: Tables, contacts: Contacts, at: int, j: int, wall: int, t: float, z: Array) -> float:
-    """Gap to a wall of a flying damper, contact force over mass of a riding one, 1 where nothing is to be watched."""
+    """Return the gap of a damper in flight, or contact force over mass of a riding damper; 1 if disabled."""
     if contacts.mode[j] == FLIGHT:
         if t <= contacts.awake[j, wall]:
             return 1.0
@@ -210,7 +211,7 @@ def _first_fall(
     stages: Array,
     work: Array,
 ) -> tuple[float, int, int]:
-    """Find the first guard below zero at the end of a step: share of the step, damper (-1: none) and wall."""
+    """Locate the first guard that is negative at the end of a step: share of the step, damper (-1: none), wall."""
     first, which, hit = 1.0, -1, FLIGHT
     for j in range(contacts.mode.shape[0]):
         for wall in (FLOOR, CEILING):
@@ -219,7 +220,7 @@ def _first_fall(
                 continue
             low, high = 0.0, 1.0
             above = max(_guard(tables, contacts, at, j, wall, t, z), 0.0)
-            # False position, in the Illinois variant: an end that stays counts half the next time.
+            # False position, Illinois variant: the weight of an end that is retained is halved.
             for _ in range(CLOSINGS):
                 if high - low < CLOSE:
                     break
@@ -248,7 +249,7 @@ def _note(contacts: Contacts, t: float, j: int, kind: int) -> None:
 def _leave(
     tables: Tables, contacts: Contacts, t: float, z: Array, j: int, speed: float, blind: float
 ) -> None:
-    """Let a riding damper fly from its wall."""
+    """Separate a riding damper from its wall."""
     wall = contacts.mode[j]
     z[tables.first + j] = z[tables.row[j]] + (tables.clearance[j] if wall == CEILING else 0.0)
     z[tables.first + contacts.mode.shape[0] + j] = speed
@@ -258,7 +259,7 @@ def _leave(
 
 @inlined
 def _change(tables: Tables, contacts: Contacts, t: float, z: Array, j: int, wall: int, blind: float) -> None:
-    """Separate a riding damper, or let a flying one hit a wall (momentum conserved, Newton's restitution)."""
+    """Separate a riding damper, or apply an impact of a damper in flight (Newton's restitution)."""
     body = tables.coordinates + tables.row[j]
     if contacts.mode[j] != FLIGHT:
         _note(contacts, t, j, FLIGHT)
@@ -278,9 +279,9 @@ def _change(tables: Tables, contacts: Contacts, t: float, z: Array, j: int, wall
 
 @inlined
 def _release(tables: Tables, contacts: Contacts, t: float, z: Array, blind: float) -> int:
-    """Let go of dampers whose contact would pull, one after another, and give the configuration; -1: the log is full.
+    """Separate dampers with a tensile contact force in sequence; return the configuration, or -1 if the log is full.
 
-    Damping couples a velocity jump into the neighbours' contact forces, so that each may set off another.
+    Damping couples a velocity jump into the contact forces of adjacent bodies, so that each may cause another.
     """
     while contacts.filled[0] < contacts.time.shape[0]:
         at = 0
@@ -308,7 +309,7 @@ def _follow(
     tables: Tables, contacts: Contacts, z: Array, times: Array, motion: Array, rtol: float, blind: float,
     longest: float, steps: int, stages: Array, new: Array, work: Array,
 ) -> bool:  # fmt: skip
-    """Step, look at the guards, go back to the first that fell, change the contact, go on. False: it does not end."""
+    """Integrate with event location; return False if the number of events or steps exceeds its limit."""
     _keep(motion, 0, z)
     t, sample, h = 0.0, 1, min(longest, 1e-3 * (times[1] - times[0]))
     at = _release(tables, contacts, t, z, blind)

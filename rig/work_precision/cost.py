@@ -1,4 +1,4 @@
-"""The study of cost that a scene calls for: of methods, or of models of its beds of grains."""
+"""Cost study of a scene: of methods, or of models of its beds of grains."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Cost(Result):
     ----------
     scene : Scene
     motion : Study or None
-        Methods for the motion; None where models of beds of grains are compared, in steady motion alone.
+        Methods for the motion; None for models of beds of grains, which are compared in steady motion only.
     steady : SteadyStudy
         Methods for the steady state, or models of the beds.
     """
@@ -40,7 +40,7 @@ class Cost(Result):
 
     @property
     def points(self) -> tuple[tuple[str, Point], ...]:
-        """Every method at every setting, each with the quantity that it computes."""
+        """Return all methods and settings, each with the computed quantity."""
         motion = () if self.motion is None else self.motion.points
         return (
             *(("motion, a period", point) for point in motion),
@@ -48,7 +48,7 @@ class Cost(Result):
         )
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """Quantity, method, setting, CPU time, errors, and whether events are right, of each point."""
+        """Return quantity, method, setting, CPU time, errors and event correctness of each point."""
         quantities = [quantity for quantity, _ in self.points]
         points = [point for _, point in self.points]
         return {
@@ -62,12 +62,12 @@ class Cost(Result):
         }
 
     def summary(self) -> str:
-        """Say which scene and frequency, and how many methods were measured."""
+        """Summarize scene, frequency and number of methods."""
         methods = len({point.method for _, point in self.points})
         return f"{self.scene.name}: cost of {methods} methods at {self.steady.frequency:.6g} Hz"
 
     def __str__(self) -> str:
-        """Tables of all methods, as `rig cost` prints them."""
+        """Return the tables that `rig cost` prints."""
         from rig.work_precision.figure import models_table, table
 
         if self.motion is None:
@@ -75,7 +75,7 @@ class Cost(Result):
         return table(self.motion, self.steady)
 
     def draw(self, ax: Axes, **style: Any) -> None:
-        """Error against CPU time: of the motion, or of models of beds."""
+        """Draw error against CPU time, for the motion or for models of beds."""
         from rig.work_precision.figure import draw_points
 
         draw_points(ax, (self.motion or self.steady).points, "CPU time / s")
@@ -99,20 +99,20 @@ class Cost(Result):
 def cost(
     scene: Scene, frequency: float | None, periods: int, say: Callable[[str], None] | None = None
 ) -> Cost:
-    """Measure every method on a scene, or, where beds of grains can move in it, every model of them.
+    """Measure every method on a scene; for a scene with moving beds of grains, every model of them.
 
     Parameters
     ----------
     frequency : float or None
         Hz; None: see `rig.work_precision.motion_study.hardest_frequency`.
     periods : int
-        Length of the motion; grains are followed until they are steady.
+        Length of the motion; grains are simulated until their motion is steady.
     say : callable, optional
-        Called with what is computed next.
+        Called with the name of the next computation.
     """
     say = say or (lambda text: None)
     if spheres_of(scene):
-        # LAMMPS may be missing; a scene with single masses does not need it.
+        # Imported here because LAMMPS is optional; scenes with single masses do not need it.
         from rig.work_precision.bed_models import bed_models
 
         tone = hardest_frequency(scene, assemble(scene)) if frequency is None else frequency

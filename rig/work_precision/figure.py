@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-#: Colour and marker of each method: one hue for each kind of method, so that print and colour-blind eyes agree.
+#: Color and marker of each method: one hue per kind of method, distinguishable in print and with color blindness.
 LOOK = {
     "engine, tone": ("#c1272d", "*"),
     "engine, sampled drive": ("#e8853d", "o"),
@@ -90,9 +90,9 @@ def write(study: Study, steady: SteadyStudy, folder: Path) -> list[Path]:
     Parameters
     ----------
     study, steady
-        What was measured.
+        Results of both studies.
     folder : Path
-        Made if it does not exist.
+        Created if it does not exist.
 
     Raises
     ------
@@ -105,7 +105,7 @@ def write(study: Study, steady: SteadyStudy, folder: Path) -> list[Path]:
 
 
 def write_models(scene: Scene, models: SteadyStudy, folder: Path) -> list[Path]:
-    """Write the same of models of a scene's beds of grains."""
+    """Write figure and table for models of a scene's beds of grains, as `write`."""
     name = folder / stem("cost", scene.name)
     found = (("steady state", models.points),)
     return save_with_table(_draw_models(scene, models), name, lambda path: _write_csv(found, path))
@@ -155,26 +155,26 @@ def _draw_models(scene: Scene, models: SteadyStudy) -> Figure:
                 textcoords="offset points",
                 fontsize=7,
             )
-        # Room for the words at the right end.
+        # Leave space for the labels at the right end.
         axes.margins(x=0.25)
         figure.suptitle(f"{drawn(scene.name)}: models of its beds of grains")
         return figure
 
 
 def _shown(point: Point) -> float:
-    """Error on the logarithmic axis."""
+    """Return the error as drawn on the logarithmic axis."""
     return max(point.error, 1e-17)
 
 
 def draw_points(axes: Axes, points: tuple[Point, ...], label: str) -> None:
-    """Draw error against CPU time, both logarithmic, a colour and marker for each method."""
+    """Draw error against CPU time, both logarithmic, with a color and marker for each method."""
     methods = list(dict.fromkeys(point.method for point in points))
     for method in methods:
         own = [p for p in points if p.method == method and np.isfinite(p.error)]
         if not own:
             continue
         colour, marker = LOOK[method]
-        # A line joins settings of one kind; solvers with a given error tolerance are another kind.
+        # A line connects settings of one kind; solvers with an error tolerance are a separate kind.
         series = [p for p in own if "blind" not in p.setting]
         axes.plot([p.cpu for p in series], [_shown(p) for p in series], "-", color=colour, lw=1.0, alpha=0.6)
         for p in own:

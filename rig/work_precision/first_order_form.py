@@ -1,6 +1,6 @@
-"""The scene as a first-order system that is linear while no contact changes: the start of every alternative method.
+"""The scene as a piecewise linear first-order system, the basis of every alternative method.
 
-The alternatives serve `rig cost` only: what a careful engineer would write or call instead of the engine.
+The alternatives are used by `rig cost` only; they represent methods that an engineer could use instead of the engine.
 """
 
 from __future__ import annotations
@@ -18,22 +18,22 @@ from rig.system.hybrid_system import HybridSystem
 from rig.system.open_loop_drive import ToneDrive
 
 Array = NDArray[np.float64]
-#: Wall that each damper rests on, by `FLIGHT`, `FLOOR` and `CEILING`.
+#: Contact state of each damper: `FLIGHT`, `FLOOR` or `CEILING`.
 Mode = Sequence[int]
 
-#: Samples a period at which methods are compared.
+#: Samples per period at which methods are compared.
 PER_PERIOD = 16
 FLIGHT, FLOOR, CEILING = 0, 1, 2
-#: Kind of the event that starts each of these states.
+#: Kind of event that starts each contact state.
 WALLS = ("separation", "floor", "ceiling")
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """Motion as a method computed it."""
+    """Motion computed by a method."""
 
     displacement: Array
-    """m, at `PER_PERIOD` samples a period; shape (coordinates, samples)."""
+    """m, at `PER_PERIOD` samples per period; shape (coordinates, samples)."""
     events: list[tuple[float, int, str]]
     """Time [s], damper (from 0), kind."""
 
@@ -46,9 +46,9 @@ class FirstOrderForm:
     periods : int
         Length of the motion.
     number : callable
-        Converts a float to the type in which to compute, such as `Decimal`.
+        Converts a float to the number type of the computation, such as `Decimal`.
     pi : number
-        In that type.
+        Value in that type.
     integrals : bool
         Whether to append real and imaginary part of the integral of each coordinate times exp(-i w t), which is
         exact after whole periods.
@@ -107,15 +107,15 @@ class FirstOrderForm:
 
     @property
     def times(self) -> Array:
-        """Instants of the samples, s."""
+        """Return the sample times, s."""
         return np.arange(self.samples) / (PER_PERIOD * self.tone.frequency)
 
     def lift(self, j: int, wall: int) -> Any:
-        """Height of a wall above the floor, m."""
+        """Return the height of a wall above the floor, m."""
         return self.clearance[j] if wall == CEILING else self._zero
 
     def matrix(self, mode: Mode) -> NDArray[Any]:
-        """Compute M; dampers at a wall rest on it, or press its spring where contact has a duration."""
+        """Compute M; dampers at a wall rest on it, or load its spring in finite-duration contact."""
         n, ns, nd = self.system.coordinates, self.system.states, self.system.dampers
         mass, force = self.mass.copy(), self._force.copy()
         matrix = np.full((self.size, self.size), self._zero)
@@ -148,7 +148,7 @@ class FirstOrderForm:
         return matrix
 
     def gap(self, j: int, wall: int) -> NDArray[Any]:
-        """Row over z that gives the distance of a damper from a wall, m."""
+        """Return the row vector whose product with z is the distance of a damper from a wall, m."""
         row = np.full(self.size, self._zero)
         if self.system.lasting[j]:
             row[int(self.system.bed[j])] = self._unit
@@ -160,7 +160,7 @@ class FirstOrderForm:
         return row
 
     def pressing(self, j: int, wall: int, matrix: NDArray[Any]) -> NDArray[Any]:
-        """Row over z that gives a wall's force on a damper over its mass, m/s^2; N where contact has a duration."""
+        """Return the row vector of the wall force over damper mass, m/s^2; of the force, N, in finite-duration contact."""
         n = self.system.coordinates
         if self.system.lasting[j]:
             gap = int(self.system.bed[j])
@@ -178,7 +178,7 @@ class FirstOrderForm:
         z[self.first + self.system.dampers + j] = speed
 
     def impact(self, z: MutableSequence[Any] | Array, j: int, wall: int, restitution: Any) -> bool:
-        """Let a damper hit a wall by Newton's law; returns whether it rests there."""
+        """Apply an impact by Newton's law; return whether the damper stays at the wall."""
         body, speed = self.system.coordinates + self.rows[j], self.first + self.system.dampers + j
         closing, row = z[speed] - z[body], self.rows[j]
         z[body] += (
@@ -189,7 +189,7 @@ class FirstOrderForm:
 
 
 def solve(matrix: NDArray[Any], right: NDArray[Any]) -> NDArray[Any]:
-    """Solve linear equations; Gauss and Jordan's elimination where numbers are no floats.
+    """Solve linear equations; by Gauss-Jordan elimination for number types other than float.
 
     >>> solve(np.array([[0, 2], [4, 2]], dtype=object), np.array([[6], [10]], dtype=object)).tolist()
     [[1.0], [3.0]]

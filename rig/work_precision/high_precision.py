@@ -1,9 +1,9 @@
 """Motions and periodic orbits to forty digits: the reference for the error of every method.
 
-The order of the events comes from the engine. Each event is located again as the root of its own guard, in decimal
-arithmetic of any precision, and the flow between events is a Taylor series. Only the compiled system is shared with
-the engine. The difference between two precisions shows how many digits are correct. An orbit is closed in all
-digits by Newton's iteration from the start that shooting has computed.
+The order of the events comes from the engine. Each event is located as the root of its guard in decimal arithmetic of
+any precision, and the flow between events is a Taylor series. Only the compiled system is shared with the engine. The
+difference between two precisions indicates the number of correct digits. Newton's method refines an orbit to all
+digits, from the initial state computed by shooting.
 """
 
 from __future__ import annotations
@@ -34,39 +34,40 @@ Vector = Any  # Decimals, as a list or an array of objects
 Event = tuple[float, int, str]
 
 PI = Decimal("3.14159265358979323846264338327950288419716939937510582097494459")
-#: Digits of the reference: 24 more than float64 has.
+#: Digits of the reference: 24 more than float64.
 DIGITS = 40
-#: Digits of the run that checks it.
+#: Digits of the run that checks the reference.
 CHECK_DIGITS = 30
-#: Rate times step up to which the Taylor series loses a negligible number of digits.
+#: Largest product of rate and step for which the Taylor series loses a negligible number of digits.
 REACH = 3.0
-#: Overlap up to which a bed whose contact has a duration has only just touched a wall, m; a float64 leaves 1e-18.
+#: Penetration up to which finite-duration contact counts as first touch, m; float64 rounding is 1e-18 m.
 TOUCHING = 1e-13
-#: Newton's iteration for an event starts within rounding of the engine; eight doublings of the digits are plenty.
+#: Iterations for an event. Newton's method starts within rounding of the engine; eight doublings of the digits
+#: suffice.
 ITERATIONS = 8
 #: Largest difference between an event's time and the engine's, s.
 SAME_EVENT = Decimal("1e-9")
-#: Relative step of the difference quotients of an orbit; each of Newton's iterations gains as many digits.
+#: Relative step of the difference quotients of an orbit; each Newton iteration gains the same number of digits.
 ORBIT_STEP = Decimal("1e-14")
-#: Most of these iterations; two reach forty digits from the sixteen of shooting.
+#: Largest number of Newton iterations for an orbit; two reach forty digits from the sixteen of shooting.
 ORBIT_ITERATIONS = 4
 
 
 @dataclass(frozen=True)
 class Exact:
-    """A motion known far beyond float64."""
+    """A motion with far more digits than float64."""
 
     displacement: NDArray[np.object_]
     """m; Decimal, shape (coordinates, samples)."""
     event_time: NDArray[np.object_]
     """s; Decimal, shape (events,)."""
     agreement: float
-    """Largest difference to the same motion computed with fewer digits, relative to the motion."""
+    """Largest difference from the same motion computed with fewer digits, relative to the motion."""
 
 
 @dataclass(frozen=True)
 class ExactOrbit:
-    """A steady response known far beyond float64."""
+    """A steady response with far more digits than float64."""
 
     real: NDArray[np.object_]
     imag: NDArray[np.object_]
@@ -74,11 +75,11 @@ class ExactOrbit:
     residual: float
     """Difference between start and end of the orbit, relative to the motion."""
     agreement: float
-    """Difference to the compliance computed with fewer digits, relative."""
+    """Relative difference from the compliance computed with fewer digits."""
 
     def miss(self, compliance: NDArray[np.complex128]) -> float:
-        """Largest error of a compliance, relative to the largest of all bodies."""
-        # Decimals less doubles: the subtraction must not round the reference.
+        """Compute the largest error of a compliance, relative to the largest compliance of all bodies."""
+        # Subtract in decimal arithmetic, so that the reference is not rounded.
         exact = np.vectorize(Decimal, otypes=[object])
         off = np.hypot(
             (exact(compliance.real) - self.real).astype(float),
@@ -88,12 +89,12 @@ class ExactOrbit:
 
 
 def exact_motion(system: HybridSystem, tone: ToneDrive, run: Run, samples_per_period: int) -> Exact:
-    """Repeat a run under a tone to forty digits.
+    """Recompute a run under a sinusoidal drive to forty digits.
 
     Parameters
     ----------
     run : Run
-        The engine's run with `samples_per_period` samples in each period of the tone.
+        Run of the engine with `samples_per_period` samples in each period of the drive.
 
     Raises
     ------
@@ -117,12 +118,12 @@ def exact_motion(system: HybridSystem, tone: ToneDrive, run: Run, samples_per_pe
 
 
 def exact_orbit(scene: Scene, orbit: Orbit) -> ExactOrbit:
-    """Improve a periodic orbit to forty digits.
+    """Refine a periodic orbit to forty digits.
 
     Parameters
     ----------
     scene : Scene
-        With the force itself on its body where the test holds a force
+        With the force applied directly to its body if the test controls a force
         (`rig.system.open_loop_drive.with_ideal_force`).
 
     Raises
@@ -151,13 +152,13 @@ class DecimalMotion:
     Attributes
     ----------
     z : list of Decimal
-        Present state, as of `FirstOrderForm`.
+        Current state, as in `FirstOrderForm`.
     mode : list of int
-        Wall of each damper.
+        Contact state of each damper.
     now : Decimal
-        s.
+        Current time, s.
     samples : list
-        States at the sample times; `times`: those of the events, s.
+        States at the sample times; `times` are the event times, s.
     """
 
     def __init__(self, system: HybridSystem, tone: ToneDrive, digits: int, integrals: bool = False) -> None:
@@ -178,7 +179,7 @@ class DecimalMotion:
     def follow(
         self, events: Sequence[Event], resting: Sequence[bool], samples: Iterable[Decimal] = ()
     ) -> None:
-        """Follow the events; `resting` says which dampers rest on a wall after the last of them.
+        """Compute the motion through the events; `resting` marks dampers at rest on a wall after the last event.
 
         Raises
         ------
@@ -204,7 +205,7 @@ class DecimalMotion:
             self.samples.append(self.z)
 
     def _rebounds(self, events: Sequence[Event], resting: Sequence[bool]) -> Vector:
-        """Restitution of each event: 0 in the impact that ends a sequence of bounces with the damper at rest."""
+        """Return the restitution of each event; 0 for the impact that ends a sequence of bounces at rest."""
         after = dict(enumerate(resting))
         rebounds: Vector = []
         for _, j, kind in reversed(events):
@@ -215,7 +216,7 @@ class DecimalMotion:
     def _to_event(self, guess: float, j: int, kind: str, restitution: Decimal, last: float) -> None:
         form, wall = self.form, WALLS.index(kind)
         if wall == FLIGHT:
-            # Separations that an impact or the start brings about have no root of their own.
+            # Separations caused by an impact or by the initial state have no root of their own.
             if guess not in (last, 0.0):
                 matrix, _ = self._flow()
                 self._to_root(Decimal(guess), form.pressing(j, self.mode[j], matrix), j, kind)
@@ -227,7 +228,7 @@ class DecimalMotion:
         self.mode[j] = wall if form.impact(self.z, j, wall, restitution) else FLIGHT
 
     def _to_contact_change(self, guess: Decimal, j: int, kind: str) -> None:
-        """Go to a touch or release near `guess` of a bed whose contact has a duration, and change the contact."""
+        """Advance to a touch or release near `guess` in finite-duration contact, and change the contact state."""
         matrix, _ = self._flow()
         if kind != "touch":
             self._to_root(guess, self.form.pressing(j, self.mode[j], matrix), j, kind)
@@ -237,13 +238,13 @@ class DecimalMotion:
         gap = float(self.z[int(self.system.bed[j])])
         wall = CEILING if gap > 0.5 * float(self.system.clearance[j]) else FLOOR
         distance = self.form.gap(j, wall)
-        # A bed that has not left the wall is pressed again where the force, not the gap, is zero.
+        # If the bed has not left the wall, contact resumes where the force, not the gap, is zero.
         apart = float(np.dot(distance, self.z)) > -TOUCHING
         self._to_root(guess, distance if apart else self.form.pressing(j, wall, matrix), j, kind)
         self.mode[j] = wall
 
     def _to_root(self, guess: Decimal, guard: NDArray[Any], j: int, kind: str) -> None:
-        """Go to the root of a guard, a row over the state, near `guess`."""
+        """Advance to the root of a guard, a row vector over the state, near `guess`."""
         self.carry(guess)
         matrix, _ = self._flow()
         slope = guard @ matrix
@@ -261,7 +262,7 @@ class DecimalMotion:
             )
 
     def carry(self, until: Decimal) -> None:
-        """Go to a time, earlier or later, while no contact changes."""
+        """Advance to an earlier or later time without contact change."""
         duration, z = until - self.now, self.z
         _, flow = self._flow()
         steps = max(1, int(np.ceil(abs(float(duration)) * self._fastest / REACH)))
@@ -275,13 +276,13 @@ class DecimalMotion:
         self.z, self.now = list(z), until
 
     def _flow(self) -> tuple[NDArray[Any], list[tuple[Vector, Callable[[Vector], Vector]]]]:
-        """Matrix of the present mode, also as sparse rows: values, and a function that picks their states."""
+        """Return the matrix of the current mode, also as sparse rows: values, and a function that selects their states."""
         mode = tuple(self.mode)
         if mode not in self._flows:
             matrix = self.form.matrix(mode)
             rows = []
             for row in matrix:
-                # Two elements at least, as `itemgetter` gives no tuple for one.
+                # At least two elements, because `itemgetter` returns no tuple for a single element.
                 places = [k for k, value in enumerate(row) if value]
                 places += [0] * (2 - len(places))
                 rows.append(([row[k] if row[k] else Decimal(0) for k in places], itemgetter(*places)))
@@ -292,7 +293,7 @@ class DecimalMotion:
 
 
 class _ClosedOrbit:
-    """A periodic orbit in decimal arithmetic of some digits."""
+    """A periodic orbit in decimal arithmetic of given precision."""
 
     def __init__(self, scene: Scene, orbit: Orbit, digits: int) -> None:
         self._scene, self._orbit, self._system = scene, orbit, assemble(scene)
@@ -313,11 +314,11 @@ class _ClosedOrbit:
             self._end = Decimal(orbit.repetition) / Decimal(orbit.frequency)
 
     def start(self) -> Vector:
-        """Unknowns as shooting found them: states, then height and speed of each damper in flight."""
+        """Return the unknowns from shooting: states, then height and speed of each damper in flight."""
         return [Decimal(float(value)) for value in self._orbit.unknowns[: len(self._free)]]
 
     def close(self, start: Vector) -> tuple[Vector, float]:
-        """Newton's iteration from a start nearby; returns the start and the residual relative to the motion."""
+        """Refine an initial state by Newton's method; return it, and the residual relative to the motion."""
         digits = self._motion.context.prec
         with decimal.localcontext(self._motion.context):
             largest = max(map(abs, start))
@@ -326,7 +327,7 @@ class _ClosedOrbit:
             for _ in range(ORBIT_ITERATIONS):
                 miss = self._miss(values)
                 now = float(np.max(np.abs(miss / scale)))
-                # The last digits of the precision are rounding.
+                # The last digits are rounding errors.
                 if now < 10.0 ** (5 - digits) or now > 0.1 * residual:
                     residual = min(now, residual)
                     break
@@ -355,7 +356,7 @@ class _ClosedOrbit:
         return motion.z
 
     def compliance(self, start: Vector) -> tuple[NDArray[Any], NDArray[Any]]:
-        """First harmonics of the bodies over that of the force, real and imaginary part."""
+        """Compute the compliance of the bodies from first harmonics, real and imaginary part."""
         with decimal.localcontext(self._motion.context):
             n, bodies = self._system.coordinates, self._scene.structure.bodies
             end, first = self._follow(start), self._motion.form.one + 3

@@ -1,4 +1,4 @@
-"""Moreau and Jean's time stepping, compiled: impulses on velocity level, without event detection.
+"""Compiled Moreau-Jean time stepping: impulses on velocity level, without event detection.
 
 M. Jean, The non-smooth contact dynamics method, Comput. Methods Appl. Mech. Engrg. 177 (1999) 235-257.
 """
@@ -22,15 +22,15 @@ from rig.work_precision.first_order_form import (
     Outcome,
 )
 
-#: Contacts are iterated at most this often in a step (Gauss-Seidel).
+#: Largest number of Gauss-Seidel iterations over the contacts in a step.
 ITERATIONS = 50
 
 
 class Step(NamedTuple):
     """A step of the theta method with theta = 1/2 on z without cosine and sine.
 
-    advance (size, size); cosine and sine (size,), added for both ends of the step; kick (size, dampers), change by a
-    unit impulse; gap and closing (dampers, size), height above the floor and its rate; clearance, restitution
+    advance (size, size); cosine and sine (size,), added for both ends of the step; kick (size, dampers), response
+    to a unit impulse; gap and closing (dampers, size), height above the floor and its rate; clearance, restitution
     (dampers,); omega, length [s].
     """
 
@@ -47,7 +47,7 @@ class Step(NamedTuple):
 
 
 def moreau_jean(problem: FirstOrderForm, steps: int) -> Outcome:
-    """Follow the motion with `steps` a period.
+    """Compute the motion with `steps` steps per period.
 
     Raises
     ------
@@ -96,7 +96,7 @@ def moreau_jean(problem: FirstOrderForm, steps: int) -> Outcome:
 
 @stored
 def _follow(parts: Step, start: Array, steps: int, every: int) -> tuple[Array, NDArray[np.int8]]:
-    """Step; returns every so many states, and the wall of each damper after each step."""
+    """Integrate; return every `every`-th state, and the wall of each damper after each step."""
     advance, cosine, sine, kick, gap, closing, clearance, restitution, omega, length = parts
     size, dampers = start.shape[0], gap.shape[0]
     samples = np.zeros((steps // every + 1, size))

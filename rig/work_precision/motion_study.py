@@ -1,4 +1,4 @@
-"""Work and precision: every way to compute a scene's motion, its error against its time, on this machine."""
+"""Work-precision study of a scene's motion: error against CPU time of every method, on this machine."""
 
 from __future__ import annotations
 
@@ -28,19 +28,19 @@ from rig.work_precision.high_precision import DIGITS, Exact, exact_motion
 
 #: Periods of the drive that every method computes.
 PERIODS = 20
-#: A method that takes longer than this is stopped, s of CPU time.
+#: CPU time after which a method is stopped, s.
 LIMIT = 10.0
-#: Quick methods are repeated until this much CPU time has passed; the quickest repetition counts.
+#: Fast methods are repeated until this CPU time, s, is reached; the fastest repetition counts.
 ENOUGH = 0.05
-#: Contacts a period on the springs of the penalty method: the stiffer, the shorter.
+#: Contact durations per period on the springs of the penalty method: more for stiffer springs.
 CONTACTS = (30, 300, 3000)
-#: Steps a period of time stepping; multiples of the samples a period.
+#: Steps per period of time stepping; multiples of the samples per period.
 STEPS = (320, 1600, 8000, 40_000)
-#: Samples a period of the engine's sampled drives.
+#: Samples per period of the engine's sampled drives.
 SAMPLED = (64, 256, 1024, 4096)
-#: A general solver takes no step longer than this share of a period where its user knows what may be missed.
+#: Longest step of a general solver, as a share of a period, with settings chosen to avoid missed events.
 CAREFUL = 1 / 40
-#: A reference must be better than the best method by this.
+#: Smallest ratio of the error of the best method to the error of the reference.
 BETTER = 1e3
 
 T = TypeVar("T")
@@ -53,26 +53,25 @@ class Point:
     method: str
     setting: str
     cpu: float
-    """CPU time, s: for the motion per period of the drive, for the steady state in all."""
+    """CPU time, s: per period of the drive for the motion, total for the steady state."""
     error: float
     """Largest error of any displacement relative to the largest displacement; NaN if the method failed."""
     event_error: float
-    """Largest error of an event's time, s; NaN where there is none to compare."""
+    """Largest error of an event's time, s; NaN if there are no events to compare."""
     right: bool
-    """Whether it found the right events, in the right order for each damper; for the steady state, whether it
-    converged."""
+    """Whether events and their order are correct for each damper; for the steady state, whether it converged."""
     note: str = ""
-    """What else there is to say, why it failed."""
+    """Remarks, or the reason for a failure."""
 
 
 def refused(problem: ShotrigError) -> str:
-    """Note why a method gave nothing: it does not take such a scene, or it failed at it."""
+    """Describe why a method has no result: the scene is not supported, or the method failed."""
     return f"{'not applicable' if isinstance(problem, SceneError) else 'failed'}: {problem}"
 
 
 @dataclass(frozen=True)
 class Study:
-    """What `motion_study` found."""
+    """Result of `motion_study`."""
 
     scene: Scene
     frequency: float  # Hz
@@ -81,13 +80,13 @@ class Study:
     """Length of the motion and the number of events in it."""
     points: tuple[Point, ...]
     reference: str
-    """How the reference was made, and how far it can be trusted."""
+    """Origin and accuracy of the reference."""
     margin: float
-    """Smallest error of all methods over the reference's own."""
+    """Ratio of the smallest error of all methods to the error of the reference."""
 
 
 def hardest_frequency(scene: Scene, system: HybridSystem) -> float:
-    """Frequency of the test, Hz: its own, or where the linear structure accelerates most in its range.
+    """Return the single frequency of the test, or the frequency of largest linear acceleration in its range, Hz.
 
     Raises
     ------
@@ -114,7 +113,7 @@ def motion_study(
     periods: int = PERIODS,
     progress: Callable[[str], None] | None = None,
 ) -> Study:
-    """Measure every way to compute the first periods of a scene's motion under a tone.
+    """Measure all methods for the first periods of a scene's motion under a sinusoidal drive.
 
     Parameters
     ----------
@@ -126,7 +125,7 @@ def motion_study(
     Raises
     ------
     SceneError
-        If there is nothing to drive the scene with, or its impacts go through a full mass matrix.
+        If nothing drives the scene, or its impacts are coupled by a full mass matrix.
     """
     system = assemble(scene)
     frequency = frequency if frequency is not None else hardest_frequency(scene, system)
@@ -157,7 +156,7 @@ Methods = Iterator[tuple[str, str, Callable[[], Outcome]]]
 
 
 def _methods(scene: Scene, system: HybridSystem, tone: ToneDrive, periods: int) -> Methods:
-    """Every method with a setting and a call that computes the motion."""
+    """Yield each method with a setting and a function that computes the motion."""
     frequency = tone.frequency
     duration, rate = periods / frequency, PER_PERIOD * frequency
     yield (
@@ -167,7 +166,7 @@ def _methods(scene: Scene, system: HybridSystem, tone: ToneDrive, periods: int) 
     )
     yield "engine, tone", "warm", _warm(system, tone, periods)
     if np.array_equal(tone.state, system.initial):
-        # Once unmeasured: what is compiled is compiled or loaded then.
+        # First run without measurement, so that compilation is not included in the time.
         _sampled(scene, system, tone, SAMPLED[0], 1)()
         for share in SAMPLED:
             yield (
@@ -176,7 +175,7 @@ def _methods(scene: Scene, system: HybridSystem, tone: ToneDrive, periods: int) 
                 _sampled(scene, system, tone, share, periods),
             )
     if system.lasting.any():
-        return  # the other methods know instant contact only
+        return  # the other methods support instantaneous contact only
     problem = FirstOrderForm(system, tone, periods)
     yield from _without_events(problem)
     yield from _compiled(problem, 1.0 / frequency)
@@ -184,7 +183,7 @@ def _methods(scene: Scene, system: HybridSystem, tone: ToneDrive, periods: int) 
 
 
 def _without_events(problem: FirstOrderForm) -> Methods:
-    """Give the methods that need no location of events."""
+    """Yield the methods without event location."""
     from rig.work_precision.moreau_jean import moreau_jean
 
     for contacts in CONTACTS:
@@ -195,13 +194,13 @@ def _without_events(problem: FirstOrderForm) -> Methods:
 
 
 def _compiled(problem: FirstOrderForm, period: float) -> Methods:
-    """Give the strongest peer, compiled once unmeasured."""
+    """Yield the compiled Runge-Kutta solver, after a run without measurement for its compilation."""
     from rig.work_precision.compiled_runge_kutta import MOST_DAMPERS, DormandPrince
 
     if problem.system.dampers > MOST_DAMPERS:
         return
     peer = DormandPrince(problem)
-    # A motion that it cannot follow is reported where it is measured.
+    # A failure is reported in the measured run.
     with suppress(RunError):
         peer.follow(1e-6, BLIND, period)
     for rtol in (1e-6, 1e-9, 1e-12):
@@ -230,7 +229,7 @@ def _outcome(run: Run, system: HybridSystem, every: int = 1) -> Outcome:
 
 
 def _warm(system: HybridSystem, tone: ToneDrive, periods: int) -> Callable[[], Outcome]:
-    """Advance the engine alone, its tables made: what a long run costs."""
+    """Return a run of the engine with prepared tables, whose cost is that of a long run."""
     propagator, steps = tone_propagator(system, tone.amplitudes, tone.omega)
     propagator.place(tone.state, np.array([1.0, 0.0]))
     begin = propagator.snapshot()
@@ -249,7 +248,7 @@ def _warm(system: HybridSystem, tone: ToneDrive, periods: int) -> Callable[[], O
 def _sampled(
     scene: Scene, system: HybridSystem, tone: ToneDrive, share: int, periods: int
 ) -> Callable[[], Outcome]:
-    """Drive the engine with samples of the tone."""
+    """Return a run of the engine driven by samples of the sinusoid."""
     rate = share * tone.frequency
     angle = 2.0 * np.pi * np.arange(periods * share + 1) / share
     drive = np.real(tone.amplitudes[:, None] * np.exp(1j * angle))
@@ -270,12 +269,12 @@ class _Judge:
         self.times = _by_damper(events, system.dampers)
 
     def point(self, method: str, setting: str, compute: Callable[[], Outcome], periods: int) -> Point:
-        """Run a method and judge it."""
+        """Run a method and evaluate its error."""
         try:
             cpu, outcome = timed(compute)
         except ShotrigError as problem:
             return Point(method, setting, np.nan, np.nan, np.nan, False, refused(problem))
-        # Decimals less doubles: the subtraction must not round the reference.
+        # Subtract in decimal arithmetic, so that the reference is not rounded.
         values = np.vectorize(Decimal, otypes=[object])(outcome.displacement)
         last_only = values.shape[1] == 1
         true = self.exact.displacement[:, -1:] if last_only else self.exact.displacement
@@ -299,7 +298,7 @@ def _by_damper(events: list[tuple[float, int, str]], dampers: int) -> list[list[
 
 
 def timed(compute: Callable[[], T]) -> tuple[float, T]:
-    """CPU time of the quickest of several calls, s, and the result."""
+    """Return the CPU time of the fastest of several calls, s, and the result."""
     best, spent = np.inf, 0.0
     while True:
         begun = time.process_time()

@@ -1,4 +1,4 @@
-"""Work and precision of the steady state: waiting for it, shooting at it, and the approximate one-mode method."""
+"""Work-precision study of the steady state: time integration, shooting, and the approximate one-mode method."""
 
 from __future__ import annotations
 
@@ -21,39 +21,39 @@ from rig.system.structural_model import receptance, structural_model
 from rig.work_precision.high_precision import DIGITS, ExactOrbit, exact_orbit
 from rig.work_precision.motion_study import BETTER, Point, refused, timed
 
-#: What the grains of a bed, packed anew, are called among models of it: nothing is known better than that.
+#: Name of another packing of the grains among the models; its deviation is the resolution of the study.
 OTHER_PACKING = "grains, other packing"
-#: Tolerances to wait for.
+#: Tolerances of the steady state in time integration.
 TOLERANCES = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10)
-#: Where the motion is irregular, the steady state is sought so far from there, relative.
+#: Relative frequency offsets at which periodic motion is searched if the motion is irregular.
 NEARBY = (0.0, 0.01, -0.01, 0.02, -0.02, 0.03, -0.03, 0.05, -0.05, 0.08, -0.08)
-#: The approximate method looks at this band around the frequency, relative.
+#: Relative half-width of the band of the approximate method around the frequency.
 BAND = 0.04
 
 
 @dataclass(frozen=True)
 class SteadyStudy:
-    """What `steady_study` found."""
+    """Result of `steady_study`."""
 
     points: tuple[Point, ...]
-    """Errors are of the compliance of all bodies, relative to the largest."""
+    """Points; errors refer to the compliance of all bodies, relative to the largest."""
     frequency: float  # Hz
     motion_type: str
     reference: str
-    """What the errors refer to; why there are none, if there is no periodic motion."""
+    """Reference of the errors; without periodic motion, the reason why there are no errors."""
 
 
 def steady_study(
     scene: Scene, frequency: float, progress: Callable[[str], None] | None = None
 ) -> SteadyStudy:
-    """Measure the ways to a scene's steady response at one frequency.
+    """Measure all methods for a scene's steady response at one frequency.
 
     Parameters
     ----------
     scene : Scene
-        Where its test holds the amplitude of the spring force, that force acts on the body as a pure tone.
+        If its test controls the amplitude of the spring force, that force acts on the body as a pure sinusoid.
     frequency : float
-        Hz. Where the motion never repeats there, the nearest of some around it at which it does.
+        Hz. If the motion is irregular, the nearest of several frequencies with periodic motion.
     progress : callable, optional
         Called with the name of each method before it runs.
 
@@ -67,7 +67,7 @@ def steady_study(
     say("shooting")
     try:
         orbit = _orbit_near(scene, frequency)
-        # Once more: what is compiled is compiled or loaded by now.
+        # Repeated for the measurement, because the first call includes compilation.
         cpu, orbit = timed(partial(periodic_orbit, scene, orbit.frequency))
         say("reference for the steady state")
         true = exact_orbit(scene, orbit)
@@ -110,7 +110,7 @@ def steady_study(
 
 
 def _orbit_near(scene: Scene, frequency: float) -> Orbit:
-    """Find the periodic motion at a frequency or, where there is none, near by."""
+    """Compute the periodic motion at a frequency or, if there is none, at a frequency nearby."""
     first: ShotrigError | None = None
     for share in NEARBY:
         try:
@@ -122,7 +122,7 @@ def _orbit_near(scene: Scene, frequency: float) -> Orbit:
 
 
 def _approximate(scene: Scene, frequency: float, true: ExactOrbit) -> Point:
-    """Use the one-mode method for the mode nearest by; it finds the whole curve at once."""
+    """Evaluate the one-mode method for the nearest mode; it computes the whole curve at once."""
     mode = int(np.argmin(np.abs(structural_model(scene).modes.frequency - frequency))) + 1
     band = (frequency * (1 - BAND), frequency * (1 + BAND))
     reasons = []

@@ -160,7 +160,7 @@ class FirstOrderForm:
         return row
 
     def pressing(self, j: int, wall: int, matrix: NDArray[Any]) -> NDArray[Any]:
-        """Return the row vector of the wall force over damper mass, m/s^2; of the force, N, in finite-duration contact."""
+        """Return the row vector of wall force over damper mass, m/s^2; of wall force, N, in finite-duration contact."""
         n = self.system.coordinates
         if self.system.lasting[j]:
             gap = int(self.system.bed[j])

@@ -276,7 +276,7 @@ class DecimalMotion:
         self.z, self.now = list(z), until
 
     def _flow(self) -> tuple[NDArray[Any], list[tuple[Vector, Callable[[Vector], Vector]]]]:
-        """Return the matrix of the current mode, also as sparse rows: values, and a function that selects their states."""
+        """Return the matrix of the current mode, and its sparse rows: values, and a function that selects states."""
         mode = tuple(self.mode)
         if mode not in self._flows:
             matrix = self.form.matrix(mode)

@@ -1,4 +1,4 @@
-"""Error of a measured compliance against computing time, over what the chain models: `analysis cost`.
+"""Error of a measured compliance against computing time, by detail of the measurement chain: `analysis cost`.
 
 Start with `study`.
 """

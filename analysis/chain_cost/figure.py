@@ -1,4 +1,4 @@
-"""The cost of the measurement chain as a figure, a table and a file."""
+"""Output of the chain cost study: figure and table."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ OWN, REST, FAINT = COLOURS[1], COLOURS[0], "#a0a0a0"
 
 
 def table(study: ChainStudy) -> str:
-    """Write a study as text."""
+    """Format a study as a text table."""
     frequencies = ", ".join(f"{frequency:g}" for frequency in study.frequency)
     lines = [
         f"{study.scene.name}: compliance measured at {frequencies} Hz",
@@ -56,7 +56,7 @@ def write(study: ChainStudy, folder: Path) -> list[Path]:
     Parameters
     ----------
     folder : Path
-        Made if it does not exist.
+        Created if it does not exist.
 
     Raises
     ------
@@ -68,13 +68,13 @@ def write(study: ChainStudy, folder: Path) -> list[Path]:
 
 
 def output_files(scene: Scene, folder: Path) -> list[Path]:
-    """Name the files of a study."""
+    """Return the paths of the files of a study."""
     name = stem("chain-cost", scene.name)
     return [folder / f"{name}.{ending}" for ending in ("png", "svg", "csv")]
 
 
 def _draw(study: ChainStudy) -> Figure:
-    """One row for each thing changed: the error it leaves, and beside it what it costs."""
+    """Draw a row for each changed part of the chain: measurement error and computing time."""
     groups = [(group, [p for p in study.points if p.group == group]) for group in GROUPS]
     rows = [
         ("the scene as it is", study.own, OWN),

@@ -1,7 +1,7 @@
-"""Cost of the measurement chain: error of the measured compliance against the time that record and analysis take.
+"""Cost of the measurement chain: error of the measured compliance against the time of recording and analysis.
 
-Short stepped sines run through the whole chain of the scene, closed loop and into a file, with one thing in the
-chain changed at a time. Each compliance is compared with the exact one.
+Short stepped-sine tests are recorded through the whole chain of the scene, in closed loop and into a file. One part
+of the chain is changed at a time. Each measured compliance is compared with the exact compliance.
 """
 
 from __future__ import annotations
@@ -34,23 +34,23 @@ from rig.system.structural_model import receptance, structural_model
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
-#: Frequencies tried for a steady motion that repeats every period.
+#: Number of candidate frequencies for steady motion that repeats every period.
 CANDIDATES = 15
-#: The test waits until no more than this share of any amplitude is still to come,
+#: Residual transient at which a measurement begins, relative to the amplitude.
 SETTLED = 1e-5
-#: or for this number of decay times of the slowest mode,
+#: Longest wait in decay times of the slowest mode.
 DECAYS = 10.0
-#: but at least this time, s,
+#: Lower bound of the longest wait, s.
 SHORTEST = 20.0
-#: and at most this time, s.
+#: Upper bound of the longest wait, s.
 LONGEST = 60.0
 #: Periods in a measurement.
 PERIODS = 50
-#: Every recording is made so many times; the quickest counts.
+#: Number of repetitions of each recording; the fastest counts.
 REPEATS = 2
-#: Residual to which the engine waits for the steady motion that a recording is compared with.
+#: Residual of the steady motion that serves as the reference.
 EXACT = 1e-10
-#: Two motions agree, for the choice of frequencies.
+#: Largest relative difference of two motions that agree, for the choice of frequencies.
 SAME = 1e-4
 
 Complex = NDArray[np.complex128]
@@ -58,38 +58,38 @@ Complex = NDArray[np.complex128]
 
 @dataclass(frozen=True)
 class Measurement:
-    """One chain, measured."""
+    """Measured error and time of a chain variant."""
 
     group: str
     setting: str
-    """What is changed, and to what."""
+    """Changed part of the chain, and its setting."""
     cpu: float
-    """CPU time to record and to analyse, s; NaN if that failed."""
+    """CPU time of recording and analysis, s; NaN after a failure."""
     duration: float  # Length of the test, s
     error: float
-    """Of the compliance of any measured body at any of the frequencies, relative to the largest there, each
-    channel corrected by its data sheet: the frequency response of sensor, amplifier and converter."""
+    """Largest error of the compliance over measured bodies and frequencies, relative to the largest compliance.
+    Channels are corrected by their data sheets: frequency response of sensor, amplifier and converter."""
     corrected: float
-    """What that correction takes away: largest error of a displacement read by the channels' nominal
-    sensitivities alone, relative. In a compliance much of it cancels where all channels are alike."""
+    """Size of that correction: largest relative error of a displacement computed with nominal sensitivities
+    only. In a compliance most of it cancels if all channels are identical."""
     note: str = ""
-    """Warnings of the test and of the analysis; why it failed."""
+    """Warnings of test and analysis, or the reason for a failure."""
 
 
 @dataclass(frozen=True)
 class ChainStudy:
-    """What `chain_study` found."""
+    """Result of `chain_study`."""
 
     scene: Scene  # With its chain written out
     frequency: tuple[float, ...]  # Hz
     own: Measurement  # The scene as it is
     quiet: Measurement
-    """The same without what no data sheet can correct (noise, quantisation, tolerances and bias of the
-    sensors): from here one thing is changed at a time."""
+    """The scene without noise, quantization, sensor tolerances and bias, which no data sheet can correct; the
+    baseline of all changes."""
     points: tuple[Measurement, ...]
-    """One thing changed at a time."""
+    """Results with one part of the chain changed at a time."""
     reference: str
-    """What the errors refer to, and how it is known."""
+    """Reference of the errors, and its origin."""
 
 
 def chain_study(
@@ -97,32 +97,32 @@ def chain_study(
     frequencies: Sequence[float] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> ChainStudy:
-    """Measure what every part of a scene's measurement chain does to the compliance, and what it costs.
+    """Measure the effect of each part of a measurement chain on the compliance, and its computing time.
 
     Parameters
     ----------
     scene : Scene
-        With a shaker, and a test that gives a level and, unless one is given, a frequency.
+        With a shaker, and a test with a level and, unless `frequencies` is given, a frequency.
     frequencies : sequence of float, optional
-        Hz; None: the lowest, the highest and the hardest (largest acceleration) of the test's range at which the
-        motion repeats every period, whichever way one comes there.
+        Hz; None: the lowest, the highest and the hardest (largest acceleration) frequency of the test's range at
+        which the motion repeats every period in upward and downward sweeps.
     progress : callable, optional
-        Called with (recordings done, in all).
+        Called with the number of recordings done and the total.
 
     Raises
     ------
     SceneError
         If nothing drives the scene, or its channels do not measure the force.
     RunError
-        If the motion repeats nowhere, or the scene as it is cannot be measured.
+        If no motion repeats every period, or the unchanged scene cannot be measured.
 
     Notes
     -----
-    A structure without working dampers is linear: its exact compliance is the solution of the equations at the
-    frequency (`receptance`). With dampers the compliance depends on the level. The recording notes the drive
-    amplitude that the controller arrived at; the engine's own steady motion under that very drive, followed until it
-    repeats within 1e-10, is what the sensors had before them (`rig cost` measures the engine itself against
-    arithmetic of 40 digits). Neither sees the chain.
+    A structure without moving dampers is linear: its exact compliance is the receptance at the frequency
+    (`receptance`). With dampers the compliance depends on the level. The recording contains the drive amplitude that
+    the controller reached. The reference is the engine's steady motion under this drive, computed until it repeats
+    within 1e-10. `rig cost` compares the engine with arithmetic of 40 digits. Both references are independent of the
+    measurement chain.
     """
     base = plain(scene)
     level_of(base)
@@ -138,7 +138,8 @@ def chain_study(
     linear = assemble(base).dampers == 0
     with tempfile.TemporaryDirectory() as folder:
         bench = _Bench(Path(folder), linear)
-        # What is compiled or loaded at first use is no part of the cost; the voltages are found on the way.
+        # Run once without measurement, so that compilation is excluded from the cost; this run also gives the
+        # voltages.
         try:
             volts = bench.largest_volts(base)
         except ShotrigError as error:
@@ -164,17 +165,17 @@ def chain_study(
 
 
 def steady_frequencies(scene: Scene) -> tuple[float, ...]:
-    """Find frequencies at which the motion repeats every period, the same upwards and downwards.
+    """Select frequencies with the same period-1 motion in upward and downward sweeps.
 
     Returns
     -------
     tuple of float
-        The lowest, the hardest and the highest of some in the test's range, Hz; rising.
+        The lowest, the hardest and the highest of several frequencies in the test's range, Hz; rising.
 
     Raises
     ------
     RunError
-        If there are none.
+        If there is no such frequency.
     """
     motion = with_ideal_force(scene)
     candidates = columns(motion, points=CANDIDATES)
@@ -205,7 +206,7 @@ def _accelerations(scene: Scene, frequencies: Sequence[float] | NDArray[np.float
 
 
 def _test(scene: Scene, frequencies: tuple[float, ...]) -> SteppedSine:
-    """Make a short stepped sine at the scene's level that waits longer than usual."""
+    """Build a short stepped-sine test at the scene's level, with a longer wait than usual."""
     slowest = max(float(structural_model(scene).modes.decay_rate.min()), DECAYS / LONGEST)
     name = "force" if getattr(scene.test, "force", None) is not None else "drive"
     return SteppedSine(
@@ -217,13 +218,13 @@ def _test(scene: Scene, frequencies: tuple[float, ...]) -> SteppedSine:
 
 
 class _Bench:
-    """Records and analyses in a folder."""
+    """Recording and analysis in a folder."""
 
     def __init__(self, folder: Path, linear: bool) -> None:
         self._folder, self._linear = folder, linear
 
     def largest_volts(self, scene: Scene) -> float:
-        """Largest voltage at the converter during the test."""
+        """Record the test and return the largest voltage at the converter."""
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             path = self._record(scene)
@@ -234,7 +235,7 @@ class _Bench:
             )
 
     def measurement(self, variant: Variant) -> Measurement:
-        """Record and analyse a variant, and compare with the truth."""
+        """Record and analyze a variant, and compare with the reference."""
         times, notes = [], []
         try:
             for _ in range(REPEATS):
@@ -245,7 +246,7 @@ class _Bench:
                     with open_recording(path) as rec:
                         curves = frequency_responses(rec)[0]
                 times.append(time.process_time() - begun)
-            # That some steps have not settled to 1e-5 shows in their errors.
+            # A warning about settling is omitted, because the error includes the residual transient.
             notes += [str(warning.message) for warning in caught if "overload" in str(warning.message)]
             notes += [warning for curve in curves for warning in curve.warnings if "overload" in warning]
             with open_recording(path) as rec:
@@ -272,7 +273,7 @@ class _Bench:
         return record(scene, self._folder / "chain.mcap", overwrite=True)
 
     def _truth(self, rec: Recording) -> Complex:
-        """Exact compliance of the measured bodies, in the order of the recording's channels."""
+        """Compute the exact compliance of the measured bodies, in the order of the recording's channels."""
         scene = rec.scene
         marks = [marker.fields for marker in rec.markers if marker.kind == "measure"]
         frequencies = [float(mark["frequency"]) for mark in marks]
@@ -288,12 +289,12 @@ class _Bench:
 
 
 def _driven(scene: Scene, frequency: float, drive: float) -> Complex:
-    """Compliance of all bodies under a drive of given amplitude."""
+    """Compute the compliance of all bodies under a drive of given amplitude."""
     name = "force" if scene.driven_shaker is not None and scene.driven_shaker.kind == "force" else "drive"
     test = SteppedSine(**{name: drive}, frequencies=(frequency,))
     scene = scene.replace(test=test)
-    # Samples joined by straight lines are a tone of this much less; and to the engine, a table's drive is where the
-    # table goes, to its servo at its commanded position.
+    # Linear interpolation between samples reduces the amplitude of a sinusoid by this factor. For the engine, the
+    # drive of a table is its actual position; for the servo, it is the commanded position.
     smaller = float(np.sinc(frequency / scene.converter.sample_rate)) ** 2
     smaller /= abs(drive_per_level(scene, assemble(scene), 2.0 * np.pi * frequency))
     scene = scene.replace(test=test.replace(**{name: drive * smaller}))
@@ -304,11 +305,11 @@ def _driven(scene: Scene, frequency: float, drive: float) -> Complex:
 
 
 def _correction(rec: Recording) -> float:
-    """Largest relative error of any channel, at the frequencies measured, as its data sheet says."""
+    """Compute the largest relative error of any channel from its data sheet, at the measured frequencies."""
     frequencies = [float(mark.fields["frequency"]) for mark in rec.markers if mark.kind == "measure"]
     return max(float(np.abs(info.response(frequencies) - 1.0).max()) for info in rec.channels.values())
 
 
 def _miss(value: Complex, true: Complex) -> float:
-    """Largest error of any body, relative to the largest at that frequency."""
+    """Compute the largest error of any body, relative to the largest compliance at that frequency."""
     return float((np.abs(value - true).max(axis=0) / np.abs(true).max(axis=0)).max())

@@ -1,4 +1,4 @@
-"""A scene's measurement chain with one thing changed at a time."""
+"""Variants of a scene's measurement chain, with one part changed at a time."""
 
 from __future__ import annotations
 
@@ -14,41 +14,41 @@ from rig.scene.measurement_chain import Accelerometer, Channel, Integrator
 from rig.scene.presets import filled_in
 from rig.scene.scene import Scene
 
-#: Sample rates, relative to the scene's.
+#: Sample rates, relative to the sample rate of the scene.
 RATES = (0.125, 0.25, 0.5, 2.0, 4.0, 8.0)
-#: The slowest sampling of the highest frequency.
+#: Smallest number of samples per period of the highest frequency.
 SAMPLES_A_PERIOD = 4.0
 #: Mounted resonances of the sensors, relative to the highest frequency.
 RESONANCES = (10.0, 100.0, 1000.0)
 BITS = (24, 16, 12)
-#: An integrator that the scene has not got stops integrating at this share of the lowest frequency.
+#: Lower corner frequency of an added integrator, relative to the lowest frequency.
 CORNER = 0.1
-#: What of a sensor differs from its data sheet, or comes from being switched on.
+#: Sensor properties that differ from the data sheet, or depend on switching on.
 UNCORRECTABLE = (
     "sensitivity_tolerance", "temperature_drift", "temperature_change", "transverse", "lateral",
     "bias", "bias_settling",
 )  # fmt: skip
-#: Room in the converter's range above the largest reading, where the scene gives no range.
+#: Ratio of the converter's range to the largest reading, if the scene gives no range.
 HEADROOM = 1.5
 
-#: What channels with an integrator of order 0, 1, 2 read besides the acceleration.
+#: Output of an integrator of order 0, 1, 2.
 NAMES = ("none", "velocity", "displacement")
-#: What is changed, in the order of the signal.
+#: Changed parts, in the order of the signal path.
 GROUPS = ("sensor", "noise", "integrator", "anti-alias filter", "sample rate", "bits")
 
 
 @dataclass(frozen=True)
 class Variant:
-    """A scene with one thing in its chain changed."""
+    """A scene with one part of its chain changed."""
 
     group: str
-    """What was changed: one of `GROUPS`; "" for the scene itself."""
+    """Changed part, one of `GROUPS`; "" for the scene itself."""
     setting: str  # To what
     scene: Scene
 
 
 def plain(scene: Scene) -> Scene:
-    """Write out a scene's chain: presets filled in, channels named, no limits on the readings.
+    """Expand a scene's chain: presets filled in, channels named, no limits of the readings.
 
     Raises
     ------
@@ -83,7 +83,7 @@ def _written_out(channel: Channel) -> Channel:
 
 
 def own_setting(scene: Scene, group: str) -> str:
-    """Say what a plain scene has in place of what a group changes.
+    """Describe the own setting of a plain scene for a group.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def own_setting(scene: Scene, group: str) -> str:
 
 
 def quiet(scene: Scene) -> Scene:
-    """Take from a plain scene what no data sheet can correct: noise, quantisation, sensors' tolerances and bias."""
+    """Remove noise, quantization, sensor tolerances and bias, which no data sheet can correct, from a plain scene."""
     return _exact_sensors(_without_counts(_with_noise(scene, 0.0)))
 
 
@@ -138,16 +138,16 @@ def _without_counts(scene: Scene) -> Scene:
 def variants(
     scene: Scene, lowest: float, hardest: float, highest: float, largest_volts: float
 ) -> Iterator[Variant]:
-    """Change one thing at a time in the scene that `quiet` gives: what that takes away would hide the rest.
+    """Change one part at a time in the scene from `quiet`, where noise does not mask the effects.
 
     Parameters
     ----------
     scene : Scene
-        As `plain` gives it.
+        As returned by `plain`.
     lowest, hardest, highest : float
-        Frequencies that are measured, Hz; at the hardest one an added integrator leaves the voltage as it is.
+        Measured frequencies, Hz; an added integrator has unit gain at `hardest`.
     largest_volts : float
-        Largest reading of the scene as it is, V: a converter without a range gets one to suit.
+        Largest reading of the unchanged scene, V; it determines the range of a converter without a range.
     """
     for name, factor in (("the scene's", 1.0), ("ten times", 10.0)):
         loud = _with_noise(scene, factor)
@@ -173,7 +173,7 @@ def _converter(scene: Scene, **changes: Any) -> Scene:
 
 
 def _floats(scene: Scene) -> Any:
-    """Give recording settings that suit samples without counts."""
+    """Return recording settings for samples without quantization."""
     return scene.recording.replace(samples=None)
 
 
@@ -200,7 +200,7 @@ def _resonances(scene: Scene, highest: float) -> Iterator[Variant]:
 
 
 def _with_noise(scene: Scene, factor: float) -> Scene:
-    """Multiply every noise density of a plain scene, and the jitter; by 0 to take them away."""
+    """Multiply all noise densities and the jitter of a plain scene by a factor; 0 removes them."""
 
     def scaled(noise: float | None) -> float | None:
         return None if noise is None or factor == 0.0 else factor * noise
@@ -223,7 +223,7 @@ def _with_noise(scene: Scene, factor: float) -> Scene:
 
 
 def _integrators(scene: Scene, lowest: float, hardest: float) -> Iterator[Variant]:
-    """All channels without integrator (the analysis integrates numbers), or with one of another order."""
+    """Yield variants without integrators (the analysis integrates numerically), or with another order."""
     if scene.channels is None:
         return
     omega = 2.0 * np.pi * hardest

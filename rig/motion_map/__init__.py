@@ -1,4 +1,4 @@
-"""Type of motion and periods to compute it over two parameters: `rig map`.
+"""Map of motion type and settling time over two parameters: `rig map`.
 
-Start with `motion_map`; `grid` says which points, `figure` draws them.
+Start with `motion_map`; `grid` selects the points, `figure` draws them.
 """

@@ -1,4 +1,4 @@
-"""The map of the motion as a figure, a file and a summary."""
+"""Output of a motion map: figure, table and summary."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def summary(map_: MotionMap) -> str:
-    """Say how much of the map each kind of motion takes, and what it costs."""
+    """Summarize the share of each motion type in the map, and the computing time."""
     rows, points = map_.kind.shape
     lines = [
         f"{map_.scene.name}: {rows} x {points} steady motions, {map_.over} {map_.value[0]:.3g} to "
@@ -49,7 +49,7 @@ def write(map_: MotionMap, folder: Path) -> list[Path]:
     Parameters
     ----------
     folder : Path
-        Made if it does not exist.
+        Created if it does not exist.
 
     Raises
     ------
@@ -62,7 +62,7 @@ def write(map_: MotionMap, folder: Path) -> list[Path]:
 
 
 def place(scene: Scene, over: str, folder: Path) -> Path:
-    """Give the path of a map's files without their ending."""
+    """Return the path of a map's files without their suffix."""
     return folder / stem("map-clearance" if over == "clearance" else "map", scene.name)
 
 

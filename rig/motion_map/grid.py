@@ -1,4 +1,4 @@
-"""The grid of a map: levels from below the first take-off, or clearances, and frequencies close where it resonates."""
+"""The grid of a map: levels or clearances, and frequencies with a finer spacing near resonances."""
 
 from __future__ import annotations
 
@@ -14,28 +14,28 @@ from rig.system.assembly import assemble
 from rig.system.open_loop_drive import accelerations_per_level, level_of
 from rig.system.structural_model import structural_model
 
-#: What a level or a clearance measures, by its unit.
+#: Kind of quantity of a level or clearance, by its unit.
 KIND_OF_UNIT = {"N": FORCE, "V": VOLTAGE, "m": LENGTH}
 #: Default number of frequencies.
 POINTS = 48
 #: Default number of rows.
 ROWS = 36
-#: What counts as close to a natural frequency, as a share of it.
+#: Relative half-width of the finely spaced band around a natural frequency.
 CLOSE = 0.02
 
 
 def vertical_axis(scene: Scene, over: str | None) -> tuple[str, str]:
-    """Say what changes from row to row, and its unit (N, V or m).
+    """Return the quantity of the vertical axis, and its unit (N, V or m).
 
     Parameters
     ----------
     over : {"force", "drive", "clearance"} or None
-        None: the level that the scene's test gives.
+        None: the level of the scene's test.
 
     Raises
     ------
     SceneError
-        If it is neither that level nor the clearance, or nothing changes along it: no level, no damper that moves.
+        If it is neither that level nor the clearance, or the scene has no level or no moving damper.
     """
     level_of(scene)
     if not assemble(scene).dampers:
@@ -54,17 +54,17 @@ def vertical_axis(scene: Scene, over: str | None) -> tuple[str, str]:
 
 
 def columns(scene: Scene, low: float | None = None, high: float | None = None, points: int = POINTS) -> Array:
-    """Frequencies from low to high, half of them evenly and half close to the natural frequencies, Hz.
+    """Select frequencies from low to high, half evenly spaced and half near the natural frequencies, Hz.
 
     Parameters
     ----------
     low, high : float, optional
-        Hz; None: the ends of the test's range, or a fifth from its single tone.
+        Hz; None: the ends of the test's range, or 20 % below and above its single frequency.
 
     Raises
     ------
     SceneError
-        If that is no range.
+        If the ends are not a valid range.
     """
     if low is None or high is None:
         usual = _range_of_test(scene)
@@ -87,9 +87,9 @@ def columns(scene: Scene, low: float | None = None, high: float | None = None, p
 
 
 def natural_frequencies(scene: Scene, low: float, high: float) -> Array:
-    """Natural frequencies between two, Hz, without the dampers that move and with them riding.
+    """Compute the natural frequencies in a range, Hz, without the moving dampers and with these riding.
 
-    Working dampers leave a resonance between the two.
+    With active dampers, each resonance is between these two values.
     """
     model = structural_model(scene)
     loads = [model.with_riding(), model.with_riding(range(1, len(scene.dampers) + 1))]
@@ -110,7 +110,7 @@ def _range_of_test(scene: Scene) -> tuple[float, float]:
 
 
 def take_off(scene: Scene, frequency: Array) -> Array:
-    """Level at which the linear structure with all dampers riding accelerates one of them at gravity.
+    """Compute the level at which a damper reaches 1 g in the linear structure with all dampers riding.
 
     Parameters
     ----------
@@ -120,13 +120,13 @@ def take_off(scene: Scene, frequency: Array) -> Array:
     Returns
     -------
     ndarray, shape (frequencies,)
-        N, or the drive's unit.
+        N, or the unit of the drive.
     """
     return assemble(scene).gravity / _dampers_accelerations(scene, frequency)
 
 
 def _dampers_accelerations(scene: Scene, frequency: Array) -> Array:
-    """Largest acceleration at a damper for one unit of level, all of them riding, m/s^2; shape (frequencies,)."""
+    """Compute the largest acceleration of a riding damper per unit of level, m/s^2; shape (frequencies,)."""
     system = assemble(scene)
     places = system.damper_coordinate
     return np.array(
@@ -142,7 +142,7 @@ def rows_of(
     most: float | None = None,
     rows: int = ROWS,
 ) -> Array:
-    """Levels or clearances, even in the logarithm.
+    """Select levels or clearances, evenly spaced in the logarithm.
 
     Parameters
     ----------
@@ -150,13 +150,14 @@ def rows_of(
     frequency : ndarray
         Hz.
     least, most : float, optional
-        The ends. None, for levels: from below the first take-off to well above it; for clearances: from where a damper
-        hardly moves to where it hardly meets its ceiling. Unless both are given, one row is the scene's own value.
+        Ends of the range. Default for levels: from below the first take-off to well above it. Default for clearances:
+        from a damper that hardly moves to a damper that hardly reaches its ceiling. Unless both are given, one row is
+        the scene's own value.
 
     Raises
     ------
     SceneError
-        If the ends are no range.
+        If the ends are not a valid range.
     """
     own, usual = (_clearances if over == "clearance" else _levels)(scene, frequency)
     low, high = usual[0] if least is None else least, usual[1] if most is None else most
@@ -168,20 +169,20 @@ def rows_of(
     step = np.log(high / low) / (rows - 1)
     if least is not None and most is not None:
         return np.geomspace(low, high, rows)
-    # Shifted by less than half a row, so that one row is the scene's own.
+    # Shift by less than half a row, so that one row is the scene's own value.
     shift = (np.log(own / low) / step + 0.5) % 1.0 - 0.5
     return np.asarray(low * np.exp(step * (np.arange(rows) + shift)))
 
 
 def _levels(scene: Scene, frequency: Array) -> tuple[float, tuple[float, float]]:
-    """Give the scene's own level and the ends of a range."""
+    """Return the scene's own level and the ends of the range."""
     own = level_of(scene)
     first = float(take_off(scene, frequency).min()) or own
     return own, (min(0.5 * first, 0.5 * own), max(20.0 * first, 4.0 * own))
 
 
 def _clearances(scene: Scene, frequency: Array) -> tuple[float, tuple[float, float]]:
-    """Give the scene's own clearance (their mean if there are several) and the ends of a range, m."""
+    """Return the scene's own clearance (mean of several) and the ends of the range, m."""
     accelerations = _dampers_accelerations(scene, frequency)
     hardest = int(np.argmax(accelerations))
     motion = level_of(scene) * float(accelerations[hardest]) / (2.0 * np.pi * frequency[hardest]) ** 2

@@ -1,4 +1,4 @@
-"""Where a scene gets hard: type of motion and periods to compute it over level or clearance, and frequency."""
+"""Map of motion type and settling time over level or clearance, and frequency."""
 
 from __future__ import annotations
 
@@ -28,17 +28,18 @@ if TYPE_CHECKING:
     import xarray
     from matplotlib.axes import Axes
 
-#: What a damper does, from the tamest to the wildest; a point of the map counts as what its wildest damper does.
+#: Motion types in order of complexity; a point of the map has the most complex type of its dampers.
 KINDS = ("riding", "I", "II", "III", "other, every period", "longer period", "irregular")
-#: Distance from the steady state at which a motion's type is determined, relative to the motion.
+#: Distance from steady state at which the motion type is determined, relative to the motion.
 TOLERANCE = 1e-6
-#: A motion that has not repeated after so many times the slowest mode's decay to the tolerance is irregular.
+#: Wait after which a motion without repetition counts as irregular, relative to the decay of the slowest mode to
+#: the tolerance.
 PATIENCE = 3.0
-#: Shortest limit of the wait, periods: fewer cost little.
+#: Lower bound of the longest wait, periods: so short a wait takes little time.
 FEWEST = 2000
-#: Longest limit of the wait, periods.
+#: Upper bound of the longest wait, periods.
 MOST = 20_000
-#: From tame to wild: grey, three blues to green for the paper's types, warm colours for the rest.
+#: Colors of `KINDS`: grey for riding, blue for the paper's types, warm colors for the other types.
 COLOURS = ("#e4e4e4", "#a6cee3", "#3f8fc4", "#1b4f7e", "#f2c14e", "#e07b39", "#8c1c3a")
 LEGEND = ("riding", "Type I", "Type II", "Type III", *KINDS[4:])
 
@@ -50,29 +51,29 @@ class MotionMap(Result):
     Attributes
     ----------
     scene : Scene
-        As it was followed: a force that its test holds acts on the body itself.
+        Scene of the computation; a controlled force of its test acts directly on the body.
     over : {"force", "drive", "clearance"}
-        What changes from row to row.
+        Quantity of the rows.
     unit : str
         N, V or m.
     value : ndarray, shape (rows,)
         Level, or clearance of every damper.
     frequency : ndarray, shape (frequencies,)
-        Hz, rising; each motion starts from the one before in its row.
+        Hz, rising; each motion is continued from the previous frequency of its row.
     kind : ndarray of int, shape (rows, frequencies)
         Position in `KINDS`.
     motion : ndarray of str, shape (rows, frequencies)
-        Type of every damper's motion, in their order, joined by "/".
+        Motion type of each damper, in order, joined by "/".
     impacts : ndarray, shape (rows, frequencies)
-        Impacts of all dampers a period.
+        Impacts of all dampers per period.
     repetition : ndarray of int, shape (rows, frequencies)
-        Periods of the drive after which the motion repeats; 0 if none was found.
+        Periods of the drive after which the motion repeats; 0 if no repetition was detected.
     periods : ndarray of int, shape (rows, frequencies)
-        Periods that were computed to find out, from the motion at the frequency before; a test waits otherwise.
+        Periods computed to reach steady state from the previous frequency; a test on the rig waits differently.
     cpu : ndarray, shape (rows, frequencies)
-        CPU time spent, s; in no table or figure, which are the same wherever they are computed.
+        CPU time, s; excluded from tables and figures, so that these do not depend on the machine.
     take_off : ndarray, shape (frequencies,)
-        Level above which the linear structure with all dampers riding accelerates one of them at more than gravity.
+        Level above which a damper exceeds 1 g in the linear structure with all dampers riding.
     """
 
     scene: Scene
@@ -89,7 +90,7 @@ class MotionMap(Result):
     take_off: Array
 
     def summary(self) -> str:
-        """Say what was mapped, and how much of it each kind of motion takes."""
+        """Summarize the map, and the share of each motion type."""
         shares = [(kind, (self.kind == number).mean()) for number, kind in enumerate(KINDS)]
         return (
             f"{self.scene.name}: {self.over} {self.value[0]:.3g} to {self.value[-1]:.3g} {self.unit}, "
@@ -98,7 +99,7 @@ class MotionMap(Result):
         )
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """Every point of the grid: where, which motion, how often it hits and repeats, periods computed to know."""
+        """Return all points of the grid: location, motion type, impacts, repetition and computed periods."""
         dampers = np.array([each.split("/") for each in self.motion.ravel()]).T
         return {
             f"{self.over}_{self.unit}": np.repeat(self.value, self.frequency.size),
@@ -111,11 +112,11 @@ class MotionMap(Result):
         }
 
     def to_xarray(self) -> xarray.Dataset:
-        """Give the columns as an xarray data set over both axes."""
+        """Return the columns as an xarray data set over both axes."""
         return self.to_dataframe().set_index("frequency_Hz", append=True).to_xarray()
 
     def draw(self, ax: Axes, **style: Any) -> None:
-        """Kind of motion over level or clearance, and frequency."""
+        """Draw the motion type over level or clearance, and frequency."""
         from matplotlib.colors import ListedColormap
 
         look: dict[str, Any] = {
@@ -131,12 +132,12 @@ class MotionMap(Result):
 
     @property
     def borders(self) -> tuple[Array, Array]:
-        """Borders of the cells along frequency and along the level or clearance."""
+        """Compute the edges of the cells along frequency and along level or clearance."""
         return cell_edges(self.frequency, False), cell_edges(self.value, True)
 
     @property
     def own_value(self) -> float | None:
-        """The scene's own value, if it lies on the map and there is only one."""
+        """Return the scene's own value, if it is unique and within the map."""
         if self.over == "clearance":
             found = {d.clearance for d in self.scene.dampers if d.moves}
             value = found.pop() if len(found) == 1 else np.inf
@@ -145,7 +146,7 @@ class MotionMap(Result):
         return value if self.value[0] <= value <= self.value[-1] else None
 
     def dress(self, ax: Axes) -> None:
-        """Draw axes, the border to flight, and the scene's own value."""
+        """Draw axes, the take-off level, and the scene's own value."""
         (left, *_, right), (low, *_, high) = self.borders
         ax.grid(False)
         ax.set(xlim=(left, right), xlabel="frequency / Hz")
@@ -168,34 +169,34 @@ def map_motion(
     cluster: str | None = None,
     kept: Path | None = None,
 ) -> MotionMap:
-    """Follow the steady motion over a grid of levels, or of clearances, and frequencies.
+    """Compute the steady motion over a grid of levels or clearances, and frequencies.
 
     Parameters
     ----------
     scene : Scene, str, Path or mapping
-        A scene, or what `rig.load` takes. Where its test holds the amplitude of the spring force, that force acts on
-        the body as a pure tone; a test that gives a drive goes through its shaker.
+        A scene, or an argument of `rig.load`. If its test controls the amplitude of the spring force, that force acts
+        on the body as a pure sinusoid; a drive level is applied through the shaker.
     over : {"force", "drive", "clearance"}, optional
-        What changes beside the frequency; None: the level that the test gives. A clearance is that of every damper
-        that is not locked, at the test's level.
+        Second parameter in addition to the frequency; None: the level of the test. A clearance applies to every
+        damper that is not locked, at the level of the test.
     values : array_like, shape (rows,), optional
-        Levels [N, or the drive's unit] or clearances [m], or texts with units; None: around what decides over
-        take-off and over hitting the ceiling, the scene's own value among them.
+        Levels [N, or the drive's unit] or clearances [m], or texts with units; None: a range that includes
+        take-off or ceiling contact, and the scene's own value.
     frequencies : array_like, shape (frequencies,), optional
-        Hz, or texts with units; None: the test's range, closer around the natural frequencies.
+        Hz, or texts with units; None: the test's range, with a finer spacing near the natural frequencies.
     progress : callable, optional
-        Called with the number of points done and of all.
+        Called with the number of points done and the total.
     cluster : str, optional
         As for `rig.design`.
     kept : Path, optional
-        CSV file with every row as soon as it is done; rows of the same map that are in it are not computed again.
+        CSV file to which each finished row is added; rows of the same map in this file are not recomputed.
 
     Raises
     ------
     RunError
         If that file cannot be read or written.
     SceneError
-        If the scene has no damper that moves, no shaker or no level, or a value is not positive.
+        If the scene has no moving damper, no shaker or no level, or a value is not positive.
     """
     scene = scene_of(scene)
     over, unit = vertical_axis(scene, over)
@@ -238,7 +239,7 @@ def _with(scene: Scene, over: str, value: float) -> Scene:
 
 
 def _longest(scene: Scene, frequency: Array) -> int:
-    """Periods of the quickest tone after which the slowest mode has decayed to the tolerance several times."""
+    """Compute the longest wait in periods of the highest frequency, from the decay of the slowest mode."""
     rate = structural_model(scene).modes.decay_rate
     with np.errstate(divide="ignore"):
         periods = PATIENCE * np.log(1.0 / TOLERANCE) * frequency[-1] / max(float(rate.min()), 0.0)
@@ -246,7 +247,7 @@ def _longest(scene: Scene, frequency: Array) -> int:
 
 
 class _Row(NamedTuple):
-    """A row to follow upwards in frequency."""
+    """A row of the map, computed by rising frequency."""
 
     scene: Scene
     frequency: Array
@@ -254,7 +255,7 @@ class _Row(NamedTuple):
 
 
 class _Point(NamedTuple):
-    """What a map shows of a steady motion."""
+    """A point of the map: properties of a steady motion."""
 
     types: list[str]
     impacts: float
@@ -264,8 +265,8 @@ class _Point(NamedTuple):
 
 
 def _followed(row: _Row) -> list[_Point]:
-    """Every point of a row with the CPU time it took."""
-    # What is compiled or loaded from disk at first use is no part of the cost.
+    """Compute all points of a row, with the CPU time of each."""
+    # Run once without measurement, so that compilation and loading are not included in the CPU time.
     Follower(row.scene, TOLERANCE, 1).point(float(row.frequency[0]), None)
     found, points = [], Follower(row.scene, TOLERANCE, row.longest).follow(row.frequency)
     for _ in row.frequency:
@@ -292,7 +293,7 @@ _STUDY: Study[_Row, list[_Point]] = Study(
 
 
 def _kind(damper_motion: str) -> int:
-    """Position in `KINDS` of what a damper does.
+    """Return the position in `KINDS` of a damper's motion type.
 
     >>> [KINDS[_kind(each)] for each in ("riding", "III", "3 per 1", "3 per 2", "irregular")]
     ['riding', 'III', 'other, every period', 'longer period', 'irregular']

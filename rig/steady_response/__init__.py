@@ -1,4 +1,4 @@
-"""The steady response by waiting for it: frequency by frequency, continued up or down, with the type of motion.
+"""Steady response by time integration, continued upward or downward in frequency, with the motion type.
 
 Start with `frequency_response`; `motion_type` classifies motions as Type I, II or III of the paper.
 """

@@ -1,4 +1,4 @@
-"""Steady frequency response of a scene with its dampers, by following the exact motion from frequency to frequency."""
+"""Steady frequency response of a scene with dampers, by exact integration and continuation in frequency."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     from rig.results.response import Response
 
-#: The spring force is held to this, relative.
+#: Relative tolerance of the controlled spring force.
 LEVEL_TOLERANCE = 1e-6
 LEVEL_TRIALS = 25
 
@@ -47,25 +47,25 @@ class SteadyResponse(Result):
     compliance : complex ndarray, shape (bodies, frequencies)
         First harmonic of each displacement over that of the force, m/N; x(t) = Re(X e^{i w t}).
     peak : ndarray, shape (bodies, frequencies)
-        Half the range of each displacement over the motion, m.
+        Half the peak-to-peak displacement, m.
     force : ndarray, shape (frequencies,)
         Amplitude of the force's first harmonic, N.
     motion_type : ndarray of str, shape (frequencies,)
         "linear", "riding", "I", "II", "III", "k per n" (impacts per periods), "irregular"; several dampers of
         different types are joined by "/".
     damper_motion : ndarray of str, shape (dampers, frequencies)
-        The same for each damper that moves.
+        Motion type of each moving damper.
     impacts : ndarray, shape (dampers, frequencies)
         Impacts per period of the drive.
     closing_speed : ndarray, shape (dampers, frequencies)
-        Largest speed at which each damper that moves comes to a wall, m/s; 0 where it does not.
+        Largest approach speed of each moving damper to a wall, m/s; 0 without contact.
     converged : ndarray of bool, shape (frequencies,)
     repetition : ndarray of int, shape (frequencies,)
-        Periods of the drive after which the motion repeats; 0 if none was found.
+        Periods of the drive after which the motion repeats; 0 if no repetition was detected.
     residual : ndarray, shape (frequencies,)
         Estimated distance from the steady state, relative to the motion.
     bodies : tuple of str
-        Names of the bodies; empty where they have numbers only.
+        Names of the bodies; empty if they have numbers only.
     """
 
     frequency: Array
@@ -83,16 +83,16 @@ class SteadyResponse(Result):
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """What the bodies are called: by their names, or body 1, body 2, ..."""
+        """Labels of the bodies: their names, or body 1, body 2, ..."""
         return self.bodies or tuple(f"body {number}" for number in range(1, len(self.compliance) + 1))
 
     @property
     def response(self) -> Response:
-        """The compliance of all bodies as a `rig.Response`, which plots in one figure with measured ones."""
+        """Return the compliance of all bodies as a `rig.Response`, for plots with measured responses."""
         return compliance_response(self.frequency, self.labels, self.compliance, self.force, ~self.converged)
 
     def summary(self) -> str:
-        """Say where, how high and which types of motion."""
+        """Summarize frequency range, peak and motion types."""
         top = np.unravel_index(int(np.argmax(abs(self.compliance))), self.compliance.shape)
         return (
             f"{self.frequency.size} frequencies, {self.frequency.min():.4g} to {self.frequency.max():.4g} Hz, highest "
@@ -101,7 +101,7 @@ class SteadyResponse(Result):
         )
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """Frequency, compliance of each body, and type of motion."""
+        """Return frequency, compliance of each body, and motion type."""
         return {
             "frequency_Hz": self.frequency,
             **{f"{name}_m/N": row for name, row in zip(self.labels, self.compliance, strict=True)},
@@ -109,7 +109,7 @@ class SteadyResponse(Result):
         }
 
     def draw(self, ax: Axes, **style: Any) -> None:
-        """Compliance of each body."""
+        """Draw the compliance of each body."""
         draw_compliance(
             ax, self.frequency, self.labels, self.compliance, ~self.converged, "not steady", **style
         )
@@ -124,7 +124,7 @@ def compliance_response(
     unsteady: NDArray[np.bool_] | None = None,
     label: str = "computed",
 ) -> Response:
-    """Make a `rig.Response` of the compliance of bodies, (bodies, frequencies)."""
+    """Create a `rig.Response` from the compliance of bodies, (bodies, frequencies)."""
     from rig.results.response import Point, Response
 
     return Response(
@@ -146,7 +146,7 @@ def draw_compliance(
     mark: str,
     **style: Any,
 ) -> None:
-    """Draw the compliance of each body, (bodies, points), in the order of the points, some of which are marked."""
+    """Draw the compliance of each body, (bodies, points), in the order of the points, with optional markers."""
     for label, row in zip(labels, 1e6 * abs(compliance), strict=True):
         (line,) = ax.loglog(over, row, **styled(style, label=label))
         ax.plot(over[marked], row[marked], "o", mfc="white", mec=line.get_color(), ms=4)
@@ -157,10 +157,10 @@ def draw_compliance(
 
 @dataclass(frozen=True)
 class SteadyPoint:
-    """Steady motion at one frequency; `end` is the state that the next frequency may start from.
+    """Steady motion at one frequency; `end` is the initial state for the next frequency.
 
-    Attributes are those of `SteadyResponse` at one frequency, with the types of all dampers, what `settle` found, and
-    the drive level relative to that of the linear structure.
+    The attributes are those of `SteadyResponse` at one frequency, the motion types of all dampers, the result of
+    `settle`, and the drive level relative to the level of the linear structure.
     """
 
     frequency: float
@@ -183,23 +183,23 @@ def frequency_response(
     longest: int = 20_000,
     progress: Callable[[int, int], None] | None = None,
 ) -> SteadyResponse:
-    """Steady response of a scene at a list of frequencies.
+    """Compute the steady response of a scene at a list of frequencies.
 
     Parameters
     ----------
     scene : Scene, str, Path or mapping
-        A scene, or what `rig.load` takes. The level is that of its test: `force` (of the force itself, or the
-        amplitude of the spring force's first harmonic) or `drive`.
+        A scene, or an argument of `rig.load`. Its test gives the level: `force` (the applied force, or the first
+        harmonic of the spring force) or `drive`.
     frequencies : array_like or sequence of str, shape (frequencies,)
         Hz, or texts with a unit, such as ``"49 Hz"``.
     direction : {"up", "down", "both"}
-        Each frequency starts from the motion at the one before. Both: up, then down.
+        Order of the frequencies; each starts from the motion at the previous frequency. "both" is up, then down.
     tolerance : float
-        Largest distance from the steady state, relative to the motion, of a point that counts as converged.
+        Largest distance from steady state, relative to the motion, for a point to count as converged.
     longest : int
-        Periods after which a point that is not steady is taken as it is.
+        Largest number of periods per point; the point is then returned as not converged.
     progress : callable, optional
-        Called with the number of points done and of all.
+        Called with the number of points done and the total.
 
     Raises
     ------
@@ -208,8 +208,9 @@ def frequency_response(
 
     Notes
     -----
-    Two stretches of the list run at once on two cores. The second one starts from rest; when the first arrives
-    there with another motion, the second is followed again from that until the two agree.
+    The list is divided into two sections that are computed in parallel on two cores. The second section starts from
+    rest. If the first section ends with a different motion, the second is recomputed from that motion until both
+    agree.
 
     Examples
     --------
@@ -241,7 +242,7 @@ def frequency_response(
             else:
                 points = _in_two_halves(pool, follower, follow, tasks[0])
         except BaseException:
-            # Leaving the pool waits for the other stretch: do not let it go on.
+            # Leaving the pool waits for the other section, so stop it first.
             follower.stopped.set()
             raise
     return _response(points, follower.system, scene.structure.names)
@@ -256,7 +257,7 @@ def _in_two_halves(
     second = pool.submit(follow, order[middle:])
     first = follow(order[:middle])
     rest = second.result()
-    # Another motion may be the one that continues the first half.
+    # The motion that continues the first section may differ from the motion computed from rest.
     last = first[-1]
     for k, known in enumerate(rest):
         point = follower.point(known.frequency, last)
@@ -273,7 +274,7 @@ def _same(one: SteadyPoint, other: SteadyPoint) -> bool:
 
 
 class _Counter:
-    """Counts the points done."""
+    """Counter of finished points."""
 
     def __init__(self, report: Callable[[int, int], None] | None, total: int) -> None:
         self.report, self.total, self.done = report, total, 0
@@ -286,7 +287,7 @@ class _Counter:
 
 
 class Follower:
-    """Follows the steady motion of a scene from frequency to frequency.
+    """Continuation of the steady motion of a scene in frequency.
 
     Parameters
     ----------
@@ -297,21 +298,21 @@ class Follower:
     def __init__(self, scene: Scene, tolerance: float, longest: int) -> None:
         self.scene, self.system = scene, assemble(scene)
         self.tolerance, self.longest = tolerance, longest
-        #: Set when nobody wants points any more.
+        #: Set when no more points are required.
         self.stopped = Event()
         self.holds_spring_force = not isinstance(scene.driven_shaker, ForceShaker) and (
             getattr(scene.test, "force", None) is not None
         )
 
     def follow(self, order: Sequence[float] | Array) -> Iterator[SteadyPoint]:
-        """Points at frequencies in order, each from the one before; the first from rest."""
+        """Yield points at the given frequencies, each from the previous point; the first from rest."""
         last = None
         for frequency in order:
             last = self.point(float(frequency), last)
             yield last
 
     def point(self, frequency: float, last: SteadyPoint | None) -> SteadyPoint:
-        """Steady motion at one frequency, from the motion at another or from rest."""
+        """Compute the steady motion at one frequency, from the motion at another or from rest."""
         tone = tone_drive(self.scene, self.system, frequency)
         assert tone is not None
         propagator, steps = tone_propagator(self.system, tone.amplitudes, tone.omega)
@@ -326,7 +327,7 @@ class Follower:
     def _held(
         self, propagator: Propagator, steps: float, omega: float, frequency: float, last: SteadyPoint | None
     ) -> SteadyPoint:
-        """Level at which the spring force has the amplitude asked for: a secant in the logarithms."""
+        """Compute the drive level for the required spring force, by the secant method in logarithms."""
         wanted = level_of(self.scene)
         level = abs(last.level) if last is not None else 1.0
         tried: list[tuple[float, float]] = []
@@ -388,7 +389,7 @@ class Follower:
 
 
 def _next_level(tried: list[tuple[float, float]]) -> float:
-    """Next logarithm of the level, at most a factor of two away."""
+    """Compute the next logarithm of the level, limited to a factor of two."""
     last, miss = tried[-1]
     step = -miss
     if len(tried) > 1:

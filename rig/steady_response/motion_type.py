@@ -1,4 +1,4 @@
-"""The type of a damper's periodic motion, in the paper's terms where they apply."""
+"""Classification of a damper's periodic motion, in the paper's terms where these apply."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from rig.system.hybrid_system import HybridSystem
 
 Array = NDArray[np.float64]
 
-#: Landings that a stay on a wall lasts at least, where contact itself lasts.
+#: Shortest stay on a wall in finite-duration contact, relative to the duration of a landing.
 STAY = 2.0
 
 
 def motion_types(trajectory: Trajectory, system: HybridSystem, repetition: int, duration: float) -> list[str]:
-    """Name the motion of every damper over one repetition of a steady motion.
+    """Classify the motion of every damper over one repetition of a steady motion.
 
     Parameters
     ----------
@@ -24,7 +24,7 @@ def motion_types(trajectory: Trajectory, system: HybridSystem, repetition: int, 
         One repetition.
     system : HybridSystem
     repetition : int
-        Its length in periods of the drive; 0 if the motion does not repeat.
+        Length of the repetition in periods of the drive; 0 if the motion does not repeat.
     duration : float
         Length of the segments of the trajectory, s.
 
@@ -32,8 +32,8 @@ def motion_types(trajectory: Trajectory, system: HybridSystem, repetition: int, 
     -------
     list of str
         "riding"; "I" (one floor impact a period), "II" (one floor and one ceiling impact, no stay at the
-        ceiling), "III" (the same with a stay); "k per n" for k impacts in n periods; "irregular". Where contact lasts,
-        a touch counts as an impact, and contact for more than `STAY` times a landing as a stay.
+        ceiling), "III" (the same with a stay); "k per n" for k impacts in n periods; "irregular". In finite-duration
+        contact, a touch counts as an impact, and contact longer than `STAY` times a landing counts as a stay.
     """
     times = trajectory.event_segment * duration + trajectory.event_offset
     cycle = len(trajectory.state) * duration
@@ -47,7 +47,7 @@ def motion_types(trajectory: Trajectory, system: HybridSystem, repetition: int, 
 def type_of(
     kinds: NDArray[np.int64], times: Array, system: HybridSystem, damper: int, repetition: int, cycle: float
 ) -> str:
-    """Name the motion of a damper (from 0) from its events over a cycle [s], kinds as in `rig.engine.state`."""
+    """Classify the motion of a damper (from 0) by its events over a cycle [s], kinds as in `rig.engine.state`."""
     floor = np.count_nonzero((kinds == FLOOR_IMPACT) | (kinds == FLOOR_TOUCH))
     ceiling = np.count_nonzero((kinds == CEILING_IMPACT) | (kinds == CEILING_TOUCH))
     if floor + ceiling == 0:
@@ -64,7 +64,7 @@ def type_of(
 def _stays_at_ceiling(
     kinds: NDArray[np.int64], times: Array, system: HybridSystem, damper: int, cycle: float
 ) -> bool:
-    """Whether the damper leaves the ceiling later than it comes; than after a landing, where contact lasts."""
+    """Whether the damper stays at the ceiling after the impact, or after the landing in finite-duration contact."""
     hit = int(np.flatnonzero(np.isin(kinds, (CEILING_IMPACT, CEILING_TOUCH)))[0])
     after = (hit + 1) % len(kinds)
     if kinds[hit] == CEILING_IMPACT:
@@ -74,7 +74,7 @@ def _stays_at_ceiling(
 
 
 def overall(types: list[str]) -> str:
-    """Sum up the dampers' types.
+    """Combine the motion types of all dampers.
 
     >>> overall(["I", "II", "I"])
     'I/II'

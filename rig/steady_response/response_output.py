@@ -1,4 +1,4 @@
-"""A frequency response as a table of text or CSV, and the frequencies that a scene's test asks for."""
+"""Frequency response as a text table or CSV, and the frequencies of a scene's test."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from rig.steady_response.frequency_response import SteadyResponse
 def frequencies_of(
     scene: Scene, first: float | None, last: float | None, points: int | None, direction: str | None
 ) -> tuple[tuple[float, ...], str]:
-    """Frequencies in Hz, rising, and the direction: as given, and otherwise those of the scene's test.
+    """Return rising frequencies in Hz and the direction, as given or from the scene's test.
 
     Raises
     ------
     SceneError
-        If neither says what they are.
+        If neither specifies the frequencies.
     """
     test = scene.test
     given = (first, last, points)
@@ -46,7 +46,7 @@ def frequencies_of(
 
 
 def rows(response: SteadyResponse) -> tuple[list[str], list[list[str]]]:
-    """Column names and rows of a response, numbers with all their digits."""
+    """Return column names and rows of a response, with all digits."""
     bodies, dampers = len(response.compliance), len(response.impacts)
     header = ["frequency_hz"]
     for body in range(1, bodies + 1):
@@ -69,7 +69,7 @@ def rows(response: SteadyResponse) -> tuple[list[str], list[list[str]]]:
 
 
 def directions(frequency: NDArray[np.float64]) -> list[str]:
-    """Say of frequencies in the order visited which were come to from below, "up", and which from above.
+    """Return the sweep direction, "up" or "down", at each frequency in the order visited.
 
     Examples
     --------
@@ -101,7 +101,7 @@ def write_to(response: SteadyResponse, file: TextIO) -> None:
 
 
 def text(response: SteadyResponse) -> str:
-    """Table for a person: compliance of every body, motion type, impacts a period."""
+    """Format a readable table: compliance of every body, motion type, impacts per period."""
     ratios = [f"X{b}/F1 m/N" for b in range(1, len(response.compliance) + 1)]
     if response.bodies:
         ratios = [f"{name}/F1 m/N" for name in response.bodies]

@@ -1,8 +1,8 @@
-"""Steady motion under a tone: the motion is followed until the period map's residual proves that it has decayed.
+"""Steady motion under a sinusoidal drive: integration until the residual of the period map is small enough.
 
-After every few periods the state at the start of a period is compared with the states 1, 2, ... periods before.
-The residual r of a linear decay with ratio q per period leaves an error of r q / (1 - q); a motion counts as
-steady when that is below the tolerance, relative to the motion. What never repeats is called irregular.
+At intervals, the state at the start of a period is compared with the states 1, 2, ... periods before. For a linear
+decay with ratio q per period, the residual r corresponds to an error of r q / (1 - q). A motion is steady when this
+error is below the tolerance, relative to the motion. A motion that never repeats is irregular.
 """
 
 from __future__ import annotations
@@ -21,29 +21,29 @@ from rig.engine.trajectory import Array, Trajectory
 from rig.errors import RunError
 from rig.numerics.jit import stored
 
-#: Longest repetition looked for, in periods of the drive.
+#: Longest repetition that is detected, in periods of the drive.
 LONGEST_REPETITION = 8
-#: Periods that a look compares; more than four times the longest repetition.
+#: Periods in a comparison; more than four times the longest repetition.
 LOOK = 40
-#: Periods between two looks at most.
+#: Largest number of periods between two comparisons.
 MOST_SKIPPED = 400
-#: What lies within this many tolerances of a repetition is taken to be on its way there.
+#: A motion within this many tolerances of a repetition is assumed to converge to it.
 SETTLING = 1e4
-#: Changes below this are rounding.
+#: Relative changes below this value are rounding errors.
 ROUNDING = 2e-14
-#: Multiplications of one call: about a tenth of a second.
+#: Multiplications in one call, about 0.1 s, so that interrupts are handled between calls.
 _HEARD = 1e8
-#: States kept in one period for its first harmonic and its peak.
+#: Stored states per period, for first harmonic and peak.
 MARKS = 256
 
 
 @dataclass(frozen=True)
 class Steady:
-    """A motion after its transient."""
+    """A motion after the decay of its transient."""
 
     converged: bool
     repetition: int
-    """Periods of the drive after which it repeats; 0 if it does not."""
+    """Periods of the drive after which the motion repeats; 0 if it does not."""
     residual: float
     """Estimated distance from the steady state, relative to the motion."""
     periods: int  # Periods that were followed
@@ -57,38 +57,38 @@ def settle(
     longest: int,
     stopped: Callable[[], bool] = lambda: False,
 ) -> Steady:
-    """Follow the motion from the start of a period until it is steady.
+    """Integrate the motion from the start of a period until it is steady.
 
     Parameters
     ----------
     march : Propagator
-        At the start of a period.
+        Propagator at the start of a period.
     steps : float
-        Step lengths in a period.
+        Period of the drive in step lengths.
     level : float
-        Of the tone.
+        Level of the drive.
     tolerance : float
         Largest distance from the steady state, relative to the motion.
     longest : int
-        Periods after which to give up.
+        Largest number of periods.
     stopped : callable
-        Asked now and then whether nobody wants the motion any more.
+        Called at intervals; returns whether to stop.
 
     Raises
     ------
     RunError
-        If so.
+        If `stopped` returns true.
     """
     done, units = 0, _units(propagator)
     while True:
-        # Looking costs as much as many periods of motion: look at growing intervals.
+        # A comparison costs as much as many periods of motion, so the intervals grow.
         skipped = min(done // 4, MOST_SKIPPED)
         count = skipped + LOOK
         looked = _follow(propagator, steps, level, skipped, stopped)
         done += count
         changes, left = _distances(looked, units)
         steady = np.flatnonzero(left < tolerance)
-        # A motion that has nearly settled to a shorter repetition passes for a longer one first.
+        # Before it settles to a short repetition, a motion first satisfies the tolerance for a longer repetition.
         settling = np.flatnonzero(changes < SETTLING * tolerance)
         if len(steady) and steady[0] == settling[0]:
             return Steady(True, int(steady[0]) + 1, float(left[steady[0]]), done)
@@ -97,7 +97,7 @@ def settle(
 
 
 class _Look(NamedTuple):
-    """Motion at the ends of periods; shape (periods, ...)."""
+    """States at the ends of periods; shape (periods, ...)."""
 
     state: Array
     height: Array
@@ -107,7 +107,7 @@ class _Look(NamedTuple):
 def _follow(
     propagator: Propagator, steps: float, level: float, skipped: int, stopped: Callable[[], bool]
 ) -> _Look:
-    """Go on for some periods unseen and for a look, in calls short enough for an interrupt to be heard between them."""
+    """Integrate the skipped periods and those of a comparison, in calls short enough for interrupts."""
     at_once = max(1, int(_HEARD / (steps * propagator.work)))
     seen: list[_Look] = []
     for begin in range(0, skipped + LOOK, at_once):
@@ -121,7 +121,7 @@ def _follow(
 
 
 def _distances(look: _Look, units: Array) -> tuple[Array, Array]:
-    """Change over 1, 2, ... periods, and estimated distance from a motion that repeats so, relative to the motion."""
+    """Compute relative changes over 1, 2, ... periods, and estimated distances from motions with that repetition."""
     vectors = _vectors(look, units)
     scale = max(float(np.abs(vectors).max()), 1e-300)
     present, left = [], []
@@ -133,16 +133,16 @@ def _distances(look: _Look, units: Array) -> tuple[Array, Array]:
             left.append(np.inf)
         else:
             fall = log(change / earlier) * p / (LOOK // 2)
-            # By expm1, because a ratio just below 1 rounds to 1.
+            # expm1 avoids the rounding of a ratio just below 1.
             left.append(max(change, change * exp(fall) / -expm1(fall)))
     return np.array(present), np.array(left)
 
 
 @stored
 def _changes(vectors: Array, modes: NDArray[np.int8]) -> Array:
-    """Largest change over 1, 2, ... periods at the end, and half a look before; infinite where contacts differ.
+    """Compute changes over 1, 2, ... periods at the end and the middle of a comparison; infinite if contacts differ.
 
-    The ratio of both reveals a slow decay, which faster decays hide from period to period.
+    Their ratio identifies a slow decay, which faster decays mask from period to period.
     """
     changes = np.zeros((LONGEST_REPETITION, 2))
     rows = vectors.shape[0]
@@ -160,19 +160,19 @@ def _changes(vectors: Array, modes: NDArray[np.int8]) -> Array:
 
 
 def _units(propagator: Propagator) -> Array:
-    """Give what makes the parts of a state comparable: metres, velocities over the fastest rate; shape (states,)."""
+    """Return scale factors of the states: displacements in m, velocities over the fastest rate; shape (states,)."""
     system, step = propagator.system, propagator.tables.step
     n, units = system.coordinates, np.ones(system.states)
     units[n : 2 * n] = step
     if system.states > 2 * n:
-        # The coil's current, as the armature's motion that its force makes over a step.
+        # The coil current is scaled as the displacement of the armature caused by its force over a step.
         force = np.abs(system.force_state[:, 2 * n :]).max(axis=0) / np.diag(system.mass).min()
         units[2 * n :] = force * step**2
     return units
 
 
 def _vectors(look: _Look, units: Array) -> Array:
-    """States at the starts of periods in comparable units, and heights of dampers in flight."""
+    """Return scaled states at the starts of periods, and heights of dampers in flight."""
     heights = np.where(look.mode == FLIGHT, look.height, 0.0)
     return np.concatenate([look.state[:, : units.size] * units, heights], axis=1)
 
@@ -180,12 +180,12 @@ def _vectors(look: _Look, units: Array) -> Array:
 def one_cycle(
     propagator: Propagator, steps: float, level: float, repetition: int
 ) -> tuple[Trajectory, Array]:
-    """Follow one repetition of a steady motion with its states kept at `MARKS` instants of every period.
+    """Integrate one repetition of a steady motion, with states stored at `MARKS` instants per period.
 
     Returns
     -------
     begins : float64 (segments, size)
-        States at which the segments begin.
+        Initial states of the segments.
     """
     count = MARKS * repetition
     anew = np.zeros(count, dtype=bool)

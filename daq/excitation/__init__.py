@@ -1,7 +1,8 @@
-"""The excitations a test can run, one module for each kind of test: they see channels, never the simulator's state.
+"""Excitations of tests, one module per kind of test: they use channels, never the state of the simulator.
 
-A module named after the test's kind holds `excite`; the others help them: `station` is what a test has before it,
-`amplitude_control` and `sweep_control` hold the force, `settling` detects steady motion. Start with `sine`.
+A module named after the kind of test contains `excite`. The other modules support them: `station` is the interface to
+the bench, `amplitude_control` and `sweep_control` control the force, `settling` detects the steady state. Start with
+`sine`.
 """
 
 from __future__ import annotations
@@ -15,12 +16,12 @@ __all__ = ["Excitation", "Station", "excitation"]
 
 
 def excitation(station: Station) -> Excitation:
-    """Make the excitation of the scene's test.
+    """Return the excitation of the scene's test.
 
     Raises
     ------
     SceneError
-        If the scene names no test, or one that needs what is not on the bench.
+        If the scene has no test, or the test requires equipment that is not on the bench.
     """
     test = station.scene.test
     if test is None:

@@ -1,4 +1,4 @@
-"""Control of the drive amplitude, so that the force amplitude read from the channels keeps its level."""
+"""Control of the drive amplitude for a constant force amplitude, measured from the channels."""
 
 from __future__ import annotations
 
@@ -6,26 +6,26 @@ import math
 
 from rig.scene.excitation import FORCE_HELD
 
-# Where the force scatters, a level counts as held within twice its standard error, up to this share of it.
+# If the force scatters, the tolerance of the level is twice the standard error, up to this fraction of the level.
 HELD_AT_WORST = 0.02
-# Slopes d log(force) / d log(drive) that are believed. Dampers that begin to work can make the force rise
-# slowly, steeply or even fall with the drive; a flatter slope than this is no guide.
+# Accepted slopes d log(force) / d log(drive). Dampers whose impacts begin can make the force rise slowly, rise
+# steeply or even fall with the drive; a slope below this range is not used.
 _FLATTEST, _STEEPEST = 0.3, 3.0
-# Drives that enclose the level this closely, as log ratio, yet miss it: the force jumps, or has changed.
+# If drives that bracket the level are closer than this log ratio without reaching it, the force jumps or has changed.
 _CLOSEST = 2e-3
-# Where the drive has come down to this part of what it was and too much is read still, it is not the cause.
+# If the force is still too large after a drive reduction to this fraction, the drive is not the cause.
 _IN_VAIN = 1e-4
 
 
 class AmplitudeControl:
-    """Secant steps in log(drive) and log(force), never far, never outside of what encloses the level.
+    """Secant method in log(drive) and log(force), with limited steps inside the bracket of the level.
 
     Parameters
     ----------
     level : float
         Force amplitude to hold, N.
     longest_step : float
-        Largest ratio of one drive amplitude to the one before.
+        Largest ratio of two successive drive amplitudes.
 
     Examples
     --------
@@ -48,19 +48,19 @@ class AmplitudeControl:
         self.restart()
 
     def restart(self) -> None:
-        """Forget what was learned: the frequency has changed."""
+        """Discard all observations: the frequency has changed."""
         self._before: tuple[float, float] | None = None
         self._low, self._high = -math.inf, math.inf
         self._first_cut = 0.0
 
     def holds(self, force: float, doubt: float = 0.0) -> bool:
-        """Whether a force amplitude, known with a relative standard error `doubt`, is at the level."""
+        """Return whether a force amplitude with a relative standard error `doubt` is at the level."""
         return abs(force / self.level - 1.0) <= min(max(FORCE_HELD, 2.0 * doubt), HELD_AT_WORST)
 
     def cut(self, drive: float, force: float) -> float | None:
-        """Bring the drive down at once, without learning from a force that is still changing.
+        """Return an immediately reduced drive, without using a transient force as an observation.
 
-        None where a drive of far less than at first did not help: what is read does not come from the drive.
+        Return None if a much smaller drive did not reduce the force: the drive is then not its cause.
         """
         self._first_cut = max(self._first_cut, drive)
         if drive < _IN_VAIN * self._first_cut:
@@ -68,14 +68,14 @@ class AmplitudeControl:
         return drive * max(math.exp(-self._longest), min(1.0, self.level / force))
 
     def next(self, drive: float, force: float) -> float:
-        """Choose the next drive amplitude, given the steady force the present one leads to.
+        """Compute the next drive amplitude from the steady force at the present drive.
 
         Parameters
         ----------
         drive : float
             Present drive amplitude, above 0.
         force : float
-            Force amplitude it leads to, N.
+            Force amplitude at this drive, N.
 
         Returns
         -------
@@ -97,7 +97,7 @@ class AmplitudeControl:
         return min(math.exp(there), self.limit)
 
     def _enclose(self, here: float, error: float) -> None:
-        """Keep the drives next to the level, below and above it."""
+        """Store the drives nearest to the level, below and above it."""
         if error > 0.0:
             self._low = here
             if self._high <= here:

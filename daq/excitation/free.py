@@ -1,4 +1,4 @@
-"""Free vibration from the scene's initial state, the drive at rest."""
+"""Free vibration from the scene's initial state, without drive."""
 
 from __future__ import annotations
 

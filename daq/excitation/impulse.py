@@ -1,4 +1,4 @@
-"""Impulse: half-sine hits of a hammer on a body, the shaker at rest, the free decay recorded."""
+"""Impulse test: half-sine hammer hits on a body with the shaker at rest, and recording of the free decay."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-# Recorded before the first hit, so that offsets and noise can be seen, s.
+# Recording time before the first hit, s: it shows offsets and noise.
 QUIET = 0.25
 _WINDOW = 0.1
-# Sensors have settled after so many time constants at the latest, within this time, s; they are looked at for so
-# long, s, and move on where they do so by so many standard deviations.
+# Longest settling of sensors, in time constants and in s; window in which a drift is detected, s, and detection
+# limit of the drift in standard deviations.
 _TIME_CONSTANTS, _LONGEST, _LOOK, _BEYOND = 10.0, 60.0, 0.5, 4.0
 
 
@@ -51,7 +51,7 @@ def _run(station: Station, test: Impulse, clean: Array, doubled: Array, bounces:
         wave = np.zeros(interval)
         wave[: pulse.size] = pulse
         first = station.now
-        # The pulse comes in one piece, so that it is marked as soon as it has passed.
+        # The pulse is one window, so that it is marked immediately after its end.
         edges = [0, *range(max(window, pulse.size), interval, window), interval]
         for start, stop in pairwise(edges):
             yield station.drive(wave[start:stop], "hammer")
@@ -70,7 +70,7 @@ def _run(station: Station, test: Impulse, clean: Array, doubled: Array, bounces:
 
 
 def _wait_for_sensors(station: Station) -> Excitation:
-    """Wait until the bias of the sensors has settled after power-on, so that no hit comes on a drifting reading."""
+    """Wait until the bias of the sensors has settled after power-on, so that no reading drifts during a hit."""
     longest = round(max((settling_time(info) for info in station.channels), default=0.0) * station.rate)
     if not longest:
         return
@@ -79,13 +79,13 @@ def _wait_for_sensors(station: Station) -> Excitation:
     while drifts and station.now < end:
         station.report(0.0, "waiting for the sensors to settle")
         drifts = _drifts((yield station.quiet(min(look, end - station.now))))
-    # After ten time constants what still moves is the noise that every such sensor has at low frequencies.
+    # After ten time constants the remaining change is the low-frequency noise of the sensors.
     station.mark("settle", first, station.now, settled=True)
     yield station.quiet(station.samples(QUIET))
 
 
 def settling_time(info: ChannelInfo) -> float:
-    """Time in s after power-on in which a bias disappears from a reading; 0 without one.
+    """Return the time after power-on in which a bias disappears from a reading, s; 0 without a bias.
 
     Examples
     --------
@@ -99,35 +99,35 @@ def settling_time(info: ChannelInfo) -> float:
     bias = next(
         (parse(text, TIME) for key, text in info.sensor.items() if key.endswith(".bias_settling")), 0.0
     )
-    # High-passes, the slowest poles, let the step of power-on through and forget it again.
+    # High-pass filters, the slowest poles, pass the step at power-on, which then decays.
     slow = sorted(abs(pole.real) for pole in info.poles if pole)[: sum(zero == 0 for zero in info.zeros)]
     return min(_TIME_CONSTANTS * (bias + sum(1.0 / rate for rate in slow)), _LONGEST)
 
 
 def _drifts(readings: Array) -> bool:
-    """Whether any reading moves on from the first half of a window to the second, beyond its noise."""
+    """Return whether any reading changes between the two halves of a window by more than its noise."""
     middle = readings.shape[1] // 2
     before, after = readings[:, :middle], readings[:, middle:]
     if not middle:
         return False
     change = abs(after.mean(axis=1) - before.mean(axis=1))
-    # Differences from sample to sample know nothing of a drift.
+    # Differences between successive samples are nearly independent of a drift.
     noise = np.sqrt(np.mean(np.diff(readings, axis=1) ** 2, axis=1) / 2.0)
     return bool(np.any(change > _BEYOND * noise * np.sqrt(2.0 / middle)))
 
 
 def half_sine(peak: float, width: float, rate: float) -> Array:
-    """Sample a half-sine pulse so that, joined by straight lines, it has the peak and the area asked for.
+    """Sample a half-sine pulse such that its linear interpolation has the given peak and area.
 
-    Straight lines between samples cut the corners of the sine and would lose area; the sampled half sine is
-    made longer by just so much, with a sample on its peak.
+    Linear interpolation between samples would reduce the area of the pulse. The sampled half sine is therefore
+    longer, with a sample at its peak.
 
     Parameters
     ----------
     peak : float
-        N.
+        Peak force, N.
     width : float
-        Length of the half sine, s; two samples at least.
+        Width of the half sine, s; at least two samples.
 
     Returns
     -------

@@ -1,29 +1,29 @@
-"""Watches how well a sweep holds its force, notes where it does not, and says so at the end."""
+"""Monitor of the force level of a sweep: it marks deviations and warns at the end."""
 
 from __future__ import annotations
 
 from daq.excitation.station import Station
 
-# Share of the level by which the force may be off.
+# Permitted relative deviation of the force from its level.
 ALLOWED = 0.1
-# Stretches closer than this are one, s.
+# Intervals with a shorter gap are merged, s.
 _PAUSE = 0.5
-# What to do where the channels read nothing of the force.
+# Remedy if the channels do not measure the force.
 READABLE = "take more sensitive sensors, a smaller converter: range, or more force"
 
 
 class LevelWatch:
-    """Marks stretches in which the force is off its level by more than a tenth as ``level``.
+    """Marks intervals in which the force deviates by more than 10 % from its level as ``level``.
 
     Parameters
     ----------
     level : float
-        Force amplitude to be held, N.
+        Target force amplitude, N.
 
     Attributes
     ----------
     lowest, highest : float
-        Force over level so far.
+        Lowest and highest ratio of the force to the level so far.
     """
 
     def __init__(self, station: Station, level: float) -> None:
@@ -34,7 +34,7 @@ class LevelWatch:
         self._samples = self._stretches = 0
 
     def add(self, first: int, stop: int, frequency: float, force: float) -> None:
-        """Take the force amplitude in N from the samples first to stop - 1, at a frequency in Hz."""
+        """Add the force amplitude in N of the samples first to stop - 1, at a frequency in Hz."""
         ratio = force / self._level
         self.lowest, self.highest = min(self.lowest, ratio), max(self.highest, ratio)
         if self._open is not None and first - self._open[1] >= self._station.samples(_PAUSE):
@@ -47,7 +47,7 @@ class LevelWatch:
         self._open = begin, stop, worst, at
 
     def close(self, samples: int) -> None:
-        """Note what is still open, and warn of a sweep of so many samples that was not held throughout."""
+        """Mark an open interval, and warn if the force of the sweep deviated from its level."""
         if self._open is not None:
             self._note()
         if self._stretches:

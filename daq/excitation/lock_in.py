@@ -1,4 +1,4 @@
-"""Lock-in: complex amplitudes of channels at one frequency, by least squares over near-whole periods."""
+"""Lock-in: complex amplitudes of channels at one frequency, by least squares over nearly whole periods."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 
-# A window to be read holds two periods, and more samples than the terms fitted below the lowest harmonic.
+# Minimum window: two periods, and more samples than the number of fitted terms below the lowest harmonic.
 _READABLE_PERIODS, _READABLE = 2, 8
-# Near half the rate a tone looks like one that beats; this share of a beat separates its amplitude from its phase.
+# Near half the sampling rate a sampled tone beats; this fraction of a beat separates its amplitude from its phase.
 _SHARE_OF_BEAT = 0.5
 
 
 def fewest_samples(frequency: float, rate: float) -> int:
-    """Count the samples that a window needs for its tone to be read without much more noise than it has.
+    """Return the minimum number of samples for an amplitude estimate without much noise amplification.
 
     Parameters
     ----------
     frequency, rate : float
-        Hz; the frequency below half the rate.
+        Frequency and sampling rate, Hz; the frequency is below half the rate.
 
     Examples
     --------
@@ -36,16 +36,16 @@ def fewest_samples(frequency: float, rate: float) -> int:
 
 
 def whole_periods(frequency: float, rate: float, at_least: float) -> int:
-    """Find a window of whole periods that the samples fit well.
+    """Return the length of a window that is close to a whole number of periods.
 
-    A window that misses a whole number of periods lets harmonics and offsets leak into the fundamental; of
-    all window lengths up to a third longer than asked for, the one that misses least is taken; never so short
-    that it could not be read (`fewest_samples`).
+    In a window with a fraction of a period, harmonics and offsets leak into the fundamental. Of all window lengths
+    up to a third longer than requested, the length closest to whole periods is selected; it is at least
+    `fewest_samples`.
 
     Parameters
     ----------
     frequency, rate : float
-        Hz.
+        Frequency and sampling rate, Hz.
     at_least : float
         Shortest window, s.
 
@@ -71,31 +71,31 @@ def whole_periods(frequency: float, rate: float, at_least: float) -> int:
     return round(float(samples[np.argmin(np.round(miss, 9))]))
 
 
-# Harmonics that are fitted with the tone, as far as they lie below this share of the rate.
+# Harmonics that are fitted with the tone, up to this fraction of the sampling rate.
 _HARMONICS, _BELOW = 6, 0.4
 
 
-# Samples whose model is held at a time.
+# Number of samples whose model is in memory at a time.
 _PIECE = 1 << 16
 
 
-# A test stays at one frequency for a few kinds of windows.
+# A test uses only a few window lengths per frequency.
 @lru_cache(maxsize=8)
 def _weights(frequency: float, rate: float, samples: int) -> Array:
-    """Give the weights of the samples in both parts of the amplitude by least squares, shape (2, samples)."""
+    """Return the least-squares weights of the samples for both parts of the amplitude, shape (2, samples)."""
     model = _model(frequency, rate, samples, 0, samples)
-    # Over two periods and more these are nearly orthogonal, so that the normal equations lose nothing. Sums by einsum:
-    # BLAS would have its threads wait over a matrix this small.
+    # Over two periods or more the terms are nearly orthogonal, so that the normal equations are accurate. Sums use
+    # einsum: for matrices of this size, BLAS threads would only add overhead.
     normal = np.einsum("in,jn->ij", model, model)
     return np.einsum("ki,in->kn", np.linalg.inv(normal)[:2], model)
 
 
 def _model(frequency: float, rate: float, samples: int, first: int, stop: int) -> Array:
-    """Values that the tone, its harmonics and a drift have at samples [first, stop) of a window; shape (terms, n)."""
+    """Return the tone, its harmonics and a drift at samples [first, stop) of a window; shape (terms, n)."""
     at = np.arange(first, stop)
     phase = 2 * np.pi * np.fmod(frequency / rate * at, 1.0)
-    # Integrated channels drift and dampers shift the mean: a cubic is fitted with the tone to take that up. It would
-    # take harmonics for a drift, and the tone would make up for it, were they not fitted as well.
+    # Integrated channels drift and dampers shift the mean: a cubic polynomial models this drift. Without harmonics
+    # in the model, the polynomial would also fit part of the harmonics, which would bias the tone.
     drift = legvander(np.linspace(-1.0, 1.0, samples)[first:stop], 3)
     highest = max(1, min(_HARMONICS, int(_BELOW * rate / frequency)))
     harmonics = [part(h * phase) for h in range(2, highest + 1) for part in (np.cos, np.sin)]
@@ -103,7 +103,7 @@ def _model(frequency: float, rate: float, samples: int, first: int, stop: int) -
 
 
 def _fitted(samples: Array, frequency: float, rate: float) -> Array:
-    """Both parts of the amplitude in a long window, shape (channels, 2): its model is never held whole."""
+    """Return both parts of the amplitude in a long window, shape (channels, 2), with the model in pieces."""
     size = samples.shape[1]
     normal, right = 0.0, 0.0
     for first in range(0, size, _PIECE):
@@ -114,14 +114,14 @@ def _fitted(samples: Array, frequency: float, rate: float) -> Array:
 
 
 def lock_in(samples: Array, frequency: float, rate: float, phase: float = 0.0) -> ComplexArray:
-    """Complex amplitudes X of a steady tone: x(t) = Re(X e^{i(phase + 2 pi f t)}) + slow drift.
+    """Estimate complex amplitudes X of a steady tone: x(t) = Re(X e^{i(phase + 2 pi f t)}) + slow drift.
 
     Parameters
     ----------
     samples : ndarray, shape (channels, samples)
-        The window, `fewest_samples` or more; t counts from its first sample.
+        Window of at least `fewest_samples` samples; t is 0 at its first sample.
     frequency, rate : float
-        Hz.
+        Frequency and sampling rate, Hz.
     phase : float
         Phase of the reference at the first sample, rad.
 

@@ -1,4 +1,4 @@
-"""A tone in the hands of an operator: frequency and force are turned while it plays."""
+"""A tone whose frequency and force an operator sets while it plays."""
 
 from __future__ import annotations
 
@@ -17,26 +17,26 @@ from daq.excitation.tone import Tone
 from daq.excitation.tone_measurement import Gauge
 from rig.errors import SceneError
 
-# What remains of a transient when a level counts as reached; a person turns on before the last percent.
+# Relative transient at which a level counts as reached; an operator changes the setting before the last percent.
 TOLERANCE = 0.01
 LONGEST = 60.0
-# A force that has left its level by more than this share, look after look, is brought back.
+# A force is readjusted if it deviates by more than this fraction in several successive observations.
 STRAYED = 0.05
 PATIENCE = 5
 _LOOK = 0.1
 
 
 class Knobs:
-    """What the operator turns; it takes effect with the next window of the drive.
+    """Settings of the operator; they take effect with the next window of the drive.
 
     Parameters
     ----------
     frequency : float
-        Hz.
+        Frequency, Hz.
     force : float
-        Amplitude, N; 0 is silence.
+        Force amplitude, N; 0 is no drive.
     highest : float
-        Highest frequency that may be asked for, Hz.
+        Highest permitted frequency, Hz.
 
     Examples
     --------
@@ -55,12 +55,12 @@ class Knobs:
         self.asked = self._frequency(frequency), _force(force)
 
     def turn(self, line: str) -> bool:
-        """Do what a line says; an empty line changes nothing.
+        """Execute a command line; an empty line changes nothing.
 
         Raises
         ------
         SceneError
-            If it says nothing that is known, or a value that cannot be.
+            If the command is unknown or its value is invalid.
         """
         key, _, value = line.strip().partition(" ")
         frequency, force = self.asked
@@ -95,22 +95,22 @@ def _number(text: str) -> float:
 
 @dataclass(frozen=True)
 class ToneReading:
-    """What the channels say of the tone in one window."""
+    """Readings of the tone in one window."""
 
     frequency: float
     level: float
-    """What is asked for, Hz and N."""
+    """Requested settings, Hz and N."""
     held: bool
     """Whether the level has been reached and the motion is steady."""
     drive: float
     """Amplitude of the drive, in its unit."""
     force: complex
-    """Of the coil spring, or of the drive where that is the force, N."""
+    """Force of the coil spring, or the drive where the drive is the force, N."""
     displacement: dict[str, complex]
-    """By channel, m; phases count as those of `force` do."""
+    """Displacement by channel, m; phases have the same reference as `force`."""
 
     def receptance(self, channel: str) -> complex:
-        """Displacement over force, m/N."""
+        """Return displacement over force, m/N."""
         return self.displacement[channel] / self.force if self.force else complex(np.nan)
 
 
@@ -121,7 +121,7 @@ class HandTone:
     Parameters
     ----------
     knobs : Knobs
-        What the operator turns.
+        Settings of the operator.
     report : callable
         Called with a `ToneReading` after every window.
     """
@@ -132,8 +132,8 @@ class HandTone:
     _level: float = field(default=0.0, init=False)
 
     def excite(self, station: Station) -> Excitation:
-        """Play until the knobs are turned off; what is settled at is marked as in a stepped sine."""
-        # Raises where there is no shaker to drive, before the spring force is asked for.
+        """Play until the knobs are turned off; steady points are marked as in a stepped sine."""
+        # Raises without a shaker, before the channels of the spring force are checked.
         station.drive(np.zeros(1))
         return self._play(station, Gauge(station, force=not station.force_is_drive))
 
@@ -141,7 +141,7 @@ class HandTone:
         tone = Tone(station.rate, self.knobs.asked[0])
         while not self.knobs.off:
             asked = self.knobs.asked
-            # However it ends, by the knobs or with the run, what was held is marked at once.
+            # The held interval is marked at once, whether the knobs or the run ends it.
             with closing(self._at(station, tone, gauge, *asked)) as work:
                 phase, window = tone.phase, next(work)
                 while True:
@@ -153,7 +153,7 @@ class HandTone:
         yield station.drive(tone.glide(station.samples(GLIDE), tone.frequency, 0.0))
 
     def _at(self, station: Station, tone: Tone, gauge: Gauge, frequency: float, level: float) -> Excitation:
-        """Go to a setting and hold it for ever."""
+        """Go to a setting and hold it until the generator is closed."""
         self._held = False
         look = whole_periods(frequency, station.rate, _LOOK)
         if level == 0.0:
@@ -163,7 +163,7 @@ class HandTone:
         control, drive = None, level
         if not station.force_is_drive:
             control = AmplitudeControl(level, station.drive_limit)
-            # What led to the last level leads to about this one in proportion.
+            # The drive of the last level is scaled in proportion to the level.
             drive = tone.amplitude * level / (self._level or level) or level * station.cautious_drive
             drive = min(drive, station.drive_limit)
         self._level = level
@@ -190,7 +190,7 @@ class HandTone:
         settled: bool,
         facts: dict[str, float],
     ) -> Excitation:
-        """Hold until the force strays, or the operator turns on."""
+        """Hold until the force deviates, or the operator changes a setting."""
         self._held, strayed, force = settled, 0, facts["level"]
         first = station.now
         try:
@@ -217,7 +217,7 @@ class HandTone:
         asked: tuple[float, float],
     ) -> ToneReading:
         values = gauge.steady(readings, tone.frequency, phase)
-        # The drive is amplitude * sin(phase), and an amplitude A stands for Re(A e^{i phase}).
+        # The drive is amplitude * sin(phase), and a complex amplitude A represents Re(A e^{i phase}).
         force = -1j * tone.amplitude if station.force_is_drive else complex(values[0])
         motions = values if station.force_is_drive else values[1:]
         names = [info.name for info in station.channels if info.quantity not in ("force", "voltage")]

@@ -1,4 +1,4 @@
-"""Multisine: periodic sums of tones with random phases, several realisations of several periods."""
+"""Multisine: periodic sums of tones with random phases; several realizations of several periods."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-# Periods are waited for until one is like the one before, but not longer than this time, s, or this many of them.
+# Relative difference of successive periods in the steady state; maximum wait in s and in periods.
 _TOLERANCE, _LONGEST, _MOST_PERIODS = 1e-4, 60.0, 8
 _NOISE = 0.9
 
@@ -88,7 +88,7 @@ def _measured(
     station: Station, test: Multisine, lines: Lines, playing: Array, waves: Array, message: str,
     progress: tuple[float, float], fields: Mapping[str, object], level: float,
 ) -> Generator[Array, Array, None]:  # fmt: skip
-    """Play waves of the driven shakers until they are periodic, then measure their periods."""
+    """Play waves of the driven shakers until the response is periodic, then measure periods."""
     done, step = progress
     period = waves.shape[1]
     station.report(done, f"{message}, settling")
@@ -116,7 +116,7 @@ def _measured(
 
 
 def _settle(station: Station, waves: Array) -> Generator[Array, Array, bool]:
-    """Play periods until one is like the one before, or until what they differ by is noise."""
+    """Play periods until successive periods agree, or until their difference is noise."""
     end = station.now + _longest(station, waves.shape[1])
     before = yield station.drives(waves)
     smallest, level = np.inf, 0
@@ -125,7 +125,7 @@ def _settle(station: Station, waves: Array) -> Generator[Array, Array, bool]:
         size = np.sqrt(np.mean((now - now.mean(axis=1, keepdims=True)) ** 2, axis=1))
         change = float(np.max(np.sqrt(np.mean((now - before) ** 2, axis=1)) / np.maximum(size, 1e-300)))
         ratio = change / smallest if smallest > 0.0 else 0.0
-        # A transient shrinks by this ratio from period to period; noise stays.
+        # A transient decreases by this ratio from period to period; noise does not decrease.
         level += ratio > _NOISE
         fading = np.isfinite(smallest) and ratio < _NOISE
         if level >= 2 or (fading and change * ratio / (1.0 - ratio) < _TOLERANCE):
@@ -135,5 +135,5 @@ def _settle(station: Station, waves: Array) -> Generator[Array, Array, bool]:
 
 
 def _longest(station: Station, period: int) -> int:
-    """Count the samples after which to give up waiting for a period like the one before."""
+    """Return the maximum number of samples to wait for a periodic response."""
     return max(station.samples(_LONGEST), _MOST_PERIODS * period)

@@ -1,4 +1,4 @@
-"""The driven body's answer to the force near the tone: one mode and a remainder, followed along a sweep."""
+"""Response of the driven body to the force near the tone: one mode and a residual term, tracked along a sweep."""
 
 from __future__ import annotations
 
@@ -11,35 +11,34 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-# Fewest looks that say anything of a mode.
+# Minimum number of observations for the estimate of a mode.
 _FEWEST = 6
-# Looks older than so many memories weigh nothing.
+# Age, in memory times, above which observations have no weight.
 _FADED = 3.0
-# Another mode altogether is looked for every so many looks, at these frequencies over the tone's and these
-# damping ratios; it has to leave this much less unexplained to be taken for the nearest.
+# Interval of the search for a different mode, in observations; its frequencies relative to the tone; its damping
+# ratios; and the ratio of residuals below which the different mode becomes the nearest mode.
 _LOOK_ELSEWHERE = 4
 _ELSEWHERE = np.geomspace(0.6, 1.7, 24)
 _RATIOS = np.array([0.005, 0.03])
 _BETTER = 0.7
-# Search around the mode known so far: steps of its frequency, relative, shrink and grow; the damping ratio
-# goes by a fifth.
+# Search around the present mode: the relative frequency step is adapted; the damping ratio changes by 20 %.
 _STEP, _SHORTEST, _LONGEST = 0.01, 1e-4, 0.03
 _SHORTER, _LONGER = 0.6, 1.5
 _DAMPING_STEP, _DAMPING = 0.2, (0.002, 0.2)
-# Below this the mean of an exponential is a straight line, which rounding would spoil.
+# Below this exponent the mean of the exponential is linear; the exact formula would suffer from rounding.
 _SMALL = 1e-6
-# Share by which both coefficients are drawn towards zero, where force and motion do not separate them.
+# Regularization of both coefficients towards zero, if force and motion do not separate them.
 _RIDGE = 1e-4
 
 
 class NearestMode:
-    """Model of the driven body: the mode next to the tone, and the rest of them at once.
+    """Model of the driven body: the mode nearest to the tone, and a residual term for all other modes.
 
     The envelopes X of the body's displacement and F of the force, both relative to the tone's phase, obey
-    X = c F + x and dx/dt = (s - i w) x + g F near a mode with pole s; c is what all other modes add. Frequency,
-    damping ratio, g and c come from the last observations of the channels, by least squares: g and c are
-    linear, the pole is searched for. So a mode is known well before the tone gets there, by how its answer grows,
-    and modes that change with the level, as those of a structure with dampers, are followed.
+    X = c F + x and dx/dt = (s - i w) x + g F near a mode with pole s; c is the residual term of all other modes.
+    Frequency, damping ratio, g and c are least-squares estimates from the last observations of the channels: g and c
+    are linear parameters, and the pole is searched. The growing response therefore identifies a mode well before the
+    tone reaches it. The model tracks modes that change with the level, for example in a structure with dampers.
 
     Attributes
     ----------
@@ -69,7 +68,7 @@ class NearestMode:
         self.pole, self.gain, self.rest = 0j, 0j, 0j
 
     def add(self, time: float, turn: float, motion: complex, force: complex, memory: float) -> None:
-        """Take a look: time in s, angular frequency of the tone in rad/s, X in m, F in N; memory in s."""
+        """Add an observation: time in s, angular frequency of the tone in rad/s, X in m, F in N; memory in s."""
         self._looks.append((time, turn, motion, force))
         while time - self._looks[0][0] >= _FADED * memory:
             self._looks.popleft()
@@ -90,7 +89,7 @@ class NearestMode:
         self.pole, self.gain, self.rest = complex(poles[best]), complex(gains[best]), complex(rests[best])
 
     def _around(self) -> ComplexArray:
-        """Poles around the present one, frequency by frequency; the present frequency is in the middle."""
+        """Return poles around the present pole, frequency by frequency; the present frequency is in the middle."""
         turn, damping = self.pole.imag, -self.pole.real / self.pole.imag
         steps = np.array([-1.0, 0.0, 1.0])
         turns = turn * (1 + self._step * steps)
@@ -109,7 +108,7 @@ class NearestMode:
 def _explain(
     poles: ComplexArray, looks: ComplexArray, memory: float
 ) -> tuple[ComplexArray, ComplexArray, Array]:
-    """Find g, c and what they leave unexplained for each pole, from the steps between looks."""
+    """Estimate g, c and the residual for each pole, from the steps between observations."""
     time, turn, motion, force = looks.T
     time, turn = time.real, turn.real
     step = np.diff(time)
@@ -135,7 +134,7 @@ def _explain(
 
 
 def integral(decay: complex) -> complex:
-    """Mean of e^(decay u) for u from 0 to 1.
+    """Return the mean of e^(decay u) for u from 0 to 1.
 
     >>> integral(0.0)
     1.0

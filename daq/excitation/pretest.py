@@ -1,4 +1,4 @@
-"""Pretest: what drive the shaker takes for a motion and a force at once, found from the channels beforehand."""
+"""Pretest: identification of the drive that the shaker requires for a given motion and force, from the channels."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ from daq.excitation.station import Station
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-# Analysed part of the burst: so many seconds and so many periods of the lowest tone at least; then silence.
+# Minimum length of the analyzed burst, in s and in periods of the lowest tone; its edges, s; silence after it, s.
 _SPAN, _PERIODS, _EDGE, _QUIET = 4.0, 12.0, 0.25, 1.0
-# The tones reach beyond the band of the test, so that its ends lie within.
+# The tones extend beyond the band of the test by this factor, so that its limits are inside.
 _BEYOND = 1.3
-# Largest drive of the burst over the cautious drive for the test's level.
+# Largest drive of the burst relative to the cautious drive for the test's level.
 _STRENGTH = 5.0
 _TILT = 1.0
-# Orders in s of what the drive spends on moving the table and on pulling the coil spring.
+# Number of coefficients in s of the drive for the table motion and for the spring force.
 _MOTION, _PULL = 4, 2
-# Longest delay that is looked for between drive and channels, s.
+# Longest delay between drive and channels in the search, s.
 _LATEST = 0.05
 
 
 @dataclass(frozen=True)
 class ShakerLaw:
-    """Drive that a shaker takes: D = e^(s delay) (P(s) X0 + Q(s) F), for motion X0 e^(st) and force F e^(st).
+    """Drive of a shaker: D = e^(s delay) (P(s) X0 + Q(s) F), for motion X0 e^(st) and force F e^(st).
 
     A moving coil has P = Z (m s^2 + c s + k) / Bl + Bl s and Q = Z / Bl with Z = R + L s, per amplifier gain;
-    a table with a servo has P = (1 + s / w)^2 and Q = 0. Either way, P and Q hold whatever the structure
-    does: it enters by X0 and F only, both of which the channels measure.
+    a table with a servo has P = (1 + s / w)^2 and Q = 0. In both cases P and Q are independent of the structure,
+    which affects only X0 and F. The channels measure both.
     """
 
     motion: Array
@@ -44,23 +44,23 @@ class ShakerLaw:
     spring: float
     """Stiffness of the coil spring, N/m."""
     delay: float
-    """By which the channels lag behind the drive, s."""
+    """Delay of the channels relative to the drive, s."""
     misfit: float
-    """Root mean square of what the law leaves of the drive in the pretest, relative."""
+    """Relative RMS residual of the drive in the pretest."""
 
     @property
     def is_known(self) -> bool:
-        """Whether the table's channel read anything of the pretest."""
+        """Whether the channel of the table measured the motion in the pretest."""
         return bool(self.motion.any())
 
     def at(self, s: complex) -> tuple[complex, complex]:
-        """Drive per newton of spring force, and per metre of the body, X0 being X1 + F / k0."""
+        """Return the drive per newton of spring force, and per meter of body displacement, with X0 = X1 + F / k0."""
         late = np.exp(s * self.delay)
         motion = late * polynomial.polyval(s, self.motion)
         return complex(motion / self.spring + late * polynomial.polyval(s, self.pull)), complex(motion)
 
     def slope(self, s: complex) -> tuple[complex, complex]:
-        """Give the derivatives of both by s: what a changing amplitude takes beyond a steady one."""
+        """Return the derivatives of both with respect to s, for the additional drive of a changing amplitude."""
         step = 1e-3 * abs(s)
         after, before = self.at(s + step), self.at(s - step)
         return (after[0] - before[0]) / (2 * step), (after[1] - before[1]) / (2 * step)
@@ -69,18 +69,18 @@ class ShakerLaw:
 def pretest(
     station: Station, lowest: float, highest: float, level: float
 ) -> Generator[Array, Array, ShakerLaw]:
-    """Play a short burst of weak tones and find the shaker's law.
+    """Play a short burst of weak tones and estimate the drive law of the shaker.
 
     Parameters
     ----------
     lowest, highest : float
-        Its band, Hz.
+        Band of the test, Hz.
     level : float
-        Its force amplitude, N.
+        Force amplitude of the test, N.
     """
     period = station.samples(max(_SPAN, _PERIODS / lowest))
     lines = lines_between(lowest / _BEYOND, min(_BEYOND * highest, 0.45 * station.rate), period, station.rate)
-    # Random phases spread every tone over the whole burst; noise weighs most on the low ones.
+    # Random phases spread every tone over the whole burst; low tones are most sensitive to noise.
     phases = generator(station, "pretest").uniform(0.0, 2 * pi, lines.size)
     wave = wave_of(lines, np.asarray(lines**-_TILT, dtype=np.float64), phases, period)
     edge = station.samples(_EDGE)
@@ -97,7 +97,7 @@ def pretest(
 
 
 def _fit(station: Station, drive: Array, readings: Array, lines: NDArray[np.int64]) -> ShakerLaw:
-    """Least squares for the coefficients, over the lines; the delay is the one that leaves least."""
+    """Estimate the coefficients by least squares over the lines; the delay minimizes the residual."""
     shaker = station.scene.driven_shaker
     assert shaker is not None and shaker.spring is not None
     period = drive.size
@@ -105,9 +105,9 @@ def _fit(station: Station, drive: Array, readings: Array, lines: NDArray[np.int6
     table, body = station.row(station.scene.at_driven("table")), station.row(f"body {shaker.body}")
     windows = _windows(period, station.rate)
     s = np.asarray(2j * pi * frequency, dtype=np.complex128)
-    # Powers of s are counted in units of the middle of the band, so that they are alike in size.
+    # s is normalized by the middle of the band, so that its powers have similar magnitudes.
     unit = 2 * pi * sqrt(frequency[0] * frequency[-1])
-    # Readings that never change are then exactly nothing.
+    # Constant readings are then exactly zero.
     changed = readings - readings[:, :1]
     spectra = [np.fft.rfft(changed * window, axis=1)[:, lines] for window in windows]
     to_table, to_body = (station.displacement(row, frequency) for row in (table, body))
@@ -118,7 +118,7 @@ def _fit(station: Station, drive: Array, readings: Array, lines: NDArray[np.int6
     model, wanted = np.array(terms).T / abs(played)[:, None], played / abs(played)
 
     def solve(delay: float) -> tuple[float, Array]:
-        """Find what is left, and the coefficients."""
+        """Return the residual and the coefficients."""
         turned = model * np.exp(s * delay)[:, None]
         rows = np.concatenate([turned.real, turned.imag])
         goal = np.concatenate([wanted.real, wanted.imag])
@@ -135,7 +135,7 @@ def _fit(station: Station, drive: Array, readings: Array, lines: NDArray[np.int6
 
 
 def _windows(samples: int, rate: float) -> list[Array]:
-    """Hann's window and its derivatives by time."""
+    """Return the Hann window and its time derivatives."""
     angle, turn = 2 * pi * np.arange(samples) / samples, 2 * pi * rate / samples
     return [
         (1 - np.cos(angle)) / 2,
@@ -146,7 +146,7 @@ def _windows(samples: int, rate: float) -> list[Array]:
 
 
 def _derivative(spectra: list[ComplexArray], row: int, s: ComplexArray, order: int) -> ComplexArray:
-    """Spectrum of a channel's derivative under the first window, by parts: exact where nothing is steady."""
+    """Return the windowed spectrum of a channel's derivative, by partial integration: exact for transients."""
     return np.asarray(
         sum(comb(order, j) * (-1) ** j * s ** (order - j) * spectra[j][row] for j in range(order + 1))
     )

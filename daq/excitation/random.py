@@ -1,4 +1,4 @@
-"""Random: Gaussian noise in a band, going on or in bursts."""
+"""Random: Gaussian noise in a band, continuous or in bursts."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-# Length of the shaping filter and of a burst's block, s: the filter resolves a quarter of a hertz.
+# Length of the shaping filter and of a burst's block, s: the resolution of the filter is 0.25 Hz.
 _FILTER, _BLOCK = 4.0, 8.0
 _EDGE = 0.02
 
@@ -64,7 +64,7 @@ def _run(station: Station, test: Random, lines: Lines, period: int, closed: bool
     several = {"shakers": list(station.shakers)} if len(station.shakers) > 1 else {}
     try:
         while done < total:
-            # Convolution adds up overlapping pieces, so that the noise goes on across windows without a seam.
+            # Overlap-add convolution makes the noise continuous across windows.
             pieces = shaped_noise()
             pieces[:, : tails.shape[1]] += tails
             wave, tails = pieces[:, :period], pieces[:, period:]
@@ -77,7 +77,7 @@ def _run(station: Station, test: Random, lines: Lines, period: int, closed: bool
             done += size
             station.report(done / total, f"{done / station.rate:.0f} s of {test.duration:g} s")
     finally:
-        # A test that is ended early has measured up to there.
+        # A test that ends early has measured up to this sample.
         if done:
             station.mark("measure", first, first + done, level=level, **facts, **burst, **several)
     if clipped:
@@ -85,37 +85,37 @@ def _run(station: Station, test: Random, lines: Lines, period: int, closed: bool
 
 
 def _slower(lines: Lines, period: int) -> int:
-    """How many times slower than the drive white noise may be drawn: at four times the highest frequency."""
+    """Return the drive's rate over that of the white noise, which is at least four times the highest frequency."""
     most = max(1, period // (4 * int(lines[-1])))
     return next(times for times in range(most, 0, -1) if period % times == 0)
 
 
 def shaping_filter(lines: Lines, amplitudes: Array, gains: Array, level: float, period: int) -> Array:
-    """Impulse response that turns white noise of unit variance into the drive wanted; shape (period,).
+    """Return the impulse response from white noise of unit variance to the required drive; shape (period,).
 
     Parameters
     ----------
     lines : ndarray of int, shape (lines,)
-        Where `amplitudes` and `gains` stand, in multiples of rate / period.
+        Frequencies of `amplitudes` and `gains`, in multiples of rate / period.
     amplitudes : ndarray, shape (lines,)
-        Amplitudes of tones of the spectrum wanted.
+        Amplitudes of tones of the required spectrum.
     gains : ndarray, shape (lines,)
-        What the level is of, per drive.
+        Controlled quantity per drive.
     level : float
-        Root mean square wanted of the drive times the gains.
+        Required RMS of the drive times the gains.
     period : int
         Length in samples.
     """
     spectrum = np.zeros(period // 2 + 1)
     spectrum[lines] = amplitudes
-    # The window makes the response end softly; it blurs the spectrum a little: the level is set after it.
+    # The window tapers the response and smooths the spectrum slightly: the level is therefore set after the window.
     response = np.fft.fftshift(np.fft.irfft(spectrum, period)) * hann(period, sym=False)
     reached = abs(np.fft.rfft(response))[lines] * gains * np.sqrt(2.0 / period)
     return response * (level / np.sqrt(np.sum(reached**2)))
 
 
 def _gate(block: int, burst: float | None, edge: int) -> Array:
-    """On and off within a block, with soft edges; shape (block,)."""
+    """Return the on-off envelope of a block, with smooth edges; shape (block,)."""
     if burst is None:
         return np.ones(block)
     on = max(2, round(burst * block))

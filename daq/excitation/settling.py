@@ -1,4 +1,4 @@
-"""Has a steady state been reached? Judged from amplitudes measured in successive windows of equal length."""
+"""Detection of the steady state from amplitudes measured in successive windows of equal length."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 ComplexArray = NDArray[np.complex128]
 
-# Differences kept to find the decay of the transient; two pairs are the fewest that can show one.
+# Number of differences for the estimate of the transient's decay; at least two pairs are necessary.
 _DIFFERENCES = 6
 FEWEST_LOOKS = 4
-# Below this share of predictable change, what is left looks like noise rather than like a decaying transient.
+# Below this predictable fraction, the change is classified as noise instead of a decaying transient.
 _COHERENT = 0.8
-# Noise is distinguished from decaying beats by comparing the scatter in the halves of so many observations.
+# Noise is distinguished from decaying beats by the scatter in the two halves of this number of observations.
 _NOISE_LOOKS = 24
 _STILL_NOISE = 0.75
 _LITTLE_NOISE = 3.0
@@ -24,18 +24,18 @@ _AGREEING = 6
 
 @dataclass(frozen=True)
 class Law:
-    """How amplitudes have changed from look to look, one entry per quantity."""
+    """Geometric law of the changes between successive observations, one entry per quantity."""
 
     changes: ComplexArray
     """The last changes; complex, shape (changes, quantities)."""
     factor: ComplexArray
-    """From one change to the next, by least squares; complex, shape (quantities,)."""
+    """Ratio of successive changes, by least squares; complex, shape (quantities,)."""
     seen: NDArray[np.bool_]
-    """Whether the changes follow it; bool, shape (quantities,)."""
+    """Whether the changes follow the law; bool, shape (quantities,)."""
 
     @classmethod
     def of(cls, looks: ComplexArray) -> Law:
-        """Find the law behind looks, shape (looks, quantities)."""
+        """Estimate the law from observations, shape (looks, quantities)."""
         changes = np.diff(looks, axis=0)
         before, after = changes[:-1], changes[1:]
         cross = np.sum(before.conj() * after, axis=0)
@@ -43,34 +43,33 @@ class Law:
         return cls(changes, cross / power, abs(cross) ** 2 / power / other > _COHERENT)
 
     def to_come(self) -> ComplexArray:
-        """Change still to come."""
-        # A factor close to 1 cannot be distinguished from 1; the transient then outlasts anything seen so far.
+        """Return the predicted remaining change."""
+        # A factor close to 1 cannot be distinguished from 1; the transient is then longer than the observed time.
         rest = 1.0 - self.factor
         return self.changes[-1] * self.factor / np.where(abs(rest) < 1e-3, 1e-3, rest)
 
     def left(self) -> NDArray[np.float64]:
-        """Size of the change still to come, by the larger of the last two changes."""
+        """Return the magnitude of the remaining change, from the larger of the last two changes."""
         change = abs(self.changes[-2:]).max(axis=0)
         return change * abs(self.factor) / np.maximum(abs(1.0 - self.factor), 1e-3)
 
 
 class Settling:
-    """Judge of steady state.
+    """Detector of the steady state.
 
-    A mode that still rings adds to the amplitude seen in each window (a *look*) a transient that shrinks and
-    turns by the same complex factor rho from look to look, so that the change from one look to the next does
-    too. The factor estimated from the last changes gives the remaining change of the amplitude:
-    change * rho / (1 - rho). Comparing two successive looks alone would not do: a 13 Hz mode damped by 0.5 %
-    changes by only 4 % of what is left in 0.1 s.
+    The free decay of a mode adds a transient to the amplitude in each window (a *look*). From look to look the
+    transient, and therefore also the change of the amplitude, is multiplied by the same complex factor rho. With rho
+    estimated from the last changes, the remaining change of the amplitude is change * rho / (1 - rho). A comparison
+    of two successive looks would not suffice: a 13 Hz mode with a damping ratio of 0.5 % changes by only 4 % of its
+    remaining transient in 0.1 s.
 
-    Where changes follow no such law they are noise (of sensors, or of dampers in irregular motion). Then the
-    amplitude counts as steady when two halves of the latest looks agree within their scatter and the scatter
-    does not fall.
+    Changes that do not follow this law are noise (of sensors, or of dampers in irregular motion). The amplitude then
+    counts as steady when two halves of the latest looks agree within their scatter and the scatter does not decrease.
 
     Parameters
     ----------
     tolerance : float
-        Largest change still to come, relative to the amplitude.
+        Largest permitted remaining change, relative to the amplitude.
 
     Examples
     --------
@@ -85,7 +84,7 @@ class Settling:
 
     def __init__(self, tolerance: float) -> None:
         self.tolerance = tolerance
-        # The looks since the last restart that are still needed, the latest one last.
+        # The looks since the last restart that are still required, in order of time.
         self._looks: ComplexArray = np.zeros((0, 0), dtype=complex)
         self.looks = 0
         self._forecasts: list[ComplexArray] = []
@@ -94,7 +93,7 @@ class Settling:
         self.settled = False
 
     def restart(self) -> None:
-        """Forget all looks: the drive has been changed."""
+        """Discard all looks: the drive has changed."""
         self.looks = 0
         self._forecasts.clear()
         self._law = None
@@ -107,11 +106,11 @@ class Settling:
 
     @property
     def rising(self) -> bool:
-        """Whether the first quantity grew from the look before to the latest."""
+        """Whether the first quantity increased in the latest look."""
         return self.looks > 1 and bool(abs(self._looks[-1, 0]) > abs(self._looks[-2, 0]))
 
     def add(self, amplitudes: ComplexArray) -> None:
-        """Take the next look: complex amplitudes, shape (quantities,)."""
+        """Add the next look: complex amplitudes, shape (quantities,)."""
         before = self._looks[len(self._looks) - min(self.looks, _NOISE_LOOKS) :]
         self._looks, self.looks = np.array([*before, amplitudes]), self.looks + 1
         if self.looks < FEWEST_LOOKS:
@@ -120,12 +119,12 @@ class Settling:
         law = self._law = Law.of(self._looks[-_DIFFERENCES - 1 :])
         self._forecasts.append(self._forecast(law))
         steady = self._decayed(law)
-        # The further questions take longer, and only where there is no law.
+        # The further tests are slower and apply only without a law.
         if not steady.all():
             steady |= self._within(law)
         if not steady.all() and not (law.seen & ~steady).any():
             steady |= self._scattered(law)
-        # One look may pass by chance, where a beat turns back on itself.
+        # A single look may pass by chance, at the turning point of a beat.
         self.settled = bool(steady.all()) and self._steady_before
         self._steady_before = bool(steady.all())
 
@@ -134,25 +133,25 @@ class Settling:
         return self._forecasts[-1]
 
     def wavering(self) -> NDArray[np.float64]:
-        """Change of `expected` over the last looks, relative to it; shape (quantities,)."""
+        """Relative change of `expected` over the last looks; shape (quantities,)."""
         latest = np.array(self._forecasts[-3:])
         return np.ptp(abs(latest), axis=0) / np.maximum(abs(latest[-1]), sys.float_info.min)
 
     def beat(self) -> NDArray[np.float64]:
-        """Turn of the transient from look to look, rad, infinite where no law is seen; (quantities,)."""
+        """Phase change of the transient from look to look, rad, infinite without a law; shape (quantities,)."""
         if self._law is None:
             return np.full(self._looks[-1].size, np.inf)
         turn = np.maximum(abs(np.angle(self._law.factor)), 1e-9)
         return np.where(self._law.seen, turn, np.inf)
 
     def left(self) -> NDArray[np.float64]:
-        """Estimated change still to come, relative to the amplitude; shape (quantities,)."""
+        """Estimated remaining change, relative to the amplitude; shape (quantities,)."""
         if self._law is None:
             return np.full(self._looks[-1].size, np.inf)
         return self._law.left() / self._size()
 
     def doubt(self) -> NDArray[np.float64]:
-        """Relative standard error of `expected`, by the scatter of the looks; shape (quantities,)."""
+        """Relative standard error of `expected`, from the scatter of the looks; shape (quantities,)."""
         if self.looks < _NOISE_LOOKS:
             return np.zeros(self._looks[-1].size)
         latest = self._looks[-_NOISE_LOOKS // 2 :]
@@ -169,10 +168,10 @@ class Settling:
         return law.seen & (law.left() < self.tolerance * self._size())
 
     def _within(self, law: Law) -> NDArray[np.bool_]:
-        """Whether all looks agree within the tolerance and their mean hardly drifts, without a law.
+        """Return whether all looks agree within the tolerance with a nearly constant mean, without a law.
 
-        Several modes that beat at once show no common factor. The mean over half of these looks moves by a
-        tenth or more of what a slow transient still has to go, unless that lasts for more than thirty looks.
+        Several beating modes have no common factor. In a slow transient, the mean over half of these looks changes
+        by at least 10 % of the remaining change, unless the transient is longer than thirty looks.
         """
         if self.looks < _AGREEING:
             return np.zeros(self._looks[-1].size, dtype=bool)
@@ -183,10 +182,10 @@ class Settling:
         return (~law.seen | (spread < 0.01 * limit)) & (spread < limit) & (drift < 0.1 * limit)
 
     def _scattered(self, law: Law) -> NDArray[np.bool_]:
-        """Whether the looks scatter like noise about a mean that stays.
+        """Return whether the looks scatter like noise about a constant mean.
 
-        Beats that die away scatter too, but less and less. Where the scatter is small, half as many looks do:
-        the measurement that follows averages over the beats.
+        Decaying beats also scatter, but their scatter decreases. If the scatter is small, half as many looks
+        suffice: the measurement that follows averages over the beats.
         """
         many = self._noise(_NOISE_LOOKS, np.inf)
         return ~law.seen & (many | self._noise(_NOISE_LOOKS // 2, _LITTLE_NOISE * self.tolerance))
@@ -203,5 +202,5 @@ class Settling:
 
 
 def _mean(looks: ComplexArray) -> ComplexArray:
-    """Average looks, shape (looks, quantities), without what numpy's own does besides, which takes as long again."""
+    """Average looks, shape (looks, quantities), in half the time of `numpy.mean`."""
     return np.asarray(np.add.reduce(looks, axis=0) / len(looks))

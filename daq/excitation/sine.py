@@ -1,4 +1,4 @@
-"""A tone held for a while."""
+"""A steady sine tone."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ _LOOK = 0.1
 
 
 def excite(station: Station, test: Sine) -> Excitation:
-    """Run a tone.
+    """Run a tone of constant frequency.
 
-    Open loop it begins at full amplitude with the first sample, amplitude * sin(2 pi f t), and the part from
-    where it is steady is marked as measured. With a spring force to hold, it lasts for the test's duration
-    once it is steady at the level.
+    In open loop the tone starts at full amplitude with the first sample, amplitude * sin(2 pi f t), and the steady
+    part is marked as measured. With a controlled spring force, the duration of the test begins when the force is
+    steady at its level.
     """
     if test.force is not None and not station.force_is_drive:
         return _controlled(station, test, test.force)

@@ -1,4 +1,4 @@
-"""Drive spectra that give a flat force: tones of one period, levelled line by line from the channels."""
+"""Drive spectra for a flat force spectrum: periodic tones, leveled line by line from the channels."""
 
 from __future__ import annotations
 
@@ -21,25 +21,25 @@ ComplexArray = NDArray[np.complex128]
 Lines = NDArray[np.int64]
 
 _ROUNDS = 8
-# Largest change of a line's drive from round to round, and largest drive of a line over that of the others.
+# Largest ratio of a line's drive between rounds, and largest ratio of a line's drive to that of the others.
 _RATIO, _STANDOUT = 4.0, 100.0
 _LEVEL = 0.03
 
 
 def generator(station: Station, purpose: str) -> np.random.Generator:
-    """Random numbers that depend on the scene's seed and on what they are for, nothing else."""
+    """Return a random generator that depends only on the scene's seed and on the purpose."""
     return np.random.Generator(
         np.random.PCG64(np.random.SeedSequence([station.scene.seed, crc32(purpose.encode())]))
     )
 
 
 def lines_between(first: float, last: float, period: int, rate: float) -> Lines:
-    """Multiples of rate / period, as whole numbers, from `first` to `last` in Hz.
+    """Return the integer multiples of rate / period from `first` to `last` in Hz.
 
     Raises
     ------
     SceneError
-        If there are none below half the sample rate.
+        If there is no line below half the sampling rate.
     """
     low, high = (
         np.ceil(first * period / rate - 1e-9),
@@ -55,30 +55,30 @@ def lines_between(first: float, last: float, period: int, rate: float) -> Lines:
 
 
 def wave_of(lines: Lines, amplitudes: Array, phases: Array, period: int) -> Array:
-    """One period of a sum of cosines; shape (period,)."""
+    """Return one period of a sum of cosines; shape (period,)."""
     spectrum = np.zeros(period // 2 + 1, dtype=complex)
     spectrum[lines] = amplitudes * np.exp(1j * phases) * (period / 2)
     return np.fft.irfft(spectrum, period)
 
 
 def crossfade(before: Array, after: Array) -> Array:
-    """One period that begins as one periodic wave and ends as another; shape (period,)."""
+    """Return one period with a crossfade between two periodic waves; shape (period,)."""
     rise = (1 - np.cos(np.pi * np.arange(before.size) / before.size)) / 2
     return before * (1 - rise) + after * rise
 
 
 def within_limit(station: Station, wave: Array) -> float:
-    """Factor that brings a wave within what the amplifier follows, 1 at most."""
+    """Return the factor, at most 1, that scales a wave to the range of the amplifier."""
     return min(1.0, station.drive_limit / float(abs(wave).max()))
 
 
 def flat(level: float, lines: Lines) -> Array:
-    """Amplitudes of equal tones whose sum has the root mean square `level`."""
+    """Return amplitudes of equal tones whose sum has the RMS value `level`."""
     return np.full(lines.size, level * np.sqrt(2.0 / lines.size))
 
 
 def closed_loop(station: Station, test: Random | Multisine) -> bool:
-    """Whether the level is a spring force, for which the drive has to be shaped from the channels."""
+    """Return whether the level is a spring force, which requires drive shaping from the channels."""
     if test.force is None or station.force_is_drive:
         return False
     station.force_weights(1.0)
@@ -87,29 +87,29 @@ def closed_loop(station: Station, test: Random | Multisine) -> bool:
 
 @dataclass(frozen=True)
 class Shaped:
-    """A drive found by `equalise`."""
+    """A drive computed by `equalise`."""
 
     amplitudes: Array
     """Drive amplitudes; shape (lines,)."""
     gains: Array
     """Force amplitude per drive amplitude, N per unit of drive; shape (lines,)."""
     wave: Array
-    """The period of drive that was played last, and is still going on; shape (period,)."""
+    """The present period of the drive; shape (period,)."""
 
 
 def equalise(
     station: Station, lines: Lines, period: int, level: float, phases: Array
 ) -> Generator[Array, Array, Shaped]:
-    """Find the drive whose spring force is flat over the lines, by playing it and looking at the channels.
+    """Compute the drive with a flat spring force over the lines, by iteration with measurements of the channels.
 
     Parameters
     ----------
     lines : ndarray of int, shape (lines,)
-        Tones, in multiples of rate / period.
+        Frequencies of the tones, in multiples of rate / period.
     period : int
-        Samples.
+        Number of samples per period.
     level : float
-        Root mean square of the spring force, N.
+        RMS value of the spring force, N.
     phases : ndarray, shape (lines,)
         Phases of the tones, rad.
     """

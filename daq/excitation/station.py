@@ -1,4 +1,4 @@
-"""What a test has before it on the bench: sample clock, drive inputs, channels in their units, a log."""
+"""Interface of a test to the bench: sample clock, drive inputs, channels in their units, a log."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-# A test as a coroutine: it yields the drive of the next window, shape (inputs, samples), and gets back what
-# the channels read in that window, shape (channels, samples), in physical units.
+# A test as a coroutine: it yields the drive of the next window, shape (inputs, samples), and receives the readings of
+# the channels in that window, shape (channels, samples), in physical units.
 Excitation = Generator[Array, Array, None]
 
 _DERIVATIVES = {"displacement": 0, "velocity": 1, "acceleration": 2}
@@ -28,34 +28,34 @@ _DERIVATIVES = {"displacement": 0, "velocity": 1, "acceleration": 2}
 
 @dataclass
 class Station:
-    """The operator's place: all that a test may know and do."""
+    """The place of the operator: all information and actions that are available to a test."""
 
     scene: Scene
-    """What is written on the bench's cards: structure, shaker and coil spring, the test asked for, seed."""
+    """Description of the setup: structure, shaker and coil spring, the test, the seed."""
     channels: Sequence[ChannelInfo]
-    """The channels, in the order in which windows come back."""
+    """The channels, in the order of the rows of the readings."""
     inputs: Sequence[str]
-    """Drive inputs, a subset of ``("shaker", "hammer")`` (``"shaker 1"``, ... where there are several), in the order in
-    which drives are given."""
+    """Drive inputs, a subset of ``("shaker", "hammer")`` (``"shaker 1"``, ... for several shakers), in the order of
+    the rows of drives."""
     rate: float  # Samples per second
     mark: Callable[..., Any]
-    """``mark(kind, first, stop, **fields)`` writes into the recording's log what the samples from `first` to
-    the one before `stop` were."""
+    """``mark(kind, first, stop, **fields)`` writes a marker for the samples `first` to `stop` - 1 into the log of the
+    recording."""
     report: Callable[[float, str], None] = lambda fraction, message: None
     """``report(fraction, message)`` shows the progress of the test."""
     warn: Callable[[str], None] = lambda message: None
-    """``warn(message)`` keeps something the user must hear at the end."""
+    """``warn(message)`` stores a warning for the end of the test."""
     latency: int = 0
-    """Samples by which what comes back lies further back than the window's drive: hidden by numbers, not in time."""
+    """Number of samples by which the returned readings precede the drive of the window (removed filter delay)."""
     now: int = field(default=0)
     """Number of the first sample of the next window."""
 
     def samples(self, seconds: float) -> int:
-        """Nearest number of samples in a time, one at least."""
+        """Return the nearest number of samples in a time, at least 1."""
         return max(1, round(seconds * self.rate))
 
     def drive(self, wave: Array, name: str | None = None) -> Array:
-        """Put one input's wave, the driven shaker's unless named, beside zeros; shape (inputs, samples)."""
+        """Return a drive with a wave at one input, by default the driven shaker; shape (inputs, samples)."""
         name = self.scene.at_driven("shaker") if name is None else name
         if name not in self.inputs:
             raise SceneError(
@@ -68,11 +68,11 @@ class Station:
 
     @property
     def shakers(self) -> tuple[int, ...]:
-        """Numbers of the shakers that the test drives, the main one first."""
+        """Numbers of the shakers that the test drives, the main shaker first."""
         return (self.scene.driven or 1, *(getattr(self.scene.test, "also", None) or ()))
 
     def drives(self, waves: Array) -> Array:
-        """Give each driven shaker its wave, shape (shakers, samples), and the other inputs zeros."""
+        """Return a drive with waves, shape (shakers, samples), at the driven shakers, and zeros elsewhere."""
         count = len(self.scene.shakers)
         return np.asarray(
             sum(
@@ -82,7 +82,7 @@ class Station:
         )
 
     def quiet(self, samples: int) -> Array:
-        """Give no drive at all, for so many samples."""
+        """Return a zero drive for a number of samples."""
         return np.zeros((len(self.inputs), samples))
 
     def _there(self) -> str:
@@ -94,7 +94,7 @@ class Station:
         return self.scene.driven_shaker is not None and self.scene.driven_shaker.kind == "force"
 
     def row(self, place: str) -> int:
-        """Find the first channel that measures motion at a place."""
+        """Return the first channel that measures motion at a place."""
         for row, info in enumerate(self.channels):
             if info.at == place and info.quantity in _DERIVATIVES:
                 return row
@@ -106,7 +106,7 @@ class Station:
         )
 
     def displacement(self, row: int, frequency: Array | float) -> ComplexArray:
-        """Factor from a channel's complex amplitude to the displacement at its place, per frequency in Hz."""
+        """Return the factor from a channel's complex amplitude to its displacement, per frequency in Hz."""
         info = self.channels[row]
         derivative = _DERIVATIVES[info.quantity]
         frequency = np.asarray(frequency, dtype=float)
@@ -114,7 +114,7 @@ class Station:
         return np.asarray(1.0 / read, dtype=complex)
 
     def force_weights(self, frequency: Array | float) -> ComplexArray:
-        """Weights that make the spring force of the channels' complex amplitudes.
+        """Return the weights of the channels' complex amplitudes in the spring force.
 
         F1 = k0 (x0 - x1), with x0 and x1 from the channels on the table and on the driven body, each
         corrected for its sensor, amplifier and converter.
@@ -122,12 +122,12 @@ class Station:
         Parameters
         ----------
         frequency : float or ndarray, shape (frequencies,)
-            Hz.
+            Frequency, Hz.
 
         Returns
         -------
         ndarray of complex, shape (channels,) + frequency.shape
-            N per unit read.
+            N per unit of the readings.
         """
         shaker = self.scene.driven_shaker
         assert shaker is not None and shaker.spring is not None
@@ -140,7 +140,7 @@ class Station:
 
     @property
     def drive_limit(self) -> float:
-        """Largest drive the shaker's amplifier follows; V, m or N."""
+        """Largest drive in the range of the shaker's amplifier; V, m or N."""
         shaker = self.scene.driven_shaker
         if shaker is None or shaker.kind != "electrodynamic":
             return np.inf
@@ -148,7 +148,7 @@ class Station:
 
     @property
     def cautious_drive(self) -> float:
-        """Drive per newton of wanted spring force to begin with, well below what will be needed."""
+        """Initial drive per newton of spring force, well below the required drive."""
         shaker = self.scene.driven_shaker
         assert shaker is not None and shaker.spring is not None
         if shaker.kind == "table":

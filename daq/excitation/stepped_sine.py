@@ -1,4 +1,4 @@
-"""Stepped sine: at each frequency wait until steady, measure whole periods, glide on."""
+"""Stepped sine: at each frequency wait for the steady state, measure whole periods, and glide to the next."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-# A glide this long leaves modes a few hertz away undisturbed, so that only near ones have to ring down.
+# A glide of this length does not excite modes more than a few hertz away: only the nearest modes must decay, s.
 GLIDE = 0.4
 _LOOK = 0.1
 LONGEST_GLIDE = 3.0
-# A transient force above the level by this factor is brought down at once, before it has been understood.
+# A transient force above the level by this factor is reduced immediately, before the steady state.
 _TOO_MUCH = 3.0
-# A change of the drive, as log ratio, that stirs nothing to speak of.
+# A drive change, as log ratio, with a negligible transient.
 _SMALL = 0.03
-# Largest change, as log ratio, for which an extrapolated drive is trusted.
+# Largest change, as log ratio, for which an extrapolated drive is used.
 _TRUSTED = 0.2
 _LISTED = 8
 
@@ -39,7 +39,7 @@ def excite(station: Station, test: SteppedSine) -> Excitation:
     Returns
     -------
     Excitation
-        Drive windows out, channel readings in.
+        Coroutine: it yields drive windows and receives channel readings.
     """
     controlled = test.force is not None and not station.force_is_drive
     return _run(station, test, Gauge(station, force=controlled), controlled)
@@ -58,7 +58,7 @@ def _run(station: Station, test: SteppedSine, gauge: Gauge, controlled: bool) ->
         reached: list[tuple[float, float]] = []
         tone.frequency = steps[0]
         for frequency, direction in zip(steps, names, strict=True):
-            # A drive is in the unit of its shaker.
+            # The unit of the drive depends on the shaker.
             at_level = f"{level:g} N" if control is not None else f"level {level:g}"
             station.report(done / total, f"{frequency:.2f} Hz {direction}, {at_level}")
             if control is not None and reached:
@@ -92,7 +92,7 @@ def _point(
     direction: str,
     test: SteppedSine,
 ) -> Generator[Array, Array, bool]:
-    """Settle and measure at one frequency; return whether it settled. The tone keeps the drive reached."""
+    """Settle and measure at one frequency; return whether it settled. The tone keeps the final drive."""
     facts = {"frequency": frequency, "level": level, "direction": direction}
     first = station.now
     settled = yield from settle(
@@ -120,27 +120,27 @@ def settle(
     tolerance: float,
     longest: float,
 ) -> Generator[Array, Array, bool]:
-    """Glide to a frequency and wait for a steady state, holding the force where there is a control.
+    """Glide to a frequency and wait for the steady state, with a force control if given.
 
     Parameters
     ----------
     station, tone, gauge
-        Where, with what, and what is watched.
+        Bench, sine source and measured quantities.
     control : AmplitudeControl or None
-        None keeps the drive amplitude as it is.
+        None leaves the drive amplitude unchanged.
     frequency : float
-        Hz.
+        Frequency, Hz.
     drive : float
-        Drive amplitude to begin with.
+        Initial drive amplitude.
     tolerance : float
-        Change of any amplitude that may still be to come, relative.
+        Permitted remaining change of any amplitude, relative.
     longest : float
-        Time after which to give up, s.
+        Longest wait, s.
 
     Returns
     -------
     bool
-        Whether a steady state at the level was reached.
+        Whether the steady state at the level was reached.
     """
     end = station.now + station.samples(longest)
     look = whole_periods(frequency, station.rate, _LOOK)
@@ -164,34 +164,34 @@ def settle(
 
 
 def _change(control: AmplitudeControl, judge: Settling, drive: float) -> float | None:
-    """Drive amplitude to change to; None where the present one does, or too little is known yet."""
+    """Return a new drive amplitude; None if the present drive suffices, or the force is not yet known."""
     force, doubt = float(abs(judge.expected()[0])), float(judge.doubt()[0])
     if judge.looks < FEWEST_LOOKS + 1:
         too_much = judge.rising and abs(judge.latest[0]) > _TOO_MUCH * control.level
         return control.cut(drive, float(abs(judge.latest[0]))) if too_much else None
-    # The forecast is good long before the transient has gone, as soon as it no longer changes.
+    # The predicted force is usable long before the transient has decayed, as soon as the prediction is constant.
     known = judge.settled or float(judge.wavering()[0]) < 0.3 * abs(force / control.level - 1.0)
     if not known or control.holds(force, doubt):
         return None
     change = control.next(drive, force)
-    # An amplifier at its limit can not do more; what it does is then measured as not settled.
+    # At the limit of the amplifier, the point is measured as not settled.
     return None if change == drive else change
 
 
 def extrapolated(reached: Sequence[tuple[float, float]], frequency: float) -> float:
-    """Drive that the next frequency will need, by the last ones.
+    """Extrapolate the drive at the next frequency from the last points.
 
     Parameters
     ----------
     reached : sequence of (frequency, drive)
-        The last points, three at most, in the order in which they were run.
+        The last points, at most three, in order of time.
     frequency : float
-        Hz.
+        Frequency, Hz.
 
     Returns
     -------
     float
-        A parabola through the logarithms, or the last drive where it bends too much to be trusted.
+        Value of the parabola through the logarithms, or the last drive if the curvature is too large.
 
     Examples
     --------
@@ -212,8 +212,8 @@ def extrapolated(reached: Sequence[tuple[float, float]], frequency: float) -> fl
 
 
 def _unhurried(judge: Settling, look: int, longest: int) -> int:
-    """Length of a glide, in samples, that does not stir the mode whose transient beats with the drive.
+    """Return the length of a glide, in samples, that does not excite the mode whose transient beats with the drive.
 
-    A glide along half a cosine leaves a mode nearly undisturbed if it lasts for two beats or more.
+    A glide along half a cosine hardly excites a mode if its length is at least two beats.
     """
     return max(look, min(longest, round(look * 4 * np.pi / float(judge.beat()[0]))))

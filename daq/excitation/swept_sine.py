@@ -1,11 +1,11 @@
-"""Swept sine: a tone whose frequency moves steadily, its force held from the channels as it goes.
+"""Swept sine: a tone with a continuously changing frequency and a force controlled from the channels.
 
-Swept from 10 to 55 Hz (one body: to 40 Hz) in 60 to 300 s, up or down, the force stays within 5 % of its level
-through modes with damping ratios of 0.5 to 2 %, and within 10 % for a table without damping of its own; with
-dampers within 10 %, except for a percent of the time at most where their motion jumps or turns irregular, or in
-the first second, as long as nothing is known of a mode next to the first frequency. Whatever is off by more than
-10 % has a ``level`` marker, and the run warns of it. Sweeping 10 to 55 Hz in 20 s is off by more here and there:
-the motion must then be predicted from fewer periods than are needed to identify a mode.
+In sweeps from 10 to 55 Hz (one body: to 40 Hz) in 60 to 300 s, up or down, the force stays within 5 % of its level
+through modes with damping ratios of 0.5 to 2 %, and within 10 % for a table without damping. With dampers it stays
+within 10 %, except for at most 1 % of the time, when their motion jumps or becomes irregular, or in the first second,
+before a mode near the first frequency is identified. Deviations above 10 % have a ``level`` marker, and the run warns
+of them. Sweeps from 10 to 55 Hz in 20 s have larger deviations at some frequencies: the motion must then be predicted
+from fewer periods than the identification of a mode requires.
 """
 
 from __future__ import annotations
@@ -31,17 +31,17 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-# The drive of a held force is chosen anew every so many periods; otherwise windows of this length, s.
+# Update interval of the drive of a controlled force, in periods; length of the windows otherwise, s.
 _WINDOW_PERIODS, _FEWEST = 0.5, 4
 _WINDOW = 0.1
-# The sweep begins from a steady state, to this tolerance, at its first frequency.
+# Relative tolerance of the steady state at the first frequency, before the sweep.
 _TOLERANCE, _LONGEST = 0.01, 60.0
 
 
 def excite(station: Station, test: SweptSine) -> Excitation:
     """Run a swept sine.
 
-    With a spring force to hold, a pretest measures the shaker, and the force is brought to its level at the first
+    With a controlled spring force, a pretest identifies the shaker, and the force reaches its level at the first
     frequency before the sweep begins.
     """
     controlled = test.force is not None and not station.force_is_drive
@@ -92,7 +92,7 @@ def _unread(station: Station, level: float) -> str:
 
 
 def _sweep_open(station: Station, test: SweptSine, start: float, amplitude: complex) -> Excitation:
-    """Sweep with a drive amplitude that stays."""
+    """Sweep with a constant drive amplitude."""
     total, done = station.samples(test.duration), 0
     while done < total:
         size = min(total - done, station.samples(_WINDOW))
@@ -110,7 +110,7 @@ def _sweep_held(
     control: SweepControl,
     watch: LevelWatch,
 ) -> Generator[Array, Array, complex]:
-    """Sweep with a force amplitude that stays; return the drive's amplitude at the end."""
+    """Sweep with a constant force amplitude; return the final amplitude of the drive."""
     total, done, rate = station.samples(test.duration), 0, station.rate
     shaker = station.scene.driven_shaker
     assert shaker is not None and shaker.spring is not None
@@ -146,30 +146,30 @@ def _sweep_held(
 def _displacements(
     station: Station, rows: list[int], frequency: float, amplitudes: ComplexArray, slopes: ComplexArray
 ) -> list[complex]:
-    """Displacements in m, from amplitudes of channels that change with slopes per second."""
+    """Return displacements in m, from channel amplitudes and their slopes per second."""
     step = 1e-3 * frequency
     found = []
     for row, amplitude, slope in zip(rows, amplitudes, slopes, strict=True):
         below, here, above = station.displacement(row, frequency + step * np.array([-1.0, 0.0, 1.0]))
-        # An acceleration whose amplitude grows belongs to another displacement than a steady one.
+        # For an acceleration of changing amplitude, the conversion to displacement differs from the steady state.
         found.append(complex(here * amplitude + (above - below) / (4j * np.pi * step) * slope))
     return found
 
 
 def _phase(test: SweptSine, start: float, done: int, size: int, total: int) -> Array:
-    """Phase of the tone, rad, at so many samples of the sweep."""
+    """Return the phase of the tone, rad, at `size` samples of the sweep."""
     return start + 2 * np.pi * sweep_turns(test, np.arange(done, done + size) / total)
 
 
 def sweep_frequency(test: SweptSine, part: float) -> float:
-    """Frequency in Hz when a part, 0 to 1, of the sweep is done."""
+    """Return the frequency in Hz at a fraction, 0 to 1, of the sweep."""
     if test.spacing == "linear":
         return test.from_ + (test.to - test.from_) * part
     return float(test.from_ * (test.to / test.from_) ** part)
 
 
 def sweep_turns(test: SweptSine, part: Array) -> Array:
-    """Give the turns of the tone since the sweep began, when parts, 0 to 1, of it are done."""
+    """Return the periods of the tone since the start, at fractions, 0 to 1, of the sweep."""
     if test.spacing == "linear":
         return test.duration * (test.from_ * part + (test.to - test.from_) * part**2 / 2)
     stretch = np.log(test.to / test.from_)

@@ -1,4 +1,4 @@
-"""A sine source whose frequency and amplitude glide without a jump in phase, frequency or amplitude."""
+"""A sine source with glides of frequency and amplitude, without a jump in phase, frequency or amplitude."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ class Tone:
     Parameters
     ----------
     frequency : float
-        Hz, to begin with.
+        Initial frequency, Hz.
 
     Attributes
     ----------
@@ -38,14 +38,14 @@ class Tone:
         self.phase = 0.0
 
     def hold(self, samples: int) -> Array:
-        """Keep frequency and amplitude; shape (samples,)."""
+        """Generate samples of constant frequency and amplitude; shape (samples,)."""
         turns = self.frequency / self.rate * np.arange(samples + 1, dtype=float)
         return self.amplitude * np.sin(self._advance(turns))
 
     def glide(self, samples: int, frequency: float, amplitude: float) -> Array:
-        """Move to a frequency and an amplitude along half a cosine; shape (samples,)."""
+        """Glide to a frequency and an amplitude along half a cosine; shape (samples,)."""
         part = np.arange(samples + 1) / samples
-        # Phase in turns: the integral of f0 + (f1 - f0) (1 - cos(pi u)) / 2 over u.
+        # Phase in periods: the integral of f0 + (f1 - f0) (1 - cos(pi u)) / 2 over u.
         bend = samples * (part / 2 - np.sin(np.pi * part) / (2 * np.pi))
         turns = (self.frequency * samples * part + (frequency - self.frequency) * bend) / self.rate
         rise = (1 - np.cos(np.pi * part[:-1])) / 2
@@ -55,7 +55,7 @@ class Tone:
         return wave
 
     def _advance(self, turns: Array) -> Array:
-        """Phases of the window, given its turns from the first sample to the first of the next window."""
+        """Return the phases of a window; `turns` ends with the first sample of the next window."""
         phase = self.phase + 2 * np.pi * np.fmod(turns, 1.0)
         self.phase = float(np.fmod(phase[-1], 2 * np.pi))
         return phase[:-1]

@@ -1,4 +1,4 @@
-"""Spring force and displacements as complex amplitudes, read from the channels at the drive's frequency."""
+"""Complex amplitudes of spring force and displacements, measured from the channels at the drive frequency."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 
-# A longer window is driven, and read, in pieces of at least so many samples.
+# A longer window is driven and measured in pieces of at least this number of samples.
 _PIECE = 1 << 16
 
 
 class Gauge:
-    """Reads what a sine test watches.
+    """Measures the quantities of a sine test.
 
     Parameters
     ----------
     force : bool
-        Whether the spring force is wanted; it is then the first quantity, and missing channels are a
+        Whether to measure the spring force; it is then the first quantity, and missing channels raise a
         SceneError. The displacements at all motion channels follow.
     """
 
@@ -41,7 +41,7 @@ class Gauge:
             station.force_weights(1.0)
 
     def steady(self, samples: Array, frequency: float, phase: float) -> ComplexArray:
-        """Amplitudes in a window of a steady tone, by its phase at the window's start; shape (quantities,)."""
+        """Return the amplitudes in a window of a steady tone, for its phase at the start; shape (quantities,)."""
         turned = 2.0 * np.pi * frequency * self._station.latency / self._station.rate
         return self._of(frequency) @ lock_in(samples, frequency, self._station.rate, phase - turned)
 
@@ -57,9 +57,9 @@ class Gauge:
 
 
 def held(station: Station, tone: Tone, gauge: Gauge, samples: int) -> Generator[Array, Array, ComplexArray]:
-    """Hold a tone for so many samples, and give the amplitudes that the gauge reads, shape (quantities,).
+    """Hold a tone for a number of samples, and return the amplitudes of the gauge, shape (quantities,).
 
-    In a long window these are the mean over pieces of whole periods, so that its readings are not all kept.
+    In a long window these are means over pieces of whole periods, so that not all readings are in memory.
     """
     frequency, left = tone.frequency, samples
     piece = whole_periods(frequency, station.rate, _PIECE / station.rate)

@@ -21,7 +21,7 @@ _HEARD = 1.0
 
 
 class _Witness:
-    """A process of the same group that Ctrl-C ends: it shows whether the group or a single process received Ctrl-C."""
+    """A process of the same group that Ctrl-C ends: it shows whether the whole group received Ctrl-C."""
 
     _COMMAND = (sys.executable, "-I", "-S", "-c", "import sys; sys.stdin.read()")
 

@@ -11,7 +11,7 @@ from rig.scene.scene import STANDARD_GRAVITY
 
 # Relative margin of limits below full scale, so that rounded limits do not exceed it.
 _BELOW = 1 - 1e-5
-# Channel type per quantity: the driver's call, the unit, and the factor from V per SI unit to its unit of sensitivity.
+# Channels by quantity: the driver's call, the unit, and the factor from V per SI unit to the unit of sensitivity.
 _SENSORS = {
     "acceleration": ("add_ai_accel_chan", "AccelUnits.METERS_PER_SECOND_SQUARED", 1e3 * STANDARD_GRAVITY),
     "force": ("add_ai_force_iepe_chan", "ForceUnits.NEWTONS", 1e3),

@@ -90,9 +90,10 @@ def test_readme_quotes_the_comparison_it_prints(folder) -> None:
     "page", [page for page in PAGES if "python" in dict(blocks(page))], ids=lambda page: page.stem
 )
 def test_python_of_pages_runs(page, folder) -> None:
+    names: dict[str, object] = {}
     for kind, block in blocks(page):
         if kind == "python":
-            exec(compile(block, str(page), "exec"), {})
+            exec(compile(block, str(page), "exec"), names)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=NAMES)

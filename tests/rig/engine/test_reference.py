@@ -254,14 +254,25 @@ def test_response_without_dampers_is_linear_receptance() -> None:
         ({"duration": -1.0}, "duration"),
         ({"rate": float("inf")}, "rate"),
         ({"frequency": 0.0}, "frequency"),
-        ({"drive": np.full((1, 100), np.nan)}, "drive: nan at sample 0 of input shaker"),
-        ({"drive": np.zeros((2, 100))}, "expected (1, samples)"),
     ],
 )
 def test_bad_arguments_are_named(change: dict[str, object], words: str) -> None:
     arguments = {"duration": 0.1, "rate": 1000.0, **change}
     with pytest.raises(SceneError) as error:
         rig.simulate("reference-A", **arguments)
+    assert words in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("drive", "words"),
+    [
+        (np.full((1, 100), np.nan), "drive: nan at sample 0 of input shaker"),
+        (np.zeros((2, 100)), "drive: the array has shape (2, 100). Give one of shape (1, samples)"),
+    ],
+)
+def test_bad_drive_is_named(drive: np.ndarray, words: str) -> None:
+    with pytest.raises(RunError) as error:
+        rig.simulate("reference-A", 0.1, 1000.0, drive=drive)
     assert words in str(error.value)
 
 

@@ -1,6 +1,6 @@
 """The physics: a scene becomes a hybrid linear system, the system becomes motion."""
 
-# A command that is interrupted while it is imported has nothing to say, and least of all a traceback.
+# An interrupt during import must end the command without a traceback.
 try:
     from rig.interruption import end_silently
 
@@ -10,6 +10,6 @@ except KeyboardInterrupt:
 
 import lazy_loader
 
-# A module is imported when one of the names of `__init__.pyi` is first used, so that importing the package stays
-# quick: numba alone takes longer to import than a whole impulse test takes to run.
+# A module is imported when a name of `__init__.pyi` is first used, so that the package loads quickly: the import of
+# numba alone takes longer than a whole impulse test.
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

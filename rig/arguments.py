@@ -1,4 +1,4 @@
-"""What several commands take alike: a scene with `--set` for what is to differ, frequencies, a cluster."""
+"""Arguments shared by several commands: scene, changes by `--set`, frequencies, cluster."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SCENE_HELP = "Name of a bundled scene (`rig scenes` lists them) or path of a sce
 
 
 def completions(incomplete: str) -> list[str]:
-    """Give the names of bundled scenes that begin so, for the shell."""
+    """Return the names of bundled scenes with a given prefix, for shell completion."""
     return [name for name in bundled() if name.startswith(incomplete)]
 
 
@@ -37,7 +37,7 @@ Changes = Annotated[
     ),
 ]
 
-# More frequencies or periods than this are a mistake.
+# Upper limit for numbers of frequencies or periods, to reject typing errors.
 MOST = 100_000
 First = Annotated[
     str | None,
@@ -67,7 +67,7 @@ Overwrite = Annotated[
 
 
 def loaded(scene: str, changes: Sequence[str] | None) -> Scene:
-    """Load the scene that a command names, with its changes.
+    """Load the scene of a command and apply its changes.
 
     Raises
     ------

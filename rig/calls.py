@@ -1,6 +1,6 @@
-"""The commands of `rig` as Python calls, with their names and arguments, where no room has a function of that name.
+"""The commands of `rig` as Python functions with the same names and arguments.
 
-Each returns a result with `plot()`, `to_dataframe()` and a display in notebooks; the commands print and write it.
+Each function returns a result with `plot()`, `to_dataframe()` and a notebook display; the commands print and save it.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def response(
     Parameters
     ----------
     scene : Scene, str, Path or mapping
-        A scene, or what `rig.load` takes.
+        A scene, or an argument of `rig.load`.
     first, last : float or str, optional
         Ends of the band, in Hz or as texts such as ``"49 Hz"``; omitted, those of the test.
     points : int, optional
@@ -42,7 +42,7 @@ def response(
     direction : {'up', 'down', 'both'}, optional
         Order in which the frequencies are visited; omitted, that of the test.
     progress : callable, optional
-        Called with the number of points done and of all.
+        Called with the number of points done and the total.
 
     Raises
     ------
@@ -68,7 +68,7 @@ def grains(
     cluster: str | None = None,
     progress: Progress | None = None,
 ) -> BedResponse:
-    """Compare beds of grains with the same beds as one mass, in steady motion at each frequency.
+    """Compare beds of grains with one-mass models of the same beds, in steady motion at each frequency.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def grains(
     periods : int
         Drive periods in each block that is averaged.
     table : str or Path, optional
-        CSV file of results; frequencies that it contains are not computed again.
+        CSV file of results; frequencies in this file are not recomputed.
     cluster : str, optional
         Address of a Dask scheduler; omitted, the processors of this machine.
 
@@ -125,7 +125,7 @@ def map(
     cluster : str, optional
         Address of a Dask scheduler; omitted, the processors of this machine.
     kept : str or Path, optional
-        File of finished points, with which a second call continues the first.
+        File of finished points, from which an interrupted call is continued.
 
     Raises
     ------
@@ -157,13 +157,13 @@ def cost(
     Parameters
     ----------
     scene : Scene, str, Path or mapping
-        A scene, or what `rig.load` takes.
+        A scene, or an argument of `rig.load`.
     frequency : float or str, optional
-        Drive frequency; omitted, that of the test or where the linear structure accelerates most.
+        Drive frequency; omitted, that of the test or of the largest acceleration of the linear structure.
     periods : int
         Number of drive periods to simulate.
     say : callable, optional
-        Called with the name of the method that is measured next.
+        Called with the name of the next method.
 
     Raises
     ------

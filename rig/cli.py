@@ -77,7 +77,7 @@ def presets(
 
 
 def _list(rows: Sequence[tuple[str, str]]) -> None:
-    """Print names and what they are; a pipe gets a tab between, whatever the width of the terminal it may end in."""
+    """Print names with descriptions; separated by a tab if the output is a pipe."""
     wide = max(len(name) for name, _ in rows) if sys.stdout.isatty() else 0
     for name, what in rows:
         print(f"{name:{wide}}  {what}" if wide else f"{name}\t{what}")
@@ -466,12 +466,12 @@ def _figure_and_table(name: Path) -> list[Path]:
 
 
 def _listed(text: str | None) -> list[str] | None:
-    """Take an option of several values with commas between apart."""
+    """Split the comma-separated values of an option."""
     return None if text is None else [word.strip() for word in text.split(",")]
 
 
 def _quantity(value: str | None, kind: Kind, name: str) -> float | None:
-    """Read an option that carries a unit; a bare number is SI."""
+    """Parse an option with a unit; a bare number is in SI units."""
     from rig.scene.quantities import parse
 
     if value is None:

@@ -1,4 +1,4 @@
-"""The help of commands: their options in groups, and an example of each."""
+"""Help of the commands: options in groups, and an example for each command."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _SCENE, _TEST, _FREQUENCIES, _OUTPUT, _COMPUTING = "Scene", "Test", "Frequencies
 _DAMPERS, _CRITERION, _CURVES, _BLOCKS, _NETWORK = (
     "Dampers to choose from", "What counts", "Curves", "Averages of blocks", "Network",
 )  # fmt: skip
-# By the name of an option's parameter, where the option does not name its group itself.
+# Group by parameter name, for options that do not specify their group.
 _GROUPS = {
     _SCENE: ("changes", "scene", "clock", "table"),
     _TEST: ("duration", "rate", "force", "drive", "block_samples", "dry_run", "anyway", "measure"),
@@ -31,7 +31,7 @@ _GROUPS = {
 }  # fmt: skip
 _GROUP_OF = {name: group for group, names in _GROUPS.items() for name in names}
 _OTHER = "Options"
-# Fewer options than this need no groups.
+# Number of options below which groups are not used.
 _FEW = 5
 
 
@@ -39,7 +39,7 @@ class GroupedCommand(TyperCommand):
     """A command that lists its options in groups, and whose epilog is an example."""
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
-        """Write arguments, then options by what they are about, then the others."""
+        """Write arguments, then options by group, then all other options."""
         parameters = [(each, each.get_help_record(ctx)) for each in self.get_params(ctx)]
         options = [
             (each, record) for each, record in parameters if each.param_type_name == "option" and record
@@ -61,14 +61,14 @@ class GroupedCommand(TyperCommand):
                     formatter.write_dl(sections[title])
 
     def format_epilog(self, ctx: Any, formatter: Any) -> None:
-        """Write the example, in one line whatever its length."""
+        """Write the example in one line of any length."""
         if self.epilog:
             with formatter.section("Example"):
                 formatter.write(f"{'':{formatter.current_indent}}{self.epilog}\n")
 
 
 class Application(typer.Typer):
-    """An application whose commands have an example each."""
+    """An application in which each command has an example."""
 
     def command(
         self, name: str | None = None, *, example: str | None = None, **settings: Any
@@ -78,10 +78,10 @@ class Application(typer.Typer):
         Parameters
         ----------
         name : str, optional
-            Omitted, the function's.
+            Name of the command; omitted, the name of the function.
         example : str, optional
             A command line as a user types it.
         **settings
-            As `typer.Typer.command` takes them.
+            Arguments of `typer.Typer.command`.
         """
         return super().command(name, cls=GroupedCommand, epilog=example, **settings)

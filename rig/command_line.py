@@ -1,7 +1,7 @@
-"""What the command lines of the three packages share: one way in, and one way out whatever happens.
+"""Entry point and error handling shared by the command lines of the three packages.
 
-No command ends in a traceback, or is silent for long. What a user can mend is an error with words of its own
-(`rig.errors`); what nobody has thought of ends in a short message and a file with the details.
+No command ends in a traceback or is without output for long. An error that a user can correct has its own message
+(`rig.errors`). An unexpected error produces a short message and a file with the details.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ from rig.shadowing import shadowed
 if TYPE_CHECKING:
     from rig.command_help import Application
 
-# No option means more, whatever its unit.
+# Upper limit for numeric options in any unit.
 LARGEST = 1e12
-# New objects after which Python looks for those that only hold each other, where it usually takes 700.
+# Number of allocations between runs of the cyclic garbage collector (Python default 700).
 _OBJECTS = 200_000
-# Exit code of a command that Ctrl-C ended: 128 and the number of the signal.
+# Exit code after Ctrl-C: 128 plus the signal number.
 _INTERRUPTED = 128 + signal.SIGINT
 
 
 def application(help_text: str) -> Application:
-    """Make a command-line application in the style of the project."""
+    """Create a command-line application in the style of the project."""
     import typer
 
     from rig.command_help import Application
@@ -77,9 +77,9 @@ def run(module: str) -> NoReturn:
     Parameters
     ----------
     module : str
-        Imported here, so that even an interrupted import ends in words.
+        Imported inside this function, so that an interrupted import is also reported.
     """
-    # What imports make stays: looking through it for what may go, and once more at the end, takes a tenth of a start.
+    # Imported objects are permanent: scanning them for garbage takes a tenth of the start-up time.
     gc.set_threshold(_OBJECTS)
     came.clear()
     words = sys.argv[1:]
@@ -93,7 +93,7 @@ def run(module: str) -> NoReturn:
             console.say_now_and_then(put_back)
             code = _carry_out(module, words[debug:])
             sys.stdout.flush()
-            # From here on a signal ends the process at once, as does another one after an error.
+            # From here on a signal ends the process immediately, also after an error.
             _set_signals(signal.SIG_DFL)
         except BaseException as error:
             _set_signals(signal.SIG_DFL)
@@ -103,7 +103,7 @@ def run(module: str) -> NoReturn:
 
 
 def _carry_out(module: str, words: Sequence[str]) -> int:
-    """Run a command and give its exit code; what goes wrong is raised."""
+    """Run a command and return its exit code; errors are raised."""
     import typer
 
     try:
@@ -112,7 +112,7 @@ def _carry_out(module: str, words: Sequence[str]) -> int:
         raise RunError("the working folder is not there any more; change to another one") from None
     command, program = typer.main.get_command(import_module(module).app), module.partition(".")[0]
     if f"_{program.upper()}_COMPLETE" in os.environ:
-        # The shell asks for words that complete what has been typed.
+        # The shell requests completions of the typed words.
         command.main([], program)
     for each in (command, *getattr(command, "commands", {}).values()):
         for option in each.params:
@@ -126,7 +126,7 @@ def _carry_out(module: str, words: Sequence[str]) -> int:
 
 
 def _bounded(context: Any, option: Any, value: Any) -> Any:
-    """Refuse an option that is empty, no number or beyond anything that is measured, before any work."""
+    """Reject an option that is empty, not a number or out of range, before any work."""
     import typer
 
     for number in value if isinstance(value, list | tuple) else [value]:
@@ -140,7 +140,7 @@ def _bounded(context: Any, option: Any, value: Any) -> Any:
 
 
 def _tell(error: BaseException, debug: bool) -> int:
-    """Say why a command ended, and give its exit code."""
+    """Report why a command ended, and return its exit code."""
     code, text = _in_words(error)
     with suppress(OSError):
         if debug and not isinstance(error, SystemExit):
@@ -152,13 +152,13 @@ def _tell(error: BaseException, debug: bool) -> int:
     try:
         sys.stdout.flush()
     except OSError:
-        # What Python would flush at its end has nowhere to go.
+        # Output that Python flushes at exit has no valid destination.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return code
 
 
 def _in_words(error: BaseException) -> tuple[int, str]:
-    """Give the exit code and the message for what ended a command."""
+    """Return the exit code and the message for an exception that ended a command."""
     notes = getattr(error, "__notes__", ())
     match error:
         case SystemExit(code=int() | None):
@@ -168,7 +168,7 @@ def _in_words(error: BaseException) -> tuple[int, str]:
         case ShotrigError():
             return error.exit_code, "\n".join(f"error: {text}" for text in (error, *notes))
         case BrokenPipeError():
-            # The reader of a pipe (head, less) has left, which is its right.
+            # The reader of a pipe (head, less) has closed it; this is not an error.
             return 0, ""
         case console.Unwritable():
             return 1, f"error: standard output cannot be written: {error.strerror}"
@@ -177,16 +177,16 @@ def _in_words(error: BaseException) -> tuple[int, str]:
         case OSError(filename=str() | bytes()):
             return 1, f"error: {os.fsdecode(error.filename)}: {error.strerror}"
         case OSError(strerror=str()):
-            # A disk that fills or fails while a file is written or closed names no file.
+            # An error of a full or failing disk contains no file name.
             return 1, f"error: the system reports: {error.strerror}"
     if hasattr(error, "format_message"):
-        # typer found something wrong with the words of the command.
+        # typer rejected the arguments of the command.
         if type(error).__name__ == "NoArgsIsHelpError":
             return 2, error.format_message()
         context = getattr(error, "ctx", None)
         usage = "" if context is None else f"{context.get_usage()}\n"
         return 2, f"{usage}error: {error.format_message()}"
-    # Extension modules may report an interrupt while they are loaded as a failure without a cause.
+    # Extension modules may report an interrupt during loading as an unrelated failure.
     if came or _comes_of_interruption(error):
         return _INTERRUPTED, "interrupted"
     if isinstance(error, ImportError | AttributeError) and (found := shadowed(Path(sys.path[0]))):
@@ -195,14 +195,14 @@ def _in_words(error: BaseException) -> tuple[int, str]:
 
 
 def _comes_of_interruption(error: BaseException | None) -> bool:
-    """Whether it took the place of Ctrl-C, as it does while a class or a module of another language is made."""
+    """Whether an exception was caused by Ctrl-C, for example while an extension module was loaded."""
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__cause__ or error.__context__
     return error is not None
 
 
 def unexpected(error: BaseException) -> str:
-    """Describe an error that nobody has thought of, and keep what is needed to find its cause."""
+    """Describe an unexpected error, and save the details that are needed to find its cause."""
     import platform
     import tempfile
     import traceback
@@ -229,10 +229,10 @@ def unexpected(error: BaseException) -> str:
 
 
 def _answer_signals(put_back: ExitStack) -> None:
-    """Let what ends a process end it as Ctrl-C does, so that files are closed."""
+    """Handle termination signals as Ctrl-C, so that files are closed."""
     for number in ENDINGS:
         before = signal.getsignal(number)
-        # Whoever started the process may want it to go on (nohup).
+        # The parent may have disabled the signal on purpose (nohup).
         if before is not signal.SIG_IGN:
             put_back.callback(signal.signal, number, before)
             signal.signal(number, _interrupt)
@@ -253,7 +253,7 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
 
 
 def _take_hooks(put_back: ExitStack) -> None:
-    """Say in a line what Python would say in a traceback."""
+    """Report in one line what Python would report in a traceback."""
     for module, name, ours in (
         (warnings, "showwarning", _warn),
         (sys, "unraisablehook", _passed_over),
@@ -263,7 +263,7 @@ def _take_hooks(put_back: ExitStack) -> None:
         setattr(module, name, ours)
     import logging
 
-    # Without any handler Python prints the warnings that other packages log.
+    # Without a handler, Python prints warnings that other packages log.
     silent = logging.NullHandler()
     logging.getLogger().addHandler(silent)
     put_back.callback(logging.getLogger().removeHandler, silent)
@@ -281,9 +281,9 @@ def _warn(message: Warning | str, *_: Any, **__: Any) -> None:
 
 
 def _passed_over(what: sys.UnraisableHookArgs) -> None:
-    """Take an error that came where none can be raised, such as in a destructor."""
+    """Handle an error that cannot be raised, for example in a destructor."""
     if isinstance(what.exc_value, KeyboardInterrupt):
-        # Ctrl-C came at that moment; it is meant for the command.
+        # Ctrl-C arrived at that moment; forward it to the command.
         threading.Timer(0.01, signal.raise_signal, [signal.SIGINT]).start()
     else:
         print(f"warning: something unexpected was passed over ({what.exc_value!r})", file=sys.stderr)

@@ -1,4 +1,4 @@
-"""Compile machine code ahead of its use: the first result on a machine otherwise waits for it."""
+"""Compile machine code ahead of its use, so that the first result on a machine is not delayed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a command line prints: text that is shown and not obeyed, progress, and a word now and then in long work."""
+"""Console output of the commands: escaped text, progress, and status messages during long work."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from typing import IO, Any, ClassVar
 
 from rig.escaping import shown
 
-# After so long without a word a command says that it is still at work, s.
+# Time without output after which a command reports that it is still running, s.
 SILENCE = 12.0
-# What holds a command up again so soon is the same matter, s.
+# Delays separated by less than this, s, count as one delay.
 _AT_ONCE = 5.0
 
 
 class Unwritable(OSError):
-    """Standard output takes nothing: its disk is full."""
+    """Standard output cannot be written because its disk is full."""
 
 
 class _Shown(io.TextIOBase):
-    """A stream on which text from files is shown, not obeyed.
+    """A stream that escapes control characters of text from files.
 
     Parameters
     ----------
     terminal : text stream
-        Where the text goes. A progress bar, which has to move the cursor, writes there.
+        Destination of the text. A progress bar writes to it directly, because it has to move the cursor.
     """
 
     last = time.monotonic()
@@ -38,9 +38,9 @@ class _Shown(io.TextIOBase):
         self.terminal = terminal
 
     def write(self, text: str) -> int:
-        """Write what can be shown."""
+        """Write text with control characters escaped."""
         if not isinstance(text, str):
-            # By trying, click finds out whether a stream takes bytes.
+            # click tests by a write whether a stream accepts bytes.
             raise TypeError(f"text is written here, not {type(text).__name__}")
         _Shown.last = time.monotonic()
         encoding = self.encoding
@@ -48,11 +48,11 @@ class _Shown(io.TextIOBase):
         return len(text)
 
     def flush(self) -> None:
-        """Write what waits."""
+        """Flush the terminal."""
         self._forward(self.terminal.flush)
 
     def close(self) -> None:
-        """Do nothing: the terminal is Python's, and may be closed before this goes, of which 3.13 would complain."""
+        """Do nothing: Python owns the terminal and may close it first, which is an error in Python 3.13."""
 
     def _forward(self, act: Callable[..., object], *given: str) -> None:
         try:
@@ -68,21 +68,21 @@ class _Shown(io.TextIOBase):
         return getattr(self.terminal, "encoding", None) or "utf-8"
 
     def isatty(self) -> bool:
-        """Whether somebody looks at it."""
+        """Whether the stream is a terminal."""
         return self.terminal.isatty()
 
     def fileno(self) -> int:
-        """Give the number of the file below."""
+        """Return the file descriptor of the terminal."""
         return self.terminal.fileno()
 
 
 def take_streams(put_back: ExitStack) -> None:
-    """Put our streams in place of Python's; a closed one becomes one that takes everything and keeps nothing."""
+    """Replace the standard streams of Python; a closed stream is replaced by a null device."""
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         try:
             os.fstat(number)
         except OSError:
-            # Otherwise the next file that is opened, a recording, would get the number that prints go to.
+            # Otherwise the next opened file, such as a recording, would get the descriptor of standard output.
             os.open(os.devnull, os.O_RDWR)
         stream = getattr(sys, name)
         if number > 0:
@@ -91,9 +91,9 @@ def take_streams(put_back: ExitStack) -> None:
 
 
 class _Work:
-    """What a command is doing, None while it waits for its user; and what holds it up even then, and from when to when.
+    """Current activity of a command, None while it waits for input; and the current delay with its start and end.
 
-    Function after function is compiled: what follows at once goes on from where that before it began.
+    Functions are compiled one after another: a delay that follows immediately continues the previous delay.
     """
 
     doing: str | None = ""
@@ -102,7 +102,7 @@ class _Work:
 
 
 def say_now_and_then(put_back: ExitStack) -> None:
-    """Say from time to time that a command is at work, until what is put back ends it."""
+    """Report from time to time that a command is running, until the exit stack is closed."""
     over = threading.Event()
     put_back.callback(over.set)
     _Work.doing = ""
@@ -122,7 +122,7 @@ def _speak(over: threading.Event, to: Any) -> None:
 
 
 def held_up(doing: str) -> None:
-    """Say from time to time what everybody has to wait for, a script that was handed over to as well, until `go_on`."""
+    """Report a delay from time to time until `go_on`, also while a user program runs."""
     now = time.monotonic()
     if not _Work.held_up and now - _Work.until > _AT_ONCE:
         _Work.since = now
@@ -130,14 +130,14 @@ def held_up(doing: str) -> None:
 
 
 def go_on() -> None:
-    """End what `held_up` began."""
+    """End the delay that `held_up` began."""
     _Work.held_up.pop()
     _Work.until = time.monotonic()
 
 
 @contextmanager
 def waiting() -> Iterator[None]:
-    """Say nothing while the body waits for its user."""
+    """Suppress reports while the body waits for user input."""
     before, _Work.doing = _Work.doing, None
     try:
         yield
@@ -147,7 +147,7 @@ def waiting() -> Iterator[None]:
 
 @contextmanager
 def handed_over() -> Iterator[None]:
-    """Give the terminal to a program of the user's, which may write on it what it likes."""
+    """Release the terminal to a program of the user, whose output is not escaped."""
     ours = sys.stdout, sys.stderr
     sys.stdout, sys.stderr = (getattr(stream, "terminal", stream) for stream in ours)
     try:
@@ -159,9 +159,9 @@ def handed_over() -> Iterator[None]:
 
 @contextmanager
 def progress(title: str) -> Iterator[Callable[[float, str], None]]:
-    """Show how far the body is: ``report(fraction, message)``.
+    """Show the progress of the body: ``report(fraction, message)``.
 
-    A terminal shows a bar with the time left; other error outputs get a line now and then.
+    A terminal shows a bar with the remaining time; other error outputs get a line at intervals.
     """
     if not sys.stderr.isatty():
 
@@ -195,7 +195,7 @@ def progress(title: str) -> Iterator[Callable[[float, str], None]]:
 
 @contextmanager
 def goes_on(kept: bool = True) -> Iterator[None]:
-    """Add to an interruption of the body that the same command goes on where it stopped, if results are kept."""
+    """Add to an interrupt message that the same command continues the work, if results are stored."""
     try:
         yield
     except KeyboardInterrupt as interruption:
@@ -206,11 +206,11 @@ def goes_on(kept: bool = True) -> Iterator[None]:
 
 @contextmanager
 def counting(title: str) -> Iterator[Callable[[int, int], None]]:
-    """Show how many pieces of work are done: ``report(done, total)``."""
+    """Show the number of finished pieces: ``report(done, total)``."""
     with progress(title) as report:
 
         def count(done: int, total: int) -> None:
-            # After the last piece come figures and files.
+            # Figures and files are written after the last piece.
             report(done / total if total else 1.0, f"{done} of {total}{', writing' if done >= total else ''}")
 
         yield count
@@ -218,6 +218,6 @@ def counting(title: str) -> Iterator[Callable[[int, int], None]]:
 
 @contextmanager
 def saying() -> Iterator[Callable[[str], None]]:
-    """Show what the body is doing: ``report(message)``."""
+    """Show the activity of the body: ``report(message)``."""
     with progress("") as report:
         yield lambda message: report(0.0, message)

@@ -20,19 +20,19 @@ class SceneError(ShotrigError):
 
 
 class RecordingError(ShotrigError):
-    """A recording that cannot be read, or lacks what was asked of it."""
+    """A recording that cannot be read, or lacks required data."""
 
     exit_code = 2
 
 
 class RunError(ShotrigError):
-    """A simulation or a test that could not be carried through."""
+    """A simulation or test that could not be completed."""
 
     exit_code = 1
 
 
 class UncoveredMotionError(RunError):
-    """A motion for which orbits are not computed; its only argument says what happens in it."""
+    """A motion for which orbits are not computed; its only argument describes the reason."""
 
     def __str__(self) -> str:
         instead = "a settled simulation (rig.frequency_response) covers it"
@@ -40,16 +40,16 @@ class UncoveredMotionError(RunError):
 
 
 class SceneWarning(UserWarning):
-    """A scene that can be used, with a value in it that is hardly what was meant."""
+    """A usable scene with an implausible value."""
 
 
 class RunWarning(UserWarning):
-    """A test or an import that went on, with something in it that its user should know."""
+    """A completed test or import with a problem that the user should know."""
 
 
 @contextmanager
 def naming(path: Path) -> Iterator[None]:
-    """Name a recording in errors of the body that do not: those of its bytes do, those of its messages do not."""
+    """Add the path of a recording to errors of the body that do not contain it."""
     try:
         yield
     except RecordingError as error:

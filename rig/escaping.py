@@ -1,6 +1,6 @@
-"""Text of a file on its way to a person: what a terminal, a page or a figure would obey is shown instead.
+"""Escape text from files for terminals, pages and figures, so that it is displayed and not executed.
 
-Names, notes and reasons in a scene or a recording are anybody's text.
+Names, notes and reasons in a scene or recording are untrusted text.
 """
 
 from __future__ import annotations
@@ -8,8 +8,8 @@ from __future__ import annotations
 import html as _html
 import re
 
-# Control characters but line end and tab; what turns the direction of writing, is invisible or ends lines; halves
-# of characters, as which bytes of a file's name come that are no UTF-8.
+# Control characters except line feed and tab; bidirectional, invisible and line-ending characters; surrogates, which
+# represent bytes of a file name that is not valid UTF-8.
 _OBEYED = re.compile(
     "[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff\ufff9-\ufffb\ud800-\udfff]"
 )
@@ -17,7 +17,7 @@ _MARKS = re.compile(r"([\\`*_{}\[\]()<>#+\-!|~&$])")
 
 
 def shown(text: object) -> str:
-    r"""Show what a terminal would obey; lines and tabs stay.
+    r"""Escape control characters for a terminal; line feeds and tabs are retained.
 
     >>> shown("body\x1b[31m 1")
     'body\\x1b[31m 1'
@@ -26,7 +26,7 @@ def shown(text: object) -> str:
 
 
 def is_line(text: str) -> bool:
-    r"""Whether text is one line in which there is nothing to obey.
+    r"""Whether text is a single line without control characters.
 
     >>> is_line("Fig. 8, two dampers"), is_line("a\nb"), is_line("\x1b[31m")
     (True, False, False)
@@ -35,7 +35,7 @@ def is_line(text: str) -> bool:
 
 
 def html(text: object) -> str:
-    """Show text in HTML, also within the quotes of an attribute.
+    """Escape text for HTML, also for quoted attributes.
 
     >>> html("<b> & 'x'")
     '&lt;b&gt; &amp; &#x27;x&#x27;'
@@ -44,7 +44,7 @@ def html(text: object) -> str:
 
 
 def markdown(text: object) -> str:
-    r"""Show text within a line of Markdown.
+    r"""Escape text for a line of Markdown.
 
     >>> print(markdown("<b> *body*\n# 1"))
     \<b\> \*body\* \# 1
@@ -53,7 +53,7 @@ def markdown(text: object) -> str:
 
 
 def drawn(text: object) -> str:
-    r"""Show text in a figure, which would take what stands between dollars for mathematics.
+    r"""Escape text for a figure, where dollar signs delimit mathematics.
 
     >>> print(drawn("from $1 to $2"))
     from \$1 to \$2
@@ -62,7 +62,7 @@ def drawn(text: object) -> str:
 
 
 def fenced(text: object, language: str = "") -> str:
-    r"""Show lines as they stand in Markdown, between fences longer than any in them.
+    r"""Enclose lines in a Markdown code fence that is longer than any fence in the text.
 
     >>> print(fenced("a: 1\n```", "yaml"))
     ````yaml

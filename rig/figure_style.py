@@ -1,4 +1,4 @@
-"""The look that all figures share, and how they are saved: the same input gives the same bytes."""
+"""Common style of all figures, and reproducible output: the same input gives the same bytes."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ if TYPE_CHECKING:
     from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
-# Colours that remain apart for every kind of colour blindness (Okabe and Ito's set, the darker ones first).
+# Colors that are distinguishable with any color blindness (Okabe and Ito), darker colors first.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#555555", "#000000")
 WIDTH_INCH = 7.2
-# Characters of a title that fit into this width.
+# Number of title characters that fit into the default width.
 _LONGEST_LINE = 70
-# A logarithmic axis shorter than this factor has too few decades for powers of ten as labels.
+# Ratio of the ends of a logarithmic axis below which powers of ten give too few labels.
 _FEW = 50.0
-# Beyond these the arithmetic of a logarithmic axis ends.
+# Numeric limits of a logarithmic axis.
 _DRAWN = 1e-250, 1e250
-# Characters of a note under a figure of that width.
+# Number of characters per line of a note below a figure of the default width.
 _NOTE_LINE = 112
-# And of an entry that leaves room for another beside it.
+# Number of characters of a legend entry for two columns.
 _HALF_LINE = 46
 
 _STYLE: Any = {
@@ -48,7 +48,7 @@ _STYLE: Any = {
     "grid.linewidth": 0.6,
     "lines.linewidth": 1.3,
     "lines.markersize": 2.6,
-    # No curve crosses a legend, and none is hidden by it.
+    # A legend is nearly opaque, but does not hide a curve completely.
     "legend.framealpha": 0.85,
     "legend.edgecolor": "none",
     "legend.fontsize": 8.5,
@@ -62,7 +62,7 @@ _STYLE: Any = {
 
 @contextmanager
 def drawing(height: float, width: float = WIDTH_INCH) -> Iterator[Figure]:
-    """Give an empty figure in the common style; draw on it inside the `with`."""
+    """Provide an empty figure in the common style; draw inside the `with` block."""
     import matplotlib
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -74,14 +74,14 @@ def drawing(height: float, width: float = WIDTH_INCH) -> Iterator[Figure]:
 
 
 def save(figure: Figure, stem: Path) -> list[Path]:
-    """Write `stem`.png and `stem`.svg, without dates or versions inside, and name them."""
+    """Write `stem`.png and `stem`.svg without dates or versions, and return their paths."""
     import matplotlib
 
     png, svg = stem.with_name(stem.name + ".png"), stem.with_name(stem.name + ".svg")
     make_ready(stem.parent)
     with matplotlib.rc_context(_STYLE), replacing(png) as part:
         figure.savefig(part, dpi=150, metadata={"Software": None})
-    # Everything has its place by now; finding it takes a third of the time of a drawing.
+    # The layout is final; computing it again takes a third of the drawing time.
     figure.set_layout_engine("none")
     with matplotlib.rc_context(_STYLE), replacing(svg) as part:
         figure.savefig(part, metadata={"Date": None, "Creator": None})
@@ -89,17 +89,17 @@ def save(figure: Figure, stem: Path) -> list[Path]:
 
 
 def heading(axes: Axes, text: str) -> None:
-    """Title above the uppermost axes, in lines no longer than the figure is wide."""
+    """Add a title above the uppermost axes, wrapped to the width of the figure."""
     axes.set_title("\n".join(wrap(drawn(text), _LONGEST_LINE)))
 
 
 def colour(index: int) -> str:
-    """Colour of the curve with this index."""
+    """Return the color of the curve with this index."""
     return COLOURS[index % len(COLOURS)]
 
 
 def frequency_axis(axes: Axes, low: float, high: float, labelled: bool) -> None:
-    """Frequency axis whose ticks read as plain numbers, logarithmic unless it is so short that this hardly bends it."""
+    """Set up a frequency axis with plain tick labels, logarithmic unless its range is short."""
     axes.set_xlim(low, high)
     if high / low >= 2.0:
         plain_logarithmic(axes.xaxis, 10)
@@ -110,11 +110,11 @@ def frequency_axis(axes: Axes, low: float, high: float, labelled: bool) -> None:
 
 
 def decades(axes: Axes, values: Any, most: float = 7.0, least: float = 1.0) -> None:
-    """Logarithmic vertical axis around positive values, at most so many decades deep."""
+    """Set up a logarithmic vertical axis around positive values, with a limited number of decades."""
     values = np.concatenate([np.ravel(v) for v in values])
     values = np.clip(values[np.isfinite(values) & (values > 0)], *_DRAWN)
     if not values.size:
-        # Nothing to be seen, at any height.
+        # There are no positive values to show.
         axes.set_yticks([])
         return
     axes.set_yscale("log")
@@ -127,7 +127,7 @@ def decades(axes: Axes, values: Any, most: float = 7.0, least: float = 1.0) -> N
 
 
 def plain_ticks(low: float, high: float, most: int = 8) -> list[float]:
-    """Round numbers along a logarithmic axis, at most so many; where hardly any lie on it, even steps.
+    """Select at most `most` round numbers on a logarithmic axis; even steps if there are too few.
 
     Examples
     --------
@@ -150,7 +150,7 @@ def plain_ticks(low: float, high: float, most: int = 8) -> list[float]:
 
 
 def plain_logarithmic(axis: Axis, most: int = 8, factor: float = 1.0) -> None:
-    """Logarithmic axis whose few ticks read as plain numbers, of a unit of which so many make one on the axis."""
+    """Set up a logarithmic axis with few, plain tick labels; labels are axis values times `factor`."""
     from matplotlib.ticker import Locator, NullFormatter
 
     class Plain(Locator):
@@ -167,7 +167,7 @@ def plain_logarithmic(axis: Axis, most: int = 8, factor: float = 1.0) -> None:
 
 
 def cell_edges(centres: NDArray[np.float64], logarithmic: bool) -> NDArray[np.float64]:
-    """Borders of cells around their centres.
+    """Compute the edges of cells from their centers.
 
     >>> cell_edges(np.array([1.0, 2.0, 4.0]), False).tolist()
     [0.5, 1.5, 3.0, 5.0]
@@ -182,13 +182,13 @@ def cell_edges(centres: NDArray[np.float64], logarithmic: bool) -> NDArray[np.fl
 
 
 def caption(figure: Figure, *sentences: str) -> None:
-    """Say below all axes, in sentences, what is not in a legend: what is shaded, dotted, crossed."""
+    """Add sentences below all axes, for elements that are not in a legend."""
     if sentences:
         figure.supxlabel(_wrapped(figure, sentences), x=0.01, ha="left", fontsize=7.5, color="#555555")
 
 
 def legend_below(figure: Figure, *sentences: str) -> None:
-    """Put one legend of all axes below them, where no curve crosses it, with such sentences above it."""
+    """Add a common legend below all axes, with sentences above it as in `caption`."""
     entries: dict[str, Any] = {}
     for axes in figure.axes:
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
@@ -210,7 +210,7 @@ def _wrapped(figure: Figure, sentences: Sequence[str]) -> str:
 
 
 def save_with_table(figure: Figure, stem: Path, write_table: Callable[[Path], None]) -> list[Path]:
-    """Write a figure as `save` does, and its table with a function that takes the path; name the three files.
+    """Write a figure as `save`, and its table by a function of the path; return the three paths.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Files that a person names and a command reads whole: scenes, tables, certificates, data sheets."""
+"""Input files that are read completely: scenes, tables, certificates, data sheets."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ MOST_BYTES = 64_000_000
 
 
 def path_of(path: str | Path, name: str = "path") -> Path:
-    """Take an argument that is the path of a file.
+    """Convert an argument to the path of a file.
 
     Raises
     ------
     SceneError
-        If it is no path; the message begins with the argument's name.
+        If it is not a valid path; the message begins with the name of the argument.
     """
     if not isinstance(path, str | Path):
         raise SceneError(f"{name}: got {path!r:.60}; expected the path of a file")
@@ -26,12 +26,13 @@ def path_of(path: str | Path, name: str = "path") -> Path:
 
 
 def read_whole(path: Path) -> bytes:
-    """Read an ordinary file; a pipe would never answer, and a device never end.
+    """Read a regular file; pipes and devices are rejected, because reading them may never end.
 
     Raises
     ------
     OSError
-        If there is none, it is none, it cannot be read, or it is larger than any such file; `strerror` says which.
+        If the file does not exist, is not a regular file, cannot be read or is too large; `strerror` gives the
+        reason.
     """
     if path.exists() and not path.is_file():
         raise OSError(errno.EINVAL, "no ordinary file", str(path))
@@ -43,7 +44,7 @@ def read_whole(path: Path) -> bytes:
 
 
 def repeated(paths: Sequence[Path]) -> list[tuple[Path, Path]]:
-    """Pair each file with the first one given that has the same content, under whatever name."""
+    """Return pairs of each repeated file and the first file with the same content."""
     by_size: dict[int, list[Path]] = {}
     for path in paths:
         if path.is_file():

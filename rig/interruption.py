@@ -1,7 +1,6 @@
-"""Ctrl-C while a command is still being imported: it ends at once and without a word, never in a traceback.
+"""Handle Ctrl-C during the import of a command: the process ends immediately, without a traceback.
 
-The packages import this before anything else, so it imports nothing that takes time; `rig.command_line` answers
-signals from when it is there.
+The packages import this module first, so it has no slow imports. Later, `rig.command_line` handles signals.
 """
 
 import sys
@@ -10,15 +9,15 @@ _COMMANDS = ("rig", "daq", "analysis")
 
 
 def end_silently() -> None:
-    """Let Ctrl-C end this process as it ends programs that are not of Python, if it is one of the commands.
+    """Restore the default action of Ctrl-C, if this process runs one of the commands.
 
-    Scripts and notebooks that import the packages keep what they have set.
+    Scripts and notebooks that import the packages keep their own handlers.
     """
     if not is_command(getattr(sys, "argv", []), sys.orig_argv):
         return
     import signal
 
-    # Whoever started the process may want it to go on (a shell's background), or have an answer of its own.
+    # The parent may ignore the signal (background jobs of a shell), or have its own handler.
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
 
@@ -29,9 +28,9 @@ def is_command(words: list[str], all_words: list[str]) -> bool:
     Parameters
     ----------
     words : list of str
-        `sys.argv`; its first is ``-m`` while Python still looks for the module to run.
+        `sys.argv`; its first element is ``-m`` until Python has located the module.
     all_words : list of str
-        `sys.orig_argv`, with the words that were Python's own.
+        `sys.orig_argv`, which includes the options of Python.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Files that commands write: never half, never in place of one that was to stay, never over what is no file."""
+"""Output files: written atomically, without overwriting protected files or special files."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from secrets import token_hex
 from rig.errors import RunError, SceneError, ShotrigError
 from rig.provenance import add_mark, carries_mark, is_own, may_overwrite, refusal
 
-#: Endings of what commands write, which no folder is meant to have.
+#: Suffixes of output files, which are not accepted for folders.
 _OF_FILES = (".png", ".svg", ".csv", ".html", ".mcap", ".npz", ".yaml", ".pdf")
 
 
 def make_ready(folder: Path) -> None:
-    """Make a folder if it does not exist, before the work whose results go there.
+    """Create the output folder if it does not exist, before the work starts.
 
     Raises
     ------
     SceneError
-        If it cannot be written to, or is new and named like one of the files that commands write.
+        If it is not writable, or does not exist and has the suffix of an output file.
     """
     if folder.suffix.lower() in _OF_FILES and not folder.exists():
         raise SceneError(
@@ -40,27 +40,26 @@ def make_ready(folder: Path) -> None:
 
 
 def destination(path: Path, overwrite: bool, refusal: type[ShotrigError] = SceneError) -> Path:
-    """Find the file that a name stands for, and refuse one that must not be written.
+    """Resolve the path of an output file, and reject a file that must not be written.
 
     Parameters
     ----------
     path : Path
-        File to make or to replace; a symbolic link stands for what it points to.
+        File to create or replace; symbolic links are followed.
     overwrite : bool
         Whether an existing file may be replaced.
     refusal : type
-        What to raise.
+        Type of the error.
 
     Returns
     -------
     Path
-        The file itself.
+        The resolved path.
 
     Raises
     ------
     ShotrigError
-        If there is a file that is to stay or is write-protected, or something that is no ordinary file; if its
-        folder does not exist.
+        If a protected file or a special file exists at this path, or the folder does not exist.
     """
     try:
         file = path.resolve()
@@ -85,28 +84,28 @@ def destination(path: Path, overwrite: bool, refusal: type[ShotrigError] = Scene
 
 @contextmanager
 def replacing(path: Path, overwrite: bool | None = None) -> Iterator[Path]:
-    """Make a file beside its final place, and put it there once it is complete.
+    """Write a temporary file, and rename it to its final name when it is complete.
 
-    Whatever happens meanwhile, at `path` is what was there before, whole, or the new file, whole. A finished file that
-    cannot get its name is kept under another name, which the message gives.
+    At any time, `path` contains either the complete old file or the complete new file. If a finished file cannot be
+    renamed, it is saved under another name, which the message reports.
 
     Parameters
     ----------
     path : Path
-        File to make or to replace, in an existing folder.
+        File to create or replace, in an existing folder.
     overwrite : bool, optional
-        Whether an existing file may be replaced; omitted, as `rig.provenance` says of outputs.
+        Whether an existing file may be replaced; omitted, as decided by `rig.provenance`.
 
     Yields
     ------
     Path
-        File to write; its name ends as that of `path`.
+        Temporary file to write, with the suffix of `path`.
 
     Raises
     ------
     SceneError
-        If `path` must not be written, see `destination`; if a file of that name, which is to stay, was created in
-        the meantime.
+        If `path` must not be written, see `destination`, or a protected file of that name was created in the
+        meantime.
     RunError
         If the disk is full or fails.
     """
@@ -115,7 +114,7 @@ def replacing(path: Path, overwrite: bool | None = None) -> Iterator[Path]:
         overwrite = may_overwrite() or is_own(path)
         if marked and not overwrite and path.is_file():
             raise refusal(path)
-    # Only once it is complete is it known whether a file without a mark comes out the same.
+    # Whether an unmarked file has the same content is known only when the new file is complete.
     file = destination(path, overwrite or unmarked)
     part = file.with_name(f".{token_hex(6)}{file.suffix}")
     try:
@@ -147,12 +146,12 @@ def replacing(path: Path, overwrite: bool | None = None) -> Iterator[Path]:
 
 
 def put_in_place(part: Path, file: Path, overwrite: bool) -> None:
-    """Give a complete file its name, in place of the file of that name or only if there is none.
+    """Rename a complete file to its final name, replacing an existing file only if allowed.
 
     Raises
     ------
     FileExistsError
-        If there is one that is to stay.
+        If a protected file of that name exists.
     OSError
         If the disk fails.
     """
@@ -161,7 +160,7 @@ def put_in_place(part: Path, file: Path, overwrite: bool) -> None:
 
 
 def _sync(part: Path) -> None:
-    """Put the new bytes on the disk before the old ones lose their name; Windows syncs what is open to write."""
+    """Flush the new file to disk before the old file is replaced; Windows requires write access for this."""
     with part.open("r+b") as written:
         os.fsync(written.fileno())
 
@@ -177,7 +176,7 @@ def _name(part: Path, file: Path, overwrite: bool) -> None:
     except FileExistsError:
         raise
     except OSError:
-        # Some disks know no second name for a file.
+        # Some file systems do not support hard links.
         if os.path.lexists(file):
             raise FileExistsError(str(file)) from None
         part.rename(file)
@@ -186,7 +185,7 @@ def _name(part: Path, file: Path, overwrite: bool) -> None:
 
 
 def _kept(part: Path, file: Path) -> Path:
-    """Give a finished file the first free name next to the intended name; it keeps its own where that fails."""
+    """Rename a finished file to the first free name next to the intended name, if possible."""
     for number in range(2, 100):
         free = file.with_name(f"{file.stem}-{number}{file.suffix}")
         try:
@@ -200,7 +199,7 @@ def _kept(part: Path, file: Path) -> Path:
 
 
 def stem(study: str, scene: str) -> str:
-    """Name a study's files after it and its scene.
+    """Return the file stem for a study and its scene.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Files that stand in the way of modules: Python looks in a script's folder before anywhere else."""
+"""Files that shadow modules: Python searches the folder of a script first."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from pathlib import Path
 
 
 def shadowed(folder: Path) -> list[str]:
-    """Say which files of a folder are found in the place of modules that are installed or Python's own.
+    """Return the files of a folder that shadow installed or standard modules.
 
     Parameters
     ----------
     folder : Path
-        The script's, or the first one on the path.
+        Folder of the script, or the first folder of the module search path.
     """
     out = []
     elsewhere = [entry for entry in sys.path if entry and Path(entry).absolute() != folder.absolute()]

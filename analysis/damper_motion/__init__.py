@@ -1,4 +1,4 @@
-"""Damper motion, estimated from the channels alone: impacts, type of motion, energy dissipated.
+"""Damper motion, estimated from the channels alone: impacts, type of motion, dissipated energy.
 
-Start with `performance`; `impact_detection` finds impacts in a channel.
+Start with `dampers`; `impact_detection` detects impacts in a channel.
 """

@@ -1,4 +1,4 @@
-"""Effect of dampers on resonance peaks: height and frequency without and with them, with bounds."""
+"""Effect of dampers on resonance peaks: height and frequency without and with dampers, with bounds."""
 
 from __future__ import annotations
 
@@ -13,12 +13,13 @@ from rig.results import plainly, rounded
 from rig.results.response import Response
 from rig.results.uncertainty import SENSITIVITY
 
-# Band of a peak below the bare natural frequency, as a share of it; half as wide above.
+# Width of the band of a peak below the natural frequency of the bare structure, as a share of that frequency; the
+# band above is half as wide.
 _BELOW = 0.15
-# Where neighbours predict a point worse than this, the curve is not smooth: the motion jumps.
+# If interpolation from the neighbours predicts a point with a larger relative error, the curve has a jump.
 _SMOOTH = 0.2
 _GRID = 801
-# Relative accuracy that the curve between the points of a peak should have; below it, denser points are advised.
+# Maximum relative interpolation error at a peak; above it, a smaller frequency step is recommended.
 _RESOLVED = 0.01
 
 
@@ -29,18 +30,18 @@ class Peak:
     Attributes
     ----------
     value, bound : float
-        Height and its 95 % bound, m/N; `bound` is infinite where the motion jumps or points were left out next to the
-        highest point: the peak is then at least as high as `value`.
+        Height and its 95 % bound, m/N. `bound` is infinite if the curve has a jump, or if points were excluded next
+        to the highest point; `value` is then a lower bound of the height.
     frequency, first, last : float
-        Frequency, and its limits, Hz.
+        Frequency of the peak, and its limits, Hz.
     least : float
-        Lower limit of the height: that of its highest point, m/N.
+        Lower limit of the height: lower bound of the highest measured point, m/N.
     between : float
-        Part of `bound` for the curve between its points, m/N.
+        Part of `bound` due to interpolation between the points, m/N.
     step : float
-        Largest distance of the points next to the highest point, Hz; 0 where it does not matter.
+        Largest frequency step next to the highest point, Hz; 0 if there is no interpolation.
     at_end : bool
-        Whether the highest point is at the end of the band: it belongs to the flank of another peak.
+        Whether the highest point is at an end of the band, and therefore on the flank of another peak.
     """
 
     value: float
@@ -64,24 +65,25 @@ class Peak:
 def peak(frf: Response, low: float, high: float) -> Peak | None:
     """Estimate the peak of a receptance between two frequencies.
 
-    Around a resonance 1/H is nearly quadratic in frequency (k - m w^2 + i c w for one mode), so that 1/H is
-    interpolated, through the three points around the highest point, and through five as a check. The bound contains
-    the bounds of these points, and twice both the difference of the two interpolations and the error with which
-    neighbours predict the points: dampers make peaks narrower than widely spaced points show. (Of computed curves with
-    dampers, at one to nine points in the half-power width, it contained the peak of 98 %.) The frequency's limits are
-    where the curve comes within the bound of its height.
+    Around a resonance 1/H is nearly quadratic in frequency (k - m w^2 + i c w for one mode). Therefore 1/H is
+    interpolated through the three points around the highest point, and through five points as a check. The bound
+    contains the bounds of these points, twice the difference of the two interpolations, and twice the error with
+    which neighbours predict the points, because peaks with dampers can be narrower than widely spaced points
+    suggest. (In a test with computed curves with dampers and one to nine points in the half-power bandwidth, the
+    bound contained the true peak in 98 % of cases.) The limits of the frequency enclose all frequencies at which
+    the curve is within the bound of its peak.
 
     Parameters
     ----------
     frf : Response
-        With respect to force.
+        FRF with respect to force.
     low, high : float
-        Hz.
+        Limits of the band, Hz.
 
     Returns
     -------
     Peak or None
-        None where fewer than three points lie between the frequencies.
+        None if there are fewer than three points in the band.
     """
     part = frf.to("displacement").sorted()
     part = part.between(low, high)
@@ -106,7 +108,7 @@ def peak(frf: Response, low: float, high: float) -> Peak | None:
     curve = abs(1.0 / _interpolated(f[three], inverse[three], grid))
     other = abs(1.0 / _interpolated(f[near], inverse[near], grid))
     best = int(np.argmax(curve))
-    # Effect of each point's bound on 1/H there, and so on the peak.
+    # Sensitivity of the interpolated 1/H at the peak to each point; the bounds are propagated to the peak.
     share = abs(_interpolated(f[three], np.eye(3), grid[[best]]))[:, 0]
     measured = curve[best] ** 2 * float(share @ (around[three] / size[three] ** 2))
     prediction_error = _prediction_error(f, inverse, scatter / size**2, top)
@@ -131,7 +133,7 @@ def peak(frf: Response, low: float, high: float) -> Peak | None:
 
 
 def _top(size: np.ndarray, scatter: np.ndarray) -> int:
-    """Index of the highest point that exceeds its surroundings by more than scatter, or else of the highest."""
+    """Index of the highest local maximum that exceeds its surroundings significantly, or of the highest point."""
     highest, found = int(np.argmax(size)), -1
     if 0 < highest < size.size - 1:
         return highest
@@ -145,7 +147,7 @@ def _top(size: np.ndarray, scatter: np.ndarray) -> int:
 
 
 def _prediction_error(f: np.ndarray, inverse: np.ndarray, scatter: np.ndarray, top: int) -> float:
-    """Relative error with which two neighbours on either side predict the points at the top, beyond scatter."""
+    """Relative error, beyond scatter, of the points at the peak as predicted by two neighbours on each side."""
     misses = [0.0]
     for k in (top - 1, top, top + 1):
         others = np.array([i for i in range(max(k - 2, 0), min(k + 3, f.size)) if i != k])
@@ -173,11 +175,11 @@ class PeakChange:
     mode: float
     """Natural frequency of the bare structure, Hz."""
     damping: float
-    """Damping ratio there."""
+    """Damping ratio of that mode."""
     bare: Peak
     damped: Peak
     as_read: tuple[Peak, Peak] | None = None
-    """Both without the errors of their sensitivities, where the same sensors read both: these cancel in a change."""
+    """Both peaks without the sensitivity errors, which cancel in the change if the same sensors measured both."""
 
     @property
     def _compared(self) -> tuple[Peak, Peak]:
@@ -185,7 +187,7 @@ class PeakChange:
 
     @property
     def decibel(self) -> tuple[float, float, float]:
-        """Change of the peak in dB, and its limits (infinite: unbounded on that side)."""
+        """Change of the peak height in dB, and its limits (infinite: unbounded on that side)."""
         bare, damped = self._compared
         return (
             20.0 * log10(damped.value / bare.value),
@@ -195,7 +197,7 @@ class PeakChange:
 
     @property
     def shift(self) -> tuple[float, float, float]:
-        """Shift of the peak in Hz, and its limits."""
+        """Frequency shift of the peak in Hz, and its limits."""
         bare, damped = self._compared
         return (
             damped.frequency - bare.frequency,
@@ -205,7 +207,7 @@ class PeakChange:
 
     @property
     def equivalent_damping(self) -> float:
-        """Viscous damping ratio that would lower the bare peak as much."""
+        """Equivalent viscous damping ratio: it would lower the bare peak by the same amount."""
         return self.damping * self.bare.value / self.damped.value
 
 
@@ -218,21 +220,21 @@ def _ratio_dB(above: float, below: float) -> float:  # noqa: N802
 def peak_changes(
     modes: Modes, bare: Sequence[Response], damped: Sequence[Response], same_sensors: Collection[str] = ()
 ) -> list[PeakChange]:
-    """Compare every resonance of every response, without and with dampers.
+    """Compare each resonance peak of each response without and with dampers.
 
     Parameters
     ----------
     modes : Modes
-        Of the bare curves.
+        Modes of the bare structure.
     bare, damped : sequence of Response
-        All responses of a recording without, and of one with dampers (or with others).
+        All responses of a recording without dampers, and of a recording with dampers (or with two different sets).
     same_sensors : collection of str
-        Responses that were read by the same sensors in both, as was the force.
+        Responses that were measured by the same sensors in both recordings, with the same force sensor.
 
     Returns
     -------
     list of PeakChange
-        By response, then by frequency.
+        Sorted by response, then by frequency.
     """
     frequency, low, high = surroundings(modes)
     damping = modes.damping[np.argsort(modes.frequency)]
@@ -259,17 +261,17 @@ def peak_changes(
 
 
 def covers(curve: Response, frequency: float) -> bool:
-    """Whether a frequency lies in the band of a curve."""
+    """Return whether a frequency lies in the band of a curve."""
     return bool(curve.frequency.min() <= frequency <= curve.frequency.max())
 
 
 def _as_read(curve: Response) -> Response:
-    """Remove the sensors' sensitivities from the bounds of a curve."""
+    """Remove the sensitivity errors of the sensors from the bounds of a curve."""
     return curve.without(SENSITIVITY)
 
 
 def surroundings(modes: Modes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Give the modes' frequencies in rising order, and the bands of their peaks, Hz."""
+    """Return the natural frequencies in ascending order, and the limits of the bands of their peaks, Hz."""
     frequency = np.sort(modes.frequency)
     between = np.sqrt(frequency[1:] * frequency[:-1])
     low = np.maximum(frequency * (1.0 - _BELOW), np.append(0.0, between))
@@ -278,7 +280,7 @@ def surroundings(modes: Modes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def highest_left_out(modes: Modes, bare: Sequence[Response]) -> list[str]:
-    """Name the responses whose highest peak belongs to no compared mode."""
+    """Return a message for each response whose highest peak belongs to no compared mode."""
     _, low, high = surroundings(modes)
     said = []
     for curve in bare:
@@ -301,12 +303,12 @@ def highest_left_out(modes: Modes, bare: Sequence[Response]) -> list[str]:
 
 
 def unresolved(peaks: Sequence[tuple[float, str, Peak]]) -> list[str]:
-    """Name peaks whose points are too far apart to determine their heights, and the spacing that is needed.
+    """Return a message for each peak with too large a frequency step, with the step that is needed.
 
     Parameters
     ----------
     peaks : sequence of (float, str, Peak)
-        Each with the natural frequency of its mode, Hz, and the name of its response.
+        Natural frequency of the mode, Hz, name of the response, and the peak.
     """
     wide = [one for one in peaks if not isinf(one[2].bound) and one[2].between > _RESOLVED * one[2].value]
     said = []
@@ -324,7 +326,7 @@ def unresolved(peaks: Sequence[tuple[float, str, Peak]]) -> list[str]:
 
 
 def describe_changes(changes: Sequence[PeakChange]) -> list[str]:
-    """One line for each resonance compared."""
+    """Return one line for each peak that was compared."""
     return [f"{one.response}, mode at {one.mode:.2f} Hz: {_described(one)}" for one in changes]
 
 
@@ -345,7 +347,7 @@ def _described(one: PeakChange) -> str:
 
 
 def _change(value: tuple[float, float, float], unit: str, digits: int, falls: str, rises: str) -> str:
-    """Write a change with its limits: ``lowered by 12.3 dB (12.0 to 12.6 dB)``, with signs where its own is unknown."""
+    """Format a change: ``lowered by 12.3 dB (12.0 to 12.6 dB)``, with signs if its direction is uncertain."""
     best, low, high = value
     if low <= 0.0 <= high and not isinf(low) and not isinf(high):
         return f"changed by {best:+.{digits}f} {unit} ({low:+.{digits}f} to {high:+.{digits}f} {unit})"
@@ -355,7 +357,7 @@ def _change(value: tuple[float, float, float], unit: str, digits: int, falls: st
     if isinf(least) and isinf(most):
         return "changed by an unknown amount"
     if isinf(least) or isinf(most):
-        # Without a bound on one side there is no best value.
+        # If one limit is infinite, there is no best estimate.
         return (
             f"{word} by at {f'least {least:.{digits}f}' if isinf(most) else f'most {most:.{digits}f}'} {unit}"
         )
@@ -363,7 +365,7 @@ def _change(value: tuple[float, float, float], unit: str, digits: int, falls: st
 
 
 def _without_bound(change: PeakChange) -> str:
-    """Name the peaks that have no upper bound."""
+    """Message about the peaks that have no upper bound."""
     peaks = (("first", change.bare), ("second", change.damped))
     which = " and ".join(name for name, one in peaks if isinf(one.bound))
     return which and f"the {which} peak may be higher than measured"

@@ -1,4 +1,4 @@
-"""Dampers in stepped sines: type of motion and dissipated energy at each frequency."""
+"""Dampers in stepped-sine tests: type of motion and dissipated energy at each frequency."""
 
 from __future__ import annotations
 
@@ -33,18 +33,19 @@ class Dampers(Result):
     Attributes
     ----------
     label : str
-        Scene and setting.
+        Scene name and test setting.
     sweep : Sweep
-        Fundamental and harmonics of all channels.
+        Fundamental and harmonic amplitudes of all channels.
     bodies : tuple of list of DamperMotion
         For each body with free dampers and a channel, the motion at each frequency.
     energy : CycleEnergy or None
-        None where channels are missing for the balance.
+        Energy balance; None if a required channel is missing.
     true_impact_energy : ndarray, shape (n,), or None
-        J per period, where the truth was recorded.
+        True energy loss in impacts per period, J, if the truth was recorded.
     missing : tuple of str
         Bodies without a result, with the reason.
     warnings : tuple of str
+        Consequences for the results, in full sentences.
     """
 
     label: str
@@ -56,7 +57,7 @@ class Dampers(Result):
     warnings: tuple[str, ...] = ()
 
     def columns(self) -> Mapping[str, NDArray[Any]]:
-        """One row for each frequency and body, as in the table of `analysis dampers`."""
+        """Return one row for each frequency and body, as in the table of `analysis dampers`."""
         frequency = self.sweep.lines.frequency
         nothing = np.full(frequency.size, np.nan)
         energies = [nothing] * 4
@@ -71,7 +72,7 @@ class Dampers(Result):
         names = ("supplied_J", "structure_J", "dampers_J", "dampers_bound_J", "true_impacts_J")
         count, bodies = frequency.size, max(len(self.bodies), 1)
         motions = [body[i] for i in range(count) for body in self.bodies]
-        # Of impacts some of which are missed there is no count.
+        # If impacts may have been missed, their number is unknown.
         floor, ceiling = (
             np.array([getattr(each, wall) if each.repeats else np.nan for each in motions], dtype=np.float64)
             for wall in ("floor", "ceiling")
@@ -88,7 +89,7 @@ class Dampers(Result):
         }
 
     def summary(self) -> str:
-        """Name the sweep, and the frequency at which the dampers dissipate most."""
+        """Return the frequency range, and the frequency at which the dampers dissipate most."""
         frequency = self.sweep.lines.frequency
         text = (
             f"{self.label}: {frequency.size} frequencies, {frequency.min():.4g} to {frequency.max():.4g} Hz"
@@ -100,7 +101,7 @@ class Dampers(Result):
         return f"{text}; the dampers dissipate most at {frequency[top]:.4g} Hz ({share:.2g} % of the energy supplied)"
 
     def draw(self, ax: Axes, **style: Any) -> None:
-        """Draw supplied and dissipated energy per period over frequency."""
+        """Draw supplied and dissipated energy per period against frequency."""
         if self.energy is not None:
             order = np.argsort(self.energy.frequency, kind="stable")
             for name, each in (
@@ -121,16 +122,16 @@ def dampers_in(rec: Recording, label: str | None = None, progress: Progress | No
     Parameters
     ----------
     rec : daq.Recording
-        Sine or stepped sine.
+        Recording of a sine or stepped-sine test.
     label : str, optional
-        Instead of the scene's name.
+        Label instead of the scene name.
     progress : callable, optional
-        Called with (frequencies done, in all) of the lock-in, then of the search for impacts in each body.
+        Called with (frequencies completed, total) during the lock-in and then during impact detection in each body.
 
     Raises
     ------
     RecordingError
-        If no tone is held.
+        If the recording contains no steady tone.
     """
     numbers = sorted({damper.body for damper in rec.scene.dampers if not damper.locked})
     out = []

@@ -1,4 +1,4 @@
-"""Energy that dampers dissipate per period of a steady tone, from the balance of work and structural damping."""
+"""Energy dissipated by the dampers per period of a steady tone: supplied work minus structural damping."""
 
 from __future__ import annotations
 
@@ -30,29 +30,30 @@ class CycleEnergy:
     supplied: Array
     """Work of the force on the structure, J; shape (n,)."""
     structure: Array
-    """Dissipated by the structure's own damping, as the scene has it, J; shape (n,)."""
+    """Energy dissipated by the structural damping of the scene, J; shape (n,)."""
     bound: Array
     """95 % bound of `dampers`, J; shape (n,)."""
 
     @property
     def dampers(self) -> Array:
-        """Difference of the two: dissipated by the dampers' impacts, J."""
+        """Energy dissipated by the dampers: difference of `supplied` and `structure`, J."""
         return self.supplied - self.structure
 
 
 def energy_per_cycle(rec: Recording, sweep: Sweep) -> CycleEnergy:
     """Estimate the energy that force, structure and dampers exchange per period from the channels.
 
-    Force and motion of the driven body, harmonics included, give the work; the motion of all bodies and the
-    structure's damping matrix, known from the scene, give what the structure dissipates. Both are forms of second
-    degree in the channels' amplitudes a: errors da change their difference by ``2 Re(g^H da)``.
+    The supplied work follows from the force and the motion of the driven body, including harmonics. The energy
+    dissipated in the structure follows from the motion of all bodies and the damping matrix of the scene. Both are
+    quadratic forms of the complex amplitudes a of the channels. An error da therefore changes their difference by
+    ``2 Re(g^H da)`` to first order, with the gradient g.
 
     Parameters
     ----------
     rec : daq.Recording
-        A stepped sine with a channel on every body.
+        Recording of a stepped-sine test with a channel on every body.
     sweep : Sweep
-        One of `analysis.responses.stepped_sine.sweeps`.
+        Result of `analysis.responses.stepped_sine.sweeps`.
     """
     from rig.system.structural_model import structural_model
 
@@ -102,21 +103,21 @@ def energy_per_cycle(rec: Recording, sweep: Sweep) -> CycleEnergy:
 def _bound(
     rec: Recording, sweep: Sweep, slopes: list[ComplexArray], compliance: ComplexArray, of_force: ComplexArray
 ) -> Array:
-    """Bound of the energy: root sum of squares of scatter and of every systematic part of the channels.
+    """95 % bound of the energy: root sum of squares of scatter and of all systematic errors of the channels.
 
     Parameters
     ----------
     slopes : list of ndarray of complex, shape (channels, harmonics)
-        For each tone.
+        Gradient g for each tone.
     compliance : ndarray of complex, shape (n,)
-        Of the driven body.
+        Compliance of the driven body.
     of_force : ndarray of complex, shape (channels, n)
-        Share of each channel in the force.
+        Contribution of each channel to the force.
     """
     lines = sweep.lines
     scatter, gains, turns, along = [], [], [], []
     for slope, tone in zip(slopes, sweep.tones, strict=True):
-        # Every harmonic scatters as the fundamental does.
+        # The scatter of the harmonics is assumed equal to that of the fundamental.
         scatter.append(2.0 * np.sum(np.square(np.abs(tone.scatter() @ slope.conj()))))
         product = 2.0 * slope * tone.amplitude.conj()
         gains.append(product.real.sum(axis=1))
@@ -133,13 +134,15 @@ def _bound(
 
 
 def impact_energy_per_cycle(rec: Recording, sweep: Sweep) -> Array:
-    """Give the true energy lost in impacts per period of each tone, J, where the truth was recorded.
+    """Compute the true energy lost in impacts per period of each tone, J, from the recorded truth.
 
-    Each impact takes (1 - e²) of half the reduced mass of damper and body times the closing speed squared. Where
-    contact lasts, it is the work of the walls in a steady motion: of a bed of mass m in a body that accelerates with a,
-    whose gap opens with v, the integral of -m a v, as the bed's own inertia and weight take nothing in whole periods.
-    NaN where a bed is grains, whose impacts are not listed, and where instant impacts act on other dampers as well, in
-    the same body or through a full mass matrix.
+    An instant impact dissipates (1 - e²) times half the reduced mass of damper and body times the closing speed
+    squared. For finite-duration contact the loss is the work of the walls in steady motion. For a bed of mass m in a
+    body with acceleration a, whose gap opens with velocity v, it is the integral of -m a v: the inertia and weight of
+    the bed do no net work over whole periods.
+
+    The result is NaN for beds of grains, whose impacts are not recorded, and if an instant impact also acts on other
+    dampers, in the same body or through a full mass matrix.
     """
     from rig.system.assembly import assemble
     from rig.system.structural_model import structural_model
@@ -163,9 +166,9 @@ def impact_energy_per_cycle(rec: Recording, sweep: Sweep) -> Array:
 
 
 def _work_of_walls(rec: Recording, j: int, frequency: float, first: int, stop: int) -> float:
-    """Integral of -a v of a damper (from 0) over a period, from the truth in a window, J/kg.
+    """Integral of -a v over a period for damper `j` (from 0), from the recorded truth, J/kg.
 
-    By the spectra of displacement and gap, which fall so fast that aliasing is negligible.
+    It is computed from the spectra of displacement and gap, whose aliasing is negligible.
     """
     periods = int((stop - first) / rec.rate * frequency)
     samples = round(periods / frequency * rec.rate)

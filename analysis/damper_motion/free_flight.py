@@ -1,4 +1,4 @@
-"""Free flights of a damper between its impacts: its restitution, and whether it may reach the ceiling."""
+"""Free flights of a damper between impacts: coefficient of restitution, and whether the ceiling may be reached."""
 
 from __future__ import annotations
 
@@ -24,26 +24,27 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-# Ends of the stretch that are left out: the correction continues its motion as a mirror image.
+# Share of the stretch that is excluded at each end, because the correction mirrors the samples there.
 _ENDS_SHARE = 0.05
-# Least number of flights, and their least share of the intervals between impacts.
+# Minimum number of flights, and their minimum share of the intervals between impacts.
 _MIN_FLIGHTS = 6
 _MIN_SHARE = 0.25
-# A flight agrees with the data if it ends this close to the wall, relative to its own height; it determines the
-# restitution if its uncertainty is below the second value.
+# A flight is consistent with the data if its computed end is this close to the wall, relative to its height. It
+# determines the restitution if the uncertainty is below the second value.
 _MAX_MISS = 0.05
 _MAX_UNCERTAINTY = 0.1
-# Standard deviation of a normal error over its median deviation, times that of a median over that of a mean.
+# For normal errors: ratio of standard deviation to median absolute deviation, times ratio of the standard deviations
+# of median and mean.
 _MEDIAN_ERROR = 1.4826 * 1.2533
-# A flight that ends nearer to the ceiling than this share of the clearance may reach it: the motion between samples and
-# the impact itself, which the band-limited motion smears, limit the accuracy of the height.
+# A flight that comes within this share of the clearance of the ceiling may reach it. The accuracy of the height is
+# limited by the motion between samples and by the band limit, which smears the impact.
 _CEILING_SHARE = 0.03
-# Samples that an impact smears.
+# Number of samples that the band limit smears around an impact.
 _SMEARED_SAMPLES = 2
 
 
 class BodyMotion:
-    """Motion of a damper's body in a stretch of its channel, and the impacts detected in it."""
+    """Motion of a body with dampers in a stretch of its channel, and the detected impacts."""
 
     def __init__(self, rec: Recording, channel: str, start: int, stop: int) -> None:
         self.rec, self.start = rec, start
@@ -59,17 +60,17 @@ class BodyMotion:
 
     @cached_property
     def displacement(self) -> Array:
-        """m; shape (n,)."""
+        """Displacement, m; shape (n,)."""
         return self._motion("displacement")
 
     @cached_property
     def velocity(self) -> Array:
-        """m/s; shape (n,)."""
+        """Velocity, m/s; shape (n,)."""
         return self._motion("velocity")
 
     @cached_property
     def acceleration(self) -> Array:
-        """m/s²; shape (n,)."""
+        """Acceleration, m/s²; shape (n,)."""
         return self._motion("acceleration")
 
     @property
@@ -78,7 +79,7 @@ class BodyMotion:
         return tolerance(self.info)
 
     def wall_at(self, time: float, wall: float, added_speed: float) -> _Touch:
-        """Position and speed of a wall at an impact: a band-limited signal passes the middle of the velocity jump."""
+        """Return position and speed of a wall at a time; at a jump the band-limited velocity has its mean value."""
         whole = min(int(time * self.rec.rate), self.samples.size - 2)
         part = time * self.rec.rate - whole
         place, speed = (
@@ -90,14 +91,14 @@ class BodyMotion:
 
 @dataclass(frozen=True)
 class Restitution:
-    """Coefficient of restitution (closing speed after an impact over the one before) and its standard deviation."""
+    """Coefficient of restitution (ratio of separation to approach speed) and its standard deviation."""
 
     value: float
     error: float
 
 
 class _Touch(NamedTuple):
-    """A damper leaves or meets a wall: when, and the wall's height above the floor, position and speed; SI."""
+    """Contact of a damper with a wall: time, height of the wall above the floor, position and speed; SI units."""
 
     time: float
     wall: float
@@ -118,16 +119,18 @@ class _Estimate(NamedTuple):
 def restitution(motion: BodyMotion, damper: Damper) -> Restitution | None:
     """Estimate the restitution of the only damper on a body from the impacts in a stretch of its channel.
 
-    Between two impacts the damper falls freely, in a cavity whose motion is measured. That it leaves one wall and meets
-    the other at those times gives both speeds: its closing speed w, whether it was at rest and left as its body fell
-    away, or rebounded. The jump of its body's velocity is ``(1 + e) w m / (m + M)`` with the masses of both. Masses and
-    clearance are the scene's.
+    Between two impacts the damper is in free fall inside a cavity whose motion is measured. The times at which it
+    leaves one wall and meets the next determine its speeds, and so its closing speed w. The flight begins either from
+    rest, when the body falls away from the damper, or with a rebound. The velocity jump of the body is
+    ``(1 + e) w m / (m + M)`` with the masses of damper and body. Masses and clearance are those of the scene.
 
-    A rebound that ends before it is resolved from its impact makes of ``1 + e`` at most ``(1 + e) / (1 - e)``: the
-    value is the middle between, and the error includes both, and every rebound shorter than the channel's resolution.
+    Unresolved rebounds, which end before the channel resolves them from their impact, increase the apparent ``1 + e``
+    to at most ``(1 + e) / (1 - e)``. The estimate is the middle of this range, and its error covers the range and all
+    rebounds shorter than the resolution of the channel.
 
-    None where too few flights agree with the impacts, or only with an impossible value; and where contact has a
-    duration: its end is not observed, and the pulse that detects it depends on the restitution.
+    The result is None if too few flights are consistent with the impacts, or if the value is impossible. It is also
+    None for finite-duration contact, because the release is not observed and the pulse that detects the impact
+    depends on the restitution.
     """
     found, rate, gravity = motion.impacts, motion.rec.rate, motion.rec.scene.gravity
     if found.contact_duration or found.time.size < _MIN_FLIGHTS:
@@ -135,7 +138,7 @@ def restitution(motion: BodyMotion, damper: Damper) -> Restitution | None:
     closing = inelastic_closing_speeds(motion.rec.scene, found, damper)
     if not np.isfinite(motion.samples).all() or not np.isfinite(closing).all():
         return None
-    # Rebounds that end within the channel's resolution.
+    # Speeds of rebounds that end within the time resolution of the channel.
     weight = -np.sign(found.jump) * (found.acceleration + gravity)
     hidden = 0.5 * found.resolution * np.maximum(weight, 0.0)
     wall = np.where(found.jump < 0.0, 0.0, damper.clearance)
@@ -154,15 +157,15 @@ def restitution(motion: BodyMotion, damper: Damper) -> Restitution | None:
         return None
     value, uncertainty = np.median(known, axis=0)
     scatter = _MEDIAN_ERROR * float(np.median(abs(known[:, 0] - value))) / np.sqrt(len(known))
-    # A jump is known to no better than its residual: a bound of two standard deviations.
+    # The residual share of a jump is a bound, taken as two standard deviations.
     size = 0.5 * RESIDUAL_SHARE * (1.0 + value)
     error = float(np.sqrt(scatter**2 + uncertainty**2 + size**2))
-    # Outside these no wall returns speed: what was detected are not its impacts.
+    # A value outside 0 to 1 is impossible, so the detected jumps are not impacts of this damper.
     return Restitution(float(value), error) if -2.0 * error <= value <= 1.0 + 2.0 * error else None
 
 
 def inelastic_closing_speeds(scene: Scene, found: Impacts, damper: Damper) -> Array:
-    """Return closing speeds of the only damper on a body if nothing rebounded, m/s; not finite where it has no mass."""
+    """Return the closing speeds of the only damper on a body for zero restitution, m/s; infinite without mass."""
     return np.asarray(abs(found.jump) * _speed_per_jump(scene, damper))
 
 
@@ -177,7 +180,7 @@ def _speed_per_jump(scene: Scene, damper: Damper) -> float:
 
 
 def _flight(gravity: float, left: _Touch, met: _Touch) -> tuple[float, float, float]:
-    """Duration of a flight that begins with its wall's speed, its end's height above the other wall, closing speed."""
+    """Duration of a flight that starts with the wall's speed, height error at its end, and closing speed."""
     time = met.time - left.time
     above = left.place + left.speed * time - 0.5 * gravity * time**2 - met.place
     return time, above, -met.away * (left.speed - gravity * time - met.speed)
@@ -186,7 +189,7 @@ def _flight(gravity: float, left: _Touch, met: _Touch) -> tuple[float, float, fl
 def _after_rest(
     motion: BodyMotion, left: _Touch, met: _Touch, inelastic: float, hidden: float
 ) -> _Estimate | None:
-    """Restitution from a flight that began where the body fell away from a damper at rest on its wall."""
+    """Restitution from a flight that began when the body fell away from a damper at rest on a wall."""
     rate, gravity = motion.rec.rate, motion.rec.scene.gravity
     inside = slice(int(left.time * rate) + 2, int(met.time * rate) - 1)
     if inside.stop - inside.start < 3:
@@ -203,14 +206,14 @@ def _after_rest(
     closing, time = best
     most = inelastic / closing - 1.0
     least = most / (2.0 + most) if most > 0.0 else most
-    # A landing later by d misses by w d, and closes faster by twice its share in the flight.
+    # An impact that is later by d changes the end height by w d, and the relative closing speed by 2 d / duration.
     miss = 0.5 * miss + motion.tolerance * gravity * time / closing
     uncertainty = 0.5 * float(np.maximum(most - least, hidden / closing)) + miss * (1.0 + most)
     return _Estimate(0.5 * (least + most), uncertainty) if uncertainty < _MAX_UNCERTAINTY else None
 
 
 def _after_rebound(motion: BodyMotion, left: _Touch, met: _Touch, inelastic: Array) -> _Estimate | None:
-    """Restitution from a flight that began with an impact: its rebound, and the next closing speed."""
+    """Restitution from a flight that began with a rebound: rebound speed and next closing speed."""
     gravity = motion.rec.scene.gravity
     time, above, closing = _flight(gravity, left, met)
     rebound = -above / time
@@ -228,10 +231,11 @@ def _after_rebound(motion: BodyMotion, left: _Touch, met: _Touch, inelastic: Arr
 def may_reach_ceiling(motion: BodyMotion, damper: Damper) -> bool:
     """Return whether the only damper on a body may reach its ceiling between its floor impacts.
 
-    After an impact the damper is at rest on the floor while its body's acceleration exceeds -g, and falls freely from
-    then on: its height above the floor follows from the body's motion alone. Where contact has a duration, its release
-    is not known; but its impact gives its closing speed, and that its fall before. The height is taken as large as the
-    sensor's tolerance allows, and its median over the stretch is compared with the scene's clearance.
+    After an instant impact the damper is at rest on the floor while the body's acceleration exceeds -g, and then in
+    free fall, so that its height above the floor follows from the motion of the body alone. For finite-duration
+    contact the release is unknown; the flight is then computed backward from the closing speed of the next impact.
+    The height is the largest that the sensor tolerance allows. Its median over the stretch is compared with the
+    clearance of the scene.
     """
     if not np.isfinite(damper.clearance) or not np.any(motion.impacts.jump < 0.0):
         return False
@@ -264,7 +268,7 @@ def may_reach_ceiling(motion: BodyMotion, damper: Damper) -> bool:
 
 @dataclass(frozen=True)
 class _Floor:
-    """Motion of a cavity's floor; `weight` is its acceleration above -g."""
+    """Motion of the floor of a cavity; `weight` is its acceleration plus g."""
 
     place: Array
     speed: Array
@@ -273,12 +277,12 @@ class _Floor:
     gravity: float
 
     def height_from_rest(self, at: int, last: int) -> float:
-        """Greatest height between two samples of what is at rest on the floor at first and does not rebound, m."""
+        """Return the maximum height, m, of a damper that starts at rest on the floor and does not rebound."""
         highest = 0.0
         while at < last and (falling := np.flatnonzero(self.weight[at:last] < 0.0)).size:
             begin, late = at + int(falling[0]), 0.0
             if begin > at:
-                # It left between two samples: where its weight, a straight line there, passed through zero.
+                # The damper left between two samples, at the interpolated zero of `weight`.
                 before = self.weight[begin - 1]
                 late = self.weight[begin] / (self.weight[begin] - before) / self.rate
             start = self.place[begin] - self.speed[begin] * late - 0.5 * self.gravity * late**2
@@ -292,8 +296,8 @@ class _Floor:
         return highest
 
     def height_before(self, first: int, met: float, closing: float) -> float:
-        """Greatest height of what meets the floor at a place with a closing speed, after another place, m."""
-        # The last sample that the impact does not smear, and the height there.
+        """Return the maximum height, m, of a flight after `first` that ends at `met` with a closing speed."""
+        # The backward computation starts at the last sample that the impact does not smear.
         last = int(met) - _SMEARED_SAMPLES
         left = (met - last) / self.rate
         height, closing = (

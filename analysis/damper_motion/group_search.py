@@ -1,8 +1,8 @@
-"""Beam search for sets of jumps so near to each other that matching pursuit fails.
+"""Beam search for jumps that are too closely spaced for matching pursuit.
 
-A jump subtracted at a wrong place leaves a residual that looks like others, and no later fit corrects that. Here the
-few best sets of each size are kept, until a set explains the stretch. The number of jumps is the least that pays
-(a penalty for each, as in G. Schwarz, Ann. Stat. 6 (1978) 461).
+Matching pursuit can subtract a jump at a wrong time. The residual then resembles further jumps, and later fits cannot
+correct this. The beam search keeps the few best sets of each size until one set explains the stretch. The number of
+jumps is chosen by a penalty for each jump (information criterion: G. Schwarz, Ann. Stat. 6 (1978) 461).
 """
 
 from __future__ import annotations
@@ -17,19 +17,19 @@ from analysis.damper_motion.joint_fit import Jump, Noise, fit_within
 
 Array = NDArray[np.float64]
 
-# Sets kept at each size, and places tried for the next jump of each.
+# Number of sets that are kept at each size, of times that are tried for the next jump, and of jumps in a set.
 _BEAM_WIDTH = 3
 _PLACES_TRIED = 4
 MAX_GROUP = 8
-# One more jump must reduce the remaining squares by this factor.
+# An additional jump must reduce the residual sum of squares by this factor.
 _MIN_REDUCTION = 5.0
-# Distance of the places tried, samples; a fit moves each of them by at most half of it.
+# Spacing of the times that are tried, samples.
 _PLACE_STEP = 2.0
 
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
-    """Differences in which jumps are searched together, without those elsewhere."""
+    """Differenced readings that are searched for several jumps; all other jumps are subtracted."""
 
     residual: Array
     model: ImpactModel
@@ -38,22 +38,22 @@ class Stretch:
     noise: Noise
 
     def fit(self, jumps: list[Jump]) -> tuple[list[Jump], float]:
-        """Fit jumps jointly; return them with the remaining squares."""
+        """Fit jumps jointly; return them with the residual sum of squares."""
         return fit_within(self.residual, self.model, jumps, self.within, self.noise)
 
     def search(
         self, places: tuple[float, float], min_distance: float, sufficient: float
     ) -> tuple[list[Jump], float]:
-        """Find the few jumps that best explain the stretch; return them with the remaining squares.
+        """Search for the jumps that best explain the stretch; return them with the residual sum of squares.
 
         Parameters
         ----------
         places : tuple of float
-            Between which jumps may lie, samples.
+            Limits of the times of the jumps, samples.
         min_distance : float
-            Between two jumps, samples.
+            Minimum distance between two jumps, samples.
         sufficient : float
-            Remaining squares at which the search ends.
+            Residual sum of squares at which the search ends.
         """
         best: list[tuple[list[Jump], float]] = []
         sets: list[list[Jump]] = [[]]
@@ -76,7 +76,7 @@ class Stretch:
     def _next_places(
         self, places: tuple[float, float], min_distance: float, known: list[Jump]
     ) -> list[float]:
-        """Places at which one more jump leaves the least squares, by fits that move none."""
+        """Choose the times at which one more jump reduces the residual most, from fits with fixed times."""
         tried = [
             float(place)
             for place in np.arange(*places, _PLACE_STEP)
@@ -92,7 +92,7 @@ class Stretch:
 
 
 def cost(jumps: list[Jump], remaining: float) -> float:
-    """Logarithm of the remaining squares, plus a penalty for each jump."""
+    """Return the logarithm of the residual sum of squares, plus a penalty for each jump."""
     return float(np.log(max(remaining, 1e-300))) + len(jumps) * np.log(_MIN_REDUCTION)
 
 

@@ -1,4 +1,4 @@
-"""Detection of damper impacts in the channels alone: each is a jump of its body's velocity, or a pulse of force."""
+"""Detection of damper impacts in motion channels: an impact is a velocity jump of the body, or a force pulse."""
 
 from __future__ import annotations
 
@@ -31,31 +31,33 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-# Where less than this share of a stretch can be searched, it has no result.
+# A stretch is rejected if less than this share of it can be searched.
 _MIN_SEARCHED = 0.5
-# A bed's weight delays the release of a landing: within so many durations of it, a jump below this share of it is its
-# release. While it rings, a jump below this share of it is part of the residual.
+# The weight of a bed delays the release after a finite-duration impact. A smaller jump is attributed to this
+# release if it is within this number of contact durations and below this share of the impact. While the sensor
+# rings, a jump below the second share is attributed to the residual of the impact.
 RELEASE_DURATIONS = 1.6
 _RELEASE_SHARE = 0.5
 _CONTACT_RESIDUAL_SHARE = 0.15
-# What the model of a landing of finite duration does not explain: a share of the largest one near it, which also
-# displaces it by shares of the landing's width and of a sample interval.
+# Model error of a finite-duration impact: a share of the largest impact near it. That impact also shifts the
+# estimated time by shares of the pulse width and of a sample interval.
 _CONTACT_JUMP_ERROR = 0.03
 _CONTACT_TIME_ERROR = 0.04
 _CONTACT_SAMPLE_ERROR = 0.05
-# Readings in the time of nine tenths of a landing: samples of a higher rate are averaged.
+# Number of readings in 90 % of an impact pulse; samples at a higher rate are averaged.
 _PULSE_READINGS = 8
-# Band in which a body's motion is determined: below the lowest frequency of interest, Hz; share of the sample rate.
+# Frequency band in which the motion of a body is determined: lower limit in Hz, upper limit as a share of the sample
+# rate.
 _LOW_HZ = 2.0
 _HIGH_SHARE = 0.4
-# Acceleration at an impact: from so much time on either side, s, at least so many samples, after so many decay times
-# of the sensor's resonance, by a polynomial of this order.
+# The acceleration at an impact is estimated by a polynomial through the samples on either side: time on each side
+# (s), minimum number of samples, decay times of the sensor resonance that are skipped, and polynomial order.
 _SIDE_TIME = 2e-3
 _MIN_SIDE_SAMPLES = 8
 _DECAY_TIMES = 4.0
 _SIDE_ORDER = 3
-# Where the largest jump is below so many times the noise, the noise may be other jumps: it is estimated again from this
-# share of the windows.
+# If the largest jump is below this multiple of the noise, other jumps may have inflated the noise estimate. The noise
+# is then estimated again from this share of the windows.
 _UNCERTAIN_SIGMAS = 40.0
 _CALMEST_SHARE = 0.1
 
@@ -66,41 +68,43 @@ class Impacts:
 
     channel: str
     time: Array
-    """s after sample 0; shape (n,)."""
+    """Times of the impacts after sample 0, s; shape (n,)."""
     time_error: Array
-    """Standard deviation of `time`, s; shape (n,). Of the fit and, where contact has a duration, of what its ending and
-    larger impacts near it leave open."""
+    """Standard deviation of `time`, s; shape (n,). It includes the fit and, for finite-duration contact, the
+    uncertain release and the effect of larger impacts nearby."""
     jump: Array
-    """Velocity jump of the body, m/s: negative at the floor, positive at the ceiling; shape (n,). Times the body's mass
-    it is the impulse. Where contact has a duration, in proportion to the duration that the scene gives it."""
+    """Velocity jump of the body, m/s: negative at the floor, positive at the ceiling; shape (n,). The impulse is the
+    jump times the mass of the body. For finite-duration contact it is proportional to the contact duration of the
+    scene."""
     jump_error: Array
-    """Standard deviation of `jump`, m/s, without the error of the sensor's sensitivity; shape (n,)."""
+    """Standard deviation of `jump`, m/s, without the sensitivity error of the sensor; shape (n,)."""
     acceleration: Array
-    """Smooth acceleration of the body at the impact, m/s²; NaN where the stretch ends too early; shape (n,)."""
+    """Smooth acceleration of the body at the impact, m/s²; NaN too close to the ends of the stretch; shape (n,)."""
     noise: float
-    """Standard deviation of a jump's estimate where there is none, m/s; where it varies, its 95th percentile."""
+    """Standard deviation of the estimated jump in the absence of an impact, m/s: 95th percentile over the stretch."""
     resolution: float
     """Shortest interval between two impacts that the channel resolves, s."""
     ringing: float
-    """Time during which the channel rings around an impact, s: an impact below `masked_share` of it may be missed."""
+    """Time for which the channel rings around an impact, s. Another impact within this time may be missed if it is
+    below `masked_share` of the first."""
     threshold: float
-    """Detection limit: the smallest jump that is not missed, m/s; higher near a larger impact (see `ringing`)."""
+    """Detection limit: smallest jump that is reliably detected, m/s; higher near a larger impact (see `ringing`)."""
     contact_duration: float
-    """Duration of a landing, s; 0: instant. After a landing of finite duration a jump may be its end."""
+    """Duration of contact in an impact, s; 0: instant. A jump after a finite-duration impact may be its release."""
     searched: float
-    """Length of what was searched, s: the stretch without its ends and without `left_out`."""
+    """Searched duration, s: the stretch without its ends and without `left_out`."""
     left_out: Array
-    """Begin and end of stretches without detection, s; shape (m, 2): samples were lost or overloaded, or impacts are
-    too close to be resolved."""
+    """Begin and end of stretches without detection, s; shape (m, 2): samples are lost or overloaded, or impacts are
+    too closely spaced to be resolved."""
 
     @property
     def min_interval(self) -> float:
-        """Impacts closer than this may be detected as one, the largest, s."""
+        """Time interval, s, within which several impacts may be detected as a single one."""
         return self.resolution + RELEASE_DURATIONS * self.contact_duration
 
     @property
     def masked_share(self) -> float:
-        """Share of an impact below which another one near it may be missed."""
+        """Ratio of two impacts during ringing below which the smaller impact may be missed."""
         return _CONTACT_RESIDUAL_SHARE if self.contact_duration else RESIDUAL_SHARE
 
     @property
@@ -114,27 +118,27 @@ def impacts(
 ) -> Impacts:
     """Detect impacts in a stretch of one channel.
 
-    The reading of a velocity jump follows from the channel's data sheet: sensor resonance, integrator, averaging and
-    decimation included. At every sample that reading, a step and a kink of the acceleration (both come with an
-    impact, on the body itself and on its neighbours) and a smooth motion are fitted by least squares. An impact is
-    detected where the jump exceeds `DETECTION_SIGMAS` standard deviations; it is subtracted and the search is repeated
-    (orthogonal matching pursuit). Overlapping impacts are fitted jointly. Where contact has a duration, the
-    spring-dashpot of the scene's contact transmits jump, step and kink; times are those of touches.
+    The reading of a velocity jump is computed from the channel's data sheet, including sensor resonance, integrator,
+    averaging and decimation. At every sample a least-squares fit is made of this reading, of a step and a kink of the
+    acceleration (both accompany an impact, on the body itself and on its neighbours), and of a smooth motion. An
+    impact is detected if the jump exceeds `DETECTION_SIGMAS` standard deviations. It is subtracted and the search
+    is repeated (orthogonal matching pursuit). Overlapping impacts are fitted jointly. For finite-duration contact,
+    the pulse shape of the scene's spring-dashpot contact replaces the jump, and times are those of first contact.
 
     Parameters
     ----------
     channel : str
-        Channel on a body, of acceleration, velocity or displacement.
+        Acceleration, velocity or displacement channel on a body.
     start, stop : int
         First and one-past-last sample.
     samples : ndarray, optional
-        Samples of the stretch, if the caller has read them.
+        Samples of the stretch, if already read.
 
     Raises
     ------
     RecordingError
-        If the channel measures no motion or does not respond to impacts, the stretch is too short, damaged or zero, or
-        the body contains grains, or landings of different duration.
+        If the channel measures no motion or does not respond to impacts; if the stretch is too short, damaged or
+        zero; or if the body contains grains, or dampers with different contact durations.
     """
     info = _motion_channel(rec, channel)
     stop = rec.samples if stop is None else min(stop, rec.samples)
@@ -162,7 +166,7 @@ def impacts(
         )
     if not good.all():
         samples = np.interp(np.arange(samples.size), np.flatnonzero(good), samples[good])
-    # Rounding in the converter is noise too, even where a steady reading hides it.
+    # The quantization of the converter is included in the noise, even if constant readings conceal it.
     rounding = 0.0 if info.volts_per_count is None else info.unit_per_count / 12.0**0.5
     floor = max(rounding, 1e-14 * float(abs(samples).max()))
     if floor == 0.0:
@@ -179,7 +183,7 @@ def impacts(
     noise = search.jump_noise
     largest = max((abs(jump.sizes[0]) for jump in jumps), default=0.0 if pulse else np.inf)
     if largest < _UNCERTAIN_SIGMAS * noise:
-        # Impacts in every few windows look like noise in most of them, and mask each other.
+        # Frequent impacts raise the noise estimate of most windows, and so mask each other.
         calmer = MatchingPursuit(models, readings, valid, floor, rate, _CALMEST_SHARE)
         calmer_jumps = calmer.run()
         if calmer.jump_noise < NOISE_REDUCTION * noise:
@@ -193,7 +197,7 @@ def impacts(
     threshold = search.detection_limit(noise, largest)
     clear = abs(jump) > max(DETECTION_SIGMAS * noise, MODEL_ERROR * largest)
     if pulse is not None:
-        # A jump near the limit may have the wrong sign.
+        # A jump below the limit may have the wrong sign.
         clear, threshold = abs(jump) > threshold, threshold + DETECTION_MARGIN_SIGMAS * noise
     lost = (start + np.array(runs_of(~good), dtype=float).reshape(-1, 2)) / rec.rate
     unresolved = search.unresolved()
@@ -208,7 +212,7 @@ def impacts(
         width = _CONTACT_TIME_ERROR * pulse.width * rate + _CONTACT_SAMPLE_ERROR
         place_error = np.hypot(place_error, width * near / abs(jump))
     place, place_error, jump, error = (each[clear] for each in (place, place_error, jump, error))
-    # The time of a mean is that of its last reading.
+    # The time of an average is that of its last sample.
     place, unresolved = ((each + 1.0) * decimation - 1.0 for each in (place, unresolved))
     return Impacts(
         channel=info.name,
@@ -231,7 +235,7 @@ def impacts(
 
 
 def _secondary(time: Array, jump: Array, released: float, ringing: float) -> NDArray[np.bool_]:
-    """Which jumps may be the release of a larger landing, which the bed's weight delays, or its residual."""
+    """Which jumps may be the delayed release, or the residual, of a larger impact nearby."""
     distance, size = abs(time[:, None] - time), abs(jump)
     ends = (distance < released) & (size[:, None] < _RELEASE_SHARE * size)
     masked = (distance < ringing) & (size[:, None] < _CONTACT_RESIDUAL_SHARE * size)
@@ -239,14 +243,14 @@ def _secondary(time: Array, jump: Array, released: float, ringing: float) -> NDA
 
 
 def _means(row: Array | NDArray[np.bool_], count: int) -> Array:
-    """Means of so many samples each; the rest at the end is dropped."""
+    """Averages of `count` consecutive samples; an incomplete group at the end is dropped."""
     if count == 1:
         return np.asarray(row, dtype=np.float64)
     return np.asarray(row[: row.size - row.size % count].reshape(-1, count).mean(axis=1))
 
 
 def band(rate: float) -> tuple[float, float]:
-    """Frequencies between which the motion of a damper's body is determined at a sample rate, Hz."""
+    """Return the frequency band in which the motion of a body is determined at a sample rate, Hz."""
     return _LOW_HZ, _HIGH_SHARE * rate
 
 
@@ -260,23 +264,23 @@ def _motion_channel(rec: Recording, channel: str) -> ChannelInfo:
 
 
 def _good(rec: Recording, name: str, samples: Array, start: int, ring: int) -> NDArray[np.bool_]:
-    """Where samples of a channel measure its motion: neither lost nor overloaded, nor ringing after that."""
+    """Which samples of a channel are valid: neither lost nor overloaded, and not ringing after an overload."""
     good = np.isfinite(samples)
     for marker in rec.overloads:
         if marker.fields.get("channel") == name:
-            # The ringing that follows began at an unknown time.
+            # The response after an overload cannot be modelled, because the overload hides its beginning.
             good[max(marker.first_sample - start, 0) : max(marker.end + 1 + ring - start, 0)] = False
     return good
 
 
 def _misses_impacts(info: ChannelInfo) -> bool:
-    """Whether a pulse of acceleration between two samples leaves no trace."""
+    """Whether an acceleration pulse between two samples does not affect the samples."""
     spread = info.average or info.filter or len(info.poles) > len(info.zeros)
     return info.quantity == "acceleration" and not spread
 
 
 def _without_high_pass(samples: Array, info: ChannelInfo) -> Array:
-    """Undo the high passes that integrators need: they distort slow motion. Fast motion stays as read."""
+    """Correct the high-pass filters of integrators, which distort slow motion; fast motion is not corrected."""
     zeros, poles = (
         tuple(root for root in roots if abs(root) < info.rate) for roots in (info.zeros, info.poles)
     )
@@ -285,9 +289,9 @@ def _without_high_pass(samples: Array, info: ChannelInfo) -> Array:
 
 
 def _acceleration(samples: Array, places: Array, info: ChannelInfo, duration: float) -> Array:
-    """Acceleration at jumps: a polynomial through the samples on both sides, without those during contact, s."""
+    """Acceleration at jumps, from a polynomial through samples on both sides; `duration` of contact in s."""
     integrations = 2 - MOTIONS.index(info.quantity)
-    # Samples during which the sensor rings are left out; the average over an interval belongs to its middle.
+    # Samples during which the sensor rings are excluded. The average over an interval is assigned to its middle.
     slowest = min((-pole.real for pole in info.poles if abs(pole) > info.rate), default=np.inf)
     gap = 2 + int(np.ceil(_DECAY_TIMES * info.rate / slowest + duration * info.rate))
     side = max(_MIN_SIDE_SAMPLES, round(_SIDE_TIME * info.rate))
@@ -308,19 +312,21 @@ def _acceleration(samples: Array, places: Array, info: ChannelInfo, duration: fl
 
 
 def score(found: Array, true: Array, tolerance: float) -> tuple[float, NDArray[np.bool_], NDArray[np.bool_]]:
-    """Match detected times with true ones, each at most once, nearest pairs first.
+    """Match detected with true times, each at most once, the closest pairs first.
 
     Parameters
     ----------
     found, true : ndarray
-        Times, s.
+        Detected and true times, s.
     tolerance : float
-        Largest distance of a pair, s.
+        Maximum distance of a pair, s.
 
     Returns
     -------
     f1 : float
-        2 hits / (detected + true); 1 when both are empty.
+        F1 score, 2 × matches / (detected + true); 1 if both are empty.
+    found_matched, true_matched : ndarray of bool
+        Which times are matched.
 
     Examples
     --------

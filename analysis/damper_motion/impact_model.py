@@ -1,8 +1,8 @@
-"""Readings of a velocity jump behind a channel's response, and the matched filters that detect it.
+"""Response of a channel to a velocity jump, and the matched filters that detect the jump.
 
 Matched filters for a known signal in white noise: S. M. Kay, *Fundamentals of Statistical Signal Processing II:
-Detection Theory*, 1998, ch. 4. A step and a kink of the acceleration and a polynomial are nuisance signals; the filters
-are orthogonal to them.
+Detection Theory*, 1998, ch. 4. A step and a kink of the acceleration and a polynomial are nuisance signals; the
+filters are orthogonal to them.
 """
 
 from __future__ import annotations
@@ -22,77 +22,82 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-# The instant of a jump lies within so many samples of the middle of its window.
+# Maximum distance of a jump from the middle of its window, samples.
 SHIFT = 4
-# Orders of the polynomial that the acceleration may follow around a jump.
+# Polynomial orders of the smooth acceleration around a jump.
 ORDERS = (2, 4, 6, 8)
-# Samples on either side of a jump that determine the smooth motion; of integrated channels this time as well, s.
+# Number of samples on either side of a jump that determine the smooth motion; for velocity and displacement channels
+# also a minimum time, s.
 _SIDE_SAMPLES = 6
 _SIDE_TIME = 1e-3
-# Instants within a sample: a resonance turns by less than this between two, rad; at least so many.
+# Number of sub-sample times in a sample: the phase of a resonance changes by less than this between two, rad, and
+# there are at least this many.
 _PHASE_STEP = 0.5
 _MIN_INSTANTS = 8
-# Of a resonance the search uses only each eighth instant, of a filter each fourth.
+# The search uses every eighth sub-sample time if the sensor has a resonance, and every fourth with a decimation
+# filter.
 _RESONANCE_STRIDE = 8
 _FILTER_STRIDE = 4
-# Poles faster than this, rad per sample, shape the reading of a jump; slower ones only bend what follows.
+# Poles above this angular frequency, rad per sample, affect the shape of a jump; slower poles only cause a slow
+# curvature after it.
 _FAST_POLE = 0.3
-# Decay times of a resonance until a jump's reading has decayed to 1e-6, and those within the window.
+# Number of decay times of a resonance until its response has decayed to 1e-6, and number within the window.
 _DECAY_TIMES = 14.0
 _WINDOW_DECAY_TIMES = 3.0
-# Length of a decimation filter's response on either side, and its part within the window, samples.
+# Length of a decimation filter's impulse response on either side, and its part within the window, samples.
 _FILTER_SPAN = 40
 _FILTER_WINDOW = 12
-# Singular values of the filters below this share of the largest are rounding.
+# Singular values of the filters below this share of the largest are rounding errors.
 _RANK_TOLERANCE = 1e-12
 
 
 class Placed(NamedTuple):
-    """Differences of unit jump, step and kink at an instant."""
+    """Differenced readings of unit jump, step and kink at a sub-sample time."""
 
     begin: int
-    """Place of the first difference."""
+    """Index of the first difference."""
     units: Array
     """Shape (3, length)."""
     slopes: Array
-    """Their derivatives with respect to the instant, per sample; shape (3, length)."""
+    """Derivatives of `units` with respect to time, per sample; shape (3, length)."""
 
 
 @dataclass(frozen=True)
 class ImpactModel:
-    """Readings of unit velocity jump, acceleration step and kink, and the filters that estimate them.
+    """Readings of unit velocity jump, acceleration step and acceleration kink, and the filters that estimate them.
 
-    All arrays are differences of the readings, two orders more than the channel integrates, so that the response to a
-    jump is short. The fit itself is least squares in the readings, whose noise is white.
+    All arrays are differences of the readings, of an order two higher than the number of integrations in the channel,
+    so that the response to a jump is short. The fit itself is least squares in the readings, whose noise is white.
     """
 
     difference: int
     """Order of the differences."""
     instants: int
-    """Resolved instants within a sample."""
+    """Number of sub-sample times in a sample."""
     stride: int
-    """The search uses each `stride`-th instant."""
+    """The search uses every `stride`-th sub-sample time."""
     filters: Array
-    """Filters that give kink, step without the kink's part, and jump without both, each with unit noise gain. Row g is
-    for a jump (g + 1/2) / instants - SHIFT samples after the window's sample 0. Shape (2 SHIFT instants, 3, window)."""
+    """Filters for the kink, for the step orthogonal to the kink, and for the jump orthogonal to both, each with unit
+    noise gain. Row g is for a jump (g + 1/2) / instants - SHIFT samples after the window's sample 0.
+    Shape (2 SHIFT instants, 3, window)."""
     triangles: Array
-    """Upper triangular: kink, step and jump to the outputs of the filters; shape (2 SHIFT instants, 3, 3)."""
+    """Upper triangular matrices from kink, step and jump to filter outputs; shape (2 SHIFT instants, 3, 3)."""
     window_start: int
-    """Place of the window's first difference relative to its sample 0."""
+    """Index of the window's first difference relative to its sample 0."""
     shapes: Array
-    """Differences of unit jump, step and kink; shape (2 SHIFT instants, 3, length)."""
+    """Differenced readings of unit jump, step and kink; shape (2 SHIFT instants, 3, length)."""
     shape_start: int
-    """Place of the first of them relative to sample 0."""
+    """Index of the first difference of `shapes` relative to sample 0."""
     order: int
-    """Order of the polynomial that the smooth motion follows in the readings of a window."""
+    """Polynomial order of the smooth motion in the readings of a window."""
     contact_samples: int
-    """Duration of a landing, samples; 0: instant."""
+    """Contact duration of an impact, samples; 0: instant."""
 
     @cached_property
     def scan_space(self) -> tuple[Array, Array]:
         """Orthonormal basis of the search's jump filters and their weights; shapes (rank, window), (filters, rank).
 
-        A few dozen filters have a rank of about ten to rounding.
+        The numerical rank of a few dozen filters is about ten.
         """
         first = SHIFT * self.instants + self.stride // 2
         filters = self.filters[first : first + self.instants : self.stride, 2]
@@ -107,7 +112,7 @@ class ImpactModel:
 
     @cached_property
     def _to_sizes(self) -> Array:
-        """Filter outputs to jump, step and kink; shape (2 SHIFT instants, 3, 3)."""
+        """Matrices from filter outputs to jump, step and kink; shape (2 SHIFT instants, 3, 3)."""
         return np.asarray(np.linalg.inv(self.triangles)[:, ::-1], dtype=np.float64)
 
     @cached_property
@@ -118,12 +123,12 @@ class ImpactModel:
 
     @cached_property
     def window(self) -> int:
-        """Differences of one window."""
+        """Number of differences in one window."""
         return int(self.filters.shape[-1])
 
     @cached_property
     def reach(self) -> int:
-        """Samples between two jumps whose windows share no sample."""
+        """Minimum distance of two jumps whose windows do not overlap, samples."""
         return self.window + self.difference
 
     @cached_property
@@ -133,13 +138,13 @@ class ImpactModel:
 
     @cached_property
     def gain(self) -> float:
-        """Standard deviation of a jump per unit noise of the readings at the worst instant, m/s."""
+        """Standard deviation of a jump for unit noise of the readings at the worst sub-sample time, m/s."""
         middle = slice(SHIFT * self.instants, (SHIFT + 1) * self.instants)
         return float(1.0 / abs(self.triangles[middle, 2, 2]).min())
 
     @cached_property
     def template_norm(self) -> float:
-        """Root of the squares of the readings of a jump of 1 m/s in the middle of a window."""
+        """Root sum of squares of the readings of a 1 m/s jump in the middle of a window."""
         row = np.zeros(self.window)
         placed = self.placed(self.difference - self.window_start + 0.5)
         low = max(0, -placed.begin)
@@ -149,7 +154,7 @@ class ImpactModel:
 
     @cached_property
     def equal_jumps(self) -> dict[int | None, Array]:
-        """Readings of unit jumps at some distances, stored by `joint_fit.jump_error`."""
+        """Readings of pairs of unit jumps by distance, cached by `joint_fit.jump_error`."""
         return {}
 
     @cached_property
@@ -157,41 +162,42 @@ class ImpactModel:
         return {self.order: self}
 
     def with_order(self, order: int) -> ImpactModel:
-        """Return this model with another order of the polynomial in `readings`; the filters keep theirs."""
+        """Return this model with another polynomial order in `readings`; the filters do not change."""
         if order not in self._of_order:
             self._of_order[order] = replace(self, order=order)
         return self._of_order[order]
 
     def order_over(self, length: int) -> int:
-        """Order of the polynomial over so many differences: higher over more than a window."""
+        """Return the polynomial order for a number of differences: higher if they exceed a window."""
         return self.order + max(0, (self.order - 1) * (length - self.window) // self.window)
 
     def readings(self, differences: Array, order: int | None = None) -> Array:
-        """Sum differences to readings and remove the smooth motion; shape (..., differences).
+        """Integrate differences to readings and remove the smooth motion; shape (..., differences).
 
         Parameters
         ----------
         order : int, optional
-            Of the polynomial; default `order_over` the length.
+            Polynomial order; default: `order_over` for the length.
         """
         length = differences.shape[-1]
         for _ in range(self.difference):
             differences = np.cumsum(differences, axis=-1)
         smooth = legendre_basis(length, self.order_over(length) if order is None else order)
-        # Once leaves rounding of the polynomials, which are much larger than the readings of a jump.
+        # A single projection leaves rounding errors, because the polynomials are much larger than the readings of a
+        # jump.
         for _ in range(2):
             differences = differences - (differences @ smooth) @ smooth.T
         return differences
 
     def locate(self, place: Array | float) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
-        """Whole sample of a place, the row of `shapes` at or before it, and the share of the row that follows."""
+        """Return the whole sample of a place, the preceding row of `shapes`, and the weight of the following row."""
         whole = np.floor(place)
         at = (place - whole) * self.instants - 0.5 + SHIFT * self.instants
         row = np.clip(np.floor(at), 0, len(self.shapes) - 2)
         return whole.astype(np.intp), row.astype(np.intp), np.asarray(at - row)
 
     def placed(self, place: float) -> Placed:
-        """Differences of unit jump, step and kink at a place in samples."""
+        """Return the differenced readings of unit jump, step and kink at a place in samples."""
         whole, row, share = self.locate(np.float64(place))
         left, right = self.shapes[row], self.shapes[row + 1]
         return Placed(
@@ -201,18 +207,18 @@ class ImpactModel:
         )
 
     def best_instant(self, window: Array, noise: float) -> tuple[float, Array, float, float]:
-        """Instant of the jump that explains most of a window of differences.
+        """Estimate the time of the jump that best explains a window of differences.
 
         Returns
         -------
         instant : float
-            Samples after the window's sample 0.
+            Time of the jump after the window's sample 0, samples.
         sizes : ndarray, shape (3,)
             Jump [m/s], step [m/s²], kink [m/s³].
         error : float
             Standard deviation of the jump, m/s.
         explained : float
-            Squares that jump, step and kink explain, in variances of the noise.
+            Reduction of the sum of squares by jump, step and kink, in noise variances.
         """
         stride = self.stride
         outputs = (self._coarse_filters @ window).reshape(-1, 3)
@@ -238,7 +244,7 @@ class ImpactModel:
 
 @lru_cache(maxsize=256)
 def legendre_basis(length: int, degree: int) -> Array:
-    """Orthonormal basis of the polynomials on so many points; the first columns span those of lower degree."""
+    """Return an orthonormal polynomial basis on `length` points; its leading columns span the lower degrees."""
     basis = np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, length), degree)
     return np.asarray(np.linalg.qr(basis)[0], dtype=np.float64)
 
@@ -246,16 +252,16 @@ def legendre_basis(length: int, degree: int) -> Array:
 def impact_models(
     info: ChannelInfo, pulse: Pulse | None = None, decimation: int = 1
 ) -> tuple[ImpactModel, ...]:
-    """Compute how a channel reads a jump from its data sheet; one model for each of `ORDERS`.
+    """Compute the response of a channel to a jump from its data sheet; one model for each of `ORDERS`.
 
     Parameters
     ----------
     info : daq.signal_chain.channel.ChannelInfo
-        Channel of acceleration, velocity or displacement.
+        Acceleration, velocity or displacement channel.
     pulse : Pulse, optional
-        Force of a landing of finite duration: the contact transmits jump, step and kink alike. None: instant.
+        Force pulse of finite-duration contact, which smooths jump, step and kink alike. None: instant.
     decimation : int
-        Samples whose mean is a reading.
+        Number of samples that are averaged to one reading.
     """
     response = info.quantity, info.rate, info.gain, *map(tuple, (info.zeros, info.poles)), info.average
     return _impact_models(response, tuple(info.filter.items()), pulse, decimation)
@@ -284,7 +290,7 @@ def _impact_models(
         filter=dict(decimation_filter),
     )
     integrations, rate = 2 - MOTIONS.index(quantity), full_rate / decimation
-    # Behind a decimation filter nothing beyond half the sample rate rings.
+    # A decimation filter removes resonances above half the sample rate.
     fastest = np.pi * full_rate if info.filter else np.inf
     fast = [pole for pole in poles if _FAST_POLE * rate < abs(pole) < fastest]
     turning = max((abs(pole.imag) for pole in fast), default=0.0) / rate if pulse is None else 0.0
@@ -329,7 +335,7 @@ def _readings(
     pulse: Pulse | None,
     decimation: int,
 ) -> Array:
-    """Accelerations read, samples 1 - before to after, for unit jump, step and kink at each instant."""
+    """Acceleration readings, samples 1 - before to after, of unit jump, step and kink at each sub-sample time."""
     from scipy import fft
 
     rate = info.rate / decimation
@@ -337,21 +343,21 @@ def _readings(
     frequency = fft.rfftfreq(size * instants, 1.0 / (rate * instants))
     with np.errstate(divide="ignore", invalid="ignore"):
         response = replace(info, average=False).response(frequency)
-    # High passes remove the mean in the long run; for the moments around a jump there are none.
+    # High-pass filters have no effect in the short time around a jump, so the response at zero frequency is set to 1.
     response[0] = 1.0
     if info.filter:
-        # Nothing passes there, and the filter's response is tabulated no further.
+        # The filter blocks these frequencies, and its tabulated response ends there.
         response[frequency > info.rate] = 0.0
     if pulse is not None:
-        # Change of velocity within half an instant on either side of each.
+        # Velocity change within half a sub-sample interval on either side.
         ends = (np.arange(size * instants + 1) - 0.5) / (rate * instants)
         response *= fft.rfft(np.diff(pulse.exchanged(ends)))
     boxes = integrations + int(info.average)
     if not info.average:
-        # Means of averages are averages over longer; of samples at instants, sums.
+        # The mean of interval averages is an average over a longer interval; point samples are summed explicitly.
         late = np.exp(-2j * np.pi * np.outer(np.arange(decimation), frequency) / info.rate)
         response *= late.mean(axis=0)
-    # Half an instant for each average that is not taken: the sums below run over whole instants.
+    # Half a sub-sample interval for each average that is not applied: the sums below cover whole intervals.
     response *= np.exp(2j * np.pi * frequency * 0.5 * (1 - boxes) / (rate * instants))
     fine = fft.irfft(response, size * instants) * rate * instants
     for _ in range(boxes):
@@ -367,7 +373,7 @@ def _readings(
 
 
 def _filters(readings: Array, integrations: int, rate: float) -> list[tuple[Array, Array]]:
-    """Give filters and triangles for each of `ORDERS`: least squares in the readings, written for their differences."""
+    """Least-squares filters for the differenced readings, and their triangular matrices, for each of `ORDERS`."""
     shape = (*readings.shape[:-1], integrations)
     rows = np.concatenate([np.zeros(shape), readings], axis=-1)
     for _ in range(integrations):
@@ -377,7 +383,8 @@ def _filters(readings: Array, integrations: int, rate: float) -> list[tuple[Arra
     for order in ORDERS:
         smooth = legendre_basis(rows.shape[-1], order + integrations)
         free = columns
-        # Once leaves rounding of the polynomials, which are much larger than the readings of a jump.
+        # A single projection leaves rounding errors, because the polynomials are much larger than the readings of a
+        # jump.
         for _ in range(2):
             free = free - smooth @ (smooth.T @ free)
         basis, triangles = np.linalg.qr(free)

@@ -1,6 +1,7 @@
-"""Joint fit of velocity jumps whose readings overlap: least squares, with the instants by Gauss-Newton.
+"""Joint least-squares fit of velocity jumps whose readings overlap; their times are refined by Gauss-Newton steps.
 
-Steps and kinks have Gaussian priors, because jumps near to each other hardly determine theirs (ridge regression).
+Steps and kinks of the acceleration have Gaussian priors (ridge regression), because closely spaced jumps hardly
+determine them.
 """
 
 from __future__ import annotations
@@ -16,33 +17,33 @@ from analysis.damper_motion.impact_model import SHIFT, ImpactModel
 
 Array = NDArray[np.float64]
 
-# Gauss-Newton iterations, and the largest change of an instant in one of them, samples.
+# Gauss-Newton iterations, and the largest change of a time in one iteration, samples.
 _ITERATIONS = 4
 _MAX_CHANGE = 0.5
-# Added to the normal equations of columns of unit length, so that rounding leaves them positive definite.
+# Added to the diagonal of the normalized normal equations, so that they stay positive definite despite rounding.
 _ROUNDING = 1e-11
-# A jump moves no farther than this from its start, samples: it would take the place of its neighbour.
+# Maximum distance of a fitted jump from its start, samples: a larger one would merge it with a neighbour.
 _MAX_DISTANCE = 2.0
 
 
 @dataclass(frozen=True, eq=False)
 class Jump:
-    """A velocity jump, or a kink without one, as fitted."""
+    """Fitted velocity jump with the step and kink of the acceleration at the same time."""
 
     place: float
-    """Samples."""
+    """Time of the jump, in samples."""
     sizes: Array
     """Jump [m/s], step [m/s²], kink [m/s³]; shape (3,)."""
     error: float
-    """Standard deviation of the jump, given all that is fitted with it, m/s."""
+    """Standard deviation of the jump, including its covariance with the jointly fitted quantities, m/s."""
     explained: float
-    """Squares that it alone explains, in variances of the noise."""
+    """Reduction of the sum of squares by this jump, in units of the noise variance."""
     place_error: float = np.inf
-    """Standard deviation of the place, samples."""
+    """Standard deviation of `place`, samples."""
 
 
 class Noise(NamedTuple):
-    """Standard deviations of what a fit does not know beforehand."""
+    """Standard deviations of the noise, and of the Gaussian priors of steps and kinks."""
 
     readings: float
     step: float
@@ -52,7 +53,7 @@ class Noise(NamedTuple):
 
 
 def add(residual: Array, model: ImpactModel, jump: Jump, factor: float) -> None:
-    """Add a multiple of a jump to differences."""
+    """Add a multiple of a jump to the differenced readings."""
     placed = model.placed(jump.place)
     _add_row(residual, placed.begin, factor * (jump.sizes @ placed.units))
 
@@ -60,12 +61,12 @@ def add(residual: Array, model: ImpactModel, jump: Jump, factor: float) -> None:
 def fit_group(
     residual: Array, model: ImpactModel, group: Sequence[Jump], noise: Noise
 ) -> tuple[list[Jump], float]:
-    """Fit jumps jointly in the differences around them; return them with the remaining squares.
+    """Fit jumps jointly to the differenced readings around them; return them with the residual sum of squares.
 
     Parameters
     ----------
     residual : ndarray
-        Differences without all other jumps.
+        Differenced readings, with all other jumps subtracted.
     """
     first, last = _around(model, [jump.place for jump in group])
     return fit_within(residual, model, group, (max(first, 0), min(last, residual.size)), noise)
@@ -79,7 +80,7 @@ def fit_within(
     noise: Noise,
     iterations: int = _ITERATIONS,
 ) -> tuple[list[Jump], float]:
-    """Fit jumps as `fit_group` does, to the differences `within`; a single iteration moves none."""
+    """Fit jumps as `fit_group` does, to the differences `within`; a single iteration keeps their times fixed."""
     first, last = within
     seen = model.readings(residual[first:last])
     places = start = np.array([jump.place for jump in group])
@@ -110,16 +111,16 @@ def fit_within(
 def with_errors(
     residual: Array, model: ImpactModel, jumps: Sequence[Jump], noise: Array, usual: tuple[float, float]
 ) -> list[Jump]:
-    """Estimate the errors of jumps, each from the residual of its window if that exceeds the noise.
+    """Estimate the standard deviations of jumps from the noise, or from the residual if that is larger.
 
     Parameters
     ----------
     residual : ndarray
-        Differences without any jump.
+        Differenced readings, with all jumps subtracted.
     noise : ndarray, shape (jumps,)
-        Standard deviation of the readings at each.
+        Standard deviation of the readings at each jump.
     usual : tuple of float
-        Standard deviations of steps and kinks.
+        Prior standard deviations of steps and kinks.
     """
     if not jumps:
         return []
@@ -144,7 +145,7 @@ def with_errors(
 
 
 def jump_error(model: ImpactModel, distance: int | None, noise: Noise) -> float:
-    """Return the standard deviation of a jump of 1 m/s, so many samples after an equal jump (None: alone), m/s."""
+    """Return the standard deviation of a 1 m/s jump `distance` samples after an equal jump (None: isolated), m/s."""
     matrix = model.equal_jumps.get(distance)
     if matrix is None:
         places = np.array([0.5] if distance is None else [0.5, 0.5 + distance])
@@ -158,13 +159,13 @@ def jump_error(model: ImpactModel, distance: int | None, noise: Noise) -> float:
 class _Fit(NamedTuple):
     solution: Array
     error: Array
-    """Standard deviations for noise of 1."""
+    """Standard deviations for a noise standard deviation of 1."""
     remaining: Array
-    """Squares that remain, those of the priors included."""
+    """Residual sum of squares, including the prior terms."""
 
 
 def _least_squares(rows: Array, seen: Array, ridge: Array) -> _Fit:
-    """Fit readings (..., length) by rows (..., unknowns, length), each with a prior of 1 / ridge times the noise."""
+    """Fit readings (..., length) by rows (..., unknowns, length) with prior standard deviations of noise / ridge."""
     scale = np.sqrt(np.sum(np.square(rows), axis=-1) + np.square(ridge))
     scale[scale == 0.0] = 1.0
     unit = rows / scale[..., None]
@@ -179,7 +180,7 @@ def _least_squares(rows: Array, seen: Array, ridge: Array) -> _Fit:
 
 
 def _columns(model: ImpactModel, places: Array, sizes: Array | None, first: int, last: int) -> Array:
-    """Differences of jump, step and kink at each place, and with sizes their slope; shape (unknowns, differences)."""
+    """Differenced jump, step and kink at each place, and their time derivative; shape (unknowns, differences)."""
     count = 3 if sizes is None else 4
     out = np.zeros((count * places.size, last - first))
     for k, place in enumerate(places):
@@ -197,7 +198,7 @@ def _ridge(unknowns: int, jumps: int, noise: Noise) -> Array:
 
 
 def _around(model: ImpactModel, places: Sequence[float] | Array) -> tuple[int, int]:
-    """First and one-past-last difference of the windows of jumps, whose instants may move."""
+    """First and one-past-last difference of the windows of jumps, with a margin for changes of their times."""
     first = int(min(places)) + model.window_start - model.difference + SHIFT
     last = int(max(places)) + model.window_start - model.difference + model.window - SHIFT
     return first, last

@@ -1,4 +1,4 @@
-"""Force pulse of a landing of finite duration: change of its body's velocity from touch to release."""
+"""Force pulse of a finite-duration impact: change of the body velocity from first contact to release."""
 
 from __future__ import annotations
 
@@ -18,29 +18,29 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-# A landing shorter than this share of a sample interval is instant.
+# An impact shorter than this share of a sample interval is treated as instant.
 _INSTANT_SHARE = 0.25
-# Pulses that differ by less than this share of the velocity's change are equal.
+# Pulses are considered equal if they differ by less than this share of the velocity change.
 _EQUAL_SHARE = 0.02
-# At critical damping both roots are equal, and the closed form needs two.
+# Offset from critical damping, at which both roots coincide and the closed form is singular.
 _CRITICAL = 1e-6
-# Instants at which pulses are compared.
+# Number of times at which pulses are compared.
 _INSTANTS = 200
 
 
 @dataclass(frozen=True)
 class Pulse:
-    """Force of a spring-dashpot on a mass that lands on it, until it would pull."""
+    """Force of a spring-dashpot contact on an impacting mass, until the force would become tensile."""
 
     duration: float
-    """From touch to release without other forces, s."""
+    """Time from first contact to release if no other forces act, s."""
     ratio: float
-    """Damping ratio of contact and mass."""
+    """Damping ratio of the mass on the contact."""
     angular: float
-    """Natural frequency of contact and mass, rad/s."""
+    """Natural angular frequency of the mass on the contact, rad/s."""
 
     def exchanged(self, time: Array) -> Array:
-        """Return the share of the body's change of velocity at a time after first contact, s.
+        """Return the completed share of the velocity change of the body at a time after first contact, s.
 
         Examples
         --------
@@ -51,7 +51,7 @@ class Pulse:
         return (1.0 - self._speed(np.clip(time, 0.0, self.duration))) / (1.0 + self.restitution)
 
     def _speed(self, time: Array) -> Array:
-        """Give the closing speed during contact relative to that at the touch."""
+        """Return the closing speed during contact relative to that at first contact."""
         ratio = self.ratio + _CRITICAL * (abs(self.ratio - 1.0) < _CRITICAL)
         root = np.sqrt(complex(ratio**2 - 1.0))
         first, second = self.angular * (root - ratio), -self.angular * (root + ratio)
@@ -65,7 +65,7 @@ class Pulse:
 
     @cached_property
     def width(self) -> float:
-        """Time of nine tenths of the velocity's change, s."""
+        """Time until 90 % of the velocity change, s."""
         time = np.linspace(0.0, self.duration, _INSTANTS)
         return float(np.interp(0.9, self.exchanged(time), time))
 
@@ -74,12 +74,12 @@ _INSTANT_PULSE = Pulse(duration=1e-9, ratio=0.0, angular=np.pi / 1e-9)
 
 
 def landing_pulse(scene: Scene, place: str, rate: float) -> Pulse | None:
-    """Give the pulse of every landing in a place such as ``"body 2"``; None where landings are jumps of velocity.
+    """Return the common pulse of all impacts in a location such as ``"body 2"``; None if they are instant.
 
     Raises
     ------
     RecordingError
-        If there are grains, or landings of different pulses.
+        If there are grains, or impacts with different pulses.
     """
     from rig.system.assembly import assemble
 
@@ -117,9 +117,10 @@ def landing_pulse(scene: Scene, place: str, rate: float) -> Pulse | None:
 
 
 def transmissibility(scene: Scene, number: int, frequency: Array) -> NDArray[np.complex128]:
-    """Return the share of a damper's motion in its body's while it rests on its floor; dampers count from 1.
+    """Return the transmissibility from the body to a damper at rest on its floor; dampers count from 1.
 
-    It leaves the floor where its own acceleration falls below -g, which on a compliant floor is not the body's.
+    The damper leaves the floor when its own acceleration falls below -g. On a compliant floor this differs from the
+    acceleration of the body.
     """
     if scene.dampers[number - 1].contact is None:
         return np.ones(frequency.size, dtype=complex)
@@ -134,7 +135,7 @@ def transmissibility(scene: Scene, number: int, frequency: Array) -> NDArray[np.
 
 
 def _instant(damper: Damper, rate: float) -> bool:
-    """Whether a landing counts as instant: its duration is well within a sample interval."""
+    """Whether all impacts of a damper are much shorter than a sample interval."""
     return all(
         isinstance(wall, Landing) and wall.duration * rate <= _INSTANT_SHARE
         for wall in walls_of(damper.contact)

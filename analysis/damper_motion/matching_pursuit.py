@@ -1,8 +1,9 @@
 """Orthogonal matching pursuit of velocity jumps in a stretch of one channel, the largest first.
 
-Method: Y. C. Pati, R. Rezaiifar, P. S. Krishnaprasad, Asilomar 1993. Where the likelihood ratio of a jump (S. M. Kay,
-*Detection Theory*, 1998) is largest and exceeds the detection threshold, the jump is fitted and subtracted; those that
-overlap are fitted again jointly; then the search is repeated in the residual.
+Method: Y. C. Pati, R. Rezaiifar, P. S. Krishnaprasad, Asilomar 1993. The likelihood ratio of a jump (S. M. Kay,
+*Detection Theory*, 1998) is computed at every sample. Its maximum, if it exceeds the detection threshold, is a jump,
+which is fitted and subtracted. Overlapping jumps are fitted again jointly. The search is then repeated in the
+residual.
 """
 
 from __future__ import annotations
@@ -21,71 +22,76 @@ from rig.numerics.runs import runs_of
 
 Array = NDArray[np.float64]
 
-# A jump is detected where it exceeds so many standard deviations: one false alarm in 1e9 samples of Gaussian noise.
+# Detection threshold in standard deviations: about two false alarms in 1e9 samples of Gaussian noise.
 DETECTION_SIGMAS = 6.0
-# Noise may reduce an impact by so many standard deviations.
+# Margin of the detection limit above the threshold in standard deviations, because noise may reduce a jump.
 DETECTION_MARGIN_SIGMAS = 3.0
-# Share of the largest jump that the channel's model does not explain; where contact has a duration, the bed's weight
-# changes its pulse.
+# Model error as a share of the largest jump. It is larger for finite-duration contact, because the weight of the bed
+# changes the pulse.
 MODEL_ERROR = 3e-3
 _CONTACT_MODEL_ERROR = 2e-2
-# Share of a jump that remains while it rings, after it was subtracted.
+# Residual of a subtracted jump during its ringing, as a share of the jump.
 RESIDUAL_SHARE = 0.02
-# An impact on a neighbour is a kink of the acceleration, slightly bent. That looks like a jump of at most this share of
-# the velocity that the kink causes within a sample, or within a share of a landing's duration.
+# An impact on a neighbouring body causes a slightly curved kink of the acceleration. The fit can mistake it for a
+# jump of at most this share of the velocity that the kink causes within one sample, or within a share of the
+# contact duration.
 _KINK_SHARE = 1.0
 _CONTACT_SHARE = 1.0 / 6.0
-# Rounds of the search, and of centring a window on a jump.
+# Maximum number of search rounds, and of iterations that centre a window on a jump.
 _MAX_ROUNDS = 12
 _CENTRINGS = 4
-# Jumps nearer than this count as one; from the second distance on they may be resolved, samples.
+# Jumps closer than the first distance are treated as one; above the second distance they may be resolved, samples.
 _MIN_DISTANCE = 4
 MIN_RESOLVED = 6
-# Two jumps are resolved where the other one adds no more than this to the standard deviation.
+# Two jumps are resolved if the presence of one increases the standard deviation of the other by at most this factor.
 _RESOLVED_ERROR = 1.1
-# A residual of so many detection limits is searched again for groups, over at most so many windows, until it is below a
-# share of the limit. What still exceeds this and a share of the largest jump there is unresolved.
+# A stretch whose residual exceeds this multiple of the detection limit is searched for groups of jumps, if it has at
+# most this number of windows. The search ends at a residual below this share of the limit. A stretch stays unresolved
+# if its residual then exceeds a multiple of the limit and a share of its largest jump.
 _GROUP_LIMITS = 3.0
 _MAX_WINDOWS = 4
 _SUFFICIENT_SHARE = 0.1
 _UNRESOLVED_LIMITS = 10.0
 _UNRESOLVED_SHARE = 0.5
-# A polynomial of a higher order (up to so much) is compared with where it halves the remaining squares.
+# Additional polynomial orders for the smooth motion; a higher order is used if it reduces the residual sum of squares
+# for each degree of freedom by this factor.
 _HIGHER_ORDERS = (2, 4, 6)
 _ORDER_REDUCTION = 2.0
-# A filter of higher order is used where it reduces the noise of a jump to this share.
+# A filter of higher order is used if it reduces the noise of a jump below this share.
 NOISE_REDUCTION = 0.7
-# Jumps fitted jointly after each detection, starts of the new one, and the distance below which one may be spurious.
+# Maximum number of jumps in a joint fit, start offsets of the new jump (samples), and the distance (samples) below
+# which one of two jumps may be spurious.
 _MAX_JOINT = 5
 _STARTS = (0.0, -2.5, 2.5, -5.0, 5.0)
 _SPURIOUS_DISTANCE = 10.0
-# Prior of steps: share of the 90th percentile of the acceleration, smoothed over some samples. Prior of kinks: they
-# return a step at this frequency, Hz.
+# Prior standard deviation of steps: a share of the 90th percentile of the acceleration, smoothed over some samples.
+# Prior of kinks: that of steps times the angular frequency.
 _STEP_PRIOR = 0.2
 _SMOOTHING_SAMPLES = 8
 _KINK_PRIOR_HZ = 100.0
-# No bed's weight causes a step of more than so many times its prior.
+# The weight of a bed causes steps of at most this multiple of their prior standard deviation.
 _MAX_STEP = 3.0
-# A landing slower than this share of the velocity that such a step causes during its contact is not detected.
+# An impact is not detected if its jump is below this share of the velocity that a step of one prior standard
+# deviation causes during contact.
 _SLOW_LANDING = 0.02
-# The noise is constant over so many windows; it is estimated from the calmest share of them.
+# The noise is assumed constant over this number of windows. It is estimated from the calmest share of them.
 _NOISE_WINDOWS = 8
 CALM_SHARE = 0.5
-# Places in one matrix product: so small a product stays in the cache, and BLAS starts no threads for it.
+# Number of samples in one matrix product: small enough for the cache, and for BLAS to use a single thread.
 _PLACES_AT_ONCE = 256
 
 
 class MatchingPursuit:
-    """Search of one stretch: its residual differences, and the jumps that were subtracted.
+    """Search of one stretch: its differenced residual, and the jumps that were subtracted.
 
     Parameters
     ----------
     models : sequence of ImpactModel
-        For each order of the smooth motion; the search chooses one.
+        One model for each order of the smooth motion; the search chooses the order.
     samples, good : ndarray
-        Readings, and where they are valid.
+        Readings, and which of them are valid.
     noise_floor : float
-        Least standard deviation of a reading.
+        Minimum standard deviation of a reading.
     calm_share : float
         Share of the windows from which the noise of the search is estimated.
     """
@@ -107,11 +113,12 @@ class MatchingPursuit:
         self.model = model = models[0]
         self.residual = np.diff(samples, model.difference)
         self.usual = self._usual_sizes(samples)
-        # Difference of a window's sample 0 from its first one.
+        # Distance of a window's sample 0 from its first difference.
         self.zero = model.difference - model.window_start
         lost = np.convolve(~good, np.ones(model.reach), mode="full")[model.reach - 1 :]
         self.open = (lost == 0)[: self.residual.size - model.window + 1]
-        # A jump beyond the windows, in the last samples of a stretch, looks like another one in the nearest of them.
+        # A jump in the last samples of a stretch is outside all windows and resembles a different jump in the
+        # nearest.
         self.searchable = minimum_filter1d(self.open, model.window, mode="constant", cval=False)
         self.jumps: list[Jump] = []
         self._stored: dict[object, Array] = {}
@@ -124,11 +131,11 @@ class MatchingPursuit:
             noise = model.gain * float(np.median(self._noise_level(model, self.calm_share)))
             if noise < NOISE_REDUCTION * quietest:
                 quietest, self.model = noise, model
-        # With what all that is read is compared: the smooth motion may bend where jumps alone do not show it.
+        # Model for the residual of whole windows, which may need a higher polynomial order than the jump filters.
         self.whole = self.model
 
     def run(self) -> list[Jump]:
-        """Detect the jumps; return them in their order, with errors."""
+        """Detect the jumps; return them in chronological order, with standard deviations."""
         for _ in range(_MAX_ROUNDS):
             if not self._subtract_largest():
                 break
@@ -140,7 +147,7 @@ class MatchingPursuit:
         for first, last in self._unexplained(_GROUP_LIMITS * limit):
             self._search_group(first, last, limit)
         self.jumps.sort(key=lambda jump: jump.place)
-        # Where contact has a duration, so do kinks: a bed is pressed, or released.
+        # With finite-duration contact, kinks also have this duration: the bed is pressed or released.
         contact = self.model.contact_samples
         within = max(1.0, _CONTACT_SHARE * contact) / self.rate
         real = [
@@ -152,13 +159,13 @@ class MatchingPursuit:
         ]
         noise = self.noise()[[self.window_of(jump) for jump in real]]
         resolved = with_errors(self.residual, self.model, real, noise, self.usual)
-        # When landings of finite duration were fitted first, others were still part of the noise.
+        # During the first fit of finite-duration impacts, other impacts were still part of the noise.
         return [
             jump for jump in resolved if not contact or abs(jump.sizes[0]) > DETECTION_SIGMAS * jump.error
         ]
 
     def _subtract_largest(self) -> bool:
-        """Detect the largest jump within each reach, fit and subtract it; whether there was any."""
+        """Detect, fit and subtract the largest jump within each `reach`; return whether a jump was detected."""
         from scipy.ndimage import maximum_filter1d
 
         model = self.model
@@ -192,14 +199,11 @@ class MatchingPursuit:
         self._stored.clear()
 
     def window_of(self, jump: Jump) -> int:
-        """First difference of the window of a jump."""
+        """Return the index of the first difference of the window of a jump."""
         return min(max(int(np.floor(jump.place)) - self.zero, 0), self.residual.size - self.model.window)
 
     def _fit_again(self, jump: Jump, noise: Array, starts: tuple[float, ...] = (0.0,)) -> None:
-        """Fit a jump jointly with those that it overlaps, from several starts.
-
-        It is dropped where the others explain the readings as well without it.
-        """
+        """Fit a jump jointly with overlapping jumps from several starts; drop it if the fit is as good without it."""
         model = self.model
         group = [other for other in self.jumps if abs(other.place - jump.place) < model.reach]
         if len(group) == 1 and not self._too_large_step(jump):
@@ -223,7 +227,7 @@ class MatchingPursuit:
         self._replace(group, best)
 
     def _replace(self, old: list[Jump], new: list[Jump]) -> None:
-        """Replace jumps that are in the residual again."""
+        """Replace jumps that were added back to the residual."""
         self.jumps = [jump for jump in self.jumps if all(jump is not other for other in old)] + new
         for jump in new:
             self._add(jump, -1.0)
@@ -233,7 +237,7 @@ class MatchingPursuit:
 
     @property
     def jump_noise(self) -> float:
-        """Standard deviation of a jump's estimate where there is none, m/s; 95th percentile along the stretch."""
+        """Standard deviation of the estimated jump without an impact, m/s: 95th percentile over the stretch."""
         if "jump" not in self._stored:
             self._stored["jump"] = np.asarray(_quantile(self.noise(), 0.95) * self.model.gain)
         return float(self._stored["jump"])
@@ -245,9 +249,9 @@ class MatchingPursuit:
         )
 
     def detection_limit(self, noise: float, largest: float) -> float:
-        """Smallest jump that is not missed, m/s, except next to a larger one.
+        """Return the smallest jump that is reliably detected, m/s, except next to a larger jump.
 
-        Limited by noise and by the model's errors; where contact has a duration, by the motion's usual steps as well.
+        It is limited by noise, by model errors and, for finite-duration contact, by the prior of steps.
         """
         duration = self.model.contact_samples / self.rate
         share = _CONTACT_MODEL_ERROR if duration else MODEL_ERROR
@@ -255,7 +259,7 @@ class MatchingPursuit:
         return max(sigmas * noise, share * largest, _SLOW_LANDING * self.usual[0] * duration)
 
     def resolution(self) -> int:
-        """Distance from which on another jump adds little to the error of a jump, samples."""
+        """Return the distance beyond which a second jump hardly increases the error of a jump, samples."""
         noise = self._prior(float(np.median(self.noise())))
         most = _RESOLVED_ERROR * jump_error(self.whole, None, noise)
         distance = MIN_RESOLVED
@@ -264,7 +268,7 @@ class MatchingPursuit:
         return distance
 
     def _choose_whole_order(self) -> None:
-        """Choose the order of the polynomial that the smooth motion between jumps follows."""
+        """Choose the polynomial order of the smooth motion between jumps."""
         base = self.model.order
         least = np.inf
         for order in (base, *(base + more for more in _HIGHER_ORDERS)):
@@ -274,12 +278,12 @@ class MatchingPursuit:
                 least, self.whole = remaining, self.model.with_order(order)
 
     def _windows(self) -> NDArray[np.int64]:
-        """First differences of windows that half overlap."""
+        """Index of the first difference of each window, with 50 % overlap."""
         first = np.flatnonzero(self.open)
         return first[first % (self.model.window // 2) == 0]
 
     def _remaining(self, order: int) -> Array:
-        """Squares that remain of each of `_windows` beside a polynomial."""
+        """Residual sum of squares of each of `_windows` after subtraction of a polynomial."""
         if order not in self._stored:
             if "readings" not in self._stored:
                 windows = np.lib.stride_tricks.sliding_window_view(self.residual, self.model.window)
@@ -292,13 +296,13 @@ class MatchingPursuit:
         return self._stored[order]
 
     def _unexplained(self, jump: float) -> list[tuple[int, int]]:
-        """First and last window of each stretch with a residual larger than that of a jump, m/s."""
+        """First and last window of each stretch with a residual larger than a jump of this size, m/s."""
         first = self._windows()
         large = self._remaining(self.whole.order) > (jump * self.whole.template_norm) ** 2
         return [(int(first[begin]), int(first[end - 1])) for begin, end in runs_of(large)]
 
     def unresolved(self) -> Array:
-        """Between which places a residual far above the detection limit remains, samples; shape (n, 2)."""
+        """Return the limits of stretches with a residual far above the detection limit, samples; shape (n, 2)."""
         model, out = self.whole, []
         limit = self._limit
         for first, last in self._unexplained(_UNRESOLVED_LIMITS * limit):
@@ -318,14 +322,14 @@ class MatchingPursuit:
         return np.array(out).reshape(-1, 2)
 
     def _too_large_step(self, jump: Jump) -> bool:
-        """Whether a landing of finite duration has a step that no bed's weight causes; it may have ended early.
+        """Whether a finite-duration impact has a larger step than the weight of a bed causes.
 
-        Its jump may then have either sign.
+        The contact may then have ended early, and the sign of its jump is undetermined.
         """
         return self.model.contact_samples > 0 and abs(jump.sizes[1]) > _MAX_STEP * self.usual[0]
 
     def _search_group(self, first: int, last: int, limit: float) -> None:
-        """Search between two windows for all jumps jointly; keep what explains more, old or new."""
+        """Search between two windows for all jumps jointly; keep the old or the new set, whichever fits better."""
         model = self.whole
         half = model.window // 2
         if last - first > _MAX_WINDOWS * model.window:
@@ -336,7 +340,7 @@ class MatchingPursuit:
         for jump in old:
             self._add(jump, 1.0)
         sufficient = _SUFFICIENT_SHARE * (limit * model.template_norm) ** 2
-        # What may remain counts as noise; otherwise steps and kinks explain what is far above the noise.
+        # The tolerated residual is included in the noise; otherwise steps and kinks would have to explain it.
         noise = max(float(self.noise()[first]), (sufficient / model.window) ** 0.5)
         stretch = Stretch(self.residual, model, within, self._prior(noise))
         new, remaining = stretch.search(places, MIN_RESOLVED, sufficient)
@@ -345,20 +349,20 @@ class MatchingPursuit:
         self._replace(old, new)
 
     def _usual_sizes(self, samples: Array) -> tuple[float, float]:
-        """Give standard deviations of steps and kinks: a share of the motion's own acceleration, or of its rounding."""
+        """Prior standard deviations of steps and kinks: a share of the acceleration, or of its rounding."""
         order = self.model.difference - 2
         motion = np.diff(samples, order) * self.rate**order
         motion = motion - np.median(motion)
         motion = np.convolve(motion, np.full(_SMOOTHING_SAMPLES, 1.0 / _SMOOTHING_SAMPLES), "valid")
-        # A reading that does not change moves by no more than its rounding.
+        # If the reading is constant, the acceleration is at most that of its rounding.
         large = float(_quantile(abs(motion), 0.9))
         step = _STEP_PRIOR * max(large, self.floor * self.rate**order)
         return step, step * 2 * np.pi * _KINK_PRIOR_HZ
 
     def noise(self, calm_share: float = CALM_SHARE) -> Array:
-        """Estimate the standard deviation of a reading at every place, through the jump's filter; shape (places,).
+        """Estimate the standard deviation of a reading at every sample from the jump filter output; shape (places,).
 
-        Stored until the residual changes.
+        The result is cached until the residual changes.
         """
         key = "noise", calm_share
         if key not in self._stored:
@@ -366,7 +370,7 @@ class MatchingPursuit:
         return self._stored[key]
 
     def _noise_level(self, model: ImpactModel, calm_share: float) -> Array:
-        """From the quantile of the filter's outputs that impacts do not reach, in some windows at a time."""
+        """Noise from a quantile of the filter outputs that impacts hardly affect, over a few windows at a time."""
         from scipy.ndimage import maximum_filter1d
         from scipy.special import ndtri
 
@@ -375,7 +379,7 @@ class MatchingPursuit:
         typical = float(_quantile(size[self.open], calm_share))
         size[~self.open] = typical
         parts = max(1, size.size // (_NOISE_WINDOWS * model.window))
-        # The first parts have a place more than the others.
+        # The first parts have one sample more than the others.
         length, longer = divmod(size.size, parts)
         lengths = np.full(parts, length) + (np.arange(parts) < longer)
         split = longer * (length + 1)
@@ -385,10 +389,10 @@ class MatchingPursuit:
         return np.maximum(np.repeat(steady, lengths) / ndtri(0.5 + 0.5 * calm_share), self.floor)
 
     def _likelihood_ratio(self) -> tuple[Array, Array]:
-        """Largest squared jump at every place, in variances (GLRT), and the noise.
+        """Generalized likelihood ratio of a jump at every sample, in noise variances, and the noise.
 
-        The filters of all instants lie in a space of few dimensions. The projections of a window on it bound the
-        outputs of all filters, so that these are computed only where a jump may be detected.
+        The filters of all sub-sample times span a space of few dimensions. The projections of a window on this space
+        bound the outputs of all filters, which are therefore computed only where a jump may be detected.
         """
         noise = self.noise(self.calm_share)
         basis, weights = self.model.scan_space
@@ -405,7 +409,7 @@ class MatchingPursuit:
         return ratio / np.square(noise), noise
 
     def _centred(self, first: int, noise: float) -> Jump:
-        """Fit the best jump near a window, in the window that has it in its middle."""
+        """Fit the best jump near a window, in a window that is centred on the jump."""
         last = self.residual.size - self.model.window
         for _ in range(_CENTRINGS):
             window = self.residual[first : first + self.model.window]
@@ -419,7 +423,7 @@ class MatchingPursuit:
 
 
 def _quantile(rows: NDArray[np.floating[Any]], share: float) -> Array:
-    """Linear quantile along the last axis, as `numpy.quantile` in a tenth of its time for short rows."""
+    """Linear quantile along the last axis; for short rows ten times as fast as `numpy.quantile`."""
     place = share * (rows.shape[-1] - 1)
     low = int(place)
     parts = np.partition(rows, low, axis=-1)

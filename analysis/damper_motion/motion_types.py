@@ -1,4 +1,7 @@
-"""Type of motion of dampers in a stepped sine, estimated from the channels: riding, types I to III, or others."""
+"""Type of damper motion in a stepped-sine test, estimated from the channels.
+
+The types are those of the paper: riding (at rest on the floor), types I to III, and other patterns of impacts.
+"""
 
 from __future__ import annotations
 
@@ -27,13 +30,14 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-# Deviation from one impact a period: of some twenty, one or two are at the edge of a window or too close to another.
+# Tolerance of "one impact per period": of about twenty impacts, one or two may be at the edge of a window or too
+# close to another impact.
 _ONCE = 0.15
-# Impacts that recur only after more periods than this form no pattern.
+# Maximum number of periods after which a pattern of impacts must recur.
 _LONGEST_PATTERN = 4
-# A restitution of fewer standard deviations may be zero.
+# A restitution below this number of standard deviations is not significantly different from zero.
 _RESTITUTION_SIGMAS = 3.0
-# Samples searched of a window, unless that is less than so many periods: the search holds all of them.
+# Maximum number of samples searched in a window, to limit memory; but at least the given number of periods.
 _MAX_SAMPLES = 1 << 20
 _MIN_PERIODS = 20
 
@@ -47,25 +51,27 @@ class DamperMotion:
     """Channel on the damper's body."""
     floor: float
     ceiling: float
-    """Impacts a period."""
+    """Number of impacts per period on the ceiling; `floor`: on the floor."""
     stays: bool | None
-    """Whether the damper stays at the ceiling after an impact there: it does so while the body's acceleration is below
-    -g. None if undetermined: the acceleration is -g within half a sample interval, a rebound may take too long, or
-    contact has a duration and the ceiling may push longer."""
+    """Whether the damper stays at the ceiling after an impact there, which it does while the body's acceleration is
+    below -g. None if undetermined: the acceleration crosses -g within half a sample interval of the impact, the
+    rebound
+    may take too long, or finite-duration contact may extend the push of the ceiling."""
     threshold: float
-    """Detection limit: smallest velocity jump that is not missed, m/s."""
+    """Detection limit: smallest velocity jump that is reliably detected, m/s."""
     rides: bool
-    """Whether the body's acceleration stays above -g, allowing for the channel's errors, so that no damper lifts."""
+    """Whether the body's acceleration stays above -g by more than the channel's errors, so that all dampers stay at
+    rest on the floor."""
     restitution: Restitution | None = None
-    """Of the body's only damper, if its impacts determine it."""
+    """Coefficient of restitution, if the body has a single damper and its impacts determine it."""
     repeats: int = 1
-    """Periods after which all impacts recur, to within the channel's resolution; 0: after none of a few."""
+    """Number of periods after which all impacts recur within the time resolution of the channel; 0: no pattern."""
     may_reach: bool = False
-    """Whether its flights may take the damper to the ceiling, with impacts there too weak to be detected."""
+    """Whether the damper may reach the ceiling with impacts that are too weak to be detected."""
 
     @property
     def name(self) -> str:
-        """Type of motion, in the paper's terms where they apply."""
+        """Type of motion, in the terms of the paper if they apply."""
         if self.floor == 0 and self.ceiling == 0:
             return "riding" if self.rides else "unseen"
         if not self.repeats:
@@ -85,18 +91,29 @@ class DamperMotion:
 def damper_motion(
     rec: Recording, sweep: Sweep, channel: str, progress: Callable[[int, int], None] | None = None
 ) -> list[DamperMotion]:
-    """Estimate the motion of the dampers under a channel in every measured window.
+    """Estimate the motion of the dampers in the body of a channel in every measurement window.
 
-    Several dampers in a body are counted as one. A type is named where impacts occur a period apart, and impacts are
-    counted where they recur after a few periods: otherwise some are missed, or the motion is irregular. Riding is named
-    where the body's least acceleration proves it, because flights may be too short to detect; type I where its flights
-    stay below the ceiling. Of a long window the first million samples are searched, or as many periods as determine a
-    pattern.
+    Several dampers in a body are treated as one. A type is assigned if the impacts recur every period. Impacts are
+    counted if they recur after a few periods; otherwise some were missed, or the motion is irregular. Riding
+    requires that the minimum acceleration of the body proves it, because short flights may be undetectable. Type I
+    requires flights that stay below the ceiling. In a long window only the first million samples are searched, but at
+    least enough periods to determine a pattern.
 
     Parameters
     ----------
+    rec : daq.Recording
+        Recording of a stepped-sine test.
+    sweep : Sweep
+        Result of `analysis.responses.stepped_sine.sweeps`.
+    channel : str
+        Channel on the body of the dampers.
     progress : callable, optional
-        Called with (windows searched, in all).
+        Called with (windows searched, total).
+
+    Returns
+    -------
+    list of DamperMotion
+        One for each window.
     """
     place = rec.channels[channel].at
     numbers = [
@@ -118,15 +135,15 @@ def damper_motion(
 
 
 def _motion_in_window(motion: BodyMotion, numbers: list[int], frequency: float, size: float) -> DamperMotion:
-    """Motion of dampers (counted from 1) at a frequency, Hz, under an amplitude of acceleration, m/s²."""
+    """Motion of the dampers `numbers` at a frequency, Hz, and an acceleration amplitude `size`, m/s²."""
     found, rate, gravity = motion.impacts, motion.rec.rate, motion.rec.scene.gravity
     inside = [motion.rec.scene.dampers[number - 1] for number in numbers]
-    # The search leaves out the ends of its stretch.
+    # The searched duration excludes the ends of the stretch.
     periods = found.searched * frequency
     ceiling = found.kind == "ceiling"
     begin, end = (at / rate for at in (motion.start, motion.start + motion.samples.size))
     repeats = _repeats(found, frequency, begin, end) if found.time.size else 1
-    # Between impacts that are missed there is no free flight.
+    # Without a pattern, impacts may have been missed, so that free flights cannot be identified.
     estimate = restitution(motion, inside[0]) if len(inside) == 1 and repeats else None
     stays = None
     if ceiling.any():
@@ -151,7 +168,7 @@ def _motion_in_window(motion: BodyMotion, numbers: list[int], frequency: float, 
 
 
 def _repeats(found: Impacts, frequency: float, begin: float, end: float) -> int:
-    """Least number of periods after which all impacts on each wall recur in a stretch, s; 0 if there is none."""
+    """Smallest number of periods after which all impacts on each wall recur between two times, s; 0: none."""
     walls = [found.time[found.kind == wall] for wall in ("floor", "ceiling")]
     begin, end = begin + found.ringing, end - found.ringing
     if any(wall.size and not np.any((wall > begin) & (wall < end)) for wall in walls):
@@ -168,7 +185,7 @@ def _repeats(found: Impacts, frequency: float, begin: float, end: float) -> int:
 
 
 def _all_near(time: Array, others: Array, found: Impacts) -> bool:
-    """Whether there is another within the channel's resolution of each time at which impacts can be detected."""
+    """Whether each time in a searched stretch has another impact within the time resolution of the channel."""
     near, stretches = found.resolution, found.left_out
     unsearched = ((time[:, None] > stretches[:, 0] - near) & (time[:, None] < stretches[:, 1] + near)).any(
         axis=1
@@ -178,10 +195,10 @@ def _all_near(time: Array, others: Array, found: Impacts) -> bool:
 
 
 def _stays(weight: Array, change: float, rebound: float, push: float) -> bool | None:
-    """Whether a damper stays at the ceiling, by its body's acceleration above -g at the impact, known to `change`.
+    """Whether a damper stays at the ceiling, from the body acceleration above -g at impact, known to ± `change`.
 
-    After a rebound, at `rebound` m/s or less, it stays only if it returns within the time for which the ceiling pushes
-    it, s: under an acceleration that falls from a to zero in a time t, a rebound slower than a t / 3 does.
+    After a rebound of at most `rebound` m/s it stays only if it returns while the ceiling still pushes, for `push` s.
+    Under an acceleration that falls linearly from a to zero in a time t, a rebound slower than a t / 3 returns.
     """
     known = weight[np.isfinite(weight)]
     middle = float(np.median(known)) if known.size else 0.0
@@ -193,10 +210,10 @@ def _stays(weight: Array, change: float, rebound: float, push: float) -> bool | 
 
 
 def _fastest_rebound(motion: BodyMotion, inside: list[Damper], estimate: Restitution | None) -> float:
-    """Largest speed at which a damper may leave the ceiling after an impact, all its bounces together, m/s.
+    """Upper bound of the rebound speed at the ceiling, summed over all bounces, m/s.
 
-    By the restitution of its flights; if they determine none, or may be zero, by the scene's. Where contact has a
-    duration, its release is not known.
+    It uses the restitution estimated from flights if that is significant, otherwise that of the scene. For
+    finite-duration contact the release is unknown and the bound is infinite.
     """
     found = motion.impacts
     if found.contact_duration:
@@ -208,12 +225,12 @@ def _fastest_rebound(motion: BodyMotion, inside: list[Damper], estimate: Restitu
         return 0.0
     at_ceiling = replace(found, jump=found.jump[found.kind == "ceiling"])
     speeds = [inelastic_closing_speeds(motion.rec.scene, at_ceiling, damper) for damper in inside]
-    # All bounces take as long as one of the sum of their speeds: a geometric series.
+    # The duration of all bounces equals that of one bounce with the sum of their speeds (geometric series).
     return float(np.max(speeds, initial=0.0) * share / (1.0 + share) / max(1.0 - share, 1e-9))
 
 
 def _push_time(acceleration: Array, size: float, gravity: float, frequency: float) -> float:
-    """Least time for which the ceiling pushes, s: of a tone of acceleration that rises at the impact."""
+    """Lower bound of the time for which the ceiling pushes, s, for a sinusoidal acceleration."""
     known = acceleration[np.isfinite(acceleration)]
     at_impact = float(np.median(known)) if known.size else 0.0
     ends = np.arcsin(np.clip([at_impact / size, -gravity / size], -1.0, 1.0))
@@ -221,20 +238,20 @@ def _push_time(acceleration: Array, size: float, gravity: float, frequency: floa
 
 
 def _acceleration_amplitude(rec: Recording, sweep: Sweep, channel: str) -> Array:
-    """Amplitude of the acceleration under a channel at the frequencies of a sweep, shape (n,)."""
+    """Acceleration amplitude of a channel at the frequencies of a sweep, m/s²; shape (n,)."""
     info, frequency = rec.channels[channel], sweep.lines.frequency
     read = np.abs(sweep.lines.mean[sweep.lines.channels.index(channel)] / info.response(frequency))
     return np.asarray(read * (2 * np.pi * frequency) ** (2 - MOTIONS.index(info.quantity)), dtype=np.float64)
 
 
 def _least_acceleration(motion: BodyMotion, numbers: list[int], frequency: float) -> float:
-    """Lower bound of the acceleration of the dampers at rest in a body, m/s²: noise and tolerance count as motion."""
+    """Lower bound of the acceleration of dampers at rest in a body, m/s², including noise and tolerance."""
     scene, rows = motion.rec.scene, [motion.acceleration]
     size = rows[0].size
     for number in numbers:
         if scene.dampers[number - 1].contact is not None:
             share = transmissibility(scene, number, np.asarray(np.fft.rfftfreq(size, 1.0 / motion.rec.rate)))
             rows.append(np.fft.irfft(np.fft.rfft(rows[0]) * share, size))
-    # The correction continues a stretch at its ends as a mirror image.
+    # The correction mirrors the samples at the ends of a stretch, so the results there are inaccurate.
     edge = min(int(np.ceil(motion.rec.rate / frequency)), size // 4)
     return float(min(row[edge:-edge].min() for row in rows) / max(1.0 - motion.tolerance, 1e-300))

@@ -93,7 +93,7 @@ class Decay(Result):
     warnings: tuple[str, ...]
 
     def summary(self) -> str:
-        """Return the channel, its largest acceleration, and the damping ratio of each mode at its largest amplitude."""
+        """Return the channel, its largest acceleration, and the damping ratio of each mode at large amplitude."""
         modes = [f"{m.frequency_text()} ({100 * m.damping[0]:.3g} %)" for m in self.modes if m.damping.size]
         largest = float(abs(self.acceleration).max())
         return (

@@ -48,9 +48,9 @@ class CorrectedMotion:
         self._spectra: dict[bool, NDArray[np.complex128]] = {}
 
     def __call__(self, motion: str) -> Array:
-        """Return ``"displacement"``, ``"velocity"`` or ``"acceleration"`` (of a force channel: the force); shape (n,).
+        """Return ``"displacement"``, ``"velocity"`` or ``"acceleration"``, shape (n,), in m, m/s or m/s².
 
-        The unit is m, m/s, m/s² or N.
+        For a force channel the result is the force in N.
         """
         quantity, count = self.info.quantity, self.samples.size
         order = MOTIONS.index(motion) - MOTIONS.index(quantity) if quantity in MOTIONS else 0

@@ -49,7 +49,7 @@ def write_mat(stretch: Slice, path: Path) -> None:
 
 
 def write_frfs(frfs: Sequence[Response], path: Path) -> None:
-    """Write ``frequency`` [Hz], ``unit`` and ``reference``; ``NAME``, ``bound_NAME`` and ``coherence_NAME`` of each FRF."""
+    """Write ``frequency`` [Hz], ``unit``, ``reference``, and value, bound and coherence of each response."""
     curves = [frf.sorted() for frf in frfs]
     names = variables([curve.response for curve in curves], {"frequency", "unit", "reference", "channels"})
     content: dict[str, Any] = {

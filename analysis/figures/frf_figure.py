@@ -25,7 +25,7 @@ _AROUND = 25
 _COHERENT = 0.5
 # Systematic errors below this share of the curve are too small to be visible.
 _VISIBLE = 3e-3
-# Stand-in for zero on a logarithmic axis, as a share of the curve; its inverse stands in for infinity.
+# Substitute for zero on a logarithmic axis, as a share of the curve; its inverse replaces infinity.
 _ZERO = 1e-9
 THEORY, NOISE = "#555555", "#c4c4c4"
 
@@ -208,5 +208,5 @@ def _broken(frequency: Array, angle: Array, values: Array | None = None) -> tupl
 
 
 def phase_degrees(frf: Response) -> Array:
-    """Return the phase in degrees, from -270 to 90: the cut at ±180° would lie where many FRFs stay near it."""
+    """Return the phase in degrees, from -270 to 90, so that a phase near ±180° does not wrap."""
     return 90.0 - np.mod(90.0 - np.degrees(np.angle(frf.value)), 360.0)

@@ -61,9 +61,8 @@ class SweepControl:
     Feedback alone cannot control a force that is measured as an amplitude over some periods: a mode with damping
     ratio zeta settles in 1 / (zeta w), and a sweep passes it in a shorter time. The drive is therefore computed by
     feedforward. For the force F and the body's motion X the shaker requires D = a F + b X (`ShakerLaw`, measured in
-    the pretest), in a transient D = a F + a' dF/dt + b X + b' dX/dt, where a' and b' are
-    derivatives by s.
-    The mode nearest to the tone (`NearestMode`) predicts X at the end of the next window. The delay of the
+    the pretest), in a transient D = a F + a' dF/dt + b X + b' dX/dt, where a' and b' are derivatives
+    by s. The mode nearest to the tone (`NearestMode`) predicts X at the end of the next window. The delay of the
     observations is compensated by a simulation with the drive played since then.
 
     Parameters

@@ -1,4 +1,4 @@
-"""The run of a test: the loop of drive and samples, limits, what is checked before and reported after.
+"""The run of a test: the loop of drive and samples, limits, checks before the test and reports after it.
 
-Nothing here knows the simulator beyond the bench. Start with `run`, which holds `record()`.
+This package uses the simulator only through the bench. Start with `run`, which contains `record()`.
 """

@@ -1,4 +1,4 @@
-"""Whether a sensor's bias alone drives an input into overload, with nothing moving."""
+"""Detection of inputs that the bias of a sensor overloads without motion."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from rig.scene.presets import filled_in
 if TYPE_CHECKING:
     from rig.scene.scene import Scene
 
-# Longer ago than this, a bias is taken to be where it was then, s.
+# Longest simulated settling, s: a bias is assumed to be constant after this time.
 _LONGEST = 60.0
 
 
 def bias_overload(scene: Scene, row: int, seconds: float) -> str | None:
-    """Say that a bias overloads an input, and what to do; None where it does not.
+    """Return a message with a remedy if a bias overloads an input; None otherwise.
 
-    It is tried out: the bench is switched on and left at rest for as long.
+    The result is simulated: the bench is switched on and stays at rest for that time.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ def bias_overload(scene: Scene, row: int, seconds: float) -> str | None:
         return None
     bench = Bench(scene)
     still, overloaded = np.zeros((len(bench.inputs), max(1, round(bench.rate)))), False
-    # One second at a time; the last one counts.
+    # Simulate in blocks of one second; the last block decides.
     for _ in range(max(1, round(min(seconds, _LONGEST)))):
         overloaded = bool(bench.acquire(still).overload[row].any())
     if not overloaded:

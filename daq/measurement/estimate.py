@@ -1,4 +1,4 @@
-"""What a test is going to take: time, samples, disk and memory, known before it begins."""
+"""Estimates of the time, samples, disk space and memory of a test before it begins."""
 
 from __future__ import annotations
 
@@ -14,34 +14,34 @@ from rig.scene.excitation import Impulse, Multisine, SteppedSine
 from rig.scene.presets import filled_in
 from rig.scene.scene import Scene
 
-# More samples are no test any more, but a mistake.
+# A test with more samples is assumed to be a mistake.
 MOST_SAMPLES = 1e12
-# Bytes that a sample takes in a recording with display, about, as it is stored; and the smallest part of that to which
-# samples are ever packed.
+# Approximate bytes per sample in a recording with display, by storage type; and the smallest fraction of that after
+# compression.
 BYTES, FEWEST = {"counts": 4.5, "float32": 6.0, "float64": 10.7}, 0.005
-# Bytes that a sample of a true quantity takes, measured on random motion with dampers.
+# Bytes per sample of a true quantity, measured on random motion with dampers.
 TRUTH_BYTES = 6.0
-# What a recording process holds, bytes, measured: libraries and kernels; of each channel the state of its devices, with
-# and without a decimation filter.
+# Measured memory of a recording process, bytes: libraries and kernels; state of the devices of a channel without and
+# with a decimation filter.
 PROGRAM, CHANNEL, FILTERED_CHANNEL = 0.33e9, 0.15e6, 0.4e6
-# Copies of the stretch that is being recorded: of a channel, of the motion, of motion that is recorded, too; and
-# those of a multisine's period.
+# Number of copies in memory of a block during recording: of a channel, of the motion, and of recorded motion; and
+# number of copies of a multisine's period.
 COPIES, MOTION_COPIES, TRUTH_COPIES, PERIOD_COPIES = 5.0, 2.0, 7.0, 12.0
 WORTH_SAYING_S = 60.0
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """What a test takes at least.
+    """Lower bounds of the resources of a test.
 
     Attributes
     ----------
     seconds : float
-        Time on the bench; waiting for steady states comes on top.
+        Time on the bench, s, without the waits for steady states.
     samples : float
-        Of each channel.
+        Samples per channel.
     disk, memory : float
-        Bytes, about.
+        Approximate size, bytes.
     """
 
     seconds: float
@@ -49,7 +49,7 @@ class Estimate:
     disk: float
     memory: float
     waits: bool
-    """Whether it waits at each frequency until the motion is steady, nobody knows how long."""
+    """Whether the test waits for the steady state at each frequency, for an unknown time."""
 
     def __str__(self) -> str:
         more = (
@@ -62,7 +62,7 @@ class Estimate:
 
 
 def estimate(scene: Scene) -> Estimate:
-    """Estimate what the test of a scene takes at least.
+    """Estimate lower bounds of the resources of a scene's test.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def estimate(scene: Scene) -> Estimate:
     the test takes at least 30.0 min on the bench: 9.22e+06 samples a channel, about 165.9 MB
     """
     rate = scene.converter.sample_rate
-    # Without channels of its own a scene has an ideal one on every body and the table.
+    # A scene without channels has an ideal channel on every body and on the table.
     channels = scene.structure.bodies + 1 if scene.channels is None else len(scene.channels)
     seconds = _shortest(scene)
     samples = seconds * rate
@@ -94,14 +94,14 @@ def estimate(scene: Scene) -> Estimate:
 
 
 def refuse_too_much(what: Estimate, path: Path) -> None:
-    """Refuse a test that cannot be carried through here.
+    """Reject a test that exceeds the resources of this computer.
 
     Raises
     ------
     SceneError
-        If it would take for ever, or surely more disk than there is.
+        If it would have too many samples, or certainly exceed the free disk space.
     RunError
-        If it would take more memory than is allowed.
+        If it would exceed the permitted memory.
     """
     if not what.samples <= MOST_SAMPLES:
         raise SceneError(
@@ -119,7 +119,7 @@ def refuse_too_much(what: Estimate, path: Path) -> None:
 
 
 def _shortest(scene: Scene) -> float:
-    """Time that the test takes at least, s."""
+    """Return the lower bound of the duration of the test, s."""
     test = scene.test
     if test is None:
         return 0.0
@@ -137,7 +137,7 @@ def _period(test: Multisine) -> float:
 
 
 def _duration(seconds: float) -> str:
-    """Write a time as people say it.
+    """Return a duration in a readable unit.
 
     >>> _duration(30.0), _duration(7200.0), _duration(1e9)
     ('30.0 s', '2.0 h', '31.7 years')

@@ -1,4 +1,4 @@
-"""Whether the channels of a scene measure the force on the structure, the reference of its responses."""
+"""Check that the channels of a scene measure the force on the structure, the reference of the FRFs."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ if TYPE_CHECKING:
 
 
 def missing_force_reference(scene: Scene, channels: Sequence[ChannelInfo]) -> str | None:
-    """Name the channels that are missing to measure the shaker's force; None if none is missing.
+    """Return a text with the channels that are missing for the shaker's force; None if they are complete.
 
     Parameters
     ----------
     channels : sequence of ChannelInfo
-        Its channels.
+        Channels of the scene.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Limits of the channels: overloads and alarms are noted, an abort limit ends the test."""
+"""Limits of the channels: overloads and alarms are marked, an abort limit ends the test."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from daq.signal_chain.channel import ChannelInfo
 if TYPE_CHECKING:
     from rig.scene.scene import Scene
 
-# An oscillation crosses its limit twice a period; crossings closer than this are one stretch, s.
+# An oscillation exceeds its limit twice per period; intervals with a shorter gap are merged, s.
 _PAUSE = 0.5
-# The channels are watched at the end of each stretch of this length, s, whatever the size of the blocks; the longer one
-# where they have no limits and can only lose the control.
+# Interval at which the channels are checked, s, independent of the block size; the longer interval if the channels
+# have no limits and only the control can be lost.
 _WATCH, _WATCH_LONG = 0.1, 0.5
 
 
 @dataclass(frozen=True)
 class Trip:
-    """A channel beyond its abort limit: when (sample number), which, what it read and what it may read."""
+    """A channel beyond its abort limit: sample number, channel, reading and limit."""
 
     sample: int
     channel: ChannelInfo
@@ -39,12 +39,12 @@ class Trip:
         )
 
 
-#: Overload of a control channel that ends a test, s.
+#: Duration of an overload of a control channel after which a test ends, s.
 _CLIPPED = 1.0
 
 
 class Stretches:
-    """Joins flagged samples to stretches and notes each when it is over.
+    """Merges flagged samples into intervals and marks each complete interval.
 
     Parameters
     ----------
@@ -68,13 +68,13 @@ class Stretches:
         self._open: dict[int, tuple[int, int]] = {}
 
     def add(self, first: int, flags: NDArray[np.bool_]) -> None:
-        """Take the flags of the next samples, shape (channels, samples), the first one numbered `first`."""
+        """Add the flags of the next samples, shape (channels, samples); `first` is the number of the first sample."""
         if not self._open and not flags.any():
             return
         pause = max(1, round(_PAUSE * self._channels[0].rate))
         for row in range(len(self._channels)):
             flagged = np.flatnonzero(flags[row]) + first
-            # Flagged samples with less than a pause between them belong together.
+            # Flagged samples with a gap shorter than a pause belong to the same interval.
             for together in np.split(flagged, np.flatnonzero(np.diff(flagged) > pause) + 1):
                 if together.size:
                     self._join(row, int(together[0]), int(together[-1]) + 1, pause)
@@ -82,13 +82,13 @@ class Stretches:
                 self._note(row)
 
     def _join(self, row: int, start: int, stop: int, pause: int) -> None:
-        """Join a stretch to the one that is open, if it is near."""
+        """Merge an interval into the open interval, if the gap is short."""
         if row in self._open and start - self._open[row][1] >= pause:
             self._note(row)
         self._open[row] = self._open.get(row, (start, stop))[0], stop
 
     def close(self) -> None:
-        """Note what is still open."""
+        """Mark the open intervals."""
         for row in sorted(self._open):
             self._note(row)
 
@@ -98,12 +98,12 @@ class Stretches:
 
 
 class Limits:
-    """Watches alarm and abort limits.
+    """Monitors alarm and abort limits.
 
     Parameters
     ----------
     scene : Scene
-        Limits stand with its channels, in each channel's unit.
+        Scene whose channels have the limits, in the unit of each channel.
     channels : sequence of ChannelInfo
         The channels, in the order of the rows of the readings.
     mark : callable
@@ -129,11 +129,11 @@ class Limits:
 
     @property
     def interval(self) -> float:
-        """Length of the stretches at whose ends the channels are watched, s."""
+        """Interval at which the channels are checked, s."""
         return _WATCH if self.given else _WATCH_LONG
 
     def watch(self, first: int, readings: NDArray[np.float64]) -> Trip | None:
-        """Look at readings, shape (channels, samples), and report the first beyond an abort limit."""
+        """Check readings, shape (channels, samples), and return the first reading beyond an abort limit."""
         if not self.given:
             return None
         size = abs(readings)
@@ -148,12 +148,12 @@ class Limits:
         )
 
     def close(self) -> None:
-        """Note the alarms that still last."""
+        """Mark the open alarms."""
         self._alarms.close()
 
 
 class ControlLoss:
-    """Watches the channels that a held spring force is read from: clipped, they do not measure it.
+    """Monitors the channels of a controlled spring force: clipped channels do not measure the force.
 
     Parameters
     ----------
@@ -174,7 +174,7 @@ class ControlLoss:
         self._since: int | None = None
 
     def watch(self, first: int, flags: NDArray[np.bool_]) -> str | None:
-        """Look at overload flags, shape (channels, samples); say so when they have lasted for too long."""
+        """Check overload flags, shape (channels, samples); return a message if an overload is too long."""
         clipped = [row for row in self._rows if flags[row].any()]
         if not clipped:
             self._since = None

@@ -1,4 +1,4 @@
-"""Run the test of a scene on its bench and record it."""
+"""Run and recording of the test of a scene on its bench."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ from rig.scene.scene import Scene
 Array = NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
-#: Time in which the drive of a test that is ended early is taken to zero, s.
+#: Duration of the drive's ramp to zero after an early end of a test, s.
 RAMP_S = 0.05
-# Part of a test after which its recording shows how large it will be.
+# Fraction of a test after which the size of its recording can be extrapolated.
 _ENOUGH = 0.02
 
 
@@ -49,39 +49,39 @@ def record(
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> Path:
-    """Run the whole test of a scene, as the real one would run, and record it.
+    """Run the complete test of a scene, as on real hardware, and record it.
 
-    Same scene and seed give the same bytes, whatever the block size.
+    The same scene and seed result in the same bytes, independent of the block size.
 
     Parameters
     ----------
     scene : Scene, str, Path or mapping
-        Scene, name of a bundled one, or path of a scene file.
+        Scene, name of a bundled scene, or path of a scene file.
     path : str or Path
-        Recording to write (MCAP); missing folders are made.
+        Recording to write (MCAP); missing folders are created.
     block : int, optional
-        Most samples to acquire at a time; by default what suits the machine.
+        Maximum number of samples per block; the default depends on the computer.
     overwrite : bool
         Whether an existing file may be replaced.
     progress : callable, optional
-        ``progress(fraction, message)``, called as the test goes on.
+        ``progress(fraction, message)``, called during the test.
 
     Raises
     ------
     SceneError
-        If the scene or its test can not be run; no recording is left behind.
+        If the scene or its test cannot be run; no recording remains.
     RecordingError
-        If the recording cannot be made where it is to lie, or there is one already.
+        If the recording cannot be created at this path, or exists already.
     RunError
-        If the run failed or a channel went beyond its abort limit; the recording up to there is closed and
+        If the run failed or a channel exceeded its abort limit; the recording up to this time is closed and
         marked.
     KeyboardInterrupt
-        If the user interrupted; the recording up to there is closed and marked.
+        If the user interrupted; the recording up to this time is closed and marked.
 
     Warns
     -----
     RunWarning
-        If points did not settle, or a level was not reached; at the start, if no channel measures the force.
+        If points did not settle or a level was not reached; before the test, if no channel measures the force.
 
     Examples
     --------
@@ -107,22 +107,22 @@ class MeasurementRun:
     Parameters
     ----------
     scene : Scene
-        What is on the bench.
+        Scene of the bench.
     block : int or None
-        Most samples to acquire at a time.
+        Maximum number of samples per block.
     progress : callable or None
         Called with the progress of the test.
     excite : callable
-        Makes the excitation at a station; the scene's own test unless another is given.
+        Creates the excitation at a station; by default that of the scene's test.
     heard : callable
-        Called with each block and the channels' readings in it; it may take its time.
+        Called with each block and the readings of the channels; it may be slow.
     kind : TestKind, optional
-        Kind of another excitation than that of the scene's test.
+        Kind of the excitation, if it is not the scene's test.
 
     Attributes
     ----------
     bench : Bench
-        Where it runs.
+        Bench of the run.
     """
 
     def __init__(
@@ -158,12 +158,12 @@ class MeasurementRun:
         self._overloads = Stretches("overload", self.bench.channels, self._mark)
         self._control = ControlLoss(scene, self.bench.channels)
         self._control_lost: str | None = None
-        # Sample that broke the test off, where there is one.
+        # Sample at which the test was aborted, if any.
         self._ended: int | None = None
 
     def run(self, overwrite: bool) -> Path:
         """Run the test to its end and close the recording."""
-        # All that can be wrong with the test shows before there is a file.
+        # Errors of the test are reported before a file is created.
         test = self._excite(self._station)
         drive = next(test)
         bench, path = self.bench, self._path
@@ -172,7 +172,8 @@ class MeasurementRun:
             warnings.warn(missing, RunWarning, stacklevel=4)
         _make_folder(path)
         try:
-            # While the file is made and while it is ended an interrupt waits, too: a part of either is no recording.
+            # Interrupts are deferred while the file is created and while it is completed: otherwise it would be
+            # invalid.
             with (
                 _interruptible() as interrupted,
                 Recorder(
@@ -181,7 +182,7 @@ class MeasurementRun:
             ):
                 self._recorder = recorder
                 try:
-                    # What the test still has to mark, it marks while the recorder takes it.
+                    # The test must write its last markers while the recorder is open.
                     with closing(test):
                         self._play(test, drive, interrupted)
                 except (ShotrigError, _Stopped) as error:
@@ -197,7 +198,7 @@ class MeasurementRun:
         except _Stopped as stopped:
             raise KeyboardInterrupt(self._holds()) from stopped
         except DiskError:
-            # The recorder knows what the file holds.
+            # The message of the recorder includes the content of the file.
             raise
         except ShotrigError as error:
             if self._recorder is None:
@@ -231,7 +232,7 @@ class MeasurementRun:
                 return
 
     def _acquire(self, drive: Array) -> Array:
-        """Acquire and record a stretch in blocks; return what the channels read."""
+        """Acquire and record a window in blocks; return the readings of the channels."""
         assert self._recorder is not None
         first, size = self._station.now, drive.shape[1]
         block = size if self._block is None else self._block
@@ -243,7 +244,7 @@ class MeasurementRun:
             if self.bench.scene.recording.truth:
                 self._recorder.write_truth(got.motion)
             self._write(got.samples, got.first)
-            # Where a filter's latency is hidden in the sample numbers, nothing comes out at first.
+            # If the latency of a filter is removed from the sample numbers, the first blocks have no samples.
             came = slice(part.stop - got.samples.shape[1], part.stop)
             readings[:, came] = self.bench.physical(got.samples)
             overload[:, came] = got.overload
@@ -255,10 +256,10 @@ class MeasurementRun:
         return readings
 
     def _write(self, samples: NDArray[Any], first: int) -> None:
-        """Write samples, except those that are lost on the way to the recording."""
+        """Write samples, except those that are lost during the transfer to the recording."""
         assert self._recorder is not None
         if not samples.size:
-            # At a low rate a whole stretch may be shorter than the filter's delay that is taken out.
+            # At a low rate a whole window may be shorter than the removed filter delay.
             return
         if not self.bench.lost:
             self._recorder.write(samples)
@@ -279,24 +280,24 @@ class MeasurementRun:
             self._lost = 0
 
     def _end(self, test: Excitation) -> None:
-        """End the test where it is and take the drive to zero, without a jump in it or in its slope."""
-        # First the test: what it marks as held must not reach into the ramp.
+        """End the test at the present sample and ramp the drive to zero, continuously and with a continuous slope."""
+        # The test is closed first: its markers of held intervals must not include the ramp.
         test.close()
         self._acquire(ramp_down(self._last, self._station.samples(RAMP_S)))
 
     def _mark(self, kind: str, first: int, stop: int, **fields: Any) -> None:
         assert self._recorder is not None
-        # After a full disk nothing is marked: what the user must hear is that the disk is full.
+        # No marker is written on a full disk: its error would hide the message that the disk is full.
         if self._recorder.takes_more:
             self._recorder.mark(kind, first, stop - 1, **fields)
 
     @property
     def _last_sample(self) -> int:
-        """Number of the last sample that has come out of the converter."""
+        """Number of the last sample of the converter."""
         return max(0, self._station.now - self.bench.latency - 1)
 
     def _report(self, fraction: float, message: str) -> None:
-        """Pass progress on, with a warning where the disk has no room for the rest: no estimate knows the waits."""
+        """Report progress, with a warning if the disk space will not suffice: the first estimate excludes waits."""
         if self._progress is None:
             return
         if self._recorder is not None and fraction > _ENOUGH:
@@ -311,7 +312,7 @@ class MeasurementRun:
 
 
 def _make_folder(path: Path) -> None:
-    """Make the folders that a recording is to lie in, where they are missing."""
+    """Create the missing folders of a recording."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -322,17 +323,17 @@ def _make_folder(path: Path) -> None:
 
 
 def ramp_down(last: Array, samples: int) -> Array:
-    """Take a drive to zero without a jump in it or in its slope, from its last two samples (inputs, 2)."""
+    """Return a ramp of the drive to zero, continuous in value and slope, from its last two samples (inputs, 2)."""
     part = np.arange(1, samples + 1)
     return (last[:, -1:] + (last[:, -1:] - last[:, :1]) * part) * (1 + np.cos(np.pi * part / samples)) / 2
 
 
 class _Stopped(KeyboardInterrupt):
-    """Somebody has pressed Ctrl-C, and the drive has been brought to rest."""
+    """The user pressed Ctrl-C, and the drive has been ramped to zero."""
 
 
 def stretches_of_equals(values: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Find where values stay the same, as (start, stop).
+    """Return the intervals of equal values, as (start, stop).
 
     >>> stretches_of_equals(np.array([True, True, False, True]))
     [(0, 2), (2, 3), (3, 4)]
@@ -343,7 +344,7 @@ def stretches_of_equals(values: NDArray[np.bool_]) -> list[tuple[int, int]]:
 
 @contextmanager
 def _interruptible() -> Iterator[Callable[[], bool]]:
-    """Turn the first Ctrl-C into a flag, so that no block is torn; the second one interrupts as ever."""
+    """Convert the first Ctrl-C into a flag, so that blocks stay complete; the second Ctrl-C interrupts as usual."""
     pressed = threading.Event()
 
     def press(number: int, frame: FrameType | None) -> None:

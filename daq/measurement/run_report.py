@@ -1,4 +1,4 @@
-"""Progress of a test while it runs, and its summary when it is over."""
+"""Progress of a test during the run, and its summary at the end."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ if TYPE_CHECKING:
 
 
 def record_and_report(name: str, scene: Scene, path: Path, overwrite: bool, block: int | None) -> int:
-    """Record a scene's test with a progress bar and say what came of it.
+    """Record a scene's test with a progress bar and print a summary.
 
     Parameters
     ----------
     name : str
-        What the user calls the scene.
+        Name of the scene on the command line.
     scene : Scene
     path, overwrite, block
-        As `daq.record` takes them.
+        As in `daq.record`.
 
     Returns
     -------
     int
-        Exit code: 0 done, 130 interrupted (the recording is then closed and readable).
+        Exit code: 0 complete, 130 interrupted (the recording is then closed and readable).
     """
     import daq
     from daq.measurement.estimate import WORTH_SAYING_S, estimate
@@ -70,7 +70,7 @@ def record_and_report(name: str, scene: Scene, path: Path, overwrite: bool, bloc
 
 
 def is_recorded(scene: Scene, path: Path) -> bool:
-    """Whether a file holds the whole test of a scene as this version records it, so that another run adds nothing."""
+    """Return whether a file is the complete recording of a scene's test by this version."""
     from importlib.metadata import version
 
     import daq
@@ -80,14 +80,14 @@ def is_recorded(scene: Scene, path: Path) -> bool:
             return False
         with daq.open(path) as rec:
             ours = rec.metadata.get("run", {}).get("shotrig") == version("shotrig") and not rec.source
-            # What is recorded live, for the scope or clients, has no markers of a test.
+            # Live recordings, of the scope or of clients, have no markers of a test.
             return ours and rec.status == "complete" and bool(rec.markers) and rec.scene == scene
     except (ShotrigError, OSError):
         return False
 
 
 def summary(path: Path) -> str:
-    """Describe a recording just made: what it holds, what went wrong in it, what to type next."""
+    """Describe a new recording: contents, problems and next commands."""
     import daq
 
     with daq.open(path) as rec:
@@ -112,12 +112,12 @@ def summary(path: Path) -> str:
 
 
 def next_steps(rec: Recording) -> list[str]:
-    """List the commands that have something to work on in a recording, the most informative first."""
+    """List the commands that can evaluate a recording, the most informative command first."""
     path = shlex.quote(str(rec.path))
     try:
         outline, kind = rec.outline, rec.test_kind
     except ShotrigError:
-        # Another program's recording need not state its scene.
+        # A recording of another program may not contain its scene.
         return [f"daq replay {path}"]
     kinds = {mark.kind for mark in rec.markers}
     channels = rec.channels.values()
@@ -131,7 +131,7 @@ def next_steps(rec: Recording) -> list[str]:
 
 
 def _levels(rec: Recording) -> list[str]:
-    """Say where a swept force was off its level, one line or none."""
+    """Return a line about deviations of a swept force from its level, or an empty list."""
     off = [mark for mark in rec.markers if mark.kind == "level"]
     if not off:
         return []
@@ -140,7 +140,7 @@ def _levels(rec: Recording) -> list[str]:
 
 
 def _overloads(rec: Recording) -> str:
-    """Say which channels were overloaded, when, at which frequencies and beyond which limit."""
+    """Describe overloads: channels, times, frequencies and limits."""
     stretches = sorted(
         (mark for mark in rec.markers if mark.kind == "overload"), key=lambda mark: mark.first_sample
     )
@@ -173,7 +173,7 @@ def _overload(rec: Recording, name: str, stretches: Sequence[Marker]) -> str:
 
 
 def _limit(rec: Recording, name: str) -> str:
-    """Say what a channel can take: its sensor, its input."""
+    """Describe the range of a channel: sensor and input."""
     from rig.scene.presets import origin
 
     info, limits = rec.channels[name], []

@@ -1,4 +1,4 @@
-"""The live scope: the rig in real time, in the viewer, with commands typed at it.
+"""The live scope: the rig in real time, with a viewer and typed commands.
 
-Start with `scope`; `screen` is what it shows.
+Start with `scope`; `screen` is its display.
 """

@@ -1,4 +1,4 @@
-"""The live scope: a bench in real time, its drive in the operator's hands, the recording written meanwhile."""
+"""The live scope: a bench in real time, a drive controlled by the operator, and a simultaneous recording."""
 
 from __future__ import annotations
 
@@ -31,24 +31,24 @@ if TYPE_CHECKING:
     from rig.scene.scene import Scene
 
 BLOCK_S = 0.04
-# A delay of more than this is reported, and the time given up: the bench then goes on from there.
+# A longer delay, s, is reported and skipped: the bench then continues without catching up.
 LATE_S = 0.5
-# Samples a period that a drive needs at least.
+# Minimum number of samples per period of the drive.
 FEWEST_SAMPLES = 10.0
 
 
 class Pace:
-    """Keeps samples at wall-clock time.
+    """Synchronizes samples with the wall clock.
 
     Parameters
     ----------
     report : callable
-        Called once when the machine is too slow.
+        Called once if the computer is too slow.
 
     Attributes
     ----------
     given_up_s : float
-        Wall-clock time that the bench has fallen behind, s.
+        Total skipped wall-clock time, s.
     """
 
     def __init__(self, rate: float, report: Callable[[str], None]) -> None:
@@ -60,7 +60,7 @@ class Pace:
         """Wait until the sample at `position` is due."""
         now = time.monotonic()
         if self._origin is None:
-            # Before the first block the simulation may have been compiled; time begins now.
+            # The simulation may have been compiled before the first block; time starts now.
             self._origin = now - position / self._rate
         early = self._origin + position / self._rate - now
         if early > 0:
@@ -81,31 +81,31 @@ def record_live(
     keep: Callable[[int], None],
     overwrite: bool = False,
 ) -> Path:
-    """Run a bench under an operator's hands and record it, until the knobs are turned off.
+    """Run and record a bench controlled by an operator, until the knobs are turned off.
 
     Parameters
     ----------
     scene : Scene
-        What stands on the bench; its test is not run.
+        Scene of the bench; its test is not run.
     stream : rerun RecordingStream
-        Where the live view goes.
+        Stream of the live view.
     knobs : Knobs
-        Turned by somebody else meanwhile.
+        Settings, which another thread changes.
     report : callable
-        Called with one line whenever a setting has been reached.
+        Called with a line of text when a setting has been reached.
     keep : callable
-        Called with the number of samples that have passed, after every block; it lets time pass.
+        Called after every block with the number of samples that have passed; it waits for real time.
     overwrite : bool
         Whether an existing file may be replaced.
 
     Raises
     ------
     SceneError
-        If the rig has no shaker, or the channels do not give the spring force.
+        If the rig has no shaker, or the channels do not measure the spring force.
     RunError
-        If a channel went beyond its abort limit, or the recording could not be written.
+        If a channel exceeded its abort limit, or the recording could not be written.
     KeyboardInterrupt
-        If the operator pressed Ctrl-C; the recording up to there is closed.
+        If the operator pressed Ctrl-C; the recording up to this time is closed.
     """
     was: list[tuple[float, float, bool]] = [(0.0, 0.0, False)]
 
@@ -130,7 +130,7 @@ def record_live(
 
 
 def knobs_for(scene: Scene, frequency: float | None, force: float) -> Knobs:
-    """Set the knobs to begin with: the frequency asked for, or that of the scene's test, or the lowest mode's."""
+    """Return the initial knobs: at the given frequency, that of the scene's test, or that of the lowest mode."""
     from rig.system.structural_model import structural_model
 
     if frequency is None:
@@ -141,7 +141,7 @@ def knobs_for(scene: Scene, frequency: float | None, force: float) -> Knobs:
 
 
 def listen(knobs: Knobs, lines: TextIO, report: Callable[[str], None]) -> None:
-    """Turn the knobs by lines that are typed, on a thread of its own; their end turns them off."""
+    """Turn the knobs by typed lines, in a separate thread; the end of the input turns them off."""
 
     def obey() -> None:
         for line in lines:
@@ -153,7 +153,7 @@ def listen(knobs: Knobs, lines: TextIO, report: Callable[[str], None]) -> None:
                 return
         knobs.off = True
 
-    # A daemon: it waits for a line that may never come.
+    # A daemon thread: it may wait for input when the program ends.
     threading.Thread(target=obey, name="operator", daemon=True).start()
 
 
@@ -166,7 +166,7 @@ def scope(
     web: bool = False,
     overwrite: bool = False,
 ) -> Path:
-    """Run a rig in real time under the operator's hands, with a viewer, and record it.
+    """Run and record a rig in real time, controlled by an operator, with a viewer.
 
     Parameters
     ----------
@@ -175,11 +175,11 @@ def scope(
     path : str or Path
         Recording to write (MCAP).
     frequency : float, optional
-        Initial drive frequency, Hz; by default that of the scene's test, or of the lowest mode.
+        Initial drive frequency, Hz; by default that of the scene's test, or that of the lowest mode.
     force : float
         Initial force amplitude, N.
     web : bool
-        Whether to show it in a browser on this machine instead of a window.
+        Whether to show the viewer in a browser on this computer instead of a window.
     overwrite : bool
         Whether an existing file may be replaced.
 
@@ -191,7 +191,7 @@ def scope(
     Raises
     ------
     SceneError
-        If the rig has no shaker, or the channels do not give the spring force.
+        If the rig has no shaker, or the channels do not measure the spring force.
     RunError
         If there is no display, a channel exceeds its abort limit, or the recording cannot be written.
     """
@@ -204,17 +204,17 @@ def scope(
 def live(
     scene: Scene, path: Path, knobs: Knobs, viewing: AbstractContextManager[Viewer], overwrite: bool
 ) -> None:
-    """Run the scope with a viewer in real time, its knobs at standard input.
+    """Run the scope with a viewer in real time, with its knobs at standard input.
 
     Parameters
     ----------
     scene, path, knobs, overwrite
-        As `record_live` takes them.
+        As in `record_live`.
     viewing : context manager
         The viewer; closing it turns the knobs off.
     """
     bench = Bench(scene)
-    # What has to be compiled is compiled before time begins to run; the bench of the run is another one.
+    # The kernels are compiled before real time starts; the run uses a new bench.
     bench.acquire(np.zeros((len(bench.inputs), 64)))
     with viewing as running, recording_stream() as stream:
         stream.connect_grpc(running.url)
@@ -230,7 +230,7 @@ def live(
         try:
             record_live(scene, path, stream, knobs, say, keep, overwrite)
         except KeyboardInterrupt as interrupt:
-            # Ctrl-C is as good a way to end as any, once the recording is closed.
+            # Ctrl-C is a regular end, because the recording has been closed.
             if not interrupt.args:
                 raise
         if pace.given_up_s:

@@ -1,4 +1,4 @@
-"""The live view of a bench: the rig as one sees it, curves as the channels read, the tone in figures."""
+"""The live view of a bench: a drawing of the rig, curves of the channel readings, and values of the tone."""
 
 from __future__ import annotations
 
@@ -24,22 +24,23 @@ if TYPE_CHECKING:
     from rig.scene.scene import Scene
 
 FRAMES_PER_S = 200.0
-# The exaggeration follows the motion: down at once, up when the motion has long been this much smaller.
+# The exaggeration adapts to the motion: it decreases at once, and increases after the motion has been smaller by this
+# factor for a while.
 QUIETER = 4.0
 REMEMBERED_S = 2.0
 READINGS_PER_S = 5.0
 
 
 class Screen:
-    """Sends to a viewer what happens on a bench.
+    """Displays a bench in a viewer.
 
-    The rig and its dampers are drawn as they truly move, as eyes beside the rig would see them; curves of
-    channels are what the instrument reads.
+    The drawing shows the true motion of the rig and its dampers, as an observer would see it; the curves show the
+    readings of the instrument.
 
     Parameters
     ----------
     stream : rerun RecordingStream
-        Its sink is set.
+        Stream with a sink.
     """
 
     def __init__(
@@ -82,7 +83,7 @@ class Screen:
             self._traces.motion(self._view, true.first + picked, motion)
 
     def read(self, reading: ToneReading) -> None:
-        """Show what the channels say of the tone, a few times a second."""
+        """Show the readings of the tone, a few times per second."""
         import rerun as rr
 
         if self._position < self._next_reading:
@@ -97,7 +98,7 @@ class Screen:
             self._stream.log(path, part, static=True)
 
     def _fit(self, motion: RigPose) -> None:
-        """Draw the rig anew where its exaggeration has become too large or much too small."""
+        """Redraw the rig if its exaggeration has become too large or much too small."""
         seen = Extremes().widened(motion, [shaker.body for _, shaker in self._scene.tables])
         since = self._position - round(REMEMBERED_S * self._rate)
         self._recent = [(at, extremes) for at, extremes in self._recent if at >= since]
@@ -112,7 +113,7 @@ class Screen:
 
 
 def page(reading: ToneReading) -> str:
-    """Write a reading as a page of Markdown."""
+    """Return a reading as a page of Markdown."""
     state = "held" if reading.held else "silent" if reading.level == 0.0 else "settling"
     lines = [
         f"## {reading.frequency:.2f} Hz, {reading.level:g} N: {state}",
@@ -131,7 +132,7 @@ def page(reading: ToneReading) -> str:
 
 
 def sentence(reading: ToneReading) -> str:
-    """Write a reading that is held as one line."""
+    """Return a held reading as a line of text."""
     responses = ", ".join(
         f"{name} {abs(moved) * 1e3:.3g} mm ({math.degrees(cmath.phase(reading.receptance(name))):.0f}°)"
         for name, moved in reading.displacement.items()

@@ -34,7 +34,7 @@ class Task:
     chassis : Chassis
         Chassis of the task.
     name : str
-        Name; an empty one is replaced by a generated name.
+        Name; an empty name is replaced by a generated name.
     scales : mapping of str to Scale
         Custom scales that its channels may use.
 
@@ -189,7 +189,7 @@ class Task:
 
     @property
     def run(self) -> Acquisition | Generation | None:
-        """The present run, or the last one."""
+        """The present run, or the last run."""
         return self._part.run
 
     @property
@@ -321,7 +321,7 @@ class Task:
         Parameters
         ----------
         samples : int
-            Samples per channel; -1 reads all of a finite task, and the present samples of a continuous one.
+            Samples per channel; -1 reads all of a finite task, and the available samples of a continuous task.
         timeout : float
             Seconds to wait; 0 tries once, a negative timeout is infinite.
         raw : bool
@@ -408,7 +408,7 @@ class Task:
                 self.chassis.release(self)
 
     def default_count(self) -> int:
-        """Count the samples of a read by default: all of a finite task, the present ones of a continuous task."""
+        """Return the default size of a read: all samples of a finite task, the available samples otherwise."""
         settings = self.settings
         settings.require("ai")
         if not settings.clocked:

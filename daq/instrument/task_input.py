@@ -40,7 +40,7 @@ class TaskInput:
     Attributes
     ----------
     run : Acquisition or None
-        The present acquisition, or the last one.
+        The present acquisition, or the last acquisition.
     log : TaskLog or None
         Log of the present acquisition.
     """

@@ -30,7 +30,7 @@ class TaskOutput:
     Attributes
     ----------
     run : Generation or None
-        The present generation, or the last one.
+        The present generation, or the last generation.
     buffer : OutputBuffer or None
         Written samples.
     """
@@ -103,7 +103,7 @@ class TaskOutput:
 
     @property
     def size(self) -> int:
-        """Samples per channel that the buffer holds."""
+        """Samples per channel that fit into the buffer."""
         return (
             int(self._settings.groups["buffer"]["output_buf_size"])
             if self.buffer is None
@@ -130,7 +130,7 @@ class TaskOutput:
         return self._fill(self.buffer, volts, timeout)
 
     def write_on_demand(self, volts: Array) -> int:
-        """Output samples one after the other at the rate of the bench; the output keeps the last value."""
+        """Output samples sequentially at the rate of the bench; the output keeps the last value."""
         chassis, rows = self._chassis, [each.row for each in self._settings.channels]
         if volts.shape[1] > 1:
             buffer = OutputBuffer(volts.shape[0], None)

@@ -50,8 +50,8 @@ class TimeLimit:
         if not self.reached and self.process is not None:
             self.reached = True
             if sys.platform == "win32":
-                # On Windows a signal to one process kills it; Ctrl-C reaches all processes of the console, and this
-                # one ignores it.
+                # On Windows a signal to a single process kills it. Ctrl-C reaches all processes of the console; this
+                # process ignores it.
                 os.kill(0, signal.CTRL_C_EVENT)
             else:
                 os.kill(self.process, signal.SIGINT)

@@ -35,7 +35,7 @@ class InputPlan:
     rate : float
         Samples per second.
     samples : int or None
-        Samples of a finite acquisition; None for a continuous one.
+        Samples of a finite acquisition; None for a continuous acquisition.
     buffer : int
         Capacity of the buffer, samples per channel.
     keep : bool
@@ -70,8 +70,8 @@ class InputPlan:
 class Acquisition:
     """The state of an input task from start to stop.
 
-    Samples are numbered from 0, the first one after the start trigger; instants are samples at the task's rate since
-    power-on, and ticks are counted by the bench.
+    Sample 0 is the first sample after the start trigger. Instants are sample numbers at the task's rate since
+    power-on. The bench counts the ticks.
 
     A reader that is late by more than the buffer loses the older samples, and continues with the oldest sample in the
     buffer. The buffer is then full, and the next sample would overwrite the oldest. After an overflow the ring
@@ -106,7 +106,7 @@ class Acquisition:
     error : DaqError or None
         Reason of an early stop.
     overloaded : ndarray of bool, shape (channels,)
-        Channels overloaded since this was last cleared.
+        Channels overloaded since the flags were last cleared.
     """
 
     def __init__(self, plan: InputPlan, tick_rate: float, position: int, dtype: Any) -> None:
@@ -180,7 +180,7 @@ class Acquisition:
         return 0 if self.trigger is None else self.trigger - self.plan.pretrigger
 
     def instant_of(self, sample: int) -> int:
-        """Return the instant of a sample, of this record or an earlier one."""
+        """Return the instant of a sample of this or an earlier record."""
         for first, instant in reversed(self._records):
             if first <= sample:
                 return instant + sample - first

@@ -70,7 +70,7 @@ class OutputPlan:
     per_tick : Fraction
         Samples of the output per tick of the bench.
     samples : int or None
-        Samples of a finite generation; None for a continuous one.
+        Samples of a finite generation; None for a continuous generation.
     regenerate : bool
         Whether the buffer is repeated.
     start : SyncPulse, AtTime, OtherTask or None

@@ -150,7 +150,7 @@ def plain_ticks(low: float, high: float, most: int = 8) -> list[float]:
 
 
 def plain_logarithmic(axis: Axis, most: int = 8, factor: float = 1.0) -> None:
-    """Set up a logarithmic axis with few, plain tick labels; labels are axis values times `factor`."""
+    """Set up a logarithmic axis with few, plain tick labels; each label is the axis value times `factor`."""
     from matplotlib.ticker import Locator, NullFormatter
 
     class Plain(Locator):

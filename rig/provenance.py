@@ -1,10 +1,10 @@
-"""Which outputs a command may replace: those that shotrig wrote from the same source and nobody has changed since.
+"""Protection of output files: a command replaces only unchanged shotrig outputs from the same source.
 
-An output carries a mark, `shotrig SOURCE CONTENT`: the digest of what it was made from, and that of the file without
-the mark. A file without a mark, with another source, or whose content no longer has its digest is the user's. The mark
-is where other programs pass over it: a last cell of a table's heading, the text chunk `Software` of a PNG, a comment at
-the end of SVG, HTML, Markdown and YAML, the comment of a zip archive. Files for other programs (UFF, MATLAB, WAV, RRD,
-exported tables) carry none and are left alone if the same file comes out again.
+An output contains a mark, `shotrig SOURCE CONTENT`: the digest of its inputs, and the digest of the file without the
+mark. A file without a mark, with another source, or with a different content digest belongs to the user. The mark is
+stored where other programs ignore it: the last header cell of a table, the text chunk `Software` of a PNG, a
+comment at the end of SVG, HTML, Markdown and YAML, the comment of a zip archive. Files for other programs (UFF,
+MATLAB, WAV, RRD, exported tables) have no mark; they are accepted if the new content is identical.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from rig.errors import SceneError
 _DIGITS = 16
 _MARK = re.compile(rb"shotrig ([0-9a-f]{16}) ([0-9a-f]{16})")
 _MARK_BYTES = len("shotrig ") + _DIGITS + 1 + _DIGITS
-# What stands before and after the mark in formats of text.
+# Text before and after the mark in text formats.
 _FRAMES = {
     ".csv": (b",", b""),
     ".svg": (b"<!-- ", b" -->\n"),
@@ -35,9 +35,9 @@ _FRAMES = {
     ".yml": (b"# ", b"\n"),
 }
 _PNG_KEYWORD = b"Software\0"
-# Length, type and checksum of a PNG chunk; its last chunk, IEND, is nothing more.
+# Size of length, type and checksum of a PNG chunk; the last chunk, IEND, has no other content.
 _PNG_CHUNK = 12
-# A zip archive ends with the length of its comment, and the comment.
+# A zip archive ends with the length of its comment and the comment; this is an empty comment.
 _ZIP_NO_COMMENT = b"\0\0"
 
 _source: ContextVar[str] = ContextVar("source", default="")
@@ -46,7 +46,7 @@ _overwriting: ContextVar[bool] = ContextVar("overwriting", default=False)
 
 @contextmanager
 def made_from(*what: str) -> Iterator[None]:
-    """Say what the outputs written inside the `with` are made from: the command, and what identifies its input."""
+    """Set the source of outputs written inside the `with` block: the command, and the identity of its input."""
     token = _source.set(_digest("\0".join(what).encode("utf-8", errors="surrogateescape")))
     try:
         yield
@@ -56,7 +56,7 @@ def made_from(*what: str) -> Iterator[None]:
 
 @contextmanager
 def overwriting(allowed: bool) -> Iterator[None]:
-    """Let the outputs written inside the `with` replace any file, if allowed."""
+    """Allow outputs written inside the `with` block to replace any file, if `allowed`."""
     token = _overwriting.set(allowed)
     try:
         yield
@@ -65,7 +65,7 @@ def overwriting(allowed: bool) -> Iterator[None]:
 
 
 def relative(paths: Sequence[Path], folder: Path) -> list[str]:
-    """Say where input files are as seen from the folder of the outputs, so that both can be moved together."""
+    """Return input paths relative to the output folder, so that both can be moved together."""
     return [_relative(path.resolve(), folder.resolve()) for path in paths]
 
 
@@ -73,7 +73,7 @@ def _relative(path: Path, folder: Path) -> str:
     try:
         return Path(os.path.relpath(path, folder)).as_posix()
     except ValueError:
-        # Another drive.
+        # A file on another drive has no relative path.
         return path.as_posix()
 
 
@@ -83,23 +83,23 @@ def may_overwrite() -> bool:
 
 
 def is_own(path: Path) -> bool:
-    """Whether a file was written from the present source and has not been changed since."""
+    """Whether a file was written from the current source and has not been changed since."""
     source = _mark_of(path)
     return bool(_source.get()) and source == _source.get()
 
 
 def is_from_another_source(path: Path) -> bool:
-    """Whether a file was written by shotrig from something else, and has not been changed since."""
+    """Whether a file was written by shotrig from another source, and has not been changed since."""
     return _mark_of(path) not in ("", _source.get())
 
 
 def carries_mark(path: Path) -> bool:
-    """Whether a file of this name carries a mark when it is written here."""
+    """Whether an output with this name contains a mark."""
     return bool(_source.get()) and path.suffix.lower() in (*_FRAMES, ".png", ".npz")
 
 
 def refuse_others(*paths: Path) -> None:
-    """Refuse to begin work whose results would replace files that are to stay.
+    """Raise an error before work whose results would replace protected files.
 
     Raises
     ------
@@ -114,7 +114,7 @@ def refuse_others(*paths: Path) -> None:
 
 
 def refusal(path: Path) -> SceneError:
-    """Say that a file is the user's, or was made from something else."""
+    """Return the error for a file that belongs to the user, or was written from another source."""
     why = "was changed since shotrig wrote it, or another program wrote it"
     if _mark_of(path):
         why = "was made from another source"
@@ -133,7 +133,7 @@ def add_mark(path: Path) -> None:
 
 
 def _mark_of(path: Path) -> str:
-    """Give the source in the mark of an unchanged file; empty where there is none."""
+    """Return the source in the mark of an unchanged file; empty without a mark."""
     ending = path.suffix.lower()
     try:
         if ending not in (*_FRAMES, ".png", ".npz") or not path.is_file():
@@ -151,7 +151,7 @@ def _mark_of(path: Path) -> str:
 
 
 def _place(ending: str, content: bytes) -> int:
-    """Where in a file the mark ends, or goes."""
+    """Return the position at which the mark of a file ends or is inserted."""
     if ending == ".csv":
         line = content.partition(b"\n")[0]
         return len(line) - line.endswith(b"\r")
@@ -159,7 +159,7 @@ def _place(ending: str, content: bytes) -> int:
 
 
 def _framed(ending: str, mark: bytes) -> bytes:
-    """Give the bytes that hold a mark."""
+    """Return the bytes that contain a mark."""
     if ending == ".png":
         data = b"tEXt" + _PNG_KEYWORD + mark
         return struct.pack(">I", len(data) - 4) + data + struct.pack(">I", zlib.crc32(data))
@@ -170,7 +170,7 @@ def _framed(ending: str, mark: bytes) -> bytes:
 
 
 def _replaced(ending: str) -> int:
-    """How many bytes of an unmarked file the mark replaces."""
+    """Return the number of bytes of an unmarked file that the mark replaces."""
     return len(_ZIP_NO_COMMENT) if ending == ".npz" else 0
 
 

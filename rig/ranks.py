@@ -1,8 +1,8 @@
-"""Ranks of MPI, as `mpiexec -n 4 rig simulate SCENE` starts them: the first runs the command, all share objects.
+"""MPI ranks, as started by `mpiexec -n 4 rig simulate SCENE`: the first rank runs the command, all share objects.
 
-Of an object that is `Shared` each rank holds a part. What the first does with it all do with theirs; nothing else goes
-from rank to rank. So whatever has no parts is computed once, and ranks on several machines need neither a folder in
-common nor processors that round alike.
+Each rank has a part of a `Shared` object. An operation of the first rank on it is executed by all ranks on their
+parts; no other data is exchanged. Everything else is computed once, on the first rank. Ranks on several machines
+therefore need neither a common folder nor processors with identical rounding.
 """
 
 from __future__ import annotations
@@ -30,47 +30,47 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-#: Where starters of processes say how many there are: those of MPICH and its kin, and that of Open MPI.
+#: Environment variables with the number of processes: MPICH and its derivatives, and Open MPI.
 _STARTED = ("PMI_SIZE", "OMPI_COMM_WORLD_SIZE")
-#: All ranks, as mpi4py knows them; None in a process by itself.
+#: Communicator of all ranks in mpi4py; None in a single process.
 _world: Any = None
-#: Those of them on this machine.
+#: Communicator of the ranks on this machine.
 _near: Any = None
-#: This rank's parts of what is shared, by number.
+#: This rank's parts of shared objects, by number.
 _parts: dict[int, Any] = {}
 _numbers: Iterator[int] = count()
-#: Numbers of shared objects that the first rank has let go.
+#: Numbers of shared objects that the first rank has released.
 _gone: list[int] = []
-#: With which code to end where the first rank is in the middle of what the others do with it; 0 where it is not.
+#: Exit code if the first rank ends during a collective operation; 0 outside collective operations.
 _midway = 0
 
 
 class OneRankError(RunError):
-    """What went wrong on this rank and on no other: the others wait for it."""
+    """An error on a single rank, while the other ranks wait for it."""
 
 
 def size() -> int:
-    """Count the ranks that share what this process shares: 1 of a process by itself."""
+    """Return the number of ranks that share objects; 1 for a single process."""
     return 1 if _world is None else int(_world.size)
 
 
 def on_this_machine() -> int:
-    """Count the ranks that run on this machine."""
+    """Return the number of ranks on this machine."""
     return 1 if _near is None else int(_near.size)
 
 
 def join() -> None:
-    """Join the ranks that mpiexec has started, if it has: the first returns, the others end here when it ends.
+    """Join ranks started by mpiexec, if any: the first rank returns, the others end here when it ends.
 
     Raises
     ------
     SceneError
-        If mpiexec is that of another MPI.
+        If mpiexec belongs to another MPI implementation.
     """
     global _world, _near
     said = [os.environ.get(name, "") for name in _STARTED]
     started = max((int(number) for number in said if number.isdecimal()), default=1)
-    # Without mpi4py nothing can be shared: each process runs the command by itself, until it comes to grains.
+    # Without mpi4py, objects cannot be shared: each process runs the command separately; only grains need MPI.
     if started < 2 or _world is not None or find_spec("mpi4py") is None:
         return
     mpi = communicators()
@@ -81,7 +81,7 @@ def join() -> None:
             f"own, {Path(sys.prefix) / 'bin' / 'mpiexec'}"
         )
     _world, _near = world, world.Split_type(mpi.COMM_TYPE_SHARED)
-    # Processes that this one starts are by themselves.
+    # Child processes must not join the ranks.
     for name in [name for name in os.environ if name.startswith(("PMI_", "OMPI_"))]:
         del os.environ[name]
     if world.rank > 0:
@@ -90,7 +90,7 @@ def join() -> None:
 
 
 def communicators() -> Any:
-    """Give `mpi4py.MPI`; raises `SceneError` if it is not installed."""
+    """Return `mpi4py.MPI`; raise `SceneError` if it is not installed."""
     try:
         from mpi4py import MPI
     except ImportError as error:
@@ -102,21 +102,21 @@ def communicators() -> Any:
 
 
 def total(values: Array) -> Array:
-    """Add up arrays of all ranks; each has to call it."""
+    """Sum arrays over all ranks; a collective operation."""
     out = values.copy()
     _world.Allreduce(values, out)
     return out
 
 
 class Shared:
-    """An object of which each rank holds a part; whatever is called or looked at is so on every rank.
+    """An object with a part on each rank; calls and attribute accesses are executed on every rank.
 
     Parameters
     ----------
     make : callable
-        Gives a rank's part; it, as all that is given to parts, can be pickled.
+        Returns the part of a rank. It must be picklable, as must all arguments of calls.
     *given
-        What it is called with.
+        Arguments of `make`.
     """
 
     def __init__(self, make: Callable[..., Any], *given: Any) -> None:
@@ -132,7 +132,7 @@ class Shared:
 
 
 def _on_all(number: int, name: str | None, given: tuple[Any, ...] | None) -> Any:
-    """Have all ranks do something with their parts; gives what this one's says."""
+    """Execute an operation on the parts of all ranks; return the result of this rank."""
     global _midway
     call = (list(_gone), number, name, given)
     try:
@@ -153,7 +153,7 @@ def _on_all(number: int, name: str | None, given: tuple[Any, ...] | None) -> Any
 
 
 def _do(gone: list[int], number: int, name: str | None, given: tuple[Any, ...] | None) -> Any:
-    """Do with this rank's part what all do: make it, call it, or look at it."""
+    """Execute an operation on the part of this rank: create it, call a method, or read an attribute."""
     for each in gone:
         del _parts[each]
     if given is None:
@@ -166,8 +166,8 @@ def _do(gone: list[int], number: int, name: str | None, given: tuple[Any, ...] |
 
 
 def _follow() -> NoReturn:
-    """Do what the first rank says until it ends."""
-    # It answers what asks for an end.
+    """Execute the operations of the first rank until it ends."""
+    # The first rank handles termination signals.
     for number in ENDINGS:
         signal.signal(number, signal.SIG_IGN)
     try:
@@ -177,13 +177,13 @@ def _follow() -> NoReturn:
             except OneRankError:
                 raise
             except ShotrigError:
-                # It failed on all ranks alike, and the first one reports it.
+                # The operation failed on all ranks, and the first rank reports the error.
                 continue
     except OneRankError as error:
         print(f"error: {error}", file=sys.stderr)
         _abort(error.exit_code)
     except BaseException:
-        # Every command imports this module, and hardly one needs that.
+        # Imported here, because every command imports this module and few need it.
         import traceback
 
         traceback.print_exc()
@@ -192,14 +192,14 @@ def _follow() -> NoReturn:
 
 
 def _end() -> None:
-    """Let the other ranks end, or end them where they wait for what will not come."""
+    """End the other ranks normally, or abort them if they wait in an incomplete collective operation."""
     if _midway:
         _abort(_midway)
     _world.bcast(None)
 
 
 def _abort(code: int) -> None:
-    """End all ranks, once mpiexec has read what this one has written: it drops the rest of an aborted rank's output."""
+    """Abort all ranks after mpiexec has read the output of this rank; mpiexec discards output after an abort."""
     sys.stdout.flush()
     sys.stderr.flush()
     await_reader(1)
@@ -208,11 +208,11 @@ def _abort(code: int) -> None:
 
 
 def await_reader(descriptor: int, longest: float = 60.0) -> None:
-    """Wait until all that was written to a pipe is read, or its reader is gone; at most so many seconds.
+    """Wait until all data in a pipe has been read or its reader has closed it, for at most `longest` seconds.
 
-    What is no pipe, such as a file or a terminal, has nothing to wait for.
+    Returns immediately for files and terminals.
     """
-    # Only a rank that fails needs them, and not every system has them.
+    # Imported here: only a failing rank needs these modules, and not every system has them.
     try:
         import fcntl
         import termios
@@ -225,7 +225,7 @@ def await_reader(descriptor: int, longest: float = 60.0) -> None:
         poll.register(descriptor, 0)
         end = time.monotonic() + longest
         while any(fcntl.ioctl(descriptor, termios.FIONREAD, bytes(4))) and time.monotonic() < end:
-            # Only an error, that nobody reads any more, ends this before its millisecond is over.
+            # poll returns before its timeout of 1 ms only if the reader has closed the pipe.
             if poll.poll(1):
                 return
     except OSError:

@@ -1,4 +1,4 @@
-"""Studies of many independent pieces: computed by workers, kept in a CSV table as they come, continued after a kill."""
+"""Studies of many independent pieces: computed by workers, stored in a CSV table, continued after an interruption."""
 
 from __future__ import annotations
 
@@ -16,28 +16,28 @@ from rig.workers import Workers
 
 Piece = TypeVar("Piece")
 Value = TypeVar("Value")
-#: Called with the number of pieces done and of all.
+#: Called with the number of pieces done and the total.
 Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
 class Study(Generic[Piece, Value]):
-    """A study of pieces whose values are kept in a table.
+    """A study of pieces whose values are stored in a table.
 
     Attributes
     ----------
     name : str
         Content of the table, for messages.
     columns : tuple of str
-        Of the table.
+        Column names of the table.
     compute : callable
-        Computes the value of a piece; a function of a module, so that other processes can import it.
+        Computes the value of a piece; a module-level function, so that other processes can import it.
     key : callable
-        Gives the identity of a piece, which has all that its value depends on.
+        Returns the identity of a piece, which includes all its inputs.
     encode : callable
-        Makes the row of a key and a value.
+        Returns the table row for a key and a value.
     decode : callable
-        Reads key and value of a row; raises `ValueError`, `KeyError` or `TypeError` for a row that somebody spoilt.
+        Returns key and value of a row; raises `ValueError`, `KeyError` or `TypeError` for a damaged row.
     """
 
     name: str
@@ -51,12 +51,12 @@ class Study(Generic[Piece, Value]):
         self, pieces: Sequence[Piece], table: Path | None = None, cluster: str | None = None,
         progress: Progress | None = None, prepare: Callable[[], object] = lambda: None,
     ) -> list[Value]:  # fmt: skip
-        """Compute the pieces that the table lacks; returns the values of all.
+        """Compute pieces that are missing in the table; return the values of all pieces.
 
         Parameters
         ----------
         table : Path, optional
-            CSV file; what it has of the same pieces is not computed again.
+            CSV file; pieces in this file are not recomputed.
         cluster : str, optional
             See `rig.workers.Workers`.
         prepare : callable, optional
@@ -65,7 +65,7 @@ class Study(Generic[Piece, Value]):
         Raises
         ------
         RunError
-            If the table cannot be read or written, or workers die.
+            If the table cannot be read or written, or a worker process ends unexpectedly.
         """
         kept, report = Kept(self, table), progress or (lambda done, total: None)
         done = sum(piece in kept for piece in pieces)
@@ -79,7 +79,7 @@ class Study(Generic[Piece, Value]):
 
 
 class Kept(Generic[Piece, Value]):
-    """Values of a study's pieces, in memory and in its table if there is one."""
+    """Values of a study's pieces, in memory and in an optional table."""
 
     def __init__(self, study: Study[Piece, Value], path: Path | None) -> None:
         self.study = study
@@ -93,14 +93,14 @@ class Kept(Generic[Piece, Value]):
         return self.values[self.study.key(piece)]
 
     def add(self, piece: Piece, value: Value) -> None:
-        """Keep the value of a piece."""
+        """Store the value of a piece."""
         key = self.study.key(piece)
         self.values[key] = value
         if self._table is not None:
             self._table.append(self.study.encode(key, value))
 
     def complete(self, pieces: Sequence[Piece], cluster: str | None = None) -> Iterator[Value]:
-        """Compute the pieces that are missing; yields each value once it is kept."""
+        """Compute missing pieces; yield each value after it is stored."""
         missing = [piece for piece in pieces if piece not in self]
         if missing:
             with Workers(cluster) as workers:
@@ -109,14 +109,14 @@ class Kept(Generic[Piece, Value]):
                     yield value
 
     def put_in_order(self, order: Callable[[Any], Any] | None = None) -> None:
-        """Sort the table by its keys: the same values give the same file in whatever order they came."""
+        """Sort the table by its keys, so that the file does not depend on the order of computation."""
         if self._table is not None:
             keys = sorted(self.values, key=order)
             self._table.replace(self.study.encode(key, self.values[key]) for key in keys)
 
 
 def digest(text: str) -> str:
-    """Short name for all that the value of a piece depends on.
+    """Compute a short digest of the inputs of a piece.
 
     >>> digest("('scene', 50.0)")
     '4fc6f88757844cf7'
@@ -125,7 +125,7 @@ def digest(text: str) -> str:
 
 
 def decoded(study: Study[Piece, Value], rows: Iterable[list[str]]) -> Iterator[tuple[Any, Value]]:
-    """Keys and values of the rows that can be read."""
+    """Yield keys and values of valid rows."""
     for row in rows:
         try:
             yield study.decode(row)
@@ -134,14 +134,14 @@ def decoded(study: Study[Piece, Value], rows: Iterable[list[str]]) -> Iterator[t
 
 
 class KeptTable:
-    """A CSV table that has every row on disk as soon as it is known.
+    """A CSV table that is written to disk row by row.
 
     Parameters
     ----------
     path : Path
-        CSV file; made, with its folder, if there is none. A line that a kill has torn is taken out of the file.
+        CSV file; created with its folder if it does not exist. An incomplete last line is removed.
     header : sequence of str
-        Names of its columns.
+        Names of the columns.
     what : str
         Content of the table, for messages.
 
@@ -171,12 +171,12 @@ class KeptTable:
 
     def append(self, row: Sequence[object]) -> None:
         """Add a row."""
-        # In one piece: a kill leaves the whole line or nothing, unless the disk is full.
+        # A single write: an interruption leaves a complete line or nothing, unless the disk is full.
         with self._path.open("a", newline="", encoding="utf-8") as file:
             file.write(_csv([row]))
 
     def replace(self, rows: Iterable[Sequence[object]]) -> None:
-        """Write all rows again."""
+        """Replace all rows."""
         with replacing(self._path, overwrite=True) as part:
             part.write_text(_csv([self._header, *rows]), encoding="utf-8", newline="")
 
@@ -197,7 +197,7 @@ def rows_of(path: Path, header: Sequence[str], what: str) -> list[list[str]]:
 
 
 def _whole_lines(content: bytes) -> int:
-    """Length of the lines that end: half a number is a number as well."""
+    """Return the length of complete lines; a truncated number could be read as a number."""
     return content.rfind(b"\n") + 1
 
 
@@ -210,7 +210,7 @@ def _rows(path: Path, content: bytes, header: list[str], what: str) -> list[list
 
 
 def _cells(line: str) -> list[str]:
-    """Read a line by itself: an open quote ends with it, and costs no other row.
+    """Parse a single line, so that an open quote does not affect other rows.
 
     >>> _cells('a,"1, 2"'), _cells('b,"torn'), _cells("x" * 200_000)
     (['a', '1, 2'], ['b', 'torn'], [])
@@ -218,7 +218,7 @@ def _cells(line: str) -> list[str]:
     try:
         return next(csv.reader([line]), [])
     except csv.Error:
-        # More letters than any cell has.
+        # The line exceeds the field size limit of the csv module.
         return []
 
 

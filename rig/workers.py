@@ -1,7 +1,7 @@
-"""Where the independent pieces of a study are computed: processes of this machine, or a Dask cluster.
+"""Workers for the independent pieces of a study: processes of this machine, or a Dask cluster.
 
-A piece is what a function of a module is called with; function, piece and result travel to the worker and back, so
-that nothing but a recording's folder has to be shared, and a piece gives the same bits wherever it is computed.
+A piece is the argument of a module-level function. Function, piece and result are sent between process and worker, so
+that only the folder of recordings has to be shared. The result of a piece does not depend on the worker.
 """
 
 from __future__ import annotations
@@ -29,27 +29,27 @@ from rig.ranks import size
 Piece = TypeVar("Piece")
 Result = TypeVar("Result")
 
-#: How often pieces are computed anew after a worker died of them.
+#: Number of times that pieces are recomputed after a worker ended unexpectedly.
 LIVES = 2
-# Milliseconds that a thread may take to note that a worker which was killed has ended.
+# Time for the thread of the pool to detect that a worker has been killed, ms.
 _PATIENCE = 1000
 # Seconds without a result after which a cluster's workers are counted.
 _WITHOUT_WORKERS = 5.0
 
 
 def cores() -> int:
-    """Count the cores that this process may use."""
+    """Return the number of cores available to this process."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 class Workers:
-    """Workers that compute pieces of a study; leaving the context ends them, whatever they are at.
+    """Workers that compute pieces of a study; leaving the context ends them immediately.
 
     Parameters
     ----------
     cluster : str, optional
-        Address of a running Dask scheduler, or "local" for one that this process starts; None: processes of this
-        machine, one for each core, or this one alone where it shares each piece with other ranks (`rig.ranks`).
+        Address of a running Dask scheduler, or "local" to start a local cluster; None: processes of this machine, one
+        for each core, or only this process if it shares each piece with other MPI ranks (`rig.ranks`).
 
     Raises
     ------
@@ -79,19 +79,19 @@ class Workers:
     def compute(
         self, function: Callable[[Piece], Result], pieces: Sequence[Piece]
     ) -> Iterator[tuple[int, Result]]:
-        """Compute the pieces, the first ones first; yield the number of each and its result as it is there.
+        """Compute the pieces in order; yield the number and result of each when it is complete.
 
-        More pieces may be appended while results are taken.
+        Further pieces may be appended during the iteration.
 
         Raises
         ------
         RunError
-            If workers die again and again.
+            If workers repeatedly end unexpectedly.
         Exception
-            What a piece raised.
+            The exception of a piece.
         """
         if self._cluster is None and size() > 1:
-            # Pieces that are appended meanwhile come as well.
+            # This includes pieces that are appended during the iteration.
             yield from enumerate(map(function, pieces))
             return
         done: set[int] = set()
@@ -124,7 +124,7 @@ class Workers:
         )
 
     def _next(self, finished: SimpleQueue[Future[Result]]) -> Future[Result]:
-        """Wait for a piece that is done; a cluster without workers is reported once, while it waits for some."""
+        """Wait for a finished piece; report once if the cluster has no workers."""
         while self._cluster is not None:
             with suppress(Empty):
                 return finished.get(timeout=_WITHOUT_WORKERS)
@@ -152,14 +152,14 @@ def _processes(until: ExitStack) -> Executor:
     pool = ProcessPoolExecutor(cores(), mp_context=get_context("spawn"), initializer=_begin)
 
     def end() -> None:
-        # What waits is dropped before workers die, or else the pool would notify it, cancelled or not.
+        # Waiting pieces are cancelled before the workers end, because the pool would otherwise notify them.
         pool.shutdown(wait=False, cancel_futures=True)
         workers = set(active_children()) - before
         for worker in workers:
             worker.kill()
         for worker in workers:
             worker.join()
-            # The pool's own thread may learn of the end first; it will note it in a moment.
+            # The thread of the pool may detect the end first; wait until it has done so.
             for _ in range(_PATIENCE):
                 if worker.exitcode is not None:
                     break
@@ -171,7 +171,7 @@ def _processes(until: ExitStack) -> Executor:
 
 @contextmanager
 def _script_left_alone() -> Iterator[None]:
-    """Keep processes that start from running the user's script again: nothing in it is needed there."""
+    """Prevent new processes from importing the user's script, which they do not need."""
     script: dict[str, Any] = vars(sys.modules["__main__"])
     kept: dict[str, Any] = {name: script.pop(name) for name in ("__file__", "__spec__") if name in script}
     script["__spec__"] = None
@@ -183,11 +183,11 @@ def _script_left_alone() -> Iterator[None]:
 
 @contextmanager
 def _deaf_to_ctrl_c() -> Iterator[None]:
-    """Let processes that start here hear nothing of Ctrl-C from their first moment: a terminal sends it to all."""
+    """Block Ctrl-C in new processes from their start, because a terminal sends it to all processes."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
-    # Python unblocks Ctrl-C when it starts this one, which it would do with the first process.
+    # The resource tracker is started first, because Python unblocks Ctrl-C when it starts it.
     ensure_running()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
@@ -198,7 +198,7 @@ def _deaf_to_ctrl_c() -> Iterator[None]:
 
 @contextmanager
 def _answering_later() -> Iterator[None]:
-    """Answer signals when the body is done: what is half made could not be undone."""
+    """Defer signals until the end of the body, so that it is not interrupted in an incomplete state."""
     if current_thread() is not main_thread():
         yield
         return
@@ -216,7 +216,7 @@ def _answering_later() -> Iterator[None]:
 
 
 def _begin() -> None:
-    """Set a process up: one thread for small matrices; interrupts are the parent's, and so is the end."""
+    """Initialize a worker: a single thread for linear algebra; signals are handled by the parent."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     Thread(target=_end_with_parent, daemon=True).start()

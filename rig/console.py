@@ -24,13 +24,7 @@ class Unwritable(OSError):
 
 
 class _Shown(io.TextIOBase):
-    """A stream that escapes control characters of text from files.
-
-    Parameters
-    ----------
-    terminal : text stream
-        Destination of the text. A progress bar writes to it directly, because it has to move the cursor.
-    """
+    """A stream that escapes control characters of text; a progress bar writes to `terminal` directly."""
 
     last = time.monotonic()
 
@@ -91,10 +85,7 @@ def take_streams(put_back: ExitStack) -> None:
 
 
 class _Work:
-    """Current activity of a command, None while it waits for input; and the current delay with its start and end.
-
-    Functions are compiled one after another: a delay that follows immediately continues the previous delay.
-    """
+    """Current activity of a command, None while it waits for input; and the current delay with its start and end."""
 
     doing: str | None = ""
     held_up: ClassVar[list[str]] = []

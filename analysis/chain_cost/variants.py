@@ -43,7 +43,7 @@ class Variant:
 
     group: str
     """Changed part, one of `GROUPS`; "" for the scene itself."""
-    setting: str  # To what
+    setting: str  # New setting of that part
     scene: Scene
 
 

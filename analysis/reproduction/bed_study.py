@@ -1,6 +1,6 @@
 """One mass compared with grains, setting by setting: the evidence for claim C7.
 
-A body a thousand times heavier than the bed shakes a cavity at 50 Hz, near the paper's third resonance, and at its
+A body a thousand times heavier than the bed excites a cavity at 50 Hz, near the paper's third resonance, and at its
 first and second resonance. Both beds therefore see the same motion, and the body has no transient. The parameters are
 its acceleration, the clearance and the depth of the bed; a narrow cavity with few grains and a smooth side represents
 a piece of a wide one. The energy that the bed dissipates gives the compliance, at that amplitude, of a body ten times
@@ -92,7 +92,7 @@ TABLE = Table(
 
 
 class Setting(NamedTuple):
-    """A point of the study: acceleration in g, clearance in m, layers of the bed, seed of its packing, Hz."""
+    """A point of the study: acceleration [g], clearance [m], layers of the bed, packing seed, frequency [Hz]."""
 
     level: float
     clearance: float

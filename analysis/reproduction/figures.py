@@ -26,7 +26,7 @@ COMPLIANCE = "compliance |X/F₁| / (µm/N)"
 
 
 def figure_4(parts: Parts) -> Figure:
-    """Fig 4b: frequency responses of the three bodies without dampers, per force and per table motion."""
+    """Draw Fig 4b: frequency responses of the three bodies without dampers, per force and per table motion."""
     theory, measured = parts["structure"], parts["rec-bare"]
     with drawing(6.6) as figure:
         upper, lower = figure.subplots(2, 1)
@@ -64,7 +64,7 @@ def figure_4(parts: Parts) -> Figure:
 
 
 def figure_5(parts: Parts) -> Figure:
-    """Fig 5: one damper against three with one clearance, third mode."""
+    """Draw Fig 5: one damper against three with one clearance, third mode."""
     single, three, theory = parts["sim-fig5-single"], parts["sim-fig5-three"], parts["structure"]
     with drawing(4.4) as figure:
         axes = figure.subplots()
@@ -98,7 +98,7 @@ def figure_5(parts: Parts) -> Figure:
 
 
 def figure_3(parts: Parts) -> Figure:
-    """Fig 3: the types of motion of one body with a damper."""
+    """Draw Fig 3: the types of motion of one body with a damper."""
     with drawing(6.6) as figure:
         for axes, kind in zip(figure.subplots(3, 1, sharex=True), ("I", "II", "III"), strict=True):
             _wave(axes, parts[f"type-{kind}"])
@@ -108,7 +108,7 @@ def figure_3(parts: Parts) -> Figure:
 
 
 def figure_6(parts: Parts) -> Figure:
-    """Fig 6: waveforms at the points a, b and c of Fig 5."""
+    """Draw Fig 6: waveforms at the points a, b and c of Fig 5."""
     with drawing(6.6) as figure:
         for axes, letter in zip(figure.subplots(3, 1), "abc", strict=True):
             wave = parts[f"wave-{letter}"]
@@ -134,7 +134,7 @@ def _wave(axes: Axes, wave: Mapping[str, np.ndarray]) -> None:
 
 
 def figure_8(parts: Parts) -> Figure:
-    """Fig 8: measured response with none, one, two and three dampers."""
+    """Draw Fig 8: measured response with none, one, two and three dampers."""
     curves = (
         ("rec-bare", "A: no damper", GREY), ("rec-one", "B: one (body 1)", RED), ("rec-two", "C: two", ORANGE),
         ("rec-three", "D: three", BLUE),
@@ -163,7 +163,7 @@ def figure_8(parts: Parts) -> Figure:
 
 
 def figure_9(parts: Parts) -> Figure:
-    """Fig 9: one damper in body 2, third mode: approximate method, exact orbits, recording."""
+    """Draw Fig 9: one damper in body 2, third mode: approximate method, exact orbits, recording."""
     approximate, exact, measured = parts["approx-fig9"], parts["orbit-fig9"], parts["rec-fig9"]
     with drawing(7.6) as figure:
         upper, lower = figure.subplots(2, 1, height_ratios=[1.1, 1], sharex=True)
@@ -222,7 +222,7 @@ def figure_9(parts: Parts) -> Figure:
 
 
 def figure_10a(parts: Parts) -> Figure:
-    """Fig 10a: simulation against experiment, three dampers."""
+    """Draw Fig 10a: simulation against experiment, three dampers."""
     simulated, measured = parts["sim-three"], parts["rec-three"]
     with drawing(5.4) as figure:
         upper, lower = figure.subplots(2, 1, height_ratios=[2, 1])
@@ -263,7 +263,7 @@ def figure_10a(parts: Parts) -> Figure:
 
 
 def figure_10b(parts: Parts) -> Figure:
-    """Fig 10b: free decay of body 3's acceleration after a hit on body 1."""
+    """Draw Fig 10b: free decay of body 3's acceleration after a hit on body 1."""
     with drawing(4.2) as figure:
         axes = figure.subplots()
         for name, shade, label in (

@@ -25,7 +25,7 @@ APPROACH = 3
 NEAR = 1e-4
 #: Longest wait for steady motion, periods.
 LONGEST = 2000
-#: Points about each peak.
+#: Number of test frequencies around each peak.
 POINTS = 25
 #: Distance of the outermost points from the peak, relative.
 REACH = 0.04

@@ -231,11 +231,9 @@ def _clearance_label(choice: Choice) -> str:
 
 
 def _curves(axes: Axes, design: Design) -> None:
-    """Draw peak reduction against excitation level, for the chosen clearance and its neighbours.
-
-    The horizontal axis is the acceleration without dampers. The acceleration with dampers would not be monotonic
-    where another peak becomes the largest.
-    """
+    """Draw peak reduction against excitation level, for the chosen clearance and its neighbors."""
+    # The horizontal axis is the acceleration without dampers. The acceleration with dampers would not be monotonic
+    # where another peak becomes the largest.
     chosen = int(np.argmin(np.abs(np.log(design.clearance_factors))))
     around = (chosen - 1, chosen, chosen + 1)
     bare = design.levels / design.bare.level * design.bare.acceleration / STANDARD_GRAVITY

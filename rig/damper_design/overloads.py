@@ -118,12 +118,10 @@ def named(overloads: Sequence[Overload], lasting: bool) -> list[str]:
 
 
 def _steady(scene: Scene, at: str, peak: Peak, level: float) -> float:
-    """Upper bound of the steady acceleration at a point, m/s^2, from the body with the largest displacement.
-
-    At the shaker table the elongation of the spring is added.
-    """
+    """Upper bound of the steady acceleration at a point, m/s^2, from the body with the largest displacement."""
     displacement = peak.size * level
     spring = None if scene.driven_shaker is None else scene.driven_shaker.spring
+    # The displacement of the shaker table includes the elongation of the spring.
     if not at.startswith("body") and spring:
         displacement += level / spring
     return displacement * (2.0 * np.pi * peak.frequency) ** 2
@@ -174,9 +172,9 @@ def shaken_by(
     row : int
         Coordinate of the sensor location.
     closing_speed : sequence of float, shape (dampers,)
-        m/s.
+        Approach speed of each damper to a wall, m/s.
     resonance : float or None
-        Hz.
+        Resonance frequency of the sensor, Hz; None without a resonance.
 
     Examples
     --------

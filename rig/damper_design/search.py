@@ -137,15 +137,7 @@ def _row(space: Space, place: tuple[int, ...], share: float) -> list[Choice]:
 
 
 def _best_of_places(row: Sequence[Trial], within: float) -> list[Choice]:
-    """Return the best design with ceilings of each location, for locations nearly as good as the best.
-
-    Parameters
-    ----------
-    row : sequence of Trial
-        Trials, best first.
-    within : float
-        Largest ratio of the peak to the best peak.
-    """
+    """Return the best design with ceilings of each location; peaks are at most `within` times the best peak."""
     best: dict[tuple[int, ...], Choice] = {}
     for trial in row:
         if trial.choice.has_ceiling and trial.peak.size <= within * row[0].peak.size:
@@ -163,11 +155,8 @@ def _bounded(question: Question, grid: Sequence[list[Choice]], answers: Answers)
 
 
 def _promising(row: Sequence[Choice], least: Mapping[Choice, Peak], computed: Computed) -> Iterator[Choice]:
-    """Yield designs that may be the best of a row sorted by lower bound (branch and bound).
-
-    A result is used only from the `AHEAD`-th design after it, so that the set of computed designs does not depend on
-    the speed of the workers.
-    """
+    """Yield designs that may be the best of a row sorted by lower bound (branch and bound)."""
+    # Each result is used `AHEAD` designs later, so that the set of computed designs does not depend on worker speed.
     best = np.inf
     for number, choice in enumerate(row):
         if number >= AHEAD:
@@ -185,10 +174,8 @@ class _Unknown(Exception):
 
 
 def _wanted(search: Callable[..., object], start: Choice, computed: Computed) -> list[Choice]:
-    """Return the designs that a search requests, up to the first whose result is unknown.
-
-    The search restarts each time; with the stored results it returns to the same point without new computation.
-    """
+    """Return the designs that a search requests, up to the first whose result is unknown."""
+    # The search restarts each time and uses the stored results up to the first unknown design.
     wanted = []
 
     def cost(choice: Choice) -> float:

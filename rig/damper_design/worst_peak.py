@@ -31,11 +31,11 @@ class Peak:
     size : float
         Largest |X| / F, m/N.
     frequency : float
-        Hz.
+        Frequency of the peak, Hz.
     level : float
-        Force, N.
+        Force amplitude, N.
     body : int
-        From 1.
+        Number of the body, from 1.
     acceleration : float
         Amplitude of the body's acceleration at the peak, m/s^2.
     simulated : float

@@ -140,10 +140,8 @@ def _distances(look: _Look, units: Array) -> tuple[Array, Array]:
 
 @stored
 def _changes(vectors: Array, modes: NDArray[np.int8]) -> Array:
-    """Compute changes over 1, 2, ... periods at the end and the middle of a comparison; infinite if contacts differ.
-
-    Their ratio identifies a slow decay, which faster decays mask from period to period.
-    """
+    """Compute changes over 1, 2, ... periods at the end and the middle of a comparison; infinite if contacts differ."""
+    # The ratio of both identifies a slow decay, which faster decays mask from period to period.
     changes = np.zeros((LONGEST_REPETITION, 2))
     rows = vectors.shape[0]
     for p in range(1, LONGEST_REPETITION + 1):

@@ -48,7 +48,7 @@ def bed_models(scene: Scene, frequency: float, progress: Callable[[str], None] |
         With beds of grains that can move. If its test controls the amplitude of the spring force, that force acts on
         the body as a pure sinusoid.
     frequency : float
-        Hz.
+        Drive frequency, Hz.
     progress : callable, optional
         Called with the name of each model before it is computed.
 

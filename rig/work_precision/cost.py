@@ -104,7 +104,7 @@ def cost(
     Parameters
     ----------
     frequency : float or None
-        Hz; None: see `rig.work_precision.motion_study.hardest_frequency`.
+        Drive frequency, Hz; None: see `rig.work_precision.motion_study.hardest_frequency`.
     periods : int
         Length of the motion; grains are simulated until their motion is steady.
     say : callable, optional

@@ -33,7 +33,7 @@ class Outcome:
     """Motion computed by a method."""
 
     displacement: Array
-    """m, at `PER_PERIOD` samples per period; shape (coordinates, samples)."""
+    """Displacements, m, at `PER_PERIOD` samples per period; shape (coordinates, samples)."""
     events: list[tuple[float, int, str]]
     """Time [s], damper (from 0), kind."""
 

@@ -58,9 +58,9 @@ class Exact:
     """A motion with far more digits than float64."""
 
     displacement: NDArray[np.object_]
-    """m; Decimal, shape (coordinates, samples)."""
+    """Displacements, m; Decimal, shape (coordinates, samples)."""
     event_time: NDArray[np.object_]
-    """s; Decimal, shape (events,)."""
+    """Event times, s; Decimal, shape (events,)."""
     agreement: float
     """Largest difference from the same motion computed with fewer digits, relative to the motion."""
 

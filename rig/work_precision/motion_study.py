@@ -118,7 +118,7 @@ def motion_study(
     Parameters
     ----------
     frequency : float, optional
-        Hz; None: `hardest_frequency`.
+        Drive frequency, Hz; None: `hardest_frequency`.
     progress : callable, optional
         Called with the name of each method before it runs.
 

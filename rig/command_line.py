@@ -49,13 +49,13 @@ def application(help_text: str) -> Application:
         rich_markup_mode=None,
     )
 
-    def tell_version(asked: bool) -> None:
+    def print_version(asked: bool) -> None:
         if asked:
             print(f"shotrig {_version()}")
             raise typer.Exit
 
     option = typer.Option(
-        False, "--version", callback=tell_version, is_eager=True, help="Say which version it is."
+        False, "--version", callback=print_version, is_eager=True, help="Say which version it is."
     )
 
     @app.callback()
@@ -97,7 +97,7 @@ def run(module: str) -> NoReturn:
             _set_signals(signal.SIG_DFL)
         except BaseException as error:
             _set_signals(signal.SIG_DFL)
-            code = _tell(error, debug)
+            code = _report(error, debug)
     gc.disable()
     sys.exit(128 + came[0] if code == _INTERRUPTED and came else code)
 
@@ -139,7 +139,7 @@ def _bounded(context: Any, option: Any, value: Any) -> Any:
     return value
 
 
-def _tell(error: BaseException, debug: bool) -> int:
+def _report(error: BaseException, debug: bool) -> int:
     """Report why a command ended, and return its exit code."""
     code, text = _in_words(error)
     with suppress(OSError):

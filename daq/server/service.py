@@ -122,7 +122,7 @@ class Server:
         act = answer_to(method.name) or refusal(method.name)
 
         def respond(request: bytes, context: grpc.ServicerContext) -> Any:
-            with self._telling(method, request, context) as call:
+            with self._reporting(method, request, context) as call:
                 answer = act(call)
                 if method.name.startswith(("Read", "Write", "Start")):
                     self.sessions.check_memory(call.fields["task"], self.limits.memory)
@@ -131,7 +131,7 @@ class Server:
         return respond
 
     @contextlib.contextmanager
-    def _telling(self, method: Method, request: bytes, context: grpc.ServicerContext) -> Iterator[Call]:
+    def _reporting(self, method: Method, request: bytes, context: grpc.ServicerContext) -> Iterator[Call]:
         """Read a request and report errors as the protocol does."""
         peer, name = context.peer(), method.name
         key = dict(context.invocation_metadata()).get("ni-api-key", "")
@@ -190,7 +190,7 @@ class Server:
 
         def events(request: bytes, context: grpc.ServicerContext) -> Iterator[Any]:
             values: queue.SimpleQueue[int | None] = queue.SimpleQueue()
-            with self._telling(method, request, context) as call:
+            with self._reporting(method, request, context) as call:
                 task, given = call.task, call.fields
                 with task.chassis.changed:
                     register(task, given, values.put)

@@ -10,7 +10,7 @@ from daq.instrument.chassis import Chassis
 from daq.instrument.settings.channels import Channel
 
 
-def tell_unfed_sensors(chassis: Chassis) -> None:
+def report_unfed_sensors(chassis: Chassis) -> None:
     """Report on stderr, once per input, that a task samples a sensor whose supply is off."""
     reported: set[int] = set()
 

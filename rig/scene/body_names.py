@@ -1,4 +1,4 @@
-"""Names of bodies: where a scene refers to a body by its name, the number that the settings hold."""
+"""Names of bodies, and their replacement by the body numbers that the settings store."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from rig.errors import SceneError
 from rig.scene.settings import Mistake, Place, at
 
 _NAME = re.compile(r"[^\W\d][\w.-]{0,39}")
-#: Words that mean something else where a body may be named.
+#: Words with another meaning in the places where a scene names a body.
 RESERVED = ("body", "table", "hammer", "shaker", "drive", "ground")
-# Places that are no body's name: a body by its number, or a part of the bench.
+# Places that are not names of bodies: a body by its number, or a part of the bench.
 _PLACE = re.compile(r"(body \d+|hammer|(table|shaker|drive)( \d+)?)")
 
 
 def mistakes_in(names: Sequence[str], bodies: int) -> Iterator[tuple[int | None, str]]:
-    """Yield what is wrong with names: the position of the name (None: all of them), and the message."""
+    """Yield each mistake in the names: the position of the name (None: all names) and the message."""
     if len(names) != bodies:
         yield None, f"got {len(names)} names; expected {bodies}, one for each body"
     for k, name in enumerate(names):
@@ -34,12 +34,12 @@ def mistakes_in(names: Sequence[str], bodies: int) -> Iterator[tuple[int | None,
 
 
 def number_of(body: int | str, names: Sequence[str] | None, bodies: int) -> int:
-    """Give the number of a body, from 1, by its number or its name, as options and arguments name it.
+    """Return the number of a body, from 1, given its number or its name as in options and arguments.
 
     Raises
     ------
     SceneError
-        If there is no such body; the message gives the nearest name.
+        If the body does not exist; the message suggests the nearest name.
 
     Examples
     --------
@@ -57,14 +57,14 @@ def number_of(body: int | str, names: Sequence[str] | None, bodies: int) -> int:
 
 
 def numbered(scene: Mapping[str, Any]) -> tuple[dict[str, Any], list[Mistake]]:
-    """Put the number of a body in the place of its name, wherever a scene refers to one, and check the number.
+    """Replace each name of a body in a scene by its number, and check the number.
 
     Returns
     -------
     dict
-        The scene; what refers to no body is as it was.
+        The scene with body numbers; all other settings are unchanged.
     list of Mistake
-        One for each name or number that no body has.
+        One mistake for each name or number without a body.
     """
     names, bodies = _names(scene.get("structure"))
     mistakes: list[Mistake] = []
@@ -81,7 +81,7 @@ def numbered(scene: Mapping[str, Any]) -> tuple[dict[str, Any], list[Mistake]]:
             return value
         if names is not None and value in names:
             return names.index(value) + 1
-        if not bodies:  # the structure has mistakes of its own
+        if not bodies:  # the mistakes in the structure are reported elsewhere
             return 1
         mistakes.append(Mistake(place, _unknown(value, names, bodies)))
         return value
@@ -119,12 +119,12 @@ def numbered(scene: Mapping[str, Any]) -> tuple[dict[str, Any], list[Mistake]]:
 
 
 def no_body(number: int, bodies: int) -> str:
-    """Say that there is no body of a number."""
+    """Return the message that a body number does not exist."""
     return f"body {number} of {bodies}; expected a body of the structure, 1 to {bodies}"
 
 
 def _names(structure: Any) -> tuple[list[str] | None, int]:
-    """Give the names of the bodies, None where there are none, and the number of bodies, as far as those are right."""
+    """Return the names of the bodies (None if unnamed) and the number of bodies, as far as they are valid."""
     masses = at(structure, ("masses",))
     names = list(masses) if isinstance(masses, Mapping) else at(structure, ("names",))
     found = [str(name) for name in names] if isinstance(names, list | tuple) else None

@@ -17,29 +17,29 @@ _STEP = re.compile(r"([A-Za-z_]\w*)((?:\[\d{1,6}\])*)")
 
 @dataclass(frozen=True)
 class Change:
-    """One value to put into a scene: its key as written, the steps to it (positions from 0), and the value."""
+    """One change to a scene: the key as written, the path to it (positions from 0), and the new value."""
 
     key: str
     steps: Place
     value: Any
     option: str = ""
-    """The option of the command line with which it was given; empty from Python."""
+    """The command-line option that requested the change; empty from Python."""
 
     def __str__(self) -> str:
         return shown(self.option or f"{self.key}={self.value}")
 
     def put_into(self, content: Any) -> Any:
-        """Give the content with the value in it; a key of a list without a number goes to each of its items.
+        """Return the content with the new value; a list key without a number applies to every item.
 
         Raises
         ------
         SceneError
-            If there is no such item.
+            If the item does not exist.
         """
         return self._put(content, self.steps)
 
     def _put(self, node: Any, steps: Place) -> Any:
-        # What is changed is copied, for an alias in the file makes two places share one object.
+        # The changed part is copied, because an alias in the file makes two places share one object.
         if not steps:
             return self.value
         step, rest = steps[0], steps[1:]
@@ -61,7 +61,7 @@ class Change:
         return {**inside, step: self._put(inside.get(step), rest)}
 
     def concerns(self, place: Place) -> bool:
-        """Whether a place lies in what was changed.
+        """Whether a place lies within the changed part.
 
         >>> Change("dampers.mass", ("dampers", "mass"), "1").concerns(("dampers", 1, "mass"))
         True
@@ -86,7 +86,7 @@ def changes_of(given: Mapping[str, Any]) -> list[Change]:
     Raises
     ------
     SceneError
-        If a key is none.
+        If a key is invalid.
 
     Examples
     --------
@@ -102,12 +102,12 @@ def parsed(settings: Iterable[str]) -> list[Change]:
     Parameters
     ----------
     settings : iterable of str
-        Each ``KEY=VALUE``, the value as in a scene file; empty or `null` takes the key out.
+        Each ``KEY=VALUE``, the value as in a scene file; an empty value or `null` removes the key.
 
     Raises
     ------
     SceneError
-        If one is no such text.
+        If a setting does not have this form.
 
     Examples
     --------
@@ -127,7 +127,7 @@ def parsed(settings: Iterable[str]) -> list[Change]:
 
 
 def _by_name(steps: Place, names: list[str]) -> Place:
-    """Take the number of a body that has a name as its name."""
+    """Replace the number of a named body by its name."""
     number = steps[0]
     return (names[number], *steps[1:]) if isinstance(number, int) and number < len(names) else steps
 

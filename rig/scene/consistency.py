@@ -1,7 +1,7 @@
 """References between the parts of a scene: whether a named body, shaker or channel exists.
 
-Each check compares a part with the parts above it in `Scene`, as far as those are valid: `known` has no key for a part
-with mistakes of its own.
+Each check compares a part with the parts above it in `Scene`, as far as those are valid: `known` has no key for a
+part with mistakes of its own.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ def _channels(channels: tuple[Channel, ...] | None, known: Known) -> Iterable[Mi
 def _at_shaker(
     channel: Channel, shakers: tuple[Shaker, ...], test: Test | None, place: Place
 ) -> Iterable[Mistake]:
-    """Check that the shaker at which a channel measures exists, and that it has the quantity to measure."""
+    """Check that the shaker measured by a channel exists and provides the measured quantity."""
     what, count = channel.what, len(shakers)
     if count > 1 and channel.number is None:
         names = ", ".join(at_shaker(what, number, count) for number in range(1, count + 1))
@@ -150,7 +150,7 @@ Check = Callable[[Any, Known], Iterable[Mistake]]
 
 
 def _validator(check: Check) -> AfterValidator:
-    """Make a check of a field of `Scene`, or of an item in it, that pydantic runs with the others."""
+    """Return a pydantic validator for a check of a field of `Scene`, or of an item in the field."""
 
     def validate(part: Any, info: ValidationInfo) -> Any:
         mistakes = list(check(part, info.data))
@@ -171,7 +171,7 @@ RECORDING = _validator(_recording)
 
 
 def too_high_frequency(test: Test | None, converter: Converter) -> Iterable[Mistake]:
-    """Check that the sample rate resolves the test's frequencies, and that the drive can be made of samples."""
+    """Check that the sample rate is high enough for the test's frequencies and for a sampled drive."""
     highest = _highest(test)
     if highest is None:
         return
@@ -185,7 +185,7 @@ def too_high_frequency(test: Test | None, converter: Converter) -> Iterable[Mist
 
 
 def _highest(test: Test | None) -> tuple[Place, float] | None:
-    """Find the highest frequency of a test and where it stands; None where a test names none."""
+    """Return the highest frequency of a test and its place in the scene; None if the test has no frequency."""
     if test is None or isinstance(test, Impulse | Free):
         return None
     if isinstance(test, Sine):
@@ -201,7 +201,7 @@ def _listed(shaker: Shaker | tuple[Shaker, ...] | None) -> tuple[Shaker, ...]:
 
 
 def _no_body(known: Known, body: int, place: Place) -> Iterable[Mistake]:
-    # Most wrong numbers are reported earlier; here the structure may be that of matrix files.
+    # Most invalid numbers are reported earlier, except where the structure is read from matrix files.
     count = known["structure"].bodies if "structure" in known else body
     if body > count:
         yield Mistake(place, no_body(body, count))

@@ -17,7 +17,7 @@ from rig.scene.settings import Mistake
 
 Preset = Annotated[str, Field(min_length=1, max_length=80)]
 
-#: Settings that take a preset, by the key under which a data sheet has them.
+#: Settings that accept a preset, by their key in a data sheet.
 KINDS = ("accelerometer", "hammer", "converter", "output", "shaker")
 
 
@@ -28,25 +28,25 @@ class DataSheet:
     name: str
     """Maker and model."""
     summary: str
-    """What it is: the first line of its file."""
+    """Description: the first line of its file."""
     sources: tuple[str, ...]
-    """Where the figures come from."""
+    """Sources of the figures."""
     unchecked: tuple[str, ...]
     """Figures that could not be compared with a source."""
     settings: dict[str, dict[str, Any]]
-    """For each kind of settings that may name it (`KINDS`), figures by the scene's keys, as a scene file has them."""
+    """Figures for each kind of settings that accepts the preset (`KINDS`), with the keys and units of scene files."""
     facts: dict[str, Any]
-    """Everything else: `module`, `inputs`, `outputs` (see `rig.scene.modules`), `teds` (see `rig.scene.teds`)."""
+    """All other data: `module`, `inputs`, `outputs` (see `rig.scene.modules`), `teds` (see `rig.scene.teds`)."""
 
     @property
     def doubts(self) -> str:
-        """Which figures have no source, in a sentence; empty if all have."""
+        """Sentence that lists the figures without a source; empty if every figure has a source."""
         return f"No source at hand for {', '.join(self.unchecked)}." if self.unchecked else ""
 
 
 @cache
 def data_sheets() -> dict[str, DataSheet]:
-    """List the data sheets there are, by name.
+    """List the available data sheets by name.
 
     >>> list(data_sheets())  # doctest: +ELLIPSIS
     ['BK 8206', 'LDS V203', 'NI 9234', ..., 'PCB 356B18', 'USB-4431']
@@ -66,19 +66,19 @@ def data_sheets() -> dict[str, DataSheet]:
 
 
 def data_sheet(name: str, kind: str | None = None) -> DataSheet:
-    """Find the data sheet of a part; capitals, spaces and hyphens do not matter.
+    """Return the data sheet of a part; case, spaces and hyphens are ignored.
 
     Parameters
     ----------
     name : str
-        Of the part.
+        Name of the part.
     kind : str, optional
-        What it must describe: one of `KINDS`, or ``"module"``; omitted, anything.
+        Required kind of part: one of `KINDS`, or ``"module"``; by default any.
 
     Raises
     ------
     SceneError
-        If there is none of that name that does.
+        If no data sheet has that name and kind.
     """
     known = {
         _plain(each.name): each
@@ -95,12 +95,12 @@ def data_sheet(name: str, kind: str | None = None) -> DataSheet:
 
 
 def described(name: str) -> list[str]:
-    """Describe a part in lines: every figure that a scene gets from it, those marked that have no source.
+    """Describe a part in lines: every figure that a scene takes from it, with figures without a source marked.
 
     Raises
     ------
     SceneError
-        If there is none of that name.
+        If no data sheet has that name.
 
     Examples
     --------
@@ -123,7 +123,7 @@ def described(name: str) -> list[str]:
 
 
 def _flat(settings: dict[str, Any]) -> Iterable[tuple[str, Any]]:
-    """Name the settings of parts by their part, such as coil.resistance."""
+    """Yield nested settings with dotted names, such as coil.resistance."""
     for key, value in settings.items():
         if isinstance(value, dict):
             yield from ((f"{key}.{inner}", figure) for inner, figure in value.items())
@@ -136,7 +136,7 @@ def _plain(name: str) -> str:
 
 
 def unknown_preset(preset: str | None, kind: str) -> Iterable[Mistake]:
-    """Check that there is a data sheet of the part that settings of a kind name as their preset."""
+    """Check that a preset has a data sheet for this kind of settings."""
     if preset is not None:
         try:
             data_sheet(preset, kind)

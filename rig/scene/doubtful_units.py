@@ -1,4 +1,4 @@
-"""Bare numbers that are improbable in SI: valid, but their unit was probably forgotten, which a warning says."""
+"""Warnings for bare numbers that are valid but improbable in SI, because their unit was probably forgotten."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from typing import Any
 from rig.scene.scene import Scene
 from rig.scene.settings import Mistake, Place, at
 
-# Limits from which a bare number is questioned, because its unit was probably forgotten.
-#: Clearance, m: cavities are lower.
+# Limits from which a bare number causes a warning.
+#: Clearance, m: real cavities have less.
 _CLEARANCE = 0.1
-#: Damping ratio: structures are less damped.
+#: Damping ratio: real structures have less.
 _DAMPING = 0.1
-#: Mass ratio: beds are lighter than twice their mode.
+#: Mass ratio: real beds have less than twice the modal mass.
 _MASS_RATIO = 2.0
 
 
 def doubts(scene: Scene, content: Mapping[str, Any]) -> Iterator[Mistake]:
-    """Yield a warning for each such number in the content of a valid scene."""
+    """Yield a warning for each improbable bare number in the content of a valid scene."""
     for k, damper in enumerate(scene.dampers):
         if damper.clearance < inf:
             yield from _doubt(

@@ -1,4 +1,4 @@
-"""Settings of a test: what the bench does to the structure, and for how long."""
+"""Settings of a test: kind, level and duration of the excitation."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rig.scene.shaker import Body
 
 Frequency = Annotated[float, Quantity(FREQUENCY, above=0.0)]
 Duration = Annotated[float, Quantity(TIME, above=0.0)]
-# What the drive is depends on the shaker: volts at its amplifier or the table's displacement.
+# The unit of the drive depends on the shaker: volts at its amplifier, or displacement of the table.
 Force = Annotated[float, Quantity(FORCE, above=0.0)]
 Drive = Annotated[float, Quantity(VOLTAGE, LENGTH, above=0.0)]
 Forces = Annotated[float | tuple[float, ...], Quantity(FORCE, above=0.0, listed=True)]
@@ -32,12 +32,12 @@ Start = Annotated[
 Spacing = Literal["linear", "log"]
 
 MOST_STEPS = 100_000
-#: A controller counts a force as held within this share of it.
+#: Relative tolerance within which a controller accepts a force.
 FORCE_HELD = 0.005
 
 
 class Sine(Settings):
-    """A tone held for a while: amplitude times sin(2 pi f t) from t = 0."""
+    """A sine of constant frequency and amplitude: amplitude times sin(2 pi f t) from t = 0."""
 
     one_of: ClassVar = (("force", "drive"),)
     kind: Literal["sine"] = "sine"
@@ -50,29 +50,29 @@ class Sine(Settings):
     drive: Drive | None = None
     """Instead of `force`: amplitude of the drive, open loop [V or m, as the shaker's kind takes]."""
     shaker: ShakerNumber | None = None
-    """Where there are several shakers: the number of the one to drive; the outputs of the others stay at zero."""
+    """With several shakers: the number of the driven shaker; the outputs of the others stay at zero."""
     duration: Duration = 2.0
     """Time [s]."""
 
 
 class Settle(Settings):
-    """When a step counts as steady."""
+    """Criterion for the steady state of a step."""
 
     tolerance: Annotated[float, Quantity(RATIO, above=0.0)] = 1e-3
-    """Largest change of any channel's first harmonic between windows, as a share of it."""
+    """Largest relative change of any channel's first harmonic between windows."""
     longest: Duration = 60.0
-    """Longest time to wait for that [s]."""
+    """Longest time to wait for the steady state [s]."""
 
 
 class Measure(Settings):
-    """How long a steady step is measured: a number of periods of the drive."""
+    """Measurement time of a step in steady state, in periods of the drive."""
 
     periods: Count = 20
-    """How many."""
+    """Number of periods."""
 
 
 class SteppedSine(Settings):
-    """A row of tones; each one is driven to the level, left to settle and measured."""
+    """A series of tones; each is brought to the level, settles to steady state and is measured."""
 
     one_of: ClassVar = (("force", "drive"), ("frequencies", "points"))
     kind: Literal["stepped_sine"] = "stepped_sine"
@@ -82,9 +82,9 @@ class SteppedSine(Settings):
     to: Frequency | None = None
     """Last frequency [Hz], above from."""
     points: Annotated[int, Field(ge=2, le=MOST_STEPS)] | None = None
-    """How many frequencies, both ends included."""
+    """Number of frequencies, both ends included."""
     frequencies: tuple[Frequency, ...] | None = Field(None, min_length=1, max_length=MOST_STEPS)
-    """Instead of from, to and points: the frequencies [Hz], rising."""
+    """Instead of from, to and points: the frequencies [Hz] in ascending order."""
     spacing: Spacing = "linear"
     """Whether the frequencies are evenly spaced on a linear or a logarithmic axis."""
     direction: Literal["up", "down", "both"] = "up"
@@ -96,14 +96,14 @@ class SteppedSine(Settings):
     """Instead of `force`: amplitude of the drive, open loop [V or m, as the shaker's kind takes]. Several levels are
     run one after another."""
     shaker: ShakerNumber | None = None
-    """Where there are several shakers: the number of the one to drive; the outputs of the others stay at zero."""
+    """With several shakers: the number of the driven shaker; the outputs of the others stay at zero."""
     settle: Settle = Settle()
-    """When a step counts as steady."""
+    """Criterion for the steady state of a step."""
     measure: Measure = Measure()
-    """How long a steady step is measured."""
+    """Measurement time of a step in steady state."""
 
     def relations(self) -> Iterable[Mistake]:
-        """Check the range, or the list in its place."""
+        """Check the range, or the list of frequencies."""
         if self.frequencies is not None:
             if self.from_ is not None or self.to is not None:
                 yield Mistake((), "frequencies and from/to given together; expected one or the other")
@@ -151,7 +151,7 @@ def spaced(first: float, last: float, points: int, spacing: str) -> tuple[float,
 
 
 class SweptSine(Settings):
-    """A tone whose frequency moves steadily from one end to the other, upward or downward."""
+    """A sine whose frequency sweeps steadily from one end to the other, upward or downward."""
 
     one_of: ClassVar = (("force", "drive"),)
     kind: Literal["swept_sine"] = "swept_sine"
@@ -161,19 +161,19 @@ class SweptSine(Settings):
     to: Frequency
     """Last frequency [Hz], above or below the first."""
     duration: Duration
-    """Time from end to end [s]."""
+    """Duration of the sweep [s]."""
     spacing: Spacing = "log"
-    """Whether the frequency rises by equal steps (linear) or by equal factors (log) in equal times."""
+    """Whether the frequency changes by equal steps (linear) or equal factors (log) in equal times."""
     force: Force | None = None
     """Amplitude of the spring force, held by the controller; with a shaker of kind force, of the force itself
     [N]."""
     drive: Drive | None = None
     """Instead of `force`: amplitude of the drive, open loop [V or m, as the shaker's kind takes]."""
     shaker: ShakerNumber | None = None
-    """Where there are several shakers: the number of the one to drive; the outputs of the others stay at zero."""
+    """With several shakers: the number of the driven shaker; the outputs of the others stay at zero."""
 
     def relations(self) -> Iterable[Mistake]:
-        """Check that there is something to sweep."""
+        """Check that the two end frequencies differ."""
         if self.from_ == self.to:
             yield Mistake(("to",), "equal to from; a tone that stays is kind: sine")
 
@@ -191,15 +191,15 @@ class Random(Settings):
     duration: Duration
     """Time [s]."""
     burst: Annotated[float, Quantity(RATIO, above=0.0, below=1.0)] | None = None
-    """Share of each block during which the noise is on, above 0 and below 1; None: always on."""
+    """Fraction of each block during which the noise is on, above 0 and below 1; None: always on."""
     force: Force | None = None
     """Root mean square of the spring force; with a shaker of kind force, of the force itself [N]."""
     drive: Drive | None = None
     """Instead of `force`: root mean square of the drive [V or m, as the shaker's kind takes]."""
     shaker: ShakerNumber | None = None
-    """Where there are several shakers: the number of the one to drive; the outputs of the others stay at zero."""
+    """With several shakers: the number of the driven shaker; the outputs of the others stay at zero."""
     also: Annotated[tuple[ShakerNumber, ...], Field(min_length=1)] | None = None
-    """Other shakers to drive at the same time, by their numbers: with noise of the same spectrum, uncorrelated."""
+    """Numbers of other shakers to drive simultaneously, with uncorrelated noise of the same spectrum."""
 
     def relations(self) -> Iterable[Mistake]:
         """Check the band."""
@@ -217,21 +217,21 @@ class Multisine(Settings):
     to: Frequency
     """Upper end of the band [Hz]."""
     lines: Annotated[int, Field(ge=2, le=MOST_STEPS)] | None = None
-    """How many tones the band holds."""
+    """Number of tones in the band."""
     period: Duration | None = None
-    """Instead of `lines`: the time after which the signal repeats [s], with tones at its multiples."""
+    """Instead of `lines`: the period of the signal [s]; the tones are multiples of its reciprocal."""
     periods: Count = 8
-    """Periods measured of each realisation."""
+    """Number of measured periods of each realisation."""
     realisations: Count = 4
-    """How many sets of phases are run."""
+    """Number of realisations: sets of random phases."""
     force: Force | None = None
     """Root mean square of the spring force; with a shaker of kind force, of the force itself [N]."""
     drive: Drive | None = None
     """Instead of `force`: root mean square of the drive [V or m, as the shaker's kind takes]."""
     shaker: ShakerNumber | None = None
-    """Where there are several shakers: the number of the one to drive; the outputs of the others stay at zero."""
+    """With several shakers: the number of the driven shaker; the outputs of the others stay at zero."""
     also: Annotated[tuple[ShakerNumber, ...], Field(min_length=1)] | None = None
-    """Other shakers to drive at the same time, by their numbers: each realisation is then as many experiments,
+    """Numbers of other shakers to drive simultaneously: each realisation then has one experiment per shaker,
     with orthogonal phases."""
 
     def relations(self) -> Iterable[Mistake]:
@@ -244,20 +244,20 @@ class Multisine(Settings):
 
 
 def band(first: float, last: float) -> Iterable[Mistake]:
-    """Check that a band has its lower end first."""
+    """Check that the lower end of a band comes first."""
     if first >= last:
         yield Mistake(("from",), "not below to; a band has its lower end first")
 
 
 class DoubleHit(Settings):
-    """A hammer that bounces: a second, weaker pulse follows."""
+    """Double hit: the hammer bounces, and a second, weaker pulse follows."""
 
     hits: tuple[Count, ...] | None = Field(None, min_length=1)
-    """Which hits bounce, from 1; None: all."""
+    """Numbers of the hits that bounce, from 1; None: all."""
     after: Duration = 20e-3
-    """From the start of the first pulse to the start of the second [s]."""
+    """Time from the start of the first pulse to the start of the second [s]."""
     ratio: Annotated[float, Quantity(RATIO, above=0.0)] = 0.4
-    """Peak of the second pulse as a share of the first."""
+    """Ratio of the second pulse's peak to the first's."""
 
 
 class Impulse(Settings):
@@ -270,16 +270,16 @@ class Impulse(Settings):
     peak: Annotated[float, Quantity(FORCE, above=0.0)]
     """Peak of the pulse [N]."""
     width: Duration
-    """Length of the half sine [s]; a softer tip makes it longer."""
+    """Duration of the half sine [s]; a softer tip makes it longer."""
     repeats: Count = 1
     """Number of hits."""
     interval: Duration = 6.0
-    """From one hit to the next, and recorded after the last [s]."""
+    """Time from one hit to the next, and recording time after the last [s]."""
     double_hit: DoubleHit | None = None
-    """Bounces of the hammer; None: clean hits."""
+    """Double hits; None: single hits only."""
 
     def relations(self) -> Iterable[Mistake]:
-        """Check that pulses do not run into one another."""
+        """Check that pulses do not overlap."""
         if self.width >= self.interval:
             yield Mistake(("width",), "not shorter than the interval between hits")
         if self.double_hit is None:
@@ -299,18 +299,18 @@ class Free(Settings):
     kind: Literal["free"] = "free"
     start: Start = "settled"
     displacement: tuple[Annotated[float, Quantity(LENGTH)], ...] | None = Field(None, min_length=1)
-    """One value for each body, added to the start position [m]."""
+    """One initial displacement for each body, relative to the start position [m]."""
     velocity: tuple[Annotated[float, Quantity(VELOCITY)], ...] | None = Field(None, min_length=1)
-    """One value for each body, added to rest [m/s]."""
+    """One initial velocity for each body [m/s]."""
     mode: Annotated[int, Field(ge=1)] | None = None
-    """Instead: the shape of this mode, from 1."""
+    """Instead of these: number of the mode whose shape is the initial displacement, from 1."""
     amplitude: Annotated[float, Quantity(LENGTH, above=0.0)] | None = None
     """Largest element of that shape [m]."""
     duration: Duration = 6.0
     """Time [s]."""
 
     def relations(self) -> Iterable[Mistake]:
-        """Check that there is one way to start."""
+        """Check that the initial state is given in exactly one form."""
         if (self.mode is None) != (self.amplitude is None):
             there, other = ("mode", "amplitude") if self.amplitude is None else ("amplitude", "mode")
             yield Mistake((there,), f"given without {other}; expected both or neither")

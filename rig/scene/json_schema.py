@@ -9,14 +9,14 @@ from rig.scene.scene import Scene
 
 
 def schema_text() -> str:
-    """Write the schema as it ships in `scene.schema.json`."""
+    """Return the text of `scene.schema.json`."""
     schema = _lean(Scene.model_json_schema(by_alias=True))
     schema = {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema, "title": "shotrig scene"}
     return json.dumps(schema, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 def _lean(node: Any) -> Any:
-    """Leave out what an editor does not need: derived titles, null beside a type, defaults of nothing."""
+    """Remove what an editor does not need: derived titles, null as an alternative type, empty defaults."""
     if isinstance(node, list):
         return [_lean(item) for item in node]
     if not isinstance(node, dict):
@@ -28,7 +28,7 @@ def _lean(node: Any) -> Any:
         lean["description"] = " ".join(lean["description"].split())
     choices = lean.get("anyOf")
     if isinstance(choices, list) and {"type": "null"} in choices:
-        # An empty value counts as left out, which an editor need not propose.
+        # An empty value is equivalent to an omitted key, so editors need not propose it.
         rest = [choice for choice in choices if choice != {"type": "null"}]
         if len(rest) == 1:
             del lean["anyOf"]

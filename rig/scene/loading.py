@@ -1,4 +1,4 @@
-"""Scene files: found, read and checked, with every mistake reported at once."""
+"""Loading of scene files: search, reading and checks, with all mistakes reported together."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from rig.scene.scene_files import find, read_text
 from rig.scene.settings import Mistake, Place, describe, dotted, mistakes_of
 from rig.scene.yaml_reader import Document, read
 
-# Where a scene's content comes from no file.
+# Line numbers of content that was not read from a file.
 _NO_LINES: dict[Place, int] = {(): 0}
-#: What a function takes as a scene.
+#: Types that a function accepts as a scene.
 SceneLike = Scene | str | Path | Mapping[str, Any]
 
 
@@ -30,20 +30,21 @@ def load(scene: SceneLike, changes: Mapping[str, Any] | None = None) -> Scene:
     Parameters
     ----------
     scene : str, Path, mapping or Scene
-        The name of a bundled scene (`rig scenes` lists them), the path of a scene file, or what such a file holds.
+        The name of a bundled scene (`rig scenes` lists them), the path of a scene file, or the content of a scene
+        file.
     changes : mapping of str to any, optional
-        What is to differ, by key: ``{"test.force": "5 N", "dampers[2].clearance": 1e-3}``. Items count from 1; a key
-        of a list without a number goes to each of its items; None takes a key out.
+        Changed values by key: ``{"test.force": "5 N", "dampers[2].clearance": 1e-3}``. Items count from 1; a list
+        key without a number applies to every item; None removes a key.
 
     Returns
     -------
     Scene
-        Its settings, in SI; the name is that of the file where the file gives none.
+        Its settings, in SI; without a name in the file, the scene has the name of the file.
 
     Raises
     ------
     SceneError
-        If there is no such scene, or with one line for each mistake in it.
+        If the scene does not exist or has mistakes; the message has one line for each mistake.
 
     Examples
     --------
@@ -60,7 +61,7 @@ def load(scene: SceneLike, changes: Mapping[str, Any] | None = None) -> Scene:
 
 
 def load_changed(scene: str, settings: Iterable[str]) -> Scene:
-    """Load a scene with the changes of a command line, each ``KEY=VALUE``, which messages name as ``--set KEY=VALUE``.
+    """Load a scene with changes ``KEY=VALUE`` from a command line, shown in messages as ``--set KEY=VALUE``.
 
     Raises
     ------
@@ -71,7 +72,7 @@ def load_changed(scene: str, settings: Iterable[str]) -> Scene:
 
 
 def scene_of(scene: SceneLike) -> Scene:
-    """Take an argument that is a scene, or what `load` takes."""
+    """Return an argument that is a scene, or load the scene from it."""
     return load(scene)
 
 
@@ -101,14 +102,14 @@ def loads(text: str, where: str = "scene", folder: str | Path | None = None) -> 
     text : str
         YAML.
     where : str
-        What to call it in messages, in place of a file name.
+        Name of the text in messages, instead of a file name.
     folder : str or Path, optional
-        Where .npy files are found; None: matrices have to be inline.
+        Folder of the .npy files; None: matrices must be inline.
 
     Raises
     ------
     SceneError
-        With one line for each mistake.
+        If the scene has mistakes; the message has one line for each.
     """
     if not isinstance(text, str):
         raise SceneError(
@@ -118,12 +119,12 @@ def loads(text: str, where: str = "scene", folder: str | Path | None = None) -> 
 
 
 def loads_si(text: str, where: str) -> Scene:
-    """Load a scene from what `Scene.to_si_yaml` wrote: the units that its user chose are not known.
+    """Load a scene from the text of `Scene.to_si_yaml`, which does not contain the user's units.
 
     Raises
     ------
     SceneError
-        With one line for each mistake.
+        If the scene has mistakes; the message has one line for each.
     """
     scene = loads(text, where)
     scene.forget_spelling()
@@ -158,7 +159,7 @@ def _validated(document: Document, where: str, folder: Path | None, changes: Seq
 
 
 def _checked(content: dict[str, Any], folder: Path | None) -> tuple[Scene | None, list[Mistake]]:
-    """Make the settings, or list all mistakes in them."""
+    """Return the settings, or all mistakes in them."""
     try:
         return Scene.model_validate(content, context={FOLDER: folder}), []
     except ValidationError as error:
@@ -168,7 +169,7 @@ def _checked(content: dict[str, Any], folder: Path | None) -> tuple[Scene | None
 def _described(
     mistake: Mistake, where: str, document: Document, changes: Sequence[Change], own: Sequence[Mistake]
 ) -> str:
-    """Describe a mistake at its line of the file or, where the file has no such mistake of its own, at the changes."""
+    """Describe a mistake at its line of the file or, if a change caused it, at the change."""
     made = [change for change in changes if change.concerns(mistake.place)]
     if not made and mistake not in own:
         made = list(changes)

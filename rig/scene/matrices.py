@@ -1,4 +1,4 @@
-"""Mass, stiffness and damping matrices of a structure that is no chain: inline or from .npy files."""
+"""Mass, stiffness and damping matrices of a general linear structure: inline or from .npy files."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from rig.scene.quantity_field import got, mistake
 from rig.scene.settings import Mistake, Settings
 
 MOST_BODIES = 2000
-# Matrices that come from other programs are symmetric up to their rounding; more than this is a mistake.
+# Relative limit: matrices from other programs are symmetric up to rounding, and a larger asymmetry is a mistake.
 ASYMMETRY = 1e-9
-FOLDER = "folder"  # key of the validation context: where a scene file lies, and with it its .npy files
+FOLDER = "folder"  # key of the validation context: folder of the scene file and its .npy files
 
 
 class _Matrix:
-    """A square matrix of finite numbers in SI: a list of rows, an array, or a .npy file beside the scene."""
+    """A square matrix of finite numbers in SI: a list of rows, an array, or a .npy file in the folder of the scene."""
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         return core_schema.with_info_plain_validator_function(self._read)
@@ -65,17 +65,17 @@ Matrix = Annotated[tuple[tuple[float, ...], ...], _Matrix()]
 
 
 class Matrices(Settings):
-    """A structure given by its matrices, in SI; the damping matrix may be left to `Structure.damping`."""
+    """A structure given by its matrices, in SI; instead of the damping matrix, `Structure.damping` can be given."""
 
     mass: Matrix
     """Symmetric and positive definite, (bodies, bodies) [kg]."""
     stiffness: Matrix
     """Symmetric, (bodies, bodies) [N/m]."""
     damping: Matrix | None = None
-    """Any matrix of that size [N s/m]."""
+    """Any matrix of the same size [N s/m]."""
 
     def relations(self) -> Iterable[Mistake]:
-        """Check sizes, symmetry and energies: kinetic and elastic ones positive, none out of the damping."""
+        """Check sizes, symmetry and energies: kinetic and elastic energy positive, no energy from the damping."""
         found = list(self._forms())
         yield from found
         if not found:
@@ -118,7 +118,7 @@ class Matrices(Settings):
 
 
 def asymmetry(matrix: NDArray[np.float64]) -> tuple[int, int] | None:
-    """Find the worst pair of elements that break the symmetry of a matrix (n, n), None if it is symmetric."""
+    """Return the indices of the most asymmetric element pair of a matrix (n, n), None if it is symmetric."""
     difference = np.abs(matrix - matrix.T)
     row, column = np.unravel_index(int(np.argmax(difference)), matrix.shape)
     if difference[row, column] <= ASYMMETRY * np.abs(matrix).max():
@@ -127,7 +127,7 @@ def asymmetry(matrix: NDArray[np.float64]) -> tuple[int, int] | None:
 
 
 def positive_definite(matrix: NDArray[np.float64]) -> bool:
-    """Whether a symmetric matrix (n, n) is positive definite beyond rounding, whatever its scales."""
+    """Whether a symmetric matrix (n, n) is positive definite beyond rounding, for any scaling of its rows."""
     diagonal = np.diag(matrix)
     if (diagonal <= 0.0).any():
         return False
@@ -137,7 +137,7 @@ def positive_definite(matrix: NDArray[np.float64]) -> bool:
 
 
 def lowest_square(mass: NDArray[np.float64], stiffness: NDArray[np.float64]) -> float:
-    """Lowest squared natural frequency of symmetric matrices (n, n), 1/s^2; 0 where it is so but for rounding."""
+    """Return the lowest squared natural frequency of symmetric matrices (n, n), 1/s^2; 0 if zero within rounding."""
     factor = np.linalg.cholesky((mass + mass.T) / 2.0)
     half = np.linalg.solve(factor, (stiffness + stiffness.T) / 2.0)
     squares = np.linalg.eigvalsh(np.linalg.solve(factor, half.T))
@@ -148,7 +148,7 @@ def lowest_square(mass: NDArray[np.float64], stiffness: NDArray[np.float64]) -> 
 def fastest_growth(
     mass: NDArray[np.float64], stiffness: NDArray[np.float64], damping: NDArray[np.float64]
 ) -> tuple[float, float]:
-    """Rate [1/s] at which the motion grows by itself, at most, and its frequency [Hz]; 0 where it decays."""
+    """Return the largest growth rate of the free motion [1/s] and its frequency [Hz]; 0 if it decays."""
     symmetric = np.linalg.eigvalsh((damping + damping.T) / 2.0)
     if symmetric[0] >= -10 * len(symmetric) * np.finfo(float).eps * np.abs(symmetric).max():
         return 0.0, 0.0
@@ -174,12 +174,12 @@ def _from_file(name: str | Path, folder: Path | None) -> NDArray[Any]:
     if path.exists() and not path.is_file():
         raise mistake(f"{path} is no ordinary file; expected a .npy file beside the scene file")
     try:
-        # Mapped first: a header may promise any size, and nothing is read before that was looked at.
+        # Map the file first, because its header may state any size: the size is checked before data are read.
         mapped: NDArray[Any] = np.load(path, mmap_mode="r", allow_pickle=False)
     except FileNotFoundError:
         raise mistake(f"no file {path}; expected it beside the scene file") from None
     except Exception as error:
-        # The reader meets damage as whatever it happens to lead to.
+        # A damaged file can cause an exception of almost any type in the reader.
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise mistake(f"{path} cannot be read as .npy ({reason})") from None
     if not isinstance(mapped, np.ndarray):

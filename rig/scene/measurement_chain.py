@@ -1,6 +1,6 @@
-"""Settings of the measurement chain: sensors, integrating amplifiers, converter, and what a recording holds besides.
+"""Settings of the measurement chain: sensors, integrating amplifiers, converter, and content of the recording.
 
-What is not given is not modelled: an accelerometer without keys reads the acceleration as it is.
+Omitted effects are not modelled: an accelerometer without keys measures the exact acceleration.
 """
 
 from __future__ import annotations
@@ -39,20 +39,20 @@ Corner = Annotated[float, Quantity(FREQUENCY, above=0.0)]
 Tolerance = Annotated[float, Quantity(RATIO, at_least=0.0, below=1.0)]
 Time = Annotated[float, Quantity(TIME, at_least=0.0)]
 Limit = Annotated[float, Quantity(LENGTH, VELOCITY, ACCELERATION, FORCE, VOLTAGE, above=0.0)]
-# Where a channel measures force, or the voltage of an output, not motion.
+# Places where a channel measures force or output voltage instead of motion.
 FORCE_PLACES, VOLTAGE_PLACE = ("hammer", "shaker"), "drive"
 Supply = Annotated[float, Quantity(CURRENT, at_least=0.0)]
 
 
 class Accelerometer(Settings):
-    """A piezoelectric accelerometer, as its datasheet describes it; each effect is there when it is named."""
+    """A piezoelectric accelerometer with the figures of its datasheet; only the given effects are modelled."""
 
     preset: Preset | None = None
-    """A part, by its name, whose datasheet fills in what is not given here."""
+    """Name of a part whose datasheet supplies the values not given here."""
     sensitivity: Annotated[float, Quantity(ACCELERATION_SENSITIVITY, above=0.0)] | None = None
     """Nominal sensitivity [V per m/s^2]; None: 1."""
     sensitivity_tolerance: Tolerance | None = None
-    """Largest deviation of the true sensitivity from the nominal one, as a share; the seed draws it."""
+    """Largest relative deviation of the true sensitivity from nominal; the deviation is drawn with the seed."""
     resonance: Corner | None = None
     """Mounted resonance [Hz]."""
     q: Annotated[float, Quantity(RATIO, above=0.0)] | None = None
@@ -68,22 +68,22 @@ class Accelerometer(Settings):
     bias_settling: Annotated[float, Quantity(TIME, above=0.0)] | None = None
     """Time constant with which the bias settles from zero after power-on [s]; needs `bias`."""
     transverse: Tolerance | None = None
-    """Transverse sensitivity as a share of the nominal one; the seed draws its direction."""
+    """Transverse sensitivity relative to the nominal sensitivity; its direction is drawn with the seed."""
     lateral: Annotated[float, Quantity(RATIO, at_least=0.0)] | None = None
-    """Sideways acceleration of the mounting point as a share of the vertical (10 % where `transverse` is
-    given without it); the structure itself moves vertically only."""
+    """Lateral acceleration of the mounting point relative to the vertical (10 % if only `transverse` is
+    given); the structure itself moves vertically only."""
     saturation: Annotated[float, Quantity(ACCELERATION, above=0.0)] | None = None
-    """Largest acceleration the output follows [m/s^2], whatever the sample rate; beyond, samples are marked as
-    overloaded. A jump of velocity shakes a sensor with up to that jump times 2 pi resonance; one without a resonance
-    cannot follow any."""
+    """Largest acceleration that the output follows [m/s^2], at any sample rate; samples beyond are marked as
+    overloaded. A velocity jump excites the sensor up to the jump times 2 pi resonance; without a resonance every
+    jump overloads it."""
     overload_recovery: Annotated[float, Quantity(TIME, above=0.0)] | None = None
     """Time constant of the recovery after saturation [s]; needs `saturation`."""
     temperature_drift: Annotated[float, Quantity(PER_KELVIN)] | None = None
     """Relative change of sensitivity per kelvin [1/K]; needs `temperature_change`."""
     temperature_change: Annotated[float, Quantity(TEMPERATURE)] | None = None
-    """Temperature of the sensor above that of its calibration [K]."""
+    """Temperature difference between sensor and calibration [K]."""
     iepe: bool | None = None
-    """Whether its amplifier needs the current that the converter feeds it with (`excitation`)."""
+    """Whether the sensor's amplifier needs a supply current from the converter (`excitation`)."""
 
     needs: ClassVar[Mapping[str, str]] = {
         "q": "resonance",
@@ -95,7 +95,7 @@ class Accelerometer(Settings):
     }
 
     def relations(self) -> Iterable[Mistake]:
-        """Check that nothing is given without what it belongs to; a preset may supply that."""
+        """Check that every key on which a given key depends is given too, here or by the preset."""
         yield from unknown_preset(self.preset, "accelerometer")
         for key, other in self.needs.items():
             if self.preset is None and getattr(self, key) is not None and getattr(self, other) is None:
@@ -106,18 +106,18 @@ class Integrator(Settings):
     """An integrating amplifier behind the accelerometer."""
 
     order: Annotated[int, Field(ge=1, le=2)]
-    """1: the output follows the velocity, 2: the displacement."""
+    """1: the output is proportional to velocity, 2: to displacement."""
     corner: Annotated[float, Quantity(FREQUENCY, at_least=0.0)] = 0.0
-    """Frequency below which it stops integrating [Hz], a first-order high pass per order; 0: it never
-    does."""
+    """Frequency below which the amplifier does not integrate [Hz], a first-order high pass per order; 0: it integrates
+    at all frequencies."""
     low_cutoff: Corner | None = None
-    """Corner of the first-order high pass at its input [Hz], which keeps a sensor's bias out."""
+    """Corner of the first-order high pass at its input [Hz], which removes the sensor's bias."""
     gain: Annotated[float, Quantity(RATIO, above=0.0)] = 1.0
     """Output per integral of the input [1/s for order 1, 1/s^2 for order 2]."""
     noise: Annotated[float, Quantity(VOLTAGE_NOISE, at_least=0.0)] | None = None
     """White noise density at the output [V/sqrt(Hz)]."""
     saturation: Annotated[float, Quantity(VOLTAGE, above=0.0)] | None = None
-    """Largest voltage of each integration [V], whatever the sample rate; samples in which it is reached are marked as
+    """Largest voltage of each integration stage [V], at any sample rate; samples that reach it are marked as
     overloaded."""
 
 
@@ -125,19 +125,19 @@ class Hammer(Settings):
     """A force sensor: in the head of an impulse hammer, or between a shaker and the body it pushes."""
 
     preset: Preset | None = None
-    """A part, by its name, whose datasheet fills in what is not given here."""
+    """Name of a part whose datasheet supplies the values not given here."""
     sensitivity: Annotated[float, Quantity(FORCE_SENSITIVITY, above=0.0)] | None = None
     """Nominal sensitivity [V/N]; None: 1."""
     sensitivity_tolerance: Tolerance | None = None
-    """Largest deviation of the true sensitivity from the nominal one, as a share; the seed draws it."""
+    """Largest relative deviation of the true sensitivity from nominal; the deviation is drawn with the seed."""
     noise: Annotated[float, Quantity(FORCE_NOISE, at_least=0.0)] | None = None
     """White noise density [N/sqrt(Hz)]."""
     low_cutoff: Corner | None = None
     """Corner of the first-order high pass [Hz]."""
     saturation: Annotated[float, Quantity(FORCE, above=0.0)] | None = None
-    """Largest force the output follows [N]; samples beyond are marked as overloaded."""
+    """Largest force that the output follows [N]; samples beyond are marked as overloaded."""
     iepe: bool | None = None
-    """Whether its amplifier needs the current that the converter feeds it with (`excitation`)."""
+    """Whether the sensor's amplifier needs a supply current from the converter (`excitation`)."""
 
     def relations(self) -> Iterable[Mistake]:
         """Check that the part is known."""
@@ -145,20 +145,20 @@ class Hammer(Settings):
 
 
 class Channel(Settings):
-    """One measured signal: a point, the sensor on it and the amplifier behind that.
+    """One measured signal: the point, its sensor and the integrating amplifier.
 
-    At `shaker` it is the force between a shaker of kind force and its body; that of other shakers is read from the
-    ends of their coil spring, the table and the driven body. At `drive` it is the voltage of the output in front of a
-    shaker, as a teed cable gives it. Where there are several shakers, a place at one of them bears its number:
+    At `shaker` the signal is the force between a shaker of kind force and its body; for other shakers, measure the
+    two ends of the coil spring, the table and the driven body. At `drive` the signal is the output voltage in front
+    of a shaker, as on a teed cable. With several shakers, the place contains the shaker's number:
     `table 2`, `shaker 2`, `drive 2`.
     """
 
     name: Annotated[str, Field(max_length=80, pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*$")]
-    """A name of letters, digits, _, - and . under which it stands in the recording."""
+    """A name of letters, digits, _, - and . for the channel in the recording."""
     at: Annotated[
         str,
         Field(pattern=r"^(body [1-9][0-9]{0,5}|hammer|(table|shaker|drive)( [1-9][0-9]{0,3})?)$"),
-        # A body's name is put into its number by the scene, which knows the names.
+        # The scene replaces a body's name by its number.
         WithJsonSchema({"type": "string"}),
     ]
     """A body, by its name or as body 1; table, hammer, shaker or drive: the force of a shaker of kind force, the
@@ -175,13 +175,13 @@ class Channel(Settings):
     abort: Limit | None = None
     """Limit of the measured quantity, in the channel's unit, above which the test ends [m, m/s, m/s^2, N or V]."""
     coupling: Literal["AC", "DC"] | None = None
-    """Coupling of this input alone; None: the converter's."""
+    """Coupling of this input; None: as the converter."""
     excitation: Supply | None = None
-    """Current that feeds the sensor at this input [A], 0: none; None: the converter's."""
+    """Supply current of the sensor at this input [A], 0: none; None: as the converter."""
 
     @classmethod
     def kind_by_neighbours(cls, given: Mapping[str, Any]) -> Mapping[Place, Kind]:
-        """Limits are in what the channel measures."""
+        """Return the measured quantity as the kind of the limits."""
         kind = {"1": VELOCITY, "2": LENGTH}.get(str(at(given, ("integrator", "order"))), ACCELERATION)
         what = str(given.get("at")).partition(" ")[0]
         kind = FORCE if what in FORCE_PLACES else VOLTAGE if what == VOLTAGE_PLACE else kind
@@ -206,23 +206,23 @@ class Channel(Settings):
 
     @property
     def what(self) -> str:
-        """Kind of place: body, table, hammer, shaker or drive."""
+        """Kind of the place: body, table, hammer, shaker or drive."""
         return self.at.partition(" ")[0]
 
     @property
     def number(self) -> int | None:
-        """Number of the body or the shaker it is at, from 1; None where it names none."""
+        """Number of its body or shaker, from 1; None if the place has no number."""
         number = self.at.partition(" ")[2]
         return int(number) if number else None
 
     @property
     def measures_force(self) -> bool:
-        """Whether its sensor is one of force: at the hammer or a shaker."""
+        """Whether it measures force: at the hammer or a shaker."""
         return self.what in FORCE_PLACES
 
     @property
     def measures_voltage(self) -> bool:
-        """Whether it reads a voltage, that of an output."""
+        """Whether it measures the voltage of an output."""
         return self.what == VOLTAGE_PLACE
 
     @property
@@ -232,21 +232,21 @@ class Channel(Settings):
 
 
 class DroppedBlock(Settings):
-    """Samples that the converter loses, to test what becomes of a faulty acquisition."""
+    """Samples that the converter loses, to test how a faulty acquisition is handled."""
 
     at: Time
-    """When, from the start of the acquisition [s]."""
+    """Time from the start of the acquisition [s]."""
     samples: Annotated[int, Field(ge=1, le=100_000_000)]
-    """How many in each channel: a whole number, at least 1."""
+    """Number of samples in each channel: a whole number, at least 1."""
 
 
 class Converter(Settings):
     """The analogue-to-digital converter and its clock, common to all channels."""
 
     preset: Preset | None = None
-    """A module, by its name, whose datasheet fills in what is not given here."""
+    """Name of a module whose datasheet supplies the values not given here."""
     rate: Annotated[float, Quantity(FREQUENCY, above=0.0)] = 5120.0
-    """Sample rate asked for [Hz]."""
+    """Requested sample rate [Hz]."""
     bits: Annotated[int, Field(ge=2, le=32)] | None = None
     """Resolution, a whole number such as 24; needs `range`. None: not quantised."""
     range: Annotated[float, Quantity(VOLTAGE, above=0.0)] | None = None
@@ -254,33 +254,33 @@ class Converter(Settings):
     noise: Annotated[float, Quantity(VOLTAGE_NOISE, at_least=0.0)] | None = None
     """White noise density at the input [V/sqrt(Hz)]."""
     coupling: Literal["AC", "DC"] | None = None
-    """Coupling of the inputs; AC: through a first-order high pass. None: DC."""
+    """Coupling of the inputs; AC: a first-order high pass. None: DC."""
     ac_corner: Corner | None = None
     """Corner of that high pass [Hz]; None: 0.5."""
     excitation: Supply | None = None
-    """Constant current that feeds IEPE sensors [A]; 0: none, None: they are fed somehow."""
+    """Constant supply current of IEPE sensors [A]; 0: none, None: an external supply."""
     filter: Literal["delta_sigma"] | None = None
-    """The decimation filter of a delta-sigma converter, which looks at the rig several times a sample where
-    the rig oscillates fast for the sample rate, or the rate is low. None: no filter."""
+    """The decimation filter of a delta-sigma converter. The rig is evaluated several times per sample if it
+    oscillates fast relative to the sample rate, or if the rate is low. None: no filter."""
     remove_delay: bool = False
-    """Whether the filter's delay is taken out of the samples' times."""
+    """Whether the time stamps are corrected for the filter's delay."""
     sampling: Literal["point", "average"] | None = None
-    """What a sample is where there is no filter. point: the voltage at the instant of the sample, as in a real
-    converter without a filter, which sees nothing of an impulse between two instants and folds back what is faster
-    than half the rate; average: the mean voltage over the interval that ends at the sample, in which no impulse is
-    lost. None: point in channels with an integrator, in whose signals no impulse is left, average in all others."""
+    """Meaning of a sample without a filter. point: the voltage at the sampling instant, as in a real converter
+    without a filter, which misses impulses between two instants and aliases frequencies above half the rate;
+    average: the mean voltage over the interval that ends at the sample, which includes every impulse. None: point
+    in channels with an integrator, whose signals contain no impulses, average in all others."""
     skew: Annotated[float | tuple[float, ...], Quantity(TIME, at_least=0.0, listed=True)] | None = None
-    """Lateness of the channels' sampling instants [s]: of each channel relative to the one before it, or one
+    """Delay of the channels' sampling instants [s]: of each channel relative to the previous channel, or one
     value per channel."""
     clock_error: Annotated[float, Quantity(RATIO)] | None = None
     """Relative error of the sample clock's frequency (20 ppm = 2e-5)."""
     jitter: Time | None = None
     """Standard deviation of the sampling instants [s]."""
     dropped_blocks: tuple[DroppedBlock, ...] = ()
-    """Samples to lose."""
+    """Lost samples."""
 
     def relations(self) -> Iterable[Mistake]:
-        """Check that nothing is given without what it belongs to, and that its module can do it."""
+        """Check that every key on which a given key depends is given too, and that the module supports the values."""
         unknown = list(unknown_preset(self.preset, "converter"))
         yield from unknown
         if not unknown:
@@ -311,7 +311,7 @@ class Converter(Settings):
 
     @property
     def sample_rate(self) -> float:
-        """Rate of its samples [Hz]: as asked for or, from a module, the next one above that its clock allows."""
+        """Sample rate [Hz]: as requested or, for a module, the next higher rate of its clock."""
         if self.preset is None:
             return self.rate
         found = module(self.preset)
@@ -323,11 +323,11 @@ class Converter(Settings):
 
 
 class RecordingSettings(Settings):
-    """What goes into the recording besides the channels."""
+    """Content of the recording in addition to the channels."""
 
     display: bool = True
-    """Channels thinned out for plots that need no configuration."""
+    """Whether to record decimated channels for plots without configuration."""
     truth: bool = False
-    """The true motion, under its own topics."""
+    """Whether to record the true motion, in separate topics."""
     samples: Literal["float64", "float32", "counts"] | None = None
-    """How samples are stored. None: counts where the converter has bits, else float64."""
+    """Data type of stored samples. None: counts if the converter has bits, else float64."""

@@ -1,8 +1,8 @@
-"""Modules of data acquisition hardware as their data sheets describe them: what one can do, whatever is wired to it.
+"""Capabilities of data acquisition modules according to their data sheets, independent of the wiring.
 
 A scene names modules as `converter: {preset: NI 9234}` for its inputs and as `output: {preset: NI 9260}` of a shaker.
-What that makes of the signal is in the settings themselves; what a client of the instrument can ask of the module, and
-what it has to refuse, is here:
+Their effect on the signal is part of the settings. This module describes which requests of a client the hardware
+accepts or rejects:
 
 >>> sheet = module("NI 9234")
 >>> sheet.product_type, sheet.inputs.channels, sheet.inputs.supply, sheet.inputs.on_demand
@@ -12,9 +12,9 @@ what it has to refuse, is here:
 >>> module("NI 9260").outputs.ranges
 (4.24264068712,)
 
-`module(scene.converter.preset)` is the module at the inputs, `module(shaker.output.preset)` that at a shaker's output;
-a scene that names none has ideal ones. A coupling or supply that a client chooses for one channel becomes that
-channel's own setting: `channel.replace(coupling="DC", excitation=0.0)`.
+`module(scene.converter.preset)` is the module at the inputs, `module(shaker.output.preset)` the module at a shaker's
+output; without a preset, inputs and outputs are ideal. A client's choice of coupling or supply for one channel
+becomes a setting of that channel: `channel.replace(coupling="DC", excitation=0.0)`.
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ Conversion = Literal["delta_sigma", "sar", "r_2r"]
 
 @dataclass(frozen=True)
 class Rates:
-    """Sample rates that a module's clock can make.
+    """Sample rates that a module's clock can generate.
 
     Attributes
     ----------
     slowest, fastest : float
         Hz.
     ladder : tuple of float
-        All there are, rising, where the clock is divided by whole numbers; empty: any rate in between.
+        All rates in ascending order, if whole numbers divide the clock; empty: any rate between the limits.
     """
 
     slowest: float
@@ -52,14 +52,14 @@ class Rates:
     ladder: tuple[float, ...] = ()
 
     def at_least(self, rate: float) -> float:
-        """Give the rate that the clock makes of a request: the next one not below it.
+        """Return the rate that the clock generates for a request: the lowest rate not below it.
 
         Raises
         ------
         SceneError
-            If the request is not positive or the clock is not that fast.
+            If the request is not positive or exceeds the fastest rate.
         """
-        # A rate that was printed with a few digits still means the one it was rounded from.
+        # Tolerate a request that was rounded to a few digits.
         wanted = rate * (1.0 - 1e-4)
         if not 0.0 < wanted <= self.fastest:
             raise SceneError(f"got {rate:g} Hz; expected {self.slowest:g} to {self.fastest:g} Hz")
@@ -75,23 +75,23 @@ class Inputs:
     Attributes
     ----------
     channels : int
-        How many there are, sampled simultaneously.
+        Number of channels, sampled simultaneously.
     rates : Rates
-        Of the sample clock.
+        Rates of the sample clock.
     ranges : tuple of float
-        Full scales, ± V, rising.
+        Full-scale ranges, ± V, in ascending order.
     couplings : tuple of {"AC", "DC"}
-        The first is what it is set to by default where a sensor is fed.
+        Available couplings; the first is the default for a sensor with supply.
     terminals : tuple of {"pseudo_differential", "differential", "rse"}
         Terminal configurations; the first is the default.
     supply : tuple of float
-        Currents for IEPE sensors besides none, A.
+        Supply currents for IEPE sensors other than zero, A.
     supply_coupling : {"AC", "any"}
-        With which coupling the supply can be on.
+        Coupling required by the supply.
     conversion : {"delta_sigma", "sar"}
         Kind of converter.
     teds : bool
-        Whether it reads the electronic data sheets of sensors.
+        Whether the module reads the electronic data sheets (TEDS) of sensors.
     """
 
     channels: int
@@ -106,7 +106,7 @@ class Inputs:
 
     @property
     def on_demand(self) -> bool:
-        """Whether one sample can be read without a sample clock: not behind a decimation filter."""
+        """Whether single samples can be read without a sample clock, which a decimation filter prevents."""
         return self.conversion != "delta_sigma"
 
 
@@ -117,13 +117,13 @@ class Outputs:
     Attributes
     ----------
     channels : int
-        How many there are, updated simultaneously.
+        Number of channels, updated simultaneously.
     rates, ranges, terminals
         As in `Inputs`.
     conversion : {"delta_sigma", "r_2r"}
         Kind of converter.
     on_demand : bool
-        Whether one value can be put out without a sample clock.
+        Whether single values can be written without a sample clock.
     """
 
     channels: int
@@ -136,16 +136,16 @@ class Outputs:
 
 @dataclass(frozen=True)
 class Module:
-    """A module, or a device of its own.
+    """A module of a chassis, or a stand-alone device.
 
     Attributes
     ----------
     name : str
-        What presets call it.
+        Name in presets.
     product_type : str
-        As its driver names it.
+        Name in the driver.
     family : {"c_series", "usb"}
-        Whether it sits in the slot of a chassis, or is a device of its own.
+        Whether it is a module in the slot of a chassis, or a stand-alone device.
     inputs : Inputs or None
     outputs : Outputs or None
     input_bits, output_bits : int or None
@@ -163,12 +163,12 @@ class Module:
 
 @cache
 def module(name: str) -> Module:
-    """Find a module by the name that presets have; capitals, spaces and hyphens do not matter.
+    """Return a module by its preset name; case, spaces and hyphens are ignored.
 
     Raises
     ------
     SceneError
-        If there is none of that name.
+        If no module has that name.
     """
     sheet = data_sheet(name, "module")
     facts, settings = sheet.facts, sheet.settings
@@ -212,7 +212,7 @@ def _rates(given: dict[str, Any]) -> Rates:
 
 
 def _factors(given: int | list[int] | dict[str, int]) -> Sequence[int]:
-    """Read what a clock can be divided by: a number, one of several, or one of a range."""
+    """Return the possible divisors of a clock: a number, a list or a range."""
     if isinstance(given, dict):
         return range(given["from"], given["to"] + 1)
     return given if isinstance(given, list) else [given]

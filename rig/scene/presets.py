@@ -1,4 +1,4 @@
-"""Settings of a part named as `preset`: what the scene gives, and from its data sheet what it does not."""
+"""Completion of settings from the data sheet that the scene names as `preset`."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ Device = TypeVar("Device", Accelerometer, Hammer, Converter, Output)
 
 
 def filled_in(settings: Device) -> Device:
-    """Fill in from the preset, if there is one, what is not given.
+    """Complete settings with the values of their preset, if any.
 
     Raises
     ------
     SceneError
-        If there is no such part, or what is given does not go with it.
+        If the part does not exist, or the given settings are incompatible with it.
 
     Examples
     --------
@@ -43,7 +43,7 @@ def filled_in(settings: Device) -> Device:
 
 
 def origin(settings: Accelerometer | Hammer | None, key: str) -> str:
-    """Say which preset a figure is from and whether that has a source; nothing where the scene gives it itself.
+    """Describe the preset and source of a figure; an empty string if the scene gives the figure.
 
     Examples
     --------
@@ -59,7 +59,7 @@ def origin(settings: Accelerometer | Hammer | None, key: str) -> str:
 
 
 def needs_supply(channel: Channel) -> bool:
-    """Whether the sensor at a channel works only while its input feeds it with a current (IEPE).
+    """Whether the sensor of a channel needs a supply current from its input (IEPE).
 
     Examples
     --------
@@ -74,20 +74,20 @@ def needs_supply(channel: Channel) -> bool:
 
 
 def input_settings(converter: Converter, channel: Channel) -> Converter:
-    """Give the converter as it is at one channel: with the channel's own coupling and supply.
+    """Return the converter settings of one channel, with the channel's own coupling and supply.
 
-    A module that feeds sensors through AC coupled inputs only feeds none where the coupling is DC.
+    If a module supplies sensors only through AC-coupled inputs, DC coupling turns the supply off.
 
     Parameters
     ----------
     converter : Converter
-        As the scene has it.
+        Settings in the scene.
     channel : Channel
 
     Returns
     -------
     Converter
-        Filled in from its preset.
+        Settings completed from the preset.
 
     Examples
     --------

@@ -1,8 +1,8 @@
-"""Quantities with units: what a person writes (`0.98 mm`, `312.4 rad/s`, `10 %`) as a number in SI.
+"""Conversion of quantities with units (`0.98 mm`, `312.4 rad/s`, `10 %`) to numbers in SI.
 
-Frequencies become Hz and mean what an engineer means: 312.4 rad/s is 49.72 Hz, 600 rpm is 10 Hz. Pint does
-the arithmetic on units, with a table of units of our own in which the turn is a dimension: with the usual one
-(radian = 1) a frequency in rad/s would pass as that many Hz, and the ambiguous `50 1/s` would pass as well.
+Frequencies are converted to Hz: 312.4 rad/s is 49.72 Hz, 600 rpm is 10 Hz. Pint does the unit arithmetic with a
+custom table in which the turn is a dimension. With the usual table (radian = 1), a frequency in rad/s would be read
+as the same number of Hz, and the ambiguous `50 1/s` would be accepted.
 """
 
 from __future__ import annotations
@@ -60,10 +60,10 @@ ppm = 1e-6
 
 @dataclass(frozen=True)
 class Kind:
-    """What a quantity measures: how a message names it, its SI unit, and an example of how to write it.
+    """Kind of a quantity: its name in messages, its SI unit, and an example of its spelling.
 
-    A size other than zero lies between `least` and `most`, in SI: with numbers beyond them, powers and products in
-    the model overflow, vanish, or take for ever.
+    A nonzero magnitude must be between `least` and `most`, in SI. Beyond these limits, powers and products in the
+    model overflow or underflow, or the computation does not end.
     """
 
     noun: str
@@ -73,7 +73,7 @@ class Kind:
     most: float = 1e12
 
     def carries(self, number: float) -> bool:
-        """Whether a number is of a size that the model can carry; zero and infinity are.
+        """Whether the model supports the magnitude of a number, as it does for zero and infinity.
 
         >>> MASS.carries(1.0), MASS.carries(1e-30), TIME.carries(1e12), LENGTH.carries(math.inf)
         (True, False, False, True)
@@ -82,7 +82,7 @@ class Kind:
 
     @property
     def range(self) -> str:
-        """The sizes in words."""
+        """The allowed magnitudes in words."""
         return f"from {self.least:g} {self.si} to {self.most:g} {self.si}".replace(" )", ")")
 
 
@@ -118,8 +118,8 @@ _NUMBER = re.compile(
     r"(?![\d.])\s*(.*)",
     re.DOTALL | re.IGNORECASE,
 )
-# A product of units and bracketed products with short powers: nothing else gets to Pint, whose parser would
-# try to evaluate what it is given.
+# A product of units and bracketed products with short powers. Other text is rejected before Pint, whose parser
+# evaluates expressions.
 _POWER = r"(?:(?:\^|\*\*)(?:-?\d|0\.5))?"
 _NAME = rf"[A-Za-zΩ]+{_POWER}"
 _JOIN = r"(?:\s*[*/]\s*|\s+)"
@@ -135,19 +135,19 @@ def parse(value: Any, kind: Kind) -> float:
     ----------
     value : float, int or str
         A number in SI (frequencies in Hz), or text: a number and a unit. The result is the double nearest to
-        what is written.
+        the written value.
     kind : Kind
-        What it has to be.
+        Required kind of quantity.
 
     Returns
     -------
     float
-        The quantity in the SI unit of its kind; may be infinite, never NaN.
+        The value in the SI unit of its kind; may be infinite, never NaN.
 
     Raises
     ------
     ValueError
-        If the text is no number, the unit is unknown or measures something else, or the value is NaN.
+        If the text is not a number, the unit is unknown or of another kind, or the value is NaN.
 
     Examples
     --------
@@ -174,7 +174,7 @@ def parse(value: Any, kind: Kind) -> float:
 
 
 def with_a_point(value: Any, kinds: Sequence[Kind]) -> str | None:
-    """Write a quantity that has a decimal comma with a point; None where it is no such thing.
+    """Write a quantity with a decimal point instead of a comma; None if it has no decimal comma.
 
     >>> with_a_point("1,5 kg", [MASS]), with_a_point("1,000 Hz", [FREQUENCY]), with_a_point("a,b", [MASS])
     ('a decimal point: 1.5 kg', 'a decimal point and no other mark: 1.000 Hz or 1000 Hz', None)
@@ -204,12 +204,12 @@ def number(value: float | str, kind: Kind, name: str) -> float: ...
 @overload
 def number(value: float | str | None, kind: Kind, name: str) -> float | None: ...
 def number(value: float | str | None, kind: Kind, name: str) -> float | None:
-    """Take an argument as scenes take a quantity: a number in SI as it is, text with its unit.
+    """Convert an argument to a number in SI: numbers are taken as SI, text is parsed with its unit.
 
     Raises
     ------
     SceneError
-        If text is no such quantity; the message begins with the argument's name.
+        If the text is not a quantity of this kind; the message begins with the argument's name.
 
     Examples
     --------
@@ -226,12 +226,12 @@ def number(value: float | str | None, kind: Kind, name: str) -> float | None:
 
 
 def span(values: ArrayLike, kind: Kind, name: str) -> tuple[float, float]:
-    """Take an argument of two quantities, the smaller one first, each as `number` does.
+    """Convert an argument of two quantities in ascending order, each like `number`.
 
     Raises
     ------
     SceneError
-        If it is not; the message begins with the argument's name.
+        If the argument is invalid; the message begins with its name.
 
     Examples
     --------
@@ -246,12 +246,12 @@ def span(values: ArrayLike, kind: Kind, name: str) -> tuple[float, float]:
 
 
 def positives(values: ArrayLike, kind: Kind, name: str) -> NDArray[np.float64]:
-    """Take an argument of one or several quantities, each as `number` does; all above zero, finite and in range.
+    """Convert an argument of one or several quantities, each like `number`; all must be positive and finite.
 
     Raises
     ------
     SceneError
-        If one is not; the message begins with the argument's name.
+        If a value is invalid; the message begins with the argument's name.
 
     Examples
     --------
@@ -272,7 +272,7 @@ def positives(values: ArrayLike, kind: Kind, name: str) -> NDArray[np.float64]:
 
 
 def text(value: float, kind: Kind) -> str:
-    """Write a quantity so that `parse` gives back the very same double.
+    """Write a quantity so that `parse` returns the identical double.
 
     >>> text(0.00098, LENGTH)
     '0.00098 m'
@@ -282,12 +282,12 @@ def text(value: float, kind: Kind) -> str:
 
 
 def spelled(value: float, kind: Kind, before: str | None = None) -> str:
-    """Write a quantity as a person would: `parse` gives back the very same double, with the fewest digits for that.
+    """Write a quantity with the fewest digits from which `parse` returns the identical double.
 
     Parameters
     ----------
     before : str, optional
-        How the user wrote this quantity: kept as it is if it still has this value, else its unit is kept.
+        The user's spelling: returned unchanged if its value is the same; otherwise its unit is used.
 
     Examples
     --------
@@ -302,7 +302,7 @@ def spelled(value: float, kind: Kind, before: str | None = None) -> str:
         try:
             if parse(written, kind) == value:
                 return written
-        except ValueError:  # it was a quantity of another kind, before another key changed
+        except ValueError:  # the quantity was of another kind before another key changed
             pass
         else:
             match = _NUMBER.fullmatch(written)
@@ -314,7 +314,7 @@ def spelled(value: float, kind: Kind, before: str | None = None) -> str:
 
 
 def _shortest(value: float, unit: str, kind: Kind) -> str:
-    """Write a number in a unit with as few digits as give back the same double."""
+    """Write a number in a unit with the fewest digits that return the identical double."""
     factor = _factor(unit, kind)
     share = Fraction(value) / factor
     for digits in range(1, 18):
@@ -326,12 +326,12 @@ def _shortest(value: float, unit: str, kind: Kind) -> str:
     return f"{shown} {unit}".rstrip()
 
 
-# A number with so many digits was computed: no unit is that in which somebody gave it.
+# Digits from which a number was probably computed, so that its unit is not the user's.
 _COMPUTED = 13
 
 
 def _awkwardness(written: str) -> tuple[int, bool, int]:
-    """Order spellings: by digits that count, by whether the number is neither tiny nor huge, and by length."""
+    """Return the sort key of spellings: significant digits, whether the number is tiny or huge, and length."""
     number = Decimal(written.split(" ")[0]).normalize()
     digits = min(len(number.as_tuple().digits), _COMPUTED)
     return digits, number != 0 and not -2 <= number.adjusted() < 4, len(written)
@@ -353,7 +353,7 @@ def _parse_text(written: str, kind: Kind) -> float:
         raise ValueError(f"{written!r} is too large") from None
 
 
-#: What Pint gives for the units that most scenes have: importing it takes longer than all else of loading a scene.
+#: Factors of the most frequent units, computed with Pint: importing Pint takes most of the time to load a scene.
 USUAL = {
     ("%", ""): Fraction(1, 100),
     ("g", "kg"): Fraction(1, 1000),
@@ -378,22 +378,22 @@ USUAL = {
 
 @lru_cache(maxsize=1024)
 def _factor(unit: str, kind: Kind) -> Fraction:
-    """Size of a unit in SI, exactly as far as its definition goes."""
+    """Return the exact SI factor of a unit."""
     if unit in ("", kind.si):
         return Fraction(1)
     return USUAL.get((unit, kind.si)) or by_pint(unit, kind)
 
 
 def by_pint(unit: str, kind: Kind) -> Fraction:
-    """Look up the size of a unit in SI.
+    """Return the SI factor of a unit from Pint.
 
     Raises
     ------
     ValueError
-        If it is unknown, or measures something else.
+        If the unit is unknown or of another kind.
     """
     plain = _spelled_out(unit)
-    # g is the gram or standard gravity, whichever makes the quantity what it has to be (74 g, 100 mV/g).
+    # g is the gram or standard gravity, whichever results in the required kind (74 g, 100 mV/g).
     for reading in (plain, _GRAVITY.sub(r"\1gn", plain)):
         factor = _conversion(reading, _spelled_out(kind.si))
         if factor is not None:
@@ -402,7 +402,7 @@ def by_pint(unit: str, kind: Kind) -> Fraction:
 
 
 def _spelled_out(unit: str) -> str:
-    """Bring a unit into the characters that Pint reads, refusing what is no product of powers."""
+    """Convert a unit to Pint's notation, and reject text that is not a product of powers."""
     plain = unit.replace("µ", "u").replace("μ", "u").replace("·", "*").replace("²", "^2").replace("³", "^3")
     plain = plain.replace("%", " percent ").strip()
     plain = re.sub(r"sqrt\(\s*([A-Za-z]+)\s*\)", r"\1**0.5", plain)
@@ -413,7 +413,7 @@ def _spelled_out(unit: str) -> str:
 
 @cache
 def _registry() -> Any:
-    # Imported here: Pint takes longer to import than everything else that loading a scene needs.
+    # Imported only here because importing Pint takes longer than the rest of loading a scene.
     import pint
 
     registry: Any = pint.UnitRegistry(None, non_int_type=Fraction)
@@ -423,7 +423,7 @@ def _registry() -> Any:
 
 
 def _conversion(unit: str, si: str) -> Fraction | None:
-    """Factor from one unit to another; None where the first is unknown or measures something else."""
+    """Return the conversion factor between units; None if the first is unknown or of another kind."""
     import pint
 
     registry = _registry()

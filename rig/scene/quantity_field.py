@@ -17,13 +17,13 @@ class Quantity:
     Parameters
     ----------
     kinds : Kind
-        What it may be. With several, another key decides (`Settings.kind_by_neighbours`).
+        Allowed kinds. With several, another key decides (`Settings.kind_by_neighbours`).
     above, at_least, below : float
         Bounds, in SI.
     infinite : bool
-        Whether `.inf` is a value.
+        Whether `.inf` is allowed.
     listed : bool
-        Whether a list of such numbers may stand in its place.
+        Whether a list of numbers is allowed.
     """
 
     def __init__(
@@ -58,7 +58,7 @@ class Quantity:
         Raises
         ------
         PydanticCustomError
-            If it is not such a quantity; the message says what was expected.
+            If the value is invalid; the message states what was expected.
         """
         if self.listed and isinstance(value, list | tuple):
             if not value:
@@ -75,7 +75,7 @@ class Quantity:
             if not kind.carries(number):
                 raise refusal(value, f"{kind.noun} {kind.range}")
             if self._allows(number):
-                # Minus zero becomes zero: the two are equal, but would be written differently.
+                # Convert minus zero to zero: the two are equal but have different spellings.
                 return number + 0.0
             raise refusal(value, self.bounded)
         raise refusal(value, with_a_point(value, self.kinds) or self.plain)
@@ -103,7 +103,7 @@ class Quantity:
 
 
 def quantity_of(annotation: Any) -> Quantity | None:
-    """Find the quantity in a field's type, None where there is none."""
+    """Return the quantity in a field's type, None if it has none."""
     if isinstance(annotation, Quantity):
         return annotation
     for part in (*getattr(annotation, "__metadata__", ()), *get_args(annotation)):
@@ -114,7 +114,7 @@ def quantity_of(annotation: Any) -> Quantity | None:
 
 
 def got(value: Any) -> str:
-    """Show a value as it stands in a scene, cut short if long."""
+    """Return the start of a message with the value as given in a scene, shortened if long."""
     if value is None:
         return "nothing"
     if isinstance(value, dict):
@@ -125,13 +125,13 @@ def got(value: Any) -> str:
 
 
 def shown(value: Any) -> str:
-    """Write a value in a message, cut short if long."""
+    """Return a value for a message, shortened if long."""
     text = str(value)
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
 def expected(value: Any, what: str) -> str:
-    """Phrase the usual mistake.
+    """Return the message for an unexpected value.
 
     >>> expected("0.98 kg", "a length such as 0.98 mm")
     'got "0.98 kg"; expected a length such as 0.98 mm'
@@ -140,17 +140,17 @@ def expected(value: Any, what: str) -> str:
 
 
 def mistake(message: str, absent: str = "") -> PydanticCustomError:
-    """Give the form in which pydantic carries one of our messages, and the key of the absent part that caused it."""
+    """Return a pydantic error with a message and the key of the absent part that caused it."""
     return PydanticCustomError("mistake", "{message}", {"message": message, "absent": absent})
 
 
 def printable(text: str) -> str:
-    """Refuse text with characters that a terminal would obey or that cannot be seen."""
+    """Reject text with control characters or invisible characters."""
     if not is_line(text):
         raise refusal(ascii(text)[1:-1], "a line of printable characters")
     return text
 
 
 def refusal(value: Any, what: str) -> PydanticCustomError:
-    """Refuse a value, saying what was expected."""
+    """Return the pydantic error for a value that is not as expected."""
     return mistake(expected(value, what))

@@ -1,4 +1,4 @@
-"""The reference of scene files, made from their JSON Schema: every key, what it means and what it takes."""
+"""The reference of scene files, generated from their JSON Schema: meaning and values of every key."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _INTRODUCTION = (
     "default is not modelled: it adds no state, runs no code and costs nothing. What a key turns on has the name that "
     "rig explain gives it; states are what it adds to the computation, timed by `rig explain SCENE --measure`."
 )
-#: What a key turns on, as `rig explain` calls it, and the states it adds (None: more than a few, see there).
+#: Effect of a key under its name in `rig explain`, and the number of added states (None: it depends on the scene).
 EFFECTS: dict[str, tuple[str, int | None]] = {
     "structure.masses": ("structure", 2),
     "dampers.body": ("particle dampers", 2),
@@ -64,11 +64,11 @@ class Key:
     Attributes
     ----------
     name : str
-        Dotted, with [] behind a key whose value is a list of keys: ``dampers[].clearance``.
+        Dotted name, with [] after a key whose value is a list of keys: ``dampers[].clearance``.
     kinds : tuple of str
-        The kinds (of shaker, test, ...) that have it; empty: whatever the kind.
+        The kinds (of shaker, test, ...) with this key; empty: all kinds.
     about, takes, without : str
-        What it means, what it takes, and what holds where it is left out.
+        Meaning, allowed values, and the default if it is omitted.
     """
 
     name: str
@@ -79,7 +79,7 @@ class Key:
 
     @property
     def turns_on(self) -> str:
-        """What it turns on, and the states that adds; empty for most keys."""
+        """Effect and number of added states; empty for most keys."""
         if _plain(self.name) not in EFFECTS:
             return ""
         effect, states = EFFECTS[_plain(self.name)]
@@ -108,11 +108,11 @@ def keys() -> tuple[Key, ...]:
 
 
 def _inside(schema: Any, node: Any, path: str, kinds: tuple[str, ...]) -> Iterator[Key]:
-    """Yield the keys below a node: those of the object it is, of each that it may be, or of a list's items."""
+    """Yield the keys below a node: keys of an object, of each alternative, or of the items of a list."""
     node = _resolved(schema, node)
     for choice in node.get("anyOf", ()):
         listed = choice.get("type") == "array"
-        # A list of what may also stand alone has the same keys.
+        # If a single item is allowed as well as a list, both have the same keys.
         if not (listed and len(node["anyOf"]) > 1):
             yield from _inside(schema, choice, path, kinds)
     if node.get("type") == "array":
@@ -150,7 +150,7 @@ def _resolved(schema: Any, node: Any) -> Any:
 
 
 def _takes(schema: Any, node: Any) -> str:
-    """Say what a value may be that is no quantity."""
+    """Describe the allowed values of a key that is not a quantity."""
     node = _resolved(schema, node)
     choices = [_resolved(schema, choice) for choice in node.get("anyOf", ())]
     named = [
@@ -178,17 +178,17 @@ def _takes(schema: Any, node: Any) -> str:
 
 
 def help_on(key: str | None = None) -> str:
-    """Explain a key: what it means, what it takes, what holds without it, and the keys inside.
+    """Explain a key: meaning, allowed values, default, and the keys inside.
 
     Parameters
     ----------
     key : str, optional
-        Dotted, from the top or only its end (``clearance``); numbers of items do not matter. None: all at the top.
+        Full dotted name or only its end (``clearance``); item numbers are ignored. None: all top-level keys.
 
     Raises
     ------
     SceneError
-        If there is no such key.
+        If the key does not exist.
     """
     if key is None:
         top = [_line(each, each.name) for each in keys() if "." not in each.name]
@@ -216,7 +216,7 @@ def help_on(key: str | None = None) -> str:
 
 @cache
 def _kinds() -> dict[tuple[str, str], str]:
-    """Give what each kind of a part is, such as of ("test", "sine")."""
+    """Return the description of each kind of a part, such as ("test", "sine")."""
     schema = json.loads(_SCHEMA.read_text(encoding="utf-8"))
     parts = {part: _resolved(schema, field) for part, field in schema["properties"].items()}
     choices = [
@@ -232,7 +232,7 @@ def _kinds() -> dict[tuple[str, str], str]:
 
 
 def _help_on_kind(part: str, kind: str) -> str:
-    """Explain a kind of a part (test.stepped_sine, or only stepped_sine) with its keys; empty where it is none."""
+    """Explain a kind of a part (test.stepped_sine, or only stepped_sine) with its keys; empty if unknown."""
     explained = []
     for (whole, each), about in _kinds().items():
         if each == kind and part in ("", whole):
@@ -245,7 +245,7 @@ def _help_on_kind(part: str, kind: str) -> str:
 
 
 def _needed(key: Key) -> str:
-    """Say whether a key is needed, or else its default if it has one."""
+    """Return whether a key is required, or its default if it has one."""
     if "needed" in key.without:
         return f"   ({key.without})"
     return (
@@ -272,7 +272,7 @@ def _lines_about(key: Key, plain: str) -> Iterator[str]:
 
 
 def _line(key: Key, name: str, after: str | None = None) -> str:
-    # A full stop may be a name's, and what follows a colon is what the key means.
+    # A full stop may be part of a name, and the text after a colon is the meaning of the key.
     first = re.split(r"(?<=[\w\])%`])[.;](?:\s|$)", key.about)[0]
     after = _of(key) if after is None else after
     return fill(f"{first}{after}", _WIDTH, initial_indent=f"  {name:{18}} ", subsequent_indent=" " * 21)
@@ -291,7 +291,7 @@ def _plain(name: str) -> str:
 
 
 def page() -> str:
-    """Write the whole reference as Markdown."""
+    """Return the whole reference as Markdown."""
     lines = ["# Scene files", "", _INTRODUCTION]
     for key in keys():
         if "." not in key.name:

@@ -25,7 +25,7 @@ from rig.scene.shaker import ElectrodynamicShaker, ForceShaker, Shaker, Shakers,
 from rig.scene.structure import Structure
 
 STANDARD_GRAVITY = 9.80665
-# A recording numbers 65 535 topics, of which a channel takes four.
+# A recording has at most 65 535 topics, and a channel uses four.
 MOST_CHANNELS = 16_000
 
 
@@ -33,36 +33,36 @@ class Scene(Settings):
     """Everything on the bench."""
 
     name: Annotated[str, AfterValidator(printable)] = Field("unnamed scene", min_length=1, max_length=200)
-    """A line for titles and legends."""
+    """Name for titles and legends, on one line."""
     structure: Structure
     """Keys masses and springs, or matrices."""
     gravity: Annotated[float, Quantity(ACCELERATION, at_least=0.0)] = STANDARD_GRAVITY
     """Downward acceleration [m/s^2]."""
     dampers: tuple[Annotated[Damper, consistency.DAMPER], ...] = ()
-    """Particle dampers, one or several in a body."""
+    """Particle dampers; a body may have several."""
     shaker: Annotated[Shakers | None, consistency.SHAKERS] = None
-    """One, or a list of several, each with its own body, spring, amplifier and output."""
+    """One shaker or a list of shakers, each with its own body, spring, amplifier and output."""
     test: Annotated[Test | None, consistency.TEST] = None
-    """What the bench does to the structure, and for how long; `daq record` runs it."""
+    """Excitation and its duration; `daq record` runs the test."""
     channels: Annotated[tuple[Annotated[Channel, consistency.CHANNEL], ...] | None, consistency.CHANNELS] = (
         Field(None, min_length=1, max_length=MOST_CHANNELS)
     )
-    """What is measured where. None: ideal acceleration of every body and the table."""
+    """Measured signals and their places. None: ideal acceleration of every body and the table."""
     converter: Annotated[Converter, consistency.CONVERTER] = Converter()
-    """The analogue-to-digital converter and its clock; ideal, at 5120 Hz, where nothing is given."""
+    """The analogue-to-digital converter and its clock; by default ideal, at 5120 Hz."""
     recording: Annotated[RecordingSettings, consistency.RECORDING] = RecordingSettings()
-    """What goes into the recording besides the channels."""
+    """Content of the recording in addition to the channels."""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
-    """Where all random numbers of a run start."""
+    """Seed of all random numbers of a run."""
 
     @classmethod
     def prepare(cls, given: Mapping[str, Any]) -> tuple[Mapping[str, Any], list[Mistake]]:
-        """Take bodies by their names."""
+        """Replace names of bodies by their numbers."""
         return numbered(given)
 
     @classmethod
     def kind_by_neighbours(cls, given: Mapping[str, Any]) -> Mapping[Place, Kind]:
-        """Take the drive in what the shaker takes."""
+        """Return the drive's kind, in the unit of the shaker's input."""
         kinds = {"table": LENGTH, "electrodynamic": VOLTAGE, "force": FORCE}
         shaker, number = given.get("shaker"), str(at(given, ("test", "shaker")))
         if isinstance(shaker, list | tuple):
@@ -89,25 +89,25 @@ class Scene(Settings):
 
     @property
     def driven(self) -> int | None:
-        """Number of the shaker that the test drives, from 1; None where there is none, or none of several is named."""
+        """Number of the driven shaker, from 1; None without a shaker, or if the test selects none of several."""
         if len(self.shakers) == 1:
             return 1
         return getattr(self.test, "shaker", None)
 
     @property
     def driven_shaker(self) -> Shaker | None:
-        """The shaker that the test drives; None as in `driven`."""
+        """The driven shaker; None as in `driven`."""
         return None if self.driven is None else self.shakers[self.driven - 1]
 
     @property
     def force_on(self) -> tuple[int, ...]:
-        """Bodies on which the test's force acts, from 1: the one that is hit, or those of the driven shaker."""
+        """Bodies on which the test's force acts, from 1: the body hit by the hammer, or the driven shaker's bodies."""
         if self.test is not None and self.test.kind == "impulse":
             return (self.test.body,)
         return () if self.driven_shaker is None else self.driven_shaker.bodies
 
     def at_driven(self, what: str) -> str:
-        """Name an input or a place at the shaker that the test drives: "shaker", "table" or "drive", and which."""
+        """Name an input or a place ("shaker", "table" or "drive") at the driven shaker, with its number if needed."""
         return at_shaker(what, self.driven or 1, len(self.shakers) or 1)
 
     def relations(self) -> Iterable[Mistake]:
@@ -120,21 +120,20 @@ class Scene(Settings):
         Returns
         -------
         str
-            YAML text: what was given, in the units and with the digits and the names of bodies with which it was
-            given. Matrices are inline.
+            YAML text of the given values, with the user's units, digits and names of bodies. Matrices are inline.
         """
         from rig.scene.yaml_writer import write
 
         return write(self, self.structure)
 
     def to_si_yaml(self) -> str:
-        """Write every value, in SI: the same text for equal scenes, for recordings and to recognize stored results."""
+        """Write every value in SI. Equal scenes have equal text, which identifies stored results."""
         from rig.scene.yaml_writer import write_in_si
 
         return write_in_si(self)
 
     def __str__(self) -> str:
-        """Describe the scene in a line.
+        """Describe the scene in one line.
 
         >>> from rig.scene.loading import load
         >>> print(load("bare-structure"))

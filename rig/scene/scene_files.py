@@ -1,4 +1,4 @@
-"""The files of scenes, found and read as text: bundled ones by their names, others by their paths."""
+"""Scene files as text: bundled scenes by their names, other files by their paths."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ def bundled() -> tuple[str, ...]:
 
 
 def summary(name: str) -> str:
-    """Give the first comment of a bundled scene, which says what it is."""
+    """Return the first comment of a bundled scene, which describes it."""
     first = (SCENES / f"{name}.yaml").read_text(encoding="utf-8").split("\n", 1)[0]
     return first.lstrip("# ").strip()
 
 
 def find(scene: str | Path) -> Path:
-    """Find the file of a scene, a bundled one by its name.
+    """Return the path of a scene file, or of a bundled scene by its name.
 
     Raises
     ------
     SceneError
-        If there is none.
+        If the file does not exist.
     """
     path = Path(scene)
     names = bundled()
@@ -60,7 +60,7 @@ def read_text(path: Path) -> str:
     Raises
     ------
     SceneError
-        If it cannot be read, or is no text.
+        If the file cannot be read or is not text.
     """
     try:
         text = read_whole(path).decode("utf-8-sig")
@@ -74,11 +74,11 @@ def read_text(path: Path) -> str:
 
 
 def text_of(scene: str | Path) -> str:
-    """Give the text of a scene file, comments included.
+    """Return the text of a scene file, including comments.
 
     Raises
     ------
     SceneError
-        If there is no such file, or it is no text.
+        If the file does not exist or is not text.
     """
     return read_text(find(scene))

@@ -1,7 +1,7 @@
-"""The common ground of a scene's settings: frozen models that report all their mistakes together.
+"""Base classes of a scene's settings: frozen models that report all their mistakes together.
 
-A mistake carries its place (a tuple of keys and 0-based positions) and, in one sentence, the value found and
-what was expected. `rig.scene.loading` turns the place into a line of the file.
+A mistake has a place (a tuple of keys and 0-based positions) and a message with the given value and the expected
+value. `rig.scene.loading` converts the place to a line of the file.
 """
 
 from __future__ import annotations
@@ -37,21 +37,21 @@ Place = tuple[int | str, ...]
 
 @dataclass(frozen=True)
 class Mistake:
-    """One thing wrong in a scene: where, and what."""
+    """A mistake in a scene: its place and its message."""
 
     place: Place
     message: str
-    #: Key of the absent part of the scene that is the reason, if any: not reported where that key is misspelt.
+    #: Key of the absent part that causes the mistake, if any: the mistake is not reported if that key is misspelt.
     absent: str = ""
 
 
 def mistakes_of(error: ValidationError) -> list[Mistake]:
-    """List what a pydantic error holds, in our own words."""
+    """Return the mistakes in a pydantic error, with the messages of this package."""
     return [Mistake(item["loc"], _in_words(item)) for item in error.errors(include_url=False)]
 
 
 def describe(mistakes: Iterable[Mistake], where: str, line: Callable[[Place], int] | None = None) -> str:
-    """Write mistakes one to a line: where, on which line of it, at which place, what.
+    """Write one line for each mistake: file, line, place and message.
 
     >>> describe([Mistake(("dampers", 1, "clearance"), "missing")], "a.yaml", lambda place: 12)
     'a.yaml:12: dampers[2].clearance: missing'
@@ -64,7 +64,7 @@ def describe(mistakes: Iterable[Mistake], where: str, line: Callable[[Place], in
 
 
 def dotted(place: Place) -> str:
-    """Write a place as a user counts, from 1.
+    """Write a place with positions counted from 1.
 
     >>> dotted(("dampers", 1, "clearance"))
     'dampers[2].clearance'
@@ -73,7 +73,7 @@ def dotted(place: Place) -> str:
 
 
 def report(title: str, mistakes: Iterable[Mistake]) -> ValidationError:
-    """Make one pydantic error of several mistakes."""
+    """Combine several mistakes into one pydantic error."""
     lines = [InitErrorDetails(type=mistake(m.message, m.absent), loc=m.place, input=None) for m in mistakes]
     return ValidationError.from_exception_data(title, lines)
 
@@ -83,7 +83,7 @@ if TYPE_CHECKING:
 else:
 
     class _RaisesSceneError(type(BaseModel)):
-        """Makes settings that are built in Python raise the error that a scene file raises."""
+        """Metaclass: settings created in Python raise the same error as a scene file."""
 
         def __call__(cls, *args: Any, **fields: Any) -> Any:
             try:
@@ -92,11 +92,11 @@ else:
                 raise SceneError(describe(mistakes_of(error), cls.__name__)) from None
 
     class _Model(BaseModel, metaclass=_RaisesSceneError):
-        """Base that type checkers see as pydantic's."""
+        """Base class that type checkers treat as a pydantic model."""
 
 
 class Settings(_Model):
-    """Base of all settings: frozen, unknown keys refused, all mistakes reported together."""
+    """Base class of all settings: frozen, without unknown keys, with all mistakes reported together."""
 
     model_config = ConfigDict(
         frozen=True,
@@ -105,16 +105,16 @@ class Settings(_Model):
         validate_by_alias=True,
     )
 
-    # Groups of keys of which exactly one has to be given.
+    # Groups of keys; exactly one key of each group must be given.
     one_of: ClassVar[tuple[tuple[str, ...], ...]] = ()
 
     def replace(self, **changes: Any) -> Self:
-        """Make a variant with some fields changed, checked like the original.
+        """Return a copy with some fields changed, validated like the original.
 
         Raises
         ------
         SceneError
-            With one line for each mistake, if there can be no such variant.
+            If the changed settings are invalid; the message has one line for each mistake.
         """
         fields = {name: getattr(self, name) for name in self.model_fields_set}
         try:
@@ -125,7 +125,7 @@ class Settings(_Model):
         return variant
 
     def with_valid(self, **changes: Any) -> Self:
-        """Make a variant with fields whose new values are known to be valid, unchecked: for inner loops."""
+        """Return a copy with valid new values, without validation: for inner loops."""
         variant = self.model_copy(update=changes)
         variant.__dict__["written"] = {
             name: text for name, text in self.written.items() if name not in changes
@@ -134,20 +134,20 @@ class Settings(_Model):
 
     @cached_property
     def written(self) -> Mapping[str, Any]:
-        """Quantities as the user wrote them, by field; of no effect but on how the settings are written."""
+        """The user's spelling of quantities, by field; it affects only how the settings are written."""
         return {}
 
     def relations(self) -> Iterable[Mistake]:
-        """List what is wrong between fields that are right one by one."""
+        """Return the mistakes in combinations of fields that are each valid."""
         return ()
 
     @classmethod
     def kind_by_neighbours(cls, given: Mapping[str, Any]) -> Mapping[Place, Kind]:
-        """Say which kind a quantity has to be, by its place, where that depends on other keys."""
+        """Return the required kind of each quantity, by place, that depends on other keys."""
         return {}
 
     def forget_spelling(self) -> None:
-        """Take the settings as given in SI, and what has its default as not given: so a recording holds them."""
+        """Discard the user's spelling and treat default values as not given, as in a recording."""
         self.__dict__.pop("written", None)
         for name, field in type(self).model_fields.items():
             value = getattr(self, name)
@@ -159,19 +159,19 @@ class Settings(_Model):
 
     @classmethod
     def prepare(cls, given: Mapping[str, Any]) -> tuple[Mapping[str, Any], list[Mistake]]:
-        """Bring short forms into the form of the fields; with the mistakes met on the way."""
+        """Convert short forms to the form of the fields, and return the mistakes in them."""
         return given, []
 
     @classmethod
     def place_as_given(cls, place: Place, given: Mapping[str, Any]) -> Place:
-        """Give the place in what was given that belongs to a place among the fields."""
+        """Return the place in the given content that corresponds to a place among the fields."""
         return place
 
     @classmethod
     def __get_pydantic_json_schema__(
         cls, schema: CoreSchema, handler: GetJsonSchemaHandler
     ) -> dict[str, Any]:
-        """Add what pydantic does not know: keys that exclude each other, that the kind is named, and bounds."""
+        """Add to pydantic's schema: mutually exclusive keys, the required kind, and bounds."""
         reference = handler(schema)
         known = handler.resolve_ref_schema(reference)
         known["description"] = str(cls.__doc__).split("\n\n")[0]
@@ -228,12 +228,12 @@ class Settings(_Model):
 
     @classmethod
     def keys(cls) -> list[str]:
-        """List the keys as a scene file has them."""
+        """Return the keys as written in a scene file."""
         return [field.alias or name for name, field in cls.model_fields.items()]
 
     @classmethod
     def _misspelt(cls, item: Any, items: Iterable[Any]) -> bool:
-        """Whether a key, or a part to refer to, is missing only because it is misspelt, which is reported itself."""
+        """Whether a key or part is missing only because it is misspelt, which is reported separately."""
         unknowns = [str(other["loc"][0]) for other in items if other["type"] == "extra_forbidden"]
         meant = {nearest(key, cls.keys()) for key in unknowns if key}
         if item["type"] == "missing" and len(item["loc"]) == 1:
@@ -242,7 +242,7 @@ class Settings(_Model):
 
     @classmethod
     def _explain(cls, item: Any) -> Mistake:
-        """Put one of pydantic's errors in our words, here where the keys are known."""
+        """Convert a pydantic error to a mistake with this package's message."""
         place, found = item["loc"], item["input"]
         if item["type"] == "extra_forbidden" and len(place) == 1:
             return Mistake(place, unknown(str(place[0]), cls.keys()))
@@ -288,7 +288,7 @@ class Settings(_Model):
 
 @cache
 def descriptions(cls: type[Settings]) -> dict[str, str]:
-    """Give what the docstrings below the fields say, by name; read when asked for, as pydantic's own way takes long."""
+    """Return the field docstrings by field name, parsed on demand because pydantic's own parsing is slow."""
     found: dict[str, str] = {}
     for each in reversed(cls.__mro__[: cls.__mro__.index(BaseModel)]):
         tree = ast.parse(dedent(inspect.getsource(each))).body[0]
@@ -301,14 +301,14 @@ def descriptions(cls: type[Settings]) -> dict[str, str]:
 
 
 def at(data: Any, place: Place) -> Any:
-    """Look up what is given at a place, among settings or plain mappings; None where there is nothing."""
+    """Return the value at a place, in settings or plain mappings; None if there is no value."""
     for key in place:
         data = data.get(key) if isinstance(data, Mapping) else getattr(data, str(key), None)
     return data
 
 
 def unknown(key: str, keys: Iterable[str]) -> str:
-    """Say that a key is unknown, with the nearest one there is.
+    """Return the message for an unknown key, with the nearest valid key.
 
     >>> unknown("clearence", ["mass", "clearance"])
     'unknown key "clearence"; did you mean "clearance"?'
@@ -320,18 +320,18 @@ def unknown(key: str, keys: Iterable[str]) -> str:
 
 
 def nearest(key: str, keys: Iterable[str]) -> str | None:
-    """Find the key that a misspelt one was meant to be."""
+    """Return the valid key nearest to a misspelt key."""
     return next(iter(get_close_matches(key, list(keys), n=1, cutoff=0.6)), None)
 
 
 def quantity_at(field: FieldInfo) -> Quantity | None:
-    """Find the quantity that a field is; None where it is none."""
+    """Return the quantity of a field; None if the field is not a quantity."""
     return next(filter(None, map(quantity_of, (*field.metadata, field.annotation))), None)
 
 
 @cache
 def _quantities(cls: type[Settings]) -> dict[str, str]:
-    """List the fields that are quantities, each with its key."""
+    """Return the fields that are quantities, each with its key."""
     fields = cls.model_fields.items()
     return {name: field.alias or name for name, field in fields if quantity_at(field) is not None}
 
@@ -342,12 +342,12 @@ def _is_written(value: Any) -> bool:
 
 
 def _echo(item: Any) -> bool:
-    """Whether an error only follows from others: a list counted as too short because its items are wrong."""
+    """Whether an error is only a consequence: a list is too short because its items are invalid."""
     return item["type"] == "too_short" and len(item["input"]) >= item["ctx"]["min_length"]
 
 
 def _in_words(item: Any) -> str:
-    """Phrase a pydantic error as value found and what was expected."""
+    """Return the message of a pydantic error: the given value and the expected value."""
     context = item.get("ctx", {})
     what = {
         "greater_than_equal": f"a whole number, at least {context.get('ge')}",
@@ -373,9 +373,9 @@ Classes = tuple[type[Settings], ...]
 
 
 class Alternatives:
-    """What `Annotated[A | B, Alternatives(by_kind)]` accepts: the settings that the given keys call for.
+    """What `Annotated[A | B, Alternatives(by_kind)]` accepts: the class of settings that matches the given keys.
 
-    Unlike a plain union, mistakes are reported for the one kind that was meant.
+    Unlike with a plain union, mistakes are reported only for the matching class.
     """
 
     def __init__(self, choose: Callable[[Mapping[str, Any], Classes], type[Settings]]) -> None:
@@ -400,7 +400,7 @@ class Alternatives:
 
 
 def _of_another_kind(wrong: Mistake, chosen: type[Settings], classes: Classes) -> Mistake:
-    """Say of a key that only other kinds have which these are."""
+    """Add to the mistake of an unknown key the other kinds that have this key."""
     key, own = str(wrong.place[0]) if len(wrong.place) == 1 else "", list(chosen.keys())
     kinds = [
         str(kind.default)
@@ -417,9 +417,9 @@ def _of_another_kind(wrong: Mistake, chosen: type[Settings], classes: Classes) -
 
 
 class OneOrSeveral:
-    """What `Annotated[A | tuple[A, ...], OneOrSeveral(A)]` accepts: settings, or a list of such.
+    """What `Annotated[A | tuple[A, ...], OneOrSeveral(A)]` accepts: settings, or a list of settings.
 
-    Unlike with a plain union, mistakes are reported for what was meant.
+    Unlike with a plain union, mistakes are reported only for the form that was given.
     """
 
     def __init__(self, one: Any) -> None:
@@ -445,7 +445,7 @@ class OneOrSeveral:
 
 
 def by_kind(given: Mapping[str, Any], classes: Classes) -> type[Settings]:
-    """Choose by the key `kind`."""
+    """Choose the class by the key `kind`."""
     kinds = {cls.model_fields["kind"].default: cls for cls in classes}
     kind = given.get("kind")
     if isinstance(kind, str) and kind in kinds:
@@ -458,7 +458,7 @@ def by_kind(given: Mapping[str, Any], classes: Classes) -> type[Settings]:
 
 
 def by_key(given: Mapping[str, Any], classes: Classes) -> type[Settings]:
-    """Choose by the one key that only one of them has, its first."""
+    """Choose the class by its first key, which no other class has."""
     firsts = {cls.keys()[0]: cls for cls in classes}
     there = [key for key in firsts if key in given]
     if len(there) == 1:

@@ -1,4 +1,4 @@
-"""Settings of the shaker: what drives the structure, and through what."""
+"""Settings of the shaker: its kind, its attachment to the structure, and its electronics."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ from rig.scene.quantities import (
 from rig.scene.quantity_field import Quantity, refusal
 from rig.scene.settings import Alternatives, Mistake, OneOrSeveral, Place, Settings, by_kind
 
-# A name is put into numbers by the scene, which knows the names.
+# The scene replaces names by numbers.
 _BODY_SCHEMA: dict[str, Any] = {"anyOf": [{"type": "integer", "minimum": 1}, {"type": "string"}]}
 Body = Annotated[int, Field(ge=1), WithJsonSchema(_BODY_SCHEMA)]
 CoilSpring = Annotated[float, Quantity(STIFFNESS, above=0.0)]
 
-#: What a volt of the output in front of a shaker does, by the unit of its drive: a volt at the amplifier, a newton, a
-#: millimetre of table travel.
+#: Drive per volt of the output in front of a shaker, by the unit of the drive: a volt at the amplifier, a newton, or
+#: a millimetre of table displacement.
 DRIVE_PER_VOLT = {"V": 1.0, "N": 1.0, "m": 1e-3}
 
 
 def at_shaker(what: str, number: int, shakers: int) -> str:
-    """Name an input or a place at a shaker: where there are several, by its number.
+    """Name an input or a place at a shaker, with the shaker's number if there are several.
 
     >>> at_shaker("table", 1, shakers=1), at_shaker("table", 2, shakers=3)
     ('table', 'table 2')
@@ -46,17 +46,17 @@ def at_shaker(what: str, number: int, shakers: int) -> str:
 
 
 class Output(Settings):
-    """The output that gives a shaker its drive; ideal where nothing is given."""
+    """The output that generates a shaker's drive; ideal by default."""
 
     preset: Preset | None = None
-    """A module, by its name, whose datasheet fills in what is not given here."""
+    """Name of a module whose datasheet supplies the values not given here."""
     range: Annotated[float, Quantity(VOLTAGE, above=0.0)] | None = None
-    """Largest voltage it gives [V]."""
+    """Largest output voltage [V]."""
     bits: Annotated[int, Field(ge=2, le=32)] | None = None
     """Resolution, a whole number such as 16, over twice the range; needs `range`."""
 
     def relations(self) -> Iterable[Mistake]:
-        """Check that the part is known, and that the resolution is one of something."""
+        """Check that the part is known, and that a resolution has a range."""
         yield from unknown_preset(self.preset, "output")
         if self.bits is not None and self.range is None and self.preset is None:
             yield Mistake(("bits",), "given without range, the largest voltage such as 10 V")
@@ -94,9 +94,9 @@ class ForceShaker(Settings):
 
     kind: Literal["force"] = "force"
     body: Annotated[int | tuple[int, ...], _BodyOrBodies()]
-    """The number of a body, from 1, or its name; or a list of such."""
+    """The number of a body, from 1, or its name; or a list of bodies."""
     output: Output = Output()
-    """What gives it its drive: the voltage of a module's output."""
+    """The output of a module whose voltage is the drive."""
 
     @property
     def bodies(self) -> tuple[int, ...]:
@@ -109,18 +109,18 @@ class ForceShaker(Settings):
 
 
 class TableShaker(Settings):
-    """A table whose displacement is prescribed, pulling body `body` through the coil spring."""
+    """A table with prescribed displacement that drives body `body` through the coil spring."""
 
     kind: Literal["table"] = "table"
     body: Body
-    """The body it pulls, by its number from 1 or its name."""
+    """The driven body, by its number from 1 or its name."""
     spring: CoilSpring
     """Stiffness of the coil spring [N/m]."""
     bandwidth: Annotated[float, Quantity(FREQUENCY, above=0.0)] = 400.0
-    """Corner of the position servo [Hz], a critically damped second order: the table follows the drive with a
-    continuous velocity, as its acceleration is measured."""
+    """Corner of the position servo [Hz], a critically damped second-order system: the table velocity is continuous,
+    as required to measure its acceleration."""
     output: Output = Output()
-    """What gives it its drive: the voltage of a module's output."""
+    """The output of a module whose voltage is the drive."""
 
     @property
     def bodies(self) -> tuple[int, ...]:
@@ -162,32 +162,32 @@ class Amplifier(Settings):
 
     @classmethod
     def kind_by_neighbours(cls, given: Mapping[str, Any]) -> Mapping[Place, Kind]:
-        """Volts or amperes, as the mode says."""
+        """Return the unit of the output, V or A, according to the mode."""
         if given.get("mode") == "current":
             return {("gain",): TRANSCONDUCTANCE, ("limit",): CURRENT}
         return {("gain",): RATIO, ("limit",): VOLTAGE}
 
 
 class ElectrodynamicShaker(Settings):
-    """A moving-coil shaker that pulls body `body` through the coil spring and feels what it pulls."""
+    """A moving-coil shaker that drives body `body` through the coil spring, with the reaction of the structure."""
 
     kind: Literal["electrodynamic"] = "electrodynamic"
     preset: Preset | None = None
-    """A shaker, by its name, whose datasheet fills in what is not given here of coil and armature."""
+    """Name of a shaker whose datasheet supplies the values of coil and armature not given here."""
     body: Body
-    """The body it pulls, by its number from 1 or its name."""
+    """The driven body, by its number from 1 or its name."""
     spring: CoilSpring
     """Stiffness of the coil spring between the table and the body [N/m]."""
     coil: Coil = Coil()
     armature: Armature = Armature()
     amplifier: Amplifier = Amplifier()
     output: Output = Output()
-    """What gives it its drive: the voltage of a module's output."""
+    """The output of a module whose voltage is the drive."""
 
     @model_validator(mode="before")
     @classmethod
     def _filled_in(cls, given: Any) -> Any:
-        """Put what the data sheet says below what is given."""
+        """Complete the given values with those of the data sheet."""
         preset = given.get("preset") if isinstance(given, Mapping) else None
         if not isinstance(preset, str) or any(unknown_preset(preset, "shaker")):
             return given
@@ -209,5 +209,5 @@ class ElectrodynamicShaker(Settings):
 
 
 Shaker = Annotated[ForceShaker | TableShaker | ElectrodynamicShaker, Alternatives(by_kind)]
-#: What `shaker:` in a scene takes: one, or a list.
+#: Type of `shaker:` in a scene: one shaker or a list.
 Shakers = Annotated[Shaker | tuple[Shaker, ...], OneOrSeveral(Shaker)]

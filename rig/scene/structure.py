@@ -26,7 +26,7 @@ class ModalDamping(Settings):
     """A damping ratio for each natural mode of the structure without dampers and coil spring."""
 
     modal: Annotated[float | tuple[float, ...], Quantity(RATIO, at_least=0.0, listed=True)]
-    """One ratio for all modes, or one for each (0.005 = 0.5 %); 1 is critical."""
+    """One damping ratio for all modes, or a list with one for each (0.005 = 0.5 %); 1 is critical damping."""
 
     def relations(self) -> Iterable[Mistake]:
         """Check that the structure can oscillate."""
@@ -42,40 +42,40 @@ class ModalDamping(Settings):
 
 
 class Rayleigh(Settings):
-    """C = alpha M + beta K."""
+    """Coefficients of the damping matrix C = alpha M + beta K."""
 
     alpha: Annotated[float, Quantity(RATE, at_least=0.0)] = 0.0
-    """Share of the mass matrix [1/s]."""
+    """Coefficient of the mass matrix [1/s]."""
     beta: Annotated[float, Quantity(TIME, at_least=0.0)] = 0.0
-    """Share of the stiffness matrix [s]."""
+    """Coefficient of the stiffness matrix [s]."""
 
 
 class RayleighDamping(Settings):
-    """Damping in proportion to mass and stiffness."""
+    """Rayleigh damping, proportional to mass and stiffness."""
 
     rayleigh: Rayleigh
     """Keys alpha and beta."""
 
 
 class Dashpots(Settings):
-    """A dashpot beside each spring of the chain."""
+    """A dashpot parallel to each spring of the chain."""
 
     dashpots: tuple[Annotated[float, Quantity(DASHPOT, at_least=0.0)], ...]
-    """One for each spring [N s/m]."""
+    """Damping coefficient for each spring [N s/m]."""
 
 
 Damping = Annotated[ModalDamping | RayleighDamping | Dashpots, Alternatives(by_key)]
 
 
 def _or_by_name(schema: dict[str, Any]) -> None:
-    """Add to a list of values that they may stand at names."""
+    """Allow a mapping from names to values in addition to a list."""
     schema["anyOf"].append(
         {"type": "object", "additionalProperties": schema["anyOf"][0]["items"], "minProperties": 1}
     )
 
 
 class Structure(Settings):
-    """The structure: a chain of bodies on springs, or any linear one given by matrices."""
+    """The structure: a chain of bodies on springs, or any linear structure given by matrices."""
 
     one_of: ClassVar = (("masses", "matrices"),)
     masses: tuple[Annotated[float, Quantity(MASS, above=0.0)], ...] | None = Field(
@@ -89,13 +89,13 @@ class Structure(Settings):
     damping: Damping | None = None
     """Damping of the structure, in one of three forms. None: undamped."""
     matrices: Matrices | None = None
-    """In place of masses and springs."""
+    """Matrices instead of masses and springs."""
     names: tuple[str, ...] | None = Field(None, min_length=1, max_length=MOST_BODIES)
-    """Names of the bodies of `matrices`, body 1 first, usable wherever a body's number is. None: numbers only."""
+    """Names of the bodies of `matrices`, body 1 first, which can replace body numbers. None: numbers only."""
 
     @classmethod
     def prepare(cls, given: Mapping[str, Any]) -> tuple[Mapping[str, Any], list[Mistake]]:
-        """Take masses by name apart into masses and names."""
+        """Split masses with names into masses and names."""
         masses = given.get("masses")
         if not isinstance(masses, Mapping):
             return given, []
@@ -107,7 +107,7 @@ class Structure(Settings):
 
     @classmethod
     def place_as_given(cls, place: Place, given: Mapping[str, Any]) -> Place:
-        """Find a mass or a name at its name, where the masses have names."""
+        """Return the place of a mass or a name if the masses are given by names."""
         masses = given.get("masses")
         if (
             not isinstance(masses, Mapping)
@@ -118,7 +118,7 @@ class Structure(Settings):
         return ("masses", *(list(masses)[key] if isinstance(key, int) else key for key in place[1:]))
 
     def label(self, place: str | int) -> str:
-        """Name a body, by its number or as a channel's place, for people: its own name if it has one.
+        """Return the display name of a body, given its number or a channel's place: its own name if it has one.
 
         >>> Structure(masses={"base": 4.2, "arm": 1.1}, springs=[1e3, 1e3]).label("body 2")
         'arm'
@@ -130,20 +130,20 @@ class Structure(Settings):
         return self.names[number - 1] if 1 <= number <= len(self.names) else place
 
     def listed(self, numbers: Iterable[int]) -> str:
-        """Name several bodies for people: `base, arm`, or `body 1, 2`."""
+        """Return the display names of several bodies: `base, arm`, or `body 1, 2`."""
         if self.names is None:
             return f"body {', '.join(map(str, numbers))}"
         return ", ".join(self.label(number) for number in numbers)
 
     def relabel(self, text: str) -> str:
-        """Put the names of bodies into a text for people that has their numbers."""
+        """Replace body numbers in a message by the names of the bodies."""
         return (
             text if self.names is None else re.sub(r"\bbody \d+\b", lambda found: self.label(found[0]), text)
         )
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """What people call the bodies: by their names, or body 1, body 2, ..."""
+        """Display names of the bodies: their names, or body 1, body 2, ..."""
         return tuple(self.label(number) for number in range(1, self.bodies + 1))
 
     @property
@@ -154,7 +154,7 @@ class Structure(Settings):
         return len(self.matrices.mass) if self.matrices is not None else 0
 
     def relations(self) -> Iterable[Mistake]:
-        """Check that the parts are of one structure."""
+        """Check that the parts have consistent sizes."""
         count = self.bodies
         for k, wrong in mistakes_in(self.names, count) if self.names is not None else ():
             yield Mistake(("names",) if k is None else ("names", k), wrong)

@@ -23,19 +23,19 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ElectronicDataSheet:
-    """What a sensor says of itself.
+    """Electronic data sheet (TEDS) stored in a sensor.
 
     Attributes
     ----------
     manufacturer, model : int
-        Numbers of its maker and its model.
+        Numbers of the manufacturer and the model.
     version_letter : str
-        A to Z.
+        Letter of the version, A to Z.
     version, serial : int
         Numbers of the version and of the individual sensor.
     template : int
-        Number of the standard template for what it is: 25, an accelerometer or force transducer with built-in
-        amplifier. The template's own fields are not encoded: `bits` holds the basic data sheet only.
+        Number of the standard template: 25 for an accelerometer or force transducer with built-in amplifier. The
+        template's own fields are not encoded: `bits` contains the basic data sheet only.
 
     Examples
     --------
@@ -53,26 +53,26 @@ class ElectronicDataSheet:
 
     @property
     def bits(self) -> bytes:
-        """The basic data sheet of 64 bits, lowest first: 14, 15, 5, 6 and 24 for the numbers in their order."""
+        """The basic data sheet of 64 bits, lowest first: 14, 15, 5, 6 and 24 bits for the numbers in their order."""
         letter = ord(self.version_letter) - ord("A") + 1
         value = self.manufacturer | self.model << 14 | letter << 29 | self.version << 34 | self.serial << 40
         return value.to_bytes(8, "little")
 
 
 def electronic_data_sheet(channel: Channel, seed: int) -> ElectronicDataSheet | None:
-    """Give the electronic data sheet of a channel's sensor.
+    """Return the electronic data sheet of a channel's sensor.
 
     Parameters
     ----------
     channel : Channel
-        Of a scene.
+        A channel of the scene.
     seed : int
-        Of the scene; with the channel's name it gives the sensor its serial number.
+        Seed of the scene; with the channel's name it determines the serial number.
 
     Returns
     -------
     ElectronicDataSheet or None
-        None where the sensor has no preset.
+        None if the sensor has no preset.
     """
     sensor = channel.hammer if channel.measures_force else channel.accelerometer
     if sensor is None or sensor.preset is None:

@@ -1,8 +1,8 @@
-"""YAML with line numbers, read so that a scalar is what its key makes of it.
+"""YAML reader with line numbers, in which the key determines the type of a scalar.
 
-Every plain scalar comes out as the text that stands in the file (`null`, `~` and nothing as None): the
-settings know whether a number, a name or a switch belongs there. So `1e-5` is a number, `name: off` a name,
-and nothing is taken for a date or counted to base 60, as YAML 1.1 would have it.
+Every plain scalar is returned as text (`null`, `~` and an empty value as None), and the settings convert it to a
+number, a name or a switch. So `1e-5` is a number, `name: off` is a name, and no scalar becomes a date or a base-60
+number, as it would in YAML 1.1.
 """
 
 from __future__ import annotations
@@ -16,34 +16,34 @@ import yaml
 
 from rig.scene.settings import Mistake, Place
 
-# What follows a decimal comma; in a list, where two numbers may follow each other, only if it has a unit.
+# Text after a decimal comma; in a list, where a comma may also separate two numbers, only if it has a unit.
 _DECIMALS = re.compile(r"\d+(\s*[^\d\s.,].*)?")
 _WITH_UNIT = re.compile(r"\d+\s*[^\d\s.,eE].*")
 MOST_CHARACTERS = 64_000_000
 DEEPEST = 20
 _TOO_DEEP = f"nested deeper than {DEEPEST} levels; expected a scene"
-MOST_REPEATED = 20_000  # nodes that aliases may add; a few nested aliases could otherwise stand for billions
+MOST_REPEATED = 20_000  # nodes that aliases may add; a few nested aliases could otherwise expand to billions
 _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _NULLS = ("", "~", "null", "Null", "NULL")
 
 
 @dataclass
 class Document:
-    """A file's content as dicts, lists, texts and None, and the line on which each place stands."""
+    """Content of a file as dicts, lists, strings and None, with the line of each place."""
 
     content: Any = None
     lines: dict[Place, int] = field(default_factory=dict)
     mistakes: list[tuple[int, Mistake]] = field(default_factory=list)
 
     def line(self, place: Place) -> int:
-        """Find the line of a place, or of the nearest thing around it; from 1."""
+        """Return the line of a place, or of the innermost enclosing place in the file; from 1."""
         while place and place not in self.lines:
             place = place[:-1]
         return self.lines.get(place, 1)
 
 
 class _Unreadable(Exception):
-    """Ends the reading with one mistake at a line."""
+    """Exception that ends reading with one mistake at a line."""
 
     def __init__(self, line: int, message: str) -> None:
         super().__init__(message)
@@ -56,7 +56,7 @@ def read(text: str) -> Document:
     Returns
     -------
     Document
-        Its content; keys given twice, unusable YAML and the like are in its `mistakes`.
+        Content of the text; duplicate keys and invalid YAML are listed in its `mistakes`.
     """
     document = Document()
     try:
@@ -79,7 +79,7 @@ def read(text: str) -> Document:
 
 
 def _in_words(error: yaml.MarkedYAMLError, lines: Sequence[str]) -> tuple[int, str]:
-    """Give the line of a fault of YAML, what is wrong there and what to do, by what the parser reports of it."""
+    """Convert a YAML parser error to a line number and a message with the cause and the remedy."""
     mark = error.problem_mark or error.context_mark
     line = 1 if mark is None else mark.line + 1
     begun = line if error.context_mark is None else error.context_mark.line + 1
@@ -105,14 +105,14 @@ def _in_words(error: yaml.MarkedYAMLError, lines: Sequence[str]) -> tuple[int, s
             "the indentation fits none of the lines above; expected keys of one part below one another",
         )
     if "nesting depth" in problem:
-        return line, _TOO_DEEP  # the parser's own limit, which it meets before an event of that depth
+        return line, _TOO_DEEP  # the parser's own limit, reached before an event of that depth
     if "unexpected end of stream" in problem:
         return begun, "a quotation mark that is never closed; expected another one at the end of the text"
     return line, f"no valid YAML: {problem}{f' ({context})' if context else ''}"
 
 
 class _Reader:
-    """Builds content from the parser's events, without recursion into what a file may nest."""
+    """Builder of the content from parser events, without recursion into nested content."""
 
     def __init__(self, text: str, document: Document) -> None:
         self.events: Iterator[Any] = iter(yaml.parse(text, Loader=_LOADER))
@@ -132,7 +132,7 @@ class _Reader:
 
     def _node(self, event: Any, place: Place) -> Any:
         line = _line(event)
-        if line != self.document.line(place):  # a matrix of a thousand rows needs no million of entries
+        if line != self.document.line(place):  # saves a million entries for a matrix of a thousand rows
             self.document.lines[place] = line
         if len(place) > DEEPEST:
             raise _Unreadable(line, _TOO_DEEP)
@@ -200,7 +200,7 @@ class _Reader:
 
 
 def _is_decimal(before: Any, event: Any, pattern: re.Pattern[str]) -> bool:
-    """Whether a scalar is the rest of a number with a decimal comma, which YAML splits in brackets: {mass: 1,5 kg}."""
+    """Whether a scalar is the fraction of a number with a decimal comma, split by YAML in {mass: 1,5 kg}."""
     return (
         isinstance(before, yaml.ScalarEvent)
         and isinstance(event, yaml.ScalarEvent)
@@ -213,17 +213,17 @@ def _is_decimal(before: Any, event: Any, pattern: re.Pattern[str]) -> bool:
 
 
 def _index(mark: Any) -> int:
-    """Give the place of a mark in the text, in characters from 0."""
+    """Return the position of a mark in the text, in characters from 0."""
     return int(mark.index)
 
 
 def _line(event: Any) -> int:
-    """Give the line of the file on which an event starts, from 1."""
+    """Return the line of the file on which an event starts, from 1."""
     return int(event.start_mark.line) + 1
 
 
 def _size(value: Any, most: int) -> int:
-    """Count the values in a nest, giving up above `most`."""
+    """Count the values in nested content, up to a limit of `most`."""
     count, open_values = 0, [value]
     while open_values and count <= most:
         inside = open_values.pop()

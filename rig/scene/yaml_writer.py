@@ -1,4 +1,4 @@
-"""A scene written as a scene file that loads back as an equal scene: as its user writes it, or all of it in SI."""
+"""Writing of a scene as a scene file that loads as an equal scene: with the user's spelling, or in SI."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from rig.scene.structure import Structure
 
 
 def write(settings: Settings, structure: Structure | None = None) -> str:
-    """Write what was given, in the units in which it was given, and bodies by the names that the structure has.
+    """Write the given values in the units in which they were given, with the structure's names of bodies.
 
-    A quantity that was computed has the unit of the one that it replaces, or else that with the fewest digits. All
-    give back the very same double.
+    A computed quantity has the unit of the value that it replaces, otherwise the unit with the fewest digits. Every
+    written value loads as the identical double.
     """
     return _dumped(_as_given(settings, structure, {}))
 
 
 def write_in_si(settings: Settings) -> str:
-    """Write every value that is set, in SI, as the shortest decimal that gives back the very same double.
+    """Write every value that is set, in SI, as the shortest decimal that loads as the identical double.
 
-    Equal scenes give equal text, however their users wrote them: for recordings, and to recognize stored results.
+    Equal scenes have equal text, regardless of the users' spelling: for recordings, and to identify stored results.
     """
     return _dumped(_plain(settings))
 
@@ -43,16 +43,16 @@ def _dumped(content: Any) -> str:
     )
 
 
-# In C where PyYAML was built with it: a large structure's matrices take ten times as long otherwise.
+# The C implementation, if available, writes large matrices ten times as fast.
 _BASE: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
 
 class _Text(str):
-    """Free text, quoted so that no reader can take it for anything else."""
+    """Free text, quoted so that no reader converts it to another type."""
 
 
 class _Written(str):
-    """A quantity, without quotes though it may be no more than a number."""
+    """A quantity, written without quotes even if it is only a number."""
 
 
 class _Dumper(_BASE):
@@ -69,7 +69,7 @@ _Dumper.add_representer(
         dumper.resolve(yaml.ScalarNode, str(value), (True, False)), str(value)
     ),
 )
-# A quantity stands as it is, without quotes, as a person would write it.
+# Quantities are written without quotes, as users write them.
 _Dumper.add_representer(str, lambda dumper, value: dumper.represent_scalar("tag:yaml.org,2002:str", value))
 
 
@@ -139,6 +139,6 @@ def _value(value: Any, quantity: Quantity | None) -> Any:
     if isinstance(value, tuple):
         return [_value(item, quantity) for item in value]
     if isinstance(value, float) and quantity is not None:
-        # With several kinds the neighbours decide; a bare number is SI of whichever it is.
+        # With several kinds another key decides; a bare number is in the SI unit of that kind.
         return text(value, quantity.kinds[0]) if len(quantity.kinds) == 1 and quantity.kinds[0].si else value
     return value

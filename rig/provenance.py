@@ -4,7 +4,7 @@ An output contains a mark, `shotrig SOURCE CONTENT`: the digest of its inputs, a
 mark. A file without a mark, with another source, or with a different content digest belongs to the user. The mark is
 stored where other programs ignore it: the last header cell of a table, the text chunk `Software` of a PNG, a
 comment at the end of SVG, HTML, Markdown and YAML, the comment of a zip archive. Files for other programs (UFF,
-MATLAB, WAV, RRD, exported tables) have no mark; they are accepted if the new content is identical.
+MATLAB, WAV, RRD, exported tables) have no mark; they remain unchanged if the new content is identical.
 """
 
 from __future__ import annotations

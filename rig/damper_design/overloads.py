@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-#: Overshoot of an undamped sensor after a step, relative to the step.
+#: Peak response of an undamped sensor to a step, relative to the step.
 _SWING = 2.0
 
 

@@ -140,7 +140,7 @@ def _distances(look: _Look, units: Array) -> tuple[Array, Array]:
 
 @stored
 def _changes(vectors: Array, modes: NDArray[np.int8]) -> Array:
-    """Compute changes over 1, 2, ... periods at the end and the middle of a comparison; infinite if contacts differ."""
+    """Compute changes over 1, 2, ... periods at the end and middle of a comparison; infinite if contacts differ."""
     # The ratio of both identifies a slow decay, which faster decays mask from period to period.
     changes = np.zeros((LONGEST_REPETITION, 2))
     rows = vectors.shape[0]

@@ -279,7 +279,7 @@ def _change(tables: Tables, contacts: Contacts, t: float, z: Array, j: int, wall
 
 @inlined
 def _release(tables: Tables, contacts: Contacts, t: float, z: Array, blind: float) -> int:
-    """Separate dampers with a tensile contact force in sequence; return the configuration, or -1 if the log is full."""
+    """Separate dampers with a tensile contact force in sequence; return the configuration; -1: the log is full."""
     # Damping couples a velocity jump into the contact forces of adjacent bodies, so that each may cause another.
     while contacts.filled[0] < contacts.time.shape[0]:
         at = 0

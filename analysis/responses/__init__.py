@@ -1,4 +1,5 @@
-"""From recordings to frequency responses: one estimator for each kind of test.
+"""Estimation of frequency responses from recordings, with one estimator for each kind of test.
 
-Start with `frequency_responses`, which chooses it; each estimator is named after its test, `frf` is what all return.
+Start with `frequency_responses`, which chooses the estimator. Each estimator is named after its test and has a method
+`frf`.
 """

@@ -1,4 +1,4 @@
-"""What folds back into the band from beyond half the sample rate, where a channel has no filter against it."""
+"""Aliasing: the effect of components above half the sample rate in channels without an anti-aliasing filter."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-# Multiples of the sample rate whose images count, and how much more all others are, at most: of 1/k² the sums differ
-# so, and all that falls off faster by less.
+# Multiples of the sample rate whose images are summed, and the largest factor by which all further images increase
+# the sum. The factor is exact for images that decrease as 1/k²; it is smaller for images that decrease faster.
 _MULTIPLES = np.array([k for k in range(-8, 9) if k])
 _TAIL = 1.08
-# Images of a force in the motion it causes, as a share of the motion times the square of frequency over sample rate.
+# Images of a force in the resulting motion, as a share of the motion times (frequency / sample rate)².
 _IMAGES = 0.1
-# From this part of the highest frequency on is the top of the band.
+# The top of the band begins at this fraction of the highest frequency.
 _TOP = 0.8
 
 
@@ -39,12 +39,12 @@ def aliasing_part(
     lower: ComplexArray,
     motion: str,
 ) -> dict[str, Array]:
-    """How far what folds back from beyond half the sample rate can put a response off.
+    """Largest deviation of a response by aliasing of components above half the sample rate.
 
-    The drive goes from sample to sample in straight lines, whose images about the multiples of the sample rate are
-    smaller by the square of the ratio of frequencies. A channel without a decimation filter sees them as far as it lets
-    them through: of a table's acceleration what its shaker follows, of a body's what a structure follows beyond its
-    modes.
+    The drive is interpolated linearly between samples. Its images about the multiples of the sample rate are smaller
+    by the square of the frequency ratio. A channel without a decimation filter records them, attenuated by its sensor
+    and amplifier. The table's acceleration contains the images that the shaker reproduces, a body's acceleration
+    those that the structure transmits above its modes.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def aliasing_part(
     frequency : ndarray, shape (lines,)
         Hz.
     motion : str
-        What `value` is a response of: displacement, velocity or acceleration.
+        Quantity of the response `value`: displacement, velocity or acceleration.
     """
     share, far = folded_shares(rec, names, frequency, value, lower, motion)
     return {ALIASING: off_by_gains(share, far, value, upper, lower)} if far.any() else {}
@@ -67,16 +67,16 @@ def folded_shares(
     lower: ComplexArray,
     motion: str,
 ) -> tuple[Array, Array]:
-    """Give what folds back into each channel at most, as a share of what it should read and of what it reads.
+    """Compute the largest aliased component of each channel, relative to the true and to the recorded amplitude.
 
-    Both of shape (channels, lines). Nothing in what another instrument measured: how that drives, and what it filters,
-    no scene says.
+    Both have shape (channels, lines). They are zero for recordings of other instruments, because the scene does not
+    describe how those generate the drive and filter their inputs.
     """
     share, far = np.zeros(lower.shape), np.zeros(lower.shape)
     if rec.source:
         return share, far
-    # Beyond the modes a structure is accelerated as at the top of the band, or less, but where it is driven: there by
-    # the force over the mass, of which a band below further modes shows nothing.
+    # Above the modes the acceleration of a body is at most that at the top of the band. The driven body is the
+    # exception: its acceleration is force over mass, which does not show in a band below further modes.
     acceleration = abs(value) * (2.0 * np.pi * frequency) ** (2 - MOTIONS.index(motion))
     top = np.median(acceleration[frequency >= _TOP * frequency.max()])
     beyond = np.minimum(top / np.maximum(acceleration, 1e-300), 1.0)
@@ -87,11 +87,11 @@ def folded_shares(
         images = info.rate * _MULTIPLES[:, None] + frequency
         let_through = abs(info.response(images.ravel()).reshape(images.shape) / info.response(frequency))
         if info.quantity in MOTIONS:
-            # Of the same acceleration there is the less velocity and displacement the higher the frequency.
+            # For equal acceleration, velocity and displacement decrease with frequency.
             let_through *= abs(frequency / images) ** (2 - MOTIONS.index(info.quantity))
         shaker = rec.scene.driven_shaker
         if info.at == "table" and isinstance(shaker, TableShaker | ElectrodynamicShaker):
-            # Without a share in the force, what responds is the driven body itself.
+            # A channel that takes no part in the force measures the driven body itself.
             of_force = np.where(lower[row] == 0.0, 1.0 + shaker.spring * value, lower[row])
             moved = _moved(shaker, frequency, images, of_force)
             share[row] = _TAIL * np.sum(let_through * moved, axis=0)
@@ -102,16 +102,16 @@ def folded_shares(
             body = int(info.at.split()[1])
             free = _free_acceleration(rec.scene, body) / np.maximum(acceleration, 1e-300)
             far[row] *= np.maximum(beyond, free)
-            # What is let through up to the farthest image lets a blow pass between two samples.
+            # A channel that transmits up to the highest image also records an impact between two samples.
             far[row] += _blows(rec.scene, body) * let_through.min(axis=0)
-        # Where neither is known to be less.
+        # Lower bound where no smaller value is known for either.
         far[row] = np.maximum(far[row], _IMAGES * (frequency / info.rate) ** 2)
         share[row] = of_reading(far[row])
     return share, far
 
 
 def _free_acceleration(scene: Scene, body: int) -> float:
-    """Acceleration of a body for each newton of a shaker's force beyond all modes, 1/kg: 0 where none drives it."""
+    """Acceleration of a body per shaker force above all modes, 1/kg; 0 for a body that no shaker drives."""
     shaker = scene.driven_shaker
     if shaker is None or body not in shaker.bodies:
         return 0.0
@@ -119,9 +119,10 @@ def _free_acceleration(scene: Scene, body: int) -> float:
 
 
 def _blows(scene: Scene, body: int) -> float:
-    """Share of a body's acceleration that instant blows of its dampers make: their masses over that which they hit.
+    """Share of a body's acceleration due to instantaneous damper impacts: damper mass over the mass that it hits.
 
-    A damper that follows the body within its clearance takes its mass's share of the force, by blows at most all of it.
+    A damper that follows the body within its clearance takes a share of the force in proportion to its mass; impacts
+    transmit at most this share.
     """
     beds = [
         bed
@@ -132,23 +133,23 @@ def _blows(scene: Scene, body: int) -> float:
 
 
 def _inverse_mass(scene: Scene, body: int) -> float:
-    """Acceleration of a body for each newton on it while no other has moved, 1/kg."""
+    """Acceleration of a body per force on it while all other bodies are at rest, 1/kg."""
     return float(structural_model(scene).mobility[body - 1, body - 1])
 
 
 def _moved(
     shaker: TableShaker | ElectrodynamicShaker, frequency: Array, images: Array, share: ComplexArray
 ) -> Array:
-    """Acceleration of a table by the images of a drive over that by the drive itself, shape (images, lines).
+    """Ratio of a table's acceleration by the images of a drive to that by the drive itself, shape (images, lines).
 
-    A motion X0 that pulls with F takes the drive P X0 + Q F. At an image the structure stands still, and the whole
-    spring pulls; the square of the ratio of frequencies that an image is smaller by is that by which it accelerates
-    more.
+    A table motion X0 against a force F requires the drive P X0 + Q F. At an image frequency the structure is
+    practically at rest, and the full spring force acts on the table. The image is smaller by the square of the
+    frequency ratio; its acceleration per displacement is larger by the same factor.
 
     Parameters
     ----------
     share : ndarray of complex, shape (lines,)
-        Spring times X0 over F: the table's share in the force.
+        Spring stiffness times X0 / F: the table's share of the force.
     """
     motion, pull = _drive_taken(shaker, frequency)
     there, pull_there = _drive_taken(shaker, images)
@@ -160,7 +161,7 @@ def _moved(
 def _drive_taken(
     shaker: TableShaker | ElectrodynamicShaker, frequency: Array
 ) -> tuple[ComplexArray, ComplexArray]:
-    """Drive, up to a gain, for each metre of a table's motion and for each newton that pulls at it."""
+    """Drive, up to a constant gain, per metre of table motion and per newton of force on the table."""
     s: ComplexArray = np.asarray(2j * np.pi * frequency, dtype=np.complex128)
     if isinstance(shaker, TableShaker):
         return np.square(1.0 + s / (2.0 * np.pi * shaker.bandwidth)), np.zeros_like(s)

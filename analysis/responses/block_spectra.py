@@ -1,4 +1,4 @@
-"""Spectra of blocks of a recording, windowed and averaged: what H1, H2 and Hv are made of."""
+"""Windowed and averaged spectra of blocks of a recording, for the estimators H1, H2 and Hv."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ ComplexArray = NDArray[np.complex128]
 
 @dataclass(frozen=True)
 class CrossSpectra:
-    """Spectral matrix of the channels, averaged over the blocks that nothing spoils."""
+    """Spectral matrix of the channels, averaged over the blocks without flaws."""
 
     channels: tuple[str, ...]
     frequency: Array  # Hz; shape (n,)
@@ -36,11 +36,11 @@ class CrossSpectra:
     used: int
     """Number of blocks."""
     weight: float
-    """Of how many equally weighted ones they are worth, relative to that number."""
+    """Equivalent number of equally weighted blocks, relative to `used`."""
     flaws: Sequence[Flaw]
-    """What spoilt others."""
+    """Flaws of the blocks that were left out."""
     left: float
-    """Largest part of any channel's motion that is left at the end of a block."""
+    """Largest residual motion of any channel at the end of a block, as a share of its motion."""
     squares: Array
     """Mean square of each channel within a block, less its mean; shape (channels,)."""
 
@@ -53,7 +53,7 @@ class CrossSpectra:
         gain: Array,
         unsmeared: WholeStretches | None = None,
     ) -> Averages:
-        """Give what responses are made of; blocks begin every `step` samples; `gain` is as in `rounding_part`."""
+        """Return the averages; blocks begin every `step` samples; for `gain` see `rounding_part`."""
         independent = independent_blocks(self.window, step, self.used) * self.weight
         return Averages(
             self.channels,
@@ -78,19 +78,19 @@ def cross_spectra(
     forgetting: float | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> CrossSpectra:
-    """Average the spectra of blocks, each less its mean.
+    """Average the spectra of blocks after removal of each block's mean.
 
     Parameters
     ----------
     starts : sequence of int
-        First samples of the blocks, rising.
+        First samples of the blocks, in rising order.
     window : ndarray, shape (samples of a block,)
     low, high : float
-        Band in Hz that is wanted.
+        Frequency band, Hz.
     forgetting : float, optional
-        Weight of each block relative to the one after it; omitted, all are alike.
+        Weight of each block relative to the next block; omitted: equal weights.
     progress : callable, optional
-        Called with (blocks done, blocks in all).
+        Called with (blocks done, total number of blocks).
     """
     names, size = list(channels), window.size
     found = flaws(rec, names, starts[0], starts[-1] + size)
@@ -124,12 +124,12 @@ def cross_spectra(
 
 
 def window_of(name: str, size: int) -> Array:
-    """Make a window by scipy's name for it, periodic; ``none`` is no window.
+    """Return a periodic window by its scipy name; ``none`` is a rectangular window.
 
     Raises
     ------
     SceneError
-        If there is none of that name.
+        If scipy has no window of that name.
     """
     try:
         return np.asarray(scipy.signal.get_window("boxcar" if name == "none" else name, size), dtype=float)

@@ -6,8 +6,8 @@ import numpy as np
 
 from rig.results.response import Response
 
-# A step of a curve counts as a jump if it is this large (in nepers or radians), this many times the steps
-# on either side, and this many times its standard error.
+# A step of a curve is a jump if it exceeds each of three limits: an absolute value (nepers or radians), a multiple
+# of the steps on either side, and a multiple of its standard error.
 _MIN_STEP = 0.25
 _MIN_RATIO_TO_NEIGHBORS = 4.0
 _MIN_SIGMAS = 5.0
@@ -24,7 +24,7 @@ def jumps(frf: Response) -> list[tuple[float, str]]:
     Returns
     -------
     list of (frequency, text)
-        Middle of the two points in Hz, and ``"jump up"`` or ``"jump down"`` in the order measured.
+        Mean frequency of the two points in Hz, and ``"jump up"`` or ``"jump down"`` in the order measured.
 
     Examples
     --------
@@ -38,7 +38,7 @@ def jumps(frf: Response) -> list[tuple[float, str]]:
         return []
     steps = np.log(frf.value[1:] / frf.value[:-1])
     size, width = abs(steps), np.maximum(abs(np.diff(frf.frequency)), 1e-12)
-    # Steps that the slopes on either side would give over the same width.
+    # Expected steps over the same width, from the slopes on either side.
     before, after = np.append(0.0, (size / width)[:-1]) * width, np.append((size / width)[1:], 0.0) * width
     # Without an error bar a step cannot be distinguished from noise.
     relative = np.nan_to_num(frf.error / abs(frf.value), nan=np.inf)

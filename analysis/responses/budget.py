@@ -1,4 +1,4 @@
-"""The uncertainty budget of a measured response, put together in the same way for all estimators."""
+"""The uncertainty budget of a measured response, assembled in the same way for all estimators."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class ReadingShares:
     value : ndarray of complex, shape (lines,)
         The response.
     upper, lower : ndarray of complex, shape (channels, lines)
-        Share of each channel in the response, and in the reference: they add up to `value`, and to 1.
+        Share of each channel in the response and in the reference; their sums are `value` and 1.
     """
 
     names: Sequence[str]
@@ -62,19 +62,19 @@ def assemble_budget(
     shared: float = 1.0,
     scale: float = 0.0,
 ) -> UncertaintyBudget:
-    """Uncertainty budget of a response, of whatever estimator.
+    """Assemble the uncertainty budget of a response; the same for every estimator.
 
-    Aliasing, tolerances of sensors and clock follow from the shares of the channels. A reference that may be smaller
-    than it reads enlarges what propagates to first order.
+    The parts for aliasing, sensor tolerances and clock error follow from the shares of the channels. A reference that
+    may be smaller than recorded increases the uncertainty beyond first-order propagation.
 
     Parameters
     ----------
     error, degrees : ndarray, shape (lines,)
-        Standard uncertainty of either quadrature component by scatter, and its degrees of freedom.
+        Type A standard uncertainty of either quadrature component, and its degrees of freedom.
     causes : mapping of str to ndarray
-        Limits that the estimator knows.
+        Limits of error that the estimator provides, by cause.
     doubts : sequence of ndarray, shape (lines,)
-        Largest deviations of the reference, relative to it.
+        Largest relative deviations of the reference.
     errors, shared, scale
         As in `UncertaintyBudget`.
     """

@@ -1,4 +1,4 @@
-"""Stretches of a recording in which nothing is wrong with the channels that matter: no overload, nothing lost."""
+"""Stretches of a recording in which the selected channels have no overload and no lost samples."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ if TYPE_CHECKING:
     from daq.signal_chain.channel import ChannelInfo
 
 
-#: What is wrong with a channel while its sensor's bias has not settled.
+#: Flaw of a channel while the bias of its sensor has not settled.
 SETTLING = "settling"
 
 
 @dataclass(frozen=True)
 class Flaw:
-    """Samples ``[first, stop)`` that do not measure the motion, and why."""
+    """Samples ``[first, stop)`` that do not measure the motion, with the reason."""
 
     first: int
     stop: int
@@ -28,7 +28,7 @@ class Flaw:
 
 
 def flaws(rec: Recording, channels: Collection[str], first: int, stop: int) -> list[Flaw]:
-    """Find overloads and losses of some channels between two samples, in the order in which they begin."""
+    """Find overloads and lost samples of the channels between two samples, in order of their beginning."""
     found = [
         Flaw(marker.first_sample, marker.stop, str(marker.fields.get("channel", "")), "overloaded")
         for marker in rec.overloads
@@ -50,7 +50,7 @@ def flaws(rec: Recording, channels: Collection[str], first: int, stop: int) -> l
 
 
 def clean_stretches(found: list[Flaw], first: int, stop: int) -> list[tuple[int, int]]:
-    """Take out flaws; what is left between two samples, as (start, stop).
+    """Return the stretches (start, stop) between two samples that contain no flaw.
 
     Examples
     --------
@@ -66,7 +66,7 @@ def clean_stretches(found: list[Flaw], first: int, stop: int) -> list[tuple[int,
 
 
 def describe_flaws(rec: Recording, found: Sequence[Flaw]) -> str:
-    """Say what was wrong, where: ``a3 overloaded (at 1.2 s, 4.5 s, ...), all channels lost (at 7 s)``."""
+    """Describe the flaws and their times: ``a3 overloaded (at 1.2 s, 4.5 s, ...), all channels lost (at 7 s)``."""
     groups: dict[str, list[str]] = {}
     for flaw in found:
         groups.setdefault(f"{flaw.channel} {flaw.what}", []).append(f"{flaw.first / rec.rate:.4g} s")
@@ -77,7 +77,7 @@ def describe_flaws(rec: Recording, found: Sequence[Flaw]) -> str:
 
 
 def cure(rec: Recording, found: Sequence[Flaw]) -> str:
-    """Say what keeps channels from being spoilt: another level, range or sensor, or sensors that have settled."""
+    """Recommend a remedy for flaws: another level, range or sensor, or a longer wait for sensors to settle."""
     kinds = {flaw.what for flaw in found}
     limits = [
         f"{name} follows {text}"
@@ -93,6 +93,6 @@ def cure(rec: Recording, found: Sequence[Flaw]) -> str:
 
 
 def _reached_first(info: ChannelInfo, limit: str) -> bool:
-    """Whether a sensor's limit, as its data sheet says it, is below what the converter takes."""
+    """Whether the limit in the sensor's data sheet is below the range of the converter."""
     kind = {"acceleration": ACCELERATION, "force": FORCE}.get(info.quantity)
     return kind is None or info.range is None or parse(limit, kind) * info.sensitivity < info.range

@@ -34,12 +34,12 @@ ESTIMATORS = ("H1", "H2", "Hv")
 
 
 def estimate(estimator: str, sxx: Array, sff: Array, sxf: ComplexArray) -> ComplexArray:
-    """Frequency response from auto and cross spectra.
+    """Estimate a frequency response from auto and cross spectra.
 
     Parameters
     ----------
     estimator : {'H1', 'H2', 'Hv'}
-        H1 assumes the reference free of noise, H2 the response; Hv lies between (geometric mean of both).
+        H1 assumes a reference without noise, H2 a response without noise; Hv is the geometric mean of both.
     sxx, sff : ndarray
         Mean of abs(X)² and of abs(F)².
     sxf : ndarray of complex
@@ -68,23 +68,23 @@ class Averages:
     """Names, in the order of rows and columns."""
     frequency: Array  # Hz; shape (n,)
     cross: ComplexArray
-    """Mean of Y_i conj(Y_j), as recorded: not yet corrected for the sensors; complex, shape (n, channels,
+    """Mean of Y_i conj(Y_j) as recorded, without correction for the sensors; complex, shape (n, channels,
     channels)."""
     averages: float
-    """Number of independent blocks; overlapping ones count for less."""
+    """Number of independent blocks; overlapping blocks count as fewer."""
     resolution: float
-    """Bandwidth of the window in Hz, 0 where nothing leaks (bursts that end inside their block)."""
+    """Bandwidth of the window in Hz; 0 without leakage (bursts that end inside their block)."""
     label: str = ""  # For legends
     warnings: tuple[str, ...] = ()  # In full sentences
     gain: Array = field(default_factory=lambda: np.zeros((1, 1)))
-    """How far rounding can change each channel's gain, as in `rounding_part`; shape (channels, n)."""
+    """Largest relative change of each channel's gain by rounding, as in `rounding_part`; shape (channels, n)."""
     unsmeared: WholeStretches | None = None
-    """The same test without windows, where these leak: what the two differ by is stated as leakage."""
+    """The same test without windows, where windows cause leakage: the difference of the two is stated as leakage."""
 
     estimator: str = "H1"  # Or ``"H2"``, ``"Hv"``
 
     def by(self, estimator: str | None) -> Averages:
-        """Choose the estimator; None: H1."""
+        """Return these averages with another estimator; None selects H1."""
         return replace(self, estimator=estimator or "H1")
 
     def frf(
@@ -94,7 +94,7 @@ class Averages:
         reference: str = "force",
         motion: str = "displacement",
     ) -> Response:
-        """Frequency response with coherence; error bars after Bendat and Piersol, eq. 9.90."""
+        """Estimate a frequency response with coherence; error bars after Bendat and Piersol, eq. 9.90."""
         above = motion_of(rec, response, motion)
         upper = above.row(rec, self.channels, self.frequency)
         below = reference_of(rec, reference)
@@ -105,14 +105,14 @@ class Averages:
         sxf = np.sum(x * f.conj(), axis=1)
         driven(reference, sff)
         value = estimate(self.estimator, sxx, sff, sxf)
-        # Power of the response that does not follow the reference, over that which does.
+        # Ratio of incoherent to coherent power of the response.
         with np.errstate(divide="ignore", invalid="ignore"):
             other = np.sum(np.square(np.abs(x - (sxf / sff)[:, None] * f)), axis=1) / (abs(sxf) ** 2 / sff)
         coherence = 1.0 / (1.0 + other)
-        # Of every channel, how much it reads per unit of the reference.
+        # Reading of each channel per unit of the reference.
         reads = np.einsum("nij,jn->in", self.cross, lower.conj()) / sff
         if self.averages > 1.0:
-            # Coherence from few blocks is biased towards one; the scatter belongs to averages - 1 of them.
+            # Coherence from few blocks is biased towards 1; the scatter has averages - 1 degrees of freedom.
             error = abs(value) * np.sqrt(other / (2.0 * (self.averages - 1.0)))
         else:
             error = np.full(value.shape, np.nan)
@@ -128,7 +128,7 @@ class Averages:
             incoherent = np.maximum(incoherent, shared_noise_part(noise, upper - value * lower, lower, sff))
         causes[REFERENCE_NOISE] = incoherent
         causes |= rounding_part(self.gain, value, shares.upper, shares.lower)
-        # What is not coherent with the reference, over its power (Bendat and Piersol, chapter 7).
+        # Part that is not coherent with the reference, relative to its power (Bendat and Piersol, chapter 7).
         off = (upper - value * lower).T / np.sqrt(sff * max(self.averages - 1.0, 1e-300))[:, None]
         return Response.curve(
             self.frequency,
@@ -149,7 +149,7 @@ class Averages:
         )  # fmt: skip
 
     def _noise_of_two(self, names: Sequence[str]) -> Array:
-        """Power of noise that the channels of a spring's force can hold at most: what they have not in common."""
+        """Upper limit of the noise power in the two channels of a spring force: the power that they do not share."""
         rows = [self.channels.index(name) for name in names]
         readings = square_root(self.cross)[:, rows]
         noise = np.zeros((len(self.channels), self.frequency.size))
@@ -158,14 +158,15 @@ class Averages:
             power = np.sum(np.square(np.abs(other)), axis=1)
             common = np.sum(reading * other.conj(), axis=1) / np.maximum(power, 1e-300)
             noise[row] = np.sum(np.square(np.abs(reading - common[:, None] * other)), axis=1)
-        # Few blocks have more in common by chance.
+        # Few blocks increase the common power by chance.
         return np.asarray(noise * self.averages / max(self.averages - 1.0, 1e-300))
 
 
 def square_root(matrices: ComplexArray) -> ComplexArray:
     """Factor F of positive semidefinite matrices ``F F^H``, to the rounding of each of their diagonal elements.
 
-    What rounding leaves below zero is projected onto zero, the nearest semidefinite matrix (Higham 1988).
+    Eigenvalues that are negative by rounding are set to zero, which gives the nearest semidefinite matrix (Higham
+    1988).
 
     Parameters
     ----------
@@ -184,7 +185,7 @@ def square_root(matrices: ComplexArray) -> ComplexArray:
 
 
 def independent_blocks(window: Array, step: int, blocks: int) -> float:
-    """Count the independent averages that overlapping windowed blocks amount to (Welch 1967, eq. 11).
+    """Compute the equivalent number of independent averages of overlapping windowed blocks (Welch 1967, eq. 11).
 
     Examples
     --------

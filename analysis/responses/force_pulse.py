@@ -1,4 +1,4 @@
-"""The force of a hammer's hit alone, without noise before and after, and without the tail that high-passes give it."""
+"""Force pulse of a hammer hit, without noise before and after it and without the tail due to high-pass filters."""
 
 from __future__ import annotations
 
@@ -14,33 +14,32 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-# After the last sample the hit can reach, the window stays open for this time, s, and closes within as much.
+# The force window stays open for this time, s, after the last sample of the hit, and tapers over an equal time.
 SLOPE = 2e-3
-# Fast poles ring on after the hit; the window waits until this many of their time constants have passed.
+# Fast poles ring after the hit; the window stays open for this number of their time constants.
 _TIME_CONSTANTS = 7.0
 
 
 def pulse_alone(info: ChannelInfo, force: Array, first: int, last: int) -> Array:
-    """Take what is not the hit out of a force channel's samples.
+    """Remove everything but the hit from the samples of a force channel.
 
-    Sensor discharge, amplifier and converter with AC coupling let a pulse be followed by a long faint tail of
-    the other sign. It is as much the pulse's as the pulse is, and may last longer than the recording. So the
-    high-passes are undone first, and the window then cuts off what is noise; `high_passes` gives their effect on the
-    spectrum of what is left.
+    Sensor discharge and AC coupling of amplifier and converter add a long, small tail of opposite sign to a pulse.
+    The tail is part of the signal and may be longer than the recording. The high-pass filters are therefore inverted
+    first, and the window then removes the noise. `high_passes` returns their effect on the spectrum of the result.
 
     Parameters
     ----------
     info : daq.signal_chain.channel.ChannelInfo
         The force channel.
     force : ndarray, shape (n,)
-        Its samples, N, from before the hit on, with nothing left of earlier ones.
+        Its samples, N, beginning before the hit, without residuals of earlier hits.
     first, last : int
-        First and last sample that the hit itself reaches.
+        First and last sample of the hit itself.
 
     Returns
     -------
     ndarray, shape (n,)
-        N, as the channel would have read it without its high-passes.
+        Force, N, as recorded by the same channel without its high-pass filters.
     """
     slow, fast = slow_and_fast(info)
     ringing = _TIME_CONSTANTS / min((abs(pole.real) for pole in fast), default=np.inf)
@@ -52,12 +51,12 @@ def pulse_alone(info: ChannelInfo, force: Array, first: int, last: int) -> Array
     for above, below in (_high_pass(pole, info.rate) for pole in slow):
         out[:stop] = scipy.signal.lfilter(below, above, out[:stop])
     out[flat:stop] *= 0.5 + 0.5 * np.cos(np.pi * np.arange(1, stop - flat + 1) / (slope + 1))
-    # Complex poles come in pairs.
+    # Complex poles occur in conjugate pairs, so the imaginary part is rounding.
     return np.ascontiguousarray(out.real)
 
 
 def high_passes(info: ChannelInfo, frequency: Array) -> ComplexArray:
-    """Response of the high-passes that `pulse_alone` has undone, at some frequencies in Hz."""
+    """Frequency response of the high-pass filters that `pulse_alone` inverts; frequencies in Hz."""
     out = np.ones(frequency.size, dtype=complex)
     for pole in slow_and_fast(info)[0]:
         out *= scipy.signal.freqz(*_high_pass(pole, info.rate), frequency, fs=info.rate)[1]
@@ -65,7 +64,7 @@ def high_passes(info: ChannelInfo, frequency: Array) -> ComplexArray:
 
 
 def slow_and_fast(info: ChannelInfo) -> tuple[list[complex], list[complex]]:
-    """Poles of the high-passes, as many as there are zeros at zero frequency, the slowest; and all others."""
+    """Slow poles (high-pass filters: the slowest poles, one for each zero at zero frequency) and all other poles."""
     poles = sorted((pole for pole in info.poles if pole), key=abs)
     count = sum(1 for zero in info.zeros if zero == 0)
     return poles[:count], poles[count:]

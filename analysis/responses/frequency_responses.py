@@ -1,4 +1,4 @@
-"""Frequency responses of any recording: the processing that belongs to the test it holds."""
+"""Frequency responses of any recording, by the estimator for its kind of test."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
 Progress = Callable[[int, int], None]
-# Kinds of tests whose markers must show what was measured.
+# Kinds of tests that require markers of the measured intervals.
 _MARKED = (TestKind.MULTISINE, TestKind.SWEEP, TestKind.RANDOM)
-# Kinds that have no method of their own.
+# Kinds of tests without an estimator of their own.
 _UNTESTED = (TestKind.NONE, TestKind.FREE)
 
 
 @dataclass(frozen=True)
 class Blocks:
-    """How spectra of blocks are to be averaged, where that is asked for."""
+    """User options for block averaging."""
 
     estimator: str | None = None
     block: float | None = None
@@ -43,17 +43,17 @@ class Blocks:
 
     @property
     def wanted(self) -> bool:
-        """Whether it is asked for."""
+        """Whether block averaging is requested."""
         return self != Blocks()
 
     def acting_on(self, kind: TestKind) -> Blocks:
-        """Leave out what cannot act on a kind of test."""
+        """Remove the options that have no effect on a kind of test."""
         return Blocks(**{name: getattr(self, name) for name in BY_KIND[kind].options})
 
 
 @dataclass(frozen=True)
 class Request:
-    """Responses that are wanted of a recording."""
+    """Requested responses of a recording."""
 
     rec: Recording
     names: Sequence[str]
@@ -64,16 +64,16 @@ class Request:
 
     @property
     def channels(self) -> list[str]:
-        """Channels of the responses and their reference."""
+        """List the channels of the responses and their reference."""
         return concerned(self.rec, self.names, self.reference)
 
     @property
     def measured(self) -> list[Marker]:
-        """Markers of what was measured."""
+        """List the markers of measured intervals."""
         return [marker for marker in self.rec.markers if marker.kind == "measure"]
 
     def of(self, sources: Iterable[Source]) -> list[Response]:
-        """Give the response of each pass, with all outputs."""
+        """Compute the response of each pass, with all outputs."""
         out = []
         for source in sources:
             curves = []
@@ -86,7 +86,7 @@ class Request:
 
 
 class Source(Protocol):
-    """Readings of one pass of a test, of which responses are made."""
+    """Readings of one pass of a test, from which responses are estimated."""
 
     def frf(
         self, rec: Recording, response: str, reference: str = "force", motion: str = "displacement"
@@ -96,16 +96,16 @@ class Source(Protocol):
 
 @dataclass(frozen=True)
 class Estimator:
-    """How the responses of one kind of test are estimated.
+    """Estimator of the responses of one kind of test.
 
     Attributes
     ----------
     estimate : callable
-        From a request to the response of each pass.
+        Returns the response of each pass for a request.
     method : str
-        In words.
+        Description of the method.
     options : frozenset of str
-        Which fields of `Blocks` act.
+        Fields of `Blocks` that have an effect.
     """
 
     estimate: Callable[[Request], list[Response]]
@@ -113,7 +113,7 @@ class Estimator:
     options: frozenset[str] = frozenset()
 
     def takes(self, blocks: Blocks) -> bool:
-        """Whether all options that are asked for act."""
+        """Whether all requested options have an effect."""
         wanted = {name for name, value in vars(blocks).items() if value is not None}
         return wanted <= self.options
 
@@ -200,7 +200,7 @@ def frequency_responses(
     overlap: float | None = None,
     window: str | None = None,
 ) -> list[Response]:
-    """All frequency responses that a recording holds.
+    """Estimate all frequency responses of a recording.
 
     Parameters
     ----------
@@ -213,27 +213,28 @@ def frequency_responses(
     motion : {'displacement', 'velocity', 'acceleration'}
         Receptance, mobility or accelerance.
     estimator : {'H1', 'H2', 'Hv'}, optional
-        For random and hits: average the spectra of blocks. Omitted, random, hits and sweeps are taken whole, by the
-        local rational method, which leaks nothing. Tones average amplitudes.
+        Average the spectra of blocks, for random tests and hits. If omitted, the local rational method processes
+        random tests, hits and sweeps as a whole, without leakage. For tones the amplitudes are averaged.
     block : float, optional
-        Length of the blocks in s, for random and hits, each of which begins one: averages their spectra, as H1 unless
-        chosen otherwise.
+        Length of the blocks in s, for random tests and hits; each hit begins a block. This selects block averaging,
+        with H1 by default.
     progress : callable, optional
-        Called with (done, in all).
+        Called with (done, total).
     overlap : float, optional
-        Part of a block that it shares with the next, for random; omitted, 0.5.
+        Overlap of successive blocks as a fraction of the block length, for random tests; 0.5 if omitted.
     window : str, optional
-        Over each block, as `scipy.signal.get_window` names it; omitted, ``hann`` for random, none for hits.
+        Window of each block, by its name in `scipy.signal.get_window`; if omitted, ``hann`` for random, none for
+        hits.
 
     Returns
     -------
     list of Response
-        One for each sweep (level and direction), with all outputs.
+        A response for each sweep (level and direction), with all outputs.
 
     Raises
     ------
     SceneError
-        If something asked for is unknown, or cannot act on what the recording holds.
+        If an option is unknown or does not apply to the kind of test.
     """
     blocks = Blocks(estimator, block, overlap, window)
     if motion not in MOTIONS:
@@ -262,19 +263,19 @@ def frequency_responses(
 
 
 def checked(rec: Recording, curves: Sequence[Response]) -> list[Response]:
-    """Locate curves of one sweep, and add a warning to all where the force has the wrong sign."""
+    """Add positions to the curves of one sweep, and a warning to all of them if the force has the wrong sign."""
     located = [_located(rec, curve) for curve in curves]
     warning = reversed_force(located)
     return [curve.warn(warning) for curve in located] if warning else located
 
 
 def _located(rec: Recording, curve: Response) -> Response:
-    """Say where a curve's response is and where its reference acts."""
+    """Add the positions of response and reference to a curve."""
     return curve.placed(place(rec, curve.response), input_place(rec, curve.reference))
 
 
 def _unfiltered(rec: Recording, channels: Sequence[str]) -> tuple[str, ...]:
-    """Warn of channels of another instrument behind no filter that the scene names."""
+    """Warn of channels of other instruments for which the scene names no anti-aliasing filter."""
     bare = [name for name in channels if not rec.channels[name].filter]
     if not rec.source or not bare:
         return ()
@@ -293,7 +294,7 @@ def frfs(
     level: float | str | None = None,
     direction: str | None = None,
 ) -> Response:
-    """Estimate the frequency responses of a test: one for each response.
+    """Estimate the frequency responses of one sweep of a test, with all outputs.
 
     Every channel is corrected for its sensor, amplifier and converter. The force is that in the coil spring,
     F1 = k0 (x0 - x1), from the channels on the table and on the driven body, or a force channel where there is one.
@@ -301,18 +302,18 @@ def frfs(
     Parameters
     ----------
     rec : daq.Recording, str or Path
-        As for `frequency_responses`, which gives all sweeps of a recording and has more options.
+        As for `frequency_responses`, which returns all sweeps of a recording and has more options.
     channels, reference, motion
-        As in `frequency_responses`; a response may also be named by the body it sits on.
+        As in `frequency_responses`; a response may also be named by the body that carries the sensor.
     level : float or str, optional
-        Which level, where the test ran several, such as ``"2.6 N"``.
+        Level to select if the test ran several, such as ``"2.6 N"``.
     direction : {'up', 'down'}, optional
-        Which direction, where the test ran both.
+        Direction to select if the test ran both.
 
     Raises
     ------
     SceneError
-        If not exactly one sweep fits; the message lists those there are. If there are none to choose among.
+        If not exactly one sweep matches; the message lists the available sweeps.
 
     Examples
     --------
@@ -361,9 +362,9 @@ def compliance(
     rec : daq.Recording, str or Path
         As for `frfs`.
     response : str
-        Channel, or the body it sits on.
+        Channel, or the body that carries the sensor.
     reference : {'force', 'table'}
-        ``"table"`` gives X_j / X_0 instead.
+        ``"table"`` selects X_j / X_0 instead.
     level, direction
         As in `frfs`.
     """

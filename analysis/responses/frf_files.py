@@ -1,4 +1,4 @@
-"""Frequency responses that other programs have estimated: Universal Files (58, 58b) and text tables."""
+"""Frequency responses estimated by other programs: Universal Files (58, 58b) and text tables."""
 
 from __future__ import annotations
 
@@ -30,43 +30,43 @@ _PART = re.compile(
     r"[\s_.]*(deg|rad|degrees|°)?",
     re.IGNORECASE,
 )
-# Lines that are evenly spaced, but for a table's few digits, are those of a transform, whose window no file states: as
-# most programs take it, Hann's, of so many lines' noise bandwidth.
+# Evenly spaced lines (within the digits of a table) come from a discrete Fourier transform. Files do not state the
+# window; most programs use a Hann window, whose noise bandwidth is 1.5 lines.
 _EVEN, _HANN = 0.05, 1.5
-# What the largest magnitude of a response can be, in SI: no structure is near either.
+# Plausible range of the largest magnitude of a response, in SI units; both limits are far from any real structure.
 _SMALLEST, _LARGEST = 1e-30, 1e30
-# Lines that differ by no more than this part of their frequency are one.
+# Lines whose relative frequency difference is below this limit are identical.
 _SAME = 1e-9
 _KINDS = {"r": "real", "i": "imag", "m": "size", "a": "size", "p": "phase"}
 
 
 def read_frfs(path: str | Path, reference: str | None = None, unit: str | None = None) -> Response:
-    r"""Read frequency responses of other programs; they have coherence where the file has it.
+    r"""Read frequency responses of other programs, with coherence if the file contains it.
 
     Parameters
     ----------
     path : str or Path
         A Universal File with data sets 58 of function type 4; or a table: a first column of frequencies in Hz, then for
         each response two columns, ``body1 real [m/N]`` and ``body1 imag [m/N]``, or ``magnitude`` and ``phase [deg]``;
-        or what `analysis frf` writes.
+        or the output of `analysis frf`.
     reference : str, optional
         Node and direction of the force, such as ``"1 +Z"``, where the file has several.
     unit : str, optional
-        What one in the file is, such as ``"m/s^2/N"`` or ``"g/N"``, where the file does not say; it goes before what it
-        says.
+        Unit of the values, such as ``"m/s^2/N"`` or ``"g/N"``, if the file does not state it. It overrides the unit
+        in the file.
 
     Returns
     -------
     Response
-        Named after nodes and directions, or as the file names them. What `identify` and all figures take. Error bars
-        and resolution are there only where the file is of our own making.
+        Named after nodes and directions, or as in the file. `identify` and all figures accept it. Only files written
+        by this program contain error bars and resolution.
 
     Raises
     ------
     RecordingError
-        If the file cannot be read or holds no frequency responses of motion to force.
+        If the file cannot be read or contains no frequency responses of motion to force.
     SceneError
-        If there are several references and none is chosen, or none to choose from, or a unit is missing or wrong.
+        If the reference is ambiguous or not in the file, or if a unit is missing or wrong.
     RunError
         If a package is missing.
 
@@ -93,7 +93,7 @@ def read_frfs(path: str | Path, reference: str | None = None, unit: str | None =
 
 
 def is_frf_file(path: Path) -> bool:
-    """Whether a file can be one of frequency responses, and no recording."""
+    """Whether a file may contain frequency responses instead of a recording."""
     return path.suffix.lower() in ENDINGS
 
 
@@ -142,14 +142,14 @@ def _from_uff(path: Path, reference: str | None, unit: str | None) -> list[Respo
 
 
 def _node(each: Mapping[str, Any], which: str) -> str:
-    """Name the node of a response or reference; in files of our own it is a body."""
+    """Name the node of a response or reference; in files written by this program it is a body."""
     if str(each.get("id4") or "").startswith(RESOLUTION_LINE):
         return f"body {int(each[f'{which}_node'])}"
     return f"node {uff.point(each, which)}"
 
 
 def _stated_resolution(line: str) -> float | None:
-    """Read the width over which leakage smears each line, Hz, as our own files state it; None in others.
+    """Read the leakage bandwidth of each line, Hz, as files of this program state it; None for other files.
 
     >>> _stated_resolution("shotrig: resolution 0.5 Hz"), _stated_resolution("NONE")
     (0.5, None)
@@ -163,7 +163,7 @@ def _stated_resolution(line: str) -> float | None:
 
 
 def _names(sets: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Name responses by what distinguishes them: their titles, their places, or their numbers."""
+    """Name responses by the first distinct attribute: titles, positions or numbers."""
     for names in ([uff.title(each) for each in sets], [uff.point(each, "rsp") for each in sets]):
         if len(set(names)) == len(names):
             return names
@@ -184,13 +184,13 @@ def _frequencies(path: Path, name: str, each: Mapping[str, Any]) -> Array:
 
 
 def _stated(each: Mapping[str, Any]) -> str:
-    """Put the unit of a ratio together from the labels of its axes."""
+    """Assemble the unit of a ratio from the axis labels."""
     above, below = uff.label(each, "ordinate"), uff.label(each, "orddenom")
     return f"({above})/({below})" if above and below else above
 
 
 def _ratio(where: str, unit: str) -> tuple[str, float]:
-    """Say which motion a ratio to force is of, and what its unit is in SI.
+    """Return the motion quantity of a ratio to force, and the SI value of its unit.
 
     >>> _ratio("a", "(1/N)*(m/s²)"), _ratio("a", "(g)/(N)"), _ratio("a", "m/N")
     (('acceleration', 1.0), ('acceleration', 9.80665), ('displacement', 1.0))
@@ -206,7 +206,7 @@ def _ratio(where: str, unit: str) -> tuple[str, float]:
         if found is None:
             continue
         above, below = found["above"], found["below"]
-        # As our own tables write it: m/(N s^2).
+        # Notation of tables written by this program: m/(N s^2).
         if tail := re.fullmatch(r"(.+)/\((N) (s|s\^2|s²)\)", unit.strip()):
             above, below = f"{tail[1]}/{tail[3]}", tail[2]
         try:
@@ -219,7 +219,7 @@ def _ratio(where: str, unit: str) -> tuple[str, float]:
 
 
 def _from_long_table(path: Path, unit: str | None) -> list[Response]:
-    """Read a table as `analysis frf` writes it: a line for each response and frequency; nothing if it is none."""
+    """Read a table of `analysis frf`, with a row for each response and frequency; empty for other tables."""
     try:
         return _long_curves(path, unit)
     except csv.Error as error:
@@ -308,7 +308,7 @@ def _curve(
     error: Array | None = None,
     resolution: float | None = None,
 ) -> Response:
-    """Make a curve of the lines that it can have, by frequency: at zero there is no displacement."""
+    """Build a curve from its valid lines in order of frequency; the displacement at zero frequency is undefined."""
     keep = _lines(f"{path}: {name}", frequency, value)
     steps = np.diff(frequency[keep])
     evenly = steps.size > 0 and np.ptp(steps) < _EVEN * steps.mean()
@@ -326,14 +326,14 @@ def _curve(
 
 
 def _at_kept_lines(column: Array | None, frequency: Array, keep: NDArray[np.intp]) -> Array:
-    """Take what a file says of the lines that are kept; unknown where it says nothing, or nothing that can be."""
+    """Return a column of the file at the valid lines; NaN where the file has no value or an impossible value."""
     if column is None or column.size != frequency.size:
         return np.full(keep.size, np.nan)
     return np.where(np.isfinite(column[keep]) & (column[keep] >= 0.0), column[keep], np.nan)
 
 
 def _lines(where: str, frequency: Array, value: NDArray[Any]) -> NDArray[np.intp]:
-    """Choose the lines that hold something, by frequency; refuse what no structure answers."""
+    """Select the valid lines in order of frequency; reject magnitudes that no structure can have."""
     there = np.flatnonzero((frequency > 0) & np.isfinite(frequency) & np.isfinite(value))
     if not there.size:
         raise RecordingError(f"{where} has no number at a frequency above 0")

@@ -1,4 +1,4 @@
-"""Hits of a hammer: when, how hard, and what its force sensor read that was not the hit."""
+"""Hammer hits: their times, forces, and the noise and offset of the force channel."""
 
 from __future__ import annotations
 
@@ -26,24 +26,24 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-# What is looked at before a hit, s, to see whether the rig was at rest, and read as the channel's zero.
+# Interval before a hit, s, for the detection of residual motion and for the channel's zero.
 REST = 0.2
-# At rest what changes within that time is less than this part of the response that follows.
+# The rig is at rest if the readings change in this interval by less than this part of the following response.
 _STILL = 2e-3
-# Noise is taken for motion where it is so many times as much as by its chance.
+# Detection limit of motion, in standard deviations of its estimate from noise.
 _SURE = 4.0
-# The largest force belongs to the hit; where its marker holds less than this part of it, it missed the hit.
+# The largest force belongs to the hit. A marker that contains less than this part of it does not mark the hit.
 _MISSED = 0.5
-# A hammer that bounces hits again with at least this part of its first force, and so many times the noise.
+# A rebound of the hammer has at least this part of the first force, and at least this multiple of the noise.
 _REBOUND, _NOISY = 0.05, 8.0
-# The spectrum of a force ends where its power is below this part of its highest.
+# The usable force spectrum ends where the power is below this part of its maximum.
 _FAINT = 1e-2
 
-# Counts that a coarser converter takes for one, and how much larger the mean square then is of what it changes than
-# that of rounding to counts, a twelfth.
+# Step sizes of coarser converters, in counts, and the ratio of the mean square of the changes that they cause to the
+# mean square of the original rounding (1/12).
 _COARSER = ((2.0, 6.0), (3.0, 8.0))
-# Of fewer counts a coarser converter leaves next to nothing, unless noise, of half a count and more, lets no more than
-# this share of rounding be the same each time.
+# A coarser converter loses a signal of fewer counts, unless noise of at least half a count leaves no more than this
+# share of the rounding error reproducible.
 _FEWEST_COUNTS, _SAME = 6.0, 0.007
 
 
@@ -54,15 +54,15 @@ class Hits:
     channel: str
     """The force channel."""
     arrivals: tuple[tuple[int, int], ...]
-    """First and last sample in which the force channel holds each hit."""
+    """First and last sample of each hit in the force channel."""
     missed: tuple[Flaw, ...]
-    """Hits whose force is not where their marker is."""
+    """Hits whose force is outside their marker."""
     interval: int
-    """Samples from one hit to the next, at least; after the last, to the end."""
+    """Smallest number of samples from a hit to the next hit, or from the last hit to the end."""
 
     @classmethod
     def of(cls, rec: Recording) -> Hits:
-        """Find the hits that the test marked."""
+        """Locate the hits that the test marked."""
         channel = next((name for name, info in rec.channels.items() if info.quantity == "force"), None)
         if channel is None:
             raise RecordingError(
@@ -92,7 +92,7 @@ class Hits:
                     f"{raw:.3g} N elsewhere: the marker or the channel's delay is wrong"
                 )
                 missed.append(Flaw(begin, stop, channel, reason))
-            # A hammer that bounces hits again: what it then does belongs to the hit.
+            # Rebounds of the hammer are part of the hit.
             last = int(np.flatnonzero(force > max(_REBOUND * there, _NOISY * noise))[-1:].sum())
             spread = 2 * int(np.ceil(info.filter.get("delay", 0.0))) + 2
             windows.append((begin, min(max(end, begin + last + spread), stop - 1)))
@@ -100,27 +100,27 @@ class Hits:
         return cls(channel, tuple(arrivals), tuple(missed), interval)
 
     def inside(self, start: int, stop: int) -> list[tuple[int, int]]:
-        """Hits that a stretch holds whole."""
+        """List the hits that lie completely within a stretch."""
         return [(begin, end) for begin, end in self.arrivals if begin >= start and end < stop]
 
     def lead(self) -> int:
-        """Count the samples of rest to put in front of a stretch that begins at rest.
+        """Count the samples of rest to insert before a stretch that begins at rest.
 
-        So the hit comes long after the beginning, as does the end of the record, and what rings on at the end can
-        be separated from the response to the hit.
+        The hit is then far from both ends of the record, so that the residual vibration at the end can be separated
+        from the response to the hit.
         """
         return self.interval
 
     def moving(self, rec: Recording, names: Sequence[str], start: int, stop: int) -> float:
-        """Size of what moved or drifted before the first hit of a stretch, as a part of the response that follows.
+        """Estimate motion or drift before the first hit of a stretch, relative to the response that follows.
 
-        The largest of all channels; infinite if too little was recorded before the hit to say.
+        The largest value of all channels; infinite if the record before the hit is too short.
         """
         begin = self.inside(start, stop)[0][0]
         first = max(start, begin - int(REST * rec.rate))
         if begin - first < 4 or any(other < begin for other, _ in self.arrivals):
             return np.inf
-        # A short look sees little of a slow motion.
+        # A short interval shows only a small part of a slow motion.
         largest, seen = 0.0, min(1.0, (begin - first) / (REST * rec.rate))
         for name in names:
             reading = rec.read(name, first, min(begin + self.interval, stop))
@@ -130,10 +130,10 @@ class Hits:
         return largest
 
     def at_rest(self, moving: float, start: int, stop: int, samples: int) -> bool:
-        """Whether a stretch, among zeros up to so many samples, is taken as the response to its hits alone.
+        """Whether a stretch, zero-padded to `samples`, is treated as the response to its hits alone.
 
-        It is where hardly anything moved before them; and where one hit comes so soon that what moved before cannot be
-        separated from the response to it by how they change from line to line.
+        This is so if there was hardly any motion before the hits. It is also so if a hit is so close to the beginning
+        that the earlier motion cannot be separated from the response by their change from line to line.
         """
         if moving < _STILL:
             return True
@@ -141,7 +141,7 @@ class Hits:
         return bool(np.isfinite(moving) and len(inside) == 1 and 2 * SIDE * (inside[0][0] - start) < samples)
 
     def alone(self, rec: Recording, names: Sequence[str], block: Array, start: int, rest: bool) -> Array:
-        """Take the zero off all channels, and off the force all that is not a hit, high-passes included."""
+        """Subtract the zero of all channels; reduce the force to the hits and invert its high-pass filters."""
         inside = self.inside(start, start + block.shape[1])
         quiet = slice(max(inside[0][0] - start - int(REST * rec.rate), 0), max(inside[0][0] - start, 1))
         out = block - (block[:, quiet] if rest else block).mean(axis=1, keepdims=True)
@@ -150,7 +150,7 @@ class Hits:
         for begin, end in inside:
             first = begin - start
             before = block[row, max(first - int(REST * rec.rate), 0) : first]
-            # What was there before is the tail of earlier hits, which hardly changes while this one lasts.
+            # The mean before the hit is the tail of earlier hits, which is practically constant during this hit.
             piece = block[row, first:] - (before.mean() if before.size else 0.0)
             force[first:] += pulse_alone(rec.channels[self.channel], piece, 0, end - begin)
         out[row] = force
@@ -159,13 +159,13 @@ class Hits:
         return out
 
     def force_noise(self, rec: Recording, stretches: Sequence[tuple[int, int]], frequency: Array) -> Array:
-        """Variance of either quadrature component of the force, relative, for the noise in it while hits last.
+        """Relative variance of either quadrature component of the force, due to noise during the hits.
 
-        It is the same for all lines that a hit drives, so that no scatter from line to line shows it.
+        This error is common to all lines that a hit drives, so the scatter between lines does not show it.
         """
         power, noise = np.zeros(frequency.size), []
         info = rec.channels[self.channel]
-        # Rounding leaves a twelfth of a count squared, whether or not it shows before the hit.
+        # Rounding adds 1/12 count² even if it is not visible before the hit.
         least = 0.0 if info.volts_per_count is None else info.unit_per_count**2 / 12.0
         for start, stop in stretches:
             for begin, end in self.inside(start, stop):
@@ -174,7 +174,7 @@ class Hits:
                 turn = np.exp(-2j * np.pi / rec.rate * frequency[:, None] * np.arange(pulse.size))
                 power += abs(turn @ (pulse - before.mean() if before.size else pulse)) ** 2
                 if before.size > 2:
-                    # Differences from sample to sample know nothing of the tail of an earlier hit.
+                    # Differences between samples are insensitive to the tail of an earlier hit.
                     noise.append(pulse.size * max(float(np.mean(np.diff(before) ** 2)) / 2.0, least))
         return 0.5 * float(np.mean(noise)) / np.maximum(power, 1e-300) if noise else np.zeros(frequency.size)
 
@@ -188,27 +188,28 @@ class Hits:
         lines: NDArray[np.int64],
         side: int,
     ) -> Array:
-        """How far rounding to counts can change each channel's gain, relative, shape (channels, lines).
+        """Largest relative change of each channel's gain by rounding to counts, shape (channels, lines).
 
-        What follows a hit is read as the same counts after each equal hit, so that no averaging helps, and what is off
-        soon after it passes for response: of what has decayed to half a count nothing is read, and a tone of few counts
-        has harmonics. Coarser converters show how much: what readings differ by when they are rounded once more, to
-        every second and every third count. Noise of s counts lets ``exp(-2 pi^2 s^2)`` of this through (Widrow and
-        Kollár, as in `noise_gain`). Readings of too few counts to be rounded once more determine nothing: infinite.
+        Equal hits give equal counts, so averaging does not reduce the rounding error, and the error shortly after a
+        hit looks like a response. Decays below half a count are lost, and tones of few counts have harmonics. The
+        error is estimated by coarser converters: from the change of the readings when they are rounded again, to
+        every second and every third count. Noise of s counts reduces it by ``exp(-2 pi^2 s^2)`` (Widrow and Kollár,
+        as in `noise_gain`). The result is infinite for readings of too few counts to be rounded again.
 
         Parameters
         ----------
         blocks, spectra : sequences of ndarray
-            Of the stretches, shape (channels, samples), and with zeros before, shape (channels, bins).
+            Samples of the stretches, shape (channels, samples), and their zero-padded spectra, shape (channels,
+            bins).
         lines : ndarray of int
             Bins at which the response is estimated.
         side : int
-            Lines to either side that a fit takes in.
+            Lines on either side that a local fit uses.
         """
         count = counts_of(rec, names)[:, None]
         step = np.where(count > 0.0, count, 1.0)
         size = 2 * (spectra[0].shape[1] - 1)
-        # What is nearer to a hit than this, low polynomials cannot separate from the response to it.
+        # Low-order polynomials cannot separate errors closer to a hit than this from the response to it.
         near = int(size * (ORDER + 1) / side)
         power = np.sum([abs(each) ** 2 for each in spectra], axis=0)
         off, noise, most = np.zeros((len(_COARSER), *power.shape)), [], np.zeros(count.shape)
@@ -223,12 +224,13 @@ class Hits:
                 if quiet[0].size > 2:
                     noise.append(np.mean(np.diff(quiet, axis=1) ** 2, axis=1, keepdims=True) / 2.0)
         through = scattered(np.mean(noise, axis=0) / step**2 if noise else np.zeros(count.shape))
-        # From tooth to tooth of the comb that several hits leave, and no farther: peaks say nothing of valleys.
+        # Average over one tooth spacing of the comb spectrum of several hits and no farther: peaks do not represent
+        # valleys.
         teeth = 2 * -(-side // SIDE) + 1
         around = scipy.ndimage.uniform_filter1d(power, teeth, axis=1, mode="nearest")
         off = scipy.ndimage.uniform_filter1d(off, side, axis=2, mode="nearest").max(axis=0)
         with np.errstate(divide="ignore", invalid="ignore"):
-            # Of a normal error with two components the square is in 95 % of cases below three times its mean.
+            # The square of a normal error with two components is below three times its mean with 95 % probability.
             gain = (step * np.sqrt(3.0 * off / around))[:, lines]
         gain = np.where((most < _FEWEST_COUNTS) & (through > _SAME), np.inf, gain)
         return np.asarray(
@@ -236,11 +238,11 @@ class Hits:
         )
 
     def lowest_frequency(self, rec: Recording) -> float:
-        """Frequency in Hz below which the time between hits resolves nothing."""
+        """Lowest frequency in Hz that the time between hits resolves."""
         return 4.0 * rec.rate / self.interval
 
     def highest_frequency(self, rec: Recording) -> float:
-        """Frequency in Hz beyond which the hits no longer drive anything."""
+        """Highest frequency in Hz that the hits excite."""
         size = fft.next_fast_len(int(0.2 * rec.rate) + 64, real=True)
         power = np.zeros(size // 2 + 1)
         for begin, end in self.arrivals:
@@ -253,11 +255,11 @@ class Hits:
 
 
 def _faded_in(readings: Array, quiet: int) -> Array:
-    """Let readings begin softly: they rise in the first half of so many quiet samples in front of a hit.
+    """Fade readings in over the first half of the quiet samples before a hit.
 
-    Drift of an integrator that sets in at once is a step, whose spectrum falls more slowly than any displacement's: far
-    above the resonances it would be more than the response, and as even as that. In the half next to the hit a filter
-    may already show it.
+    A sudden onset of integrator drift is a step, whose spectrum decreases more slowly than that of a displacement.
+    Far above the resonances the step would exceed the response and look equally smooth. The second half is not
+    changed, because the hit may already appear there through a filter.
     """
     rise = quiet // 2
     slope = 0.5 - 0.5 * np.cos(np.pi * (np.arange(rise) + 0.5) / max(rise, 1))
@@ -265,7 +267,7 @@ def _faded_in(readings: Array, quiet: int) -> Array:
 
 
 def _amplitude(reading: Array) -> float:
-    """Amplitude of what moves or drifts in a reading; noise differs from sample to sample, motion hardly does."""
+    """Amplitude of motion or drift in a reading; noise is excluded because it differs from sample to sample."""
     noise = 0.5 * np.mean(np.diff(reading) ** 2)
     middle, few = reading.size // 2, _SURE / np.sqrt(reading.size)
     drift = abs(reading[:middle].mean() - reading[middle:].mean()) - 2.0 * few * np.sqrt(noise)

@@ -1,4 +1,4 @@
-"""Impact test: frequency responses from hits with a force-measuring hammer, taken whole or block by block."""
+"""Impact test: frequency responses from hits with an instrumented hammer, as a whole or block by block."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-# Part of a block in front of its hit.
+# The hit begins after this part (1/n) of a block.
 _LEAD = 50
-# What is left of a response at the end of a block leaks where it is more.
+# A larger residual response at the end of a block causes leakage that is reported.
 _LEFT_OVER = 0.02
 
 
 def whole(rec: Recording, channels: Sequence[str]) -> WholeStretches:
-    """Take all hits together, whatever rings from one into the next."""
+    """Process all hits together; the response to a hit may overlap the next hit."""
     hits = Hits.of(rec)
     return WholeStretches(
         tuple(channels),
@@ -46,7 +46,7 @@ def whole(rec: Recording, channels: Sequence[str]) -> WholeStretches:
 
 
 def _rounding(rec: Recording, hits: Hits, summed: CrossSpectra, starts: Sequence[int], size: int) -> Array:
-    """How far rounding to counts can change each channel's gain, shape (channels, lines)."""
+    """Largest relative change of each channel's gain by rounding to counts, shape (channels, lines)."""
     names, stretches = summed.channels, [(start, start + size) for start in starts]
     blocks = [np.stack([rec.read(name, *each) for name in names]) for each in stretches]
     blocks = [np.nan_to_num(block - np.nanmean(block, axis=1, keepdims=True)) for block in blocks]
@@ -63,9 +63,9 @@ def averages(
     Parameters
     ----------
     block : float, optional
-        Length of a block in s; omitted, the shortest time from a hit to the next, or to the end.
+        Length of a block in s; if omitted, the shortest time from a hit to the next hit, or to the end.
     window : str
-        Over each block, as `scipy.signal.get_window` names it.
+        Window of each block, by its name in `scipy.signal.get_window`.
     """
     hits = Hits.of(rec)
     begins = [begin for begin, _ in hits.arrivals]

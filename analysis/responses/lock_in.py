@@ -15,7 +15,7 @@ from rig.errors import RecordingError
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-# Samples multiplied at a time: they and the rows of the tones fit into the cache of a core.
+# Samples per matrix product; they and the rows of the tones fit into the cache of a core.
 _CACHED = 2048
 
 
@@ -28,20 +28,20 @@ class ToneFit:
     """x(t) = offset + slope t + sum_k Re(amplitude[:, k-1] e^{i k w t}), t counted from the window's first
     sample; complex, shape (channels, harmonics)."""
     parts: ComplexArray
-    """The fundamental of each part of the window; their scatter gives the error of `amplitude`; complex,
+    """Fundamental of each part of the window; the scatter of the parts determines the error of `amplitude`; complex,
     shape (parts, channels)."""
     residual: Array
     """Root mean square of the residual; shape (channels,)."""
 
     def scatter(self) -> ComplexArray:
-        """Factor of the fundamentals' covariance from the scatter of the parts, shape (parts, channels)."""
+        """Compute the square-root factor of the fundamentals' covariance from the parts, shape (parts, channels)."""
         count = len(self.parts)
         if count < 2:
             return np.full(self.parts.shape, np.nan, dtype=complex)
         return np.asarray((self.parts - self.parts.mean(axis=0)) / np.sqrt((count - 1.0) * count))
 
     def distortion(self) -> Array:
-        """Total harmonic distortion of each channel: harmonics' root sum of squares over the fundamental."""
+        """Total harmonic distortion of each channel: root sum of squares of the harmonics over the fundamental."""
         size = abs(self.amplitude)
         return np.sqrt((size[:, 1:] ** 2).sum(axis=1)) / size[:, 0]
 
@@ -61,10 +61,10 @@ class _Part:
 
 
 class LockIn:
-    """Lock-in on one frequency, fed part by part.
+    """Lock-in detection at one frequency, with samples added part by part.
 
-    All parts are fitted together, and each part's deviation from the fit is kept for the scatter; nothing
-    but the normal equations is stored, so a window of any length costs the same memory.
+    All parts have a common fit; the deviation of each part from it determines the scatter. Only the normal equations
+    are stored, so the memory does not depend on the length of the window.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ class LockIn:
                 f"a tone of {frequency:.6g} Hz is not resolved by {rate:.6g} samples a second; expected "
                 f"a recording made with converter: {{rate: ...}} well above {2.0 * frequency:.6g} Hz"
             )
-        # Higher harmonics that would fold back onto lower ones are left out of the fit.
+        # The fit excludes higher harmonics that would alias onto lower harmonics.
         harmonics = max(1, min(harmonics, int(np.ceil(rate / (2.0 * frequency))) - 1))
         self.frequency = frequency
         self.rate = rate
@@ -101,7 +101,7 @@ class LockIn:
         self._samples = 0
 
     def add(self, samples: Array) -> None:
-        """Take the next part of the window, shape (channels, samples); parts follow without a gap."""
+        """Add the next part of the window, shape (channels, samples); parts are contiguous."""
         length = samples.shape[1]
         projection = np.zeros((2 * self.harmonics + 2, len(samples)))
         for start, turn, basis in self._pieces(length):
@@ -151,15 +151,15 @@ class LockIn:
         return self._grams[length]
 
     def _pieces(self, length: int) -> Iterator[tuple[int, Array, Array]]:
-        """Yield where each piece of a part begins, its rows, and the matrix that makes the part's rows of them.
+        """Yield the beginning of each piece of a part, its rows, and the matrix from these to the rows of the part.
 
-        A piece's rows are the same wherever it is, but for the slope and a turn of each tone: a part of any length is
-        known by those of one piece.
+        The rows of all pieces are equal except for the slope and a rotation of each tone. The rows of a single piece
+        are therefore sufficient for a part of any length.
         """
         for start in range(0, length, _CACHED):
             size = min(_CACHED, length - start)
             turn = np.eye(2 * self.harmonics + 2)
-            # The part's slope runs from -1 to 1, a piece's by 1 for each sample.
+            # The slope of a part ranges from -1 to 1; that of a piece increases by 1 per sample.
             step = 2.0 / max(length - 1, 1)
             turn[1, :2] = start * step - 1.0, step
             self._rotate(turn, start)
@@ -181,7 +181,7 @@ class LockIn:
         return self._basis[size]
 
     def _rotate(self, matrix: Array, first: int) -> None:
-        """Set the blocks of the tones in a matrix that makes their rows at a sample of those at the first one."""
+        """Set the rotation blocks of the tones, from their rows at the first sample to those at another sample."""
         order = np.arange(1, self.harmonics + 1)
         angle = 2 * np.pi * np.fmod(order * self.frequency * first / self.rate, 1.0)
         cos, sin, at = np.cos(angle), np.sin(angle), 2 * order
@@ -191,12 +191,12 @@ class LockIn:
     def _to_local(self, first: int, length: int) -> Array:
         """Matrix from the coefficients of the whole window to those of a part from sample `first` on."""
         matrix = np.zeros((2 * self.harmonics + 2,) * 2)
-        # The window's slope runs from 0 by 1 for all its samples; a part's runs from -1 to 1.
+        # The slope of the window begins at 0 and increases by 1 per sample; that of a part ranges from -1 to 1.
         matrix[0, 0] = 1.0
         matrix[0, 1] = (first + (length - 1) / 2) / self._samples
         matrix[1, 1] = (length - 1) / 2 / self._samples
         self._rotate(matrix, first)
-        # Coefficients turn the other way than the rows that they belong to.
+        # Coefficients rotate in the opposite direction to their rows.
         matrix[2:, 2:] = matrix[2:, 2:].T.copy()
         return matrix
 
@@ -206,8 +206,8 @@ def parts_of_whole_periods(
 ) -> list[tuple[int, int]]:
     """Split the window ``[first, last)`` into at most `most` parts of the same whole number of periods each.
 
-    What is left at the end, less than a part, is given up. Bounds are rounded to samples. A window of less
-    than one period is one part.
+    A remainder shorter than a part is discarded. Bounds are rounded to samples. A window shorter than one period is a
+    single part.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""From channels to mechanical quantities: true motion of a point, force in the coil spring."""
+"""Mechanical quantities from channels: true motion of a point, force in the coil spring."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def named(rec: Recording, name: str) -> ChannelInfo:
-    """Channel called `name`, or the one that sits there (``"body 3"``, ``"arm"``, ``"table"``)."""
+    """Return the channel called `name`, or the channel at that position (``"body 3"``, ``"arm"``, ``"table"``)."""
     channels, places = rec.channels, [info.at for info in rec.channels.values()]
     if name in channels:
         return channels[name]
@@ -37,7 +37,7 @@ def named(rec: Recording, name: str) -> ChannelInfo:
 
 
 def body_names(rec: Recording) -> tuple[str, ...]:
-    """Names of the bodies in a recording's scene; empty where they have none, or there is no scene."""
+    """Names of the bodies in a recording's scene; empty if they have no names or there is no scene."""
     try:
         return rec.scene.structure.names or ()
     except RecordingError:
@@ -45,7 +45,7 @@ def body_names(rec: Recording) -> tuple[str, ...]:
 
 
 def chosen(rec: Recording, channels: Sequence[str] | str | None) -> list[str]:
-    """Channels that a user chose, by name or body; without a choice all that measure a body's motion."""
+    """Return the channels selected by name or body; by default all channels that measure a body's motion."""
     if not channels:
         return responses(rec)
     names = [channels] if isinstance(channels, str) else channels
@@ -55,7 +55,7 @@ def chosen(rec: Recording, channels: Sequence[str] | str | None) -> list[str]:
 
 
 def located(rec: Recording, place: str) -> ChannelInfo | None:
-    """First motion channel at a place (``"body 1"``, ``"table"``), or none."""
+    """Return the first motion channel at a position (``"body 1"``, ``"table"``), or None."""
     for info in rec.channels.values():
         if info.at == place and info.quantity in MOTIONS:
             return info
@@ -73,19 +73,19 @@ def responses(rec: Recording) -> list[str]:
 class Measurand:
     """A mechanical quantity as a weighted sum of channels."""
 
-    channels: tuple[str, ...]  # The channels it is made of
+    channels: tuple[str, ...]  # Channels that are summed
     weights: tuple[float, ...]
     """Factor of each channel's true quantity."""
     motion: str
-    """What is taken of each channel: displacement, velocity, acceleration or force."""
+    """Quantity of each channel: displacement, velocity, acceleration or force."""
 
     def row(
         self, rec: Recording, names: Sequence[str], frequency: NDArray[np.float64]
     ) -> NDArray[np.complex128]:
-        """Weights to apply to the recorded amplitudes of `names`, shape (channels, frequencies).
+        """Compute the weights of the recorded amplitudes of `names`, shape (channels, frequencies).
 
-        Each channel is divided by what its sensor, amplifier and converter do at that frequency, and
-        brought to the wanted derivative.
+        Each channel is divided by the response of its sensor, amplifier and converter at that frequency, and
+        converted to the requested derivative.
         """
         out = np.zeros((len(names), frequency.size), dtype=complex)
         for name, weight in zip(self.channels, self.weights, strict=True):
@@ -99,7 +99,7 @@ class Measurand:
 
 
 def motion_channel(rec: Recording, name: str) -> ChannelInfo:
-    """Channel called `name`, which must measure motion."""
+    """Return the channel called `name`, which must measure motion."""
     info = named(rec, name)
     if info.quantity not in MOTIONS:
         raise RecordingError(
@@ -110,14 +110,14 @@ def motion_channel(rec: Recording, name: str) -> ChannelInfo:
 
 
 def motion_of(rec: Recording, name: str, motion: str = "displacement") -> Measurand:
-    """Motion at the channel called `name`."""
+    """Return the motion at the channel called `name`."""
     return Measurand((motion_channel(rec, name).name,), (1.0,), motion)
 
 
 def reference_of(rec: Recording, reference: str) -> Measurand:
-    """Force on the structure, or displacement of the shaker table.
+    """Return the force on the structure, or the displacement of the shaker table.
 
-    The force is that of a force channel where there is one; else that of the coil spring,
+    The force is that of a force channel if there is one, otherwise that of the coil spring,
     F1 = k0 (x0 - x1), from the channels on the table and on the driven body.
     """
     if reference == "table":
@@ -162,12 +162,12 @@ def reference_of(rec: Recording, reference: str) -> Measurand:
 
 
 def input_place(rec: Recording, reference: str) -> str:
-    """Say where a reference acts: the driven body, or bodies; nothing for the table, which is its own place."""
+    """Name the driven body or bodies of a reference; empty for the table."""
     return " and ".join(_body(rec, number) for number in rec.scene.force_on) if reference == "force" else ""
 
 
 def place(rec: Recording, channel: str) -> str:
-    """Say on which body a channel is."""
+    """Name the body on which a channel is mounted."""
     at = rec.channels[channel].at
     return _body(rec, int(at.removeprefix("body "))) if at.startswith("body ") else at
 
@@ -177,7 +177,7 @@ def _body(rec: Recording, number: int) -> str:
 
 
 def concerned(rec: Recording, responses: Sequence[str], reference: str) -> list[str]:
-    """Name the channels that some responses and their reference are made of."""
+    """Name the channels of some responses and of their reference."""
     made_of = [motion_of(rec, name).channels for name in responses]
     return list(
         dict.fromkeys(name for names in (*made_of, reference_of(rec, reference).channels) for name in names)
@@ -185,7 +185,7 @@ def concerned(rec: Recording, responses: Sequence[str], reference: str) -> list[
 
 
 def driven(reference: str, amplitude: NDArray[np.generic]) -> None:
-    """Refuse a reference that is nothing throughout: there is no response to nothing."""
+    """Reject a reference that is zero at all lines, because the response is then undefined."""
     if not np.any(np.abs(amplitude) > 0):
         what = "force on the structure" if reference == "force" else "displacement of the table"
         raise RecordingError(

@@ -40,15 +40,16 @@ LIFTED = (
     "linear approximation for it, and what they change alike in every realisation is in no error bar; steady tones of "
     "another amplitude (stepped sine) give another curve."
 )
-# Largest value of a sum of tones over its root mean square, at most that of their amplitudes in one instant.
+# Assumed crest factor of a sum of tones, limited by the sum of their amplitudes.
 _CREST = 4.0
-# Share of the lines, and by how much more than noise and relative to the mean they must scatter, to be a distortion.
+# Distortion is detected if at least this share of the lines scatters by this multiple of the noise, and by this share
+# of the mean.
 _SHARE, _BEYOND, _SEEN = 0.2, 3.0, 2e-3
 
 
 @dataclass(frozen=True)
 class BestLinearApproximation:
-    """What the periods and the realisations of a multisine say."""
+    """Best linear approximation from the periods and realisations of a multisine."""
 
     total: Lines
     """Mean over realisations with their scatter: noise and nonlinear distortion together."""
@@ -59,13 +60,13 @@ class BestLinearApproximation:
     def frf(
         self, rec: Recording, response: str, reference: str = "force", motion: str = "displacement"
     ) -> Response:
-        """Best linear approximation, its error bars holding noise and nonlinear distortion."""
+        """Estimate the best linear approximation; the error bars contain noise and nonlinear distortion."""
         return self.total.frf(rec, response, reference, motion)
 
     def distortion(self, rec: Recording, response: str, reference: str = "force") -> Array:
         """Estimate the nonlinear distortion in one realisation, as a standard deviation of the receptance.
 
-        Zero where the realisations scatter no more than noise explains. Needs several realisations [1]_.
+        Zero where noise explains the scatter of the realisations. Requires several realisations [1]_.
 
         References
         ----------
@@ -86,20 +87,19 @@ def best_linear_approximation(
 ) -> BestLinearApproximation:
     """Average over periods, then over realisations.
 
-    Each realisation's spectra are turned back by the phase of its own reference, so that they can be
-    averaged; what then still scatters from realisation to realisation, beyond the noise seen from period
-    to period, is the nonlinear distortion.
+    The spectra of each realisation are rotated by the phase of its own reference before averaging. The remaining
+    scatter between realisations, beyond the noise between periods, is the nonlinear distortion.
 
     Parameters
     ----------
     markers : sequence of daq.recording.markers.Marker
-        Its ``measure`` markers, one per realisation.
+        The ``measure`` markers of the test, one for each realisation.
     names : sequence of str
         Names of the channels to average.
     reference : {'force', 'table'}
-        The reference that the phases are taken from.
+        Reference whose phases are used.
     progress : callable, optional
-        Called with (realisations done, realisations in all).
+        Called with (realisations done, total number of realisations).
     """
     found = [_realisation(rec, names, marker, reference) for marker in markers]
     if progress is not None:
@@ -118,13 +118,13 @@ def best_linear_approximation(
     unsettled = np.mean([one.remainder for one in kept], axis=0)
     counts = counts_of(rec, names)
     samples = rec.rate / (frequency[1] - frequency[0]) if frequency.size > 1 else rec.rate / frequency[0]
-    # Rounding to counts looks like noise of a twelfth of a count squared, 95 % of whose amplitudes at a line are within
-    # this. Where noise of s counts comes with it, only so much of it is the same in every period, which no scatter
-    # shows.
+    # Rounding to counts resembles noise of 1/12 count², of which 95 % of the amplitudes at a line are below this
+    # limit. With additional noise of s counts, only a part of it is equal in every period and therefore absent from
+    # the scatter.
     scatter = np.mean([one.scatter for one in kept], axis=0) / np.where(counts > 0.0, counts, 1.0) ** 2
     same = scattered(scatter)
     amplitude: Array = np.abs(centre)
-    # Of the amplitudes at all lines; at worst a resonance makes a tone of them.
+    # From the amplitudes at all lines; in the worst case a resonance reduces the reading to a single tone.
     gain = np.minimum(tone_gain(in_counts(rec, names, np.sum(amplitude**2, axis=1) / 2.0)), 0.5)
     rounding = same[:, None] * (counts[:, None] / np.sqrt(samples) + gain[:, None] * amplitude)
     base = Lines(
@@ -147,7 +147,7 @@ def best_linear_approximation(
 
 
 def _not_yet(rec: Recording, total: Lines, reference: str) -> str:
-    """Say whether dampers did nothing, and from which force on a steady tone lifts one: its body then reaches g."""
+    """Report if no damper moved, and the force at which a steady tone lifts a damper (body at 1 g)."""
     least = [(np.inf, np.nan)]
     for body in {damper.body for damper in rec.scene.dampers if not damper.locked}:
         info = located(rec, f"body {body}")
@@ -168,20 +168,20 @@ def _not_yet(rec: Recording, total: Lines, reference: str) -> str:
 
 
 def _force(rec: Recording, total: Lines) -> Array:
-    """Give the amplitudes of the force, N; shape (lines,)."""
+    """Return the amplitudes of the force, N; shape (lines,)."""
     row = reference_of(rec, "force").row(rec, total.channels, total.frequency)
     return np.asarray(abs(np.sum(row * total.mean, axis=0)))
 
 
 def _largest(amplitudes: Array) -> float:
-    """Give the largest value of tones of some amplitudes and any phases, as far as one may expect it."""
+    """Estimate the peak value of a sum of tones with random phases."""
     rms = np.sqrt(np.sum(np.square(amplitudes)) / 2.0)
     return float(min(_CREST * rms, amplitudes.sum()))
 
 
 @dataclass(frozen=True)
 class _Realisation:
-    """What the periods of one realisation say; none are counted where too few of them are whole."""
+    """Averages of the periods of one realisation; without periods if too few are complete."""
 
     frequency: Array
     periods: int
@@ -207,7 +207,7 @@ class PeriodSpectra:
 
 
 def period_spectra(rec: Recording, names: Sequence[str], marker: Marker) -> PeriodSpectra:
-    """Transform the periods in which nothing was overloaded or lost; none if these are fewer than two."""
+    """Transform the periods without overload or lost samples; empty if there are fewer than two."""
     number = marker.fields["realisation"]
     size, periods = int(marker.fields["period"]), int(marker.fields["periods"])
     low, high = marker.fields["lines"]
@@ -250,16 +250,16 @@ def _realisation(rec: Recording, names: Sequence[str], marker: Marker, reference
 
 
 def _without_drift(periods: Array, numbers: NDArray[np.int64]) -> Array:
-    """Take off each period the ramp by which its mean drifts.
+    """Subtract the linear drift of the mean from each period.
 
-    Noise may hide at every line what a bias that settles slowly changes there from period to period, and yet all these
-    changes together put the line off.
+    A slowly settling bias changes each line from period to period. Noise may hide these changes although their sum is
+    a significant error of the line.
 
     Parameters
     ----------
     periods : ndarray, shape (periods, channels, samples)
     numbers : ndarray of int, shape (periods,)
-        Which of the realisation's periods they are.
+        Numbers of these periods within the realisation.
     """
     slopes = np.gradient(periods.mean(axis=2), numbers, axis=0, edge_order=2 if len(numbers) > 2 else 1)
     return np.asarray(periods - slopes[:, :, None] * np.linspace(-0.5, 0.5, periods.shape[2]))

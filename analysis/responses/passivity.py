@@ -1,6 +1,6 @@
-"""Direction of energy at the driving point: a passive structure takes energy from the force that drives it.
+"""Direction of power flow at the driving point: a passive structure absorbs power from the driving force.
 
-The mobility at the driving point has a positive real part at every frequency, the power that the force supplies; see
+The real part of the driving-point mobility is positive at every frequency, because the force supplies power; see
 `daq.importing.driving_power`.
 """
 
@@ -13,17 +13,17 @@ import numpy as np
 from daq.importing.driving_power import returns_energy
 from rig.results.response import Response
 
-# Points count whose bound is a smaller share of their magnitude.
+# Only points with a smaller relative bound are evaluated.
 _KNOWN_SHARE = 0.3
 
 
 def reversed_force(curves: Sequence[Response]) -> str:
-    """Warn if the force gains energy from the structure at the driving point; empty if it does not.
+    """Warn if the force absorbs power from the structure at the driving point; empty otherwise.
 
     Parameters
     ----------
     curves : sequence of Response
-        Responses to one force, measured together; those elsewhere than at the force do not count.
+        Responses to one force, measured together; only those at the driving point are evaluated.
     """
     wrong = [curve for curve in curves if curve.is_driving_point and takes_energy(curve)]
     if not wrong:
@@ -37,7 +37,7 @@ def reversed_force(curves: Sequence[Response]) -> str:
 
 
 def takes_energy(curve: Response) -> bool:
-    """Whether the reference takes energy from the structure at the resonances of a driving-point response."""
+    """Whether the reference absorbs power from the structure at the resonances of a driving-point response."""
     mobility = curve.to("velocity").sorted()
     size = abs(mobility.value)
     known = np.isfinite(size) & (size > 0.0) & (np.nan_to_num(mobility.bound()) < _KNOWN_SHARE * size)

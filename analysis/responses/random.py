@@ -19,15 +19,14 @@ if TYPE_CHECKING:
     from daq.recording.markers import Marker
     from daq.recording.recording import Recording
 
-# Blocks by default: enough for error bars of some 10 % at a coherence of 0.7, with the finest resolution
-# left.
+# Default number of blocks: error bars of about 10 % at a coherence of 0.7, with the finest possible resolution.
 DEFAULT_BLOCKS = 30
-# A burst's response counts as over when this part of it is left at the block's end.
+# The response to a burst has decayed if less than this part of it remains at the end of the block.
 _LEFT_OVER = 0.02
 
 
 def whole(rec: Recording, marker: Marker, channels: Sequence[str]) -> WholeStretches:
-    """Take a random test whole, bursts and all."""
+    """Process a random test as a whole, bursts included."""
     low, high = float(marker.fields["from"]), float(marker.fields["to"])
     stop = min(rec.samples, rec.samples if marker.last_sample is None else marker.stop)
     bursts = None
@@ -56,20 +55,20 @@ def averages(
     Parameters
     ----------
     marker : daq.recording.markers.Marker
-        Its ``measure`` marker.
+        The ``measure`` marker of the test.
     channels : sequence of str
         Names of the channels to average.
     block : float, optional
-        Length of a block in s. Omitted: what gives about 30 averages; for bursts, the burst's own block.
+        Length of a block in s. If omitted, the length for about 30 averages, or the block of the bursts.
     overlap : float
-        Part of a block that it shares with the next, 0 to below 1. Bursts do not overlap.
+        Overlap of successive blocks, from 0 to below 1, as a fraction of the block. Bursts do not overlap.
     forgetting : float, optional
-        Weight of each block relative to the one after it, above 0 and below 1: exponential averaging, for a
-        structure that changes. Omitted: linear averaging.
+        Weight of each block relative to the next block, between 0 and 1: exponential averaging, for a structure that
+        changes. Linear averaging if omitted.
     progress : callable, optional
-        Called with (blocks done, blocks in all).
+        Called with (blocks done, total number of blocks).
     window : str
-        Over each block, as `scipy.signal.get_window` names it; bursts take none.
+        Window of each block, by its name in `scipy.signal.get_window`; bursts have no window.
     """
     if not 0.0 <= overlap < 1.0:
         raise SceneError(f"overlap of {overlap:g}: expected 0 or more, below 1")

@@ -1,8 +1,8 @@
 """Random errors of the responses of one test: their covariance over outputs at each line, and from line to line.
 
-All responses are divided by one reference, whose noise changes all of them by the same share of themselves; and
-neighbouring lines of a local fit rest on the same bins. Both decide how far the parameters of a model fitted to many
-lines scatter. Errors are linear in those of the readings, so they are propagated from there [1]_.
+All responses are divided by the same reference, whose noise causes equal relative errors in all of them. Neighbouring
+lines of a local fit use the same bins. Both correlations determine the scatter of the parameters of a model fitted to
+many lines. The errors are propagated to first order from those of the readings [1]_.
 
 References
 ----------
@@ -25,16 +25,16 @@ from rig.results.uncertainty import LineCovariance, Lines, RandomErrors
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-# Widths of a local fit over which noise of one kind is taken for even.
+# Widths of a local fit over which the noise level is assumed constant.
 _EVEN_WIDTHS = 5
-# Rounds of weighting by which the kinds of noise are separated.
+# Iterations of the weighted fit that separates the kinds of noise.
 _ROUNDS = 4
 # Least noise of a response, as a share of the residual of a local fit.
 _LEAST = 1e-6
-# Stands for no power, but has a square.
+# Replaces zero power; its square does not underflow to zero.
 _NOTHING = 1e-40
-# Share of each variance that responses do not have in common: errors of second order, and a covariance of few
-# averages. Tuned on chains with 3 % of noise in the reference: with 0.1 %, values scattered by twice their bounds.
+# Share of each variance that is uncorrelated between responses, due to errors of second order and covariances of few
+# averages. Tuned on chains with 3 % of noise in the reference; a share of 0.1 % gave a scatter of twice the bounds.
 _SHRUNK = 0.05
 
 
@@ -60,7 +60,7 @@ class MeanErrors:
         return replace(self, weights=self.weights * factor[:, None, None])
 
     def joined(self, others: Sequence[RandomErrors]) -> MeanErrors | None:
-        """Errors of these and other elements."""
+        """Join the errors of these and other elements."""
         same = [
             each for each in others if isinstance(each, MeanErrors) and each.means.shape == self.means.shape
         ]
@@ -69,14 +69,14 @@ class MeanErrors:
         return replace(self, weights=np.concatenate([self.weights, *(each.weights for each in same)], axis=1))
 
     def covariance(self, error: Array, shared: float) -> LineCovariance:
-        """Covariance over elements, with the stated variances: those hold what the lines around say of theirs."""
+        """Compute the covariance over elements; the stated variances include information from neighbouring lines."""
         lines = np.einsum("kai,kij,kcj->kac", self.weights, self.means, self.weights.conj(), optimize=True)
         return LineCovariance(_shrunk(_with_variances(lines, error)), shared)
 
 
 @dataclass(frozen=True)
 class MatrixErrors:
-    """Errors of all elements of a matrix, by their covariance at each line."""
+    """Errors of all elements of a matrix, given by their covariance at each line."""
 
     lines: ComplexArray
     """Shape (lines, elements, elements)."""
@@ -94,10 +94,10 @@ class MatrixErrors:
         return MatrixErrors(self.lines * np.square(abs(factor))[:, None, None])
 
     def joined(self, others: Sequence[RandomErrors]) -> None:
-        """Give nothing: how they depend on other elements is not known."""
+        """Return None, because the correlation with other elements is unknown."""
 
     def covariance(self, error: Array, shared: float) -> LineCovariance:
-        """Covariance over elements, with the stated variances."""
+        """Compute the covariance over elements, with the stated variances."""
         return LineCovariance(_shrunk(_with_variances(self.lines, error)), shared)
 
 
@@ -106,7 +106,8 @@ class LocalErrors:
     """Errors of local fits to spectra: sums over bins, of which neighbouring lines share most."""
 
     influence: ComplexArray
-    """Of the error at each bin of the reading on the response; shape (lines, elements, stretches, width)."""
+    """Influence of the error at each bin of the reading on the response; shape (lines, elements, stretches,
+    width)."""
     first: NDArray[np.int64]
     """First bin of each line's fit; shape (lines,)."""
     residual: ComplexArray
@@ -118,13 +119,13 @@ class LocalErrors:
     free: float
     """Complex degrees of freedom of each fit."""
     used: float
-    """Share of the samples behind the spectra that was measured, as in `local_fit`."""
+    """Measured share of the samples of the spectra, as in `local_fit`."""
     one_reference: bool
-    """Whether one channel alone is the reference, and not part of the response."""
+    """Whether the reference is a single channel that is not part of the response."""
     common: ComplexArray
-    """Error that all lines have alike, one standard deviation in either quadrature; shape (lines, elements)."""
+    """Error common to all lines, as a standard deviation of either quadrature; shape (lines, elements)."""
     shared: float = 1.0
-    """Number of neighbouring lines that have one error although their bins are different."""
+    """Number of neighbouring lines with a common error although their bins are different."""
 
     def _change(self, change: Any, *names: str) -> LocalErrors:
         return replace(self, **{name: change(getattr(self, name)) for name in names})
@@ -148,7 +149,7 @@ class LocalErrors:
         )
 
     def joined(self, others: Sequence[RandomErrors]) -> LocalErrors | None:
-        """Errors of these and other elements."""
+        """Join the errors of these and other elements."""
         same = [self]
         for each in others:
             if not (
@@ -165,7 +166,7 @@ class LocalErrors:
         return replace(self, **parts, one_reference=all(each.one_reference for each in same))
 
     def covariance(self, error: Array, shared: float) -> LocalCovariance:
-        """Covariance over elements and lines, from the residuals around each line."""
+        """Estimate the covariance over elements and lines, from the residuals around each line."""
         count, elements = self.common.shape
         residual = self.residual.reshape(count, elements, -1)
         power = residual @ residual.conj().swapaxes(1, 2) / self.free
@@ -187,7 +188,7 @@ class LocalErrors:
         lines = np.einsum("kasw,kwac,kcsw->kac", self.influence, around, self.influence.conj(), optimize=True)
         lines = lines / self.used + 2.0 * self.common[:, :, None] * self.common[:, None].conj()
         if share is None:
-            # Where noise of a known size passes through the fit, residuals show too little of it.
+            # The fit follows part of the noise of known power, so the residuals underestimate it.
             stated, own = 2.0 * error**2, np.einsum("kaa->ka", lines).real
             more = np.sqrt(np.maximum(1.0, np.divide(stated, own, out=np.ones_like(own), where=own > 0.0)))
             lines = lines * more[:, :, None] * more[:, None]
@@ -202,9 +203,9 @@ class LocalCovariance:
     shared: float
     errors: LocalErrors
     noise: ComplexArray
-    """Of the readings; shape (bins, elements, elements)."""
+    """Covariance of the readings; shape (bins, elements, elements)."""
     reference: Array | None
-    """Noise in the reference as a share of its power, shape (lines,); None where it is not estimated."""
+    """Noise in the reference as a share of its power, shape (lines,); None if it is not estimated."""
 
     def at(self, lines: Lines) -> LocalCovariance:
         """Select some lines."""
@@ -225,7 +226,7 @@ class LocalCovariance:
         )
 
     def of_sums(self, weights: ComplexArray) -> Array:
-        """Covariance of weighted sums over lines and elements."""
+        """Compute the covariance of weighted sums over lines and elements."""
         from scipy.sparse import csr_array
 
         errors = self.errors
@@ -268,15 +269,15 @@ def _kinds_of_noise(
 ) -> tuple[Array, Array, Array]:
     """Separate noise of the reference, common to all responses, from that of each response.
 
-    Weighted least squares of the residuals of local fits, over lines around each line: the cross-powers of residuals
-    are those of the curves times the noise of the reference, plus that of each response.
+    Weighted least squares on the residuals of local fits, over the lines around each line. The cross-powers of the
+    residuals are those of the curves times the noise of the reference, plus the noise of each response.
 
     Returns
     -------
     reference : ndarray, shape (lines,)
     own : ndarray, shape (lines, responses)
     share : ndarray, shape (lines,)
-        Of the reference's power that is noise.
+        Noise share of the reference power.
     """
     lines, _, width = curve.shape
     step = float(np.median(np.diff(centre))) if lines > 1 else 1.0

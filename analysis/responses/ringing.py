@@ -1,8 +1,8 @@
-"""Residual free vibration of the previous step in the window of a held tone.
+"""Residual free vibration of the previous step in the measurement window of a tone.
 
-Noise in the windows hides a transient that decays slowly and hardly beats with the tone. The response itself gives its
-rate: around each point it is fitted by a quotient of two polynomials in frequency (Levy 1959), whose poles are those
-of the resonances nearby.
+Noise in the windows may hide a transient that decays slowly and is close to the frequency of the tone. The transient
+is therefore predicted from the response. Around each point, a quotient of two polynomials in frequency is fitted to
+the response (Levy 1959); its poles are the poles of the neighbouring resonances.
 """
 
 from __future__ import annotations
@@ -14,41 +14,42 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-# Points of a local fit of up to two poles, and of one of a single pole.
+# Number of points of a local fit with two poles, and with a single pole.
 _POINTS, _FEWEST_POINTS = 7, 3
-# What a pole more would explain of less than this part of the response dies away as the rest does.
+# A further pole is omitted if it explains less than this part of the response.
 _ALIKE = 1e-3
-# A pole nearer to a point than its step over this is lost between points.
+# The spacing of points must be below this multiple of the distance to a pole to resolve it.
 _FINE = 1.5
-# A resonance farther off than so many of its half-widths beats with the tone, which the window itself shows.
+# A resonance at a distance of more half-widths than this beats with the tone, which is visible in the window itself.
 _NEAR = 4.0
-# A change by less than so many standard errors, or than this part of the response, may be noise or rounding.
+# A change below this number of standard errors, or below this part of the response, may be noise or rounding.
 _NOISE_SIGMAS, _ROUNDING = 4.0, 1e-9
-# The next tone is taken up over part of a window, and the motion rings freely after it.
+# The transition to the next tone takes this part of a window; the free vibration begins after it.
 _TAKEN_UP = 0.5
 
 
 def ringing(value: ComplexArray, frequency: Array, waited: Array, lasted: Array, error: Array) -> Array:
-    """Largest deviation of each point of a response by the residual free vibration of the previous step.
+    """Compute the largest deviation of each point of a response by residual free vibration of the previous step.
 
-    A free vibration at the pole s begins as the difference c of the pole's shares in the two steady motions. It shifts
-    the mean over a window of length L by ``c exp(Re(s) t) |exp(l L) - 1| / |l L|`` after a wait t, with l = s - i w.
+    The initial value of a free vibration at the pole s is the difference c of the pole's contributions to the two
+    steady responses. It shifts the mean over a window of length L by ``c exp(Re(s) t) |exp(l L) - 1| / |l L|`` after
+    a wait t, with l = s - i w.
 
     Parameters
     ----------
     value : ndarray of complex, shape (n,)
-        Response at one point after the other, as measured.
+        Response at the points, in the order of measurement.
     frequency : ndarray, shape (n,)
         Hz.
     waited, lasted : ndarray, shape (n,)
-        From the end of the window before to the begin of each, and length of each; s.
+        Time from the end of the previous window to the beginning of each window, and length of each window; s.
     error : ndarray, shape (n,)
         Standard deviation of `value`.
 
     Returns
     -------
     ndarray, shape (n,)
-        0 where the points lie too far apart to resolve a resonance, or none is near.
+        0 where there is no resonance, or where the spacing of the points is too large to resolve it.
 
     Examples
     --------
@@ -86,9 +87,9 @@ def ringing(value: ComplexArray, frequency: Array, waited: Array, lasted: Array,
 def _local_poles(
     value: ComplexArray, omega: Array, middle: float, least: float
 ) -> tuple[ComplexArray, ComplexArray]:
-    """Poles s, rad/s, and residues of a response near a point: it contains ``residue / (i w - s)``.
+    """Estimate poles s, rad/s, and residues of a response near a point; it contains ``residue / (i w - s)``.
 
-    There are as few poles as leave no more than `least` of it.
+    The number of poles is the smallest for which the residual does not exceed `least`.
     """
     half, size = 0.5 * np.ptp(omega), float(abs(value).max())
     at, read = (omega - middle) / half, value / size

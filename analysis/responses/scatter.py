@@ -1,8 +1,8 @@
 """Scatter of a mean of several channels, as a square-root factor of its covariance.
 
-A variance formed as a quadratic form ``w C w*`` comes out negative by rounding where the covariance C has a null
-space, as that of two averages of four channels. From the factor it is a sum of squares. Variances of few degrees of
-freedom are moderated by those of the lines around [1]_: by chance some of them are next to nothing.
+A variance computed as a quadratic form ``w C w*`` may be negative by rounding if the covariance C has a null space,
+for example that of two averages of four channels. Computed from the factor, it is a sum of squares. Variances with
+few degrees of freedom may be close to zero by chance; they are moderated by those of neighbouring lines [1]_.
 
 References
 ----------
@@ -22,9 +22,9 @@ from scipy import special
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-# Ratios of variances beyond this say that one of them has no noise at all.
+# Larger ratios of variances mean that one of the two has no noise.
 _LARGEST_RATIO = 1e30
-# Steps of Newton's method for the inverse of the trigamma function, which converges from below.
+# Iterations of Newton's method for the inverse of the trigamma function, which converges from below.
 _STEPS = 20
 
 
@@ -39,7 +39,7 @@ class Scatter:
     """Degrees of freedom, two for each complex average beyond the mean; shape (lines,)."""
 
     def variance(self, weights: ComplexArray) -> Array:
-        """Variance of a weighted sum of the channels; weights of shape (channels, lines).
+        """Compute the variance of a weighted sum of the channels; weights of shape (channels, lines).
 
         Examples
         --------
@@ -50,7 +50,7 @@ class Scatter:
         return np.asarray(np.sum(np.square(np.abs(np.einsum("in,rin->rn", weights, self.rows))), axis=0))
 
     def nearby(self, weights: ComplexArray, side: int) -> Array:
-        """Mean over so many lines to either side of the variances that the weights of each line give."""
+        """Average the variances for the weights of each line over `side` lines on either side."""
         last = self.degrees.size - 1
         total = np.zeros(last + 1)
         for step in range(-side, side + 1):
@@ -60,7 +60,7 @@ class Scatter:
 
 
 def stacked(parts: list[ComplexArray]) -> ComplexArray:
-    """Join factors of single lines, each of shape (rows, channels), filled up with rows of zeros.
+    """Join factors of single lines, each of shape (rows, channels), padded with rows of zeros.
 
     Examples
     --------
@@ -72,19 +72,19 @@ def stacked(parts: list[ComplexArray]) -> ComplexArray:
 
 
 def moderated(variance: Array, degrees: Array, expected: Array, side: int) -> tuple[Array, Array]:
-    """Variances moderated by those of the lines around, and the degrees of freedom that they then have.
+    """Moderate variances by those of neighbouring lines; return them with their new degrees of freedom.
 
-    The logarithms of ``variance / expected`` scatter from line to line by what the degrees of freedom explain, and by
-    what the true ratios differ. The less these differ, the more the lines around count.
+    The logarithms of ``variance / expected`` scatter between lines because of the finite degrees of freedom and
+    because the true ratios differ. The weight of neighbouring lines increases as the true ratios become more similar.
 
     Parameters
     ----------
     variance, degrees : ndarray, shape (lines,)
-        Of each line alone; the same degrees at all lines.
+        Values of each line alone, with equal degrees of freedom at all lines.
     expected : ndarray, shape (lines,)
-        Variance that the noise of the lines around gives.
+        Expected variance from the noise of neighbouring lines.
     side : int
-        Lines to either side that count.
+        Number of lines on either side.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""How long after the beginning of a test its sensors still settle: what drifts then looks like a force."""
+"""Settling time of the sensors at the beginning of a test; their drift would look like a force."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-# Blocks of the second half that say how means scatter once sensors have settled; fewer say nothing.
+# Blocks of the second half that determine the scatter of means after settling, and the fewest blocks for a result.
 _LATER, _FEWEST = 32, 16
-# A block belongs to a drift if its mean lies farther off than so many standard deviations of later ones; the drift has
-# ended when so many blocks in a row do not.
+# A block belongs to a drift if its mean deviates by more than this number of standard deviations of later blocks. The
+# drift has ended after this number of successive blocks without such a deviation.
 _OFF, _IN_A_ROW = 5.0, 3
 
 
 def settling(rec: Recording, names: Sequence[str], first: int, stop: int, lowest: float) -> list[Flaw]:
     """Find the beginning of a test in which a channel's bias has not settled.
 
-    Over a period of the lowest frequency driven the motion averages out; a mean that lies apart from later ones is the
-    sensor's own. Of a response it would be a transient, which a fit takes in; of a reference it is a force that was
-    never there.
+    The mean of the motion over a period of the lowest excited frequency is zero, so a mean that differs from later
+    means is an error of the sensor. In a response channel the local fit includes it as a transient; in a reference
+    channel it is an apparent force.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ def settling(rec: Recording, names: Sequence[str], first: int, stop: int, lowest
     blocks = [(first + k * size, first + (k + 1) * size) for k in range(count)]
     chosen = np.unique(np.linspace(count // 2, count - 1, _LATER).astype(int))
     means = [_means(block) for block in read_slices(rec, names, [blocks[k] for k in chosen])]
-    # A channel that is lost throughout has no result, without a warning.
+    # A channel without any valid sample has no result; the masked array avoids numpy's warning.
     later = np.ma.masked_invalid(means)
     middle, scatter = later.mean(axis=0).filled(np.nan), later.std(axis=0).filled(np.nan)
     ends, calm = np.zeros(len(names), dtype=int), np.zeros(len(names), dtype=int)

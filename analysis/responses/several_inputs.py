@@ -1,8 +1,8 @@
 """Responses to several shakers at once: the matrix of outputs over inputs, with coherences and a reciprocity check.
 
-Random is estimated by the local rational method with one numerator for each input and a common denominator, or by block
-averages: H1, and Hv by total least squares on spectra of unit power [1]_, [2]_. A multisine runs as many experiments as
-there are shakers with orthogonal phases, so that their inputs form a matrix that can be inverted at each line [3]_.
+Random tests are evaluated by the local rational method with one numerator for each input and a common denominator, or
+by block averages: H1, and Hv by total least squares on spectra of unit power [1]_, [2]_. A multisine test consists of
+one experiment with orthogonal phases for each shaker, so that the matrix of inputs can be inverted at each line [3]_.
 
 References
 ----------
@@ -54,7 +54,7 @@ ComplexArray = NDArray[np.complex128]
 
 # Condition of the input spectra, scaled to unit power, beyond which inputs cannot be separated.
 WORST_CONDITION = 1e3
-# A shaker whose force has a smaller share of the largest one's mean square is off.
+# A shaker is off if the mean square of its force is below this share of the largest.
 _OFF_SHARE = 1e-4
 COHERENT_INPUTS = (
     "The inputs are coherent at {lines} of {all} lines, where their responses cannot be separated: no values there. "
@@ -63,7 +63,7 @@ COHERENT_INPUTS = (
 
 
 def driven_forces(rec: Recording) -> tuple[Point, ...]:
-    """Force channels of the shakers that were driven at the same time; one or none where the test drives one.
+    """Return the force channels of all shakers that were driven simultaneously; at most one for a single-input test.
 
     A shaker whose force is below 1 % of the largest (root mean square) counts as off.
     """
@@ -98,14 +98,14 @@ def response_matrix(
     overlap: float = 0.5,
     window: str = "hann",
 ) -> Response:
-    """Response of some channels to several forces.
+    """Estimate the response of some channels to several forces.
 
     Parameters
     ----------
     inputs : sequence of Point
-        As `driven_forces` gives them.
+        From `driven_forces`.
     estimator : {'H1', 'Hv'}, optional
-        For random: average blocks. Omitted: the local rational method.
+        Average blocks, for random tests. If omitted, the local rational method is used.
     block, overlap, window
         As in `analysis.frequency_responses`.
     """
@@ -128,7 +128,7 @@ class SpectralMatrix:
     power : ndarray of complex, shape (n, outputs + inputs, outputs + inputs)
         Auto and cross spectra, outputs first, corrected for the sensors.
     averages : Averages
-        Spectra of the channels as recorded, and what belongs to them.
+        Spectra of the channels as recorded, with their averages and resolution.
     """
 
     outputs: tuple[Point, ...]
@@ -147,7 +147,7 @@ class SpectralMatrix:
         return self.power[:, :o, :o], self.power[:, :o, o:], self.power[:, o:, o:]
 
     def condition(self) -> Array:
-        """Condition number of the input spectra scaled to unit power, shape (n,): 1 where they are uncorrelated."""
+        """Compute the condition number of the input spectra at unit power, shape (n,); 1 for uncorrelated inputs."""
         return np.asarray(np.linalg.cond(_unit_power(self._parts()[2])[0]))
 
     def _inverse(self) -> ComplexArray:
@@ -156,12 +156,12 @@ class SpectralMatrix:
         return np.asarray(np.linalg.inv(inputs))
 
     def residual(self) -> ComplexArray:
-        """Spectra of the outputs conditioned on all inputs, shape (n, outputs, outputs)."""
+        """Compute the spectra of the outputs conditioned on all inputs, shape (n, outputs, outputs)."""
         xx, xf, _ = self._parts()
         return np.asarray(xx - xf @ self._inverse() @ xf.conj().swapaxes(1, 2))
 
     def multiple_coherence(self) -> Array:
-        """Share of each output's power that all inputs explain, shape (n, outputs)."""
+        """Compute the share of each output's power that is coherent with all inputs, shape (n, outputs)."""
         own = np.einsum("naa->na", self._parts()[0]).real
         rest = np.einsum("naa->na", self.residual()).real
         return np.clip(1.0 - rest / np.maximum(own, 1e-300), 0.0, 1.0)
@@ -181,7 +181,7 @@ class SpectralMatrix:
         return np.clip(out, 0.0, 1.0)
 
     def value(self, estimator: str) -> ComplexArray:
-        """Response by H1 or Hv, shape (n, outputs, inputs); NaN where the inputs are coherent."""
+        """Estimate the response by H1 or Hv, shape (n, outputs, inputs); NaN where the inputs are coherent."""
         if estimator not in ("H1", "Hv"):
             raise SceneError(f"estimator {estimator} for several inputs: expected H1 or Hv")
         _, xf, _ = self._parts()
@@ -192,7 +192,8 @@ class SpectralMatrix:
         for a in range(o):
             rows = [a, *range(o, o + len(self.inputs))]
             unit, scale = _unit_power(self.power[:, rows][:, :, rows])
-            # The combination of output and inputs of least power is noise: its coefficients are the response.
+            # The combination of output and inputs with the least power is noise; its coefficients determine the
+            # response.
             smallest = np.linalg.eigh(unit)[1][:, :, 0].conj() / scale
             out[:, a] = -smallest[:, 1:] / smallest[:, :1]
         return np.where(np.isfinite(first), out, np.nan)
@@ -250,7 +251,7 @@ def input_output_spectra(
 
 
 def _unit_power(spectra: ComplexArray) -> tuple[ComplexArray, Array]:
-    """Scale spectra to unit power; and the scale, shape (n, rows)."""
+    """Scale spectra to unit power; also return the scale, shape (n, rows)."""
     scale = np.sqrt(np.maximum(np.einsum("nkk->nk", spectra).real, 1e-300))
     return np.asarray(spectra / (scale[:, :, None] * scale[:, None])), scale
 
@@ -270,7 +271,7 @@ def _matrix_budget(
     rec: Recording, frequency: Array, value: ComplexArray, points: tuple[Sequence[Point], Sequence[Point]],
     error: Array, degrees: Array, causes: dict[str, Array], errors: MatrixErrors | None, shared: float = 1.0,
 ) -> UncertaintyBudget:  # fmt: skip
-    """Budget of a matrix, element by element: each rests on the gains of its output's and its input's channel."""
+    """Assemble the budget of each matrix element from the gains of its output and input channels."""
     budgets = []
     for a, output in enumerate(points[0]):
         for k, force in enumerate(points[1]):
@@ -297,7 +298,7 @@ def _matrix_budget(
 def _of_stretches(
     rec: Recording, marker: Marker, names: Sequence[str], inputs: Sequence[Point], motion: str
 ) -> Response:
-    """Local rational method with one numerator for each input."""
+    """Estimate by the local rational method with one numerator for each input."""
     channels = tuple(dict.fromkeys([*names, *(point.name for point in inputs)]))
     whole = random.whole(rec, marker, channels)
     spectra, _, _, notes = whole.prepared(rec, channels, [point.name for point in inputs])
@@ -328,7 +329,7 @@ def _of_stretches(
         power = np.mean(abs(spectra.samples[:, spectra.channels.index(name)]) ** 2, axis=0)
         near = np.convolve(power, np.full(2 * spectra.side + 1, 1.0 / (2 * spectra.side + 1)), "same")
         coherence[:, a] = np.clip(1.0 - fit.noise / np.maximum(near[spectra.lines], 1e-300), 0.0, 1.0)
-    # Power of noise that each force can hold at most: what the outputs have not in common with the inputs.
+    # Upper limit of the noise power of each force: the power that outputs and inputs do not share.
     n_lines = np.stack([_mean_square(spectra, each) for each in forces], axis=1)
     most = np.minimum(np.min(noise[:, :, None] / np.maximum(abs(value) ** 2, 1e-300), axis=1), n_lines)
     bias = abs(value) * (most / np.maximum(n_lines, 1e-300))[:, None]
@@ -348,7 +349,7 @@ def _of_stretches(
 
 
 def _local(rec: Recording, spectra: LocalSpectra, name: str, forces: ComplexArray, k: int) -> LocalFit:
-    """Local fit of a channel to all forces, with the response to one of them."""
+    """Fit a channel to all forces locally; the value is the response to force `k`."""
     reading = spectra.reading(rec, name)
     side = min(spectra.side, (spectra.frequency.size - 1) // 2)
     others = np.delete(forces, k, axis=0)
@@ -363,7 +364,7 @@ def _mean_square(spectra: LocalSpectra, force: ComplexArray) -> Array:
 def _local_covariance(
     residual: ComplexArray, influence: ComplexArray, inputs: int, degrees: Array
 ) -> ComplexArray:
-    """Covariance over elements at each line: of the residuals of the outputs, through the rows of the local fits."""
+    """Propagate the covariance of the output residuals through the local fits, to elements at each line."""
     free = np.maximum(degrees[:, 0, 0] / 2.0, 0.5)
     power = np.einsum("naw,nbw->nab", residual, residual.conj()) / free[:, None, None]
     elements = np.repeat(np.arange(residual.shape[1]), inputs)
@@ -374,7 +375,7 @@ def _local_covariance(
 def _of_experiments(
     rec: Recording, markers: Sequence[Marker], names: Sequence[str], inputs: Sequence[Point], motion: str
 ) -> Response:
-    """Multisine with orthogonal phases: outputs times the inverse of inputs, experiment by experiment."""
+    """Estimate from experiments with orthogonal phases: matrix of outputs times the inverse matrix of inputs."""
     channels = [*dict.fromkeys([*names, *(point.name for point in inputs)])]
     groups: dict[int, list[Marker]] = {}
     for marker in markers:
@@ -445,18 +446,18 @@ def _of_experiments(
 
 @dataclass(frozen=True)
 class Reciprocity:
-    """Agreement of two responses that Maxwell and Betti's theorem has equal."""
+    """Agreement of two responses that are equal by the Maxwell-Betti reciprocity theorem."""
 
     pair: tuple[str, str]
-    """Places of output and input; the other response has them exchanged."""
+    """Positions of output and input, which are exchanged for the other response."""
     within: float
-    """Share of lines at which they differ by no more than their bounds."""
+    """Share of lines at which the difference is within the bounds."""
     deviation: float
     """Median of their relative difference."""
 
 
 def reciprocity(response: Response) -> tuple[Reciprocity, ...]:
-    """Compare the responses of a matrix that reciprocity has equal: those whose output and input change places."""
+    """Compare pairs of responses with exchanged output and input, which reciprocity requires to be equal."""
     places = {point.place: a for a, point in enumerate(response.outputs)}
     bound, found = response.bound(), []
     for k, one in enumerate(response.inputs):

@@ -1,4 +1,4 @@
-"""Averages of a periodic test: the mean of every channel at every line, and how far the mean may be off."""
+"""Averages of a periodic test: the mean of every channel at every line, with its uncertainty."""
 
 from __future__ import annotations
 
@@ -27,15 +27,16 @@ if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
 
-# Lines whose transients are assumed to decay alike; the decay if two periods do not determine it; and the slowest one.
+# Number of lines with an assumed common decay of transients; the decay factor if two periods do not determine it; and
+# the slowest decay factor.
 _TOGETHER, _UNKNOWN_DECAY, _SLOWEST_DECAY = 5, 0.5, 0.99
 # Confidence with which a reference must exceed noise.
 _SURE = 0.999
-# Lines from which on noise is estimated from their differences, and how many around each.
+# Fewest lines for an estimate of the noise from their differences, and the width of its median filter in lines.
 _ALIKE, _FLOOR = 8, 31
-# Parts that determine how a transient decays.
+# Number of averaged parts that determine the decay of a transient.
 _FEW = 4
-# What is left of transients is known to some per cent.
+# Safety factor: the residual transients are known to within 5 %.
 _AT_MOST = 1.05
 
 
@@ -48,28 +49,29 @@ class Lines:
     frequency: NDArray[np.float64]
     """Hz, in the order measured; shape (n,)."""
     mean: NDArray[np.complex128]
-    """Amplitude as recorded: not yet corrected for the sensors; complex, shape (channels, n)."""
+    """Amplitude as recorded, without correction for the sensors; complex, shape (channels, n)."""
     scatter: Scatter
     """Random deviation of the mean."""
     label: str = ""  # Setting, for legends
-    warnings: tuple[str, ...] = field(default=())  # What went wrong on the way
+    warnings: tuple[str, ...] = field(default=())  # In full sentences
     remainder: NDArray[np.float64] | None = None
-    """How far each mean may be off for what was still changing, at most; shape (channels, n)."""
+    """Largest error of each mean by residual transients; shape (channels, n)."""
     unsteady: NDArray[np.bool_] | None = None
-    """Where the motion had not become steady; shape (n,). None where no tone is held until it is."""
+    """Lines without steady-state motion; shape (n,). None for tests without held tones."""
     left_out: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
-    """Frequencies that were measured but spoilt, Hz."""
+    """Frequencies of discarded measurements, Hz."""
     around: int = 0
-    """Lines to either side whose noise is alike, where each has so few averages that its own says little."""
+    """Number of lines on either side with similar noise, for lines with too few averages of their own."""
     noise: Scatter | None = None
-    """What noise alone contributes to `scatter`; None: all of it."""
+    """Contribution of noise alone to `scatter`; None: all of it."""
     turned: int = 1
-    """Parts of the mean, each of them turned by the phase that its own reference reads: even noise adds up in these."""
+    """Number of parts of the mean that were rotated by the phase of their own reference, which also aligns its
+    noise."""
     resolution: NDArray[np.float64] | None = None
-    """How far each mean may be off because the converter rounds to counts, at most; shape (channels, n)."""
+    """Largest error of each mean by rounding to counts; shape (channels, n)."""
     waited: NDArray[np.float64] | None = None
     lasted: NDArray[np.float64] | None = None
-    """waited, lasted: of tones held one after the other, s, as `ringing` takes them; shape (n,)."""
+    """Arguments `waited` and `lasted` of `ringing` for successive tones, s; each of shape (n,)."""
 
     def frf(
         self, rec: Recording, response: str, reference: str = "force", motion: str = "displacement"
@@ -129,11 +131,11 @@ class Lines:
         )  # fmt: skip
 
     def _reference_noise(self, lower: NDArray[np.complex128], noise: Scatter) -> NDArray[np.float64]:
-        """Largest amplitude that noise gives the reference at each line; shape (n,).
+        """Compute the largest amplitude of noise in the reference at each line; shape (n,).
 
-        In all but one of a thousand lines: where nothing is driven all others are left out, and what is left must not
-        be noise that passed for a reference. Realisations turned by the phase of their own reference scatter in its
-        amplitude alone; their periods scatter by all of the noise.
+        The limit is exceeded at one line in a thousand, so that lines without excitation are discarded and noise is
+        not mistaken for a reference. Realisations rotated by the phase of their own reference scatter only in its
+        amplitude; their periods scatter by the whole noise.
         """
         variance = np.nan_to_num(noise.nearby(lower, self.around))
         degrees = noise.degrees * (2 * self.around + 1)
@@ -141,7 +143,7 @@ class Lines:
 
 
 def _noise(changes: NDArray[np.complex128]) -> NDArray[np.float64]:
-    """Power of noise in changes from part to part, as it differs from line to line where a transient does not.
+    """Estimate the noise power in the changes between parts, from differences between lines; transients are smooth.
 
     Parameters
     ----------
@@ -150,7 +152,7 @@ def _noise(changes: NDArray[np.complex128]) -> NDArray[np.float64]:
     Returns
     -------
     ndarray, shape (channels, lines)
-        Sum over the changes; a median over lines, so that transients of single modes do not count.
+        Sum over the changes. The median over lines excludes transients of single modes.
     """
     count, _, lines = changes.shape
     if lines < _ALIKE:
@@ -169,17 +171,17 @@ def _sum_of_neighbors(values: NDArray[Any]) -> NDArray[Any]:
 
 
 def remainder(successive: NDArray[np.complex128]) -> NDArray[np.float64]:
-    """How far the mean of successive parts may be off for a transient that still decays.
+    """Estimate the largest error of the mean of successive parts by a decaying transient.
 
-    A transient shrinks and turns by the same complex factor r from part to part, as its frequency is not that of the
-    line. Of P parts that begin with c it shifts the mean by ``c (1 - r^P) / (P (1 - r))``, and part k changes into the
-    next by ``c r^k (r - 1)``: the changes determine r and c. Many parts are first averaged to a few, as noise hides r
-    otherwise.
+    Between successive parts, a transient is multiplied by a constant complex factor r, because it decays and its
+    frequency differs from that of the line. With the initial value c it shifts the mean of P parts by ``c (1 - r^P) /
+    (P (1 - r))``. The change from part k to the next is ``c r^k (r - 1)``, which determines r and c. Many parts are
+    first averaged to a few, because noise would otherwise hide r.
 
     Parameters
     ----------
     successive : ndarray of complex, shape (parts, channels, lines)
-        Amplitudes of parts of equal length, one after the other.
+        Amplitudes of successive parts of equal length.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Stepped sine and held tones: lock-in over every window that the test marked as measured."""
+"""Stepped sine and constant tones: lock-in detection over every window marked as measured."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 HARMONICS = 10
 PARTS = 20
 
-# What a window holds, where it is, and whether the motion was steady in it.
+# Tones of a window, its samples, and whether its motion was steady.
 _Point = tuple[ToneFit, tuple[int, int], bool]
-# Level and direction of a sweep; a frequency without a point, why, and why in detail.
+# Level and direction of a sweep; a frequency without a point, with the reason and its details.
 _Setting = tuple[float, str]
 _LeftOut = tuple[float, str, str]
 
@@ -38,15 +38,15 @@ class Sweep:
     lines: Lines
     """Fundamental of every channel."""
     tones: tuple[ToneFit, ...]
-    """Everything the lock-in found, in the same order."""
+    """Lock-in results, in the same order."""
     level: float
-    """Level that the test asked for: amplitude of the force, or of the drive."""
+    """Nominal level: amplitude of the force, or of the drive."""
     direction: str  # ``"up"`` or ``"down"``
     windows: NDArray[np.int64]
     """First and one-past-last sample of each window; int, shape (n, 2)."""
 
     def distortion(self) -> NDArray[np.float64]:
-        """Total harmonic distortion, shape (channels, n), of the channels as recorded."""
+        """Compute the total harmonic distortion of the channels as recorded, shape (channels, n)."""
         return np.stack([tone.distortion() for tone in self.tones], axis=1)
 
 
@@ -55,21 +55,21 @@ def sweeps(
     channels: Sequence[str] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[Sweep]:
-    """Lock in on every window marked ``measure``, and sort them by level and direction.
+    """Apply lock-in detection to every window marked ``measure``; group the results by level and direction.
 
     Parameters
     ----------
     rec : daq.Recording
         A stepped-sine or sine recording.
     channels : sequence of str, optional
-        Names of the channels to lock in on; omitted, all.
+        Names of the channels; all if omitted.
     progress : callable, optional
-        Called with (windows done, windows in all).
+        Called with (windows done, total number of windows).
 
     Returns
     -------
     list of Sweep
-        In the order in which the test ran them.
+        In the order of the test.
     """
     markers = sorted(
         (m for m in rec.markers if m.kind == "measure" and "frequency" in m.fields),
@@ -117,7 +117,7 @@ def sweeps(
     notes = {
         key: _notes(key, runs.get(key, []), left_out.get(key, []), several) for key in {**runs, **left_out}
     }
-    # A sweep of which nothing is left has nobody else to say so.
+    # A sweep without any point cannot have notes of its own; the first sweep reports them.
     notes[next(iter(runs))] += [note for key, lost in notes.items() if key not in runs for note in lost]
     return [
         _sweep(
@@ -128,7 +128,7 @@ def sweeps(
 
 
 def _notes(key: _Setting, found: list[_Point], left_out: list[_LeftOut], several: bool) -> list[str]:
-    """Say which frequencies of a sweep were left out and why, and at which the motion was not steady."""
+    """Describe the discarded frequencies of a sweep, with reasons, and those without steady-state motion."""
     setting = f"{plainly(key[0])} N {key[1]}: " if several else ""
     out = []
     for why in dict.fromkeys(each[1] for each in left_out):
@@ -232,10 +232,10 @@ def _sweep(
 
 
 def _resolution(rec: Recording, names: Sequence[str], tone: ToneFit) -> NDArray[np.float64]:
-    """How far rounding to counts may put each amplitude of a tone off, shape (channels,).
+    """Compute the largest error of each amplitude of a tone by rounding to counts, shape (channels,).
 
-    A tone of less than half a count reads nothing. A larger one, of amplitude a in counts, is off by no more than
-    ``2 / pi^2 / sqrt(a)`` (first term of the quantiser's series in Bessel functions [1]_); noise lets less through.
+    A tone below half a count is not recorded. The error of a larger tone, with an amplitude of a counts, is at most
+    ``2 / pi^2 / sqrt(a)`` (first term of the quantiser's series in Bessel functions [1]_); noise reduces it.
 
     References
     ----------
@@ -245,5 +245,5 @@ def _resolution(rec: Recording, names: Sequence[str], tone: ToneFit) -> NDArray[
     step = np.where(count > 0.0, count, 1.0)
     size = np.maximum(abs(tone.amplitude[:, 0]) / step, 1e-300)
     off = np.minimum(2.0 / np.pi**2 / np.sqrt(size), 0.5) * scattered((tone.residual / step) ** 2)
-    # All terms of the series, not the first alone.
+    # Factor 2: bound of all terms of the series.
     return np.asarray(count * np.minimum(2.0 * off, 0.5))

@@ -1,4 +1,4 @@
-"""Swept sine: around each frequency the stretch in which the tone passes, fitted by the local rational method."""
+"""Swept sine: local rational method on the stretch around each frequency in which the tone is near it."""
 
 from __future__ import annotations
 
@@ -28,43 +28,45 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-# A stretch lasts at least while the tone passes this ratio of frequencies, short enough for the harmonics of a
-# nonlinear structure to stay out of it, and until so many of its lines on either side are driven.
+# A stretch covers at least this frequency ratio of the sweep, which is small enough to exclude the harmonics of a
+# nonlinear structure. It is extended by this factor until enough of its lines are excited on either side.
 _RATIO, _GROWTH = 1.35, 1.1
 _POINTS = 400
-# Lines of a spectrum that a fit turns into one value: those that it takes in, by its parameters.
+# Lines of a spectrum per fitted value: lines of a fit over its number of parameters.
 _PER_VALUE = (2 * SIDE + 1) / (3 * ORDER + 2)
-# A damper lifts where its body falls faster than g: surely none does below this part of it.
+# A damper lifts if the downward acceleration of its body exceeds g. Below this part of g it certainly stays on the
+# floor.
 _RIDES = 0.7
-# Where a passing tone puts this share of the curve off by as much of a response it is too fast for dampers to follow.
+# The sweep is too fast for dampers in flight if more than this share of the lines has more than this relative error;
+# the last value is the recommended increase of the duration.
 _FAST, _FAST_SHARE, _SLOWER = 0.3, 0.05, 10
-# The range of readings in counts is taken over at least so many periods.
+# The amplitude of readings in counts is evaluated over at least this number of periods.
 _FEWEST_PERIODS = 3.0
 
 
 @dataclass(frozen=True)
 class SweptTone:
-    """One sweep: at each frequency, the spectra around it of the stretch in which the tone passes."""
+    """A sweep: at each frequency, the spectra of the stretch in which the tone is near it."""
 
     spectra: LocalSpectra
     speed: Array
-    """How fast the tone passes each frequency, Hz/s; shape (lines,)."""
+    """Sweep rate at each frequency, Hz/s; shape (lines,)."""
     label: str
     warnings: tuple[str, ...]
     riding: NDArray[np.bool_]
-    """Where no damper lifts, so that the structure is linear; shape (lines,)."""
+    """Frequencies at which no damper lifts, so that the structure is linear; shape (lines,)."""
     shared: float = 1.0
-    """How many neighbouring frequencies rest on the same lines of their spectra."""
+    """Number of neighbouring frequencies that use the same lines of their spectra."""
 
     def frf(
         self, rec: Recording, response: str, reference: str = "force", motion: str = "displacement"
     ) -> Response:
-        """Frequency response with coherence, random and systematic errors."""
+        """Estimate the frequency response with coherence, random and systematic errors."""
         above, below = motion_of(rec, response, motion), reference_of(rec, reference)
         found = self.spectra.frf(rec, above, below, reference, motion, self.label, self.warnings)
         budget = found.uncertainty
         assert isinstance(budget.errors, LocalErrors)
-        # Stretches of neighbouring frequencies overlap in time, where their bins are counted as different.
+        # Stretches of neighbouring frequencies overlap in time although their bins are counted as independent.
         errors = replace(budget.errors, one_reference=False, shared=self.shared)
         found = replace(found, uncertainty=replace(budget, shared=self.shared, errors=errors))
         if not dampers_move(rec):
@@ -73,10 +75,11 @@ class SweptTone:
         return found.with_limits({UNSETTLED: lag}).warn(*_too_fast(found, lag))
 
     def _lag(self, found: Response) -> Array:
-        """How far a passing tone puts a response off that is not linear.
+        """Estimate the error of a nonlinear response by the finite sweep rate.
 
-        What passes is off a steady one by half the speed (in rad/s²) times the curvature of the response [1]_. The fit
-        sets that right where the structure is linear; where it is not, it may be off by as much.
+        The response to a sweep differs from the steady-state response by half the sweep rate (in rad/s²) times the
+        curvature of the response [1]_. The fit corrects this for a linear structure; for a nonlinear structure it is
+        a possible error.
 
         References
         ----------
@@ -95,19 +98,19 @@ def tracked(
     channels: Sequence[str],
     progress: Callable[[int, int], None] | None = None,
 ) -> SweptTone:
-    """Take the spectra of a sweep around each frequency while the tone is near.
+    """Compute the spectra of a sweep around each frequency, over the stretch in which the tone is near it.
 
-    What a stretch begins with and what still rings when it ends is part of the fit: neither the rate of the sweep nor
-    the length of the stretch limits the resolution.
+    The transients at the beginning and end of a stretch are part of the fit, so that neither the sweep rate nor the
+    length of the stretch limits the resolution.
 
     Parameters
     ----------
     marker : daq.recording.markers.Marker
-        Its ``measure`` marker: from, to, duration, spacing.
+        The ``measure`` marker of the sweep: from, to, duration, spacing.
     channels : sequence of str
         Names of the channels to track.
     progress : callable, optional
-        Called with (frequencies done, frequencies in all).
+        Called with (frequencies done, total number of frequencies).
     """
     first, stop = (
         marker.first_sample,
@@ -145,7 +148,7 @@ def tracked(
             progress(done, len(order))
         size = block.shape[1]
         line = max(int(frequency[index] * size / rec.rate), SIDE + 1)
-        # Turned so that the frequency falls on a line.
+        # Frequency shift that places the frequency exactly on a line.
         shift = frequency[index] * size / rec.rate - line
         place = line + ahead * _beyond(line)
         seen = SIDE < place < size // 2 - SIDE
@@ -155,7 +158,7 @@ def tracked(
         samples[index] = spectrum[:, : around.size]
         at[index] = frequency[index] + around * rec.rate / size
         begin, width = bounds[index][0], SIDE * rec.rate / size
-        # A logarithmic sweep passes no frequency of zero or less.
+        # A logarithmic sweep has only positive frequencies.
         ends = [max(frequency[index] + off, 1e-6 * frequency[index]) for off in (-width, width)]
         near = [first + _passes(marker, end, rec.rate) - begin for end in ends]
         squares[:, index] = _near(block, near, rec.rate / frequency[index]).var(axis=1)
@@ -164,7 +167,7 @@ def tracked(
             quiet.append((at[index, SIDE] + (place - line) * rec.rate / size, *noise))
     kept, lengths = np.array(sorted(order)), np.array([end - begin for begin, end in bounds])
     noise = _interpolated(quiet, frequency[kept], len(names))
-    # What noise there is at least, at all frequencies, lets rounding scatter.
+    # The smallest noise over all frequencies determines the randomization of the rounding error.
     counts = in_counts(rec, names, noise.min(axis=1))
     gain = scattered(counts)[:, None] * tone_gain(in_counts(rec, names, squares[:, kept]))
     spectra = LocalSpectra(
@@ -186,7 +189,7 @@ def tracked(
 
 
 def _too_fast(found: Response, lag: Array) -> tuple[str, ...]:
-    """Warn of a tone that passes faster than a motion with dampers in flight becomes steady."""
+    """Warn of a sweep that is too fast for steady-state motion with dampers in flight."""
     share = lag / abs(found.value)
     fast = share > _FAST
     if not np.sum(fast) > _FAST_SHARE * np.sum(lag > 0.0):
@@ -199,7 +202,7 @@ def _too_fast(found: Response, lag: Array) -> tuple[str, ...]:
 
 
 def _riding(rec: Recording, names: Sequence[str], frequency: Array, squares: Array) -> NDArray[np.bool_]:
-    """Where a tone is so small that no damper lifts, by the mean squares of the channels on their bodies."""
+    """Frequencies at which no damper lifts, from the mean squares of the channels on their bodies."""
     riding = np.ones(frequency.size, dtype=bool)
     for damper in rec.scene.dampers:
         infos = [rec.channels[name] for name in names]
@@ -220,7 +223,7 @@ def _riding(rec: Recording, names: Sequence[str], frequency: Array, squares: Arr
 
 
 def _stretch(marker: Marker, frequency: float, rate: float, first: int, stop: int) -> tuple[int, int]:
-    """First and one-past-last sample of the stretch around a frequency."""
+    """Return the first and one-past-last sample of the stretch around a frequency."""
     ratio = _RATIO
     while True:
         ends = sorted(
@@ -234,22 +237,22 @@ def _stretch(marker: Marker, frequency: float, rate: float, first: int, stop: in
 
 
 def _beyond(line: int) -> int:
-    """Lines from that of a stretch's frequency to where its tone has not yet been, nor what a window smears of it."""
+    """Count the lines from a stretch's frequency to the end of the tone's range and leakage."""
     return int(_GROWTH * max((_RATIO**0.5 - 1.0) * line, SIDE)) + 2 * SIDE
 
 
 def at_lines(block: Array, lines: NDArray[np.int64], shift: float) -> ComplexArray:
-    """Give a few lines of a long stretch's spectrum, as they are after the spectrum was moved.
+    """Compute a few lines of the frequency-shifted spectrum of a long stretch.
 
-    The stretch is folded into rows, whose products with few phases are one of matrices: a fraction of a whole
-    transform's work.
+    The stretch is folded into rows and multiplied by a small matrix of phases, which takes a fraction of the time of
+    a complete transform.
 
     Parameters
     ----------
     block : ndarray, shape (channels, samples)
     lines : ndarray of int, shape (lines,)
     shift : float
-        How far above each what is wanted lies, in lines.
+        Frequency shift above each line, in lines.
 
     Returns
     -------
@@ -267,7 +270,7 @@ def at_lines(block: Array, lines: NDArray[np.int64], shift: float) -> ComplexArr
     rows = size // columns
 
     def turn(at: NDArray[np.int64]) -> ComplexArray:
-        # In whole numbers, the phase of a late sample is as exact as that of an early one.
+        # Integer arithmetic keeps the phase of late samples as exact as that of early samples.
         return np.exp(-2j * np.pi * (np.outer(lines, at) % size + shift * at) / size)
 
     far, near = turn(columns * np.arange(rows)), turn(np.arange(columns))
@@ -281,14 +284,14 @@ def at_lines(block: Array, lines: NDArray[np.int64], shift: float) -> ComplexArr
 
 
 def _noise(near: ComplexArray) -> Array:
-    """Power of each channel by lines that nothing drives, without leakage of what is driven elsewhere."""
+    """Estimate the noise power of each channel from lines without excitation or leakage."""
     windowed = 0.5 * near[:, 1:-1] - 0.25 * (near[:, :-2] + near[:, 2:])
-    # Hann's window leaves three eighths of the power, whose median is ln 2 of its mean; a hum is no noise.
+    # A Hann window reduces the power to 3/8; the median of the power is ln 2 of its mean and excludes hum.
     return np.asarray(np.median(abs(windowed) ** 2, axis=1) / (0.375 * np.log(2.0)))
 
 
 def _interpolated(quiet: Sequence[tuple[float, ...]], frequency: Array, channels: int) -> Array:
-    """Noise of each channel between the frequencies at which it was estimated, and as there beyond them."""
+    """Interpolate the noise of each channel between the frequencies of its estimates; constant beyond them."""
     if not quiet:
         return np.zeros((channels, frequency.size))
     at, *power = np.array(sorted(quiet)).T
@@ -297,16 +300,16 @@ def _interpolated(quiet: Sequence[tuple[float, ...]], frequency: Array, channels
 
 
 def _near(block: Array, ends: Sequence[float], period: float) -> Array:
-    """Take the samples between two places of a stretch, or some periods about their middle where that is more.
+    """Return the samples between two positions of a stretch, or a few periods about their middle if longer.
 
-    Elsewhere in the stretch the readings may be far larger.
+    The readings may be far larger in other parts of the stretch.
     """
     middle, half = sum(ends) / 2.0, max(abs(ends[1] - ends[0]) / 2.0, _FEWEST_PERIODS / 2.0 * period)
     return block[:, max(int(middle - half), 0) : max(int(middle + half), int(period)) + 1]
 
 
 def _passes(marker: Marker, frequency: float, rate: float) -> float:
-    """Sample at which the sweep passes a frequency, counted from its beginning."""
+    """Sample number, from the beginning of the sweep, at which the sweep reaches a frequency."""
     low, high, duration = (float(marker.fields[key]) for key in ("from", "to", "duration"))
     if marker.fields.get("spacing") == "linear":
         return (frequency - low) / (high - low) * duration * rate

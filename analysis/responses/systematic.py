@@ -1,6 +1,6 @@
-"""What no averaging takes away from a response: the parts of its error that stay the same from line to line.
+"""Systematic errors of a response, which averaging does not reduce.
 
-Each part is a largest deviation, as a data sheet states a tolerance, and has a name under which it is shown.
+Each part is a largest deviation, like a tolerance in a data sheet, and has a name for display.
 """
 
 from __future__ import annotations
@@ -28,21 +28,21 @@ REFERENCE = "doubtful reference"
 JITTER = "jitter of the sampling instants"
 #: Parts that differ from line to line.
 ROUGH = (UNSETTLED, RESOLUTION, MODEL, REFERENCE, JITTER)
-# Sideways motion as a share of the vertical, where a data sheet of transverse sensitivity goes without one.
+# Assumed transverse motion as a share of the vertical motion, if the data sheet states only a transverse sensitivity.
 _LATERAL = 0.1
-# Of fewer lines than these the slope cannot be seen: it may be that of a peak, so many times the ratio of value and
-# frequency from a twentieth of its frequency on.
+# Fewer lines do not determine the slope, which may be that of a peak. The slope is then assumed to be this multiple
+# of value / frequency, which is sufficient for peaks with a half-width of at least a twentieth of their frequency.
 _SLOPE_LINES, _STEEP = 3, 10.0
-# A peak between lines is taken for at most so many times as steep as its chords.
+# The slope of a peak between lines is limited to this multiple of the slope of its chords.
 _SHARPEST = 10.0
-# Power in counts below which rounding hides any signal.
+# Power in counts² below which rounding hides any signal.
 _QUARTER = 1.0 / 16.0
 
 
 def tolerance(info: ChannelInfo) -> float:
-    """Largest relative deviation of a channel's sensitivity that its data sheet leaves open.
+    """Compute the largest relative deviation of a channel's sensitivity by its data sheet.
 
-    Calibration tolerance, drift with temperature and transverse sensitivity, added up.
+    The sum of calibration tolerance, temperature drift and transverse sensitivity.
 
     Examples
     --------
@@ -66,7 +66,7 @@ def tolerance(info: ChannelInfo) -> float:
 def sensitivity_part(
     rec: Recording, names: Sequence[str], value: ComplexArray, upper: ComplexArray, lower: ComplexArray
 ) -> dict[str, Array]:
-    """How far the channels' tolerances can put a response off.
+    """Compute the largest deviation of a response by the tolerances of its channels.
 
     Parameters
     ----------
@@ -76,20 +76,20 @@ def sensitivity_part(
     value : ndarray of complex, shape (lines,)
         The response.
     upper, lower : ndarray of complex, shape (channels, lines)
-        Share of each channel in the response, and in the reference: they add up to `value`, and to 1.
+        Share of each channel in the response and in the reference; their sums are `value` and 1.
 
     Returns
     -------
     dict of str to ndarray, shape (lines,)
-        Empty where no data sheet states a tolerance. Infinite where the reference, a small difference of two large
-        readings, can be nothing at all.
+        Empty if no data sheet states a tolerance. Infinite if the true reference may be zero, as a small difference
+        of two large readings.
     """
     share = np.array([[tolerance(rec.channels[name])] for name in names])
     return {SENSITIVITY: off_by_gains(share, of_reading(share), value, upper, lower)} if share.any() else {}
 
 
 def common_scale(rec: Recording, above: Sequence[str], below: Sequence[str]) -> float:
-    """Return the largest relative error that a reference causes in all responses alike: zero for one of two channels.
+    """Return the largest relative error of a reference common to all responses; zero for a two-channel reference.
 
     Parameters
     ----------
@@ -101,9 +101,10 @@ def common_scale(rec: Recording, above: Sequence[str], below: Sequence[str]) -> 
 
 
 def of_reading(share: Array) -> Array:
-    """Turn largest deviations as shares of what should be read into shares of what is read: from 1 on infinite.
+    """Convert largest deviations relative to true values into deviations relative to readings; infinite from 1 on.
 
-    A sensor that reads too little is farther off what it reads than its data sheet says of what is there.
+    For a reading that is too small, the deviation relative to the reading exceeds the deviation relative to the true
+    value.
 
     >>> of_reading(np.array([0.2, 0.5, 1.0, 1e20])).tolist()
     [0.25, 1.0, inf, inf]
@@ -114,23 +115,23 @@ def of_reading(share: Array) -> Array:
 def off_by_gains(
     share: Array, far: Array, value: ComplexArray, upper: ComplexArray, lower: ComplexArray
 ) -> Array:
-    """How far a quotient of readings is off when each reads 1 + e times what it should.
+    """Compute the largest error of a quotient of readings, each of which is 1 + e times its true value.
 
-    Of readings that add up to u over l the true quotient is off by ``sum (u - l u/l) e/(1+e)`` over ``sum l/(1+e)``.
-    That is bounded as it stands, and with the gain of any one channel taken out of both, which leaves e alone of a
-    channel that is the whole denominator; the least of these bounds holds.
+    For readings with the sums u and l, the quotient has the error ``sum (u - l u/l) e/(1+e)`` over ``sum l/(1+e)``.
+    This is bounded directly, and after division of both sums by the gain of any single channel, which reduces the
+    error to e for a channel that is the entire denominator. The smallest of these bounds is valid.
 
     Parameters
     ----------
     share, far : ndarray, shape (channels, lines) or (channels, 1)
-        Most that ``abs(e)`` and ``abs(e / (1 + e))`` can be.
+        Upper limits of ``abs(e)`` and ``abs(e / (1 + e))``.
     value, upper, lower
         As in `sensitivity_part`.
 
     Returns
     -------
     ndarray, shape (lines,)
-        Infinite where the denominator, a small difference of two large readings, can be nothing at all.
+        Infinite if the true denominator may be zero, as a small difference of two large readings.
     """
     parts: Array = np.asarray(abs(upper - value * lower), dtype=float)
     in_reference: Array = np.asarray(abs(lower), dtype=float)
@@ -150,40 +151,41 @@ def off_by_gains(
 
 
 def nothing_times(part: Array, far: Array) -> Array:
-    """Multiply, where nothing times whatever is nothing."""
+    """Multiply, with zero times infinity defined as zero."""
     return np.asarray(np.where(part > 0.0, part * far, 0.0))
 
 
 def _quotient(deviation: Array, doubt: Array) -> Array:
-    """Deviation over a denominator that may be smaller by some part of itself; from 1 on nothing bounds."""
+    """Deviation over a denominator with a relative uncertainty; infinite (unbounded) from 1 on."""
     return np.asarray(np.where(doubt < 1.0, deviation / np.maximum(1.0 - doubt, 1e-300), np.inf))
 
 
 def reference_noise_part(value: ComplexArray, coherence: Array) -> Array:
-    """How far H1 may be low: noise in the reference adds to its power, all of it where the response has none.
+    """Compute the largest bias of H1 towards zero, if all incoherent power is noise in the reference.
 
-    H1 and H2 = H1 / coherence lie on either side of the truth (Bendat and Piersol, section 6.1.4).
+    The true value is between H1 and H2 = H1 / coherence (Bendat and Piersol, section 6.1.4).
     """
     return np.asarray(abs(value) * (1.0 / np.maximum(coherence, 1e-6) - 1.0))
 
 
 def shared_noise_part(noise: Array, off: ComplexArray, lower: ComplexArray, power: Array) -> Array:
-    """How far H1 may be off by noise of channels that a reference is made of, and perhaps the response, too.
+    """Compute the largest error of H1 by noise of channels in the reference that may also be in the response.
 
     Noise of power N in a channel with the weights u in the response and l in the reference adds ``u l* N`` to their
-    cross-spectrum and ``|l|^2 N`` to the reference's power: H1 is off by ``(u - H1 l) l* N`` over what of that power is
-    no noise. A coherence does not show it, as what both share looks like a response.
+    cross-spectrum and ``|l|^2 N`` to the reference's power: H1 has the error ``(u - H1 l) l* N`` over the noise-free
+    part of that power. The coherence does not show this error, because noise common to both looks like a response.
 
     Parameters
     ----------
     noise : ndarray, shape (channels, lines)
-        At most.
+        Upper limit of the noise power.
     off : ndarray of complex, shape (channels, lines)
         ``u - H1 l``.
     lower : ndarray of complex, shape (channels, lines)
         ``l``.
     power : ndarray, shape (lines,)
-        Of the reference.
+        Power of the reference.
+
     """
     left = power - np.sum(abs(lower) ** 2 * noise, axis=0)
     bias = np.sum(abs(off * lower) * noise, axis=0)
@@ -192,17 +194,18 @@ def shared_noise_part(noise: Array, off: ComplexArray, lower: ComplexArray, powe
 
 
 def doubtful_reference_part(bound: Array, doubt: Array) -> dict[str, Array]:
-    """How much farther off a quotient can be because its denominator may be smaller than it reads.
+    """Compute the additional error of a quotient whose denominator may be smaller than its reading.
 
-    With errors dx of a response x = H f and df of its reference, x / f is off by ``(dx - H df) / (f - df)``: by what
-    propagates to first order over ``1 - df / f``.
+    With errors dx of a response x = H f and df of its reference, x / f has the error ``(dx - H df) / (f - df)``: the
+    first-order error over ``1 - df / f``.
 
     Parameters
     ----------
     bound : ndarray, shape (lines,)
-        Bound to first order.
+        First-order bound.
     doubt : ndarray, shape (lines,)
-        Bound of the reference, relative to what it reads. From 1 on there may be none, and nothing bounds.
+        Bound of the reference, relative to its reading. From 1 on the true reference may be zero and the error is
+        unbounded.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         more = np.sqrt(1.0 / np.maximum(1.0 - doubt, 0.0) ** 2 - 1.0)
@@ -212,12 +215,12 @@ def doubtful_reference_part(bound: Array, doubt: Array) -> dict[str, Array]:
 def rounding_part(
     gain: Array, value: ComplexArray, upper: ComplexArray, lower: ComplexArray
 ) -> dict[str, Array]:
-    """How far rounding to counts can put a response off, where readings are a few counts only.
+    """Compute the largest deviation of a response by rounding, for readings of a few counts.
 
     Parameters
     ----------
     gain : ndarray, shape (channels, lines)
-        How far rounding can change the gain of a channel, relative: `noise_gain` or `tone_gain`.
+        Largest relative change of a channel's gain by rounding: `noise_gain` or `tone_gain`.
     value, upper, lower
         As in `sensitivity_part`.
     """
@@ -227,15 +230,15 @@ def rounding_part(
 
 
 def noise_gain(power: Array) -> Array:
-    """How far rounding to counts can change the gain of noise, relative.
+    """Compute the largest relative change of the gain by rounding to counts, for a noise signal.
 
-    Rounding is noise of its own, which scatters, but for a part proportional to the signal: with s counts of Gaussian
-    noise ``2 exp(-2 pi^2 s^2)`` at most [1]_. Below a quarter of a count it is unbounded: infinite.
+    The rounding error is random noise except for a part proportional to the signal, at most ``2 exp(-2 pi^2 s^2)``
+    for Gaussian noise of s counts [1]_. Below a quarter of a count it is unbounded (infinite).
 
     Parameters
     ----------
     power : ndarray
-        Mean square of a reading in counts, which rounding itself adds a twelfth to; infinite without a converter.
+        Mean square of a reading in counts², of which rounding contributes 1/12; infinite without a converter.
 
     References
     ----------
@@ -246,10 +249,10 @@ def noise_gain(power: Array) -> Array:
 
 
 def tone_gain(power: Array) -> Array:
-    """How far rounding to counts can change the gain of a tone: as `noise_gain`.
+    """Compute the largest relative change of the gain by rounding to counts, for a tone; see `noise_gain`.
 
-    Of a tone of a counts ``2 / pi^2 / a^(3/2)`` by the first term of the quantiser's series in Bessel functions, and no
-    more than twice that by all of them. Below half a count it reads nothing.
+    For a tone of a counts, the first term of the quantizer's series in Bessel functions is ``2 / pi^2 / a^(3/2)``;
+    the sum of all terms is at most twice that. A tone below half a count is not recorded.
     """
     size = np.sqrt(2.0 * np.maximum(power - 1.0 / 12.0, 0.0))
     with np.errstate(divide="ignore"):
@@ -257,14 +260,15 @@ def tone_gain(power: Array) -> Array:
 
 
 def scattered(power: Array) -> Array:
-    """Share of what rounding does to a tone that noise beside it leaves the same from period to period.
+    """Compute the share of a tone's rounding error that additional noise leaves equal in every period.
 
-    Noise of s counts takes the quantiser's first term down by ``exp(-2 pi^2 s^2)``, and all others by more [1]_.
+    Noise of s counts reduces the first term of the quantizer's series by ``exp(-2 pi^2 s^2)``, and all others more
+    [1]_.
 
     Parameters
     ----------
     power : ndarray
-        Mean square of the noise in counts, which rounding itself adds a twelfth to.
+        Mean square of the noise in counts², of which rounding contributes 1/12.
 
     References
     ----------
@@ -274,14 +278,14 @@ def scattered(power: Array) -> Array:
 
 
 def in_counts(rec: Recording, names: Sequence[str], squares: Array) -> Array:
-    """Mean squares of readings, shape (channels, ...), in counts; infinite where a channel does not count."""
+    """Convert mean squares of readings, shape (channels, ...), to counts²; infinite for channels without counts."""
     counts = counts_of(rec, names).reshape(-1, *[1] * (squares.ndim - 1))
     with np.errstate(divide="ignore"):
         return np.asarray(np.where(counts > 0.0, squares / np.where(counts > 0.0, counts, 1.0) ** 2, np.inf))
 
 
 def counts_of(rec: Recording, names: Sequence[str]) -> Array:
-    """Size of a count of each channel in its unit; 0 where it does not count."""
+    """Return the size of a count of each channel in its unit; 0 for channels without counts."""
     infos = [rec.channels[name] for name in names]
     return np.array([0.0 if info.volts_per_count is None else info.unit_per_count for info in infos])
 
@@ -295,9 +299,10 @@ def clock_part(
     lower: ComplexArray,
     motion: str,
 ) -> dict[str, Array]:
-    """How far a sample clock that is off puts every frequency, and with it the curve, off.
+    """Compute the largest deviation of a response by the error of the sample clock.
 
-    Along its slope; and by the powers of frequency that make a displacement of an acceleration.
+    The frequency error acts through the slope of the curve, and through the powers of frequency that convert an
+    acceleration to a displacement.
 
     Parameters
     ----------
@@ -306,7 +311,7 @@ def clock_part(
     frequency : ndarray, shape (lines,)
         Hz.
     motion : str
-        What `value` is a response of.
+        Quantity of the response `value`.
     """
     off = clock_deviation(rec)
     if not off:
@@ -328,10 +333,11 @@ def clock_deviation(rec: Recording) -> float:
 
 
 def _moved(frequency: Array, value: ComplexArray, by: Array) -> Array:
-    """By how much a curve over rising frequencies changes where each is off by so much, up or down.
+    """Change of a curve over rising frequencies by frequency errors of either sign.
 
-    Between sparse lines a peak is steeper than its chords: through each line and its neighbours goes one pole beside a
-    constant, ``a / (f - p) + b``, whose slope is the product of the chords to both sides over the chord across.
+    Between sparse lines a peak is steeper than its chords. A pole and a constant, ``a / (f - p) + b``, are therefore
+    fitted to each line and its neighbours. The slope of this function is the product of the two adjacent chords over
+    the chord across.
     """
     apart = np.diff(frequency)
     chords = np.divide(np.diff(value), apart, out=np.zeros(apart.size, dtype=complex), where=apart > 0.0)
@@ -347,6 +353,6 @@ def _moved(frequency: Array, value: ComplexArray, by: Array) -> Array:
         slope = by[1:-1] * left * right / across
         nearest = np.minimum(abs(to_pole + by[1:-1]), abs(to_pole - by[1:-1]))
         through_pole = np.nan_to_num(abs(slope * to_pole) / nearest, posinf=np.inf)
-    # Where noise makes the chords, the pole may lie anywhere.
+    # If the chords are mainly noise, the position of the pole is arbitrary.
     moved[1:-1] = np.clip(through_pole, moved[1:-1], _SHARPEST * moved[1:-1])
     return np.asarray(moved)

@@ -1,8 +1,8 @@
-"""Frequency responses of tests that are no tones: clean stretches of the recording taken whole, fitted line by line.
+"""Frequency responses of tests without tones: local fits to the spectra of complete clean stretches.
 
-Random, bursts and hits are all one to the local rational method: whatever the force was, it was measured; what a
-stretch began with and what still rang when it ended is part of the fit. So nothing has to die away, no window adds
-damping, a hammer that bounced is as good as one that did not, and what overloads or lost samples spoil is cut out.
+The local rational method treats random excitation, bursts and hits in the same manner, because the force was measured
+and the transients at the beginning and end of a stretch are part of the fit. The response need not decay, no window
+adds damping, and double hits are acceptable. Samples with overloads or losses are excluded.
 """
 
 from __future__ import annotations
@@ -34,25 +34,25 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-# A stretch shorter than this part of the longest is not worth its transients.
+# Stretches shorter than this part of the longest are omitted, because their transients need too many parameters.
 _WORTH = 0.25
-# Nor is one that holds less than this part of a burst.
+# Stretches with less than this part of a burst are omitted, too.
 _BURST = 0.5
 _MOST_LINES = 1000
-# Values, of all channels, that stretches with hits may have: with their spectra they take just under a gigabyte.
+# Limit of the samples of all channels in stretches with hits; with their spectra they use just under a gigabyte.
 _MOST_VALUES = 14_000_000
-#: The systematic part that comes of what moved before a hit, and the threshold from which it is stated.
+#: The systematic part due to motion before a hit, and the threshold of its warning.
 MOTION_BEFORE = "motion before the hit"
 _MUCH = 0.01
 
 
 @dataclass(frozen=True)
 class WholeStretches:
-    """What of a recording is to be fitted."""
+    """Samples and band of a recording for local fits."""
 
     channels: tuple[str, ...]
-    """All channels concerned: where one of them is spoilt, so are all, so that their curves have the
-    same lines."""
+    """All channels concerned. A flaw of one channel excludes the samples of all, so that the curves have equal
+    lines."""
     first: int
     """Samples between which the test ran."""
     stop: int
@@ -62,24 +62,24 @@ class WholeStretches:
     high: float
     """Band in Hz in which responses are estimated."""
     missed: Sequence[Flaw] = ()
-    """What is wrong with channels besides overloads and losses."""
+    """Flaws of channels in addition to overloads and losses."""
     hits: Hits | None = None
-    """Of a hammer: what is known of the force before and after each."""
+    """Hits of a hammer, with the noise of the force before and after each hit."""
     bursts: tuple[int, int] | None = None
-    """Samples from one burst to the next, and those in which it is on, where the test comes in bursts."""
+    """Period of bursts and duration of each burst in samples; None for tests without bursts."""
     label: str = ""
     """For legends."""
     warnings: tuple[str, ...] = ()
     """In full sentences."""
     made: dict[tuple[str, ...], tuple[LocalSpectra, list[float]]] = field(default_factory=dict)
-    """Spectra made so far, by the channels they are of, and what moved before the hits of each stretch."""
+    """Stored spectra by channels, and the motion before the hits of each stretch."""
 
     def frf(
         self, rec: Recording, response: str, reference: str = "force", motion: str = "displacement"
     ) -> Response:
-        """Frequency response with coherence, random and systematic errors."""
+        """Estimate the frequency response with coherence, random and systematic errors."""
         above, below = motion_of(rec, response, motion), reference_of(rec, reference)
-        # Whether hits come upon rest, each response's own channels show.
+        # The channels of each response determine whether the rig was at rest before its hits.
         names = (
             self.channels if self.hits is None else tuple(dict.fromkeys([*above.channels, *below.channels]))
         )
@@ -93,7 +93,7 @@ class WholeStretches:
     def prepared(
         self, rec: Recording, names: tuple[str, ...], references: Sequence[str]
     ) -> tuple[LocalSpectra, list[float], list[tuple[int, int]], list[str]]:
-        """Spectra of some channels, the motion before the hits of each stretch, the stretches, and notes on them."""
+        """Return spectra, motion before the hits of each stretch, the stretches, and notes on them."""
         found = flaws(rec, self.channels, self.first, self.stop)
         found = sorted([*found, *self.missed], key=lambda flaw: flaw.first)
         stretches, notes = self._worth_fitting(rec, clean_stretches(found, self.first, self.stop))
@@ -119,15 +119,15 @@ class WholeStretches:
     def _worth_fitting(
         self, rec: Recording, clean: Sequence[tuple[int, int]]
     ) -> tuple[list[tuple[int, int]], list[str]]:
-        """Stretches long enough to resolve something and, of a hammer, with a hit in them."""
+        """Select stretches of sufficient length; for a hammer, only stretches with a hit."""
         if self.hits is not None:
             clean = [stretch for stretch in clean if self.hits.inside(*stretch)]
         if self.bursts is not None:
             # Samples at rest between bursts carry no information: undriven, a spring's force follows its response.
-            # After the end of a burst most of what rings was there before the stretch began.
+            # After the end of a burst, most of the vibration was excited before the stretch began.
             least = max(4 * SIDE, _BURST * self.bursts[1])
             clean = [stretch for stretch in clean if self._driven(*stretch) > least]
-        # A fit reaches over so many lines, and must not reach over the whole band.
+        # The range of a fit must be smaller than the band.
         least = 2 * SIDE / (self.high - self.low) if self.hits is None else 0.2
         longest = max((stop - start for start, stop in clean), default=0)
         worth = [
@@ -142,7 +142,7 @@ class WholeStretches:
     def _in_memory(
         self, stretches: list[tuple[int, int]], rate: float
     ) -> tuple[list[tuple[int, int]], list[str]]:
-        """Keep the first hits, as many as memory takes at once; random tests are read in pieces."""
+        """Limit hits to the first that fit into memory; random tests are read in pieces."""
         if self.hits is None:
             return stretches, []
         left, kept = _MOST_VALUES // len(self.channels), []
@@ -151,7 +151,7 @@ class WholeStretches:
             if stop - start > left:
                 start = max(start, self.hits.inside(*whole)[0][0] - left // 4)
                 begins = [begin for begin, _ in self.hits.inside(start, stop)[1:] if begin - start <= left]
-                # What rings of a single hit is cut where memory ends.
+                # The response to a single hit is truncated at the memory limit.
                 stop = begins[-1] if begins else min(stop, start + left)
             if not self.hits.inside(start, stop):
                 break
@@ -179,14 +179,14 @@ class WholeStretches:
         stretches: Sequence[tuple[int, int]],
         moving: Sequence[float],
     ) -> LocalSpectra:
-        """Spectra of all stretches, each at the end of as many samples as the longest has."""
+        """Compute the spectra of all stretches, zero-padded at the beginning to the length of the longest."""
         lead = 0 if self.hits is None else self.hits.lead()
-        # As long whether or not hits come upon rest, so that all responses have the same lines.
+        # The length does not depend on motion before the hits, so that all responses have the same lines.
         size = fft.next_fast_len(max(stop - start for start, stop in stretches) + lead, real=True)
-        # Hits alone are a comb of lines: between its teeth nothing is driven.
+        # The spectrum of periodic hits is a comb of lines, without excitation between its teeth.
         teeth = 1.0 if self.hits is None else max(1.0, size / lead)
         lines, side = self._lines(rec, size), int(np.ceil(SIDE * teeth))
-        # All that the fits reach.
+        # Range of bins of the fits.
         first = max(int(lines[0]) - side, 0)
         reach = slice(first, min(max(int(lines[-1]) + side, first + 2 * side), size // 2) + 1)
         bins = np.arange(reach.stop)
@@ -208,7 +208,7 @@ class WholeStretches:
             lengths = [block.shape[1] for block in blocks]
             padded = [np.pad(block, ((0, 0), (size - block.shape[1], 0))) for block in blocks]
             samples = [fft.rfft(block, axis=1) for block in padded]
-            # Their response is that of the whole tail, which a recording may cut off.
+            # Their response includes the whole tail, which the recording may truncate.
             info = rec.channels[self.hits.channel]
             turn = high_passes(info, fft.rfftfreq(size, 1.0 / rec.rate))
             for each in samples:
@@ -219,7 +219,7 @@ class WholeStretches:
         begins = np.exp(np.outer((size - np.array(lengths)) / size, -2j * np.pi * bins))
         ends = np.where(np.array(rests)[:, None], 0.0, begins)
         frequency = bins * (rec.rate / size)
-        # The line at zero has no displacement: it takes no part.
+        # The displacement at zero frequency is undefined; this line is not used.
         frequency[0] = frequency[1]
         return LocalSpectra(
             tuple(names),
@@ -246,7 +246,7 @@ class WholeStretches:
 
 
 def _with_motion_before(frf: Response, moving: Sequence[float]) -> Response:
-    """Add to a curve's bound what moved before the hits and is in it, and warn where that is much."""
+    """Add the effect of motion before the hits to a curve's bound, and warn if it is large."""
     known = [part for part in moving if np.isfinite(part)]
     if not known:
         return frf
@@ -255,8 +255,8 @@ def _with_motion_before(frf: Response, moving: Sequence[float]) -> Response:
         f"{frf.response}: motion or drift of {most:.1%} of the response came before a hit, and is in the curve; begin "
         "at rest and earlier, or record several hits in a row."
     )
-    # A free decay's spectrum falls with the distance from its resonance, as that of the response to the hit does: every
-    # line is taken for a resonance that holds what it and its width are.
+    # The spectrum of a free decay decreases with the distance from its resonance in proportion to the response to the
+    # hit. Every line is therefore treated as a resonance with the magnitude and width of the curve at this line.
     rate = (2.0 * np.pi * frf.frequency) ** {"displacement": 2, "velocity": 1, "acceleration": 0}[frf.motion]
     reach = 1.0 / (np.pi * (np.abs(np.arange(1 - frf.value.size, frf.value.size)) + 1.0))
     part = most * scipy.signal.fftconvolve(reach, abs(frf.value) * rate, mode="valid") / rate
@@ -265,7 +265,7 @@ def _with_motion_before(frf: Response, moving: Sequence[float]) -> Response:
 
 
 def dampers_move(rec: Recording) -> tuple[str, ...]:
-    """Warn of dampers that may move: a response without tones is then that of this excitation alone."""
+    """Warn of dampers that may move; the response is then valid only for this excitation."""
     if not any(damper.moves for damper in rec.scene.dampers):
         return ()
     return (

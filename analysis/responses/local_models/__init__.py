@@ -1,5 +1,5 @@
-"""Responses of single stretches, by a model that holds near each line: the fit resolves what a window would smear.
+"""Responses of single stretches by a local model around each line, without the leakage of a window.
 
-It knows spectra and what sensors add to them, and nothing of the test they are of. Start with `local_spectra`, whose
-fit is `local_rational`.
+The package uses spectra and the transfer functions of the sensors; it does not depend on the kind of test. Start with
+`local_spectra`; its fit is in `local_rational`.
 """

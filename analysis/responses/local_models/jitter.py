@@ -1,4 +1,4 @@
-"""What jitter of the sampling instants does to the response to a hit: noise that is there only while the signal is."""
+"""Effect of sampling jitter on the response to a hit: noise that is proportional to the slope of the signal."""
 
 from __future__ import annotations
 
@@ -18,37 +18,39 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-# Of a normal error less than 5 % lie beyond so many standard deviations, of one with two components less than 2 %.
+# A normal error exceeds this number of standard deviations with less than 5 % probability, an error with two
+# components with less than 2 %.
 _AT_MOST = 2.0
-# A quotient of two polynomials bends as a polynomial of the order of both does.
+# A quotient of two polynomials has the curvature of a polynomial whose order is the sum of both orders.
 _BENDS = 2 * ORDER
 
 
 def jitter_factor(
     rec: Recording, names: Sequence[str], hits: Sequence[tuple[int, int]], size: int, side: int
 ) -> Array:
-    """Factor of the covariance of what jitter adds to a hit's spectra and passes for response, (rows, channels).
+    """Square-root factor of the covariance of jitter errors that look like a response to a hit, (rows, channels).
 
-    A sample taken late by t is off by t times the slope of its signal. Slopes are steepest while a hit lasts and soon
-    after it; what is off there is as smooth over the lines as the response is, so that no scatter shows it. As much
-    counts of each sample as a fit lets through. All channels are sampled by one clock, and are late together.
+    A sample with a delay t has an error of t times the slope of its signal. Slopes are steepest during a hit and
+    shortly after it. The errors there are as smooth over the lines as the response, so that the scatter does not show
+    them. Each sample is weighted by its effect on a local fit. All channels have the same clock and therefore the
+    same delay.
 
     Parameters
     ----------
     names : sequence of str
         Channels.
     hits : sequence of (int, int)
-        First and last sample of each; the covariance is their mean.
+        First and last sample of each hit; the covariance is the mean over the hits.
     size : int
-        Samples that a spectrum is made of.
+        Number of samples of a spectrum.
     side : int
-        Lines to either side that a fit takes in.
+        Lines on either side that a local fit uses.
     """
     deviation = (rec.scene.converter.jitter or 0.0) * rec.rate
     factor = np.zeros((0, len(names)))
     if not deviation:
         return factor
-    # By the weights of a polynomial fitted to the lines nearby, from the hit to where they first end.
+    # Weights of a polynomial fit to neighbouring lines, from the hit to their first zero.
     reach = size * (_BENDS + 1) // (2 * side + 1)
     weights = scipy.signal.savgol_coeffs(2 * side + 1, _BENDS)
     turns = np.cos(2.0 * np.pi / size * np.arange(reach)[:, None] * np.arange(-side, side + 1))
@@ -63,16 +65,16 @@ def jitter_factor(
 
 
 def jitter_part(factor: Array, off: ComplexArray, power: Array) -> dict[str, Array]:
-    """How far jitter while hits last, and soon after, can put a response off.
+    """Largest deviation of a response by jitter during and shortly after the hits.
 
     Parameters
     ----------
     factor : ndarray, shape (rows, channels)
-        As `jitter_factor` gives it.
+        From `jitter_factor`.
     off : ndarray of complex, shape (channels, lines)
-        ``u - H l`` of the weights u and l by which readings make response and reference.
+        ``u - H l``, where u and l are the weights of the readings in the response and in the reference.
     power : ndarray, shape (lines,)
-        Of the reference, summed up over all hits.
+        Power of the reference, summed over all hits.
 
     Examples
     --------

@@ -1,14 +1,14 @@
 """Local rational method: a response without leakage from the spectra of whole stretches of a recording.
 
-Around every line the response is a quotient of two low polynomials, and what the two ends of a stretch add to its
-spectrum (the transients, which are what leaks) is another one with the same denominator. All are fitted by least
-squares to the lines nearby [1]_; no window smears the curve, nothing needs to have died away, and what the fit
-leaves over gives the error bars.
+Around every line the response is a quotient of two polynomials of low order. The transients at the two ends of a
+stretch, which cause leakage, are another quotient with the same denominator. All polynomials are fitted to the
+neighbouring lines by least squares [1]_. No window widens the peaks, the response need not decay within the stretch,
+and the residuals of the fit determine the error bars.
 
-What sensor, amplifier and coupling do to the reading is known and is not fitted: the response passes through it, and
-the transients of its slow high-passes, which bend too much near zero frequency for low polynomials, are terms of
-their own. Where noise hides what a denominator could resolve, there is none. How far low polynomials miss the curve is
-estimated by another fit with polynomials of one order more.
+The transfer function of sensor, amplifier and coupling is known and is not fitted. The transients of slow high-pass
+filters vary too strongly near zero frequency for polynomials of low order, and are separate terms of the fit. The
+denominator is omitted where the noise exceeds its effect. The model error is estimated by another fit with
+polynomials of the next higher order.
 
 References
 ----------
@@ -31,59 +31,60 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Lines = NDArray[np.int64]
 
-# Order of the polynomials, of the response above and below and of the transients; one more to see what it misses.
+# Order of the polynomials of the numerator, the denominator and the transients. A fit of the next higher order gives
+# the model error.
 ORDER = 2
 _FAINT, _NOTHING = 1e-10, 1e-300
-#: The power of noise is below so many times its mean in 95 % of lines.
+#: The noise power is below this multiple of its mean in 95 % of lines.
 LARGEST = 3.0
-# Elements of the systems of equations solved at a time.
+# Elements of the systems of equations that are solved at a time, which limits memory.
 _AT_ONCE = 1 << 20
 
 
 @dataclass(frozen=True)
 class Reading:
-    """What a channel read of some stretches."""
+    """Reading of a channel in some stretches."""
 
     spectra: ComplexArray
     """Spectra of stretches brought to equal length, without a window; complex, shape (stretches, bins)."""
     response: ComplexArray
-    """Of the channel to what it measures; complex, shape (bins,)."""
+    """Response of the channel to the quantity that it measures; complex, shape (bins,)."""
     slow: ComplexArray
-    """Spectra of the transients of its high-passes, ``1 / (s - pole)``; complex, shape (poles, bins)."""
+    """Spectra of the transients of its high-pass filters, ``1 / (s - pole)``; complex, shape (poles, bins)."""
 
 
 @dataclass(frozen=True)
 class LocalFit:
-    """A response line by line."""
+    """Result of the local fits, for each line."""
 
     value: ComplexArray
-    """Response at each line; NaN where nothing was driven; complex, shape (lines,)."""
+    """Response at each line; NaN at lines without excitation; complex, shape (lines,)."""
     variance: Array
-    """Of either quadrature component; shape (lines,)."""
+    """Variance of either quadrature component; shape (lines,)."""
     coherence: Array
-    """Share of the response's power that the fit gives to the reference, of what it does not give to transients; shape
-    (lines,)."""
+    """Share of the response power without transients that the fit assigns to the reference; shape (lines,)."""
     degrees: Array
-    """Degrees of freedom behind the variance; shape (lines,)."""
+    """Degrees of freedom of the variance; shape (lines,)."""
     missed: Array
-    """How far the polynomials miss the curve at each line: what one order more changes there, or as root mean square
-    around it, beyond the noise by which two such fits differ [2]_; shape (lines,)."""
+    """Model error of the polynomials at each line: the change by a fit of the next higher order, at the line or as
+    root mean square around it, less the change that noise explains [2]_; shape (lines,)."""
     through: Array
-    """Variance of either quadrature component for noise in the reference of power one at each line. In a peak narrower
-    than what a fit takes in, poles follow that noise, and what is left over knows nothing of it; shape (lines,)."""
+    """Variance of either quadrature component for noise of unit power in the reference at each line. In a peak that
+    is narrower than the range of a fit, the poles follow this noise and the residuals do not show it; shape
+    (lines,)."""
     apart: Array
-    """Share of the reference's power that nothing else in the fit could explain: a tone that passes evenly looks much
-    like a transient, and noise does not; shape (lines,)."""
+    """Share of the reference power that no other term of the fit can explain. The share is small for a tone that
+    sweeps evenly, because its spectrum resembles a transient, and large for noise; shape (lines,)."""
     noise: Array
-    """Power of what is left over at a line, in the square of what is read; shape (lines,)."""
+    """Power of the residual at each line, in the squared unit of the reading; shape (lines,)."""
     influence: ComplexArray
-    """Error of the value for one of each bin read; shape (lines, stretches, width)."""
+    """Error of the value per unit error of each bin of the reading; shape (lines, stretches, width)."""
     residual: ComplexArray
-    """What is left over of the reading; shape (lines, stretches, width)."""
+    """Residual of the reading; shape (lines, stretches, width)."""
     curve: ComplexArray
-    """Reading per unit of the reference as fitted; shape (lines, 1, width)."""
+    """Fitted reading per unit of the reference; shape (lines, 1, width)."""
     first: Lines
-    """First bin that each fit takes in; shape (lines,)."""
+    """First bin of each fit; shape (lines,)."""
 
 
 def local_fit(
@@ -100,21 +101,21 @@ def local_fit(
     Parameters
     ----------
     reading : Reading
-        Of the response.
+        Reading of the response channel.
     reference : ndarray of complex, shape (stretches, bins)
         True spectra of the reference.
     ends : ndarray of complex, shape (stretches, bins)
-        Phase of the instant at which each stretch begins, where its transient does not join that of its end: 1
-        throughout where it does, 0 where the rig was at rest.
+        Phase of the first sample of each stretch, if the transients at beginning and end are separate terms. It is 1
+        at all bins if they are a single term, and 0 if the rig was at rest.
     lines : ndarray of int, shape (lines,)
         Bins at which to fit.
     side : int
-        Lines to either side that a fit takes in.
+        Lines on either side that a fit uses.
     used : float
-        Share of the samples behind the spectra that was measured, the rest being zeros: neighbouring lines then
-        depend on each other, and count for less.
+        Measured share of the samples of the spectra; the remainder is zero padding, which correlates neighbouring
+        lines and reduces the degrees of freedom.
     others : ndarray of complex, shape (inputs, stretches, bins), optional
-        True spectra of other inputs: each has a numerator of its own, with the common denominator.
+        True spectra of other inputs, each with its own numerator and the common denominator.
 
     Examples
     --------
@@ -138,11 +139,13 @@ def local_fit(
             for each in zip(plain, rational, strict=True)
         )
     )
-    # The variance of the difference is the difference of the variances, as the lower order is part of the higher.
+    # The lower order is contained in the higher, so the variance of the difference is the difference of the
+    # variances.
     change, noise = abs(more.value - best.value) ** 2, 2.0 * np.maximum(more.variance - best.variance, 0.0)
     near = max(1, side // max(1, int(np.median(np.diff(lines)))) if lines.size > 1 else 1)
     around = scipy.ndimage.uniform_filter1d(change - noise, near, mode="nearest")
-    # A peak of a line or two is missed there and nowhere else; noise changes a line by more than that in 5 % of lines.
+    # The model error at a peak of one or two lines is limited to these lines; noise exceeds this limit in 5 % of
+    # lines.
     missed = np.sqrt(np.maximum(np.maximum(around, change - LARGEST * noise), 0.0))
     return LocalFit(
         best.value, best.variance, best.coherence, best.degrees, missed, best.through, best.apart, best.noise,
@@ -161,7 +164,7 @@ class _Fits(NamedTuple):
     apart: Array
     noise: Array
     criterion: Array
-    """Schwarz's, for orders to be compared [3]_."""
+    """Schwarz's criterion, for the comparison of orders [3]_."""
     influence: ComplexArray
     residual: ComplexArray
     curve: ComplexArray
@@ -189,10 +192,10 @@ def _fits(
         for first in range(0, lines.size, step)
     ]
     found = _Solution(*(np.concatenate(each) for each in zip(*parts, strict=True)))
-    # Zeros in front of a stretch make neighbouring lines depend on each other: they count for less.
+    # Zero padding correlates neighbouring lines and reduces the degrees of freedom.
     free = max(used * equations - unknowns, 0.5)
     noise = found.left / free
-    # Noise makes even a response that is none some size.
+    # Noise contributes to the magnitude of the estimate even if the true response is zero.
     explained = np.maximum(found.power - noise * found.spread, 0.0) * found.apart * equations
     criterion = used * equations * np.log(np.maximum(found.left, _NOTHING)) + unknowns * np.log(
         2 * used * equations
@@ -213,23 +216,23 @@ def _fits(
 
 
 class _Solution(NamedTuple):
-    """Least squares of readings and references that both have a mean square of one, at some lines."""
+    """Least-squares solution for readings and references scaled to unit mean square, at some lines."""
 
     value: ComplexArray
     scale: Array
-    """Of the reading over that of the reference: the unit of the value."""
+    """Scale of the reading over that of the reference: the unit of the value."""
     power: Array
     """Square of the value without that scale."""
     spread: Array
-    """Variance of the value without that scale, for noise of one."""
+    """Variance of the value without that scale, for unit noise."""
     left: Array
-    """Sum of squares of what is left over of the reading."""
+    """Sum of squares of the residual of the reading."""
     through: Array
     apart: Array
     size: Array
-    """Root of the mean square of what was read."""
+    """Root mean square of the reading."""
     influence: ComplexArray
-    """These three as `LocalFit` has them, with all scales."""
+    """These three as in `LocalFit`, with all scales."""
     residual: ComplexArray
     curve: ComplexArray
 
@@ -258,7 +261,7 @@ def _fit(
     transients += [((each := slow[near][:, None, :]) / _rms(each))[..., None] for slow in reading.slow]
     own = np.concatenate(transients, axis=-1)
     if begins:
-        # Where a stretch has no beginning of its own the columns are zero, and the faint wish leaves them out.
+        # The columns are zero if a stretch has no separate transient at its beginning; the regularization omits them.
         begun = np.where(np.isin(np.arange(stretches), begins)[:, None], e, 0.0)[..., None]
         own = np.concatenate([np.broadcast_to(own, (*x.shape, own.shape[-1])), begun * own], axis=-1)
     shared = [f[..., None] * powers]
@@ -266,8 +269,8 @@ def _fit(
         near_other = np.moveaxis(other[:, near], 1, 0) * response_near
         shared.append((near_other / np.maximum(_rms(near_other), _NOTHING))[..., None] * powers)
     terms = _Terms(np.concatenate(shared, axis=-1), own, at[..., None] ** np.arange(1, poles + 1))
-    # Multiplied by the denominator the problem is linear, but what is noise is weighted, too, and fitted by poles of
-    # its own: a step of Gauss and Newton sets both right.
+    # Multiplication by the denominator makes the problem linear, but it also weights the noise and fits poles to it.
+    # A Gauss-Newton step corrects both.
     unknown, influence = _solved(terms, x, x)
     model, below = terms.quotient(unknown)
     left = x - model
@@ -279,12 +282,12 @@ def _fit(
         better = _power(changed) < _power(left)
         unknown = unknown.where(better, stepped)
         left = np.where(better[:, None, None], changed, left)
-    # The response at all lines of the fit: its model of a reference of one.
+    # Response at all lines of the fit: the model for a unit reference.
     first = unknown._replace(numerator=unknown.numerator[:, : order + 1])
     curve = terms._replace(shared=powers).response(first)
     through = _power(influence * curve * response_near) / 2.0
-    # Of the reference's power, a mean square of one at each line, that part is independent of all columns which are
-    # not its own: with these alone the constant would scatter as that of a polynomial.
+    # Share of the unit reference power that is independent of all other columns. With the columns of the numerator
+    # alone, the constant would have the variance of a polynomial fit.
     scatter = np.linalg.inv(np.swapaxes(powers[:, 0], 1, 2) @ powers[:, 0])[:, 0, 0] / stretches
     spread = _power(influence)
     driven = np.where(drive > _NOTHING, drive, np.nan)[:, 0, 0]
@@ -306,22 +309,22 @@ def _fit(
 
 
 def _first(lines: Lines, side: int, bins: int) -> Lines:
-    """First bins that fits at some lines take in."""
+    """First bins of the fits at some lines."""
     return np.asarray(np.clip(lines - side, 0, bins - 2 * side - 1))
 
 
 class _Unknown(NamedTuple):
-    """Coefficients at each line."""
+    """Coefficients of the polynomials at each line."""
 
     numerator: ComplexArray
     """Shape (lines, order + 1)."""
     denominator: ComplexArray
-    """But for its constant, which is one; shape (lines, poles)."""
+    """Without its constant, which is 1; shape (lines, poles)."""
     transients: ComplexArray
     """Shape (lines, stretches, terms)."""
 
     def where(self, lines: NDArray[np.bool_], other: _Unknown) -> _Unknown:
-        """Take those of another at some lines."""
+        """Replace the coefficients at some lines by those of another solution."""
         return _Unknown(
             *(
                 np.where(lines.reshape(-1, *[1] * (mine.ndim - 1)), theirs, mine)
@@ -331,22 +334,22 @@ class _Unknown(NamedTuple):
 
 
 class _Terms(NamedTuple):
-    """Columns that are known, at the lines around each line."""
+    """Known columns of the linear system, at the lines around each line."""
 
     shared: ComplexArray | Array
-    """Reference times powers of the distance, of one numerator for all stretches: shape (lines, stretches, width,
-    order + 1)."""
+    """Reference times powers of the frequency distance, for the common numerator of all stretches; shape (lines,
+    stretches, width, order + 1)."""
     own: ComplexArray | Array
-    """Of each stretch's transients: shape (lines, stretches or 1, width, terms)."""
+    """Columns of each stretch's transients; shape (lines, stretches or 1, width, terms)."""
     powers: Array
-    """Of the denominator: shape (lines, 1, width, poles)."""
+    """Columns of the denominator; shape (lines, 1, width, poles)."""
 
     def response(self, unknown: _Unknown) -> ComplexArray:
-        """Quotient of the two polynomials; shape (lines, stretches or 1, width)."""
+        """Compute the quotient of the two polynomials; shape (lines, stretches or 1, width)."""
         return self._above(unknown.numerator) / self._below(unknown.denominator)
 
     def quotient(self, unknown: _Unknown) -> tuple[ComplexArray, ComplexArray]:
-        """Model of the lines and its denominator."""
+        """Compute the model of the lines and its denominator."""
         below = self._below(unknown.denominator)
         transients = (self.own @ unknown.transients[..., None])[..., 0]
         return self._above(unknown.numerator) / below + transients / below, below
@@ -356,25 +359,24 @@ class _Terms(NamedTuple):
 
     def _below(self, denominator: ComplexArray) -> ComplexArray:
         below = 1.0 + (self.powers @ denominator[:, None, :, None])[..., 0]
-        # A pole on a line is no pole of a structure.
+        # A pole exactly on a line is not a pole of a damped structure.
         return np.where(abs(below) > _FAINT, below, _FAINT)
 
 
 def _solved(terms: _Terms, model: ComplexArray, right: ComplexArray) -> tuple[_Unknown, ComplexArray]:
-    """Solve by least squares; and how much each equation's right side weighs in the first unknown.
+    """Solve by least squares; also return the weight of each right-hand side in the first unknown.
 
-    That is the numerator's constant: the response at the line itself, where the denominator is one.
+    The first unknown is the constant of the numerator: the response at the line itself, where the denominator is 1.
+    The transients of each stretch are eliminated by projection onto the orthogonal complement of their columns; the
+    common unknowns are then estimated from the remainder.
 
-    Transients are those of one stretch and of no other: each stretch is freed of its own (the projection onto what
-    is at right angles to their columns), and what all share is solved for in what is left.
-
-    Where lower orders do, denominator, numerator and transient have a factor in common, which could be anything: a
-    faint wish for small coefficients settles it, and leaves the response at the line as it is.
+    If a lower order suffices, denominator, numerator and transient have an arbitrary common factor. A weak
+    regularization towards small coefficients determines it without effect on the response at the line.
 
     Parameters
     ----------
     model : ndarray of complex, shape (lines, stretches, width)
-        What the denominator multiplies.
+        Model that is multiplied by the denominator.
     right : ndarray of complex, shape (lines, stretches, width)
     """
     lines, stretches, width = right.shape
@@ -400,7 +402,7 @@ def _solved(terms: _Terms, model: ComplexArray, right: ComplexArray) -> tuple[_U
 
 
 def _wishing(system: ComplexArray | Array) -> ComplexArray:
-    """Add the equations of a faint wish for small unknowns."""
+    """Add the equations of a weak regularization towards small unknowns."""
     unknowns = system.shape[-1]
     wish = np.broadcast_to(_FAINT * np.eye(unknowns), (*system.shape[:-2], unknowns, unknowns))
     return np.concatenate([system, wish], axis=-2)

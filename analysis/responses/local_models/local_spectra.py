@@ -1,4 +1,4 @@
-"""Spectra of stretches of a recording, and the response that the local rational method finds in them."""
+"""Spectra of stretches of a recording, and their response by the local rational method."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-# Resolved lines to either side that a fit takes in.
+# Resolved lines on either side that a local fit uses.
 SIDE = 12
 
 
@@ -52,22 +52,22 @@ class LocalSpectra:
     lines: NDArray[np.int64]
     """Bins at which the response is estimated; shape (lines,)."""
     side: int
-    """Lines to either side that a fit takes in."""
+    """Lines on either side that a local fit uses."""
     used: float
-    """Share of the samples behind the spectra that was measured, as in `local_fit`."""
+    """Measured share of the samples of the spectra, as in `local_fit`."""
     gain: Array
-    """How far rounding can change each channel's gain, as in `rounding_part`; shape (channels, lines)."""
+    """Largest relative change of each channel's gain by rounding, as in `rounding_part`; shape (channels, lines)."""
     noise: Array
-    """Power of each channel's noise at each line, as far as known; shape (channels, lines)."""
+    """Known noise power of each channel at each line; shape (channels, lines)."""
     jitter: Array
-    """Of hits, as `jitter_factor` gives it; shape (rows, channels)."""
+    """Jitter of hits, from `jitter_factor`; shape (rows, channels)."""
     fits: dict[tuple[str, Measurand], LocalFit] = field(default_factory=dict)
-    """Made so far, of a channel to a reference: responses share the channels of their reference."""
+    """Stored fits of a channel to a reference, because responses share the channels of their reference."""
     spectra: dict[Measurand, ComplexArray] = field(default_factory=dict)
-    """Made so far, of references; complex, shape (stretches, bins)."""
+    """Stored spectra of references; complex, shape (stretches, bins)."""
 
     def only(self, names: Sequence[str]) -> LocalSpectra:
-        """Keep some channels."""
+        """Return the spectra of some channels only."""
         rows = [self.channels.index(name) for name in names]
         return replace(
             self,
@@ -89,15 +89,15 @@ class LocalSpectra:
         warnings: Sequence[str],
         reference_noise: Array | None = None,
     ) -> Response:
-        """Response of one measurand to another.
+        """Estimate the response of one measurand to another.
 
         Parameters
         ----------
         above, below : Measurand
             Response and reference.
         reference_noise : ndarray, shape (lines,), optional
-            Variance of either quadrature component of the reference, relative, where it is known. Omitted: bounded by
-            the coherence.
+            Relative variance of either quadrature component of the reference, if known. If omitted, the coherence
+            bounds it.
         """
         names = list(dict.fromkeys([*above.channels, *below.channels]))
         if names != list(self.channels):
@@ -108,7 +108,7 @@ class LocalSpectra:
         force = self.spectrum(rec, below)
         driven(reference, force)
         upper, lower = above.row(rec, names, at), below.row(rec, names, at)
-        # Of every channel, how much it reads per unit of the reference.
+        # Reading of each channel per unit of the reference.
         reads = np.zeros((len(names), at.size), dtype=complex)
         for index, name in enumerate(names):
             if below.channels == (name,):
@@ -119,7 +119,7 @@ class LocalSpectra:
             if name == above.channels[0]:
                 of_response = fit
         scale = abs(np.sum(upper * reads, axis=0)) / np.maximum(abs(of_response.value), 1e-300)
-        # Whatever is left over by a fit, its value follows what noise the reference brings.
+        # The fitted value follows the noise of the reference regardless of the residual.
         noise = np.einsum("cn,cn->n", abs(lower) ** 2, self.noise)
         variance = np.maximum(of_response.variance, of_response.through * noise) * scale**2
         value = np.sum(upper * reads, axis=0)
@@ -132,9 +132,10 @@ class LocalSpectra:
         )
         doubts = []
         if noise.any():
-            # By how much of itself the fit follows noise in the reference: so uncertain is, to it, the reference.
+            # The relative amount by which the fit follows reference noise is the effective uncertainty of the
+            # reference.
             size = abs(of_response.value) ** 2
-            # Where nothing is fitted, all of it may be noise.
+            # Without a fit, the whole reference may be noise.
             follows = np.full(size.shape, np.inf)
             np.divide(2.0 * of_response.through * noise, size, out=follows, where=size > 0.0)
             doubts.append(np.sqrt(LARGEST * follows))
@@ -178,19 +179,19 @@ class LocalSpectra:
 
     @property
     def shared(self) -> float:
-        """How many neighbouring lines have one error: a fit turns the lines it takes in into one value."""
+        """Number of neighbouring lines with a common error: each fit reduces its lines to a single value."""
         step = float(np.median(np.diff(self.lines))) if self.lines.size > 1 else 1.0
         return max((2 * self.side + 1) / (3 * ORDER + 2) / step, 1.0)
 
     def spectrum(self, rec: Recording, measurand: Measurand) -> ComplexArray:
-        """Spectra of a measurand, shape (stretches, bins)."""
+        """Compute the spectra of a measurand, shape (stretches, bins)."""
         if measurand not in self.spectra:
             row = measurand.row(rec, self.channels, self.frequency)
             self.spectra[measurand] = np.einsum("cn,scn->sn", row, self.samples)
         return self.spectra[measurand]
 
     def reading(self, rec: Recording, name: str) -> Reading:
-        """Spectra of a channel, its response, and the transients of its high-passes."""
+        """Return the spectra of a channel, its response, and the transients of its high-pass filters."""
         info = rec.channels[name]
         slow = [1.0 / (2j * np.pi * self.frequency - pole) for pole in slow_and_fast(info)[0]]
         return Reading(
@@ -200,13 +201,13 @@ class LocalSpectra:
         )
 
     def _power(self, spectra: ComplexArray, side: int) -> Array:
-        """Mean square of spectra at each line and so many to either side of it; shape (lines,)."""
+        """Mean square of spectra over `side` lines on either side of each line; shape (lines,)."""
         return np.asarray(
             scipy.ndimage.uniform_filter1d(np.mean(abs(spectra) ** 2, axis=0), 2 * side + 1)[self.lines]
         )
 
     def _fit(self, rec: Recording, name: str, to: Measurand) -> LocalFit:
-        """Response of what a channel measures to a measurand."""
+        """Fit the response of a channel's measured quantity to a measurand."""
         if (name, to) not in self.fits:
             reading = self.reading(rec, name)
             side = min(self.side, (self.frequency.size - 1) // 2)
@@ -215,14 +216,15 @@ class LocalSpectra:
         return self.fits[name, to]
 
     def _reference_noise(self, rec: Recording, below: Measurand) -> Array:
-        """Power of noise at each line that the channels of a spring's force can hold at most.
+        """Upper limit of the noise power of the channels of a spring force at each line.
 
-        Of two readings of one motion neither holds more noise than what it has not in common with the other.
+        The noise of either of two readings of the same motion is at most the power that it does not share with the
+        other.
         """
         most = self.noise.copy()
         for name, other in permutations(below.channels):
             row = self.channels.index(name)
             fit = self._fit(rec, name, Measurand((other,), (1.0,), "displacement"))
-            # The least that so few degrees of freedom show of a noise in 95 % of lines.
+            # Upper 95 % limit of the noise power for these degrees of freedom.
             most[row] = np.maximum(most[row], fit.noise * fit.degrees / special.chdtri(fit.degrees, 0.95))
         return most

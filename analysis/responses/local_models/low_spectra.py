@@ -1,8 +1,8 @@
-"""Spectra of a long stretch at its lowest frequencies: a test of a structure drives a small part of half the rate.
+"""Spectra of a long stretch at its lowest frequencies; a test usually excites only a small part of the band.
 
-What lies above is filtered out before samples are dropped, and what the filter does below is divided out again
-(Crochiere and Rabiner, Multirate Digital Signal Processing, 1983, chapter 2). An hour takes hardly more memory than a
-minute, and as much time as reading it does.
+Higher frequencies are removed by a low-pass filter before decimation, and the spectrum is divided by the filter's
+response (Crochiere and Rabiner, Multirate Digital Signal Processing, 1983, chapter 2). Memory hardly depends on the
+duration of the recording; the computation takes about as long as reading the samples.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-# Of the lower rate, the share that bins may reach up to; and the filter's length, in samples of that rate, and its
-# Kaiser window, with which what folds back there is 240 dB down.
+# Highest bin as a share of the lower rate; length of the filter in samples of that rate; and parameter of its Kaiser
+# window, which attenuates aliasing in these bins by 240 dB.
 _REACH, _LENGTH, _BETA = 0.15, 24, 25.5
-# Products of matrices with no more multiplications than this BLAS does at once, instead of having threads wait for it.
+# BLAS computes matrix products of up to this number of multiplications in a single thread, without synchronization.
 _SMALL = 1 << 18
 
 
 def low_spectra(
     rec: Recording, names: Sequence[str], start: int, stop: int, size: int, bins: int
 ) -> tuple[ComplexArray, Array]:
-    """Spectra of a clean stretch at the end of zeros, its mean taken off.
+    """Compute the spectra of a clean stretch after leading zeros, with its mean removed.
 
     Parameters
     ----------
@@ -44,12 +44,12 @@ def low_spectra(
     size : int
         Number of samples with the zeros.
     bins : int
-        How many of the lowest bins are wanted, of 1 / size of the sample rate each.
+        Number of bins from zero frequency, with a spacing of the sample rate / size.
 
     Returns
     -------
     spectra : ndarray of complex, shape (channels, bins)
-        As `numpy.fft.rfft` gives them.
+        As returned by `numpy.fft.rfft`.
     squares : ndarray, shape (channels,)
         Mean square of the stretch without its mean.
     """
@@ -61,11 +61,11 @@ def low_spectra(
     )
     filters = taps.reshape(-1, step).T
     few = max(1, _SMALL // filters.size)
-    # From end to end and beyond, where the filter reaches: all is one turn of a circle.
+    # The filter extends beyond both ends of the stretch; the transform is periodic.
     beyond, before, piece = filters.shape[1], size - (stop - start), max(1, PIECE // step) * step
     kept = np.zeros((len(names), beyond + size // step))
     total, squares = np.zeros((2, len(names)))
-    # Squares are taken about a first sample: those of an offset would hide what varies.
+    # Squares are computed relative to the first sample, because a large offset would hide the variation by rounding.
     offset = np.array([rec.read(name, start, start + 1)[0] for name in names])
     for first in range(before // step * step, size, piece):
         read = np.zeros((len(names), min(piece, size - first)))

@@ -1,4 +1,4 @@
 """Natural frequencies, damping ratios and shapes from frequency responses.
 
-Start with `identification`; `lscf` is the estimator of poles.
+Start with `identification`; `lscf` estimates the initial poles.
 """

@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 # A damping ratio with a larger relative uncertainty is reported.
 _OFF = 0.02
-# Resolution over half the half-power width from which on leakage does that.
+# Ratio of resolution to half of the half-power width at which leakage causes this uncertainty.
 _SMEARED = float(np.sqrt(_OFF / SMEAR))
 
 
@@ -33,17 +33,17 @@ def doubts(
     Parameters
     ----------
     curves : sequence of Response
-        What they were identified from.
+        Curves from which the modes were identified.
     count : int or None
-        Modes asked for.
+        Requested number of modes.
     dropped : sequence of float
-        Hz: poles left out, as their damping or their height is undetermined.
+        Hz: poles rejected because their damping or peak height is undetermined.
     loose : ndarray
-        Hz: poles left out, as next to nothing bounds the curves there.
+        Hz: poles rejected because the uncertainty of the curves is too large there.
     unseen : ndarray
-        Hz: poles left out, as no line was measured around them.
+        Hz: poles rejected because no line was measured around them.
     left_out : sequence of str
-        Responses left out.
+        Responses that were not used.
     """
     yield from (f"{name} was left out: its uncertainty is unbounded." for name in left_out)
     if modes.model_error:

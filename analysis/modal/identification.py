@@ -25,48 +25,47 @@ from rig.results.response import Response, stack
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-# The smallest relative error credited to a point: keeps a handful of nearly perfect points from deciding
-# alone.
+# Smallest relative error assigned to a point, so that a few points of very small error do not determine the result.
 LEAST_RELATIVE_ERROR = 1e-4
-# What a second chart takes the relative error for: it is led by all the curve and not by its peaks alone.
+# Relative error for a second chart, which weights the whole curve and not only its peaks.
 _EVEN = 0.03
-# Poles to start from, and those tried when one more is looked for.
+# Number of initial poles, and of candidates in the search for a further pole.
 _STARTS, _TRIED = 15, 40
-# A misfit of so many variances is no longer noise: the curves are those of no linear structure.
+# A misfit above this number of variances is not noise: the structure is nonlinear.
 _NOT_NOISE = 4.0
-# How far a model may miss the curves, relative to the peaks around: tried one after the other.
+# Model errors relative to the neighbouring peaks, tried in this order.
 _DISTRUST = (0.0, 0.01, 0.03, 0.1, 0.2, 0.4)
-# Up to so many times a frequency, and down from it, belongs to its neighbourhood.
+# The neighbourhood of a frequency extends by this factor in both directions.
 _AROUND = 1.15
-# Degrees of freedom from which on a line's own error is known.
+# Fewest degrees of freedom for the use of a line's own error.
 _ENOUGH = 10.0
-# A largest deviation counts as so many standard deviations.
+# Ratio of a largest deviation to its standard uncertainty.
 _LARGEST = 1.8
 
 
 def identify(frfs: Response | Sequence[Response], count: int | None = None) -> Modes:
     """Identify the modes that a set of frequency responses of one test share.
 
-    Poles to start from come from stabilisation charts (least-squares complex frequency domain). They are refined
-    together with all residues by weighted least squares, every point weighted by its error bar; poles that noise
-    would explain as well are left out, and further ones tried, until all and only those are left that the curves
-    ask for. Where the best model misses the curves by more than their error bars, as it must where dampers make
-    the structure nonlinear, points are weighted by what it misses. Standard deviations come from what is left.
+    The initial poles are taken from stabilisation charts (least-squares complex frequency domain). Poles and residues
+    are refined by weighted least squares, with the error bar of each point as its weight. Poles that do not improve
+    the fit beyond noise are removed, and further candidates are tried, until only significant poles remain. If the
+    residuals of the best model exceed the error bars, as for a structure with nonlinear dampers, the points are
+    weighted by the model error. The standard deviations are computed from the residuals.
 
     Parameters
     ----------
     frfs : sequence of Response
-        Several responses to one reference at the same frequencies; or a `Response` to several inputs, which separates
-        close and repeated modes.
+        Responses to one reference at equal frequencies; or a `Response` to several inputs, which allows the
+        separation of close and repeated modes.
     count : int, optional
-        Most modes wanted. Omitted: all that the curves hold.
+        Largest number of modes; all significant modes if omitted.
 
     Raises
     ------
     RecordingError
-        If there are too few frequencies, or no mode.
+        If there are too few frequencies, or if no mode is identified.
     SceneError
-        If the responses do not belong together.
+        If the responses are not of one test.
     """
     if count is not None and not (isinstance(count, int) and count >= 1):
         raise SceneError(f"{count} modes asked for: expected at least 1")
@@ -109,7 +108,7 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
             "the curves hold no resonance that their noise and resolution can show; measure more densely around "
             "the resonances, longer, or over a band that holds some"
         )
-    # A bound holds 95 %: two standard deviations.
+    # The bound at a level of 95 % is two standard deviations.
     f_error, z_error = (
         np.hypot(error, 0.5 * part)
         for error, part in zip(
@@ -120,7 +119,7 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
             strict=True,
         )
     )
-    # Where nothing bounds the curves, they may well have their poles elsewhere.
+    # If the uncertainty of the curves is unbounded, the position of the poles is unknown.
     anywhere = inside & (2.0 * f_error >= abs(model.poles) / (2 * np.pi))
     inside &= ~anywhere
     loose: Array = np.asarray(abs(model.poles[anywhere]) / (2 * np.pi), dtype=float)
@@ -138,7 +137,7 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
             "them; see `analysis frf` for what their bounds are made of"
         )
     poles, f_error, z_error = model.poles[inside], f_error[inside], z_error[inside]
-    # A clock that is off moves all poles alike, which the parts of single lines determine only jointly.
+    # A clock error shifts all poles by the same relative amount; it is a common error of all lines.
     f_error = np.hypot(
         f_error, max(curve.uncertainty.clock for curve in frfs) * abs(poles) / (2 * np.pi * _LARGEST)
     )
@@ -166,9 +165,9 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
 
 
 def _shape_errors(curves: Sequence[Response], poles: ComplexArray, residue: ComplexArray) -> Array:
-    """Find standard deviations of shapes with largest element one, from the curves' bounds at each resonance.
+    """Estimate standard deviations of shapes with largest element 1, from the curves' bounds at each resonance.
 
-    What the sensor of their reference is off by all curves are off by.
+    An error of the reference sensor is common to all curves.
     """
     frequency: Array = np.asarray(abs(poles) / (2 * np.pi), dtype=float)
     at = [_nearest(curve, frequency, np.isfinite(curve.value)) for curve in curves]
@@ -183,13 +182,13 @@ def _shape_errors(curves: Sequence[Response], poles: ComplexArray, residue: Comp
 
 
 def _nearest(curve: Response, frequency: Array, among: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Which of some lines of a curve are nearest to other frequencies."""
+    """Return the selected lines of a curve that are nearest to other frequencies."""
     lines = np.flatnonzero(among)
     return np.asarray(lines[np.argmin(abs(curve.frequency[lines] - frequency[:, None]), axis=1)])
 
 
 def _bounded(curves: Sequence[Response]) -> list[Response]:
-    """Leave out responses that nothing bounds: they would weigh nothing."""
+    """Remove responses with unbounded uncertainty, which have zero weight."""
     found = [curve for curve in curves if np.isfinite(_sigma([curve])).any()]
     if not found:
         raise RecordingError(
@@ -201,7 +200,7 @@ def _bounded(curves: Sequence[Response]) -> list[Response]:
 
 
 def _measured(curves: Sequence[Response]) -> tuple[Curves, Array]:
-    """Values of the responses where all have one, and their standard deviations."""
+    """Return the responses at lines where all are measured, and their standard deviations."""
     frequency = curves[0].frequency
     if any(
         curve.frequency.shape != frequency.shape or np.any(curve.frequency != frequency) for curve in curves
@@ -210,7 +209,7 @@ def _measured(curves: Sequence[Response]) -> tuple[Curves, Array]:
             "the responses were measured at different frequencies: identify one recording at a time"
         )
     value, sigma = np.stack([curve.value for curve in curves]), _sigma(curves)
-    # A line whose error nothing bounds in any response has no weight.
+    # A line with unbounded uncertainty in every response has zero weight.
     known = np.isfinite(value).all(axis=0) & (frequency > 0) & np.isfinite(sigma).any(axis=0)
     if known.sum() < 8:
         raise RecordingError(
@@ -229,33 +228,36 @@ def _measured(curves: Sequence[Response]) -> tuple[Curves, Array]:
 def _explained(
     measured: Curves, sigma: Array, stable: ComplexArray, every: ComplexArray, most: int
 ) -> tuple[Curves, Fit, float]:
-    """Best model, the curves with the weights it was fitted with, and its relative error beyond noise."""
+    """Return the best model, the curves with the weights of its fit, and its relative error beyond noise."""
     size = _neighbourhood(measured)
     tried: list[tuple[Curves, Fit]] = []
     for error in _DISTRUST:
         curves = replace(measured, weight=1.0 / np.hypot(sigma, error * size))
         model = select(curves, stable, every, most)
         if tried:
-            # Poles that only together explain much may be lost one by one: start from those identified before, too.
+            # Poles that are significant only in combination may be removed individually; the previous poles are a
+            # further start.
             model = preferred(curves, model, select(curves, tried[-1][1].poles, every, most))
         tried.append((curves, model))
         if tried[-1][1].misfit < _NOT_NOISE * curves.degrees(tried[-1][1].poles.size):
             break
-    # By the peaks around, a peak of a line or two explains itself: distrust may lose it.
+    # The model error is relative to neighbouring peaks, so it may exceed a peak of one or two lines and hide its
+    # mode.
     narrow = [
         int((in_band(curves, model.poles) & hidden(curves, model.poles)).sum()) for curves, model in tried
     ]
     curves, model = tried[int(np.argmax(narrow)) if max(narrow) > narrow[-1] else -1]
-    # What weighs nothing is not fitted, and where nothing is read nothing can be missed.
+    # Points of zero weight are not fitted, and points of zero value have no relative error.
     scale = curves.weight * size
     relative = np.divide(model.rest, scale, out=np.zeros_like(model.rest), where=scale > 0.0)
     missed = np.linalg.norm(relative) / np.sqrt(curves.degrees(model.poles.size))
-    # Modes far outside the band bend a curve by a little more than their residual terms: that is as linear.
+    # Modes far outside the band deviate slightly from their residual terms, which does not indicate a nonlinear
+    # structure.
     return curves, model, float(missed) if len(tried) > 1 and missed > LEAST_RELATIVE_ERROR else 0.0
 
 
 def _neighbourhood(measured: Curves) -> Array:
-    """Largest value around each point: what is nonlinear is as large as the peaks, not as what is left between."""
+    """Largest value around each point; nonlinear errors scale with the peaks, not with the curve between them."""
     f, size = measured.frequency, np.abs(measured.value)
     low, high = np.searchsorted(f, f / _AROUND), np.searchsorted(f, f * _AROUND, side="right")
     return np.stack([size[:, a:b].max(axis=1) for a, b in zip(low, high, strict=True)], axis=1)
@@ -264,11 +266,11 @@ def _neighbourhood(measured: Curves) -> Array:
 def _without_doubtful_poles(
     curves: Curves, model: Fit, frfs: Sequence[Response]
 ) -> tuple[Curves, Fit, list[float]]:
-    """Leave out poles that are no modes; say where they were, in Hz.
+    """Remove poles that are not modes; also return their frequencies, in Hz.
 
-    Those whose damping is undetermined, and those that exceed no curve's systematic uncertainty, which does not
-    scatter, as remaining transients and images make such bumps. A peak narrower than the resolution is a mode
-    all the same: no curve of it could show more.
+    These are poles of undetermined damping, and poles whose peaks are below the systematic uncertainty of every
+    curve, because residual transients and images cause similar peaks. A peak narrower than the resolution is accepted
+    as a mode, because its width cannot be measured.
     """
     dropped: list[float] = []
     while model.poles.size:
@@ -289,7 +291,7 @@ def _without_doubtful_poles(
 
 
 def _refined(weighted: Curves, model: Fit, frfs: Sequence[Response]) -> Refined | None:
-    """Weigh all responses by their covariance; None where they say no more than the size of their errors."""
+    """Refine with the covariance of all responses; None if only their standard deviations are known."""
     if any(frf.uncertainty.errors is None for frf in frfs):
         return None
     lines = np.searchsorted(frfs[0].frequency, weighted.frequency)
@@ -303,7 +305,7 @@ def _refined(weighted: Curves, model: Fit, frfs: Sequence[Response]) -> Refined 
 
 
 def _buried(model: Fit, frfs: Sequence[Response]) -> Array:
-    """How far a curve may be off at each pole over the height of its peak, in the curve where that is least."""
+    """Ratio of systematic uncertainty to peak height at each pole, in the curve with the smallest ratio."""
     frequency: Array = np.asarray(abs(model.poles) / (2 * np.pi), dtype=float)
     off = [
         part[_nearest(frf, frequency, np.isfinite(frf.value + part))]
@@ -314,7 +316,7 @@ def _buried(model: Fit, frfs: Sequence[Response]) -> Array:
 
 
 def _residuals(model: Fit, inside: NDArray[np.bool_], frequency: Array) -> tuple[Array, Array]:
-    """Add up what modes outside the band do inside, fitted ones too."""
+    """Sum the contributions of modes outside the band, including fitted modes."""
     s = 2j * np.pi * frequency
     rest = np.zeros((model.residue.shape[0], s.size), dtype=complex)
     for p, residue in zip(model.poles[~inside], model.residue[:, ~inside].T, strict=True):
@@ -334,19 +336,19 @@ def _sigma(curves: Sequence[Response]) -> Array:
         if not finite.all():
             row[~finite] = scatter(curve.value)[~finite]
         if not curve.degrees.any():
-            # What a file says of its errors leaves out what else bounds its lines, which scatter shows.
+            # The errors stated in a file may be incomplete; the scatter of its lines is a lower limit.
             row[:] = np.maximum(row, scatter(curve.value))
         row[:] = np.maximum(row, _usual(row, curve.degrees))
-    # What differs from line to line bends a curve as noise does; what is smooth looks like no mode.
+    # Errors that differ from line to line act like noise; smooth errors do not resemble a mode.
     error = np.hypot(error, 0.5 * _off(curves, ROUGH))
     top = np.nanmax(size, axis=1, keepdims=True)
     return np.hypot(error, LEAST_RELATIVE_ERROR * np.maximum(size, 1e-6 * top))
 
 
 def _usual(error: Array, degrees: Array) -> Array:
-    """Median of errors over so many neighbours as have enough degrees of freedom together; 0 where each has by itself.
+    """Median of errors over neighbours with enough total degrees of freedom; 0 where each line has enough.
 
-    Errors estimated from few parts are sometimes nearly zero by chance: such lines would decide alone.
+    Errors estimated from few parts may be close to zero by chance, and such lines would dominate the fit.
     """
     own = float(np.median(degrees))
     if not 0.0 < own < _ENOUGH:
@@ -357,6 +359,6 @@ def _usual(error: Array, degrees: Array) -> Array:
 
 
 def _off(curves: Sequence[Response], names: Sequence[str]) -> Array:
-    """How far each line may be off by some systematic parts; infinite where one is not known."""
+    """Largest error of each line by some systematic parts; infinite where a part is unknown."""
     parts = [[curve.limits.get(name, np.zeros(curve.value.size)) for name in names] for curve in curves]
     return np.asarray(np.nan_to_num(np.linalg.norm(parts, axis=1), nan=np.inf, posinf=np.inf))

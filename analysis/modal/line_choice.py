@@ -1,4 +1,4 @@
-"""Lines of other estimators: which of many are worth fitting, and how far they scatter where nobody says it."""
+"""Selection of lines for the fit, and estimation of their scatter if a file does not state it."""
 
 from __future__ import annotations
 
@@ -12,31 +12,31 @@ from rig.results.response import Response
 
 Array = NDArray[np.float64]
 
-# More lines than this are thinned out, between peaks to about half as many.
+# A larger number of lines is reduced, to about half of this number between peaks.
 MOST_LINES = 2000
-# Peaks around which lines are kept, and how many around each, down to what part of the peak.
+# Number of peaks around which all lines are selected, number of lines of each, and lowest part of the peak.
 _PEAKS, _LINES, _FLANK = 24, 41, 0.1
-# A peak is higher than what is around it by this factor.
+# A peak exceeds its neighbourhood by this factor.
 _STANDS_OUT = 2.0
-# A step so many times as wide as those on either side is a hole.
+# A frequency step of this multiple of the steps on either side is a gap.
 _HOLE = 5.0
 # Lines over which scatter is estimated.
 _AROUND = 31
 
 
 def thinned(curves: Sequence[Response]) -> list[Response]:
-    """Leave out lines where a block average has more of them than a fit needs: far from peaks, and within wide ones.
+    """Remove lines in excess of those that a fit needs: far from peaks, and within wide peaks.
 
     Parameters
     ----------
     curves : sequence of Response
-        At the same frequencies, rising.
+        Curves at equal, rising frequencies.
     """
     count = curves[0].frequency.size
     if count <= MOST_LINES or any(curve.frequency.size != count for curve in curves):
         return list(curves)
     sizes = np.nan_to_num(np.stack([abs(curve.value) for curve in curves]))
-    # Each curve counts alike; over the square of frequency, a receptance's fall is no slope to hide peaks.
+    # All curves have equal weight. The factor of frequency squared compensates the decrease of a receptance.
     size = np.sqrt(np.mean((sizes / np.median(sizes, axis=1, keepdims=True).clip(1e-300)) ** 2, axis=0))
     level = np.log(np.maximum(size, 1e-12 * size.max()))
     found, _ = scipy.signal.find_peaks(level, prominence=np.log(_STANDS_OUT))
@@ -55,7 +55,7 @@ def thinned(curves: Sequence[Response]) -> list[Response]:
 def scatter(value: NDArray[np.complex128]) -> Array:
     """Estimate the standard deviation of either quadrature component of each line from its distance to a parabola.
 
-    The median over many lines knows nothing of the few in a narrow peak.
+    The median over many lines is insensitive to the few lines of a narrow peak.
 
     Examples
     --------
@@ -74,9 +74,9 @@ def scatter(value: NDArray[np.complex128]) -> Array:
 
 
 def in_holes(frequency: Array, poles: NDArray[np.complex128]) -> NDArray[np.bool_]:
-    """Whether the peaks of some poles, rad/s, lie where lines were left out, none of them within the half-power width.
+    """Whether poles, rad/s, lie in gaps without a measured line within the half-power width.
 
-    Flanks determine a pole only if it is alone there and what is farther away is all in the model.
+    The flanks of a peak determine its pole only for an isolated mode and a complete model of all other modes.
 
     Examples
     --------
@@ -95,6 +95,6 @@ def in_holes(frequency: Array, poles: NDArray[np.complex128]) -> NDArray[np.bool
 
 
 def stands_out(size: Array, line: int) -> bool:
-    """Whether a line is higher than those around by the factor from which on a peak counts."""
+    """Whether a line exceeds its neighbours by the factor that defines a peak."""
     around = size[max(line - _AROUND // 2, 0) : line + _AROUND // 2 + 1]
     return bool(size[line] > _STANDS_OUT * np.median(around))

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-# Poles with more damping are no resonances.
+# Poles with a larger damping ratio are not resonances.
 MOST_DAMPING = 0.25
-# A column of a chart counts when it is stable so many times.
+# A column of a chart is stable if it contains at least this number of stable poles.
 OFTEN = 4
 
 
@@ -22,12 +22,12 @@ class ChartPole:
     """One pole of the stabilisation chart."""
 
     order: int
-    """Number of modes in the model it comes from."""
+    """Number of modes of its model."""
     frequency: float
     damping: float
     """Hz and damping ratio."""
     stable: bool
-    """Found again, within a quarter of the half-power width, from the order before."""
+    """Whether the previous order has a pole within a quarter of the half-power width."""
 
     @property
     def pole(self) -> complex:
@@ -39,11 +39,11 @@ class ChartPole:
 def poles_by_order(
     frequency: Array, value: ComplexArray, weight: Array, orders: range
 ) -> Iterator[tuple[int, ComplexArray]]:
-    """Poles of scalar-denominator models of rising order fitted to all responses at once.
+    """Estimate poles by common-denominator models of rising order, fitted to all responses.
 
-    The model is H_o = B_o(z) / A(z) with z = exp(-i pi (f - f_min) / (f_max - f_min)), complex
-    coefficients and the highest coefficient of A set to one, which makes the poles of noise unstable and
-    the chart clear [1]_. The frequencies need not be evenly spaced.
+    The model is H_o = B_o(z) / A(z) with z = exp(-i pi (f - f_min) / (f_max - f_min)), complex coefficients, and the
+    highest coefficient of A set to 1. With this constraint the poles due to noise are unstable, and the chart is
+    clear [1]_. The frequencies need not be evenly spaced.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def poles_by_order(
     Yields
     ------
     poles : ndarray of complex
-        In rad/s, those with a positive frequency inside the band and a negative real part.
+        Poles in rad/s with a positive frequency inside the band and a negative real part.
 
     References
     ----------
@@ -86,15 +86,15 @@ def poles_by_order(
         with np.errstate(divide="ignore"):
             # z = exp(-s T) along s = i w, with T = 1 / (2 (f_max - f_min)) and the band's start folded in.
             s = -np.log(roots[roots != 0]) * 2.0 * (high - low) + 2j * np.pi * low
-        # Poles in the outermost hundredth of the band are where a polynomial swings free, not where a mode
-        # is.
+        # Poles in the outermost hundredth of the band are spurious, because the polynomial is poorly determined
+        # there.
         edge = 0.01 * (high - low)
         wanted = (s.real < 0) & (s.imag > 2 * np.pi * (low + edge)) & (s.imag < 2 * np.pi * (high - edge))
         yield order, s[wanted]
 
 
 def chart(frequency: Array, value: ComplexArray, weight: Array, most: int = 24) -> list[ChartPole]:
-    """Stabilisation chart of models with 2 to `most` poles."""
+    """Compute the stabilisation chart of models with 2 to `most` poles."""
     out: list[ChartPole] = []
     before: list[complex] = []
     spacing = _spacing(frequency)
@@ -108,14 +108,14 @@ def chart(frequency: Array, value: ComplexArray, weight: Array, most: int = 24) 
 
 
 def columns(frequency: Array, charts: Sequence[list[ChartPole]]) -> tuple[ComplexArray, ComplexArray]:
-    """Poles of charts, each once.
+    """Merge the poles of charts into columns.
 
     Returns
     -------
     stable : ndarray of complex
-        Those that stay from order to order, most often seen first, rad/s.
+        Poles that are stable from order to order, the most frequent first, rad/s.
     every : ndarray of complex
-        These and those seen less often.
+        All poles, including less frequent poles.
     """
     spacing = _spacing(frequency)
     seen: list[tuple[complex, int]] = []
@@ -126,7 +126,8 @@ def columns(frequency: Array, charts: Sequence[list[ChartPole]]) -> tuple[Comple
             if near:
                 index = min(near, key=lambda i: abs(seen[i][0] - p))
                 q, times = seen[index]
-                # The latest comes from the highest order, in which the other poles take up what is not this one's.
+                # The last pole is from the highest order, in which other poles represent the other modes and the
+                # noise.
                 seen[index] = (p if pole.stable else q, times + pole.stable)
             else:
                 seen.append((p, int(pole.stable)))

@@ -1,4 +1,4 @@
-"""Identified modes: natural frequencies, damping ratios, shapes, and the receptances they add up to."""
+"""Identified modes: natural frequencies, damping ratios, shapes, and the receptances of the modal model."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-# A damping ratio that is uncertain by more of itself (one standard deviation: it lies less than three from none)
-# is stated by its upper limit alone, and its pole is a mode only where a peak stands out.
+# Largest relative standard uncertainty of a determined damping ratio. Above it the ratio is less than three standard
+# deviations from zero: only its upper limit is stated, and its pole is a mode only if it has a distinct peak.
 DETERMINED = 1.0 / 3.0
 
 
 class BodyShapes(NamedTuple):
-    """Mode shapes with one element for each body, scaled to largest element one, and their standard deviations."""
+    """Mode shapes with one element for each body, scaled to largest element 1, with standard deviations."""
 
     names: tuple[str, ...]
     shapes: ComplexArray
@@ -41,11 +41,11 @@ class Modes(Result):
     frequency, frequency_error : ndarray, shape (modes,)
         Undamped natural frequency abs(p)/2 pi and its standard deviation, Hz.
     damping, damping_error : ndarray, shape (modes,)
-        Damping ratio and its standard deviation; where that is more than half of it, all that is known is the limit
-        ``damping + 2 damping_error``.
+        Damping ratio and its standard deviation; if that is more than half of the ratio, only the upper limit is
+        known: ``damping + 2 damping_error``.
     shape_error : ndarray, shape (responses, modes)
-        Standard deviation of each element of `shapes`, as far as the curves at the resonance are known, sensors'
-        tolerances included.
+        Standard deviation of each element of `shapes`, from the uncertainty of the curves at the resonance, including
+        sensor tolerances.
     residue : ndarray of complex, shape (responses, modes)
         R in R/(s - p) + conj(R)/(s - conj(p)), receptance, m/(N s).
     responses : tuple of str
@@ -53,20 +53,20 @@ class Modes(Result):
     chart : tuple of ChartPole
         Stabilisation chart.
     lower : ndarray, shape (responses,)
-        What modes below the band add: lower / s², m/N.
+        Contribution of modes below the band: lower / s², m/N.
     upper : ndarray, shape (responses, 3)
-        What modes above the band add: upper[0] + upper[1] s + upper[2] s², m/N.
+        Contribution of modes above the band: upper[0] + upper[1] s + upper[2] s², m/N.
     model_error : float
-        How far the modal model misses the curves beyond their error bars, as a share of the peaks around; 0 where it
-        explains them.
+        Residual of the modal model beyond the error bars, relative to the neighbouring peaks; 0 if the residuals are
+        within the error bars.
     label : str
         Scene and setting.
     warnings : tuple of str
-        Doubts about the numbers, in full sentences.
+        Warnings about the results, in full sentences.
     input : str
-        What drove the structure and where, such as ``force at body 1``.
+        Excitation and its position, such as ``force at body 1``.
     places : tuple of str
-        Where each channel is: bodies by their names, or ``body 1``; empty where that is not known.
+        Position of each channel: name of its body, or ``body 1``; empty if unknown.
     """
 
     frequency: Array
@@ -98,7 +98,7 @@ class Modes(Result):
         )
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """Frequency, damping ratio, and the shape at each response, with their standard deviations."""
+        """Return frequency, damping ratio, and the shape at each response, with their standard deviations."""
         return {
             "frequency_Hz": self.frequency,
             "frequency_std_Hz": self.frequency_error,
@@ -109,7 +109,7 @@ class Modes(Result):
         }
 
     def draw(self, ax: Axes, **style: Any) -> None:
-        """Shape of each mode along the bodies."""
+        """Draw the shape of each mode along the bodies."""
         bodies = self.of_bodies()
         for f, shape in zip(self.frequency, bodies.shapes.T, strict=True):
             ax.plot(bodies.names, shape.real, "o-", **styled(style, label=f"{f:.4g} Hz"))
@@ -117,17 +117,17 @@ class Modes(Result):
 
     @property
     def shapes(self) -> ComplexArray:
-        """Shapes scaled to largest element one, shape (responses, modes)."""
+        """Return the shapes scaled to largest element 1, shape (responses, modes)."""
         top = np.argmax(abs(self.residue), axis=0)
         return self.residue / self.residue[top, np.arange(self.residue.shape[1])]
 
     def of_bodies(self) -> BodyShapes:
-        """Give one element of each shape for each body: of several sensors on a body, their weighted mean."""
+        """Return an element of each shape for each body, the weighted mean of several sensors on the same body."""
         places = self.places or ("",) * len(self.responses)
-        # A channel whose place is not known is a point of its own.
+        # A channel with an unknown position is a separate point.
         keys = [place or f"channel {name}" for place, name in zip(places, self.responses, strict=True)]
         names, shapes, errors = [], [], []
-        # The element that scales a shape has no error of its own: it weighs as much as the best of the others.
+        # The element that scales a shape has zero error; its weight is that of the most precise other element.
         least = np.min(self.shape_error, axis=0, initial=np.inf, where=self.shape_error > 0.0)
         weights = 1.0 / np.where(np.isfinite(least), np.maximum(self.shape_error, least), 1.0) ** 2
         for key in dict.fromkeys(keys):
@@ -143,7 +143,7 @@ class Modes(Result):
         return BodyShapes(tuple(names), shape / shape[top, modes], error / abs(shape[top, modes]))
 
     def receptance(self, frequency: Array) -> ComplexArray:
-        """Receptance of the modal model, m/N, shape (responses, frequencies); frequencies in Hz."""
+        """Compute the receptance of the modal model, m/N, shape (responses, frequencies); frequencies in Hz."""
         s = 2j * np.pi * np.asarray(frequency, dtype=float)
         omega = 2 * np.pi * self.frequency
         poles = omega * (-self.damping + 1j * np.sqrt(1.0 - self.damping**2))
@@ -154,12 +154,12 @@ class Modes(Result):
 
     @property
     def collinearity(self) -> Array:
-        """Modal phase collinearity: 1 when all points move in phase or in antiphase."""
+        """Compute the modal phase collinearity: 1 if all points move in phase or in antiphase."""
         return np.array([abs(np.sum(shape**2)) / np.sum(abs(shape) ** 2) for shape in self.residue.T])
 
 
 def mac(first: NDArray[np.generic], second: NDArray[np.generic]) -> Array:
-    """Modal assurance criterion between the columns of two shape matrices.
+    """Compute the modal assurance criterion between the columns of two shape matrices.
 
     Examples
     --------

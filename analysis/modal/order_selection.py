@@ -1,4 +1,4 @@
-"""How many modes curves hold: poles are added while they explain what noise and model error do not."""
+"""Selection of the model order: poles are added while they reduce the misfit by more than noise and model error."""
 
 from __future__ import annotations
 
@@ -13,28 +13,29 @@ from analysis.modal.pole_residue import ComplexArray, Curves, Fit, fit, linear_m
 Array = NDArray[np.float64]
 
 MOST_MODES = 12
-# A model that leaves fewer degrees of freedom explains anything.
+# Fewest residual degrees of freedom; with fewer, a model fits any data.
 _FEWEST_DEGREES = 8
-# A pole must lower the misfit by so many times what a pole of noise would, by Schwarz's criterion [1]_.
+# A pole must reduce the misfit by this multiple of the penalty in Schwarz's criterion [1]_.
 _STRICTNESS = 2.0
-# Two poles are resolved from so much of their mean half-power width on.
+# Two poles are resolved if their distance is at least this part of their mean half-power width.
 APART = 0.4
-# Poles nearer than so many widths must together explain the curve down to so many times its noise (in power):
-# two poles bend to anything, a lopsided peak of a nonlinear structure included.
+# Poles closer than this number of widths must fit the curve to within this multiple of its noise power, because two
+# close poles can also fit the asymmetric peak of a nonlinear structure.
 _NEAR, _EXPLAINED = 4.0, 4.0
-# A window makes of a narrow peak two or three, a line apart: nearer than so many times the resolution, they are one.
+# A window may split a narrow peak into two or three at a distance of a line. Poles closer than this multiple of the
+# resolution are a single pole.
 _LINES_OF_ONE = 1.5
-# Poles kept for a closer look at each step.
+# Number of candidates that are fully fitted at each step.
 _FINALISTS = 4
 
 
 def half_width(poles: ComplexArray) -> Array:
-    """Half of the half-power widths, Hz."""
+    """Compute half of the half-power widths, Hz."""
     return np.asarray(-poles.real / (2 * np.pi))
 
 
 def in_band(curves: Curves, poles: ComplexArray) -> NDArray[np.bool_]:
-    """Whether poles lie where was measured."""
+    """Whether poles are inside the measured band."""
     f = poles.imag / (2 * np.pi)
     return np.asarray((f > curves.frequency[0]) & (f < curves.frequency[-1]))
 
@@ -45,18 +46,18 @@ def hidden(curves: Curves, poles: ComplexArray) -> NDArray[np.bool_]:
 
 
 def select(curves: Curves, stable: ComplexArray, candidates: ComplexArray, most: int = MOST_MODES) -> Fit:
-    """Best model with as many poles as the curves ask for.
+    """Select the best model with all significant poles of the curves.
 
     Parameters
     ----------
     curves : Curves
-        What to explain, with error bars.
+        Curves to be fitted, with error bars.
     stable : ndarray of complex
-        Poles to start from, rad/s.
+        Initial poles, rad/s.
     candidates : ndarray of complex
         Further poles to try, rad/s.
     most : int
-        Most poles inside the band.
+        Largest number of poles inside the band.
 
     References
     ----------
@@ -76,20 +77,20 @@ def select(curves: Curves, stable: ComplexArray, candidates: ComplexArray, most:
 
 
 def _sensible_part(curves: Curves, model: Fit) -> Fit:
-    """Drop poles, those first that explain least, until none is one that only a fit would have."""
+    """Remove spurious poles, the least significant first, until none remains."""
     while (among := doubtful(curves, model)).size:
         model = fit(curves, np.delete(model.poles, _least_missed(curves, model.poles, among)))
     return model
 
 
 def _least_missed(curves: Curves, poles: ComplexArray, among: NDArray[np.intp]) -> int:
-    """Which of some poles the model can best do without."""
+    """Return the pole whose removal increases the misfit least."""
     misfits = [linear_misfit(curves, np.delete(poles, index)) for index in among]
     return int(among[int(np.argmin(misfits))])
 
 
 def _best_addition(curves: Curves, current: Fit, pool: ComplexArray) -> Fit | None:
-    """Best significant and sensible model with one pole more."""
+    """Return the best model with an additional pole that is significant and not spurious."""
     misfits = [linear_misfit(curves, np.append(current.poles, p)) for p in pool]
     best: Fit | None = None
     tried: list[complex] = []
@@ -108,12 +109,12 @@ def _best_addition(curves: Curves, current: Fit, pool: ComplexArray) -> Fit | No
 
 
 def significant(curves: Curves, less: Fit, more: Fit) -> bool:
-    """Whether the poles that one model has more lower the misfit by more than noise would let them."""
+    """Whether the additional poles of a model reduce the misfit by more than noise explains."""
     return _gain(curves, less.misfit, more, less.poles.size) > 0
 
 
 def preferred(curves: Curves, one: Fit, other: Fit) -> Fit:
-    """Of two models of the same curves the one with more poles if they explain more than noise would let them."""
+    """Return the model with more poles if they reduce the misfit by more than noise explains, otherwise the other."""
     less, more = sorted((one, other), key=lambda model: model.poles.size)
     if less.poles.size == more.poles.size:
         return min(one, other, key=lambda model: model.misfit)
@@ -121,7 +122,7 @@ def preferred(curves: Curves, one: Fit, other: Fit) -> Fit:
 
 
 def _gain(curves: Curves, misfit: float, more: Fit, poles: int) -> float:
-    """By how much more a model lowers the misfit of one with fewer poles than poles of noise would."""
+    """Misfit reduction by the additional poles of a model, less the reduction that noise explains."""
     unknowns = curves.unknowns(more.poles.size)
     added = unknowns - curves.unknowns(poles)
     scale = max(more.misfit / curves.degrees(more.poles.size), 1.0) * correlation(more.rest)
@@ -129,7 +130,7 @@ def _gain(curves: Curves, misfit: float, more: Fit, poles: int) -> float:
 
 
 def correlation(rest: ComplexArray) -> float:
-    """How many neighbouring lines differ in common from a model: 1 where each has noise of its own."""
+    """Estimate the number of neighbouring lines with a common residual; 1 for independent noise."""
     power = float(np.sum(abs(rest) ** 2))
     if power == 0.0:
         return 1.0
@@ -143,7 +144,7 @@ def correlation(rest: ComplexArray) -> float:
 
 
 def doubtful(curves: Curves, model: Fit) -> NDArray[np.intp]:
-    """Poles that only a fit would have: overdamped, doubled, or bending to the peak of a nonlinear structure."""
+    """Return spurious poles: overdamped, doubled, or fitted to the asymmetric peak of a nonlinear structure."""
     poles, width = model.poles, half_width(model.poles)
     inside = in_band(curves, poles)
     out = {int(i) for i in np.flatnonzero(inside & (-poles.real > MOST_DAMPING * abs(poles)))}
@@ -151,7 +152,7 @@ def doubtful(curves: Curves, model: Fit) -> NDArray[np.intp]:
     for low, high in pairwise(order):
         apart = (poles[high].imag - poles[low].imag) / (2 * np.pi)
         mean = width[low] + width[high]
-        # What a window makes of a narrow peak is no wider than this.
+        # A narrow peak that is split by the window is no wider than this.
         alike = mean < 2.0 * curves.resolution and apart < _LINES_OF_ONE * curves.resolution
         if (
             alike
@@ -173,12 +174,13 @@ def _local_misfit(curves: Curves, model: Fit, poles: ComplexArray) -> float:
 
 
 def _pruned(curves: Curves, model: Fit) -> Fit:
-    """Leave out the poles without which the model is as good."""
+    """Remove poles that are not significant."""
     while model.poles.size:
         poles = model.poles
         while poles.size:
             fewer = np.delete(poles, _least_missed(curves, poles, np.arange(poles.size)))
-            # Without fitting the others anew the loss is overestimated: what is not missed now never is.
+            # Without a new fit of the other poles the loss is overestimated, so a pole that is not significant here
+            # is not significant after a new fit.
             if _gain(curves, linear_misfit(curves, fewer), model, fewer.size) > 0:
                 break
             poles = fewer
@@ -193,7 +195,7 @@ def _pruned(curves: Curves, model: Fit) -> Fit:
 
 
 def _at_largest_rest(curves: Curves, model: Fit) -> ComplexArray:
-    """Poles of several widths where the model misses most."""
+    """Return candidate poles of several widths at the largest residual of the model."""
     frequency = curves.frequency
     size = np.sum(abs(model.rest) ** 2, axis=0)
     out = []
@@ -205,7 +207,7 @@ def _at_largest_rest(curves: Curves, model: Fit) -> ComplexArray:
 
 
 def _outside(curves: Curves) -> ComplexArray:
-    """Poles below and above the band, which bend the curves inside more than residual terms can."""
+    """Return poles below and above the band, for curvature that residual terms cannot represent."""
     low, high = curves.frequency[0], curves.frequency[-1]
     places = np.array([0.5 * low, 0.8 * low, 0.95 * low, 1.05 * high, 1.25 * high, 2.0 * high])
     return np.asarray(2 * np.pi * places * (-0.01 + 1j), dtype=complex)

@@ -1,4 +1,4 @@
-"""Uncertainty of identified poles, from what the model leaves of the curves."""
+"""Uncertainty of identified poles, from the residuals of the model."""
 
 from __future__ import annotations
 
@@ -17,34 +17,35 @@ from rig.results.uncertainty import CLOCK, SENSITIVITY
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-# Systematic parts that move a pole as a stiffness does, or as one with a loss, for aliases have any phase; estimated
-# from so many half-widths around it; and those that may be its width.
+# Systematic parts that shift a pole like a stiffness error, those that shift it like a complex stiffness, because
+# aliases have an arbitrary phase, and those that may change its width. They are evaluated within this number of
+# half-widths around the pole.
 _STIFFENS, _TURNS = (SENSITIVITY, CLOCK), (ALIASING,)
 _WIDENS = (ALIASING, RESOLUTION, MODEL, REFERENCE_NOISE)
 _FLANKS = 10.0
-# A Hann window's leakage widens a resonance; fitted, half its half-power width comes out too large by so much of the
-# resolution squared over itself, and by no more than half the resolution. Where a peak is narrower than the resolution,
-# it lies within a line of where it seems to be.
+# Leakage of a Hann window widens a resonance. The fitted half of the half-power width is too large by this factor
+# times the squared resolution over the width, and by at most half the resolution. The frequency of a peak that is
+# narrower than the resolution has an error below one line.
 SMEAR, _WIDEST, _LINE = 0.16, 0.5, 2.0 / 3.0
-# Neighbours within so many times the correlation of the misfit may share errors.
+# Lines within this multiple of the correlation length of the misfit may have common errors.
 _REACH = 3.0
 
-# A misfit of this part of what the curves' errors would leave is of their kind.
+# A misfit above this part of its expected value is due to the errors of the curves.
 _IS_NOISE = 0.3
-# Errors of a curve that look like a mode themselves (what is left of a transient, a sensor's phase) leave nothing
-# to see in the misfit: no damping ratio is claimed to be known better than this, and no frequency better than this
-# part of half the half-power width.
+# Errors of a curve that resemble a mode (residual transients, phase errors of sensors) do not increase the misfit.
+# This is therefore the smallest uncertainty of a damping ratio, and of a frequency relative to half of the half-power
+# width.
 _UNSEEN = 5e-4
-# Eigenvalues of the information below this part of the largest are rounding.
+# Eigenvalues of the information matrix below this part of the largest are rounding errors.
 _RANK = 1e-15
 
 
 def pole_errors(curves: Curves, model: Fit) -> tuple[Array, Array]:
     """Return the standard deviations of natural frequencies [Hz] and damping ratios, both of shape (modes,).
 
-    The largest of three: that of errors independent from line to line and response to response, as large as the
-    misfit says; that of errors which responses have in common and neighbouring lines share, as they do
-    where force noise, transients or a structure that is not linear leave them [1]_; and that of the reference.
+    The largest of three estimates: for independent errors of all lines and responses, with the variance of the
+    misfit; for errors common to responses and neighbouring lines, due to force noise, transients or a nonlinear
+    structure [1]_; and for errors of the reference.
 
     References
     ----------
@@ -54,14 +55,15 @@ def pole_errors(curves: Curves, model: Fit) -> tuple[Array, Array]:
        finite sample properties, Journal of Econometrics 29 (1985) 305-325.
     """
     f_error, z_error = propagated(model.poles, _factors(curves, model))
-    # Errors of any phase put a pole off in any direction: of few lines the error along it may come out small by chance.
+    # Errors of random phase shift a pole in any direction; with few lines the estimate in one direction may be small
+    # by chance.
     size = abs(model.poles)
     f_error = np.maximum(f_error, np.hypot(f_error, z_error * size / (2 * np.pi)) / np.sqrt(2.0))
     return _with_unseen(model.poles, f_error, z_error)
 
 
 def refined_pole_errors(poles: ComplexArray, covariance: Array) -> tuple[Array, Array]:
-    """Give the same from the covariance of the poles' parameters, shape (2 modes, 2 modes)."""
+    """Return the same from the covariance of the poles' parameters, shape (2 modes, 2 modes)."""
     size, axes = np.linalg.eigh(covariance)
     return _with_unseen(poles, *propagated(poles, [axes * np.sqrt(np.maximum(size, 0.0))]))
 
@@ -72,9 +74,9 @@ def _with_unseen(poles: ComplexArray, f_error: Array, z_error: Array) -> tuple[A
 
 
 def propagated(poles: ComplexArray, factors: Sequence[Array]) -> tuple[Array, Array]:
-    """Largest standard deviations of natural frequencies [Hz] and damping ratios, of some covariances ``F F^T``.
+    """Return the largest standard deviations of frequencies [Hz] and damping ratios over covariances ``F F^T``.
 
-    The parameters are the logarithms of the decay rates, then the damped frequencies in decay rates.
+    The parameters are the logarithms of the decay rates, then the damped frequencies in units of the decay rates.
     """
     count = poles.size
     decay, damped, size = -poles.real, poles.imag, abs(poles)
@@ -94,10 +96,9 @@ def systematic_pole_errors(
 ) -> tuple[Array, Array]:
     """Return limits of the systematic errors of natural frequencies [Hz] and damping ratios, shape (modes,).
 
-    A reference that is the difference of two readings, each a little off, has some of the response in it: to first
-    order another stiffness, which moves the pole p by ``d |s - p|`` where the curve is off by the part d of itself at s
-    (and by nothing where d is the same everywhere). What is off at the peak alone may as well be its width, and so may
-    what a window smears.
+    A reference that is the difference of two readings with gain errors contains a part of the response. To first
+    order this is a stiffness error: a relative error d of the curve at s shifts the pole p by ``d |s - p|`` (no shift
+    if d is constant). An error at the peak alone may also change its width, and so does the leakage of a window.
 
     Parameters
     ----------
@@ -106,7 +107,7 @@ def systematic_pole_errors(
     poles : ndarray of complex, shape (modes,)
         rad/s.
     without : sequence of str
-        Parts that the random errors of the poles have in them.
+        Parts that the random errors of the poles already include.
     """
     widening = tuple(name for name in _WIDENS if name not in without)
     half = half_width(poles)
@@ -128,7 +129,7 @@ def systematic_pole_errors(
 
 
 def _relative(curve: Response, names: Sequence[str]) -> Array:
-    """Root of the sum of squares of some systematic parts, as a part of the curve."""
+    """Root sum of squares of some systematic parts, relative to the curve."""
     parts = [curve.limits[name] for name in names if name in curve.limits]
     return np.asarray(
         np.linalg.norm([np.zeros(curve.value.size), *parts], axis=0) / np.maximum(abs(curve.value), 1e-300)
@@ -136,22 +137,22 @@ def _relative(curve: Response, names: Sequence[str]) -> Array:
 
 
 def _shift(off: Array, away: Array, half: float) -> float:
-    """How far, in Hz, a pole of some half-width is moved by what a curve is off by, so far away from the pole."""
+    """Shift of a pole, Hz, by the relative errors of a curve at given distances from the pole."""
     known = np.isfinite(off)
     if not known.any():
         return float("inf")
     near = away <= max(_FLANKS * half, np.sort(away)[:4].max())
     moved = np.where(known, off - off[known].min(), np.inf) * away
-    # Where nothing bounds the curve about a pole, nothing bounds where that is.
+    # If the uncertainty of the curve around a pole is unbounded, the uncertainty of the pole is, too.
     return float(np.quantile(moved[near], 0.75, method="higher"))
 
 
 def _factors(curves: Curves, model: Fit) -> tuple[Array, Array, Array]:
     """Factors F of the covariance ``F F^T`` of the parameters for three kinds of errors, shape (parameters, columns).
 
-    Independent ones; those shared by responses and neighbours, as the misfit shows them; and those of a reference,
-    by which all responses are divided: a line's errors are the same part of each response, so that poles follow them
-    and the misfit shows little. Their size follows from the curves' own errors: at most that of the surest response.
+    The kinds are: independent errors; errors common to responses and neighbouring lines, estimated from the misfit;
+    and errors of the reference. The latter cause equal relative errors of all responses at a line, so that poles
+    follow them and the misfit shows little. They are at most the errors of the most precise response.
     """
     parameters = model.slope.shape[0]
     slope = model.slope.reshape(parameters, -1)
@@ -162,25 +163,25 @@ def _factors(curves: Curves, model: Fit) -> tuple[Array, Array, Array]:
     normal = root @ root.T
     degrees = curves.degrees(model.poles.size)
     score = np.einsum("pmn,mn->pn", model.slope.conj(), model.rest).real
-    # Weights that fall to nothing within the correlation itself would miss half of it.
+    # The weights must extend beyond the correlation length; otherwise they include only half of it.
     reach = max(correlation(model.rest), curves.shared)
     lags = int(np.clip(round(_REACH * reach), 1, max(score.shape[1] // 4, 1)))
-    # Sums over so many neighbours have the covariance with Bartlett's weights.
+    # The covariance of moving sums is the covariance with Bartlett weights.
     sums = scipy.signal.convolve(score, np.ones((1, lags)), method="direct") / np.sqrt(lags)
-    # The misfit has fewer degrees of freedom than numbers: the fit has taken its share.
+    # The fit reduces the degrees of freedom of the misfit.
     plain = root * np.sqrt(model.misfit / degrees * reach)
-    # A pseudoinverse omits what no line determines, such as the width of a pole far narrower than the spacing.
+    # The pseudoinverse omits undetermined parameters, such as the width of a pole far narrower than the line spacing.
     with np.errstate(divide="ignore"):
         least = model.misfit / degrees * reach / np.diag(information)
     missing = np.maximum(least - np.sum(np.square(plain), axis=1), 0.0)
     plain = np.concatenate([plain, np.diag(np.sqrt(missing))], axis=1)
-    # Of few numbers it has taken most of each, and what is left is the smaller still (MacKinnon and White's HC3).
+    # With few data the fit reduces each residual by a large factor, which is corrected (MacKinnon and White's HC3).
     seen = np.asarray(normal @ sums * (curves.numbers / degrees), dtype=float)
-    # Of a line that no response measures, which weighs nothing, there is nothing to have in common.
+    # A line of zero weight in all responses has no common error.
     surest = np.max(curves.weight * abs(curves.value), axis=0)
     relative = np.divide(1.0, surest, out=np.zeros_like(surest), where=surest > 0.0)
     scored = np.einsum("pmn,mn->pn", model.slope.conj(), curves.weight * curves.value) * relative
-    # Where the misfit consists of the curves' own errors, neighbours share as much of both.
+    # If the misfit is due to the errors of the curves, both have the same correlation between lines.
     alike = reach if model.misfit > _IS_NOISE * degrees else curves.shared
     common = normal @ np.concatenate([scored.real, scored.imag], axis=1) * np.sqrt(alike)
     return plain, seen, np.asarray(common, dtype=float)

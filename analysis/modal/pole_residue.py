@@ -12,15 +12,15 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-# Evaluations within which a fit from a good start has settled; one from a bad start is not worth more.
+# Limit of evaluations: a fit from good initial values converges within it, and one from poor values is rejected.
 _EVALUATIONS = 25
-# Terms of the series that represents modes above the band: of fewer lines than these, only the first can be determined.
+# Terms of the series that represents modes above the band: fewer lines determine only the first term.
 ABOVE, _LINES = 3, 20
 
 
 @dataclass(frozen=True)
 class Curves:
-    """What a modal model is fitted to.
+    """Curves to which a modal model is fitted.
 
     Attributes
     ----------
@@ -31,9 +31,9 @@ class Curves:
     weight : ndarray, shape (responses, n)
         Inverse standard deviations.
     shared : float
-        How many neighbouring lines have one error.
+        Number of neighbouring lines with a common error.
     resolution : float
-        Hz: width over which leakage smears each line.
+        Hz: leakage bandwidth of each line.
     """
 
     frequency: Array
@@ -44,20 +44,20 @@ class Curves:
 
     @property
     def numbers(self) -> int:
-        """Real numbers measured."""
+        """Count the measured real numbers."""
         return 2 * self.value.size
 
     @property
     def above(self) -> int:
-        """Terms of the series for modes above the band that so many lines can determine."""
+        """Count the terms of the series for modes above the band that the lines can determine."""
         return ABOVE if self.frequency.size >= _LINES else 1
 
     def unknowns(self, poles: int) -> int:
-        """Real numbers that a model with so many poles has: poles, residues, and the residual terms."""
+        """Count the real parameters of a model with `poles` poles: poles, residues, and residual terms."""
         return 2 * poles + self.value.shape[0] * (2 * poles + 1 + self.above)
 
     def degrees(self, poles: int) -> int:
-        """Degrees of freedom that are left to the misfit of a model with so many poles."""
+        """Count the degrees of freedom of the misfit of a model with `poles` poles."""
         return max(self.numbers - self.unknowns(poles), 1)
 
 
@@ -80,8 +80,8 @@ class Fit:
     rest : ndarray of complex, shape (responses, n)
         Weighted differences, measured less model.
     slope : ndarray of complex, shape (2 modes, responses, n)
-        Derivative of `rest` by the parameters: logarithms of the decay rates, then damped frequencies in decay
-        rates.
+        Derivative of `rest` by the parameters: logarithms of the decay rates, then damped frequencies in units of the
+        decay rates.
     """
 
     poles: ComplexArray
@@ -94,7 +94,7 @@ class Fit:
 
 
 def fit(curves: Curves, start: ComplexArray) -> Fit:
-    """Weighted nonlinear least squares over the poles; the linear unknowns are solved for inside."""
+    """Fit the poles by weighted nonlinear least squares; the linear unknowns are eliminated (variable projection)."""
     problem = _Projection(curves, start)
     x = np.zeros(2 * start.size)
     if start.size:
@@ -124,18 +124,18 @@ def residual_terms(s: NDArray[np.complexfloating]) -> list[NDArray[np.complexflo
     """Return the residual terms of modes outside the band, each with a real factor: first terms of series in 1/s or s.
 
     Above the band ``R / (s² + 2 ζ w s + w²)`` bends over its width by ``(s/w)²`` of itself, and its damping turns it by
-    ``2 ζ s/w``. Of a peak that is measured on its flank only, or behind noise, less would be taken for its damping.
+    ``2 ζ s/w``. Fewer terms would bias the damping of a peak that is measured only on its flank or with much noise.
     """
     return [1.0 / s**2, *(s**power for power in range(ABOVE))]
 
 
 def linear_misfit(curves: Curves, poles: ComplexArray) -> float:
-    """Misfit of poles as they are, with the best residues."""
+    """Compute the misfit of fixed poles with the best residues."""
     return float(np.sum(_Projection(curves, poles).misfit(np.zeros(2 * poles.size)) ** 2))
 
 
 class _Factors(NamedTuple):
-    """QR factors of the weighted basis of each response, columns scaled to length one.
+    """QR factors of the weighted basis of each response, columns scaled to unit length.
 
     basis : shape (responses, 2 n, unknowns), orthonormal columns
     triangle : shape (responses, unknowns, unknowns)
@@ -168,7 +168,7 @@ class _Projection:
         self._factorized: tuple[Array, _Factors] | None = None
 
     def poles(self, x: Array) -> ComplexArray:
-        """Turn parameters into poles: logarithm of the decay (keeps them stable), frequency in decays."""
+        """Convert parameters to poles: logarithm of the decay rate (for stability), frequency in decay rates."""
         count = self.start.size
         return np.asarray(
             -self.scale * np.exp(np.clip(x[:count], -30.0, 30.0))
@@ -176,7 +176,7 @@ class _Projection:
         )
 
     def columns(self, poles: ComplexArray) -> ComplexArray:
-        """Basis for real unknowns: Re R, Im R of each mode, then lower and upper residuals."""
+        """Return the basis for real unknowns: Re R, Im R of each mode, then lower and upper residuals."""
         out = []
         for p in poles:
             direct, mirror = 1.0 / (self.s - p), 1.0 / (self.s - p.conjugate())
@@ -194,19 +194,19 @@ class _Projection:
         return self._factorized[1]
 
     def unknowns(self, x: Array) -> Array:
-        """Best linear unknowns, shape (responses, unknowns)."""
+        """Return the best linear unknowns, shape (responses, unknowns)."""
         factors = self.factors(x)
-        # Coinciding poles leave their residues undetermined: take the smallest ones.
+        # Coinciding poles have undetermined residues; the pseudoinverse selects the smallest.
         inverse = np.linalg.pinv(factors.triangle, rcond=1e-13)
         return np.asarray((inverse @ factors.projection / np.swapaxes(factors.size, 1, 2))[..., 0])
 
     def misfit(self, x: Array) -> Array:
-        """Weighted misfit of all responses, one after the other."""
+        """Return the weighted residuals of all responses in sequence."""
         factors = self.factors(x)
         return np.asarray((factors.target - factors.basis @ factors.projection).ravel())
 
     def jacobian(self, x: Array) -> Array:
-        """Differentiate the misfit by the parameters."""
+        """Differentiate the residuals with respect to the parameters."""
         unknown, q = self.unknowns(x), self.factors(x).basis
         count = self.start.size
         poles = self.poles(x)[:, None]

@@ -1,8 +1,8 @@
 """Maximum-likelihood estimate of modes, with the covariance of the responses' errors.
 
-Order selection weighs each response by itself. Noise of the reference is common to all responses of a line, so the last
-step weighs them by their whole covariance (generalized least squares), and errors of the poles follow from those of the
-readings by first-order propagation [1]_.
+Order selection weights each response individually. Noise of the reference is common to all responses at a line, so
+the last step uses their complete covariance (generalized least squares). The errors of the poles are propagated from
+those of the readings to first order [1]_.
 
 References
 ----------
@@ -24,24 +24,25 @@ from rig.results.uncertainty import Covariance
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-# Steps of Gauss and Newton, halvings of each, and the step in standard deviations at which they end.
+# Limits of Gauss-Newton steps and of halvings of each step, and the final step in standard deviations.
 _STEPS, _HALVINGS, _SETTLED = 12, 6, 1e-3
-# Elements of the Jacobian at a time, and multiplications beyond which this step is left out.
+# Elements of the Jacobian in memory at a time, and the number of multiplications above which the refinement is
+# omitted.
 _AT_ONCE, _MOST = 1 << 20, 5e10
 
 
 @dataclass(frozen=True)
 class Refined:
-    """Modes with all responses weighed by their covariance.
+    """Modes fitted with the covariance of all responses.
 
     Attributes
     ----------
     model : Fit
-        Its `misfit`, `rest` and `slope` are still those of the curves' own weights.
+        Refined model; its `misfit`, `rest` and `slope` are those for the weights of the curves.
     covariance : ndarray, shape (2 modes, 2 modes)
         Of the logarithms of the decay rates, then the damped frequencies in decay rates.
     parts : tuple of str
-        Systematic parts of the curves that are in it.
+        Systematic parts of the curves that the covariance includes.
     """
 
     model: Fit
@@ -50,18 +51,18 @@ class Refined:
 
 
 def refined(curves: Curves, model: Fit, errors: Covariance, rough: Array) -> Refined | None:
-    """Refine a model; None where the problem is too large, or the step leads nowhere.
+    """Refine a model; None if the problem is too large, or if the iteration does not converge.
 
     Parameters
     ----------
     curves : Curves
-        With the lines of `errors`.
+        Curves at the lines of `errors`.
     model : Fit
-        Where to start.
+        Initial model.
     errors : Covariance
-        Of the random errors.
+        Covariance of the random errors.
     rough : ndarray, shape (responses, n)
-        Standard deviation, in either quadrature, of what else differs from line to line.
+        Standard deviation of either quadrature of other errors that differ from line to line.
     """
     problem = _Likelihood(curves, errors, rough)
     count = 2 * model.poles.size
@@ -93,7 +94,7 @@ def refined(curves: Curves, model: Fit, errors: Covariance, rough: Array) -> Ref
     covariance = scatter * max(1.0, misfit / curves.degrees(model.poles.size))
     parts: tuple[str, ...] = (MODEL,)
     if errors.reference is not None:
-        # What noise of the reference takes from all responses, where it is not even over a peak.
+        # Bias of all responses by noise of the reference, which may vary over a peak.
         lower = curves.value.T * errors.reference[:, None]
         moved = np.einsum("kap,ka->p", weights.conj(), lower).real / np.sqrt(3.0)
         covariance, parts = covariance + np.outer(moved, moved), (MODEL, REFERENCE_NOISE)
@@ -113,7 +114,7 @@ class _Likelihood:
         self.terms = np.stack(residual_terms(self.s)[: 1 + curves.above], axis=1)
 
     def rest(self, model: Fit) -> ComplexArray:
-        """Measured less model, shape (n, responses)."""
+        """Compute measured less model values, shape (n, responses)."""
         direct = 1.0 / (self.s[:, None] - model.poles)
         mirror = 1.0 / (self.s[:, None] - model.poles.conj())
         known = np.column_stack([model.lower, model.upper[:, : self.curves.above]])
@@ -121,7 +122,7 @@ class _Likelihood:
         return np.asarray(self.curves.value.T - predicted)
 
     def misfit(self, model: Fit) -> float:
-        """Sum of squares in standard deviations."""
+        """Compute the sum of squares in standard deviations."""
         rest = self.rest(model)
         return float(np.einsum("ka,kab,kb->", rest.conj(), self.information, rest, optimize=True).real)
 
@@ -147,7 +148,7 @@ class _Likelihood:
             yield part, slopes
 
     def equations(self, model: Fit) -> tuple[Array, Array]:
-        """Give the normal matrix and the right side of a step."""
+        """Compute the normal matrix and the right-hand side of a step."""
         rest, normal, right = self.rest(model), np.zeros(()), np.zeros(())
         for part, slopes in self._slopes(model):
             weighted = self.information[part] @ slopes
@@ -157,7 +158,7 @@ class _Likelihood:
         return normal, right
 
     def weights(self, model: Fit, rows: Array) -> ComplexArray:
-        """With which errors enter some combinations of the parameters; shape (n, responses, combinations)."""
+        """Compute the weights of the errors in combinations of the parameters; shape (n, responses, combinations)."""
         return np.concatenate(
             [self.information[part] @ (slopes @ rows) for part, slopes in self._slopes(model)]
         )

@@ -1,4 +1,4 @@
-"""Modes from responses to several inputs: repeated and close modes, which one input cannot separate.
+"""Modes from responses to several inputs, for repeated and close modes that a single input cannot separate.
 
 All elements of the matrix share their poles. The residue of a pole is the outer product of a shape and its
 participation in the inputs; where the pole is repeated, it is a sum of such products, whose number is the rank of the
@@ -22,7 +22,8 @@ from analysis.modal.modes import Modes
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-# A further singular value of a residue counts from so many times its uncertainty, and from this share of the largest.
+# A further singular value of a residue is significant above this multiple of its uncertainty, and above this share of
+# the largest.
 _SURE = 5.0
 _LEAST_SHARE = 0.02
 
@@ -43,16 +44,16 @@ def separated(
     Parameters
     ----------
     modes : Modes
-        Identified from all elements of a matrix, output by output.
+        Modes identified from all elements of a matrix, in the order of the outputs.
     outputs, inputs : tuple of str
         Channels and inputs of the matrix.
     places : tuple of str
-        Of the outputs.
+        Positions of the outputs.
 
     Returns
     -------
     Modes
-        With the residues of the input in which the modes take part most.
+        Modes with the residues of the input of largest participation.
     """
     o, i = len(outputs), len(inputs)
     parts: list[_Part] = []

@@ -1,4 +1,4 @@
-"""What every analysis needs of a recording: slices of bounded memory, names, delays of channels.
+"""Common functions for recordings: slices of bounded memory, names, delays of channels.
 
 Start with `slices`.
 """

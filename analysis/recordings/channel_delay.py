@@ -1,4 +1,4 @@
-"""Delay of a channel: its filter spreads an instant over later samples."""
+"""Delay of a channel: its filter spreads an event over later samples."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ if TYPE_CHECKING:
 
 
 def arrival(info: ChannelInfo, first: int, last: int) -> tuple[int, int]:
-    """First and last sample in which a channel holds what happened between two samples of the clock.
+    """Return the first and last sample of a channel that contain the events between two samples of the clock.
 
-    A marker bears the time at which something was done. The samples that show it come later by the
-    channel's delay, where that was not removed, and spread to either side by half the length of its filter.
+    A marker contains the time of an action. The corresponding samples are later by the channel's delay, unless it was
+    removed, and extend to either side by half the length of the filter.
 
     Examples
     --------
@@ -26,6 +26,6 @@ def arrival(info: ChannelInfo, first: int, last: int) -> tuple[int, int]:
     """
     late = info.delay * info.rate
     spread = info.filter.get("delay", 0.0)
-    # A millionth of a sample is rounding, and no reason to take one sample more.
+    # A millionth of a sample is rounding and must not add another sample.
     begin = math.floor(first + late - spread + 1e-6)
     return begin, math.ceil(last + late + spread + info.average - 1e-6)

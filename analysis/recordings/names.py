@@ -1,4 +1,4 @@
-"""What recordings are called in legends, tables and text: their scenes, and their files where scenes share a name."""
+"""Names of recordings in legends, tables and text: scene names, with file names if scenes have equal names."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def opened(path: Path) -> Recording:
 def takes_path(
     function: Callable[Concatenate[Recording, P], Returned],
 ) -> Callable[Concatenate[Recording | str | Path, P], Returned]:
-    """Let a function of an open recording also take the path of one, which is open while the function runs."""
+    """Allow a path instead of an open recording; the recording is open while the function runs."""
 
     @wraps(function)
     def opening(recording: Recording | str | Path, /, *args: P.args, **kwargs: P.kwargs) -> Returned:
@@ -59,7 +59,7 @@ def takes_path(
 
 
 def distinct_names(names: Sequence[str], paths: Sequence[Path]) -> list[str]:
-    """Name recordings so that no two have the same name.
+    """Return distinct names of recordings.
 
     Examples
     --------
@@ -69,7 +69,7 @@ def distinct_names(names: Sequence[str], paths: Sequence[Path]) -> list[str]:
     ['a', 'b']
     """
     if len(paths) > 1 and len(set(names)) == 1:
-        # A name that all share distinguishes nothing.
+        # A common name of all recordings does not distinguish them.
         stems = [path.stem for path in paths]
         return stems if len(set(stems)) == len(paths) else [path.as_posix() for path in paths]
     by_stem = [
@@ -92,5 +92,5 @@ def scene_labels(paths: Sequence[Path]) -> list[str]:
 
 
 def relabelled(one: Labelled, scene: str, label: str) -> Labelled:
-    """Put a recording's label in the place of its scene's name."""
+    """Replace the scene's name by the recording's label."""
     return replace(one, label=label + one.label.removeprefix(scene))  # type: ignore[type-var]

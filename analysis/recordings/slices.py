@@ -1,4 +1,4 @@
-"""A stretch of a recording: some of its channels from one time to another, read piece by piece."""
+"""A stretch of a recording: some channels between two times, read in pieces."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ if TYPE_CHECKING:
     from daq.recording.recording import Recording
     from daq.signal_chain.channel import ChannelInfo
 
-# Samples in memory at a time, of each channel.
+# Samples of each channel in memory at a time.
 PIECE = 1 << 16
 
 
 @dataclass(frozen=True)
 class Slice:
-    """What of a recording is exported."""
+    """Channels and samples of a recording to export."""
 
     recording: Recording
     channels: tuple[str, ...]
     start: int
     stop: int
-    """First sample, and the one after the last."""
+    """First and one-past-last sample."""
     on_read: Callable[[int], None] = field(default=lambda samples: None, compare=False)
-    """Called with how many samples, of how many channels together, have been read since."""
+    """Called with the number of samples read since the last call, summed over the channels."""
 
     @classmethod
     def of(
@@ -41,14 +41,14 @@ class Slice:
         from_s: float | None = None,
         to_s: float | None = None,
     ) -> Slice:
-        """Take channels, by default all, between two times in s, by default from end to end.
+        """Select channels (default: all) between two times in s (default: the whole recording).
 
         Raises
         ------
         SceneError
-            If there is no such channel, or no sample between the times.
+            If a channel does not exist, or if there is no sample between the times.
         RecordingError
-            If there is next to nothing between them for so long a time.
+            If the recording contains too few samples between the times for an interval of this length.
         """
         names = tuple(recording.channels if channels is None else channels)
         for name in names:
@@ -66,11 +66,11 @@ class Slice:
 
     @property
     def infos(self) -> list[ChannelInfo]:
-        """The channels' data sheets."""
+        """Return the data sheets of the channels."""
         return [self.recording.channels[name] for name in self.channels]
 
     def pieces(self, names: Sequence[str]) -> Iterator[tuple[int, NDArray[np.float64]]]:
-        """Yield sample number and samples (channels, piece), piece after piece."""
+        """Yield the sample number and the samples (channels, piece) of each piece."""
         for first in range(self.start, self.stop, PIECE):
             last = min(first + PIECE, self.stop)
             yield first, np.array([self.recording.read(name, first, last) for name in names])
@@ -83,7 +83,7 @@ class Slice:
         return samples
 
     def need_all(self, form: str) -> None:
-        """Refuse a stretch with lost samples for a format that has no way to say so."""
+        """Reject a stretch with lost samples for a format that cannot represent them."""
         for gap in self.recording.gaps:
             if (
                 gap.first_sample < self.stop
@@ -106,9 +106,9 @@ def read_slices(
     Parameters
     ----------
     channels : sequence of str
-        Names of the channels, in the order of the rows wanted.
+        Names of the channels, in the order of the rows.
     bounds : iterable of (start, stop)
-        Sample numbers, with starts that never fall; stretches may overlap.
+        Sample numbers with non-decreasing starts; stretches may overlap.
 
     Yields
     ------
@@ -136,7 +136,7 @@ def _piece(rec: Recording, channels: Sequence[str], number: int) -> NDArray[np.f
 
 
 def hits(rec: Recording) -> list[tuple[int, int]]:
-    """First sample of every hit and the last one of it; a free decay is a hit of one sample at its start."""
+    """Return the first and last sample of every hit; a free decay is a hit of a single sample at its start."""
     marked = sorted((m.first_sample, m.end) for m in rec.markers if m.kind == "hit")
     if marked:
         return marked

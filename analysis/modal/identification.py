@@ -44,7 +44,7 @@ _LARGEST = 1.8
 
 
 def identify(frfs: Response | Sequence[Response], count: int | None = None) -> Modes:
-    """Identify the modes that a set of frequency responses of one test share.
+    """Identify the common modes of a set of frequency responses of one test.
 
     The initial poles are taken from stabilisation charts (least-squares complex frequency domain). Poles and residues
     are refined by weighted least squares, with the error bar of each point as its weight. Poles that do not improve
@@ -65,7 +65,7 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
     RecordingError
         If there are too few frequencies, or if no mode is identified.
     SceneError
-        If the responses are not of one test.
+        If `count` is below 1, if `frfs` contains no responses, or if their frequencies differ.
     """
     if count is not None and not (isinstance(count, int) and count >= 1):
         raise SceneError(f"{count} modes asked for: expected at least 1")

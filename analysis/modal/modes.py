@@ -25,7 +25,7 @@ DETERMINED = 1.0 / 3.0
 
 
 class BodyShapes(NamedTuple):
-    """Mode shapes with one element for each body, scaled to largest element 1, with standard deviations."""
+    """Mode shapes with an element for each body, scaled to largest element 1, with standard deviations."""
 
     names: tuple[str, ...]
     shapes: ComplexArray

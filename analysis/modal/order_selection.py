@@ -84,7 +84,7 @@ def _sensible_part(curves: Curves, model: Fit) -> Fit:
 
 
 def _least_missed(curves: Curves, poles: ComplexArray, among: NDArray[np.intp]) -> int:
-    """Return the pole whose removal increases the misfit least."""
+    """Return the index of the pole whose removal increases the misfit least."""
     misfits = [linear_misfit(curves, np.delete(poles, index)) for index in among]
     return int(among[int(np.argmin(misfits))])
 

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-# Limit of evaluations: a fit from good initial values converges within it, and one from poor values is rejected.
+# Limit of evaluations: a fit from good initial values converges within it, and a fit from poor initial values is
+# stopped.
 _EVALUATIONS = 25
 # Terms of the series that represents modes above the band: fewer lines determine only the first term.
 ABOVE, _LINES = 3, 20

@@ -33,7 +33,7 @@ _LeftOut = tuple[float, str, str]
 
 @dataclass(frozen=True)
 class Sweep:
-    """One pass through the frequencies at one level."""
+    """A pass through the frequencies at a constant level."""
 
     lines: Lines
     """Fundamental of every channel."""

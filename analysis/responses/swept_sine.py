@@ -38,7 +38,7 @@ _PER_VALUE = (2 * SIDE + 1) / (3 * ORDER + 2)
 # floor.
 _RIDES = 0.7
 # The sweep is too fast for dampers in flight if more than this share of the lines has more than this relative error;
-# the last value is the recommended increase of the duration.
+# `_SLOWER` is the recommended factor for the duration.
 _FAST, _FAST_SHARE, _SLOWER = 0.3, 0.05, 10
 # The amplitude of readings in counts is evaluated over at least this number of periods.
 _FEWEST_PERIODS = 3.0

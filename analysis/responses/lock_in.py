@@ -106,7 +106,7 @@ class LockIn:
         projection = np.zeros((2 * self.harmonics + 2, len(samples)))
         for start, turn, basis in self._pieces(length):
             projection += turn @ (basis @ samples[:, start : start + basis.shape[1]].T)
-        own = np.linalg.solve(self._gram(length)[0], projection)
+        own: Array = np.asarray(np.linalg.solve(self._gram(length)[0], projection), dtype=float)
         self._parts.append(_Part(self._samples, length, projection, own, self._residual(samples, own)))
         self._samples += length
 

@@ -1,8 +1,8 @@
-"""How far an orbit is from being impossible.
+"""Admissibility of orbits: their distance to the borders beyond which they are impossible as motions.
 
-An orbit that meets its equations is a motion only while nothing else may happen between its events: dampers in
-flight keep off the walls, riding ones are pressed on theirs. The distance to each of these borders is its margin
-there; it is negative beyond the border, and changes smoothly across it, so that borders are found as roots.
+A solution of the orbit equations is a motion only if no other event occurs between its events: dampers in flight do
+not reach the walls, and riding dampers remain pressed on theirs. The distance to each border is the margin. It is
+negative beyond the border and smooth across it, so that borders can be located as roots.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from rig.orbits.orbit_equations import (
 from rig.orbits.shooting import Shot
 from rig.orbits.track import Track, follow, turning
 
-# In radians of the drive; a damper thrown for so short was accelerated by 1 + 1e-5 of gravity.
+# In radians of the drive; for a shorter flight the peak acceleration is within 1e-5 of 1 g.
 SHORTEST_FLIGHT = 0.02
 
 # Borders: of events, and of dampers.
@@ -43,7 +43,7 @@ KINDS_OF_BORDERS = 9
 
 @stored
 def _dip(track: Track, s: int, j: int, offset: float, sign: float, first: int = 0) -> float:
-    """Lowest turning point of offset + sign times a guard inside a stretch, from a point on; infinity if none is."""
+    """Return the lowest turning point of offset + sign times a guard in a stretch from a point on, or infinity."""
     guard = track.guards[s, :, j]
     step = track.times[s, 1] - track.times[s, 0]
     low = np.inf
@@ -58,7 +58,7 @@ def _dip(track: Track, s: int, j: int, offset: float, sign: float, first: int = 
 
 @stored
 def _push(equations: Equations, j: int, ceiling: bool, overlap: float, closing: float) -> float:
-    """Force law of a wall, N, from how deep a bed is within it and how fast it closes; or its rate, from theirs."""
+    """Return the contact force [N] from overlap and closing speed, or its rate from their rates."""
     wall = 1 if ceiling else 0
     return equations.stiffness[j, wall] * overlap + equations.damping[j, wall] * closing
 
@@ -67,7 +67,7 @@ def _push(equations: Equations, j: int, ceiling: bool, overlap: float, closing: 
 def _decided(
     equations: Equations, sequence: Sequence, track: Track, e: int, closing: float, pull: float
 ) -> float:
-    """How decidedly a contact that lasts changes at an event: closing speed in g/w, or slope of its force in g w."""
+    """Return the rate at which a finite-duration contact crosses its event: speed in g/w, or force slope in g w."""
     kind, j, omega = sequence.kind[e], sequence.damper[e], equations.omega
     before = track.guards[e - 1, -1, j]
     if kind == RELEASE:
@@ -83,10 +83,11 @@ def _decided(
 def _lasting_margins(
     equations: Equations, sequence: Sequence, track: Track, j: int, size: float, found: Array
 ) -> None:
-    """Borders of a damper whose contact lasts: pressed on a wall, free of both, or within one without being pressed.
+    """Compute the margins of a damper with finite-duration contact: pressed, free, or overlapping without force.
 
-    A released bed that is still within a wall must not be pressed before it has left, which is no event. What a
-    stretch begins with is known from the one before, for the first of them only after a turn round the orbit.
+    A released bed that still overlaps a wall must not be pressed before it leaves the wall, which is not an event.
+    The initial contact of a stretch follows from the previous stretch; for the first stretch, only after one full
+    orbit.
     """
     events, pull = sequence.kind.shape[0], size * equations.omega**2
     clearance = equations.clearance[j]
@@ -135,11 +136,11 @@ def _lasting_margins(
 
 @stored
 def margins(equations: Equations, sequence: Sequence, track: Track, instants: Array, closing: Array) -> Array:
-    """Measure how far an orbit is from each border at which it stops being possible as a motion.
+    """Compute the margin of an orbit at each border beyond which it is impossible as a motion.
 
     Returns
     -------
-    ndarray, shape (kinds of borders, events or dampers, whatever is more)
+    ndarray, shape (kinds of borders, max(events, dampers))
         Gaps in g/w^2, accelerations in g, times in 1/w; at most 1, negative beyond the border. The second index
         is an event for the kinds ORDER, LET_GO and MISS, else a damper.
     """
@@ -195,7 +196,7 @@ def margins(equations: Equations, sequence: Sequence, track: Track, instants: Ar
             found[LET_GO, e] = min(1.0, -away * track.guards[e - 1, -1, j, 1] / (pull * omega))
         elif kind != WITH_LAST:
             found[MISS, e] = min(1.0, closing[e] * omega / pull)
-            # Through a full mass matrix an impact presses riding dampers on their walls, or kicks them off.
+            # With a full mass matrix, an impact presses riding dampers on their walls or throws them from the walls.
             for i in range(nd):
                 body = equations.position[i]
                 coupling = equations.inverse_mass[sequence.slot[e], body, equations.position[j]]
@@ -204,7 +205,7 @@ def margins(equations: Equations, sequence: Sequence, track: Track, instants: Ar
                     sign = 1.0 if sequence.wall[e, i] == RIDES_FLOOR else -1.0
                     found[KICKED, i] = min(found[KICKED, i], sign * kick * omega / pull)
         if leaves:
-            # At length 0 the equations of a flight say nothing, so a curve ends before.
+            # At zero flight time the equations are singular, so a curve ends before.
             landing = (e + 1) % events
             while sequence.damper[landing] != j:
                 landing = (landing + 1) % events
@@ -221,6 +222,6 @@ def margins(equations: Equations, sequence: Sequence, track: Track, instants: Ar
 def survey(
     equations: Equations, sequence: Sequence, shot: Shot, instants: Array
 ) -> tuple[Array, NDArray[np.complex128], Array]:
-    """Follow an orbit that a shot has met; its `reach` and `harmonic` as in `Track`, and its `margins`, made flat."""
+    """Track a converged orbit; return `reach` and `harmonic` as in `Track`, and the flattened `margins`."""
     track = follow(equations, sequence, instants, shot.states)
     return track.reach, track.harmonic, margins(equations, sequence, track, instants, shot.closing).ravel()

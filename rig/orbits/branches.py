@@ -1,9 +1,9 @@
 """Curves of exact orbits over frequency, force, clearance or mass ratio: stable and unstable, across borders.
 
-A sequence of events is followed through folds to the edge of the range or to a border, where the motion stops
-being possible as it is: a graze, a release, a stay that vanishes, two events that change order. Beyond the
-border another sequence takes over; it is found by running the exact motion on from the border, and followed
-in turn.
+Continuation follows a sequence of events through folds to the end of the range or to a border, where the sequence
+becomes impossible: a grazing impact, a release, a contact of zero duration, or two events that change order. Beyond
+the border another sequence is valid. Simulation of the exact motion from the border locates it, and continuation
+follows it in turn.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ from rig.scene.loading import SceneLike, scene_of
 Array = NDArray[np.float64]
 
 STEPS = continuation.Steps(first=5e-3, longest=0.25, turn=0.12, shortest=1e-7, points=1500)
-# Distance past a border, relative to the parameter, at which the next orbit is searched from the last one.
+# Distance past a border, relative to the parameter, at which Newton's iteration for the next orbit starts.
 BEYOND = 2e-6
-# The same where the motion is simulated until it is steady.
+# Distances past a border at which the motion is simulated until it is steady.
 FARTHER = (2e-5, 3e-4, 3e-3)
 # Limit of the number of branches: near irregular motion there are infinitely many.
 MOST = 60
@@ -48,27 +48,27 @@ def follow_orbits(
     searches: int = 5,
     progress: Callable[[int], None] | None = None,
 ) -> OrbitCurve:
-    """Follow all orbits that simulation from rest and crossing borders lead to.
+    """Follow all orbits reached by simulation from rest and by continuation across borders.
 
     Parameters
     ----------
     scene : Scene, str, Path or mapping
         As for `rig.periodic_orbit`.
     parameter : {'frequency', 'force', 'clearance', 'mass_ratio'}
-        What is varied: Hz, level of the drive (N), clearance of all dampers (m), factor on their masses.
+        Varied parameter: Hz, level of the drive (N), clearance of all dampers (m), factor on their masses.
     bounds : tuple of float or str
         Range of the parameter, in SI or as texts with units.
     frequency : float or str, optional
         Hz, or text with a unit; needed unless it is the parameter.
     searches : int
-        Number of values at which motions are looked for, from rest and from full swing.
+        Number of values at which motions are searched from rest and from the steady state of the linear structure.
     progress : callable, optional
-        Called with the number of orbits found so far.
+        Called with the number of orbits computed so far.
 
     Raises
     ------
     SceneError
-        If the parameter or its range makes no sense.
+        If the parameter or its range is invalid.
     """
     ends = parameter_values(parameter, bounds)
     if ends.size != 2 or not ends[0] < ends[1]:
@@ -85,7 +85,7 @@ def follow_orbits(
 
 
 class _Explorer:
-    """Finds branches from starts, and from the borders of branches that it has found."""
+    """Search for branches from starting motions and from the borders of known branches."""
 
     def __init__(
         self,
@@ -102,7 +102,7 @@ class _Explorer:
         self.failures: list[str] = []
 
     def search(self, value: float) -> None:
-        """Add the branches of the motions from rest and from full swing, and all that borders on them."""
+        """Add the branches reached from rest and from the linear steady state, and all adjacent branches."""
         for moving in (False, True):
             try:
                 propagator, _ = start_march(self.problem, self.at(value), moving)
@@ -152,7 +152,7 @@ class _Explorer:
         )
 
     def _losses(self, branch: OrbitBranch) -> list[int]:
-        """Points at which a branch has just lost its stability other than by turning back."""
+        """Return the points just after a loss of stability that is not at a fold."""
         found = []
         for value in (*branch.doublings, *branch.toruses):
             for i in np.flatnonzero((branch.value[:-1] - value) * (branch.value[1:] - value) <= 0).tolist():
@@ -162,7 +162,7 @@ class _Explorer:
         return found
 
     def _shaken(self, orbit: Orbit) -> list[Orbit]:
-        """Find the orbit to which a disturbed unstable orbit settles, if its motion repeats."""
+        """Simulate from a perturbed unstable orbit and return the orbit to which it settles, if any."""
         propagator, _ = start_march(self.problem, orbit.setting)
         enter(propagator, orbit)
         n = propagator.system.states
@@ -182,7 +182,7 @@ class _Explorer:
             return False
         offset = branch.value - getattr(orbit.setting, self.parameter)
         near = np.flatnonzero(offset[:-1] * offset[1:] <= 0).tolist()
-        # A start just beyond an end, as the search from a neighbouring branch's border gives it.
+        # The search from an adjacent branch's border starts just beyond an end of this branch.
         if abs(offset[0]) < 1e-3 * abs(branch.value[0]):
             near.append(0)
         if abs(offset[-1]) < 1e-3 * abs(branch.value[-1]):
@@ -199,7 +199,7 @@ class _Explorer:
         return False
 
     def _beyond(self, branch: OrbitBranch, side: int) -> Orbit | None:
-        """Orbit on the other side of a branch's end, if the end is a border."""
+        """Return the orbit on the other side of a branch's end, if the end is a border."""
         end = branch.ends[side]
         last = branch.orbits[0 if side == 0 else -1]
         value = float(branch.value[0 if side == 0 else -1])
@@ -217,7 +217,7 @@ class _Explorer:
             return None
 
     def _run_on(self, orbit: Orbit, value: float, way: float) -> Orbit:
-        """Find the orbit on the other side of a border: the nearest one, else what the motion settles to."""
+        """Return the orbit beyond a border: the nearest orbit, otherwise the orbit to which the motion settles."""
         # At a border the curve may turn back in the parameter, so that the nearest orbit may lie on either side.
         for past in (BEYOND, -BEYOND, 10 * BEYOND, -10 * BEYOND):
             target = value * (1 + way * past)
@@ -236,7 +236,7 @@ class _Explorer:
                 )
                 if close and not found.flaw and not found.plan.same_cycle(orbit.plan):
                     return found
-        # So near to the border the new event may be too small to be seen in a motion that has settled to 1e-7.
+        # Close to the border, the new event may be too small to detect in a motion settled to 1e-7.
         for past in FARTHER[:-1]:
             try:
                 return self._settled_past(orbit, value, way * past)
@@ -252,12 +252,12 @@ class _Explorer:
 
 
 def _minus_one(multipliers: NDArray[np.complex128]) -> float:
-    """Give a value that changes sign where a multiplier passes -1: at a period doubling."""
+    """Return a value that changes sign where a multiplier passes -1 (period doubling)."""
     return float(np.prod(1 + multipliers).real)
 
 
 def _pair(multipliers: NDArray[np.complex128]) -> float:
-    """Give a value that is positive if a complex pair lies outside the unit circle: beyond a torus bifurcation."""
+    """Return a value that is positive if a complex pair is outside the unit circle (torus bifurcation)."""
     pairs = multipliers[np.abs(multipliers.imag) > 1e-9]
     return float(np.abs(pairs).max(initial=0.5) - 1)
 
@@ -276,7 +276,7 @@ def _crossings(
 def _located(
     following: Following, curve: continuation.Curve, where: NDArray[np.int64], monitor: continuation.Monitor
 ) -> Array:
-    """Parameter values at which a monitor changes sign; mid-step where it cannot be closed in."""
+    """Return parameter values at which a monitor changes sign; the middle of the step if it cannot be bracketed."""
     found = []
     for i in where:
         try:

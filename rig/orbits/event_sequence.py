@@ -1,4 +1,4 @@
-"""The sequence of events of a periodic orbit: read off a simulated cycle, and named."""
+"""The sequence of events of a periodic orbit: derivation from a simulated cycle, and labels."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from rig.system.hybrid_system import HybridSystem
 
 Array = NDArray[np.float64]
 BOUNCE = {FLOOR: FLOOR_BOUNCE, CEILING: CEILING_BOUNCE}
-#: Where a damper is after an event.
+#: Wall of a damper after an event, or flight.
 AFTER = {
     SEPARATION: FLYING,
     WITH_LAST: FLYING,
@@ -50,13 +50,13 @@ AFTER = {
     PRESS_CEILING: ON_CEILING,
     RELEASE: FORCELESS,
 }
-#: A bed this deep within a wall, as a share of its gap's largest size, is pressed there anew and does not touch.
+#: Overlap, relative to the largest gap, above which a new contact force is a press event instead of a touch.
 WITHIN = 1e-9
 
 
 @dataclass(frozen=True)
 class Plan:
-    """An orbit's sequence of events, with the configurations behind its slots."""
+    """An orbit's sequence of events, with the configurations of its slots."""
 
     sequence: Sequence
     configurations: tuple[int, ...]
@@ -73,7 +73,8 @@ class Plan:
     def label(self) -> str:
         """The events in short, e.g. ``"2^ 2- 2_"``: damper 2 separates, bounces off the ceiling, lands.
 
-        Where contact lasts, it touches floor ``u`` or ceiling ``n``, is released ``o``, or pressed again ``w``, ``m``.
+        With finite-duration contact: touch of floor ``u`` or ceiling ``n``, release ``o``, renewed press ``w``,
+        ``m``.
         """
         signs = {
             SEPARATION: "^",
@@ -93,7 +94,7 @@ class Plan:
 
     @property
     def borders(self) -> tuple[str, ...]:
-        """Names of the borders in the order of `rig.orbits.admissibility.margins`, made flat."""
+        """Names of the borders in the order of the flattened `rig.orbits.admissibility.margins`."""
         events, dampers = self.label.split(), self.sequence.damper + 1
         count = max(len(events), self.sequence.wall.shape[1], 1)
         pairs = zip(events, events[1:] + events[:1], strict=True)
@@ -122,7 +123,7 @@ class Plan:
 def plan_from(
     trajectory: Trajectory, start: NDArray[np.int8], repetition: int, system: HybridSystem
 ) -> tuple[Plan, Array]:
-    """Read the sequence of events off a simulated cycle.
+    """Derive the sequence of events from a simulated cycle.
 
     Parameters
     ----------
@@ -136,13 +137,13 @@ def plan_from(
     Returns
     -------
     order : ndarray
-        Positions of the plan's events among the course's.
+        Positions of the plan's events among the events of the cycle.
 
     Raises
     ------
     UncoveredMotionError
-        If a damper that rebounds comes to rest on a wall, after impacts without end; or one is thrown off its wall
-        by another's impact, through a full mass matrix or the body of both.
+        If a damper with rebound comes to rest on a wall after infinitely many impacts; or the impact of another
+        damper throws a damper from its wall, through a full mass matrix or a common body.
     """
     kinds: list[int] = []
     dampers: list[int] = []
@@ -164,7 +165,7 @@ def plan_from(
             landed = FLOOR if kind == FLOOR_IMPACT else CEILING
             kinds.append(landed if system.restitution[damper] == 0 else BOUNCE[landed])
         elif hit:
-            # It hit in this very instant: one event, a bounce, and no stay in between.
+            # Impact and separation at the same instant are one event, a bounce, without contact in between.
             kinds[hit[-1]] = BOUNCE[kinds[hit[-1]]]
             continue
         elif system.restitution[damper] > 0:
@@ -179,7 +180,7 @@ def plan_from(
 
 
 def _lasting_kind(trajectory: Trajectory, event: int, system: HybridSystem) -> int:
-    """Kind of an event of a damper whose contact lasts: what presses it again finds it within the wall."""
+    """Return the kind of an event with finite-duration contact: a press event starts with overlap."""
     kind, damper = trajectory.event_kind[event], trajectory.event_damper[event]
     if kind == RELEASED:
         return RELEASE
@@ -195,17 +196,17 @@ def _lasting_kind(trajectory: Trajectory, event: int, system: HybridSystem) -> i
 
 
 def walls_of(mode: NDArray[Any], system: HybridSystem) -> NDArray[np.int64]:
-    """Give the walls of a sequence for the engine's contact states, shape (dampers,)."""
+    """Return the walls of a sequence for the engine's contact states, shape (dampers,)."""
     return np.asarray(mode, dtype=np.int64) + np.where(system.lasting, FORCELESS, FLYING)
 
 
 def mode_of(walls: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Give the engine's contact states for walls of a sequence, shape (dampers,)."""
+    """Return the engine's contact states for walls of a sequence, shape (dampers,)."""
     return np.where(walls >= FORCELESS, walls - FORCELESS, walls)
 
 
 def configuration_of(walls: NDArray[np.int64]) -> int:
-    """Give the configuration for walls of a sequence, as in `HybridSystem.toggles`."""
+    """Return the configuration for walls of a sequence, as in `HybridSystem.toggles`."""
     pressed = np.flatnonzero((walls != FLYING) & (walls != FORCELESS)).tolist()
     ceilings = np.flatnonzero(walls == ON_CEILING).tolist()
     return sum(1 << j for j in pressed) + sum(1 << len(walls) + j for j in ceilings)

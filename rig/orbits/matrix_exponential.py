@@ -1,4 +1,4 @@
-"""The matrix exponential times a time, and how its product with a state changes with the matrix."""
+"""The matrix exponential, and the derivative of its product with a state with respect to the matrix."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 
 @stored
 def exponential(matrix: Array, time: float, rate: float) -> Array:
-    """Matrix exponential of `matrix` times `time`, by a Taylor series with scaling and squaring.
+    """Compute the exponential of `matrix` times `time` by a Taylor series with scaling and squaring.
 
     `rate` bounds a norm of the matrix in which its rows and columns are balanced.
     """
@@ -21,8 +21,8 @@ def exponential(matrix: Array, time: float, rate: float) -> Array:
         size *= 0.5
         halvings += 1
     x = matrix * (time * 0.5**halvings)
-    # To degree 12, summed in three products of cubes. The sum without the identity, so that small times keep
-    # their last bits: squaring maps s to 2 s + s s.
+    # Series to degree 12, as three products of cubes. The sum excludes the identity to avoid cancellation at
+    # small times: squaring maps s to 2 s + s s.
     square = x @ x
     cube = square @ x
     total = x / 3628800.0 + square / 39916800.0 + cube / 479001600.0
@@ -54,7 +54,7 @@ def drift(matrix: Array, change: Array, start: Array, slope: Array, time: float,
     term, other, next_term, next_other = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
     for _ in range(substeps):
         term[:], other[:] = z, s
-        # 2^20 / 20! is 4e-13, which a derivative does not need to know better.
+        # The truncation error 2^20 / 20! = 4e-13 is sufficient for a derivative.
         for k in range(1, 21):
             next_term[:], next_other[:] = 0.0, 0.0
             for m in range(entries):

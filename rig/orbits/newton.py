@@ -1,4 +1,4 @@
-"""Newton's iteration for the unknowns of an orbit, and the map of deviations over it."""
+"""Newton's iteration for the unknowns of an orbit, and its monodromy matrix."""
 
 from __future__ import annotations
 
@@ -34,18 +34,18 @@ def correct(
     scale, rows : ndarray, shape (unknowns,)
         Sizes of the unknowns and of the residuals.
     most : int
-        Corrections allowed.
+        Maximum number of corrections.
 
     Returns
     -------
     slope : ndarray
-        Their derivative with respect to the parameter.
+        Derivative of the unknowns with respect to the parameter.
     shot : Shot
-        There.
+        Evaluation at the solution.
     last : float
         Size of the last correction.
     corrections : int
-        How many were made; -1 if they did not settle.
+        Number of corrections; -1 if the iteration did not converge.
     """
     x, slope, last = unknowns.copy(), np.zeros(unknowns.size), np.inf
     shot = shoot(equations, change, sequence, x)
@@ -64,7 +64,7 @@ def correct(
         missed = np.abs(right[:, 0]).max()
         if (size < SETTLED and missed < SETTLED) or (size < 1e-9 and size > 0.3 * last):
             return x, slope, shot, size, iteration
-        # An iteration that runs away is stopped before its instants leave all bounds.
+        # A divergent iteration stops before its instants become arbitrarily large.
         if not size < 1e3 * min(1.0, max(last, 1e-3)):
             return x, slope, shot, size, -1
         x += move * scale
@@ -75,13 +75,13 @@ def correct(
 
 @stored
 def distance(one: Array, other: Array, scale: Array) -> float:
-    """Largest difference between two sets of unknowns, in their scales."""
+    """Return the largest scaled difference between two sets of unknowns."""
     return float(np.abs((one - other) / scale).max())
 
 
 @stored
 def monodromy(shot: Shot, events: int, scale: Array, rows: Array) -> Array:
-    """Map of deviations over an orbit (scaled): the events' rows are solved for the instants."""
+    """Compute the scaled monodromy matrix; the event conditions are solved for the instants."""
     size = scale.size
     cut = size - events
     jacobian = shot.jacobian[:, :size].copy()

@@ -1,4 +1,4 @@
-"""A periodic motion, and the equations that it solves while one parameter is free."""
+"""A periodic motion, and its equations with one free parameter."""
 
 from __future__ import annotations
 
@@ -47,10 +47,10 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-# Margin below which an orbit is impossible as a motion; less is rounding.
+# Absolute margin up to which a negative value is rounding; below it an orbit is impossible as a motion.
 ROUNDING = 1e-9
 CORRECTIONS = 25
-# Events in which a damper comes to a wall, as the engine calls them.
+# Engine events of contact between a damper and a wall.
 _STRUCK = {
     FLOOR: FLOOR_IMPACT,
     FLOOR_BOUNCE: FLOOR_IMPACT,
@@ -70,12 +70,12 @@ class Orbit(Result):
     Attributes
     ----------
     setting : OperatingPoint
-        Frequency [Hz], level of the drive, and clearance and mass ratio where they were varied.
+        Frequency [Hz], level of the drive, and clearance and mass ratio if they were varied.
     repetition : int
         Length in periods of the drive.
     events : structured ndarray
         `time` [s] from the start of a period of the drive, `damper` (from 1), `kind` (separation, floor, ceiling;
-        touch, release where contact lasts) and closing `speed` [m/s], as in `rig.simulate`.
+        touch, release with finite-duration contact) and closing `speed` [m/s], as in `rig.simulate`.
     motion_type : str
         Types of the dampers, as in `rig.frequency_response`.
     compliance : ndarray of complex, shape (bodies,)
@@ -83,20 +83,21 @@ class Orbit(Result):
     peak : ndarray, shape (bodies,)
         Half the range of each displacement [m].
     multipliers : ndarray of complex
-        Floquet multipliers: one for each state and two for each damper in flight at the start.
+        Floquet multipliers: one multiplier for each state and two for each damper in flight at the start.
     margin : float
-        Distance to the nearest border, at which the motion stops being possible as it is: gaps in g/w^2,
+        Distance to the nearest border, beyond which the sequence of events is impossible: gaps in g/w^2,
         accelerations in g, times in 1/w. At most 1, negative beyond the border.
     border : str
         Name of that border.
     residual : float
-        Distance by which the orbit misses its start after a period, relative to the motion.
+        Relative difference between the states at start and end of the orbit.
     unknowns : ndarray
-        State at the start, heights and velocities of dampers in flight, and instants, see `rig.orbits.shooting`.
+        State at the start, heights and velocities of dampers in flight, and instants of events; see
+        `rig.orbits.shooting`.
     plan : Plan
         The sequence of events.
     problem : OrbitProblem
-        What it solves.
+        Equations that the orbit solves.
     """
 
     setting: OperatingPoint
@@ -115,7 +116,7 @@ class Orbit(Result):
     problem: OrbitProblem = field(repr=False, compare=False)
 
     def summary(self) -> str:
-        """Say which motion, where, and whether it is stable."""
+        """Return the type of motion, its operating point, and its stability in words."""
         stable = "stable" if self.stable else "not stable"
         return (
             f"{self.motion_type}, {self.frequency:.6g} Hz, {len(self.events)} events in {self.repetition} "
@@ -124,7 +125,7 @@ class Orbit(Result):
         )
 
     def columns(self) -> dict[str, Array]:
-        """Time over a cycle from its first event, displacement of each body, gap of each damper that moves."""
+        """Return time over a cycle from its first event, displacement of each body, and gap of each moving damper."""
         sequence, system = self.plan.sequence, self.problem.changed(self.setting)
         curve = Following(self.problem, self.plan, self.setting, "frequency", self.unknowns)
         equations, change = curve.tables(self.frequency)
@@ -143,7 +144,7 @@ class Orbit(Result):
         }
 
     def draw(self, ax: Axes, **style: Any) -> None:
-        """Displacement of each body over a cycle, and the gap below each damper, dashed."""
+        """Draw the displacement of each body over a cycle, and the gap below each damper as a dashed line."""
         time, *others = self.columns().items()
         for name, column in others:
             look = "--" if name.startswith("gap") else "-"
@@ -162,19 +163,19 @@ class Orbit(Result):
 
     @property
     def flaw(self) -> str:
-        """What makes the orbit impossible as a motion, "" if nothing does; a guess may lead past a border."""
+        """Violated border of an inadmissible orbit, "" if it is admissible; a guess may converge beyond a border."""
         return self.border if self.margin < -ROUNDING else ""
 
 
 def solve(
     problem: OrbitProblem, plan: Plan, setting: OperatingPoint, unknowns: Array, most: int = CORRECTIONS
 ) -> Orbit:
-    """Solve the equations of an orbit for one setting by Newton's iteration of at most so many corrections.
+    """Solve the equations of an orbit for one setting by Newton's iteration with a limited number of corrections.
 
     Raises
     ------
     RunError
-        If the iteration does not settle.
+        If the iteration does not converge.
     """
     curve = Following(problem, plan, setting, "frequency", unknowns)
     equations, change = curve.tables(setting.frequency)
@@ -191,17 +192,17 @@ def solve(
 
 
 class Following:
-    """The equations of an orbit with one parameter free, as `rig.numerics.continuation` takes them.
+    """The equations of an orbit with one free parameter, for `rig.numerics.continuation`.
 
     Parameters
     ----------
     plan : Plan
         Events of the orbit.
     setting : OperatingPoint
-        Everything but the parameter.
+        Values of all other parameters.
     parameter : {'frequency', 'force', 'clearance', 'mass_ratio'}
     unknowns : ndarray
-        A first guess; sets the scales.
+        Initial guess; it also sets the scales.
     """
 
     def __init__(
@@ -234,29 +235,29 @@ class Following:
         self.bodies = problem.scene.structure.bodies
 
     def tables(self, value: float) -> tuple[Equations, Change]:
-        """Equations at a value of the parameter, and how they change with it."""
+        """Return the equations at a value of the parameter, and their derivatives."""
         return self.problem.equations(self.at(value), self.plan, self.parameter)
 
     def __call__(self, x: Array) -> tuple[Array, Array]:
-        """Scaled residual and jacobian."""
+        """Return the scaled residual and Jacobian."""
         shot = shoot(*self.tables(float(x[-1])), self.plan.sequence, x[:-1])
         return shot.residual / self.rows, shot.jacobian / self.rows[:, None]
 
     def orbit(self, x: Array) -> Orbit:
-        """Describe the orbit at a solution."""
+        """Return the orbit at a solution."""
         equations, change = self.tables(float(x[-1]))
         shot = shoot(equations, change, self.plan.sequence, x[:-1])
         return self.describe(self.at(float(x[-1])), x[:-1], equations, shot)
 
     def margins(self, x: Array) -> tuple[Array, tuple[str, ...]]:
-        """Distance to each border, and the borders' names, as `rig.numerics.continuation.trace` takes them."""
+        """Return the margin at each border and the borders' names, for `rig.numerics.continuation.trace`."""
         equations, change = self.tables(float(x[-1]))
         shot = shoot(equations, change, self.plan.sequence, x[:-1])
         distances = survey(equations, self.plan.sequence, shot, self._instants(x[:-1]))[2]
         return distances + ROUNDING, self.borders
 
     def multipliers(self, x: Array) -> NDArray[np.complex128]:
-        """Floquet multipliers at a solution."""
+        """Compute the Floquet multipliers at a solution."""
         return self._multipliers(shoot(*self.tables(float(x[-1])), self.plan.sequence, x[:-1]))
 
     def _multipliers(self, shot: Shot) -> NDArray[np.complex128]:
@@ -268,7 +269,7 @@ class Following:
         return unknowns[len(unknowns) - len(self.plan.sequence.kind) :]
 
     def describe(self, setting: OperatingPoint, unknowns: Array, equations: Equations, shot: Shot) -> Orbit:
-        """Describe the orbit that a shot has met."""
+        """Return the orbit of a converged shot."""
         problem, plan = self.problem, self.plan
         instants = self._instants(unknowns)
         reach, integral, distances = survey(equations, plan.sequence, shot, instants)
@@ -306,7 +307,7 @@ class Following:
 def _events(
     problem: OrbitProblem, plan: Plan, instants: Array, closing: Array
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], Array, Array]:
-    """Dampers (from 0), kinds as in `rig.engine.state`, times and closing speeds of the events.
+    """Return dampers (from 0), kinds as in `rig.engine.state`, times and closing speeds of the events.
 
     A bounce without rebound is an impact and a separation at one instant.
     """

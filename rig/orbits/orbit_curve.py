@@ -1,4 +1,4 @@
-"""Curves of orbits over a parameter: what following them found."""
+"""Curves of orbits over a parameter: the results of continuation."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ class OrbitBranch(Result):
     Attributes
     ----------
     value : ndarray, shape (points,)
-        Of the parameter (Hz, N, m, or factor on the mass ratios); not monotonic where the curve folds.
+        Values of the parameter (Hz, N, m, or factor on the mass ratios); not monotonic at folds.
     orbits : tuple of Orbit, length points
     ends : tuple of str
-        Why the curve ends before its first and after its last point.
+        Reasons for the ends of the curve, before its first and after its last point.
     folds, doublings, toruses : ndarray
         Values of the parameter at which the curve turns back, at which a multiplier passes -1 (period
         doubling), and at which a complex pair leaves the unit circle.
@@ -71,7 +71,7 @@ class OrbitBranch(Result):
         return self.orbits[0].problem.scene.structure.labels
 
     def summary(self) -> str:
-        """Say which motion, from where to where, and how much of it is stable."""
+        """Return the type of motion, the range of the parameter and the stable fraction in words."""
         unit = PARAMETERS[self.parameter].si
         return (
             f"{self.motion_type}, {self.value.size} orbits, {self.parameter} {self.value.min():.4g} to "
@@ -79,7 +79,7 @@ class OrbitBranch(Result):
         )
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """Parameter, compliance of each body, type of motion, whether it is stable."""
+        """Return parameter, compliance of each body, type of motion, and stability."""
         return {
             column_name(self.parameter): self.value,
             **{f"{name}_m/N": row for name, row in zip(self._labels, self.compliance, strict=True)},
@@ -88,7 +88,7 @@ class OrbitBranch(Result):
         }
 
     def draw(self, ax: Axes, **style: Any) -> None:
-        """Compliance of the body that moves most; dashed where the orbits are not stable."""
+        """Draw the compliance of the body with the largest motion; unstable orbits are dashed."""
         label, factor = AXES[self.parameter]
         size = 1e6 * abs(self.compliance)
         body = int(size.max(axis=1).argmax())
@@ -103,19 +103,19 @@ class OrbitBranch(Result):
 
 @dataclass(frozen=True, repr=False)
 class OrbitCurve(Result):
-    """What was found over a range of a parameter.
+    """All branches computed over a range of a parameter.
 
     Attributes
     ----------
     failures : tuple of str
-        Where a branch or what lies beyond a border was not found, why, and the last good point.
+        Failures to follow a branch or to cross a border: place, reason, and last valid point.
     """
 
     branches: tuple[OrbitBranch, ...]
     failures: tuple[str, ...]
 
     def summary(self) -> str:
-        """Say how many branches there are, and of which motions."""
+        """Return the number of branches and their types of motion in words."""
         kinds = ", ".join(dict.fromkeys(branch.motion_type for branch in self.branches))
         return f"{len(self.branches)} branches: {kinds}; {len(self.failures)} not followed to their ends"
 
@@ -129,7 +129,7 @@ class OrbitCurve(Result):
         )
 
     def draw(self, ax: Axes, **style: Any) -> None:
-        """Every branch, one colour for each type of motion; dashed where the orbits are not stable."""
+        """Draw every branch, with one colour for each type of motion; unstable orbits are dashed."""
         kinds = list(dict.fromkeys(branch.motion_type for branch in self.branches))
         for branch in self.branches:
             first = branch.motion_type not in {line.get_label() for line in ax.lines}

@@ -1,4 +1,4 @@
-"""What an orbit is the solution of: the equations of motion in each configuration, and the sequence of its events."""
+"""The equations of an orbit: equations of motion in each configuration, and the sequence of events."""
 
 from __future__ import annotations
 
@@ -10,14 +10,15 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
-# Kinds of events. A damper that bounces leaves the wall in the instant in which it hits it, with the common
-# velocity (osculating contact) or with its rebound; one that leaves `WITH_LAST` is thrown off by the event
-# before, at the same instant.
+# Kinds of events. In a bounce, a damper separates at the instant of impact, with the common velocity (osculating
+# contact) or with its rebound velocity. With `WITH_LAST`, the previous event causes the separation at the same
+# instant.
 SEPARATION, FLOOR, CEILING, FLOOR_BOUNCE, CEILING_BOUNCE, WITH_LAST = 0, 1, 2, 3, 4, 5
-# Where contact lasts: a gap falls to zero (touch), a force falls to zero (release), and a force rises from zero again
-# while the overlap is not undone (press). All are rows of the state, and only the force law changes.
+# Finite-duration contact: a gap falls to zero (touch), a force falls to zero (release), or a force rises from zero
+# again before the overlap has recovered (press). All conditions are linear in the state, and only the force law
+# changes.
 TOUCH_FLOOR, TOUCH_CEILING, PRESS_FLOOR, PRESS_CEILING, RELEASE = 6, 7, 8, 9, 10
-# Walls in a stretch: in flight, or riding on one; and where contact lasts, without force, or pressed on one.
+# Wall state in a stretch: in flight or riding on a wall; with finite-duration contact, forceless or pressed.
 FLYING, RIDES_FLOOR, RIDES_CEILING, FORCELESS, ON_FLOOR, ON_CEILING = 0, 1, 2, 3, 4, 5
 
 
@@ -27,7 +28,7 @@ class Equations(NamedTuple):
     generator: Array
     """shape (configurations, states + 3, states + 3)."""
     rate: Array
-    """Bound on how fast each generator turns or grows what it acts on [1/s]; shape (configurations,)."""
+    """Bound on the norm of each generator [1/s]; shape (configurations,)."""
     inverse_mass: Array
     """shape (configurations, coordinates, coordinates)."""
     position: Whole
@@ -37,10 +38,10 @@ class Equations(NamedTuple):
     restitution: Array
     """mass, clearance, restitution: shape (dampers,)."""
     bed: Whole
-    """Coordinate of a damper whose contact lasts, its gap; -1 where contact is instant; int64, shape (dampers,)."""
+    """Coordinate of the gap of a damper with finite-duration contact, otherwise -1; int64, shape (dampers,)."""
     stiffness: Array
     damping: Array
-    """stiffness, damping: of floor and ceiling where contact lasts; shape (dampers, 2)."""
+    """stiffness, damping: of floor and ceiling for finite-duration contact; shape (dampers, 2)."""
     gravity: float
     omega: float
     period: float
@@ -48,7 +49,7 @@ class Equations(NamedTuple):
 
 
 class Change(NamedTuple):
-    """Derivatives of the fields of `Equations` with respect to the parameter that is followed."""
+    """Derivatives of the fields of `Equations` with respect to the continuation parameter."""
 
     generator: Array
     inverse_mass: Array
@@ -61,7 +62,7 @@ class Change(NamedTuple):
 
 
 class Sequence(NamedTuple):
-    """Which events happen, in order."""
+    """The events of an orbit in order."""
 
     kind: Whole
     damper: Whole
@@ -70,4 +71,4 @@ class Sequence(NamedTuple):
     """Configuration of each stretch: before the first event, between events, after the last; int64, shape
     (events + 1,)."""
     wall: Whole
-    """In each stretch, `FLYING` to `ON_CEILING`; int64, shape (events + 1, dampers)."""
+    """Wall state in each stretch, `FLYING` to `ON_CEILING`; int64, shape (events + 1, dampers)."""

@@ -19,40 +19,40 @@ from rig.steady_response.steady_state import LONGEST_REPETITION, settle
 
 Array = NDArray[np.float64]
 
-# Periods that a search follows the motion for before it takes the motion for irregular.
+# Largest number of simulated periods before a search classifies the motion as irregular.
 LONGEST = 4000
-# Periods after which a search tries whether Newton's iteration already leads to an orbit near by, again and again.
+# Numbers of periods after which a search tries Newton's iteration for a nearby orbit.
 EARLY = (16, 64, 256)
-# Change from period to period, relative to the motion, of one that almost repeats.
+# Relative change from period to period below which a motion almost repeats.
 ALMOST = 1e-6
-# Distance to the motion, relative to it, of an orbit that counts as the one it was settling to.
+# Largest relative distance of a motion from the orbit to which it settles.
 NEAR = 0.05
-# Periods over which it must come nearer, unless it is this close.
+# Periods over which the distance must decrease, unless it is already below `CLOSE`.
 CONFIRMED, CLOSE = 16, 1e-6
 
 
 def periodic_orbit(scene: SceneLike, frequency: float | str, start: Orbit | None = None) -> Orbit:
-    """Find a periodic motion of a scene at a frequency.
+    """Compute a periodic motion of a scene at a frequency.
 
     Parameters
     ----------
     scene : Scene, str, Path or mapping
         A scene, or what `rig.load` takes; with a shaker and a test that gives a level. Where the test holds
-        the amplitude of the spring force, that force is put on the driven body as a pure tone, which is what an ideal
-        controller holds.
+        the amplitude of the spring force, that force acts on the driven body as a pure tone, as with an ideal
+        controller.
     frequency : float or str
         Hz, or text with a unit, such as ``"49 Hz"``.
     start : Orbit, optional
-        An orbit of this scene near by, with the same events; without one the motion is simulated from rest
-        until it repeats, and made exact from there.
+        A nearby orbit of this scene with the same events. By default the motion is simulated from rest until it
+        repeats, and is then refined by Newton's iteration.
 
     Raises
     ------
     SceneError
-        If the frequency is not positive, nothing drives the scene, or it has impacts that the method does not
-        cover.
+        If the frequency is not positive, the scene has no excitation, or its impacts are not supported by the
+        method.
     RunError
-        If the motion does not repeat, or Newton's iteration does not settle; the message says where.
+        If the motion does not repeat, or Newton's iteration does not converge; the message states where.
 
     Examples
     --------
@@ -71,7 +71,7 @@ def periodic_orbit(scene: SceneLike, frequency: float | str, start: Orbit | None
 def search(
     problem: OrbitProblem, setting: OperatingPoint, start: Propagator | None = None, longest: int = LONGEST
 ) -> Orbit:
-    """Simulate until the motion repeats, for at most some `longest` periods, and make it exact."""
+    """Simulate until the motion repeats, for at most `longest` periods, and refine it to an exact orbit."""
     propagator, steps = (
         start_march(problem, setting) if start is None else (start, period_steps(start, setting))
     )
@@ -91,7 +91,7 @@ def search(
             )
         return orbit
     if steady.residual < ALMOST:
-        # It repeats, but its slow decay does not determine after how many periods.
+        # The motion repeats, but its slow decay does not determine the number of periods.
         for repetition in range(1, LONGEST_REPETITION + 1):
             found = _near(problem, setting, propagator, steps, repetition)
             if found is not None:
@@ -105,7 +105,7 @@ def search(
 def _near(
     problem: OrbitProblem, setting: OperatingPoint, propagator: Propagator, steps: float, repetition: int
 ) -> Orbit | None:
-    """Find the stable orbit that a motion is settling to, if Newton's iteration leads to one near by."""
+    """Return the stable orbit to which a motion settles, if Newton's iteration converges nearby."""
     try:
         orbit = refine(problem, setting, propagator, steps, repetition)
     except RunError:
@@ -115,7 +115,7 @@ def _near(
     away = _distance(propagator, orbit)
     if away > NEAR:
         return None
-    # A motion that only passes by, as irregular ones do, moves away again.
+    # An irregular motion may pass close to an orbit without settling, so check that the distance decreases.
     trajectory = _run(propagator, steps, CONFIRMED * repetition)
     struck = np.count_nonzero(np.isin(trajectory.event_kind, STRIKES)) // repetition
     same = (
@@ -128,7 +128,7 @@ def _near(
 
 
 def _distance(propagator: Propagator, orbit: Orbit) -> float:
-    """Distance of a march at the start of a period from an orbit, relative to the motion."""
+    """Return the relative distance of a propagator's state from an orbit at the start of a period."""
     nq = propagator.system.coordinates
     away = propagator.state.z[: 2 * nq] - orbit.unknowns[: 2 * nq]
     away[nq:] /= 2 * np.pi * orbit.frequency
@@ -136,7 +136,7 @@ def _distance(propagator: Propagator, orbit: Orbit) -> float:
 
 
 def _run(propagator: Propagator, steps: float, periods: int) -> Trajectory:
-    """Run through whole periods."""
+    """Simulate whole periods."""
     rows, anew = np.full(periods, -1), np.ones(periods, dtype=bool)
     return propagator.through_marks(np.full(periods, steps), rows, anew)
 
@@ -144,9 +144,9 @@ def _run(propagator: Propagator, steps: float, periods: int) -> Trajectory:
 def start_march(
     problem: OrbitProblem, setting: OperatingPoint, moving: bool = False
 ) -> tuple[Propagator, float]:
-    """March with all dampers on their floors, at the start of a period; and the steps in a period.
+    """Return a propagator at the start of a period, all dampers on their floors, and its steps per period.
 
-    At rest, or, `moving`, in the steady motion that the structure would have were the dampers to stay on
+    The initial state is rest or, if `moving`, the steady state of the linear structure with all dampers riding on
     their floors.
     """
     system = problem.changed(setting)
@@ -164,14 +164,14 @@ def start_march(
 
 
 def period_steps(propagator: Propagator, setting: OperatingPoint) -> float:
-    """Step lengths of a march in a period."""
+    """Return the number of propagator steps in a period."""
     return float(np.round(1 / (setting.frequency * propagator.tables.step)))
 
 
 def refine(
     problem: OrbitProblem, setting: OperatingPoint, propagator: Propagator, steps: float, repetition: int
 ) -> Orbit:
-    """Make the motion that a march is on (at the start of a period) an exact orbit."""
+    """Refine the motion of a propagator at the start of a period to an exact orbit."""
     plan, unknowns = read_cycle(propagator, steps, repetition)
     orbit = solve(problem, plan, setting, unknowns)
     shorter = first_part(orbit)
@@ -179,7 +179,7 @@ def refine(
 
 
 def first_part(orbit: Orbit) -> tuple[Plan, OperatingPoint, Array] | None:
-    """Cut an orbit that goes several times round the same cycle to one round; None if it does not."""
+    """Reduce an orbit that repeats the same cycle to one cycle; None if it does not repeat."""
     sequence, events = orbit.plan.sequence, len(orbit.plan.sequence.kind)
     instants = orbit.unknowns[len(orbit.unknowns) - events :]
     for rounds in range(orbit.repetition, 1, -1):
@@ -199,7 +199,7 @@ def first_part(orbit: Orbit) -> tuple[Plan, OperatingPoint, Array] | None:
 
 
 def read_cycle(propagator: Propagator, steps: float, repetition: int) -> tuple[Plan, Array]:
-    """Run one cycle and take down its events and the unknowns at its start."""
+    """Simulate one cycle and return its events and the unknowns at its start."""
     system, state = propagator.system, propagator.state
     start = state.mode.astype(np.int8)
     heights, speeds = state.height.copy(), state.speed.copy()
@@ -214,7 +214,7 @@ def read_cycle(propagator: Propagator, steps: float, repetition: int) -> tuple[P
 
 
 def enter(propagator: Propagator, orbit: Orbit) -> None:
-    """Put a march on an orbit at the start of a period."""
+    """Set a propagator to the state of an orbit at the start of a period."""
     system, state = propagator.system, propagator.state
     n, walls = system.states, orbit.plan.sequence.wall[0]
     state.z[:n] = orbit.unknowns[:n]

@@ -1,4 +1,4 @@
-"""The periodic-orbit problem of a scene: its equations for any value of the parameter that is followed."""
+"""The periodic-orbit problem of a scene: its equations for any value of the continuation parameter."""
 
 from __future__ import annotations
 
@@ -22,51 +22,51 @@ from rig.system.open_loop_drive import drive_per_level, level_of, with_ideal_for
 
 Array = NDArray[np.float64]
 Parameter = Literal["frequency", "force", "clearance", "mass_ratio"]
-#: What can be followed: as texts give it.
+#: Continuation parameters, with their kinds of quantity.
 PARAMETERS: dict[str, Kind] = {
     "frequency": FREQUENCY,
     "force": FORCE,
     "clearance": LENGTH,
     "mass_ratio": RATIO,
 }
-#: The label of an axis over it, and how many of that unit make one in SI.
+#: Axis label of each parameter, and number of its units per SI unit.
 AXES = {
     "frequency": ("frequency / Hz", 1.0),
     "force": ("force / N", 1.0),
     "clearance": ("clearance / mm", 1e3),
     "mass_ratio": ("factor on the damper masses", 1.0),
 }
-# Sets of configurations whose equations are kept.
+# Largest number of configuration sets in the cache.
 KEPT = 200
-# Step of differences, relative to the parameter.
+# Relative step of finite differences.
 _ASIDE = 1e-6
 
 
 @dataclass(frozen=True)
 class OperatingPoint:
-    """Values of what can be followed."""
+    """Values of the continuation parameters."""
 
     frequency: float  # Hz
     force: float
     """Level of the drive, in the unit of the scene's test (N for a force)."""
     clearance: float = np.nan
-    """Of all dampers [m], or NaN: as in the scene."""
+    """Clearance of all dampers [m], or NaN: as in the scene."""
     mass_ratio: float = 1.0
     """Factor on all damper masses of the scene."""
 
 
 def column_name(parameter: Parameter) -> str:
-    """Name a column of its values, such as clearance_m."""
+    """Return the column name of a parameter, such as clearance_m."""
     return f"{parameter}_{PARAMETERS[parameter].si}".rstrip("_")
 
 
 def parameter_values(parameter: Parameter, values: ArrayLike) -> Array:
-    """Take values of a parameter in SI or as texts.
+    """Convert values of a parameter, in SI or as text, to an array in SI.
 
     Raises
     ------
     SceneError
-        If there is no such parameter, or a value of it makes no sense.
+        If the parameter does not exist or a value is invalid.
     """
     if parameter not in PARAMETERS:
         raise SceneError(f"parameter {parameter!r}: expected one of {', '.join(PARAMETERS)}")
@@ -74,12 +74,12 @@ def parameter_values(parameter: Parameter, values: ArrayLike) -> Array:
 
 
 def base_frequency(parameter: Parameter, frequency: float | str | None, first: float) -> float:
-    """Take the frequency at which a parameter is followed: the first of its values where it is that itself.
+    """Return the frequency at which a parameter is varied, or its first value if it is the frequency.
 
     Raises
     ------
     SceneError
-        If it is missing or makes no sense.
+        If the frequency is missing or invalid.
     """
     if frequency is not None:
         return float(positives(frequency, FREQUENCY, "frequency")[0])
@@ -89,11 +89,11 @@ def base_frequency(parameter: Parameter, frequency: float | str | None, first: f
 
 
 class _Linear(NamedTuple):
-    """Equations of configurations: state matrices, inflows of inputs and (last column) of constant forces.
+    """State matrices of configurations, with input matrices whose last column is the constant forces.
 
-    `inverse` is that of the mass matrix, `raised` what a metre of each damper's clearance adds to the constant inflow
-    while it is pressed on its ceiling, `rate` bounds the state matrix, and the last four are derivatives with respect
-    to the factor on the damper masses.
+    `inverse` is the inverse mass matrix. `raised` is the derivative of the constant input with respect to each
+    damper's clearance while the damper is pressed on its ceiling. `rate` bounds the norm of the state matrix. The
+    last four fields are derivatives with respect to the factor on the damper masses.
     """
 
     matrix: Array
@@ -118,7 +118,7 @@ class OrbitProblem:
     Raises
     ------
     SceneError
-        If nothing drives the scene.
+        If the scene has no excitation.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -150,7 +150,7 @@ class OrbitProblem:
     def _assembled(self, ratio: float) -> HybridSystem:
         if not self.system.lasting.any():
             return replace(self.system, damper_mass=ratio * self.system.damper_mass)
-        # A bed of its own is part of the mass matrix, and a landing that is given by its duration of its walls.
+        # A bed with its own coordinate is part of the mass matrix; a contact duration determines the wall parameters.
         dampers = [
             damper.replace(mass=ratio * damper.mass)
             if damper.mass is not None
@@ -160,7 +160,7 @@ class OrbitProblem:
         return assemble(self.scene.replace(dampers=dampers))
 
     def amplitudes(self, setting: OperatingPoint) -> NDArray[np.complex128]:
-        """Complex amplitude of each input; the level is that of a sine that starts at zero."""
+        """Return the complex amplitude of each input for a sine with zero phase at t = 0."""
         found = np.zeros(len(self.system.inputs), dtype=np.complex128)
         gain = drive_per_level(self.scene, self.system, 2 * np.pi * setting.frequency)
         found[self.system.inputs.index(self.scene.at_driven("shaker"))] = -1j * setting.force * gain
@@ -169,7 +169,7 @@ class OrbitProblem:
     def equations(
         self, setting: OperatingPoint, plan: Plan, parameter: Parameter = "frequency"
     ) -> tuple[Equations, Change]:
-        """Equations of motion in the configurations of a plan, and how they change with a parameter."""
+        """Return the equations of motion in a plan's configurations, and their derivatives."""
         system, ratio = self.changed(setting), setting.mass_ratio
         nq, n, omega = system.coordinates, system.states, 2 * np.pi * setting.frequency
         amplitudes = self.amplitudes(setting)
@@ -229,12 +229,12 @@ class OrbitProblem:
         )
 
     def _drive_change(self, setting: OperatingPoint, parameter: Parameter, drive: Array) -> Array | None:
-        """Differentiate the drive's amplitudes (cosine, sine); None if the parameter leaves them alone."""
+        """Differentiate the drive's amplitudes (cosine, sine); None if they do not depend on the parameter."""
         if parameter == "force":
             return np.asarray(drive / setting.force)
         if parameter != "frequency" or isinstance(self.scene.driven_shaker, ForceShaker):
             return None
-        # What the table's servo needs for a displacement is smooth in the frequency: good to some 1e-10.
+        # The servo input is a smooth function of frequency: differences are accurate to about 1e-10.
         step = _ASIDE * setting.frequency
         sides = (replace(setting, frequency=setting.frequency + sign * step) for sign in (1, -1))
         above, below = (self.amplitudes(side) for side in sides)
@@ -242,12 +242,12 @@ class OrbitProblem:
         return np.column_stack([slope.real, -slope.imag])
 
     def _configurations(self, configurations: tuple[int, ...], mass_ratio: float) -> _Linear:
-        """Equations of some configurations (bit j set: damper j rides), one after the other."""
+        """Return the stacked equations of configurations (bit j set: damper j rides)."""
         key = (configurations, mass_ratio)
         if key not in self._linear and len(configurations) == 1:
             self._linear[key] = self._configuration(configurations[0], mass_ratio)
         elif key not in self._linear:
-            # A mass ratio that is followed takes a new value at every step: keep but the last few.
+            # During continuation in mass ratio every step has a new value: limit the size of the cache.
             if len(self._linear) > KEPT:
                 self._linear.clear()
             each = [self._configurations((one,), mass_ratio) for one in configurations]
@@ -258,7 +258,7 @@ class OrbitProblem:
         system = self._of_mass(mass_ratio)
         nq, n = system.coordinates, system.states
         mass, constant = _loaded(system, configuration)
-        # Linear in the factor: two values of it, whichever, give the slope.
+        # The matrices are linear in the factor: any two values determine the slope.
         heavy, light = (_loaded(self._of_mass(side * mass_ratio), configuration) for side in (1.5, 0.5))
         mass_change, constant_change = (
             (more - less) / mass_ratio for more, less in zip(heavy, light, strict=True)
@@ -289,10 +289,10 @@ class OrbitProblem:
         return _Linear(*(part[None] for part in parts))
 
     def _wall_changes(self, mass_ratio: float) -> tuple[Array, Array]:
-        """Differentiate stiffness and damping of walls by the factor on the masses: a duration may be given."""
+        """Differentiate wall stiffness and damping, which a given contact duration makes dependent on mass."""
         if not self.system.lasting.any():
             return np.zeros((self.system.dampers, 2)), np.zeros((self.system.dampers, 2))
-        # Smooth in it: good to some 1e-10.
+        # The functions are smooth: differences are accurate to about 1e-10.
         more, less = (self._of_mass(side * mass_ratio) for side in (1.0 + _ASIDE, 1.0 - _ASIDE))
         step = 2.0 * _ASIDE * mass_ratio
         return (
@@ -311,7 +311,7 @@ def vary(setting: OperatingPoint, parameter: Parameter) -> Callable[[float], Ope
 
 
 def _loaded(system: HybridSystem, configuration: int) -> tuple[Array, Array]:
-    """Mass matrix with what rides in a configuration, and the constant forces with its weight."""
+    """Return the mass matrix with the riding dampers of a configuration, and constant forces with their weight."""
     riding = np.array(
         [j for j in range(system.dampers) if configuration >> j & 1 and not system.lasting[j]], dtype=np.intp
     )
@@ -322,7 +322,7 @@ def _loaded(system: HybridSystem, configuration: int) -> tuple[Array, Array]:
 
 
 def _pressed(system: HybridSystem, configuration: int) -> tuple[Array, Array]:
-    """Give forces of contacts that last: rows for the state, and what a metre of each clearance adds to constants."""
+    """Return the forces of finite-duration contacts: rows for the state, and derivatives by clearance."""
     force, constant = replace(system, clearance=np.ones(system.dampers)).contact_forces(configuration)
     raised, lasting = np.zeros((system.coordinates, system.dampers)), np.flatnonzero(system.lasting)
     raised[system.bed[lasting], lasting] = constant[system.bed[lasting]]

@@ -1,13 +1,12 @@
-"""Shooting over a given sequence of events: where an orbit ends, and how that depends on where it begins.
+"""Shooting over a given sequence of events: final state of an orbit, and its sensitivity to the initial state.
 
-Between events the state x = (coordinates, velocities, coil current; cos wt, sin wt; 1) obeys x' = A x with A
-of the contact configuration, so it is propagated by the matrix exponential. Dampers in flight fall freely;
-riding ones are part of A, and so are those whose contact lasts, pressed on a wall or not. The unknowns are the
-state at the start of a period, the dampers in flight there, and the instants of the events; the equations are
-the return to the start and, at each event, its own condition (contact force or gap zero). Sensitivities to the
-unknowns and to one parameter are carried along, through events as well: solving the events' rows of the
-Jacobian for the instants is what the saltation matrices do, so that the Floquet multipliers come out of the
-same numbers.
+Between events the state x = (coordinates, velocities, coil current; cos wt, sin wt; 1) satisfies x' = A x, where A
+depends on the contact configuration, so the matrix exponential propagates it. Dampers in flight fall freely. Riding
+dampers are part of A, and so are dampers with finite-duration contact. The unknowns are the state at the start of a
+period, the dampers in flight there, and the instants of the events. The equations are periodicity and the condition
+of each event (contact force or gap zero). Sensitivities to the unknowns and to one parameter are propagated through
+the events. The elimination of the instants from the Jacobian is equivalent to the use of saltation matrices, so the
+same Jacobian determines the Floquet multipliers.
 """
 
 from __future__ import annotations
@@ -39,20 +38,20 @@ Array = NDArray[np.float64]
 
 
 class Shot(NamedTuple):
-    """What a shot found."""
+    """Result of a shot: residual, Jacobian and states."""
 
     residual: Array
-    """Return to the start, then the events' own conditions; shape (unknowns,)."""
+    """Periodicity, then the events' conditions; shape (unknowns,)."""
     jacobian: Array
-    """Of the residual; the last column is for the parameter; shape (unknowns, unknowns + 1)."""
+    """Derivatives of the residual; the last column is for the parameter; shape (unknowns, unknowns + 1)."""
     states: Array
-    """State, heights and velocities at the begin of each stretch; shape (events + 1, states + 2 dampers)."""
+    """State, heights and velocities at the start of each stretch; shape (events + 1, states + 2 dampers)."""
     closing: Array
     """Closing speed of each impact [m/s]; shape (events,)."""
 
 
 class Course(NamedTuple):
-    """Motion at the present instant, and how it changes with the unknowns and, in the last column, the parameter."""
+    """Motion at the current instant, with derivatives by the unknowns and, in the last column, the parameter."""
 
     x: Array
     """State; cos wt, sin wt; 1; shape (states + 3,)."""
@@ -68,7 +67,7 @@ class Course(NamedTuple):
 
 @stored
 def _start(sequence: Sequence, unknowns: Array, states: int) -> tuple[Course, int]:
-    """Motion at t = 0, and the place of the first instant among the unknowns."""
+    """Return the motion at t = 0, and the index of the first instant among the unknowns."""
     dampers, size = sequence.wall.shape[1], unknowns.shape[0]
     course = Course(
         np.zeros(states + 3), np.zeros(dampers), np.zeros(dampers),
@@ -93,10 +92,10 @@ def _propagate(
     equations: Equations, change: Change, slot: int, course: Course, time: float, end: float, last: int, column: int,
     moved: float,
 ) -> None:  # fmt: skip
-    """Carry the motion from one instant to another: x -> exp(A (t1 - t0)) x, dampers fall freely.
+    """Propagate the motion between two instants: x -> exp(A (t1 - t0)) x, dampers fall freely.
 
-    `last` is the column of the instant at which the stretch begins, negative for t = 0, which is none; `column` that of
-    the one at which it ends, which moves by `moved` for each unit of it.
+    `last` is the column of the instant at the start of the stretch, negative for t = 0, which is not an unknown.
+    `column` is the column of the instant at its end, whose derivative by this unknown is `moved`.
     """
     n, size, length = course.of_x.shape[0], course.of_x.shape[1] - 1, end - time
     x, sx, a = course.x, course.of_x, equations.generator[slot]
@@ -138,7 +137,7 @@ def _weightless(
     row: int,
     jacobian: Array,
 ) -> float:
-    """Acceleration of a body plus gravity, zero where the contact force vanishes; its derivatives go into a row."""
+    """Return body acceleration plus gravity, zero at zero contact force, and write its derivatives into a row."""
     n, size, x, sx = course.of_x.shape[0], course.of_x.shape[1] - 1, course.x, course.of_x
     place = equations.inverse_mass.shape[1] + body
     force, residual = equations.generator[slot, place], equations.gravity
@@ -156,7 +155,7 @@ def _weightless(
 
 @stored
 def _leave(equations: Equations, change: Change, wall: int, j: int, course: Course) -> None:
-    """Damper j goes on from the wall that it rides on, at the wall's height and velocity."""
+    """Set height and velocity of damper j at separation to those of its wall."""
     body, nq = equations.position[j], equations.inverse_mass.shape[1]
     course.height[j], course.speed[j] = course.x[body], course.x[nq + body]
     course.of_height[j], course.of_speed[j] = course.of_x[body], course.of_x[nq + body]
@@ -176,7 +175,7 @@ def _hit(
     row: int,
     jacobian: Array,
 ) -> tuple[float, float]:
-    """Damper j meets a wall and gives it its impulse; the gap, zero there, and the closing speed.
+    """Apply the impact of damper j on a wall; return the gap, which must be zero, and the closing speed.
 
     The impulse is (1 + e) v_rel / (1 / m_d + e_b M^-1 e_b) with restitution e, zero unless it bounces.
     """
@@ -227,9 +226,10 @@ def _change_force(
     row: int,
     jacobian: Array,
 ) -> tuple[float, float]:
-    """Damper j, whose contact lasts, is touched, released or pressed again; what is zero there, and the closing speed.
+    """Change the finite-duration contact of damper j; return its event condition and the closing speed.
 
-    A touch is where the gap z is that of the wall, z - o = 0; the force of a wall vanishes at z - o + (c / k) z' = 0.
+    The condition of a touch is z - o = 0, with gap z and wall position o. The wall's force is zero at
+    z - o + (c / k) z' = 0.
     """
     size, bed = course.of_x.shape[1] - 1, equations.bed[j]
     place = equations.inverse_mass.shape[1] + bed
@@ -252,7 +252,7 @@ def _change_force(
 
 @stored
 def _return(sequence: Sequence, unknowns: Array, course: Course, residual: Array, jacobian: Array) -> None:
-    """Rows for the return to the start, of the state and of dampers in flight there."""
+    """Write the rows of periodicity, for the state and for dampers in flight at the start."""
     at = course.of_x.shape[0]
     for i in range(at):
         residual[i] = course.x[i] - unknowns[i]
@@ -275,7 +275,7 @@ def shoot(equations: Equations, change: Change, sequence: Sequence, unknowns: Ar
     Parameters
     ----------
     change : Change
-        With the parameter.
+        Derivatives with respect to the parameter.
     unknowns : ndarray, shape (unknowns,)
         State at t = 0, height and velocity of each damper in flight there (in order), instants of the events
         [s].

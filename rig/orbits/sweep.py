@@ -1,8 +1,8 @@
-"""The steady motion at each of many values of a parameter, as an exact stable orbit wherever there is one.
+"""Steady motion at many values of a parameter, computed as exact stable orbits where they exist.
 
-From value to value the orbit is predicted from the last two and corrected by Newton's iteration; every orbit is
-checked to be possible and stable. Where it stops being so, the motion is run on, as a slow sweep would, until
-another orbit takes over or, where the motion is irregular, for as long as it takes to average it.
+At each value the orbit is predicted from the previous orbits and corrected by Newton's iteration. Every orbit is
+checked for admissibility and stability. If a check fails, the motion is simulated as in a slow sweep, until it
+settles to another orbit or, if it is irregular, until it can be averaged.
 """
 
 from __future__ import annotations
@@ -46,18 +46,18 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-# Halvings of the step to the next value before the orbit counts as ended.
+# Largest number of halvings of the step before the branch is considered to end.
 HALVINGS = 6
-# Newton corrections allowed after a prediction.
+# Largest number of Newton corrections after a prediction.
 CORRECTIONS = 6
 # Largest error of a prediction, relative to the step.
 MISS = 0.3
-# Largest change of an unknown by a prediction, relative to its size. Points close together predict nothing far away,
-# and to propagate to instants millions of periods ahead would never end.
+# Largest relative change of an unknown by a prediction. Extrapolation far from closely spaced points is unreliable,
+# and propagation to instants millions of periods ahead would not finish.
 FARTHEST = 10.0
-# Points from which a prediction is extrapolated.
+# Number of points used for extrapolation.
 POINTS = 4
-# Periods of the drive after which a motion that does not repeat counts as irregular.
+# Periods of the drive after which a motion that does not repeat is classified as irregular.
 LONGEST = 1500
 # Periods over which an irregular motion is averaged.
 AVERAGED = 64
@@ -70,7 +70,7 @@ class OrbitResponse(Result):
     Attributes
     ----------
     value : ndarray, shape (values,)
-        Of the parameter (Hz, N, m, or factor on the mass ratios).
+        Values of the parameter (Hz, N, m, or factor on the mass ratios).
     compliance : complex ndarray, shape (bodies, values)
         First harmonic of each displacement over that of the force [m/N].
     peak : ndarray, shape (bodies, values)
@@ -78,17 +78,17 @@ class OrbitResponse(Result):
     motion_type : ndarray of str, shape (values,)
         As in `rig.frequency_response`.
     damper_motion : ndarray of str, shape (dampers, values)
-        The same for each damper that moves.
+        Type of motion of each damper that moves.
     repetition : ndarray of int, shape (values,)
-        Periods of the drive after which the motion repeats; 0 where it is irregular.
+        Periods of the drive after which the motion repeats; 0 for irregular motion.
     multiplier : ndarray, shape (values,)
-        Modulus of the largest Floquet multiplier; NaN where the motion is irregular.
+        Modulus of the largest Floquet multiplier; NaN for irregular motion.
     orbits : tuple of Orbit or None, length values
-        None where the motion is irregular, and was simulated and averaged.
+        None for irregular motion, which is simulated and averaged.
     reasons : tuple of str, length values
-        Why there is no orbit; "" where there is one.
+        Reason for a missing orbit; "" if the orbit exists.
     labels : tuple of str, length bodies
-        What the bodies are called: by their names, or body 1, body 2, ...
+        Display names of the bodies: their names, or body 1, body 2, ...
     """
 
     parameter: Parameter
@@ -105,12 +105,12 @@ class OrbitResponse(Result):
 
     @property
     def simulated(self) -> NDArray[np.bool_]:
-        """Where the motion is irregular, and was simulated and averaged."""
+        """Whether the motion is irregular, and was simulated and averaged."""
         return np.array([orbit is None for orbit in self.orbits], dtype=bool)
 
     @property
     def response(self) -> Response:
-        """The compliance of all bodies over frequency as a `rig.Response`, which plots with measured ones.
+        """Return the compliance of all bodies over frequency as a `rig.Response`, for plots with measured responses.
 
         Raises
         ------
@@ -124,7 +124,7 @@ class OrbitResponse(Result):
         )
 
     def summary(self) -> str:
-        """Say over what, how high and which types of motion."""
+        """Return the range of the parameter, the peaks and the types of motion in words."""
         top = np.unravel_index(int(np.argmax(abs(self.compliance))), self.compliance.shape)
         unit = PARAMETERS[self.parameter].si
         return (
@@ -134,7 +134,7 @@ class OrbitResponse(Result):
         )
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """Parameter, compliance of each body, type of motion, and largest Floquet multiplier."""
+        """Return parameter, compliance of each body, type of motion, and largest Floquet multiplier."""
         return {
             column_name(self.parameter): self.value,
             **{f"{name}_m/N": row for name, row in zip(self.labels, self.compliance, strict=True)},
@@ -143,7 +143,7 @@ class OrbitResponse(Result):
         }
 
     def draw(self, ax: Axes, **style: Any) -> None:
-        """Compliance of each body."""
+        """Draw the compliance of each body."""
         label, factor = AXES[self.parameter]
         draw_compliance(
             ax,
@@ -165,30 +165,31 @@ def orbit_response(
     frequency: float | str | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> OrbitResponse:
-    """Steady motion of a scene at each value of a parameter, as exact stable orbits.
+    """Compute the steady motion of a scene at each value of a parameter, as exact stable orbits.
 
-    Gives what `rig.frequency_response` gives, without waiting for transients. At a table whose spring's force is held,
-    that force is a pure tone here, as in `rig.periodic_orbit`; there its harmonics, which dampers cause through the
-    coil spring, act as well, and the two may differ by a per cent.
+    The result is the same as that of `rig.frequency_response`, without simulation of transients. If the controller
+    holds the spring force of a table, this force is a pure tone here, as in `rig.periodic_orbit`.
+    `rig.frequency_response` includes the harmonics that the dampers cause through the coil spring, so the results
+    may differ by 1 %.
 
     Parameters
     ----------
     scene : Scene, str, Path or mapping
         As for `rig.periodic_orbit`.
     values : array_like, shape (values,)
-        Of the parameter, in SI or as texts with units, in the order in which to visit them: each starts from the motion
-        at the one before.
+        Values of the parameter, in SI or as text with units, in the order of computation: each starts from the
+        motion at the previous value.
     parameter : {'frequency', 'force', 'clearance', 'mass_ratio'}
-        What is varied: Hz, level of the drive (N), clearance of all dampers (m), factor on their masses.
+        Varied parameter: Hz, level of the drive (N), clearance of all dampers (m), factor on their masses.
     frequency : float or str, optional
         Hz, or text with a unit; needed unless it is the parameter.
     progress : callable, optional
-        Called with the number of values done and of all.
+        Called with the number of completed values and the total number.
 
     Raises
     ------
     SceneError
-        If the parameter or a value makes no sense.
+        If the parameter or a value is invalid.
 
     Examples
     --------
@@ -210,7 +211,7 @@ def sweep(
     values: Array,
     progress: Callable[[int, int], None] | None = None,
 ) -> OrbitResponse:
-    """Do what `orbit_response` does, for a problem that is set up."""
+    """Compute `orbit_response` for an existing problem."""
     follower = _Follower(problem, base, parameter)
     points = []
     for done, value in enumerate(values.tolist(), 1):
@@ -243,7 +244,7 @@ class _Point:
 
 @dataclass(frozen=True)
 class _Known:
-    """A point of the branch that is followed: the unknowns and their derivative with respect to the parameter."""
+    """A point of the current branch: the unknowns and their derivative with respect to the parameter."""
 
     value: float
     unknowns: Array
@@ -253,7 +254,7 @@ class _Known:
 
 @stored
 def _hermite(at: Array, values: Array, slopes: Array, x: float) -> Array:
-    """Value at x of the polynomial through values and slopes (points, unknowns) at some points."""
+    """Evaluate at x the Hermite polynomial through values and slopes (points, unknowns) at given points."""
     found = np.zeros(values.shape[1])
     for i in range(at.size):
         basis, steepness = 1.0, 0.0
@@ -267,7 +268,7 @@ def _hermite(at: Array, values: Array, slopes: Array, x: float) -> Array:
 
 
 class _Follower:
-    """Follows the steady motion from value to value."""
+    """Continuation of the steady motion from value to value."""
 
     def __init__(self, problem: OrbitProblem, base: OperatingPoint, parameter: Parameter) -> None:
         self.problem, self.parameter = problem, parameter
@@ -277,14 +278,14 @@ class _Follower:
         self.snapshot: tuple[Array, ...] | None = None
 
     def point(self, value: float) -> _Point:
-        """Steady motion at a value, from that at the one before."""
+        """Compute the steady motion at a value, starting from the motion at the previous value."""
         orbit = self._followed(value) if self.known else None
         if orbit is not None:
             return _of_orbit(orbit)
         return self._settled(value)
 
     def _followed(self, value: float) -> Orbit | None:
-        """Follow the orbit to a value; None if it ends or loses its stability on the way."""
+        """Follow the orbit to a value; None if it ends or loses its stability before."""
         target = value
         for _ in range(HALVINGS):
             there = self._step(target)
@@ -300,7 +301,7 @@ class _Follower:
         return None
 
     def _step(self, value: float) -> _Known | None:
-        """Predict the orbit at a value and correct it; None if that leads nowhere or to another orbit."""
+        """Predict the orbit at a value and correct it; None if this diverges or reaches another orbit."""
         following, last = self.following, self.known[-1]
         assert following is not None
         guess, scale = self._predicted(value), following.scale[:-1]
@@ -319,13 +320,13 @@ class _Follower:
         return _Known(value, x, slope, orbit)
 
     def _predicted(self, value: float) -> Array:
-        """Unknowns at a value, by Hermite's polynomial through the last points and their derivatives."""
+        """Predict the unknowns at a value with the Hermite polynomial through the last points."""
         at = np.array([point.value for point in self.known])
         unknowns = np.array([point.unknowns for point in self.known])
         return _hermite(at, unknowns, np.array([point.slope for point in self.known]), value)
 
     def _settled(self, value: float) -> _Point:
-        """Run the motion on from where it was until an orbit takes over, else average it."""
+        """Simulate from the previous motion until it settles to an orbit, otherwise average it."""
         setting = self.at(value)
         propagator, _ = start_march(self.problem, setting)
         if self.known:
@@ -356,11 +357,11 @@ def _of_orbit(orbit: Orbit) -> _Point:
 
 
 def _averaged(problem: OrbitProblem, setting: OperatingPoint, propagator: Propagator, reason: str) -> _Point:
-    """Mean response of an irregular motion."""
+    """Compute the mean response of an irregular motion."""
     bodies = problem.scene.structure.bodies
     steps = period_steps(propagator, setting)
     trajectory, begins = one_cycle(propagator, steps, 1.0, AVERAGED)
-    # The mean over evenly spaced instants: kinks of the velocity leave an error of some 1e-5 of the motion.
+    # Mean over evenly spaced instants: kinks of the velocity cause a relative error of about 1e-5.
     mean_period = begins.reshape(AVERAGED, MARKS, -1).mean(axis=0)
     turns: NDArray[np.complex128] = np.exp(-2j * np.pi * np.arange(MARKS) / MARKS)
     harmonic = 2 / MARKS * (turns @ mean_period)

@@ -1,4 +1,4 @@
-"""An orbit between its events: its motion, the guards of its dampers, extremes and first harmonic."""
+"""The motion of an orbit between its events: guard functions of its dampers, extremes and first harmonic."""
 
 from __future__ import annotations
 
@@ -11,25 +11,26 @@ from rig.numerics.jit import stored
 from rig.orbits.matrix_exponential import exponential
 from rig.orbits.orbit_equations import FLYING, FORCELESS, ON_FLOOR, Array, Equations, Sequence
 
-# Product of an interval with the fastest rate. The extremes of quintics are then good to 1e-9 of the motion, and
-# the harmonic to rounding.
+# Product of an interval with the fastest rate. The relative error of the extremes of quintics is then 1e-9, and the
+# harmonic is exact to rounding.
 INTERVAL = 0.25
 MOST_POINTS = 1500
-# Bernoulli's numbers over factorials, for the ends of a trapezoidal sum (Euler and Maclaurin).
+# Bernoulli numbers over factorials, for the end corrections of the trapezoidal rule (Euler-Maclaurin).
 _ENDS = np.array([1 / 12, -1 / 720, 1 / 30240, -1 / 1209600, 1 / 47900160])
 
 
 class Track(NamedTuple):
     """An orbit at evenly spaced instants of every stretch between events.
 
-    The stretch after the last event goes on into the next period until the first event.
+    The stretch after the last event extends into the next period up to the first event.
     """
 
     times: Array  # shape (stretches, points + 1)
     motion: Array  # shape (stretches, points + 1, states)
     guards: Array
     """For each damper, with first and second derivative: the gap in flight [m], q'' + g of the body while riding
-    [m/s^2], or a wall's force over the damper's mass while contact lasts [m/s^2]; shape (stretches, points + 1,
+    [m/s^2], or the wall force divided by the damper mass during finite-duration contact [m/s^2]; shape (stretches,
+    points + 1,
     dampers, 3)."""
     reach: Array
     """Lowest and highest value of each coordinate; shape (coordinates, 2)."""
@@ -39,7 +40,7 @@ class Track(NamedTuple):
 
 @stored
 def turning(left: float, right: float, slopes: Array, curves: Array, step: float) -> float:
-    """Value at the turning point inside an interval, by the quintic through values and two derivatives."""
+    """Return the turning value in an interval, from the quintic through values and two derivatives."""
     s0, s1, c0, c1 = slopes[0] * step, slopes[1] * step, curves[0] * step * step, curves[1] * step * step
     d = right - left - s0 - 0.5 * c0
     e, f = s1 - s0 - c0, c1 - c0
@@ -55,7 +56,7 @@ def turning(left: float, right: float, slopes: Array, curves: Array, step: float
 
 @stored
 def _stretches(equations: Equations, sequence: Sequence, instants: Array) -> tuple[Array, Array, int]:
-    """Begin and length of the stretches, the last up to the first event after the period, and the points in each."""
+    """Return start and length of the stretches and their points; the last ends at the next period's first event."""
     events = sequence.kind.shape[0]
     stretches = max(events, 1)
     begin, length = np.zeros(stretches), np.full(stretches, equations.period)
@@ -71,7 +72,7 @@ def _stretches(equations: Equations, sequence: Sequence, instants: Array) -> tup
 
 @stored
 def _march(a: Array, flow: Array, start: Array, x: Array, rate: Array) -> None:
-    """States at even times, x (points + 1, states + 3) by the flow of one step, and their derivatives A x."""
+    """Compute the states x (points + 1, states + 3) at even times by the flow of one step, and A x."""
     x[0] = start
     for i in range(x.shape[0]):
         for m in range(x.shape[1]):
@@ -87,7 +88,7 @@ def _march(a: Array, flow: Array, start: Array, x: Array, rate: Array) -> None:
 
 @stored
 def _widen(reach: Array, x: Array, rate: Array, step: float) -> None:
-    """Widen the least and largest value of each coordinate to those of a stretch, turning points included."""
+    """Extend the range of each coordinate to its extremes in a stretch, including turning points."""
     nq = reach.shape[0]
     for i in range(x.shape[0]):
         for q in range(nq):
@@ -112,7 +113,7 @@ def _guard(
     step: float,
     guard: Array,
 ) -> None:
-    """Guard of a damper along a stretch with two derivatives: its gap, or how it is pressed on a wall."""
+    """Compute a damper's guard along a stretch with two derivatives: its gap or its contact force."""
     nq, nd = equations.inverse_mass.shape[1], equations.position.shape[0]
     n, body, gravity = x.shape[1] - 3, equations.position[j], equations.gravity
     if wall == FORCELESS:
@@ -147,7 +148,7 @@ def _guard(
 
 @stored
 def _first_harmonic(a: Array, omega: float, times: Array, x: Array, step: float) -> NDArray[np.complex128]:
-    """Integrate exp(-i w t) x over a stretch by the trapezoidal rule with Euler's and Maclaurin's corrections."""
+    """Integrate exp(-i w t) x over a stretch by the trapezoidal rule with Euler-Maclaurin corrections."""
     points, size = x.shape[0] - 1, x.shape[1]
     total = np.zeros(size, dtype=np.complex128)
     jump, turned = np.zeros(size, dtype=np.complex128), np.zeros(size, dtype=np.complex128)
@@ -162,7 +163,7 @@ def _first_harmonic(a: Array, omega: float, times: Array, x: Array, step: float)
                 total[m] += 0.5 * turn * x[i, m]
             else:
                 total[m] += turn * x[i, m]
-    # The derivatives of exp(-i w t) x are powers of (A - i w) times itself; only the odd ones count.
+    # The derivatives of exp(-i w t) x are its products with powers of (A - i w); the corrections use odd derivatives.
     for order in range(2 * len(_ENDS) - 1):
         for m in range(size):
             turned[m] = -1j * omega * jump[m]

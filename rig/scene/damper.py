@@ -15,7 +15,7 @@ class Landing(Settings):
     """A wall with a given duration of contact; the damper's restitution sets the rebound speed."""
 
     duration: Annotated[float, Quantity(TIME, above=0.0)]
-    """Contact time from touch to release without other forces [s]; without loss, half the period of damper on body."""
+    """Contact time without other forces [s], touch to release; without loss, half the period of damper on body."""
 
 
 class SpringDamper(Settings):
@@ -70,9 +70,9 @@ class Grains(Settings):
     restitution: Annotated[float, Quantity(RATIO, above=0.0, below=1.0)] = 0.2
     """Ratio of separation to approach speed of two grains, or of a grain and a wall, head on."""
     friction: Annotated[float, Quantity(RATIO, at_least=0.0)] = 0.4
-    """Coefficient of friction of grains and walls. The default is assumed: clean lead has more, graphited shot less."""
+    """Coefficient of friction of grains and walls. Default assumed: clean lead has more, graphited shot less."""
     side_friction: Annotated[float, Quantity(RATIO, at_least=0.0)] | None = None
-    """Coefficient of friction of the side wall, if different; with 0 a narrow cavity represents part of a wide one."""
+    """Friction coefficient of the side wall, if different; at 0 a narrow cavity represents part of a wide cavity."""
     cavity: Annotated[float, Quantity(LENGTH, above=0.0)] = 40e-3
     """Diameter of the cavity [m]; 40 mm in the paper's rig."""
     time_step: Annotated[float, Quantity(TIME, above=0.0)] | None = None

@@ -1,4 +1,5 @@
-"""What a scene turns on, what each effect adds in states, and what it costs in time: `rig explain`.
+"""Effects that a scene turns on, the states they add, and their cost in CPU time: `rig explain`.
 
-Packages above announce effects of theirs through entry points; none is imported here. Start with `explanation`.
+Packages that build on the rig register their effects through entry points; none is imported here. Start with
+`explanation`.
 """

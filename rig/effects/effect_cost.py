@@ -1,4 +1,4 @@
-"""The cost of effects: a scene from its bare structure up, one effect at a time, with what each costs."""
+"""CPU time of effects: a scene is built up from its bare structure, one effect at a time, and measured."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from rig.system.structural_model import structural_model
 
 Array = NDArray[np.float64]
 
-#: Entry points under which packages above the rig add their costs.
+#: Entry points for costs of packages that build on the rig.
 GROUP = "shotrig.effect_costs"
-#: Seconds of the motion that are measured, one by one, after one more to warm up; the quickest counts.
+#: Simulated seconds measured separately after one second of warm-up; the shortest CPU time is used.
 SECONDS = 3
-#: Everything is measured so many times, for others on the machine disturb one time or another.
+#: Repetitions of every measurement, because other processes disturb some of them.
 REPEATS = 3
 
 
@@ -36,10 +36,10 @@ class EffectStep:
     """A scene with some of its effects on, before it is measured."""
 
     name: str
-    """The effect that has come on."""
-    states: int  # States in all by now
+    """The effect that this step adds."""
+    states: int  # Total number of states
     start: Callable[[], AbstractContextManager[Callable[[Array], object]]]
-    """Switches everything on for a while; within, a call advances by the next drive samples (inputs,
+    """Context manager that starts the simulation and returns a function, which advances by drive samples (inputs,
     samples)."""
     drive: Array
     """`SECONDS` + 1 seconds of drive at `rate`; shape (inputs, samples)."""
@@ -48,7 +48,7 @@ class EffectStep:
 
 @dataclass(frozen=True)
 class EffectCost:
-    """A measured effect: states added, CPU time per simulated second with it on and added by it, s."""
+    """A measured effect: added states, and CPU time per simulated second [s], total and added."""
 
     name: str
     states: int
@@ -88,7 +88,7 @@ def effect_costs(scene: Scene, progress: Callable[[str], None] | None = None) ->
 
 
 def text(costs: tuple[EffectCost, ...]) -> str:
-    """Table of the costs; shares are of the time with everything on."""
+    """Format a table of the costs; percentages refer to the CPU time with all effects."""
     last = costs[-1].total
     width = max(len(cost.name) for cost in costs) + 2
     lines = [f"{'effect':{width}}{'states':>7}{'ms per simulated s':>20}{'added':>9}{'share':>8}"]
@@ -102,7 +102,7 @@ def text(costs: tuple[EffectCost, ...]) -> str:
 
 
 def measured(step: EffectStep) -> float:
-    """CPU time per simulated second, s: the quickest of several."""
+    """Return the shortest of several measurements of CPU time per simulated second, s."""
     block = round(step.rate)
     times = []
     with step.start() as advance:
@@ -116,7 +116,7 @@ def measured(step: EffectStep) -> float:
 
 
 def motion_steps(scene: Scene) -> Iterator[EffectStep]:
-    """Give the steps of the motion: bare structure, shaker, dampers, ceilings, restitution, lasting contact."""
+    """Yield the steps of the motion: structure, shaker, dampers, ceilings, restitution, finite-duration contact."""
     channels = {"channels": None}
     shaker = scene.driven_shaker
     bare = scene.replace(dampers=(), **channels)
@@ -145,7 +145,7 @@ def motion_steps(scene: Scene) -> Iterator[EffectStep]:
 
 
 def _of_one_shaker(test: Test | None) -> Test | None:
-    """Let a test drive the only shaker."""
+    """Remove the shaker number from a test with only one shaker."""
     return test if getattr(test, "shaker", None) is None else test.replace(shaker=None)  # type: ignore[union-attr]
 
 
@@ -161,7 +161,7 @@ def _step(name: str, scene: Scene) -> EffectStep:
 
 
 def bench_drive(scene: Scene, rate: float) -> Array:
-    """Drive for `SECONDS` + 1 seconds: a tone at the test's level and a resonance, or the test's hits.
+    """Return `SECONDS` + 1 seconds of drive: a tone at a resonance with the test's level, or the test's hits.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What a scene asks for: each effect that is on, and the states it adds. What is not named is not there."""
+"""Effects that a scene turns on, and the states that each adds; effects not in the scene are not modelled."""
 
 from __future__ import annotations
 
@@ -26,19 +26,19 @@ if TYPE_CHECKING:
 
 #: Largest number of natural frequencies that are listed.
 _MAX_LISTED = 7
-#: Entry points under which packages that build on the rig say what a scene turns on in them.
+#: Entry points for effects of packages that build on the rig.
 GROUP = "shotrig.effects"
 
 
 @dataclass(frozen=True)
 class Effect:
-    """One effect that is on."""
+    """An effect that the scene turns on."""
 
     part: str
-    """Where it belongs: "motion", or what a package above calls its own ("channel body1", "recording")."""
+    """Part of the simulation: "motion", or a name from another package ("channel body1", "recording")."""
     name: str
-    states: int  # States that it adds
-    detail: str = ""  # Its figures in words
+    states: int  # Number of added states
+    detail: str = ""  # Parameters in words
 
 
 @dataclass(frozen=True, repr=False)
@@ -50,7 +50,7 @@ class Explanation(Result):
     title : str
         The scene's name.
     absent : tuple of str
-        Effects on the motion that the scene does not name: they add no state and run no code.
+        Effects on the motion that the scene does not turn on: they add no states and cost no CPU time.
     """
 
     title: str
@@ -59,14 +59,14 @@ class Explanation(Result):
 
     @property
     def states(self) -> dict[str, int]:
-        """States by part."""
+        """Number of states in each part."""
         total: dict[str, int] = {}
         for effect in self.effects:
             total[effect.part] = total.get(effect.part, 0) + effect.states
         return total
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """Part, name, number of states and details of each effect."""
+        """Return part, name, number of states and details of each effect."""
         return {
             "part": np.array([effect.part for effect in self.effects], dtype=str),
             "effect": np.array([effect.name for effect in self.effects], dtype=str),
@@ -75,7 +75,7 @@ class Explanation(Result):
         }
 
     def summary(self) -> str:
-        """Count effects and states."""
+        """Return the numbers of effects and states in words."""
         return f"{self.title}: {len(self.effects)} effects, {sum(self.states.values())} states"
 
     def draw(self, ax: Axes, **style: Any) -> None:
@@ -85,12 +85,12 @@ class Explanation(Result):
         ax.set(xlabel="states", title=self.title)
 
     def _repr_html_(self) -> str:
-        """Show the table of effects, as notebooks do."""
+        """Return the table of effects as HTML for notebooks."""
         return f"<pre>{html(str(self))}</pre>"
 
     def __str__(self) -> str:
         width = max(len(effect.name) for effect in self.effects) + 2
-        # Parts with the same effects, as the channels of a test often are, share one list.
+        # Parts with the same effects, such as the channels of a test, share one list.
         alike: dict[tuple[str, ...], list[str]] = {}
         for part, states in self.states.items():
             rows = tuple(
@@ -108,7 +108,7 @@ class Explanation(Result):
 
 
 def explain(scene: SceneLike) -> Explanation:
-    """Say which effects a scene turns on, and how many states each adds.
+    """List the effects that a scene turns on, and the number of states that each adds.
 
     Parameters
     ----------
@@ -158,7 +158,7 @@ def motion_effects(scene: Scene) -> Iterable[Effect]:
 
 
 def _natural_frequencies(scene: Scene) -> str:
-    """List the natural frequencies of the structure alone: a mistaken unit shows there first."""
+    """List the natural frequencies of the structure alone, which reveal a wrong unit first."""
     listed = [f"{frequency:.4g}" for frequency in structural_model(scene).modes.frequency]
     if len(listed) > _MAX_LISTED:
         listed = [*listed[: _MAX_LISTED - 1], "...", listed[-1]]
@@ -237,7 +237,7 @@ def _dampers(scene: Scene, system: HybridSystem) -> Iterable[Effect]:
 
 
 def _walls(system: HybridSystem, structure: Structure) -> Iterable[str]:
-    """Describe floor and ceiling of each damper whose contact lasts."""
+    """Describe floor and ceiling of each damper with finite-duration contact."""
     for j in np.flatnonzero(system.lasting):
         texts = []
         for wall in (1, 2):

@@ -1,4 +1,4 @@
-"""The check of a sampled drive."""
+"""Validation of a sampled drive."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ def checked_drive(drive: ArrayLike, inputs: Sequence[str], first: int = 0) -> ND
     inputs : sequence of str
         Names of the drive inputs.
     first : int
-        Number of the first sample, for the message.
+        Number of the first sample, for error messages.
 
     Raises
     ------
     RunError
-        If it has another shape or is not finite.
+        If the drive has another shape or is not finite.
     """
     block = np.asarray(drive, dtype=np.float64)
     if block.ndim != 2 or block.shape[0] != len(inputs):

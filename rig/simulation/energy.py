@@ -1,8 +1,8 @@
-"""The energy ledger of a run: what the drive put in, what is stored, and where the rest went.
+"""The energy balance of a run: work of the drive, stored energy, and dissipated energy.
 
 Work and dissipation are quadratic forms of the state, integrated over every stretch between samples and breaks
-by Gauss-Legendre quadrature of the exact flow; losses in impacts are the jumps of kinetic energy. Nothing is
-taken as the difference of the others, so that the residual tests the engine.
+by Gauss-Legendre quadrature of the exact flow; losses in impacts are the jumps of kinetic energy. No
+term is computed as the difference of the others, so the residual is a test of the engine.
 """
 
 from __future__ import annotations
@@ -34,23 +34,23 @@ _NUMBERS = 1 << 21
 
 @dataclass(frozen=True)
 class Energy:
-    """Ledger over a run, J.
+    """Energy balance over a run, J.
 
     Attributes
     ----------
     work : float
-        Done by the drive: by the force, by the table on the coil spring, or by the amplifier on the coil.
+        Work of the drive: of the force, of the table on the coil spring, or of the amplifier on the coil.
     stored, stored_before : float
-        Kinetic, elastic (of contacts that last, too), gravitational (dampers) and magnetic energy at the end and at
+        Kinetic, elastic (including contacts), gravitational (dampers) and magnetic energy at the end and at
         the start.
     dissipated : float
-        In the damping of the structure, the suspension and the coil's resistance.
+        Energy dissipated in structural damping, suspension and coil resistance.
     impacts : float
-        Lost in impacts.
+        Energy lost in impacts.
     contacts : float
-        Lost in contacts that last: in their dashpots, and what their springs still hold when a bed is released.
+        Energy lost in finite-duration contacts: in dashpots, and remaining in contact springs at release.
     grains : float
-        Handed to beds of grains: what their motion holds, and what they lost.
+        Energy transferred to beds of grains: stored in their motion, and dissipated.
     """
 
     work: float
@@ -63,13 +63,13 @@ class Energy:
 
     @property
     def residual(self) -> float:
-        """Work less what is stored, dissipated, lost in impacts and contacts, or with grains; zero but for rounding."""
+        """Work minus all stored, dissipated, lost and transferred energy; zero within rounding."""
         lost = self.dissipated + self.impacts + self.contacts + self.grains
         return self.work - (self.stored - self.stored_before) - lost
 
 
 def total(stretches: Sequence[Energy]) -> Energy:
-    """Add up the ledgers of stretches that follow each other."""
+    """Add the energy balances of successive stretches."""
     flows = ("work", "dissipated", "impacts", "contacts", "grains")
     ends = {"stored": stretches[-1].stored, "stored_before": stretches[0].stored_before}
     return Energy(**ends, **{name: sum(getattr(each, name) for each in stretches) for name in flows})
@@ -86,7 +86,7 @@ class Forms:
 
 
 def forms(scene: Scene, system: HybridSystem, output: Array) -> Forms:
-    """Give stored energy, dissipation and the powers of the drive and into beds of grains as quadratic forms.
+    """Return stored energy, dissipation, and power of the drive and into beds of grains as quadratic forms.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ def forms(scene: Scene, system: HybridSystem, output: Array) -> Forms:
     power = np.zeros((size, size))
     for number, shaker in enumerate(scene.shakers, 1):
         if isinstance(shaker, TableShaker):
-            # The table is prescribed: its motion does work on the coil spring, and holds no energy of ours.
+            # The table motion is prescribed: it does work on the coil spring, and its own energy is not included.
             table = system.points.index(at_shaker("table", number, len(scene.shakers)))
             body = shaker.body - 1
             mass[table, table] = damping[table, table] = 0.0
@@ -143,7 +143,7 @@ def _quadratic(form: Array, states: Array) -> Array:
 
 @dataclass(frozen=True)
 class Ends:
-    """Whole state at one instant: augmented state, and height, own speed and mode of every damper."""
+    """Complete state at one instant: augmented state, and height, velocity and mode of every damper."""
 
     state: Array
     height: Array
@@ -152,7 +152,7 @@ class Ends:
 
 
 def ends_of(propagator: Propagator) -> Ends:
-    """Copy the whole state that a propagator is at."""
+    """Copy the complete state of a propagator."""
     state = propagator.state
     return Ends(state.z.copy(), state.height.copy(), state.speed.copy(), state.mode.copy())
 
@@ -166,14 +166,14 @@ def ledger(
     begins: Array,
     durations: Array,
 ) -> Energy:
-    """Add up the energy of a course of motion.
+    """Compute the energy balance of a simulated motion.
 
     Parameters
     ----------
     scene, tables
-        The scene and the flow it ran on.
+        The scene and the flow tables of its simulation.
     start, end : Ends
-        The whole state before and after.
+        The complete state before and after.
     begins : float64 (segments, size)
         States at which the segments begin.
     durations : float64 (segments,)
@@ -196,9 +196,9 @@ def ledger(
 def fourier(
     tables: FlowTables, trajectory: Trajectory, begins: Array, durations: Array, omega: float
 ) -> NDArray[np.complex128]:
-    """Integral of z(t) e^{-i omega t} over a course whose segments are no longer than a step, shape (size,).
+    """Integrate z(t) e^{-i omega t} over a motion with segments no longer than a step, shape (size,).
 
-    Kinks at impacts are between the stretches, so that quadrature keeps its full order.
+    Kinks at impacts are boundaries of stretches, so quadrature has its full order.
     """
     states, slots, lengths, starts = _stretches(tables, trajectory, begins, durations)
     total = np.zeros(tables.size, dtype=np.complex128)
@@ -208,7 +208,7 @@ def fourier(
     for slot in np.unique(slots):
         every = np.flatnonzero(slots == slot)
         for rows in np.split(every, range(most, every.size, most)):
-            # What each term of the series adds, summed over the nodes first: the terms are many, their weights few.
+            # Sum over the nodes first, because the series has many terms but few weights.
             turns = np.exp(-1j * omega * (starts[rows] + nodes[:, None] * lengths[rows]))
             weights = (powers @ turns) * (
                 np.vander(part[rows], LENGTH + 1, increasing=True).T * lengths[rows]
@@ -221,13 +221,13 @@ def fourier(
 def _stretches(
     tables: FlowTables, trajectory: Trajectory, begins: Array, durations: Array
 ) -> tuple[Array, NDArray[np.int64], Array, Array]:
-    """Start states, slots, lengths and start times of the stretches between segment ends and breaks."""
+    """Return start states, slots, lengths and start times of the stretches between segment ends and breaks."""
     size = tables.size
     segments = len(durations)
     segment = np.concatenate([np.arange(segments), trajectory.break_segment])
     offset = np.concatenate([np.zeros(segments), trajectory.break_offset])
     states = np.concatenate([begins[:, :size], trajectory.after[:, :size]])
-    # Breaks keep their order: several may fall on one instant.
+    # Preserve the order of breaks, because several may occur at one instant.
     order = np.lexsort((np.arange(len(segment)), offset, segment))
     segment, offset = segment[order], offset[order]
     first_slot = trajectory.before_slot[0] if len(trajectory.before_slot) else trajectory.slot[0]
@@ -244,9 +244,9 @@ def _stretches(
 def _integrals(
     tables: FlowTables, quadratic: Forms, states: Array, slots: NDArray[np.int64], lengths: Array
 ) -> tuple[float, float, float, float]:
-    """Integrals of power, dissipation in the structure and in contacts, and power into grains, over any stretches."""
+    """Integrate power, dissipation in structure and contacts, and power into grains over stretches."""
     h = tables.step
-    # A stretch may be longer than a step: cut it, carrying the state along.
+    # Split stretches that are longer than a step, and propagate the state.
     work = dissipated = dashpots = to_grains = 0.0
     system = tables.system
     walls = _walls(tables)
@@ -275,7 +275,7 @@ def _integrals(
 
 
 def _walls(tables: FlowTables) -> NDArray[np.int64]:
-    """Wall that each damper is in contact with, where contact lasts, (slots, dampers): FLIGHT, FLOOR or CEILING."""
+    """Return each damper's finite-duration contact (slots, dampers): FLIGHT, FLOOR or CEILING."""
     system = tables.system
     configurations = np.array(sorted(tables.slots, key=lambda each: tables.slots[each]), dtype=np.int64)[
         :, None
@@ -288,7 +288,7 @@ def _walls(tables: FlowTables) -> NDArray[np.int64]:
 
 
 def _elastic(system: HybridSystem, walls: NDArray[Any], states: Array) -> Array:
-    """Energy in the springs of contacts that last, J; walls (states, dampers) as in `_walls`."""
+    """Return the energy in contact springs, J; walls (states, dampers) as in `_walls`."""
     energy = np.zeros(len(states))
     for j in np.flatnonzero(system.lasting):
         stiffness = np.append(0.0, system.wall_stiffness[j])[walls[:, j]]
@@ -298,7 +298,7 @@ def _elastic(system: HybridSystem, walls: NDArray[Any], states: Array) -> Array:
 
 
 def _relaxed(tables: FlowTables, trajectory: Trajectory) -> float:
-    """Energy that springs of contacts lose at breaks, J: a wall that lets a bed go recovers without pushing it."""
+    """Return the energy that contact springs lose at breaks, J: after release a wall recovers without force."""
     walls = _walls(tables)
     before = _elastic(tables.system, walls[trajectory.before_slot], trajectory.before)
     after = _elastic(tables.system, walls[trajectory.after_slot], trajectory.after)
@@ -306,7 +306,7 @@ def _relaxed(tables: FlowTables, trajectory: Trajectory) -> float:
 
 
 def _series(tables: FlowTables, slot: int, states: Array) -> Array:
-    """Power series of states over a step, shape (terms, states, size)."""
+    """Return the power series of states over a step, shape (terms, states, size)."""
     flow, size = tables.flow, tables.size
     if tables.tabulated:
         matrix = flow.series[slot].reshape(size, LENGTH + 1, -1)[:, :, :size]
@@ -333,7 +333,7 @@ def _sum_series(terms: Array, tau: Array) -> Array:
 
 
 def _stored(tables: FlowTables, quadratic: Forms, ends: Ends) -> float:
-    """Energy stored in one state of the whole system, J."""
+    """Return the energy stored in one state of the whole system, J."""
     system = tables.system
     n, body = system.coordinates, system.damper_coordinate
     state = ends.state[: tables.size]
@@ -343,13 +343,13 @@ def _stored(tables: FlowTables, quadratic: Forms, ends: Ends) -> float:
     speed = np.where(flying, ends.speed, state[n + body])
     energy = float(_quadratic(quadratic.stored, state)) - float(system.force_constant @ state[:n])
     energy += float(_elastic(system, ends.mode[None], state[None])[0])
-    # The beds of contacts that last are in the mass matrix.
+    # Beds with finite-duration contact are part of the mass matrix.
     own = np.where(system.lasting, 0.0, system.damper_mass)
     return energy + float(own @ (system.gravity * height + 0.5 * speed**2))
 
 
 def _impact_losses(system: HybridSystem, trajectory: Trajectory) -> float:
-    """Kinetic energy that vanished at the breaks, J."""
+    """Return the kinetic energy lost at the breaks, J."""
     n = system.coordinates
     bed_mass = np.where(system.lasting, 0.0, system.damper_mass)
     loss = 0.0

@@ -1,8 +1,8 @@
-"""Open-loop runs of scenes with beds of grains, stretch by stretch, so that a run goes on where it was stopped.
+"""Open-loop runs of scenes with beds of grains, in stretches, so that an interrupted run can be continued.
 
-A bed that LAMMPS reads finds its neighbours and forces anew, and moves on with other last digits than one that goes on.
-So at the end of every stretch of every run the beds find them anew: a run that was stopped and one that was not have
-the same bits.
+When LAMMPS reads a bed from a file, it recomputes neighbours and forces, which changes the last digits of the motion.
+Therefore every run recomputes them at the end of every stretch: interrupted and uninterrupted runs are identical to
+the bit.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from rig.scene.scene import Scene
 from rig.simulation.energy import Energy, ends_of, ledger
 from rig.system.open_loop_drive import ToneDrive
 
-#: Steps of the grains in a stretch: what comes at its end takes as long as some hundred at most.
+#: Grain time steps in a stretch: the work at its end takes as long as about a hundred steps at most.
 STRETCH = 20_000
 
 
 class Course(NamedTuple):
-    """What a run has come to at the end of a stretch.
+    """Results of a run up to the end of a stretch.
 
     Attributes
     ----------
@@ -32,11 +32,11 @@ class Course(NamedTuple):
     rows : ndarray, shape (rows of `MotionSamples`, samples so far)
     contact : ndarray of int8, shape (dampers, samples so far)
     events : structured ndarray
-        So far.
+        Events so far.
     energy : tuple of Energy
-        Of each stretch.
+        Energy balance of each stretch.
     ambiguous : int
-        Decisions that lay within rounding so far.
+        Number of contact decisions within rounding so far.
     """
 
     state: CoupledState
@@ -48,22 +48,22 @@ class Course(NamedTuple):
 
     @property
     def samples(self) -> int:
-        """Samples so far."""
+        """Number of samples so far."""
         return self.contact.shape[1]
 
 
 class GrainsRun:
-    """The way of a scene with beds of grains from stretch to stretch.
+    """Simulation of a scene with beds of grains from stretch to stretch.
 
     Parameters
     ----------
     scene : Scene
     samples : int
-        Of the whole run, the one at its start among them.
+        Number of samples of the whole run, including the sample at its start.
     rate : float
-        Samples in a second.
+        Sample rate, Hz.
     drive : ToneDrive or array_like, shape (inputs, samples)
-        A tone is followed from step to step of the grains, a sampled drive in straight lines.
+        A tone is evaluated at every grain time step; a sampled drive is interpolated linearly.
     """
 
     def __init__(self, scene: Scene, samples: int, rate: float, drive: ToneDrive | ArrayLike) -> None:
@@ -77,7 +77,7 @@ class GrainsRun:
             self._drive = self._sampled(np.asarray(drive, dtype=np.float64))
 
     def begun(self) -> Course:
-        """Give the course of the start alone."""
+        """Return the course at the start of the run."""
         coupled = self.coupled
         lifted = coupled.place(self._initial, self._drive(0, 0)[:, 0])
         seen = coupled.motion_samples(1)
@@ -87,12 +87,12 @@ class GrainsRun:
         return Course(coupled.state(), seen.rows, seen.contact, events, (), coupled.ambiguous)
 
     def resumed(self, course: Course) -> Course:
-        """Put beds and structure at the end of a course, and give that."""
+        """Restore beds and structure to the end of a course, and return it."""
         self.coupled.resume(course.state)
         return course
 
     def longer(self, course: Course) -> Course:
-        """Go on for a stretch from the end of a course, where this run is."""
+        """Simulate one more stretch from the end of a course."""
         intervals = max(1, round(STRETCH / self.coupled.substeps))
         samples = min(course.samples + intervals, self._samples)
         coupled, structure = self.coupled, self.coupled.structure
@@ -129,7 +129,7 @@ class GrainsRun:
         )
 
     def parts(self, course: Course) -> tuple[Array, Array, Array, Array]:
-        """Give what is seen in a course, as `CoupledPropagator.parts` does."""
+        """Return the results of a course in the form of `CoupledPropagator.parts`."""
         seen = self.coupled.motion_samples(0)
         return self.coupled.parts(seen._replace(rows=course.rows, contact=course.contact))
 
@@ -137,7 +137,7 @@ class GrainsRun:
         substeps, in_a_step = self.coupled.substeps, self.coupled.step * tone.frequency
 
         def columns(first: int, last: int) -> Array:
-            # Turns are counted, not radians added up: a million periods keep their phase.
+            # Count turns instead of adding radians, so that the phase is exact over a million periods.
             turns = np.arange(first * substeps, last * substeps + 1) * in_a_step
             phase = 2.0 * np.pi * (turns - np.floor(turns))
             return np.real(tone.amplitudes[:, None] * np.exp(1j * phase))

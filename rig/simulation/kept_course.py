@@ -1,4 +1,4 @@
-"""The course of a run with grains in a file, from which it goes on."""
+"""Checkpoint file of a run with grains, from which the run can be continued."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ from rig.output_files import replacing
 from rig.simulation.energy import Energy
 from rig.simulation.grains_run import Course
 
-#: What such files go by: to be changed with the way in which a run is followed.
+#: Format identifier of checkpoint files; change it whenever the simulation method changes.
 _METHOD = "course of grains 1"
-#: Arrays of a course that are kept as they are.
+#: Arrays of a course that are stored unchanged.
 _AS_THEY_ARE = ("rows", "contact", "events")
 
 
 def write(path: Path, asked: Mapping[str, Any], course: Course) -> None:
-    """Keep a course, in place of what was kept before; at any moment one of both is there, whole.
+    """Write a checkpoint and replace the previous one atomically.
 
     Parameters
     ----------
     asked : mapping
-        All that the run depends on, by names for messages.
+        All parameters of the run, with their names in messages.
 
     Raises
     ------
     ShotrigError
-        If it cannot be written.
+        If the file cannot be written.
     """
     state = course.state
     arrays = {name: getattr(course, name) for name in _AS_THEY_ARE}
@@ -53,12 +53,12 @@ def write(path: Path, asked: Mapping[str, Any], course: Course) -> None:
 
 
 def read(path: Path, asked: Mapping[str, Any]) -> Course | None:
-    """Read a course that was kept; None if there is no such file.
+    """Read a checkpoint; None if the file does not exist.
 
     Raises
     ------
     RunError
-        If it is of another run, or no such file.
+        If the file belongs to another run or is not a checkpoint.
     """
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
@@ -69,7 +69,7 @@ def read(path: Path, asked: Mapping[str, Any]) -> Course | None:
         course = _course(kept)
     except FileNotFoundError:
         return None
-    # Whatever a damaged file leads the reader to.
+    # A damaged file can cause an exception of almost any type in the reader.
     except Exception:
         raise RunError(
             f"{path}: cannot be read as the beginning of a run with grains of this version; delete it to begin anew, "
@@ -105,6 +105,6 @@ def _numbered(kept: Mapping[str, Any], name: str) -> tuple[Any, ...]:
 
 
 def _digest(value: Any) -> str:
-    """Name a value by what its words or its array hold."""
+    """Return a digest of the text or array of a value."""
     content = value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode()
     return hashlib.sha256(content).hexdigest()[:16]

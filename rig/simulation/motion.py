@@ -1,4 +1,4 @@
-"""What a block of drive made the rig do: the motion of its points, and the instants at which it broke."""
+"""Response of the rig to a block of drive: motion of its points, and the instants of breaks."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ class Motion:
     first : int
         Number of the first sample, counted from the start of the run.
     displacement, velocity, acceleration : ndarray, shape (points, samples)
-        m, m/s and m/s^2; at a sample that coincides with a break, what holds after it.
+        m, m/s and m/s^2; at a sample that coincides with a break, the value after it.
     gap : ndarray, shape (dampers, samples)
-        Height of each damper of the scene above its floor, m: 0 of one that is held; of a bed of grains as in
+        Height of each damper of the scene above its floor, m: 0 if it cannot move; for a bed of grains as in
         `rig.simulation.simulate.Run`.
     contact : ndarray of int8, shape (dampers, samples)
-        0 in flight, 1 on the floor (where held ones are always), 2 at the ceiling.
+        0 in flight, 1 on the floor (always, if it cannot move), 2 at the ceiling.
     break_sample : ndarray of int64, shape (breaks,)
         Number of the sample that ends the interval in which the break lies; in order of time.
     break_offset : ndarray, shape (breaks,)
-        Time of the break after the sample before that one, s: above 0, at most one sample interval.
+        Time of the break after the previous sample, s: above 0, at most one sample interval.
     break_displacement : ndarray, shape (points, breaks)
         m.
     break_velocity, break_acceleration : ndarray, shape (2, points, breaks)
@@ -54,12 +54,12 @@ class Motion:
     events: NDArray[Any]
 
     def every(self, step: int, interval: float) -> Self:
-        """Give the same motion at every `step`-th sample, those whose numbers are multiples of it.
+        """Return the same motion at every sample whose number is a multiple of `step`.
 
         Parameters
         ----------
         step : int
-            The block must end at such a sample.
+            Decimation factor; the block must end at a multiple of it.
         interval : float
             Sample interval of this motion, s.
         """

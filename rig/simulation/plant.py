@@ -1,4 +1,4 @@
-"""The rig as a bench sees it: drive samples go in, motion comes out."""
+"""The rig as a plant with drive samples as input and motion as output."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 class Plant:
     """A scene's rig under sampled drive with first-order hold.
 
-    The motion between samples is exact, contacts included, and does not depend on how the drive is cut into
+    The motion between samples is exact, including contacts, and independent of the division of the drive into
     blocks.
 
     Attributes
@@ -56,11 +56,11 @@ class Plant:
 
     @property
     def ambiguous(self) -> int:
-        """Number of contact decisions so far that lay within rounding (they count as no contact)."""
+        """Number of contact decisions within rounding so far (each was decided as no contact)."""
         return self._propagator.ambiguous
 
     def advance(self, drive: ArrayLike) -> Motion:
-        """Drive the rig on.
+        """Advance the rig by a block of drive samples.
 
         Parameters
         ----------
@@ -70,7 +70,7 @@ class Plant:
         Returns
         -------
         Motion
-            At the same samples; sample k depends on drive up to k.
+            Motion at the same samples; sample k depends on drive up to k.
 
         Raises
         ------
@@ -105,7 +105,7 @@ class Plant:
         first: int,
         lifted: NDArray[np.int64],
     ) -> Motion:
-        """Put a block together; segment s of the course ends at sample `first_end` + s."""
+        """Return the motion of a block; segment s of the course ends at sample `first_end` + s."""
         system, n, points = self.system, self.system.coordinates, len(self.system.points)
         interval = 1.0 / self.rate
         displacement, velocity, acceleration, gap = self._propagator.parts(seen)
@@ -139,7 +139,7 @@ class Plant:
         )
 
     def _of_all_dampers(self, rows: NDArray[Any], held: float) -> NDArray[Any]:
-        """Put what the dampers that move do beside what those that are held do; shape (dampers, samples)."""
+        """Combine rows of moving dampers with a constant for held dampers; shape (dampers, samples)."""
         if len(rows) == self._dampers:
             return rows
         every = np.full((self._dampers, rows.shape[1]), held, dtype=rows.dtype)
@@ -150,7 +150,7 @@ class Plant:
 def _propagator(
     scene: Scene, system: HybridSystem, interval: float
 ) -> tuple[Propagator | CoupledPropagator, float]:
-    """Make what moves the system on from sample to sample, and its number of steps in a sample interval."""
+    """Return the propagator of the system and its number of steps in a sample interval."""
     if not system.grains.any():
         return sampled_propagator(system, interval)
     from rig.grain_beds.coupling import CoupledPropagator
@@ -160,7 +160,7 @@ def _propagator(
 
 
 def _drive_limits(scene: Scene, inputs: tuple[str, ...]) -> Array:
-    """Largest drive that each input passes on: an amplifier clips."""
+    """Return the largest drive of each input before the amplifier clips."""
     limits = np.full((len(inputs), 1), np.inf)
     for number, shaker in enumerate(scene.shakers, 1):
         if shaker.kind == "electrodynamic":

@@ -1,4 +1,4 @@
-"""A simulated run as text for a person, and as a file for other programs."""
+"""Output of a simulated run: a summary in words, and files for other programs."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from rig.scene.excitation import Impulse
 from rig.scene.scene import Scene
 from rig.simulation.simulate import Run, simulate
 
-#: File name endings that `write` knows.
+#: File name extensions that `write` supports.
 ENDINGS = (".npz", ".csv")
 
 
 def duration_of(scene: Scene) -> float:
-    """Time that a scene's test takes open loop, s; two seconds for a test that does not say."""
+    """Return the open-loop duration of a scene's test, s; two seconds if the test has none."""
     test = scene.test
     if isinstance(test, Impulse):
         return test.repeats * test.interval
@@ -30,11 +30,12 @@ def duration_of(scene: Scene) -> float:
 
 
 def check_name(path: Path) -> None:
-    """Refuse a file name of unknown ending before anything runs.
+    """Reject a file name with an unknown extension before the simulation.
 
     Raises
     ------
     SceneError
+        If the extension is unknown.
     """
     if path.suffix not in ENDINGS:
         raise SceneError(f"{path}: expected a name that ends in {' or '.join(ENDINGS)}")
@@ -48,19 +49,19 @@ def simulate_into(
     frequency: float | None,
     progress: Callable[[int, int], None],
 ) -> Run:
-    """Simulate a scene and write the run; what grains take long for is kept beside the file until that is there.
+    """Simulate a scene and write the run; runs with grains keep a checkpoint next to the file until it is written.
 
     Parameters
     ----------
     output : Path or None
-        File to write, as `write` does; None: nothing is written, and nothing kept.
+        File for `write`; None: no file and no checkpoint are written.
     scene, duration, rate, frequency, progress
-        As `simulate` takes them; without a duration that of the scene's test.
+        As in `simulate`; the default duration is that of the scene's test.
 
     Raises
     ------
     ShotrigError
-        If `simulate` refuses, or a file cannot be written.
+        If `simulate` raises an error, or a file cannot be written.
     """
     if output is not None:
         check_name(output)
@@ -80,7 +81,7 @@ def simulate_into(
 
 
 def summary(run: Run) -> str:
-    """Say in a few lines what happened: peaks, events, energy."""
+    """Return a summary in a few lines: peaks, events, energy."""
     lines = [f"{run.scene.name}: {run.time[-1]:.6g} s, {len(run.time)} samples", ""]
     lines.append(f"{'point':10}{'peak m':>12}{'peak m/s':>12}{'peak m/s2':>12}")
     for row, point in enumerate(run.points):
@@ -113,19 +114,19 @@ def write(run: Run, path: Path) -> None:
     Parameters
     ----------
     path : Path
-        Its ending says which.
+        The extension selects the format.
 
     Raises
     ------
     SceneError
-        If the ending is another one, or the file cannot be written.
+        If the extension is not supported, or the file cannot be written.
     """
     check_name(path)
     with replacing(path) as part:
         if path.suffix == ".npz":
             fields = ("time", "displacement", "velocity", "acceleration", "gap", "contact")
             arrays = {name: getattr(run, name) for name in fields}
-            # Record arrays keep no metadata in a file, so the count goes beside them.
+            # Files do not store the metadata of record arrays, so the count is a separate array.
             events = run.events.astype(np.dtype(run.events.dtype.descr))
             np.savez_compressed(
                 part, points=np.array(run.points), events=events, ambiguous=run.ambiguous, **arrays
@@ -146,5 +147,5 @@ def _write_columns(run: Run, path: Path) -> None:
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(header)
-        # Enough digits to read back the same numbers.
+        # Enough digits for identical values after reading.
         writer.writerows([[repr(float(value)) for value in row] for row in table])

@@ -1,4 +1,4 @@
-"""Ideal truth, open loop: what a scene's rig does, without sensors, converter or controller."""
+"""Open-loop simulation of the true motion of a scene, without sensors, converter or controller."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from rig.system.open_loop_drive import ToneDrive, sampled_drive, tone_drive
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-#: Samples in a period from which on steps are made to end at samples rather than at periods.
+#: Samples per period from which time steps end at samples instead of at periods.
 DENSE = 10
 
 
@@ -42,20 +42,21 @@ class Run(Result):
     points : tuple of str
         Rows of the motion: "body 1" ... and "table" ("table 2" at the second of several shakers) if there is one.
     time : ndarray, shape (samples,)
-        Seconds.
+        Time, s.
     displacement, velocity, acceleration : ndarray, shape (points, samples)
-        SI; at a sample that coincides with an impact, what holds after it.
+        SI; at a sample that coincides with an impact, the value after it.
     gap : ndarray, shape (dampers that move, samples)
-        Height of each damper above its floor, m; outside the cavity by the overlap where contact lasts. Of a bed of
-        grains that of its centre of mass above where it lay at first.
+        Height of each damper above its floor, m; it includes the overlap of finite-duration contact. For a bed of
+        grains, height of its centre of mass above the initial position.
     contact : ndarray of int8, shape (dampers that move, samples)
         0 in flight, 1 on the floor, 2 at the ceiling.
     events : structured ndarray
-        `time` [s], `damper` (1-based position in the scene's list), `kind` ("separation", "floor", "ceiling"; where
-        contact lasts "touch" and "release"), `speed` (closing speed at an impact or touch, m/s). Grains list none.
-        `events.dtype.metadata` holds `ambiguous`, too.
+        `time` [s], `damper` (1-based position in the scene's list), `kind` ("separation", "floor", "ceiling"; with
+        finite-duration contact "touch" and "release"), `speed` (closing speed at an impact or touch, m/s).
+        Grains have no events.
+        `events.dtype.metadata` also contains `ambiguous`.
     ambiguous : int
-        Number of contact decisions that lay within rounding; each was decided as no contact.
+        Number of contact decisions within rounding; each was decided as no contact.
     """
 
     scene: Scene
@@ -71,7 +72,7 @@ class Run(Result):
     _ledger: Callable[[], Energy] = field(repr=False, compare=False)
 
     def summary(self) -> str:
-        """Say what moved, how long and how far."""
+        """Return the duration and the largest motion in words."""
         largest = f"{1e3 * float(abs(self.displacement).max()):.4g} mm"
         return (
             f"{self.scene.name}: {', '.join(self.points)}, {self.time[-1]:.4g} s, {self.time.size} samples, "
@@ -79,7 +80,7 @@ class Run(Result):
         )
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """Time, and the motion of each point."""
+        """Return time and the motion of each point."""
         motion = {"displacement_m": self.displacement, "velocity_m/s": self.velocity}
         motion["acceleration_m/s²"] = self.acceleration
         return {
@@ -92,14 +93,14 @@ class Run(Result):
         }
 
     def draw(self, ax: Axes, **style: Any) -> None:
-        """Displacement of each point over time."""
+        """Draw the displacement of each point over time."""
         for point, row in zip(self.points, self.displacement, strict=True):
             ax.plot(self.time, 1e3 * row, **styled(style, label=point, lw=0.8))
         ax.set(xlabel="time / s", ylabel="displacement / mm")
 
     @cached_property
     def energy(self) -> Energy:
-        """The energy ledger of the run, J."""
+        """The energy balance of the run, J."""
         return self._ledger()
 
 
@@ -123,14 +124,14 @@ def simulate(
     rate : float or str
         Samples of the motion per second; for a tone it has no influence on the motion.
     drive : array_like, shape (inputs, samples), optional
-        A sampled drive at `rate`, held to first order, in place of the scene's test.
+        A sampled drive at `rate`, with first-order hold, instead of the scene's test.
     frequency : float or str, optional
-        Hz: a tone of this frequency at the test's level, in place of the test's own frequencies.
+        Hz: a tone of this frequency at the test's level, instead of the test's own frequencies.
     keep : Path, optional
-        File for a run with grains, which takes long: what has been computed is kept there, from where the same run
-        goes on, with the same bits as if it had not been stopped. It stays at the end.
+        Checkpoint file for a run with grains, which takes long. The same run continues from it after an interruption
+        with bit-identical results. The file is not deleted at the end.
     progress : callable, optional
-        Called, with grains, with samples done and of all.
+        Called in runs with grains with the completed and total number of samples.
 
     Raises
     ------
@@ -141,9 +142,9 @@ def simulate(
 
     Notes
     -----
-    Without `drive` and `frequency` the scene's test is run open loop: a sine as it stands, a stepped sine at
+    Without `drive` and `frequency` the scene's test is run open loop: a sine unchanged, a stepped sine at
     its first frequency, a swept sine, hammer hits, or free vibration. Where the test holds the amplitude of a
-    spring force, the drive is the one that would give it in the linear structure with its dampers riding.
+    spring force, the drive is that which produces it in the linear structure with riding dampers.
 
     Examples
     --------
@@ -179,7 +180,7 @@ def simulate(
 
 
 def _need_memory(system: HybridSystem, instants: float) -> None:
-    """Refuse a run whose motion would not fit: at every instant states, points, dampers, and times to many digits."""
+    """Reject a run whose motion exceeds the memory: states, points, dampers and extended-precision times."""
     numbers = 3 * system.states + 3 * len(system.points) + 4 * len(system.damper_mass) + 16
     need(8.0 * numbers * instants, f"a motion of {instants:.3g} instants")
 
@@ -220,10 +221,10 @@ def _tone_run(
 def _marks(
     duration: float, samples: int, rate: float, frequency: float
 ) -> tuple[NDArray[np.longdouble], NDArray[np.bool_], NDArray[np.bool_]]:
-    """Give the times of samples, period starts and the end in order, and which are samples or period starts."""
+    """Return the sorted times of samples, period starts and the end, with masks of samples and period starts."""
     sample_times = np.arange(samples, dtype=np.longdouble) / np.longdouble(rate)
     end = max(np.longdouble(duration), sample_times[-1])
-    # From the frequency in Hz: the rounding of omega would add up to a wrong phase over a million periods.
+    # Computed from the frequency in Hz, because the rounding of omega causes a phase error over a million periods.
     period = 1 / np.longdouble(frequency)
     periods = np.arange(1, int(end / period) + 1, dtype=np.longdouble) * period
     times, back = np.unique(np.concatenate([sample_times, periods, [end]]), return_inverse=True)
@@ -269,7 +270,7 @@ def _grains_run(
     keep: Path | None,
     progress: Callable[[int, int], None] | None,
 ) -> Run:
-    """Follow beds of grains, from what is kept of the run if there is such a file."""
+    """Simulate beds of grains, starting from the checkpoint if it exists."""
     from rig.grain_beds.lammps_library import lammps_version
     from rig.simulation.grains_run import GrainsRun
     from rig.simulation.kept_course import read, write
@@ -321,7 +322,7 @@ def _run(
     lifted: NDArray[np.int64],
     books: tuple[Any, ...],
 ) -> Run:
-    """Put a run together from the initial state and a course of which only the rows `keep` are samples."""
+    """Return the run from the initial state and a course of which only the rows `keep` are samples."""
     n, points = system.coordinates, len(system.points)
     states = np.concatenate([first.state, trajectory.state[keep]])
     slots = np.concatenate([first.slot, trajectory.slot[keep]])

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.modal.lscf import MOST_DAMPING
-from analysis.modal.pole_residue import ComplexArray, Curves, Fit, fit, linear_misfit
+from analysis.modal.pole_residue import ComplexArray, Curves, Fit, fit, misfits_with, misfits_without
 
 Array = NDArray[np.float64]
 
@@ -85,13 +85,12 @@ def _sensible_part(curves: Curves, model: Fit) -> Fit:
 
 def _least_missed(curves: Curves, poles: ComplexArray, among: NDArray[np.intp]) -> int:
     """Return the index of the pole whose removal increases the misfit least."""
-    misfits = [linear_misfit(curves, np.delete(poles, index)) for index in among]
-    return int(among[int(np.argmin(misfits))])
+    return int(among[int(np.argmin(misfits_without(curves, poles)[among]))])
 
 
 def _best_addition(curves: Curves, current: Fit, pool: ComplexArray) -> Fit | None:
     """Return the best model with an additional pole that is significant and not spurious."""
-    misfits = [linear_misfit(curves, np.append(current.poles, p)) for p in pool]
+    misfits = misfits_with(curves, current.poles, pool)
     best: Fit | None = None
     tried: list[complex] = []
     for index in np.argsort(misfits, kind="stable"):
@@ -178,10 +177,12 @@ def _pruned(curves: Curves, model: Fit) -> Fit:
     while model.poles.size:
         poles = model.poles
         while poles.size:
-            fewer = np.delete(poles, _least_missed(curves, poles, np.arange(poles.size)))
+            misfits = misfits_without(curves, poles)
+            least = int(np.argmin(misfits))
+            fewer = np.delete(poles, least)
             # Without a new fit of the other poles the loss is overestimated, so a pole that is not significant here
             # is not significant after a new fit.
-            if _gain(curves, linear_misfit(curves, fewer), model, fewer.size) > 0:
+            if _gain(curves, float(misfits[least]), model, fewer.size) > 0:
                 break
             poles = fewer
         if poles.size < model.poles.size:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from analysis.modal.order_selection import correlation, half_width
@@ -167,7 +166,7 @@ def _factors(curves: Curves, model: Fit) -> tuple[Array, Array, Array]:
     reach = max(correlation(model.rest), curves.shared)
     lags = int(np.clip(round(_REACH * reach), 1, max(score.shape[1] // 4, 1)))
     # The covariance of moving sums is the covariance with Bartlett weights.
-    sums = scipy.signal.convolve(score, np.ones((1, lags)), method="direct") / np.sqrt(lags)
+    sums = np.stack([np.convolve(row, np.ones(lags)) for row in score]) / np.sqrt(lags)
     # The fit reduces the degrees of freedom of the misfit.
     plain = root * np.sqrt(model.misfit / degrees * reach)
     # The pseudoinverse omits undetermined parameters, such as the width of a pole far narrower than the line spacing.

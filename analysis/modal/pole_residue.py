@@ -19,6 +19,10 @@ _EVALUATIONS = 25
 ABOVE, _LINES = 3, 20
 
 
+# Rounding error of the squared norm of a unit column.
+_DEPENDENT = 1e-20
+
+
 @dataclass(frozen=True)
 class Curves:
     """Curves to which a modal model is fitted.
@@ -100,7 +104,13 @@ def fit(curves: Curves, start: ComplexArray) -> Fit:
     x = np.zeros(2 * start.size)
     if start.size:
         x = scipy.optimize.least_squares(
-            problem.misfit, x, problem.jacobian, xtol=1e-9, ftol=1e-9, gtol=1e-12, max_nfev=_EVALUATIONS
+            problem.misfit,
+            x,
+            problem.jacobian,
+            xtol=1e-9,
+            ftol=1e-9,
+            gtol=1e-12,
+            max_nfev=_EVALUATIONS,
         ).x
     poles = problem.poles(x)
     unknown, rest = problem.unknowns(x), problem.misfit(x)
@@ -130,9 +140,52 @@ def residual_terms(s: NDArray[np.complexfloating]) -> list[NDArray[np.complexflo
     return [1.0 / s**2, *(s**power for power in range(ABOVE))]
 
 
-def linear_misfit(curves: Curves, poles: ComplexArray) -> float:
-    """Compute the misfit of fixed poles with the best residues."""
-    return float(np.sum(_Projection(curves, poles).misfit(np.zeros(2 * poles.size)) ** 2))
+def misfits_with(curves: Curves, poles: ComplexArray, added: ComplexArray) -> Array:
+    """Compute the misfit with one more pole, for each of the added poles, with the best residues; shape (added,).
+
+    An added pole lowers the misfit by the projection of the residual on the component of its two columns that is
+    orthogonal to all other columns.
+    """
+    problem = _Projection(curves, poles)
+    x = np.zeros(2 * poles.size)
+    basis, rest = problem.factors(x).basis, problem.misfit(x).reshape(len(curves.value), -1, 1)
+    count = 2 * added.size
+    more = _stacked(problem.columns(added)[:, :count] * curves.weight[:, :, None], 1)
+    size = np.linalg.norm(more, axis=1, keepdims=True)
+    more = more / np.where(size > 0.0, size, 1.0)
+    # Orthogonalize twice, because rounding dominates the first result for columns close to those of other poles.
+    for _ in range(2):
+        more = more - basis @ (np.swapaxes(basis, 1, 2) @ more)
+    scores = (np.swapaxes(more, 1, 2) @ rest)[..., 0]
+    first, second = more[..., ::2], more[..., 1::2]
+    a, b, c = (
+        np.einsum("ojk,ojk->ok", one, two) for one, two in ((first, first), (first, second), (second, second))
+    )
+    u, v = scores[:, ::2], scores[:, 1::2]
+    along = np.where(a > _DEPENDENT, u**2 / np.maximum(a, _DEPENDENT), 0.0)
+    left, across = (
+        c - np.where(a > _DEPENDENT, b**2 / np.maximum(a, _DEPENDENT), 0.0),
+        v - b * u / np.maximum(a, _DEPENDENT),
+    )
+    along += np.where(left > _DEPENDENT, across**2 / np.maximum(left, _DEPENDENT), 0.0)
+    return np.asarray(np.sum(rest**2) - np.sum(along, axis=0))
+
+
+def misfits_without(curves: Curves, poles: ComplexArray) -> Array:
+    """Compute the misfit without each of the poles in turn, with the best residues; shape (poles,).
+
+    Without the unknowns u, of covariance C, the misfit rises by ``u^T C^-1 u``.
+    """
+    problem = _Projection(curves, poles)
+    x = np.zeros(2 * poles.size)
+    factors = problem.factors(x)
+    inverse = np.linalg.pinv(factors.triangle, rcond=1e-13)
+    unknown = (inverse @ factors.projection)[..., 0]
+    pairs = inverse[:, : 2 * poles.size].reshape(len(inverse), poles.size, 2, -1)
+    covariance = pairs @ np.swapaxes(pairs, 2, 3)
+    both = unknown[:, : 2 * poles.size].reshape(len(inverse), poles.size, 2)
+    rise = np.einsum("oki,okij,okj->k", both, np.linalg.pinv(covariance, rcond=1e-13), both)
+    return np.asarray(np.sum(problem.misfit(x) ** 2) + rise)
 
 
 class _Factors(NamedTuple):
@@ -197,9 +250,13 @@ class _Projection:
     def unknowns(self, x: Array) -> Array:
         """Return the best linear unknowns, shape (responses, unknowns)."""
         factors = self.factors(x)
-        # Coinciding poles have undetermined residues; the pseudoinverse selects the smallest.
-        inverse = np.linalg.pinv(factors.triangle, rcond=1e-13)
-        return np.asarray((inverse @ factors.projection / np.swapaxes(factors.size, 1, 2))[..., 0])
+        diagonal = abs(np.einsum("oii->oi", factors.triangle))
+        if diagonal.min() > 1e-10 * diagonal.max():
+            found = np.linalg.solve(factors.triangle, factors.projection)
+        else:
+            # Coinciding poles leave their residues undetermined: take the smallest ones.
+            found = np.linalg.pinv(factors.triangle, rcond=1e-13) @ factors.projection
+        return np.asarray((found / np.swapaxes(factors.size, 1, 2))[..., 0])
 
     def misfit(self, x: Array) -> Array:
         """Return the weighted residuals of all responses in sequence."""

@@ -1,0 +1,111 @@
+"""Responses as values: selection, ratios, bands, budgets."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from rig.errors import SceneError
+from rig.results.response import Point, Response, stack
+from rig.results.uncertainty import CLOCK, SENSITIVITY, UncertaintyBudget
+
+LINES = np.linspace(10.0, 30.0, 41)
+
+
+def curve(name: str = "body1", scale: float = 1.0, **fields) -> Response:
+    value = scale * 1e-3 / (20.0**2 - LINES**2 + 8.0j)
+    size = abs(value)
+    limits = {"aliasing": 0.002 * size, SENSITIVITY: 0.01 * size, CLOCK: 0.005 * size}
+    return Response.curve(
+        LINES, value, name, error=0.001 * size, degrees=np.full(41, 38.0), limits=limits, label="a", **fields
+    )
+
+
+def matrix() -> Response:
+    value = np.arange(41 * 6).reshape(41, 3, 2) + 1j
+    outputs = tuple(Point(f"a{k}", place=f"body {k}") for k in (1, 2, 3))
+    return Response(LINES, value, outputs, (Point("f1", "force", "body 1"), Point("f3", "force", "body 3")))
+
+
+def test_bound_adds_tolerances_to_independent_parts() -> None:
+    one = curve()
+    independent = np.hypot(one.random_bound(), one.limits["aliasing"])
+    np.testing.assert_allclose(one.bound(), independent + 0.015 * abs(one.value))
+    np.testing.assert_allclose(one.without(SENSITIVITY, CLOCK).bound(), independent)
+    np.testing.assert_allclose(one.to("acceleration").bound(), one.bound() * (2 * np.pi * LINES) ** 2)
+
+
+def test_budget_lists_contributions_by_variance() -> None:
+    table = stack([curve(), curve("body2")]).budget("body2", "20 Hz")
+    names, kinds, sizes, shares = zip(*table.rows, strict=True)
+    assert names == (SENSITIVITY, CLOCK, "aliasing", "scatter") and kinds == ("B", "B", "B", "A")
+    assert sum(shares) == pytest.approx(1.0) and table.unit == "µm/N"
+    assert sizes[0] == pytest.approx(0.01 * table.value / np.sqrt(3.0))
+    assert table.combined == pytest.approx(np.linalg.norm(sizes))
+    assert "standard uncertainty / (µm/N)" in str(table) and "combined" in str(table)
+
+
+def test_ratio_has_the_errors_of_both() -> None:
+    ratio = curve(scale=3.0) / curve()
+    np.testing.assert_allclose(ratio.value, 3.0)
+    assert ratio.unit == "1" and ratio.name == "ratio"
+    np.testing.assert_allclose(ratio.limits[SENSITIVITY], 3.0 * 0.02)
+    np.testing.assert_allclose(ratio.limits["aliasing"], 3.0 * 0.002 * np.sqrt(2.0))
+
+
+def test_ratio_interpolates_and_leaves_the_rest_unknown() -> None:
+    ratio = curve() / curve().band(12.2, 28.0)
+    known = np.isfinite(ratio.value)
+    assert LINES[known].min() == 12.5 and LINES[known].max() == 28.0
+    with pytest.raises(SceneError, match="expected the same outputs and inputs"):
+        matrix() / curve()
+
+
+def test_band_takes_texts_and_numbers() -> None:
+    assert curve().band("12 Hz", 13.0).frequency.tolist() == [12.0, 12.5, 13.0]
+
+
+def test_names_select_elements_and_places() -> None:
+    both = matrix()
+    assert both["a2", "f3"].value[0] == 3 + 1j and both["body 3", "f1"].value[0] == 4 + 1j
+    assert both["a3"].value.shape == (41, 1, 2) and both[1:].keys() == ("a2", "a3")
+    assert [one.value[0].real for one in both] == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
+    with pytest.raises(SceneError, match="no response 'a4'; expected one of a1, a2, a3"):
+        both["a4"]
+    with pytest.raises(ValueError, match="expected \\(41, 1, 1\\)"):
+        Response(LINES, np.ones((41, 2, 1), dtype=complex), (Point("a"),))
+
+
+def test_plot_draws_others_into_the_same_axes() -> None:
+    ax = Figure().subplots()
+    assert curve().plot(ax, curve("body2", 2.0)) is ax and len(ax.lines) == 2
+
+
+def test_matrix_becomes_tables_with_all_elements() -> None:
+    data = matrix().to_xarray()
+    assert data.sizes == {"frequency": 41, "output": 3, "input": 2}
+    assert data["value"].sel(output="a2", input="f3").values[0] == 3 + 1j
+    assert list(matrix().to_dataframe().columns)[:2] == ["a1/f1_m/N", "a1/f1_bound_m/N"]
+
+
+def test_stacked_curves_share_lines() -> None:
+    short = curve("body2").band(15.0, 20.0)
+    both = stack([curve(), short])
+    assert both.value.shape == (41, 2, 1) and np.isnan(both["body2"].value[0])
+    np.testing.assert_array_equal(both["body2"].band(15.0, 20.0).value, short.value)
+    np.testing.assert_array_equal(both["body1"].bound(), curve().bound())
+
+
+def test_exact_response_has_no_bound() -> None:
+    exact = Response.curve(LINES, curve().value, "body1", uncertainty=UncertaintyBudget())
+    assert not exact.bound().any() and not exact.error.any()
+
+
+def test_universal_file_has_each_element(tmp_path) -> None:
+    uff = pytest.importorskip("pyuff")
+    path = matrix().to_uff(tmp_path / "a.uff", driven=[1, 3])
+    sets = [each for each in uff.UFF(str(path)).read_sets() if each["func_type"] == 4]
+    assert [(int(each["rsp_node"]), int(each["ref_node"])) for each in sets] == [
+        (1, 1), (1, 3), (2, 1), (2, 3), (3, 1), (3, 3),
+    ]  # fmt: skip

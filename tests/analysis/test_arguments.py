@@ -1,4 +1,4 @@
-"""Arguments of the public functions: paths and mappings are taken, wrong types and names are explained."""
+"""Arguments of the public functions: paths and mappings are accepted, wrong types and names are explained."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The commands as Python calls give what the commands write, and plot themselves."""
+"""Python calls return the results that the commands write, and can plot them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The gallery's scripts run as they are, next to the recordings of the repository, and show their results."""
+"""The scripts of the gallery run unchanged with the recordings of the repository."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import analysis.examples
 
 EXAMPLES = Path(analysis.examples.__file__).parent
 NAMES = sorted(path.stem for path in EXAMPLES.glob("[a-z]*.py"))
-# What each example must have shown.
+# Required output of each example.
 RESULTS = {
     "accuracy_against_time": lambda found: found["errors"][-1] < found["errors"][0],
     "approximate_theory": lambda found: (

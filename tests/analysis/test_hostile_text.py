@@ -1,4 +1,4 @@
-"""A walk through all that commands write about recordings: text from a file is shown there, never obeyed."""
+"""Text from a file is displayed by all commands, never interpreted as markup or control codes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tests.analysis.responses import synthetic
 
 MARKUP = "<script>alert(1)</script> **b** [x](http://x) `c` $\\frac$ |d|"
 ORDERS = "\x1b[31mred\x1b]0;title\x07\r\u202e"
-# What reads recordings; the others make them, or need a viewer.
+# Commands that read recordings; the others make recordings or need a viewer.
 WALK = {
     "daq": ("info r.mcap", "recover r.mcap -o fixed.mcap"),
     "analysis": (
@@ -41,7 +41,7 @@ ELSEWHERE = {
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A recording whose every text is hostile: name, channels, data sheets, markers, and how it ended."""
+    """A recording with hostile text in every field: name, channels, data sheets, markers, end state."""
     folder = tmp_path_factory.mktemp("hostile")
     synthetic.impulses(folder / "plain.mcap", interval=1.0, name="plain")
     with daq.open(folder / "plain.mcap") as plain:

@@ -1,4 +1,4 @@
-"""Cost of the measurement chain: what is changed is all that changes, and errors are what theory says they are."""
+"""Cost of the measurement chain: each variant changes only one effect, and the errors agree with theory."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ converter: {rate: 1 kHz, bits: 24, range: 5 V, filter: delta_sigma, remove_delay
 
 @pytest.fixture(scope="module", autouse=True)
 def once() -> Iterator[None]:
-    """Record once: these tests judge errors, not times."""
+    """Record once: these tests check errors, not durations."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("analysis.chain_cost.study.REPEATS", 1)
         yield
@@ -64,7 +64,7 @@ def test_noise_error_grows_with_quantisation(
 def test_filtered_drive_samples_exclude_images(
     study: ChainStudy,
 ) -> None:
-    # The table is driven by samples joined by straight lines, whose image beside the sample rate folds on the tone.
+    # The table is driven by linearly interpolated samples, whose image near the sample rate aliases to the tone.
     assert error(study, "anti-alias filter", "off") > 100.0 * study.quiet.error
     assert error(study, "sample rate", "250 Hz") < 1e-5
 
@@ -78,7 +78,7 @@ def test_low_sensor_resonance_distorts_displacement(
     study: ChainStudy,
 ) -> None:
     low = next(p for p in study.points if p.setting == "resonance 200 Hz")
-    # 1 / (1 - (24/200)^2) is 1.5 % above 1; averaging over the sample interval delays by half a sample besides.
+    # 1 / (1 - (24/200)^2) is 1.5 % above 1; averaging over the sample interval adds a delay of half a sample.
     assert low.corrected > 0.014
     assert low.error < 1e-3
 

@@ -1,4 +1,4 @@
-"""Peaks between measured points, and what became of them."""
+"""Interpolated resonance peaks, and their changes between recordings."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from tests.analysis.responses import synthetic
 
 
 def measured(frequency: np.ndarray, value: np.ndarray, error: float = 0.0) -> Response:
-    """A curve as a sweep measures it, off by the given share at most at each point."""
+    """Curve as measured by a sweep, with a bounded relative error at each point."""
     size, one = abs(value), np.ones(frequency.size)
     off = error * size * np.exp(2j * np.pi * np.arange(frequency.size) * 0.38)
     return Response.curve(frequency, value + off, "body1", degrees=100.0 * one, limits={"test": error * size})
@@ -57,7 +57,7 @@ def test_measured_peak_lies_within_bounds(natural, ratio, offset, per_width, err
     assert found is not None
     assert abs(found.value - exact.max()) <= found.bound + 1e-5 * exact.max()
     assert found.first - step / 200 <= dense[np.argmax(exact)] <= found.last + step / 200
-    # Coarse points of a wide peak leave more of its top open to its neighbours.
+    # With coarse points, interpolation of a wide peak is less certain.
     assert error > 0 or ratio > 0.02 or found.bound < 0.02 * exact.max()
 
 
@@ -81,7 +81,7 @@ def test_omitted_points_near_peak_remove_upper_bound() -> None:
 
 
 def beneath_dampers(f: np.ndarray) -> np.ndarray:
-    """Receptance whose damping falls where it moves most, as beneath dampers that land late: solved at each point."""
+    """Receptance with amplitude-dependent damping that decreases near the peak, solved at each point."""
     stiffness, damping = 1.0 - (f / 18.6) ** 2, np.full(f.size, 0.1)
     for _ in range(200):
         amplitude = 1.0 / np.hypot(stiffness, damping)

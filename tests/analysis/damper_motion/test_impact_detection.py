@@ -21,7 +21,7 @@ RATE = synthetic.RATE
 
 
 def blows(path, quantity="displacement", noise=2e-8, count=300, seed=1):
-    """A body that swings at 40 Hz and is hit at known times by known velocity jumps."""
+    """Recording of a body that vibrates at 40 Hz, with known velocity jumps at known times."""
     random = np.random.default_rng(seed)
     samples = int(30 * RATE)
     # The converter takes the mean over the interval that ends at the sample: fine steps, then averages.
@@ -74,7 +74,7 @@ INTEGRATORS = {
 
 
 def true_impacts(rec, damper):
-    """Times and velocity jumps of what a damper of a tenth of its body's mass really did."""
+    """True times and velocity jumps of a damper with a tenth of the mass of its body."""
     events = rec.events
     hits = events[(events["kind"] != "separation") & (events["damper"] == damper)]
     return hits["time"], 0.1 / 1.1 * hits["speed"]
@@ -186,7 +186,7 @@ def test_noise_alone_gives_no_impact(tmp_path):
 def test_slow_motion_gives_no_impact(
     tmp_path,
 ):
-    # Over the filter's ringing the motion bends by some twenty times the noise.
+    # Within the ringing of the filter, the curvature of the motion is about twenty times the noise.
     t = np.arange(int(5 * RATE)) / RATE
     row = 7.0 * np.sin(2 * np.pi * 0.003 * RATE * t) + 1e-3 * np.random.default_rng(3).standard_normal(t.size)
     delta_sigma = {"rate": RATE, "delay": 38.0, "cutoff": 0.5, "beta": 11.0}
@@ -197,7 +197,7 @@ def test_slow_motion_gives_no_impact(
 
 
 def still(path, quantity, ticks):
-    """A reading that is zero but for a few samples."""
+    """Readings that are zero except for a few samples."""
     row = np.zeros(int(RATE))
     row[1 : ticks + 1] = 1e-6
     infos = [ChannelInfo("body1", "body 1", quantity, 1.0, RATE, average=quantity == "acceleration")]
@@ -206,7 +206,7 @@ def still(path, quantity, ticks):
 
 @pytest.mark.parametrize("quantity", ["displacement", "acceleration"])
 def test_constant_reading_gives_no_impact(tmp_path, quantity):
-    # The motion is smaller than what the converter tells apart.
+    # The motion is below the resolution of the converter.
     with daq.open(still(tmp_path / "a.mcap", quantity, ticks=3)) as rec:
         assert not impacts(rec, "body1").time.size
 
@@ -226,7 +226,7 @@ def test_too_few_samples_are_reported(tmp_path):
 
 
 def landed(path, chain, converter, dampers, frequency=49.0, force=3.3):
-    """A tone with dampers in body 2 whose landings last, truth beside."""
+    """A tone with dampers in body 2 with finite-duration contact, and the recorded truth."""
     scene = rig.load("fig8-no-damper").replace(
         dampers=[{"body": 2, "mass_ratio": 0.06, **damper} for damper in dampers],
         shaker={"kind": "force", "body": 1},

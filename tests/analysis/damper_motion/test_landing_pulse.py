@@ -35,7 +35,7 @@ def test_contact_agrees_with_another_solver(contact):
         atol=1e-14,
     ).y
     assert pulse.exchanged(time) == pytest.approx((1.0 - way[1]) / (1.0 - way[1, -1]), abs=1e-5)
-    # Released where the force has fallen to zero, at the restitution.
+    # At release the force is zero, and the speed ratio equals the coefficient of restitution.
     assert stiffness * way[0, -1] + loss * way[1, -1] == pytest.approx(0.0, abs=1e-3 * pulse.angular)
     assert pulse.restitution == pytest.approx(-way[1, -1], abs=1e-5)
     if scene.dampers[0].restitution:

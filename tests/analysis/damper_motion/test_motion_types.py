@@ -33,7 +33,7 @@ def test_linear_structure_dissipates_supplied_energy(tmp_path):
 
 
 def test_sensor_tolerances_bound_energy_balance(tmp_path, monkeypatch):
-    # What points fold back comes on top.
+    # Aliasing of point samples adds to this.
     monkeypatch.setattr(energy_balance, "folded_shares", lambda *_: (0.0, 0.0))
     infos = synthetic.channels(sensor={"accelerometer.sensitivity_tolerance": "1 %"})
     path = synthetic.stepped_sine(tmp_path / "a.mcap", [12.0, 13.04, 20.0, 34.8, 49.7], infos=infos)
@@ -96,7 +96,7 @@ def fig9(tmp_path_factory):
 
 
 def true_types(rec, sweep):
-    """Types of the only damper's motion from the true events and contacts."""
+    """True motion types of a single damper, from its events and contacts."""
     events, contact = rec.events, rec.truth("contact")[0]
     out = []
     for first, stop in sweep.windows:
@@ -144,7 +144,7 @@ def test_patterns_are_described_with_counts() -> None:
     ],
 )
 def test_riding_requires_acceleration_above_minus_g(tmp_path, first, third, tolerance, name):
-    """The peak counts, not the fundamental alone, and by what the sensor may be off."""
+    """Riding depends on the peak acceleration, including harmonics and the sensor tolerance."""
     sensor = {"accelerometer.sensitivity_tolerance": str(tolerance)}
     infos = [ChannelInfo("body1", "body 1", "acceleration", 1.0, synthetic.RATE, average=True, sensor=sensor)]
     turn = 2 * np.pi * 40.0 / synthetic.RATE * np.arange(20 * 64)
@@ -174,7 +174,7 @@ def test_fig_9_types_are_identified(fig9):
 
 
 def test_uncertain_impacts_give_no_false_type(tmp_path):
-    """At 46.81 Hz the damper in body 2 strikes its ceiling with a tenth of its blow on the floor."""
+    """At 46.81 Hz the damper in body 2 hits the ceiling with a tenth of the velocity jump at the floor."""
     sensor = {"sensitivity": 0.0078, "noise": 4.8e-5, "sensitivity_tolerance": 0.03}
     scene = rig.Scene(
         name="weak blows",

@@ -49,7 +49,7 @@ def test_linear_decay_frequencies_lie_within_bounds():
                 peaks.append(abs(peak / true - 1.0) / abs(mode.frequency / true - 1.0))
     assert len(pulls) > 120
     assert np.mean(np.abs(pulls) < 2.0) > 0.95 and np.max(np.abs(pulls)) < 4.0
-    # Where the spectrum has its peak is ten times as far off.
+    # The frequency of the spectral peak has ten times this error.
     assert np.median(peaks) > 10.0
 
 
@@ -151,7 +151,7 @@ def test_too_short_decay_is_rejected(tmp_path):
 
 
 def agreement(mode, expected):
-    """Where noise leaves a bound below 3 %, the difference has to be below 3 %; elsewhere, within the bound."""
+    """The difference is below 3 %, or below the bound where noise makes the bound larger than 3 %."""
     bound = 2.0 * mode.damping_error / mode.damping
     return abs(mode.damping / expected.damping - 1.0) < np.maximum(bound, 0.03)
 
@@ -171,7 +171,7 @@ def test_three_dampers_have_true_damping(tmp_path):
         width = band_width(frequencies, index)
         expected = modal_decay(true, rec.rate, mode.centre, width, last + 1, amplitudes=mode.amplitude)
         assert mode.damping.size > 5 and agreement(mode, expected).mean() > 0.95
-    # Above g the dampers work; once all is below, the structure's own 0.5 % is left, shared with the riding masses.
+    # Above 1 g the dampers dissipate; below 1 g only the structural damping of 0.5 % remains, with the riding masses.
     assert max(mode.damping.max() for mode in decay.modes) > 0.02
     assert 0.003 < decay.modes[1].small_damping() < 0.006
 

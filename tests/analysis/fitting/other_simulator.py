@@ -77,7 +77,7 @@ def random_test(
     Parameters
     ----------
     noise : (float, float)
-        Of the force and of each response, over the rms value of what is there.
+        Relative to the rms value of the force and of each response.
     """
     random = np.random.default_rng(seed)
     rate, low, high = 1000.0, 4.0, 220.0

@@ -25,7 +25,7 @@ FREQUENCIES = np.geomspace(9.0, 60.0, 60)
 
 
 def guess(**changes):
-    """The structure of the synthetic recordings, off by some 20 %."""
+    """Structure of the synthetic recordings with errors of about 20 %."""
     structure = {
         "masses": [0.62, 0.83, 0.7], "springs": [28e3, 19e3, 21e3], "damping": {"modal": [0.004, 0.006, 0.007]},
     }  # fmt: skip
@@ -76,7 +76,7 @@ def test_sensor_tolerances_widen_masses(
     infos = [replace(info, sensor=sheet) for info in synthetic.channels()]
     path = synthetic.stepped_sine(tmp_path / "a.mcap", FREQUENCIES, noise=2e-7, infos=infos)
     found = analysis.fit(path, guess())
-    # The force is a difference of two readings: how it is off makes all masses and springs off alike, not the damping.
+    # The force is a difference of two readings: its error scales all masses and springs equally, and not the damping.
     assert 0.01 < found["structure.masses[1]"].half_width < 0.12
     assert found["structure.damping.modal[1]"].half_width < 0.005
     assert any("by one factor" in line for line in found.together)
@@ -104,7 +104,7 @@ def test_swapped_columns_are_named(tmp_path):
 
 @pytest.mark.thorough
 def test_g_read_as_metres_is_named(tmp_path):
-    # No sensor is off by so much, though it would explain the curves.
+    # This error would explain the curves, but exceeds the tolerance of any sensor.
     sheet = {"accelerometer.sensitivity_tolerance": "0.02"}
     infos = [replace(info, sensor=sheet) for info in synthetic.channels()]
     path = synthetic.stepped_sine(tmp_path / "a.mcap", FREQUENCIES, noise=2e-7, infos=infos)

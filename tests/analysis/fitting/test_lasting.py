@@ -1,4 +1,4 @@
-"""Fits of dampers whose contact lasts: duration and restitution told from the curves."""
+"""Fits of dampers with finite-duration contact: duration and restitution are estimated from the curves."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Derivatives of the misses against differences, and what they know of combinations that move nothing."""
+"""Derivatives of the residuals against finite differences, and detection of undetermined parameter combinations."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::daq.RunWarning")
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory):
-    """Give a chain of two bodies, its random test with noise in the force, and a guess."""
+    """Return a chain of two bodies, its random test with noise in the force, and an initial guess."""
     chain, folder = drawn(14), tmp_path_factory.mktemp("other")
     settings = random_test(chain, folder / "a.csv", 14, duration=40.0)
     scene = rig.loads(yaml.safe_dump(settings), where="the other simulator")
@@ -50,7 +50,7 @@ def test_modal_values_lie_in_intervals_alike(bench):
         assert abs(modes.frequency[k] - frequency) < 3.0 * modes.frequency_error[k]
         assert 1 / 1.5 < 2.0 * modes.frequency_error[k] / one.frequency_bound < 1.6
         assert 1 / 1.5 < 2.0 * modes.damping_error[k] / one.damping_bound < 1.6
-    # Of 95 % intervals one in twenty misses; none by half of itself.
+    # One in twenty 95 % intervals may miss the true value, but no error may reach 1.5 times its bound.
     assert sum(each > 1.0 for each in off) <= 1 and max(off) < 1.5
 
 
@@ -70,7 +70,7 @@ def test_delayed_channel_is_named_with_its_delay(bench):
     with daq.open(path) as recording:
         recording.channels["a2"] = replace(recording.channels["a2"], delay=-5e-5)
         found = analysis.fit(recording, scene)
-    # The other channel early by less explains the curves nearly as well.
+    # A smaller time advance of the other channel explains the curves nearly as well.
     named = re.search(r"a2 reads ([\d.]+) µs late", found.misfit)
     assert named is not None and float(named[1]) == pytest.approx(50.0, abs=1.0)
     assert "another" not in found.misfit

@@ -15,7 +15,7 @@ DAMPED = Path(__file__).parents[3] / "recordings" / "demo-sweep-three-dampers.mc
 
 
 def nearest(*asked):
-    """Curves of the demo, and the frequencies and levels of their points nearest to those asked."""
+    """Curves of the demo, and the frequencies and levels of the points nearest to the requested ones."""
     with daq.open(DAMPED) as recording:
         [curves] = measured(recording, "demo")
     assert curves.level is not None

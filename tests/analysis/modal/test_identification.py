@@ -44,7 +44,7 @@ def test_table_reference_gives_attached_resonances(tmp_path):
 
 
 def limited(curve, limits):
-    """The curve with these limits of systematic errors alone."""
+    """The curve with only these systematic errors."""
     return replace(curve, uncertainty=curve.uncertainty.without(*curve.limits).with_limits(limits))
 
 
@@ -57,7 +57,7 @@ def test_mode_errors_scatter_as_stated(tmp_path):
         )
         with daq.open(path) as rec:
             [curves] = analysis.frequency_responses(rec)
-            # Images of a drive that a converter without a filter may see are not in what was made up here.
+            # The synthetic data contain no aliased images of the drive.
             modes = analysis.identify([limited(curve, {}) for curve in curves])
             omega, _ = theory(rec.scene)
         off.append((modes.frequency - omega / (2 * np.pi)) / modes.frequency_error)
@@ -222,7 +222,7 @@ def test_flying_dampers_give_linear_equivalents():
     modes = analysis.identify(frfs)
     size = max((abs(frf.value) for frf in frfs), key=lambda each: each.max())
     assert len(modes.frequency) == 3
-    # The first peak is the highest of all.
+    # The first peak is the highest.
     top = frfs[0].frequency[size.argmax()]
     assert abs(modes.frequency[0] / top - 1) < modes.damping[0]
     assert "The response is nonlinear" in " ".join(modes.warnings) and modes.model_error > 0.01
@@ -241,7 +241,7 @@ def test_unbounded_lines_keep_warning_of_misfit():
 
 
 def test_spring_force_tolerance_is_in_frequency():
-    # What two sensors, 1 % apart, leave of the motion in the force reads as another stiffness.
+    # Two sensors that differ by 1 % leave some motion in the force, which appears as a different stiffness.
     natural, frfs = two_modes(30.0, 0.2, 0.01, 400, noise=1e-4, seed=4)
     driven = 0.2 * frfs[0].value / abs(frfs[0].value).max()
     values = [frf.value / (1.0 + driven) for frf in frfs]
@@ -271,14 +271,14 @@ def in_a_gap(lines):
 
 
 def test_damping_of_single_line_lies_within_error():
-    # What far modes bend over the band is below the noise of each line, and more than damping adds on the flanks.
+    # The curvature due to distant modes is below the noise of each line, but larger than the effect of damping.
     modes = analysis.identify(in_a_gap([12.75]))
     assert modes.damping == pytest.approx([0.0117], abs=2.0 * modes.damping_error[0])
     assert modes.damping_error[0] < 0.2 * 0.0117
 
 
 def test_omitted_peak_gives_no_mode():
-    # Flanks would tell one pole with small errors where there may be two.
+    # The flanks would determine a single pole with small errors, although there may be two.
     with pytest.raises(RecordingError, match=r"12\.8.* Hz\) only in holes"):
         analysis.identify(in_a_gap([]))
 
@@ -294,7 +294,7 @@ def test_sensor_tolerance_is_in_its_shape(
     top = abs(modes.shapes).argmax(axis=0)
     for mode in range(3):
         for response in range(3):
-            # Where the poor sensor has the largest part, all others are told in its measure.
+            # If the inaccurate sensor has the largest element, all other elements are scaled by it.
             wide = response != top[mode] and 1 in (response, top[mode])
             assert (0.09 < share[response, mode] < 0.15) if wide else share[response, mode] < 0.01
 
@@ -320,7 +320,7 @@ def test_bump_within_error_is_no_mode(unsettled, identified):
     def peak(natural, zeta, height):
         return height * 2 * zeta * natural**2 / (natural**2 - frequency**2 + 2j * zeta * natural * frequency)
 
-    # The flanks show a pole that its own height does not.
+    # The pole is visible on the flanks of the peak, but not in its height.
     off = np.where(abs(frequency - 40.0) < 0.5, unsettled * 0.02, 2e-4)
     [curve] = curves(frequency, (peak(20.0, 0.012, 1.0) + peak(40.0, 0.05, 0.02))[None], np.full(400, 1e-5))
     modes = analysis.identify([limited(curve, {UNSETTLED: off})])

@@ -1,4 +1,4 @@
-"""Recordings are compared where their responses are the same ones, and refused in words where they are not."""
+"""Recordings are compared if they have the same responses; otherwise the error states the difference."""
 
 from __future__ import annotations
 

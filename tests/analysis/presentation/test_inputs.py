@@ -1,4 +1,4 @@
-"""Recordings driven at different bodies, of different bands, and given twice: named, not mixed."""
+"""Recordings with different driven bodies or bands, and repeated files, are reported and not mixed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Recordings that cannot be analysed, tried from the command line: what is said, and the exit code."""
+"""Command-line errors for recordings that cannot be analyzed: message and exit code."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def overloads(last):
     return [("overload", 0, last, {"channel": info.name}) for info in synthetic.channels()[:3]]
 
 
-# Name, test, channels, samples, marks, command, what must be said.
+# Name, test, channels, samples, marks, command, required part of the message.
 CASES = [
     ("silent", None, 4, np.zeros(2560), [tone(2559)], "frf", "force on the structure is zero throughout"),
     ("window", None, 4, np.ones(60), [tone(59)], "frf", "less than a period of its tone"),

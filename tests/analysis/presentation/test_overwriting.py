@@ -1,4 +1,4 @@
-"""No command replaces a file that it did not write, and each can be typed twice."""
+"""No command replaces a file that it did not write, and each command can be repeated."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tables hold any text that a file says of itself, as text."""
+"""Tables show any text of a recording unchanged."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The report page: its answer, its parts, and how a browser draws it."""
+"""The report page: summary, sections, and rendering in a browser."""
 
 from __future__ import annotations
 

@@ -37,7 +37,7 @@ from rig.workers import Workers
 
 
 def made(setting: Setting) -> dict[str, str]:
-    """Make a row in which grains of seed 1 are 2 % and of seed 2 are 4 % off the mass."""
+    """Make a row in which grains differ from the mass by 2 % (seed 1) and 4 % (seed 2)."""
     row = {
         "frequency_hz": repr(setting.frequency),
         "level": repr(setting.level),
@@ -50,7 +50,7 @@ def made(setting: Setting) -> dict[str, str]:
 
 
 class BackToFront(Workers):
-    """Workers of which the last piece is done first, in this process."""
+    """Workers in this process that complete the last part first."""
 
     def _start(self) -> Executor:
         return None
@@ -61,7 +61,7 @@ class BackToFront(Workers):
 
 @pytest.fixture
 def done(monkeypatch: pytest.MonkeyPatch) -> list[Setting]:
-    """Settings that were followed; what they give is made up."""
+    """Settings that were continued; their results are synthetic."""
     followed: list[Setting] = []
     monkeypatch.setattr("rig.study.Workers", BackToFront)
     monkeypatch.setattr(bed_study, "compared", lambda setting: followed.append(setting) or made(setting))
@@ -169,7 +169,7 @@ def test_other_resonances_are_drawn_for_each_setting() -> None:
 
 
 def test_flying_mass_damps_its_body() -> None:
-    """A body ten times as heavy, driven at its peak by the force that the compliance names, moves as computed."""
+    """A body ten times as heavy, driven at its peak by the force from the compliance, moves as computed."""
     scene = scene_of_bed(Setting(2.2, np.inf, 2, 1))
     shaken = summary_row(scene, steady_mass(scene, FREQUENCY))
 

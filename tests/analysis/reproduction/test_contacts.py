@@ -1,4 +1,4 @@
-"""One mass on contacts that last: the measures of the table, and the contact that stands for a bed."""
+"""One mass with finite-duration contact: measures of the table, and the contact that is equivalent to a bed."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_fit_recovers_a_finite_contact() -> None:
 
 
 def test_short_stiff_contact_equals_instant_landing() -> None:
-    """At 4.5 g below 0.3 mm the motion repeats itself and is told at once to a few per cent."""
+    """At 4.5 g below 0.3 mm the motion is periodic, and is computed quickly to a few per cent."""
     contact = Contact(4.5, 3e-4, 0.0, 1e-4)
     row = followed(contact)
 
@@ -68,7 +68,7 @@ def test_kept_table_is_ordered_and_reproducible() -> None:
 def test_mass_compliance_follows_from_energy() -> None:
     beds = at_shaking_frequency(bed_study.table())
 
-    # The table rounds both, and takes the body's own acceleration.
+    # The table rounds both values and uses the acceleration of the body.
     assert compliance_at_peak(beds["level"], beds["mass_energy"]) == pytest.approx(
         beds["mass_compliance"], rel=0.01
     )

@@ -1,4 +1,4 @@
-"""The reproduction of the paper: it restarts, its pieces agree with each other, and its page says what was found."""
+"""The reproduction of the paper: it can be resumed, its parts are consistent, and its page states the results."""
 
 import multiprocessing
 from pathlib import Path
@@ -121,7 +121,7 @@ def test_scan_cell_equals_direct_simulation() -> None:
         with_ideal_force(scene), [*frequencies[:2], *cell["where"][0], frequencies[2]]
     )
     size = np.abs(response.compliance[1])
-    # The peak is sought between the frequencies of the grid, so that it is the highest of all.
+    # The peak is searched between the grid frequencies, so it is at least as high as any grid value.
     assert cell["peak"][0, 0] == pytest.approx(size.max(), rel=1e-6)
     assert cell["where"][0, 0] == response.frequency[size.argmax()]
     assert cell["where"][0, 0] not in frequencies
@@ -205,7 +205,7 @@ def test_heavier_damping_lowers_the_dampers_share() -> None:
         points=12,
     )  # fmt: skip
 
-    # What is damped much already, a damper hardly helps.
+    # A damper hardly reduces a peak that is already well damped.
     assert 0.0 < found["share"][0, 0, 0, 0] < 0.8 < found["share"][1, 0, 0, 0] < 1.02
 
 

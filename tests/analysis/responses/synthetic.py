@@ -1,4 +1,4 @@
-"""Recordings whose content is known: linear motion worked out with scipy, written by the real recorder."""
+"""Recordings with known content: linear motion computed with scipy, written by the real recorder."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def write(path, scene, infos, samples, marks, rate=RATE):
 
 
 def stepped_sine(path, frequencies, periods=20, level=2.6, noise=0.0, infos=None, seed=0, name="linear"):
-    """Steady motion at each frequency in turn, as the channels would read it."""
+    """Steady motion at each frequency in turn, as channel readings."""
     infos = channels() if infos is None else infos
     where = scene(name=name)
     random = np.random.default_rng(seed)

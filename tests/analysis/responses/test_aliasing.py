@@ -1,4 +1,4 @@
-"""Images of a drive in straight lines, drawn finely, against the part of the error that bounds them."""
+"""Alias errors of a stepwise-linear drive, computed on a fine grid, against their bound."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SCENE = "{structure: {masses: [2 kg], springs: [4 kN/m]}, shaker: {kind: force, 
 
 
 def images(info, cycles):
-    """What a channel reads of a tone's images, over what it reads of the tone itself, added up."""
+    """Sum of a channel's readings of the images of a tone, relative to its reading of the tone."""
     ends = np.exp(2j * np.pi * cycles * np.arange(SAMPLES + 1) / SAMPLES)
     share = np.arange(FINE) / FINE
     drawn = np.fft.fft((ends[:-1, None] * (1 - share) + ends[1:, None] * share).ravel())
@@ -33,7 +33,7 @@ def images(info, cycles):
 
 
 def part(info, value, motion="acceleration", scene=SCENE, lower=0.0):
-    """The part of a channel that is the response, or the reference; the other is measured without images."""
+    """Share of a channel in the response or in the reference; the other is measured without images."""
     other = ChannelInfo("b", "body 1", "acceleration", 1.0, RATE, filter=FILTER)
     rec = SimpleNamespace(
         source="", channels={info.name: info, "b": other}, scene=rig.loads(scene, where="a test")
@@ -43,7 +43,7 @@ def part(info, value, motion="acceleration", scene=SCENE, lower=0.0):
 
 
 def missing(share):
-    """What is missing of a reading from which images take a share, over what is left."""
+    """Relative error of a reading that images reduce by a share."""
     return share / (1.0 - share)
 
 
@@ -96,7 +96,7 @@ def test_modes_above_band_move_driven_body():
     value = np.full(4, 0.005 + 0.002j)
     true = np.array([images(channel(), cycles) for cycles in CYCLES]) / 2.0
     for motion in MOTIONS:
-        # The same acceleration, told as that which it is integrated to.
+        # The same acceleration, integrated to velocity or displacement.
         told_as = (2.0 * np.pi * FREQUENCY) ** (2 - MOTIONS.index(motion))
         [bound] = part(channel(), value / told_as, motion).values()
         assert (bound * told_as >= true).all()
@@ -109,16 +109,16 @@ def test_table_drive_images_are_bounded(lower):
     value = np.full(4, 0.5 + 0.2j)
     [bound] = part(channel("table"), value, scene=scene, lower=lower).values()
     for column, (frequency, cycles) in enumerate(zip(FREQUENCY, CYCLES, strict=True)):
-        # Twice differentiated an image is as large as the tone: what is left is a servo of second order.
+        # After two differentiations an image is as large as the tone; only the second-order servo attenuates it.
         servo = SimpleNamespace(response=lambda f: -((2 * np.pi * f) ** 2) / (1.0 + 1j * f / 700.0) ** 2)
         share = images(servo, cycles)
-        # A response lacks more of what it should read than it reads too much of it; a reference is divided by.
+        # The relative deficit of a response exceeds its excess; the reference is in the denominator.
         true = (share if lower else missing(share)) * abs(value[column])
         assert true <= bound[column] <= 1.25 * true, frequency
 
 
 def coil_drive(frequency, mode, displacement, pull):
-    """Drive that a moving coil takes for a motion against a pull, by its equations of motion solved at once."""
+    """Drive of a moving coil for a motion against a force, from its equations of motion."""
     mass, damping, stiffness, resistance, inductance, factor = 0.3, 60.0, 9e3, 3.0, 4e-3, 12.0
     s = 2j * np.pi * frequency
     # Unknowns: current and drive. First the armature, then the coil or what feeds it.
@@ -128,7 +128,7 @@ def coil_drive(frequency, mode, displacement, pull):
     return np.linalg.solve(np.array([[factor, 0.0], source]), np.array([motion, induced]))[1]
 
 
-# The stiff one pulls at an image as much as the armature's mass does.
+# At an image, the force of the stiff spring is comparable to that of the armature mass.
 @pytest.mark.parametrize("spring", [6e3, 2e8])
 @pytest.mark.parametrize("mode", ["voltage", "current"])
 def test_coil_drive_images_are_bounded(mode, spring):
@@ -140,12 +140,12 @@ def test_coil_drive_images_are_bounded(mode, spring):
     [bound] = part(channel("table"), value, scene=scene, lower=1.0).values()
 
     def accelerated(frequency):
-        """Acceleration for a drive, while the structure stands still; at rest none."""
+        """Acceleration for a drive with the structure fixed; zero for a shaker at rest."""
         drives = [coil_drive(max(abs(f), 1e-6), mode, 1.0, spring) for f in np.ravel(frequency)]
         return -np.reshape((2 * np.pi * np.ravel(frequency)) ** 2 / drives, np.shape(frequency))
 
     for column, (frequency, cycles) in enumerate(zip(FREQUENCY, CYCLES, strict=True)):
-        # The pull on the table is its spring's, of whatever phase the structure gives it.
+        # The force on the table is that of its spring, with any phase.
         phases = np.exp(2j * np.pi * np.arange(64) / 64)
         drives = abs(np.array([coil_drive(frequency, mode, 1.0, spring * phase) for phase in phases]))
         true = images(SimpleNamespace(response=accelerated), cycles) * drives.max() / drives[0]
@@ -169,7 +169,7 @@ shaker: {kind: force, body: 2}
 
 def test_only_instant_contacts_in_body_count():
     scene = rig.loads(MASSES, where="a test")
-    # With the other body free to move, a body of 2 kg answers a newton as one of 2 - 0.5^2 / 1 kg.
+    # With the other body free, the apparent mass of a 2 kg body is 2 - 0.5^2 / 1 kg.
     assert _blows(scene, 1) == pytest.approx((0.2 + 0.1) / (2.0 - 0.25))
     assert _blows(scene, 2) == pytest.approx(0.3 / (1.0 - 0.125))
     assert _free_acceleration(scene, 1) == 0.0

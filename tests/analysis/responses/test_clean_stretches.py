@@ -1,4 +1,4 @@
-"""What is spoilt and what is clean, against a count sample by sample."""
+"""Valid and damaged stretches against a count sample by sample."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SPANS = st.tuples(st.integers(0, 30), st.integers(0, 8))
 
 @st.composite
 def recordings(draw):
-    """What a recording tells of overloads and losses, first and last sample included."""
+    """Overloads and lost samples stated in a recording, including first and last sample."""
     overloads = [
         Marker("overload", first, first + length, {"channel": draw(st.sampled_from(CHANNELS))})
         for first, length in draw(st.lists(SPANS, max_size=4))
@@ -51,7 +51,7 @@ def test_clean_stretches_exclude_overloads_and_gaps(rec, wanted, first, size):
     covered = [sample for begin, end in stretches for sample in range(begin, end)]
     assert covered == [sample for sample in range(first, stop) if sample not in spoilt]
     assert all(begin < end for begin, end in stretches)
-    # Those beside the stretch are no flaws of it.
+    # Damage outside the stretch does not count.
     assert all(flaw.first < stop and flaw.stop > first and flaw.channel in wanted for flaw in found)
     assert [flaw.first for flaw in found] == sorted(flaw.first for flaw in found)
     assert {flaw.what for flaw in found} <= {"overloaded", "lost"}

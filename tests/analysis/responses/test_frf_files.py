@@ -151,7 +151,7 @@ def test_file_without_responses_is_rejected(name, tmp_path):
         analysis.read_frfs(tmp_path / name)
 
 
-# Noise alone is no structure: its driving point may well appear reversed.
+# In pure noise, the driving-point response may appear reversed.
 @pytest.mark.filterwarnings("ignore:.*reversed channel")
 def test_block_average_agrees_with_scipy(tmp_path):
     random = np.random.default_rng(5)
@@ -176,7 +176,7 @@ def test_block_average_agrees_with_scipy(tmp_path):
                 np.testing.assert_allclose(curve.value, theirs[at], rtol=1e-9)
 
 
-# Noise alone is no structure: its driving point may well appear reversed.
+# In pure noise, the driving-point response may appear reversed.
 @pytest.mark.filterwarnings("ignore:.*reversed channel")
 def test_averaged_hits_are_quotient_of_spectra(tmp_path):
     pulse = np.sin(np.pi * np.arange(1, 9) / 9)
@@ -214,7 +214,7 @@ def test_falling_lines_are_sorted(tmp_path):
 @pytest.mark.parametrize("ending", ["uff", "csv"])
 def test_own_file_keeps_errors_and_modes(ending, tmp_path):
     value = accelerance()[:, 1:] / (2j * np.pi * FREQUENCY[1:]) ** 2
-    # As of a hammer behind AC coupling: what neighbouring lines share does not show as scatter.
+    # As for a hammer with AC coupling: a common error of neighbouring lines is not visible as scatter.
     error = 1e-4 * abs(value).max() * (1.0 + 1e3 * np.exp(-FREQUENCY[1:] / 1.5))
     error = np.where(FREQUENCY[1:] < 15.0, error, 1e-9 * abs(value).max())
     drift = value + error * np.exp(0.3j * FREQUENCY[1:])

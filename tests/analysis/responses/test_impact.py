@@ -55,7 +55,7 @@ def test_bounds_of_one_hit_hold(tmp_path):
     f = curves[0].frequency
     near = (f > 5.0) & (f < 60.0)
     for body, frf in enumerate(curves):
-        # The force between samples is a straight line, which at 60 Hz is 0.2 % less than the samples tell.
+        # The force is linear between samples, which at 60 Hz is 0.2 % less than the sampled amplitude.
         inside = abs(frf.value - exact[body]) < frf.bound(0.95) + 0.005 * abs(exact[body])
         assert np.mean(inside[near]) > 0.9
         assert np.isfinite(frf.error).all()

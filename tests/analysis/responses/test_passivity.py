@@ -1,4 +1,4 @@
-"""A reversed force is detected from the direction of energy at the driving point, and nothing else is."""
+"""A reversed force is detected from the direction of energy flow at the driving point; other faults are not."""
 
 from __future__ import annotations
 

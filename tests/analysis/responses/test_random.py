@@ -35,7 +35,7 @@ def test_bounds_hold_away_from_unresolved_peaks(random_file):
     with daq.open(random_file) as rec:
         [curves] = analysis.frequency_responses(rec, block=8.0)
         exact = receptance(rec.scene, curves[0].frequency)
-    # Where a Hann window is wider than the resonance it smears it: the curve says so by its resolution.
+    # A Hann window wider than the resonance smears it; the resolution of the curve accounts for this.
     f = curves[0].frequency
     away = np.all([abs(f - peak) > 2.0 for peak in (13.04, 34.78, 49.66)], axis=0)
     for body, frf in enumerate(curves):

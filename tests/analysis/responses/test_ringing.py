@@ -1,4 +1,4 @@
-"""What a resonance rings on from one held tone into the next: held against its closed form, and through a recording."""
+"""Residual transient of the previous tone, against its closed form and in a recording."""
 
 from __future__ import annotations
 

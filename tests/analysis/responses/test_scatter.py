@@ -1,4 +1,4 @@
-"""Variances of weighted sums: never below zero, and moderated where few averages are behind them."""
+"""Variances of weighted sums: never negative, and moderated if there are few averages."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def complex_noise(seed, *shape):
 @pytest.mark.parametrize("seed", range(20))
 def test_variance_in_a_null_space_is_not_negative(seed):
     rows = complex_noise(seed, 2, 4, 50) * np.array([1.0, 1e3, 1e-3, 1e6])[:, None]
-    # Weights at right angles to both rows.
+    # Weights orthogonal to both rows.
     weights = np.stack([np.linalg.svd(rows[:, :, n])[2][-1].conj() for n in range(50)], axis=1)
 
     variance = Scatter(rows, np.full(50, 2.0)).variance(weights)
@@ -57,7 +57,7 @@ def test_variances_that_differ_are_hardly_moderated():
 
 @pytest.mark.parametrize("seed", range(10))
 def test_coherence_of_dependent_channels_is_one(seed, tmp_path):
-    # Of two readings of one motion the spring's force is a small difference: its power is next to nothing.
+    # The spring force is a small difference of two readings of nearly the same motion: its power is almost zero.
     path = stepped_sine(tmp_path / "a.mcap", [20.0], periods=2)
     motion = complex_noise(seed, 40)
     reads = np.array([1.0, 0.3, 0.2, 1.0 + 1e-7])

@@ -1,4 +1,4 @@
-"""How long sensors settle at the beginning of a test."""
+"""Settling time of sensors at the beginning of a test."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ RATE, SECONDS, LOWEST = 200.0, 60.0, 5.0
 
 
 def recording(size, time_constant, seed=1):
-    """A channel whose bias decays beside a random motion."""
+    """A channel with a decaying bias and a random motion."""
     random = np.random.default_rng(seed)
     time = np.arange(int(SECONDS * RATE)) / RATE
     samples = random.standard_normal(time.size) + size * np.exp(-time / time_constant)
@@ -69,7 +69,7 @@ def test_drive_below_noise_keeps_bounds(options, tmp_path):
 
 
 def multisine_beside_a_settling_bias(path, multisine: str, converter: str, seed: int = 1):
-    """Curve of one body whose accelerometer's bias settles during the test, and how far it is off."""
+    """Curve of one body whose accelerometer bias settles during the test, and its relative error."""
     scene = rig.loads(f"""
 structure: {{masses: [2 kg], springs: [200 kN/m], damping: {{modal: 2 %}}}}
 shaker: {{kind: force, body: 1}}

@@ -1,4 +1,4 @@
-"""What is left of transients in averages of periods, told from the noise in them."""
+"""Transients and noise are distinguished in averages of periods."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def test_noise_alone_has_no_transient(seed):
 def test_transient_remainder_bounds_the_mean(
     decays,
 ):
-    # A mode that decays by so much in a period, between two lines; its transient is sharp or broad over the lines.
+    # A mode between two lines with this decay in a period; its transient covers few or many lines.
     pole = (-decays + 2j * np.pi * 60.3) / (2j * np.pi)
     first = 40.0 / (np.arange(LINES) - pole)
     transient = first * np.exp(2j * np.pi * pole * np.arange(PARTS))[:, None, None]

@@ -126,7 +126,7 @@ def test_overloaded_and_unsettled_points_warn(tmp_path):
         ("measure", 0, 1279, fields | {"frequency": 20.0}),
         ("measure", 1280, 2559, fields | {"frequency": 30.0}),
         ("overload", 100, 120, {"channel": "body3"}),
-        # Of no concern to the response asked for.
+        # Irrelevant to the requested response.
         ("overload", 1300, 1310, {"channel": "body2"}),
     ]
     samples = np.random.default_rng(0).standard_normal((4, 2560))

@@ -1,4 +1,4 @@
-"""A tone that passes while dampers fly: slow enough, or said to be too fast."""
+"""Sweeps with dampers in flight: the sweep is slow enough, or a warning states that it is too fast."""
 
 from __future__ import annotations
 

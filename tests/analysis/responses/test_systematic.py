@@ -1,4 +1,4 @@
-"""Systematic parts of a response's error, held against the worst that what they bound can do."""
+"""Systematic errors of a response against the largest error that the bounded effects can cause."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def channel(name="a1", at="body 1", **sheet):
 
 
 def recording(*channels, converter="rate: 5120 Hz"):
-    """What the parts ask of a recording."""
+    """The attributes of a recording that the error contributions use."""
     scene = rig.loads(SCENE % converter, where="a test")
     return SimpleNamespace(channels={info.name: info for info in channels}, scene=scene)
 
@@ -92,7 +92,7 @@ def test_bound_of_one_sensor_is_reached():
         return only(sensitivity_part(rec, "ab", value, value * upper, lower))
 
     assert bound(first, second) == pytest.approx(abs(value / 0.8 - value))
-    # A reference that reads a fifth too much is a fifth of the quotient too large; four times itself it is nothing.
+    # If the reference may read 20 % too much, the quotient may be 20 % larger; at 100 % it is unbounded.
     assert bound(second, first) == pytest.approx(abs(value) * 0.2)
     assert bound(second, 4.0 * first - 3.0 * second) == pytest.approx(abs(value) * 2.0)
     assert bound(second, 6.0 * first - 5.0 * second) == np.inf
@@ -111,7 +111,7 @@ def test_smaller_reference_adds_both_bounds():
     both = np.hypot(first, only(doubtful_reference_part(first, doubt)))
     assert both[:4] == pytest.approx(first[:4] / (1.0 - doubt[:4]))
     assert (both[4:] == np.inf).all()
-    # Where nothing bounds the response, a reference beyond doubt adds nothing.
+    # If the response is unbounded, an exact reference adds no error.
     assert only(doubtful_reference_part(np.array([np.inf]), np.array([0.0]))) == 0.0
 
 
@@ -148,7 +148,7 @@ def test_every_rounded_channel_adds_its_share():
     part = only(rounding_part(np.array([[0.1], [0.02]]), value, upper, lower))
     assert part == pytest.approx([2.0 * (0.1 + 0.02)])
     assert rounding_part(np.zeros((2, 1)), value, upper, lower) == {}
-    # What reads nothing bounds nothing, even where it has no share.
+    # A zero reading has no bound, even if its share is zero.
     assert only(rounding_part(np.array([[np.inf], [0.0]]), value, 0 * upper, 0 * lower)) == np.inf
 
 
@@ -164,7 +164,7 @@ def test_clock_error_shifts_and_scales_curve(motion, more):
         return clock_part(rec, ["a1", "f"], frequency[:points], v, v * share, share[::-1] + 0 * v, motion)
 
     assert only(part(4)) == pytest.approx(abs(value) * 50e-6 * (1 + more))
-    # Two lines may lie on a peak's flank: what is told of them is more than their difference shows.
+    # Two lines may lie on the flank of a peak: their bound is larger than their difference suggests.
     assert (only(part(2)) > 2.0 * only(part(4))[:2]).all()
     assert part(4, "rate: 5120 Hz") == {}
 
@@ -201,7 +201,7 @@ def test_shifted_peak_lies_in_clock_part(ppm):
     told = only(clock_part(rec, "ab", frequency, *shares, "displacement"))[1:-1]
     ends = [abs(curve(frequency * (1.0 + sign * ppm * 1e-6)) - value)[1:-1] for sign in (1.0, -1.0)]
     ratio = told / np.maximum(*ends)
-    # On its flanks the steeper chord is more than the slope.
+    # On the flanks the steeper chord exceeds the slope.
     assert 1.0 - 1e-6 < ratio.min() < ratio.max() < 1.6
 
 

@@ -35,7 +35,7 @@ def test_jitter_contribution_holds_its_effect(repeats, tmp_path):
     others = frf.without(JITTER)
     assert np.mean(wrong <= others.bound()) < 0.8
     assert np.mean(wrong <= frf.bound()) > 0.9
-    # Two standard deviations, and no more.
+    # At most two standard deviations.
     far = wrong > others.bound()
     assert 0.3 < np.sqrt(np.mean((wrong / frf.limits[JITTER])[far] ** 2)) < 0.9
 

@@ -1,4 +1,4 @@
-"""The local rational fit on spectra that are rational, noisy or neither, made without it."""
+"""The local rational method on rational, noisy and other spectra that are computed independently."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ def gaussian(random, *shape):
 
 
 def resonance(width):
-    """A quotient of a line and a parabola, with a peak of 1 in the middle."""
+    """Ratio of a linear and a quadratic polynomial, with a peak of 1 in the middle."""
     return (1.0 + 2e-3 * at) * width**2 / ((at - 0.5j * width) ** 2 - width**2) / (-0.8)
 
 
 def quotient_of_what_ends_add(random, stretches, width):
-    """What a stretch's end adds to its spectrum: a parabola over the same denominator."""
+    """Transient (leakage) term of a spectrum: a quadratic polynomial over the same denominator."""
     powers = (at / 100.0) ** np.arange(3)[:, None]
     return gaussian(random, stretches, 3) @ powers / ((at - 0.5j * width) ** 2 - width**2) * width**2
 
@@ -75,7 +75,7 @@ def test_noise_scatters_as_stated(side, noise):
     # The mean of 1 / (chi^2 / degrees) is degrees / (degrees - 2).
     free = np.median(degrees)
     assert np.mean(ratios) == pytest.approx(free / (free - 2.0), rel=0.15)
-    # Two for every equation, less the unknowns: three of the response, and of each stretch's end; no denominator.
+    # Two for each equation, minus the unknowns: three for the response and for each transient (no denominator).
     assert free == 2 * (stretches * (2 * side + 1) - 3 - 3 * stretches)
     assert np.mean(coherences) == pytest.approx(4.0 / (4.0 + noise**2), abs=0.01)
 
@@ -90,7 +90,7 @@ def test_reference_noise_scatters_at_narrow_peak():
         fit = local_fit(reading, read, np.zeros((1, BINS)), middle, 12)
         off.append([abs(fit.value[0] - 1.0) ** 2 / 2.0, fit.variance[0], noise**2 * fit.through[0]])
     seen, left_over, stated = np.median(off, axis=0)
-    # The median of half the square is ln 2 of its mean. Poles follow the noise: what is left over knows little of it.
+    # The median of half the square is ln 2 of its mean. Poles fit the noise, so that the residual underestimates it.
     assert stated * np.log(2.0) == pytest.approx(seen, rel=0.5)
     assert left_over < 0.5 * stated
 
@@ -151,7 +151,7 @@ def test_leading_zeros_reduce_weights():
 
 def test_model_error_of_sharp_curve_is_stated():
     random = np.random.default_rng(11)
-    # Three peaks within a fit's reach are more than a denominator of second order.
+    # A denominator of second order cannot represent three peaks in one fit.
     truth = sum(5.0 / (1j * (at - place) + 1.0) for place in (-6.0, 0.0, 6.0))
     force = gaussian(random, 6, BINS)
     reading = Reading(truth * force, np.ones(BINS), np.zeros((0, BINS)))
@@ -193,7 +193,7 @@ def test_bent_reference_keeps_only_its_noise():
         reading = Reading(2.0 * smooth * (1.0 + 0j), np.ones(BINS), np.zeros((0, BINS)))
         fit = local_fit(reading, read, ends, np.arange(100, 300, 10), 12)
         assert np.median(fit.apart) < 2.0 * noise**2
-        # Noise that is all of what stands apart takes the response away, and no coherence tells.
+        # If only noise distinguishes the reference from a smooth curve, the estimate tends to zero unnoticed.
         assert np.median(abs(fit.value)) < 0.2
     plain = gaussian(random, 1, BINS)
     reading = Reading(2.0 * plain, np.ones(BINS), np.zeros((0, BINS)))

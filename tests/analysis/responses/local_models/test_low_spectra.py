@@ -1,4 +1,4 @@
-"""Spectra of which only the lowest bins are wanted."""
+"""Spectra restricted to the lowest bins."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from analysis.responses.local_models.low_spectra import low_spectra
 
 
 def recording_of(samples: NDArray[np.float64]) -> Any:
-    """Give a recording of channels a and b."""
+    """Return a recording of channels a and b."""
     return SimpleNamespace(read=lambda name, start, stop: samples["ab".index(name), start:stop])
 
 

@@ -1,4 +1,4 @@
-"""NI's client on a rig in this process, for tests that were written as scripts are."""
+"""NI's client connected to a rig in this process."""
 
 import nidaqmx
 import pytest
@@ -13,7 +13,7 @@ reads_waveforms = pytest.mark.skipif(
 
 
 def connect(scene, clock="fast"):
-    """Put an instrument in front of a scene, in place of the one before; give its chassis."""
+    """Connect an instrument to a scene, in place of the previous one, and return its chassis."""
     while _connected:
         _connected.pop().close()
     _connected.append(daq.connect(scene, clock=clock))
@@ -21,7 +21,7 @@ def connect(scene, clock="fast"):
 
 
 def options():
-    """Give the session options of the rig that is connected."""
+    """Return the session options of the connected rig."""
     return _connected[0]
 
 
@@ -33,5 +33,5 @@ class Task(nidaqmx.Task):
 
 
 def pass_samples(chassis, samples, rate=5120.0):
-    """Let the bench move on by so many samples at a rate."""
+    """Advance the bench by a number of samples at a rate."""
     chassis.advance(round(samples * chassis.rate / rate))

@@ -1,4 +1,4 @@
-"""Options that could change nothing are refused before any work."""
+"""Options without effect are rejected before any work."""
 
 from __future__ import annotations
 

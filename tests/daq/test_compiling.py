@@ -1,4 +1,4 @@
-"""What is warmed up needs no compiling afterwards."""
+"""After the warm-up, no function needs compilation."""
 
 from __future__ import annotations
 

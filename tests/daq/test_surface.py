@@ -1,4 +1,4 @@
-"""The commands of `daq` as calls of Python."""
+"""The `daq` commands as Python calls."""
 
 from __future__ import annotations
 

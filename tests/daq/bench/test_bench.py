@@ -1,4 +1,4 @@
-"""The bench: one sample clock, and samples that do not depend on how they are asked for."""
+"""The bench: one sample clock, and samples that do not depend on the order of requests."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def test_counts_read_as_physical_units() -> None:
     body = [channel.at for channel in bench.channels].index("body 1")
     truth = block.motion.displacement[0]
     assert bench.channels[body].unit == "m"
-    # The amplifier's 1 Hz corner turns the phase a little; the size is right.
+    # The amplifier's 1 Hz corner changes the phase slightly, but not the amplitude.
     assert np.abs(readings[body]).max() == pytest.approx(np.abs(truth).max(), rel=0.05)
 
 

@@ -1,4 +1,4 @@
-"""Several rates on one bench: each task sees what it would see alone, in whatever order they start."""
+"""Several sample rates on one bench: each task reads the same samples as it would alone."""
 
 import nidaqmx
 import numpy as np
@@ -23,7 +23,7 @@ channels:
 converter: CONVERTER
 """
 CONVERTERS = ["{rate: 5120 Hz}", "{preset: NI 9234, rate: 5120 Hz}", "{preset: USB-4431, rate: 44.1 kHz}"]
-# They divide the ticks of the first two; those of the third divide into none of them.
+# These rates divide the tick rates of the first two converters, but not that of the third.
 RATES = [51200.0, 12800.0, 51200.0 / 7, 2048.0]
 
 
@@ -73,7 +73,7 @@ def test_rate_is_as_if_alone(converter, rate):
     line = np.interp(at, np.arange(ticks), drive(source, 0, ticks)[0])
     expected = alone.acquire(line[None]).samples
     scale = np.abs(expected).max(axis=1, keepdims=True).astype(float)
-    # The drive between samples is another by (pi f / rate)^2 / 2.
+    # The drive between samples differs by (pi f / rate)^2 / 2.
     np.testing.assert_allclose(found / scale, expected / scale, rtol=0, atol=3e-3 if rate < 1e4 else 3e-4)
 
 
@@ -88,7 +88,7 @@ def test_late_rate_has_settled_filters():
     # Each sample is the average of the drive over the interval that ends there.
     line = drive(source, late.first - 1, late.samples.shape[1] + 1)[0]
     np.testing.assert_allclose(late.samples[2], (line[1:] + line[:-1]) / 2, rtol=0, atol=1e-9)
-    # An integrator that had been switched on just now would be off by much more than it swings.
+    # The offset of an integrator that was just switched on would be much larger than its vibration.
     assert abs(late.samples[1].mean()) < 0.2 * np.ptp(late.samples[1])
 
 

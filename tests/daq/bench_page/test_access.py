@@ -1,4 +1,4 @@
-"""The page is shown to those who have its token."""
+"""The bench page requires its token."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tests of the page on a bench whose time passes on request: played, shown, recorded."""
+"""The bench page with a clock that advances on request: signal output, display and recording."""
 
 from __future__ import annotations
 

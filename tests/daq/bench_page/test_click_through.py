@@ -1,4 +1,4 @@
-"""A person at the page: starts a sweep, sees the resonance, records, and analyses the recording."""
+"""A user session on the page: start a sweep, observe the resonance, record, analyze."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Hits are detected in the force, and judged at the end of their windows."""
+"""Hits are detected in the force and assessed at the end of their windows."""
 
 from __future__ import annotations
 

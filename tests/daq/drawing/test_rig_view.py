@@ -1,4 +1,4 @@
-"""The drawing of the rig: parts meet where they should, whatever the scene and the motion."""
+"""The drawing of the rig: parts stay connected for any scene and motion."""
 
 from __future__ import annotations
 

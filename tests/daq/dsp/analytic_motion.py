@@ -1,4 +1,4 @@
-"""Motions known in closed form, as `rig.simulation.motion.Motion`, and scenes with one channel to measure them."""
+"""Motions in closed form, as `rig.simulation.motion.Motion`, and scenes with one channel to measure them."""
 
 from dataclasses import dataclass, replace
 
@@ -37,7 +37,7 @@ class Path:
 
 
 def motion_of(paths, rate, count, first=0):
-    """Give samples first ... first+count-1 of several points; an impact of one is a break of all."""
+    """Return samples first ... first+count-1 of several points; an impact at one point is a break for all."""
     t = np.arange(first, first + count) / rate
     times = np.array(sorted({instant for path in paths for instant, _ in path.impacts}))
     ticks = np.ceil(times * rate - 1e-9).astype(np.int64)
@@ -63,7 +63,7 @@ def motion_of(paths, rate, count, first=0):
 
 
 def cut(motion, first, stop):
-    """Give part of a motion as a block of its own."""
+    """Return part of a motion as a separate block."""
     breaks = (motion.break_sample >= first) & (motion.break_sample < stop)
     columns = slice(first - motion.first, stop - motion.first)
     return replace(
@@ -93,7 +93,7 @@ def scene_of(*channels, converter="{rate: 5120 Hz}", bodies=1, more=""):
 
 
 def chain_of(scene, oversampling=1):
-    """Make the chain of a scene, and the rate of its motion."""
+    """Make the signal chain of a scene, and return it with the rate of its motion."""
     from daq.signal_chain.converter import SampleClock
 
     rate = SampleClock.of(scene.converter).true_rate * oversampling
@@ -101,5 +101,5 @@ def chain_of(scene, oversampling=1):
 
 
 def at_rest(bodies, rate, count, first=0):
-    """Give a motion in which nothing moves."""
+    """Return a motion at rest."""
     return motion_of([Path()] * bodies, rate, count, first)

@@ -1,4 +1,4 @@
-"""Circuits in series against products of transfer functions as the field writes them."""
+"""Circuits in series against products of textbook transfer functions."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_series_circuit_passes_an_entry():
 
 def test_zero_shift_fades_with_its_time_constant():
     section = recovery(0.1)
-    # Driven by the overload alone; its state lowers what is read and halves in 0.1 ln 2 seconds.
+    # Driven by the overload alone; its state lowers the reading and halves in 0.1 ln 2 seconds.
     assert not section.b.any()
     assert section.c.tolist() == [-1.0]
     assert np.exp(section.a[0, 0] * 0.1 * np.log(2.0)) == pytest.approx(0.5)

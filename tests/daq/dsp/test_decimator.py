@@ -1,4 +1,4 @@
-"""The decimator against the sum it stands for, written out; its filter against the integral of the kernel."""
+"""The decimator against an explicit sum; its filter against the integral of the kernel."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_weighed_polynomial_is_the_integral(
     low_pass = Decimation.standard(1000.0)
     taps = low_pass.taps(oversampling)
     assert taps.shape == (oversampling, MOMENTS, 2 * DELAY)
-    # Constants come through as they are, and as late as is said: t is read at t - 38 samples.
+    # Constants are unchanged, and the delay is as stated: t is read as t - 38 samples.
     assert taps[:, 0].sum() == pytest.approx(1.0, rel=1e-12)
     interval = np.arange(2 * DELAY * oversampling).reshape(2 * DELAY, oversampling).T
     middle = -(interval + 0.5) / oversampling

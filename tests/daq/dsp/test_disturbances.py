@@ -1,4 +1,4 @@
-"""Disturbances over the intervals of a sample, and noise over its spectrum, against what they are said to be."""
+"""Disturbances within a sample interval, and noise spectra, against their specification."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from daq.dsp.noise import LOWEST, FastNoise, Noise, generator, shape
 
 
 class Given:
-    """What is drawn, known beforehand."""
+    """Known values in place of random numbers."""
 
     def __init__(self, values):
         self._values, self._place = values, 0

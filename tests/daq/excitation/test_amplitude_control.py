@@ -1,4 +1,4 @@
-"""Control of the force amplitude: convergence, caution, and what it does where the force jumps."""
+"""Control of the force amplitude: convergence, stability, and response to force jumps."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ LEVEL = 2.6
 
 
 def approach(force: Callable[[float], float], drive: float, steps: int = 30) -> list[float]:
-    """Drives until the level is held."""
+    """Number of drives until the level is reached."""
     control = AmplitudeControl(LEVEL)
     drives = [drive]
     while len(drives) < steps and not control.holds(force(drives[-1])):

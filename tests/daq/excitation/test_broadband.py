@@ -20,7 +20,7 @@ def force_in_time(done: BenchRun, first: int, stop: int) -> np.ndarray:
     frequencies = np.fft.rfftfreq(stop - first, 1.0 / done.bench.rate)[1:]
     spectrum = np.fft.rfft(done.readings[:, first:stop], axis=1)[:, 1:]
     weights = np.array([done.weights(frequency) for frequency in frequencies]).T
-    # Below the band there is only what the window cuts off, blown up by the double integration.
+    # Below the band there is only leakage, amplified by the double integration.
     total = np.where(frequencies > 5.0, np.sum(weights * spectrum, axis=0), 0.0)
     return np.fft.irfft(np.concatenate([[0.0], total]), stop - first)
 
@@ -181,7 +181,7 @@ def test_released_mode_decays_freely() -> None:
     assert not done.drive.any()
     acceleration = done.readings[2]
     ratio = np.abs(acceleration[-5120:]).max() / np.abs(acceleration[:5120]).max()
-    # The table is held, so that the spring is part of what swings.
+    # The table is fixed, so that the spring belongs to the vibrating system.
     assert 0.3 < ratio < 0.6
 
 

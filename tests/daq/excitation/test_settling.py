@@ -1,4 +1,4 @@
-"""Judging a steady state: transients that decay, beat, or drown in noise."""
+"""Detection of steady state: transients that decay, beat, or are below the noise."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def test_settled_transient_is_below_tolerance(constant: float, beat: float, shar
 
     look, _ = judged(lambda look: 1.0 + left(look))
     assert abs(left(look)) < 1.2 * TOLERANCE
-    # It does not wait for much longer than that either.
+    # The wait is not much longer than necessary.
     needed = constant * np.log(max(share / TOLERANCE, 1.0)) / LOOK
     assert look <= needed + 0.3 * constant / LOOK + 12
 

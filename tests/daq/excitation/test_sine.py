@@ -19,7 +19,7 @@ FREQUENCIES = [10.0, 13.037, 13.811, 25.0, 28.6, 34.777, 43.6, 49.663, 57.9]
 
 
 def compliance(done: BenchRun) -> tuple[np.ndarray, np.ndarray]:
-    """Frequencies and compliance of all bodies from the measured windows, and what they should be."""
+    """Frequencies, measured compliance and exact compliance of all bodies."""
     columns = []
     frequencies = np.array([fields["frequency"] for _, _, fields in done.marked("measure")])
     for first, stop, fields in done.marked("measure"):
@@ -49,7 +49,7 @@ def test_stepped_drive_never_jumps() -> None:
     done = run(scene_with({"kind": "stepped_sine", "frequencies": [20.0, 21.0, 40.0], "force": "2.6 N"}))
     drive = done.drive[0]
     largest = np.abs(drive).max()
-    # A tone of 40 Hz bends by (2 pi f / rate)^2 of its amplitude per sample; a jump would stand out.
+    # The second difference of a 40 Hz tone is (2 pi f / rate)^2 of its amplitude; a jump would exceed it.
     assert np.abs(np.diff(drive, 2)).max() < 1.3 * (2 * np.pi * 40.0 / 5120.0) ** 2 * largest
     assert drive[0] == 0.0
     assert abs(drive[-1]) < 1e-4 * largest

@@ -1,4 +1,4 @@
-"""How well a sweep holds its force, by a lock-in of its own on what the channels read."""
+"""Force control during a sweep, measured by an independent lock-in on the channels."""
 
 from __future__ import annotations
 

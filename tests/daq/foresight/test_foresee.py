@@ -1,4 +1,4 @@
-"""What is foreseen of a test: maxima against closed form and recordings, limits, levels that fit, flights, noise."""
+"""Prediction of a test: maxima against closed form and recordings, limits, suitable levels, flights, noise."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`daq record` states what a test will do, and does not start one that will abort."""
+"""`daq record` reports the predicted test, and rejects a test that would abort."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The same time histories in every format, written by the packages that others write them with."""
+"""The same time histories in every format, written by the usual packages."""
 
 from __future__ import annotations
 

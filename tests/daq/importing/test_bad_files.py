@@ -1,4 +1,4 @@
-"""Damaged and odd files of every format: each ends in words, leaves no recording behind, and no file changed."""
+"""Damaged and unusual files of every format: an error message, no recording, no changed file."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from tests.daq.importing.files import NAMES, RATE, WRITERS, bench, histories, uf
 from tests.daq.recording.recordings import signal, write
 
 pytestmark = [
-    # Readers of other packages leave files open, and warn, where they meet damage.
+    # Readers of other packages leave damaged files open and warn.
     pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning"),
     pytest.mark.filterwarnings("ignore"),
 ]
@@ -42,7 +42,7 @@ WAV, DATA = b"RIFF\x40\0\0\0WAVEfmt \x10\0\0\0", b"data\4\0\0\0abcd"
 
 
 def npy(shape: str, descr: str = "'<f8'") -> bytes:
-    """Give a header of numpy's, and some numbers."""
+    """Return a numpy header and some numbers."""
     header = f"{{'descr': {descr}, 'fortran_order': False, 'shape': {shape}, }}\n".encode()
     return b"\x93NUMPY\1\0" + struct.pack("<H", len(header)) + header + bytes(800)
 
@@ -129,7 +129,7 @@ def test_cut_file_is_rejected_or_partly_imported(form, part, tmp_path):
         count = recording.samples
         read = recording.read("force")
         known = np.isfinite(read)
-        # A line of text may end within its last number, which nobody can know.
+        # A line of text may end inside its last number, which is undetectable.
         np.testing.assert_allclose(read[known][:-1], rows[2, :count][known][:-1], rtol=1e-5, atol=1e-6)
 
 
@@ -141,7 +141,7 @@ def test_wrong_bytes_end_in_words_or_samples(form, tmp_path):
     random = np.random.default_rng(len(form))
     for number in range(8):
         wrong = bytearray(data)
-        # Most of what matters stands at the beginning.
+        # Most of the metadata is at the beginning.
         reach = len(wrong) if number % 2 else min(len(wrong), 600)
         for at in random.integers(0, reach, 1 + number):
             wrong[at] = random.integers(256)

@@ -44,7 +44,7 @@ def test_foreign_file_gives_its_samples_and_rate(form, tmp_path):
             read, rows * IN_SI, rtol=0, atol=max(error, 1e-15) * abs(rows * IN_SI).max()
         )
         assert [marker.kind for marker in recording.markers] == ["measure"]
-        # By which nobody takes its drive and its converter for the virtual rig's.
+        # So that its drive and converter are not mistaken for those of the virtual rig.
         assert recording.source == f"a{ending}"
         assert recording.markers[0].fields == {"from": 5.0, "to": 400.0}
         assert recording.scene.channels == bench().channels and recording.scene.converter.rate == RATE
@@ -396,7 +396,7 @@ def test_import_command_lists_imports_and_never_overwrites(tmp_path, monkeypatch
     Path("user.mcap").write_bytes(b"mine")
     refused = CliRunner().invoke(app, [*words, "-o", "user.mcap"])
     assert isinstance(refused.exception, RecordingError) and "exists" in str(refused.exception)
-    # What is missing is said first.
+    # Missing data is reported first.
     no_scene = CliRunner().invoke(app, ["import", "a.csv", "--scene", "nope.yaml"])
     assert "nope.yaml" in str(no_scene.exception) and "exists" not in str(no_scene.exception)
     no_file = CliRunner().invoke(app, ["import", "b.csv", "--scene", "bench.yaml", "-o", "a.mcap"])

@@ -77,7 +77,7 @@ def test_steps_up_and_down_are_two_sweeps(tmp_path):
     recording, _ = imported(tmp_path / "a.npz", scene, tmp_path / "r.mcap")
     with recording:
         found = [(round(mark.fields["frequency"], 3), mark.fields["direction"]) for mark in marks(recording)]
-    # The highest is held on, so that it is one step.
+    # The highest frequency is held longer, so that it is a single step.
     assert found == [(20.0, "up"), (25.0, "up"), (31.0, "up"), (25.0, "down"), (20.0, "down")]
 
 

@@ -1,4 +1,4 @@
-"""Rows that a file lacks become lost samples in their places; a last line that is cut off is left out."""
+"""Missing rows of a file become lost samples; an incomplete last line is ignored."""
 
 from __future__ import annotations
 

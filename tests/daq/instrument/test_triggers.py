@@ -1,4 +1,4 @@
-"""What the triggers are said to do, sample by sample, and what they find."""
+"""Triggers against their specification, sample by sample."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ LEVELS = st.integers(-4, 4).map(float)
 
 
 def watched(samples, skip, beyond, arms):
-    """Watch the samples one by one: the first beyond after one that arms."""
+    """Check sample by sample: the first sample beyond the level after an arming sample."""
     armed = False
     for i, x in enumerate(samples):
         if beyond(x):
@@ -41,7 +41,7 @@ def watched(samples, skip, beyond, arms):
 
 
 def found(condition, samples, skip, cuts):
-    """Index in the whole signal of what a finder finds in its parts."""
+    """Index in the whole signal of the trigger that is detected in its parts."""
     ((_, finder),) = AnalogSource(((0, condition),)).finders()
     start = 0
     for part in np.split(np.array(samples), cuts):

@@ -1,4 +1,4 @@
-"""What a task says of its inputs reaches the bench: supply, coupling, data sheets; devices are those of the scene."""
+"""Input settings of a task reach the bench: supply, coupling, data sheets; devices are those of the scene."""
 
 import numpy as np
 import pytest
@@ -29,7 +29,7 @@ def connected(module="NI 9234", text=SCENE):
 
 
 def spread(task, samples=4000):
-    """Standard deviation of what the inputs read once they have settled, V."""
+    """Standard deviation of the settled input readings, V."""
     return np.std(np.atleast_2d(task.read(samples))[:, samples // 2 :], axis=1)
 
 
@@ -59,7 +59,7 @@ def test_unfed_sensor_has_no_signal():
     connected()
     unfed = driven(ExcitationSource.NONE)
     assert fed[0] > 1e-2 and unfed[0] < 1e-3 * fed[0]
-    # The others go on as before, that without an amplifier of its own even without supply.
+    # The other inputs are unaffected; the sensor without an internal amplifier works even without supply.
     np.testing.assert_allclose(unfed[1:], fed[1:], rtol=1e-3)
 
 

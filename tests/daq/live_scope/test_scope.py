@@ -1,4 +1,4 @@
-"""A bench in an operator's hands: what is turned is what is played, held, shown and recorded."""
+"""The live scope: settings of the operator take effect in output, display and recording."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ def test_interrupted_tone_is_marked_up_to_the_ramp(tmp_path, monkeypatch):
         assert abort.kind == "abort"
         volts = recording.read("table", held.first_sample, held.last_sample + 1)
         half = len(volts) // 2
-        # A ramp in what is marked would show at its end.
+        # A ramp in the marked samples would be visible at the end.
         assert np.std(volts[half:]) == pytest.approx(np.std(volts[:half]), rel=0.05)
         ((curve,),) = frequency_responses(recording, ["body1"])
         assert curve.frequency.tolist() == [12.0]

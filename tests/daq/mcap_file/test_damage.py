@@ -1,4 +1,4 @@
-"""A file of a few hundred bytes, packed by hand and damaged at every byte: what is intact is had, nothing else is."""
+"""A small file damaged at every byte: all intact data is recovered, and no other data."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ HEAD = MAGIC + record(1, text(b"") + text(b"hand"))
 END = record(0x0F, struct.pack("<I", 0))
 RECORDS = [record(opcode, content) for opcode, content in CONTENTS]
 WHOLE = HEAD + b"".join(RECORDS) + END + record(2, bytes(20)) + MAGIC
-# Where each record begins and ends, and what it holds; nothing needs an index.
+# Begin, end and content of each record; no index is needed.
 SPANS, place = [], len(HEAD)
 for each in RECORDS:
     SPANS.append((place, place + len(each)))
@@ -72,14 +72,14 @@ for each in RECORDS:
 
 
 def held(part):
-    """What a part holds, as bytes or fields."""
+    """Content of a part, as bytes or fields."""
     content = part.content
     if isinstance(content, memoryview):
         return bytes(content)
     return getattr(content, "metadata", None) or bytes(content.data)
 
 
-# Where the length of a chunk stands: in front of it, and of what is packed in it.
+# Positions of the length fields: of a chunk, and of its packed content.
 LENGTHS = {
     first + byte
     for (opcode, content), (begin, _) in zip(CONTENTS, SPANS, strict=True)
@@ -89,7 +89,7 @@ LENGTHS = {
 }
 
 LONG = {begin: end - begin for begin, end in SPANS}
-# So many bytes of each record tell that its length is right; an attachment must be there to its end.
+# Number of bytes that confirm the length of each record; an attachment must be complete.
 TELLING = [49, 15, 20, 53, LONG[SPANS[4][0]], 52]
 TRUE = [INSIDE[0], None, checked({"seed": "1", "rate": "5120"}), INSIDE[1], b"structure: {}", INSIDE[2]]
 
@@ -168,7 +168,7 @@ def test_any_record_behind_foreign_bytes_is_found(tmp_path, kind):
 
 
 def unlike_itself():
-    """Give beginnings of records that disagree with themselves, by little."""
+    """Return slightly inconsistent beginnings of records."""
     contents = [
         *CONTENTS[:4],
         (9, attachment(b"x")[:-1] + b"\0"),
@@ -176,7 +176,7 @@ def unlike_itself():
         (0x0C, metadata({"seed": "1"})),
     ]
     for opcode, content in contents:
-        # Of a chunk, no right checksum may follow, as that would vouch for it.
+        # A chunk must not have a correct checksum, which would confirm it.
         spoilt = content[:-1] + bytes([content[-1] ^ 1]) if opcode == 6 else content
         for wrong in (-16, -1, 1, 3, 16, 256):
             if len(content) + wrong >= 0:
@@ -207,7 +207,7 @@ def test_damaged_record_is_reported_wherever_it_ends(tmp_path, kind, told):
         parts = parts_of(tmp_path / "a", HEAD + damaged + tail)
         assert (parts[0].begin, parts[0].end) == (len(HEAD), len(HEAD) + len(damaged))
         assert parts[0].reason.startswith(told)
-    # Where nothing that agrees with itself follows, its length is not to be believed.
+    # The length is rejected if no consistent record follows.
     parts = parts_of(tmp_path / "a", HEAD + damaged + bytes(9) + RECORDS[0])
     assert (parts[0].begin, parts[0].end) == (len(HEAD), len(HEAD) + len(damaged) + 9)
     assert parts[0].reason == "no record can be identified" and held(parts[1]) == TRUE[0]
@@ -280,7 +280,7 @@ def test_sound_chunk_unpacks_to_its_content(compression):
 def test_chunk_damaged_anywhere_is_rejected_or_equal(compression):
     inside = INSIDE[0]
     content = chunk(compression, inside)
-    # Nothing vouches for the times in front.
+    # The times before it are not protected by a checksum.
     for at in range(16, len(content)):
         damaged = bytearray(content)
         damaged[at] ^= 1 << at % 8

@@ -1,4 +1,4 @@
-"""`Recording.check` reports damage of any bit that means something; what it passes reads as the whole file does."""
+"""`Recording.check` reports damage of any significant bit; an accepted file reads without change."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def spans(data: bytes) -> list[tuple[int, int, int]]:
 
 
 def content(path: Path) -> list[object]:
-    """All that a reader gets from a recording."""
+    """All data that a reader gets from a recording."""
     with daq.open(path) as recording:
         samples = [recording.read(name).tolist() for name in recording.channels]
         truth = [recording.truth(kind).tolist() for kind in ("displacement", "gap", "contact")]
@@ -42,7 +42,7 @@ def content(path: Path) -> list[object]:
 
 
 def undetected(path: Path, whole: Path, places: list[int]) -> list[int]:
-    """Flip a bit of each byte in turn; give the bytes of which the check says nothing."""
+    """Flip a bit of each byte in turn; return the bytes whose damage is not reported."""
     data, passed = bytearray(whole.read_bytes()), []
     for place in places:
         data[place] ^= 1 << place % 8

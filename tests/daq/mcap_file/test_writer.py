@@ -1,4 +1,4 @@
-"""The package mcap's own writer is the oracle: what it makes of the same content has the same bytes."""
+"""Files are byte-identical to those of the mcap package's own writer."""
 
 from io import BytesIO
 

@@ -1,4 +1,4 @@
-"""Runs an excitation on a real bench without a recorder, and keeps what happened."""
+"""Run of an excitation on a real bench without a recorder, with a log of the events."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def scene_with(test: dict[str, Any], **changes: Any) -> rig.Scene:
 
 @dataclass
 class BenchRun:
-    """What a run left: drive (inputs, samples), readings (channels, samples), marks, warnings, reports."""
+    """Results of a run: drive (inputs, samples), readings (channels, samples), marks, warnings, reports."""
 
     bench: Bench
     drive: Array = field(default_factory=lambda: np.zeros((0, 0)))
@@ -43,7 +43,7 @@ class BenchRun:
         return complex(self.amplitudes(first, stop, frequency) @ self.weights(frequency))
 
     def weights(self, frequency: float) -> NDArray[np.complex128]:
-        """Weights of the channels in the spring force, found here independently of the station."""
+        """Weights of the channels in the spring force, computed independently of the product."""
         shaker = self.bench.scene.shaker
         assert shaker is not None and shaker.spring is not None
         places = [channel.at for channel in self.bench.channels]

@@ -1,4 +1,4 @@
-"""What a test takes is known before it begins, and held."""
+"""The duration and size of a test are known before it begins, and are correct."""
 
 import tracemalloc
 from pathlib import Path

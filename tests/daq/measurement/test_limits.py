@@ -1,4 +1,4 @@
-"""What ends a test whose controller has become blind."""
+"""Limits that end a test if the controller receives no valid signal."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Recording a whole test: bytes, interruptions, limits, bad scenes, and the command that does it."""
+"""Recording of a whole test: bytes, interruptions, limits, invalid scenes, and the command line."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ def test_exceeded_abort_limit_closes_recording(
     ):
         daq.record(limited(abort="20 m/s^2"), path)
     with daq.open(path) as rec:
-        # The hit comes after a quarter of a second; what runs is let finish its tenth of a second.
+        # The hit is after 0.25 s; the running block of 0.1 s is completed.
         assert 0.25 * rec.rate < rec.samples < 0.45 * rec.rate
         assert np.abs(rec.read("b1")).max() > 20.0
         abort = rec.markers[-1]
@@ -296,7 +296,7 @@ def test_file_instead_of_folder_is_reported(tmp_path: Path) -> None:
 
 
 def test_read_only_folder_is_not_called_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    # What /proc answers.
+    # Content of /proc.
     def refuse(*ignored: Any, **ignored_too: Any) -> None:
         raise FileNotFoundError(2, "No such file or directory")
 

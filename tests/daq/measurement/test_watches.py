@@ -1,4 +1,4 @@
-"""Marks of overloads and alarms, and the ends they put to a test, against a look at every sample."""
+"""Overload and alarm markers, and the abort that they cause, against a check of every sample."""
 
 from __future__ import annotations
 
@@ -140,7 +140,7 @@ def test_lasting_overload_ends_held_force(changes, rows, monkeypatch):
         if row in rows:
             assert f"input {info.name} has been overloaded since 2.00 s" in said[2]
             assert asked.pop() == (held, row, 3.5)
-            # Of several that are clipped the first is told of.
+            # If several channels are clipped, the first is reported.
             clipped[sorted(rows)] = True
             loss.watch(40, clean)
             said = [loss.watch(first, clipped) for first in (44, 52, 60)]

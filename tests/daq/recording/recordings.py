@@ -76,7 +76,7 @@ def messages(path: Path, topic: str) -> list[Message]:
 
 
 def motion(first: int, samples: int, dampers: int = 0, points: int = 4, rate: float = RATE) -> rig.Motion:
-    """A true motion that tells the sample, and impacts every 100 samples, just before a sample."""
+    """A true motion that encodes the sample number, with impacts every 100 samples, just before a sample."""
     k = np.arange(first, first + samples, dtype=float)
     rows = 1e-3 * np.sin(0.01 * k) * np.arange(1, points + 1)[:, None]
     hits = [n for n in range(first, first + samples) if n and n % 100 == 0 and dampers]

@@ -1,4 +1,4 @@
-"""A recording that is to be replaced is there, whole, until The new recording is."""
+"""An existing recording stays complete until its replacement is complete."""
 
 from __future__ import annotations
 

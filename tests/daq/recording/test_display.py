@@ -126,7 +126,7 @@ def test_parts_without_truth_keep_their_place(tmp_path):
     times, links = transforms(path)
     samples = np.rint(times * RATE)
     gap = np.array(links["damper_1"][1]) - links["damper_1"][1][0]
-    # What the anti-aliasing filter holds back comes when samples resume, long after its truth.
+    # Samples delayed by the anti-aliasing filter arrive when acquisition resumes, long after their truth.
     held = (samples > 2000 - 8 * 11) & (samples < 2000)
     assert np.count_nonzero(held) > 2
     assert gap[held] == pytest.approx(gap[np.flatnonzero(held)[0] - 1], abs=1e-12)

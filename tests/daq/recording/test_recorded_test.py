@@ -1,4 +1,4 @@
-"""The kind of a recorded test: stated in the file, or deduced from the markers where it is not."""
+"""The kind of a recorded test: stated in the file, or deduced from the markers."""
 
 from __future__ import annotations
 

@@ -65,7 +65,7 @@ def kept(path, true=TRUE):
                 listed[row, gap.first_sample : gap.last_sample + 1] |= name in gap.channels
         there = ~np.isnan(samples)
         assert np.array_equal(samples[there], true[there])
-        # What is missing before the end is listed, and nothing else is.
+        # Only data that is missing before the end is listed.
         assert np.array_equal(listed[:, : recording.samples], ~there[:, : recording.samples])
     return there
 
@@ -87,7 +87,7 @@ def test_truncated_file_keeps_every_whole_chunk(whole, tmp_path):
     data, chunks, rng = whole.read_bytes(), chunks_of(whole), random.Random(5)
     torn, fixed = tmp_path / os.fsdecode(b"torn\xff.mcap"), tmp_path / "fixed.mcap"
     first = min(begin for begin, _, topics in chunks if "/raw/body1" in topics)
-    # Behind its last record before the summary a file has nothing to lose.
+    # After the last record before the summary, a file contains no data.
     ends = data.rindex(b"crc32") + len("crc32") + 4 + 8
     refused = 0
     for _ in range(100):
@@ -120,7 +120,7 @@ def test_bit_flips_lose_one_chunk_at_most(whole, tmp_path):
         salvage = daq.recover(flipped, fixed, overwrite=True)
         there = kept(fixed)
         hit = expected_of(chunks, lambda begin, end, place=place: begin <= place < end)
-        # What the damage did not touch is there; a chunk with a damaged head may be there too.
+        # Undamaged data is recovered; a chunk with a damaged head may be recovered too.
         assert there[hit].all()
         lost = sum(stop - first for spans in salvage.lost.values() for first, stop in spans)
         assert lost == (~there).sum()

@@ -1,4 +1,4 @@
-"""What a file says of itself is checked where it is read: a hostile one ends in words, at once."""
+"""Metadata of a file is validated when it is read: a malicious file causes an error message at once."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Clients that have only what the server says of itself."""
+"""Clients that know only the server's own description."""
 
 import grpc
 import nidaqmx

@@ -1,4 +1,4 @@
-"""What scripts written for hardware rely on beyond reads and writes: the driver's habits, through its client."""
+"""Driver behaviour that scripts for hardware rely on, in addition to reads and writes."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ RATE = 5120.0
 
 
 class WallClock(ManualClock):
-    """A clock by hand that takes itself for the one on the wall."""
+    """A manual clock that presents itself as a real-time clock."""
 
     runs_free = True
 

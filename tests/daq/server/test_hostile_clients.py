@@ -111,7 +111,7 @@ def open_stream(options, task, name):
 
 
 def ask(channel, method, chance, sessions):
-    """Send one of the calls; give what the server said against it."""
+    """Send one of the calls and return the error of the server."""
     request = method.request()
     fill(request, chance, sessions)
     data = bytearray(request.SerializeToString())
@@ -138,7 +138,7 @@ def declare(channel, sessions):
 
 
 def read_beside(actions):
-    """Read a task to its end while something else is done to the server; give what it read."""
+    """Read a task to its end during other calls to the server; return the samples."""
     with (
         daq.connect(two_modules(), clock=ManualClock()) as rig,
         inputs(client(rig), samps_per_chan=2000) as witness,
@@ -154,7 +154,7 @@ def read_beside(actions):
 def test_random_calls_harm_only_their_client(capfd):
     chance, sessions, heard = random.Random(20), ["nobody"], []
     known = [each for each in methods() if not each.streams and answer_to(each.name)]
-    # What drives the shaker is meant to be seen by all.
+    # The drive of the shaker is visible to all clients by design.
     quiet = [each for each in known if "AO" not in each.name and "Write" not in each.name]
 
     def calls(channel):

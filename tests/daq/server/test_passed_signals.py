@@ -1,4 +1,4 @@
-"""Whoever ends `daq run` ends its script: no process is left, and what was logged can be read."""
+"""Ending `daq run` ends its script: no process remains, and the log is readable."""
 
 import contextlib
 import os

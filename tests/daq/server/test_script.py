@@ -68,7 +68,7 @@ def test_time_limit_sends_ctrl_c(script, capfd):
 """
     )
     assert run_script(path, scene="bare-structure", clock="fast", seconds=1.0) == 0
-    # The interrupt meets the script somewhere in the read that crosses the second.
+    # The interrupt occurs during the read that crosses the full second.
     assert capfd.readouterr().out in ("4608\n", "5120\n", "5632\n")
 
 
@@ -219,7 +219,7 @@ def test_processes_share_rig_to_the_sample(script, tmp_path, method):
     assert run_script(script(CHILDREN), [method, str(path)], "bare-structure", "fast") == 0
     drive = 1e-3 * np.arange(512) / 512
     expected = Bench(rig.load("bare-structure")).acquire(drive[None]).samples
-    # The bench looks at the rig more often than the other one does, which rounds otherwise.
+    # The bench evaluates the rig more often than the other bench, so that rounding differs.
     np.testing.assert_allclose(np.load(path), expected, rtol=0, atol=1e-12 * np.abs(expected).max())
 
 

@@ -1,4 +1,4 @@
-"""A served rig: seen live in the viewer, and open to those alone who have certificates."""
+"""A served rig: live display in the viewer, and access only with certificates."""
 
 import contextlib
 import socket

@@ -1,4 +1,4 @@
-"""The script that `daq serve` prints reads what the sensors feel, and a sensor that gets no current is told of."""
+"""The script that `daq serve` prints reads the sensors and reports a sensor without supply current."""
 
 import nidaqmx
 import numpy as np

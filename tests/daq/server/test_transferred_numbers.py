@@ -1,4 +1,4 @@
-"""Any value of a field's type in a read or a write gives the specified value or the driver's error."""
+"""Any value of a numeric field in a read or a write yields the specified value or the driver's error."""
 
 import grpc
 import nidaqmx

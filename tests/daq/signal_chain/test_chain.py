@@ -27,7 +27,7 @@ def impacts(count, duration, seed):
 
 
 def reading_over_truth(keys, rate, frequency, seconds=2.0, **converter):
-    """Complex ratio of what a channel reads of a tone to the true amplitude, and what its response says."""
+    """Complex ratio of a channel's reading to the true amplitude of a tone, and its stated response."""
     more = "".join(f", {key}: {value}" for key, value in converter.items())
     scene = scene_of(keys, converter=f"{{rate: {rate} Hz{more}}}")
     chain, _ = chain_of(scene)
@@ -88,7 +88,7 @@ def test_fast_tones_deviate_as_stated(
 def test_impact_samples_are_closed_form(order, rate):
     samples = 150
     hits = list(impacts(25, samples / rate, seed=order))
-    # Two all but together, two a millionth of a sample apart, one on a sample.
+    # Two almost simultaneous, two a millionth of a sample apart, one on a sample.
     hits[4] = (hits[3][0] + 1e-16 / rate, 0.7)
     hits[9] = (hits[8][0] + 1e-6 / rate, -0.3)
     hits[15] = (round(hits[15][0] * rate) / rate, 0.2)

@@ -1,4 +1,4 @@
-"""Channels at the drive: the voltage of an output, as a teed cable gives it."""
+"""Drive channels: the output voltage, as measured through a tee."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A force sensor between a shaker and its body: what it reads, and what is said where the force is untold."""
+"""A force sensor between shaker and body: its reading, and messages if the force is not measured."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A landing that lasts is a pulse of finite height at the accelerometer, whatever the sample rate."""
+"""A finite-duration impact is a pulse of finite height in an accelerometer at any sample rate."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SENSITIVITY = 10e-3 / 9.80665
 
 
 def landing(rate: float, limit: float) -> tuple[Bench, np.ndarray, np.ndarray, float, float]:
-    """A body, hit by a hammer, on which its damper lands 2 to 4 ms later; nothing else acts on the two.
+    """A body that is hit by a hammer, and its damper, which lands on it 2 to 4 ms later; no other forces act.
 
     Returns the bench, samples and overload of the accelerometer from the touch on, its time after the last sample
     before it, and the peak of the body's acceleration by the closed form.

@@ -13,7 +13,7 @@ SKEWED = "{rate: 1 kHz, filter: delta_sigma, skew: [0 s, 0.7 ms]}"
 
 
 def oscillator(frequency, converter, channels=1):
-    """One body that rings at one frequency for ever, let go 1 um from rest."""
+    """An undamped body that is released 1 µm from rest."""
     listed = "".join(f"\n  - {{name: c{n}, at: body 1}}" for n in range(channels))
     stiffness = (2 * np.pi * frequency) ** 2
     return rig.loads(

@@ -1,4 +1,4 @@
-"""What a sample is without a filter: a point, or an average in which no impulse is lost."""
+"""Samples without a filter: point samples, or interval averages, which include every impulse."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What limits a sensor or an amplifier limits the signal itself: the same at any sample rate, marked as overload."""
+"""Saturation of a sensor or an amplifier acts on the signal itself at any sample rate and is marked as overload."""
 
 from __future__ import annotations
 

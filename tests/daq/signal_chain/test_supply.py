@@ -1,4 +1,4 @@
-"""IEPE sensors, their supply and the coupling: dead here what is dead on the bench."""
+"""IEPE sensors, their supply and coupling: wiring errors have the same effect as on a real bench."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A replay holds what the recording holds: read back from the .rrd file by rerun's own reader."""
+"""A replay contains the data of the recording, read from the .rrd file by rerun's own reader."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The viewer is the real one: headless where there is a graphics device, a clear word where there is none."""
+"""The real viewer: headless with a graphics device, a clear message without."""
 
 from __future__ import annotations
 

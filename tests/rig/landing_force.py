@@ -1,4 +1,4 @@
-"""The largest force of a landing that lasts, in closed form."""
+"""The largest force of a finite-duration impact, in closed form."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 
 
 def peak_force(stiffness: float, damping: float, mass: float, speed: float) -> float:
-    """Largest force of a landing at a relative speed [m/s], N.
+    """Largest contact force of an impact at a relative speed [m/s], N.
 
     It comes at the angle w_d t = pi / 2 - 3 b after the touch, or right there from a damping ratio of 1/2 on.
     """

@@ -1,4 +1,4 @@
-"""Two processes as mpiexec starts them, and an object for them to share."""
+"""Two processes started by mpiexec, and an object that they share."""
 
 from __future__ import annotations
 

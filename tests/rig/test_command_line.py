@@ -1,4 +1,4 @@
-"""Whatever happens in a command, it ends in words and with its exit code."""
+"""Every error in a command ends with a message and its exit code."""
 
 from __future__ import annotations
 

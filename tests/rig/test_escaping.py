@@ -1,4 +1,4 @@
-"""Text of a file is shown wherever it goes: nothing in it is obeyed, and nothing of it is lost."""
+"""Text of a file is displayed completely and never interpreted."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def test_escaped_text_keeps_the_cursor_in_its_lines(text: str) -> None:
 
 
 class Seen(HTMLParser):
-    """What a browser takes a page for."""
+    """Page content as a browser interprets it."""
 
     def __init__(self, page: str) -> None:
         super().__init__()

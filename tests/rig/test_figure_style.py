@@ -1,4 +1,4 @@
-"""Axes of figures, whatever the numbers."""
+"""Axes of figures for extreme numbers."""
 
 from __future__ import annotations
 

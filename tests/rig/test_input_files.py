@@ -1,4 +1,4 @@
-"""Files that a person names are read whole, or refused at once."""
+"""Input files are read completely, or rejected at once."""
 
 from __future__ import annotations
 

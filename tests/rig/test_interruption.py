@@ -1,4 +1,4 @@
-"""A command that is interrupted while it is imported ends, and says nothing or a word."""
+"""A command that is interrupted during its imports ends with at most a short message."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A file that a command writes is there whole or not at all, and nothing that was to stay is lost."""
+"""An output file is written completely or not at all, and protected files stay intact."""
 
 from __future__ import annotations
 

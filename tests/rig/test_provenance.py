@@ -1,4 +1,4 @@
-"""Outputs are renewed for the same source; what others wrote or changed stays."""
+"""Outputs are renewed for the same source; files of other origin, or changed files, are not replaced."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Ranks of MPI that share objects: what all do, what the first alone does, and how they end."""
+"""MPI ranks with shared objects: collective work, work of the first rank, and termination."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The table of a study: what a kill leaves of it, what it is not, and its order."""
+"""The table of a study: recovery after a kill, rejection of foreign files, and order."""
 
 from __future__ import annotations
 

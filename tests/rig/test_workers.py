@@ -1,4 +1,4 @@
-"""Pieces of a study: all computed once, wherever they are, and nothing left behind."""
+"""Parallel parts of a study: each is computed once, on any worker, and no process remains."""
 
 from __future__ import annotations
 

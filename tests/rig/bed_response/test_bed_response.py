@@ -1,4 +1,4 @@
-"""Steady motion of beds: what must hold of it whatever the grains do, and the table that keeps it."""
+"""Steady motion of beds: properties that are independent of the grains, and the table that stores it."""
 
 from __future__ import annotations
 

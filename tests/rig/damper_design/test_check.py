@@ -1,4 +1,4 @@
-"""The scene that checks a design holds what was asked, and what is expected of it."""
+"""The scene that checks a design contains the requested values and their expected results."""
 
 from __future__ import annotations
 

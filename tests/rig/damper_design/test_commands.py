@@ -1,4 +1,4 @@
-"""The commands that a design prints run as printed, with what they need of the bench named."""
+"""The commands that a design prints can be run as printed, and name the required equipment."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The dampers that a design chooses are as good as any, do what is promised on the rig, and are found again."""
+"""Designed dampers are optimal, achieve the predicted effect on the rig, and can be reproduced."""
 
 from __future__ import annotations
 

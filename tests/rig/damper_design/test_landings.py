@@ -1,4 +1,4 @@
-"""New dampers land as those of the scene do."""
+"""New dampers have the same contact properties as those of the scene."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Accelerometers that landings overload are told before the check of a design is recorded, and no others."""
+"""The check of a design warns in advance of accelerometers that impacts would overload, and only of those."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Choices are ranked by all levels, and no lighter one that does as well is hidden."""
+"""Choices are ranked over all levels, and lighter choices with equal performance are listed."""
 
 from __future__ import annotations
 

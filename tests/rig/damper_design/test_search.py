@@ -1,4 +1,4 @@
-"""The search over choices finds the best, in any order of answers, and names one damper where one does."""
+"""The search over choices returns the best in any order of evaluation, and one damper where one suffices."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The interval of clearances that do nearly as well, and the choice among equals."""
+"""The interval of clearances with nearly optimal performance, and the choice among equals."""
 
 from __future__ import annotations
 
@@ -143,6 +143,6 @@ def test_levels_too_weak_for_flight_are_named() -> None:
 
 
 def test_mass_that_never_flies_is_rejected() -> None:
-    # At rest it detunes the structure by a little, which is no work of a damper.
+    # At rest on the floor it detunes the structure slightly, which is not a damping effect.
     trial = Trial(Choice((1,), (0.3,), (np.inf,)), (Peak(0.9e-4, 61.0, 1.0, 2, 1.0, 0.0),))
     assert idle_levels(trial, Peak(1e-4, 62.0, 1.0, 2, 1.0, 0.0), Flight(1.2, 1, 0.0)) == [1.0]

@@ -1,4 +1,4 @@
-"""What a scene turns on: the explanation agrees with the compiled system, and what is absent adds nothing."""
+"""The list of active effects agrees with the compiled system, and disabled effects add nothing."""
 
 from __future__ import annotations
 

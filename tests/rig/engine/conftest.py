@@ -1,4 +1,4 @@
-"""What the engine's tests share."""
+"""Shared fixtures of the engine tests."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from rig.engine import flow_tables
 
 @pytest.fixture(params=["series and steps", "steps", "nothing"])
 def tabulated(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What the engine keeps in tables: less of a structure the larger it is."""
+    """Settings of the engine's tables, which are smaller for larger structures."""
     monkeypatch.setattr(flow_tables, "_RECENT", OrderedDict())
     if request.param != "series and steps":
         monkeypatch.setattr(flow_tables, "TABULATED_UP_TO", 0)

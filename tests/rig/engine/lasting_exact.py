@@ -1,4 +1,4 @@
-"""Contact that lasts to 40 digits, found without the engine: decimal Taylor series of a switched linear system.
+"""Finite-duration contact to 40 digits, independent of the engine: Taylor series of a switched linear system.
 
 It shares only the scene's matrices with the engine: coordinates are absolute heights, the walls' springs and dashpots
 are solved for anew, and a contact is closed exactly while the overlap and the wall's push are both positive, looked
@@ -20,7 +20,7 @@ from rig.system.structural_model import structural_model, structure_matrices
 
 DIGITS = 40
 SMALLEST = Decimal(10) ** -45
-#: Rate times step, and places looked at in a step.
+#: Rate times step, and number of times that are checked in a step.
 REACH, PLACES = 1.0, 8
 PI = Decimal("3.14159265358979323846264338327950288419716939937510582097494459")
 FREE, FLOOR, CEILING = 0, 1, 2
@@ -55,7 +55,7 @@ def spring_damper(wall, restitution: float, reduced: mpmath.mpf) -> tuple[Decima
 
 
 class SwitchedMotion:
-    """The motion of a scene whose dampers all have contact that lasts."""
+    """Motion of a scene whose dampers all have finite-duration contact."""
 
     def __init__(self, scene: rig.Scene) -> None:
         self.context = decimal.Context(prec=DIGITS)

@@ -1,4 +1,4 @@
-"""An independent way to simulate a scene: scipy's DOP853 between events, restarted at each.
+"""Independent simulation of a scene: scipy's DOP853 between events, restarted at each event.
 
 Slow and only as good as its tolerances, but it shares nothing with the engine except the scene.
 """

@@ -1,4 +1,4 @@
-"""Contact decided at one instant, against mechanics written out: who is struck, who lifts, and at what speed."""
+"""Contact decisions at one instant against explicit mechanics: who is hit, who lifts, and at what speed."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ def test_hit_transfers_momentum_by_contact_laws(
     walls = np.array([wall if j == struck else modes[j] for j in range(3)])
     for j in range(3):
         assert SIGN.get(walls[j], 0.0) * impulse[j] >= -1e-12
-        # Who flies elsewhere is not touched, nor is anybody where nothing couples the bodies.
+        # Dampers in flight elsewhere are unaffected, as are all dampers if the bodies are not coupled.
         assert j == struck or (coupled and walls[j] != FLIGHT) or impulse[j] == 0.0
     assert sign * (own_after[struck] - after[struck]) == pytest.approx(restitution * closing, abs=1e-12)
     assert state.height[struck] == at or not restitution
@@ -138,7 +138,7 @@ def test_hit_transfers_momentum_by_contact_laws(
     bounced = {struck} if restitution else set()
     assert {j for j in range(3) if walls[j] != FLIGHT and state.mode[j] == FLIGHT} - bounced == set(left)
     for j in left:
-        # It goes on as fast as its wall was; or, let go of by a wall that pushed no more, as fast as that is.
+        # It keeps the speed of its wall before the impact, or the speed of a wall that releases it without force.
         behind = SIGN[walls[j]] * (own_after[j] - after[j])
         assert own_after[j] == (after[j] if behind == 0.0 else body[j])
         assert behind >= 0.0 and state.height[j] == position[j] + (CLEARANCE if walls[j] == CEILING else 0.0)
@@ -190,7 +190,7 @@ def test_rebound_within_rounding_stays_at_its_wall(wall: int, coupled: bool) -> 
     assert _stays(model, state, 1, 0.999 * lowest, work.force)
     assert not _stays(model, state, 1, 1.001 * lowest, work.force)
     if not coupled:
-        # Nothing presses it there.
+        # No force presses it against the wall.
         work.force[1] = -100.0 * SIGN[wall]
         assert not _stays(model, state, 1, 1e-30, work.force)
 
@@ -201,7 +201,7 @@ def test_rebound_within_rounding_stays_at_its_wall(wall: int, coupled: bool) -> 
 def test_pull_within_rounding_is_left_to_the_step(wall: int, coupled: bool, part: float, lifts: bool) -> None:
     run = engine(0.2 if coupled else 0.0)
     state, model, system = scatter(run, [FLIGHT, wall, FLIGHT], 3), run.tables.model, run.system
-    # Far from rest, so that the terms are large and add up to next to nothing.
+    # Far from rest, so that large terms nearly cancel.
     state.z[: run.tables.size] *= 1e3
     terms = np.hstack([system.force_state, system.force_drive @ run.drive.output])
     inverse = np.linalg.inv(system.mass)[1]

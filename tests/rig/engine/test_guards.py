@@ -1,4 +1,4 @@
-"""Guards looked at one by one: what is said to be above zero is, and what a step says of its ends holds there."""
+"""Guard functions: positivity bounds are correct, and the values at the ends of a step are correct."""
 
 from __future__ import annotations
 
@@ -225,7 +225,7 @@ def test_proven_guard_is_not_examined(contact: str, mode: int, length: float) ->
         draws = [draw(run, chance) * chance.uniform(0.0, 1.0) for _ in range(120)]
         margins = [Course(run, [mode], each).margins(length) for each in draws]
         proven_at = [each for each, found in zip(draws, margins, strict=True) if found.min() > 0.0]
-        # One state for each coefficient of each guard that is the one to spoil it.
+        # For each coefficient of each guard, one state in which this coefficient is critical.
         spoilt = {
             int(found.argmin()): each
             for each, found in zip(draws, margins, strict=True)
@@ -233,7 +233,7 @@ def test_proven_guard_is_not_examined(contact: str, mode: int, length: float) ->
         }
         assert spoilt and proven_at
         for proven, other in zip(cycle(proven_at), spoilt.values()):
-            # On the way from one to the other there is a state with nothing to spare.
+            # Between the two there is a state exactly at the limit.
             for _ in range(24):
                 between = (proven + other) / 2
                 if Course(run, [mode], between).margins(length).min() > 0.0:

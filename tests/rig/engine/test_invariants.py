@@ -1,4 +1,4 @@
-"""In any scene walls are not passed, contacts push, momentum and energy are kept, and blocks do not matter."""
+"""In any scene: no wall is penetrated, contacts only push, momentum and energy balance, blocks have no effect."""
 
 from __future__ import annotations
 
@@ -167,7 +167,7 @@ def test_impact_conserves_momentum_and_contacts_only_push(scene: rig.Scene, seed
             mode = left
 
 
-#: Seconds within which blows are not told apart, here only.
+#: Impacts within this time, s, are treated as simultaneous in these tests.
 SAME_INSTANT = 1e-9
 #: Wall velocities, m/s, below which the engine may hold a damper through an impact and let go right after: how far they
 #: would open the gap cannot be told from rounding.
@@ -228,7 +228,7 @@ def _after(
 
 
 def _let_go(mode: int, change: float) -> bool:
-    """Whether a wall that jumps by this much in velocity leaves the damper on it behind."""
+    """Whether a damper separates from a wall with this velocity jump."""
     return change < 0.0 if mode == 1 else change > 0.0
 
 

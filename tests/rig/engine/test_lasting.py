@@ -1,4 +1,4 @@
-"""Contact that lasts: held against forty digits, closed forms, the energy ledger and the instant contact."""
+"""Finite-duration contact against 40-digit solutions, closed forms, the energy balance and instant contact."""
 
 from __future__ import annotations
 
@@ -185,5 +185,5 @@ def test_finite_contact_blocks_change_no_bit() -> None:
             np.concatenate([getattr(part, name) for part in parts], axis=1), getattr(whole, name)
         )
     np.testing.assert_array_equal(np.concatenate([part.events for part in parts]), whole.events)
-    # Acceleration is finite: no break holds a jump of velocity.
+    # Acceleration is finite: no break has a velocity jump.
     np.testing.assert_array_equal(whole.break_velocity[0], whole.break_velocity[1])

@@ -1,4 +1,4 @@
-"""The engine at the ends of its range: ties, drift, extreme ratios, loose structures, bouncing to rest."""
+"""The engine at its limits: simultaneous events, drift, extreme ratios, soft structures, bouncing to rest."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Beds of tests are kept for one run of the tests, whatever the user's cache holds."""
+"""Grain beds are cached for one test run, independent of the user's cache."""
 
 from __future__ import annotations
 

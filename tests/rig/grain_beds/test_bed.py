@@ -1,4 +1,4 @@
-"""The grains of one cavity by themselves: weight, rebound, and how they are packed."""
+"""The grains of one cavity: weight, rebound, and packing."""
 
 from __future__ import annotations
 

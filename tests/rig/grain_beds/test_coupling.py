@@ -1,4 +1,4 @@
-"""Grains and structure together: momentum, energy, a grain against the engine's exact mass, and what is refused."""
+"""Grains and structure: momentum, energy, agreement with the engine's exact mass, and rejected scenes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Runs with grains that are stopped and go on: with the bits of one that was not, and with its books in order."""
+"""Interrupted runs with grains resume with identical bits and consistent energy balances."""
 
 from __future__ import annotations
 

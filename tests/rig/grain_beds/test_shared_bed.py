@@ -1,4 +1,4 @@
-"""A bed that two ranks share, against the same bed of one."""
+"""A bed shared by two ranks against the same bed on one rank."""
 
 from __future__ import annotations
 

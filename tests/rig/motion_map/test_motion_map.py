@@ -1,4 +1,4 @@
-"""The map of the motion: its borders lie where theory puts them, and its files say what it shows."""
+"""The motion map: its boundaries agree with theory, and its files describe its content."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The first crossing of a guard, against roots found in high precision and against the definition."""
+"""The first crossing of a guard, against high-precision roots and against the definition."""
 
 from itertools import pairwise
 

@@ -1,4 +1,4 @@
-"""Contacts decided together, against trying every combination."""
+"""Simultaneous contact decisions, against an exhaustive search of all combinations."""
 
 from itertools import product
 

@@ -1,4 +1,4 @@
-"""Curves of solutions are followed through folds, to their ends, and say why they end."""
+"""Solution curves are followed through folds to their ends, and the reason for each end is reported."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Machine code on disk is never older than any source that went into it; kernels compile by numba's public options."""
+"""Cached machine code is never older than its sources; kernels compile with numba's public options."""
 
 from __future__ import annotations
 

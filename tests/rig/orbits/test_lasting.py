@@ -1,4 +1,4 @@
-"""Orbits where contact lasts: held against settled simulations, the instant contact, and the engine's events."""
+"""Orbits with finite-duration contact against settled simulations, instant contact, and the engine's events."""
 
 import numpy as np
 import pytest

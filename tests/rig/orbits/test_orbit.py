@@ -48,7 +48,7 @@ def driven_table() -> Scene:
 
 
 def landing(name: str, contact: dict[str, object], last: bool = False, **changes: float) -> Scene:
-    """A bundled scene with contact that lasts, in all its dampers or the last."""
+    """A bundled scene with finite-duration contact in all dampers or in the last."""
     scene = rig.load(name)
     given = [d.replace(contact=contact, **changes) for d in scene.dampers]
     return scene.replace(dampers=[*scene.dampers[:-1], given[-1]] if last else given)
@@ -172,7 +172,7 @@ def test_fig_9_types_follow_each_other_without_gap() -> None:
         reached = max(reached, high)
     assert reached == pytest.approx(51.3, abs=1e-9)
     assert {"I", "II", "III"} <= {kind for _, _, kind in spans}
-    # What is not found must be said, and here it is motion that does not repeat.
+    # A missing orbit must be reported; here the motion is not periodic.
     assert all("no periodic motion found" in failure for failure in curve.failures)
 
 

@@ -1,4 +1,4 @@
-"""The equations of an orbit: exact derivatives, and the exponential that they rest on."""
+"""The shooting equations of an orbit: exact derivatives, and the underlying matrix exponential."""
 
 import numpy as np
 import pytest

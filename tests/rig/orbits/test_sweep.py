@@ -1,4 +1,4 @@
-"""Steady motion over a parameter as exact stable orbits: against settled simulation, and where there is none."""
+"""Steady motion over a parameter as stable periodic orbits, against settled simulations."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Results in a session: a line, a table, a drawing; quantities as arguments."""
+"""Results in a session: summary line, table, drawing; quantities as arguments."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Modules by data sheet: rates, and what holds for every one of them."""
+"""Modules by data sheet: sample rates, and properties common to all modules."""
 
 from __future__ import annotations
 

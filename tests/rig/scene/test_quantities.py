@@ -1,4 +1,4 @@
-"""Quantities: units mean what an engineer means, and nothing is lost on the way to SI."""
+"""Quantities: units have their engineering meaning, and the conversion to SI is lossless."""
 
 from __future__ import annotations
 

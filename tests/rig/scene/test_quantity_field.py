@@ -1,4 +1,4 @@
-"""Numbers with a unit: what bounds let through, and what is said of what they do not."""
+"""Numbers with a unit: accepted ranges, and messages about values outside."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The reference of scene files: all of it, and in words."""
+"""The reference of scene files is complete and describes every key."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Scenes: the format as it is printed in the design, the bundled scenes, variants."""
+"""Scenes: the documented format, the bundled scenes, variants."""
 
 from __future__ import annotations
 

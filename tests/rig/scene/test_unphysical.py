@@ -1,4 +1,4 @@
-"""Scenes that make no sense are told so before anything runs, all at once."""
+"""Unphysical scenes are rejected before a simulation, with all errors at once."""
 
 from __future__ import annotations
 

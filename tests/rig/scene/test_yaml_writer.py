@@ -1,4 +1,4 @@
-"""A scene written as a file loads back as the very same scene."""
+"""A scene written to a file loads back as an identical scene."""
 
 from __future__ import annotations
 

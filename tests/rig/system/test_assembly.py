@@ -1,4 +1,4 @@
-"""The assembled equations against transfer functions, sags and starts worked out by hand."""
+"""The assembled equations against hand-computed transfer functions, static deflections and initial states."""
 
 from __future__ import annotations
 
@@ -135,7 +135,7 @@ def test_dampers_of_all_kinds_are_assembled() -> None:
     fixed = np.add(masses, [0.2, 0.0, 0.0, 0.0, 0.01])
     energy = fixed @ v[:5] ** 2 + 0.05 * (v[3] + v[5]) ** 2 + 0.02 * (v[2] + v[6]) ** 2
     assert v @ system.mass @ v == pytest.approx(energy)
-    # What is fixed or has its own coordinate pulls with its weight all the time.
+    # Masses that are fixed or have their own coordinate always act with their weight.
     assert system.force_constant == pytest.approx([-2.0, 0.0, -0.2, -0.5, -0.1, -0.5, -0.2])
     short, long = 1.0 / (1.0 / 0.05 + 1.0 / 0.6), 1.0 / (1.0 / 0.02 + 1.0 / 0.8)
     for j, wall, mass, expected in (
@@ -188,7 +188,7 @@ def test_unsupported_structure_cannot_settle() -> None:
     damper = {"body": 1, "mass": 0.1, "clearance": 1e-3}
     with pytest.raises(SceneError, match="not held"):
         assemble(rig.Scene.model_validate({**floating, "dampers": [damper]}))
-    # Without weight, or from empty springs, nothing has to hold.
+    # Without weight, or with unloaded springs, no support force is needed.
     assert not assemble(
         rig.Scene.model_validate({**floating, "dampers": [damper], "gravity": 0.0})
     ).initial.any()

@@ -1,4 +1,4 @@
-"""The linear frequency response against closed forms that share no code with it."""
+"""The linear frequency response against independent closed forms."""
 
 from __future__ import annotations
 

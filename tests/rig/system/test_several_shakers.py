@@ -1,4 +1,4 @@
-"""Several shakers in one scene: their motions add up, and each keeps what it has alone."""
+"""Several shakers in one scene: their motions superpose, and each keeps its own properties."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Models of a bed against its grains: what must hold of them, and what is written of them."""
+"""Models of a bed against its grains: required properties, and the written results."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The work-precision study: its reference, alternatives that converge, and files that say what happened."""
+"""The work-precision study: its reference, convergent alternatives, and files that document the result."""
 
 from __future__ import annotations
 
@@ -195,7 +195,7 @@ def test_failing_peer_is_still_listed(
 
 def test_approximate_method_rejects_restitution() -> None:
     scene = rig.load("fig9", {"dampers[1].restitution": 0.2})
-    # It refuses before it would be compared.
+    # It raises the error before any comparison.
     point = _approximate(scene, 49.7, cast(ExactOrbit, None))
     assert point.note.startswith("not applicable: damper at body 2: restitution 0.2")
 

@@ -94,6 +94,9 @@ def _body(measurements: Measurements, paths: Sequence[Path]) -> tuple[list[str],
     sentences = answer(found, compared)
     parts = ['<section class="answer">', *(f"<p>{html(text)}</p>" for text in sentences), "</section>"]
     parts += [changes_table(compared), resonances(found), decays(found)]
+    if measurements.warnings:
+        items = "".join(f"<li>{html(note)}</li>" for note in measurements.warnings)
+        parts.append(f'<h2>Warnings</h2><ul class="warnings">{items}</ul>')
     responses = [charts.write(chart) for chart in response_charts(found)]
     if responses:
         parts += ["<h2>Frequency responses</h2>", *responses]
@@ -112,9 +115,6 @@ def _body(measurements: Measurements, paths: Sequence[Path]) -> tuple[list[str],
         ]
         parts += [settings(each), charts.write(time_histories(each.rec))]
         parts += [charts.write(chart) for chart in spectrograms(each.rec)]
-    if measurements.warnings:
-        items = "".join(f"<li>{html(note)}</li>" for note in measurements.warnings)
-        parts.append(f'<h2>Warnings</h2><ul class="warnings">{items}</ul>')
     parts += _commands(paths, found)
     return sentences, "\n".join(parts)
 

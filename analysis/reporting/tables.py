@@ -160,7 +160,7 @@ def budget(measured: Measured, curve: Response, found: Peak) -> str:
     height = with_bound(factor * float(abs(curve.value[point])), factor * float(curve.bound()[point]))
     return table(
         f"Uncertainty budget of {what}: {height} {unit} (95 %)",
-        ["contribution", "type (GUM)", f"bound / ({unit})", "share of the squares"],
+        ["contribution", "type (GUM)", f"bound / ({unit})", "share of the variance"],
         rows,
         numbers=2,
     )

@@ -202,6 +202,7 @@ def response(
         typer.Option("-o", "--output", metavar="FILE.csv", help="Table to write, with all digits."),
     ] = None,
     overwrite: Overwrite = False,
+    verbose: Annotated[bool, typer.Option("--verbose", help="Print every frequency.")] = False,
 ) -> None:
     """Compute the steady response over frequency.
 
@@ -219,7 +220,7 @@ def response(
             refuse_others(output)
         with counting("following the motion") as progress:
             result = rig.response(setting, *band, points, direction, progress)
-        print(text(result))
+        print(text(result, verbose))
         if output is not None:
             write(result, output)
             print(f"\nwritten: {output}")

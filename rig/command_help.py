@@ -50,10 +50,8 @@ class GroupedCommand(TyperCommand):
             ]
         }
         for each, record in options:
-            grouped = len(options) > _FEW
-            sections.setdefault(_GROUP_OF.get(each.name or "", _OTHER) if grouped else _OTHER, []).append(
-                record
-            )
+            group = getattr(each, "rich_help_panel", None) or _GROUP_OF.get(each.name or "", _OTHER)
+            sections.setdefault(group if len(options) > _FEW else _OTHER, []).append(record)
         order = ["Arguments", *_GROUPS, _OTHER]
         for title in sorted(sections, key=order.index):
             if sections[title]:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from rig.errors import SceneError
 from rig.output_files import replacing
+from rig.results.text import frequency_ranges
 from rig.scene.excitation import Sine, SteppedSine, spaced
 from rig.scene.scene import Scene
 from rig.steady_response.frequency_response import SteadyResponse
@@ -100,21 +101,48 @@ def write_to(response: SteadyResponse, file: TextIO) -> None:
     writer.writerows(table)
 
 
-def text(response: SteadyResponse) -> str:
-    """Format a readable table: compliance of every body, motion type, impacts per period."""
-    ratios = [f"X{b}/F1 m/N" for b in range(1, len(response.compliance) + 1)]
-    if response.bodies:
-        ratios = [f"{name}/F1 m/N" for name in response.bodies]
-    widths = [max(12, len(ratio) + 2) for ratio in ratios]
-    heads = "".join(f"{ratio:>{width}}" for ratio, width in zip(ratios, widths, strict=True))
-    lines = [f"{'Hz':>9} {heads}   impacts  motion"]
+def text(response: SteadyResponse, every_frequency: bool = False) -> str:
+    """Format the answer: range, motion of the dampers, peaks of each body; on request every frequency as well."""
+    lines = [response.summary()]
+    kinds = list(dict.fromkeys(map(str, response.motion_type)))
+    if len(kinds) > 1:
+        for kind in kinds:
+            where = frequency_ranges(response.frequency.tolist(), (response.motion_type == kind).tolist())
+            lines.append(f"  motion {kind}: {where}")
+    if not response.converged.all():
+        where = frequency_ranges(response.frequency.tolist(), (~response.converged).tolist())
+        lines.append(f"  not steady: {where}. A longer wait may help; irregular motion has no steady state.")
+    several = len(set(directions(response.frequency))) > 1
+    lines += ["", *_peak_table(response, several)]
+    if every_frequency:
+        lines += ["", *_frequency_table(response, several)]
+    return "\n".join(lines)
+
+
+def _peak_table(response: SteadyResponse, several: bool) -> list[str]:
+    """Local maxima of the compliance of each body, at least 10 % above the minima on both sides."""
+    from scipy.signal import find_peaks
+
     ways = directions(response.frequency)
-    several = len(set(ways)) > 1
+    rows = []
+    for label, row in zip(response.labels, abs(response.compliance), strict=True):
+        for k in find_peaks(np.log(row), prominence=0.1)[0].tolist() or [int(np.argmax(row))]:
+            way = f"  {ways[k]}" if several else ""
+            rows.append(
+                f"{label:<12}{response.frequency[k]:>14.4f}{1e6 * row[k]:>20.4g}  {response.motion_type[k]}{way}"
+            )
+    return [f"{'body':<12}{'frequency / Hz':>14}{'peak / (µm/N)':>20}  motion", *rows]
+
+
+def _frequency_table(response: SteadyResponse, several: bool) -> list[str]:
+    """Compliance of each body, impacts per period and motion type at each frequency."""
+    heads = [f"{label} / (µm/N)" for label in response.labels]
+    lines = [f"{'frequency / Hz':>14}" + "".join(f"{head:>18}" for head in heads) + "  impacts  motion"]
+    ways = directions(response.frequency)
     for k, frequency in enumerate(response.frequency):
-        values = zip(response.compliance[:, k], widths, strict=True)
-        sizes = "".join(f"{abs(value):{width}.4g}" for value, width in values)
-        impacts = float(response.impacts[:, k].sum())
+        sizes = "".join(f"{1e6 * abs(value):18.4g}" for value in response.compliance[:, k])
         note = "" if response.converged[k] else f"  not steady (residual {response.residual[k]:.1g})"
         way = f", {ways[k]}" if several else ""
-        lines.append(f"{frequency:9.4f} {sizes}   {impacts:7.3g}  {response.motion_type[k]}{way}{note}")
-    return "\n".join(lines)
+        impacts = float(response.impacts[:, k].sum())
+        lines.append(f"{frequency:14.4f}{sizes}  {impacts:7.3g}  {response.motion_type[k]}{way}{note}")
+    return lines

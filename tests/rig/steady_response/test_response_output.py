@@ -1,0 +1,46 @@
+"""Text of a steady response: the answer first, a row for each peak, every frequency on request."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from rig.steady_response.frequency_response import SteadyResponse
+from rig.steady_response.response_output import text
+
+
+@pytest.fixture
+def response() -> SteadyResponse:
+    frequency = np.arange(10.0, 20.0)
+    compliance = 1e-6 * np.array(
+        [[1.0, 2, 9, 2, 1, 1, 2, 5, 2, 1], [1.0, 1.01, 1, 1, 1, 1, 1, 4, 1, 1]], dtype=np.complex128
+    )
+    motion = np.array(["riding"] * 6 + ["I"] * 2 + ["irregular", "riding"])
+    return SteadyResponse(
+        frequency=frequency,
+        compliance=compliance,
+        peak=abs(compliance),
+        force=np.ones(10),
+        motion_type=motion,
+        damper_motion=motion[np.newaxis],
+        impacts=np.zeros((1, 10)),
+        closing_speed=np.zeros((1, 10)),
+        converged=motion != "irregular",
+        repetition=np.ones(10, dtype=np.int64),
+        residual=np.zeros(10),
+        bodies=("base", "arm"),
+    )
+
+
+def test_every_peak_has_a_row(response: SteadyResponse) -> None:
+    rows = [line.split()[:3] for line in text(response).splitlines() if line.startswith(("base", "arm"))]
+    assert rows == [["base", "12.0000", "9"], ["base", "17.0000", "5"], ["arm", "17.0000", "4"]]
+
+
+def test_motion_types_are_given_as_ranges(response: SteadyResponse) -> None:
+    assert "motion riding: 10 to 15 and 19 Hz" in text(response)
+    assert "not steady: 18 Hz" in text(response)
+
+
+def test_every_frequency_is_printed_on_request(response: SteadyResponse) -> None:
+    assert len(text(response, every_frequency=True).splitlines()) == len(text(response).splitlines()) + 12

@@ -119,14 +119,14 @@ def explain(
         ),
     ] = False,
 ) -> None:
-    """List the effects, states and expected maxima of a scene."""
+    """Print the expected maxima of a scene's test, then its effects and states."""
     import rig
     from rig.effects.foresight import foresights
 
     setting = loaded(scene, changes)
-    print(rig.explain(setting))
     for foreseen in foresights(setting):
-        print(f"\n{foreseen}")
+        print(f"{foreseen}\n")
+    print(rig.explain(setting))
     if measure:
         from rig.effects.effect_cost import effect_costs, text
 

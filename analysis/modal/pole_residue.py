@@ -104,9 +104,9 @@ def fit(curves: Curves, start: ComplexArray) -> Fit:
     x = np.zeros(2 * start.size)
     if start.size:
         x = scipy.optimize.least_squares(
-            problem.misfit,
+            lambda x: problem.reduced(x)[:, -1],
             x,
-            problem.jacobian,
+            lambda x: problem.reduced(x)[:, :-1],
             xtol=1e-9,
             ftol=1e-9,
             gtol=1e-12,
@@ -220,6 +220,7 @@ class _Projection:
         self.above = curves.above
         self.scale = -start.real
         self._factorized: tuple[Array, _Factors] | None = None
+        self._reduced: tuple[Array, Array] | None = None
 
     def poles(self, x: Array) -> ComplexArray:
         """Convert parameters to poles: logarithm of the decay rate (for stability), frequency in decay rates."""
@@ -265,6 +266,23 @@ class _Projection:
 
     def jacobian(self, x: Array) -> Array:
         """Differentiate the residuals with respect to the parameters."""
+        return self._slopes(x).reshape(-1, 2 * self.start.size)
+
+    def reduced(self, x: Array) -> Array:
+        """Return the triangular factor of Jacobian and residuals side by side, which has all that a step needs.
+
+        Its last column has the norm of the residuals, and both give the same products as the rows of all lines.
+        """
+        if self._reduced is None or not np.array_equal(self._reduced[0], x):
+            slopes = self._slopes(x)
+            rows = np.concatenate([slopes, self.misfit(x).reshape(*slopes.shape[:2], 1)], axis=2)
+            triangles = np.asarray(np.linalg.qr(rows, mode="r"))
+            whole = np.asarray(np.linalg.qr(triangles.reshape(-1, rows.shape[2]), mode="r"))
+            self._reduced = x.copy(), whole
+        return self._reduced[1]
+
+    def _slopes(self, x: Array) -> Array:
+        """Differentiate the residuals, shape (responses, 2 n, parameters)."""
         unknown, q = self.unknowns(x), self.factors(x).basis
         count = self.start.size
         poles = self.poles(x)[:, None]
@@ -275,7 +293,7 @@ class _Projection:
             [poles.real * (direct + mirror), 1j * self.scale[:, None] * (direct - mirror)], axis=1
         )
         block = _stacked(np.swapaxes(change * self.weight[:, None], 1, 2), 1)
-        return (q @ (np.swapaxes(q, 1, 2) @ block) - block).reshape(-1, 2 * count)
+        return np.asarray(q @ (np.swapaxes(q, 1, 2) @ block) - block)
 
 
 def _stacked(rows: ComplexArray, axis: int) -> Array:

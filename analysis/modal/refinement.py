@@ -26,7 +26,7 @@ ComplexArray = NDArray[np.complex128]
 
 # Limits of Gauss-Newton steps and of halvings of each step, and the final step in standard deviations.
 _STEPS, _HALVINGS, _SETTLED = 12, 6, 1e-3
-# Elements of the Jacobian in memory at a time, and the number of multiplications above which the refinement is
+# Elements of arrays of lines in memory at a time, and the number of multiplications above which the refinement is
 # omitted.
 _AT_ONCE, _MOST = 1 << 20, 5e10
 
@@ -66,8 +66,7 @@ def refined(curves: Curves, model: Fit, errors: Covariance, rough: Array) -> Ref
     """
     problem = _Likelihood(curves, errors, rough)
     count = 2 * model.poles.size
-    size = count + curves.value.shape[0] * (count + 1 + curves.above)
-    if not count or curves.value.size * size**2 > _MOST:
+    if not count or curves.value.size * curves.value.shape[0] * (count + 1 + curves.above) ** 2 > _MOST:
         return None
     misfit = problem.misfit(model)
     for _ in range(_STEPS):
@@ -126,42 +125,69 @@ class _Likelihood:
         rest = self.rest(model)
         return float(np.einsum("ka,kab,kb->", rest.conj(), self.information, rest, optimize=True).real)
 
-    def _slopes(self, model: Fit) -> Iterator[tuple[slice, ComplexArray]]:
-        """Differentiate the model, some lines at a time: lines, shape (lines, responses, parameters)."""
-        modes, responses = model.poles.size, self.curves.value.shape[0]
-        each = 2 * modes + 1 + self.curves.above
-        size = 2 * modes + responses * each
-        step = max(1, _AT_ONCE // (responses * size))
-        for begin in range(0, self.s.size, step):
-            part = slice(begin, begin + step)
-            s = self.s[part, None]
-            direct, mirror = 1.0 / (s - model.poles), 1.0 / (s - model.poles.conj())
-            slopes = np.zeros((s.size, responses, size), dtype=complex)
-            up = direct[:, None] ** 2 * model.residue
-            down = mirror[:, None] ** 2 * model.residue.conj()
-            slopes[:, :, :modes] = model.poles.real * (up + down)
-            slopes[:, :, modes : 2 * modes] = -1j * model.poles.real * (up - down)
-            own = np.concatenate([direct + mirror, 1j * (direct - mirror), self.terms[part]], axis=1)
-            for k in range(responses):
-                first = 2 * modes + k * each
-                slopes[:, k, first : first + each] = own
-            yield part, slopes
+    def _slopes(self, model: Fit, part: slice) -> tuple[ComplexArray, ComplexArray]:
+        """Differentiate the model at some lines.
+
+        Returns the slopes by the poles, shape (lines, responses, 2 modes), and by the residues and residual terms of
+        any one response, shape (lines, unknowns of a response), because those of different responses are alike.
+        """
+        s = self.s[part, None]
+        direct, mirror = 1.0 / (s - model.poles), 1.0 / (s - model.poles.conj())
+        up = direct[:, None] ** 2 * model.residue
+        down = mirror[:, None] ** 2 * model.residue.conj()
+        by_pole = np.concatenate(
+            [model.poles.real * (up + down), -1j * model.poles.real * (up - down)], axis=2
+        )
+        return by_pole, np.concatenate([direct + mirror, 1j * (direct - mirror), self.terms[part]], axis=1)
+
+    def _parts(self, model: Fit) -> Iterator[slice]:
+        """Split the lines so that the arrays of each part remain small."""
+        responses = self.curves.value.shape[0]
+        step = max(1, _AT_ONCE // (responses * (responses + 2 * model.poles.size)))
+        return (slice(begin, begin + step) for begin in range(0, self.s.size, step))
 
     def equations(self, model: Fit) -> tuple[Array, Array]:
         """Compute the normal matrix and the right-hand side of a step."""
-        rest, normal, right = self.rest(model), np.zeros(()), np.zeros(())
-        for part, slopes in self._slopes(model):
-            weighted = self.information[part] @ slopes
-            flat = weighted.conj().reshape(-1, slopes.shape[2]).T
-            normal = normal + (flat @ slopes.reshape(-1, slopes.shape[2])).real
-            right = right + (flat @ rest[part].ravel()).real
-        return normal, right
+        rest, responses = self.rest(model), self.curves.value.shape[0]
+        poles = 2 * model.poles.size
+        own = poles + self.terms.shape[1]
+        right_poles, right_own = np.zeros(poles), np.zeros((responses, own))
+        corner, side = np.zeros((poles, poles)), np.zeros((poles, responses, own))
+        block = np.zeros((own, own, responses, responses))
+        for part in self._parts(model):
+            by_pole, by_own = self._slopes(model, part)
+            information = self.information[part]
+            weighted = information @ by_pole
+            flat = weighted.conj().reshape(-1, poles).T
+            corner += (flat @ by_pole.reshape(-1, poles)).real
+            side += (weighted.conj().transpose(2, 1, 0).reshape(-1, len(by_own)) @ by_own).real.reshape(
+                side.shape
+            )
+            # The information is Hermitian, so the real part of the product needs two real products only.
+            pairs = (by_own.conj()[:, :, None] * by_own[:, None]).reshape(len(by_own), -1).T
+            lines = information.reshape(len(by_own), -1)
+            block += (pairs.real @ lines.real - pairs.imag @ lines.imag).reshape(block.shape)
+            pull = (information @ rest[part, :, None])[..., 0]
+            right_poles += (flat @ rest[part].ravel()).real
+            right_own += (pull.T @ by_own.conj()).real
+        size = responses * own
+        normal = np.empty((poles + size,) * 2)
+        normal[:poles, :poles] = corner
+        normal[:poles, poles:] = side.reshape(poles, size)
+        normal[poles:, :poles] = normal[:poles, poles:].T
+        normal[poles:, poles:] = block.transpose(2, 0, 3, 1).reshape(size, size)
+        return normal, np.concatenate([right_poles, right_own.ravel()])
 
     def weights(self, model: Fit, rows: Array) -> ComplexArray:
         """Compute the weights of the errors in combinations of the parameters; shape (n, responses, combinations)."""
-        return np.concatenate(
-            [self.information[part] @ (slopes @ rows) for part, slopes in self._slopes(model)]
-        )
+        poles, responses = 2 * model.poles.size, self.curves.value.shape[0]
+        of_poles, of_own = rows[:poles], rows[poles:].reshape(responses, -1, rows.shape[1])
+        out = []
+        for part in self._parts(model):
+            by_pole, by_own = self._slopes(model, part)
+            moved = by_pole @ of_poles + (by_own @ of_own).transpose(1, 0, 2)
+            out.append(self.information[part] @ moved)
+        return np.concatenate(out)
 
 
 def _moved(curves: Curves, model: Fit, step: Array) -> Fit:

@@ -36,6 +36,8 @@ _NOTHING = 1e-40
 # Share of each variance that is uncorrelated between responses, due to errors of second order and covariances of few
 # averages. Tuned on chains with 3 % of noise in the reference; a share of 0.1 % gave a scatter of twice the bounds.
 _SHRUNK = 0.05
+# Numbers of the noise around lines in memory at a time.
+_AT_ONCE = 1 << 22
 
 
 @dataclass(frozen=True)
@@ -184,8 +186,12 @@ class LocalErrors:
             noise[:, index, index] += own[nearest]
         else:
             noise = power[nearest]
-        around = noise[first[:, None] + np.arange(width)]
-        lines = np.einsum("kasw,kwac,kcsw->kac", self.influence, around, self.influence.conj(), optimize=True)
+        lines = np.empty((count, elements, elements), dtype=complex)
+        step = max(1, _AT_ONCE // (width * elements**2))
+        for begin in range(0, count, step):
+            part = slice(begin, begin + step)
+            around, influence = noise[first[part, None] + np.arange(width)], self.influence[part]
+            lines[part] = np.einsum("kasw,kwac,kcsw->kac", influence, around, influence.conj(), optimize=True)
         lines = lines / self.used + 2.0 * self.common[:, :, None] * self.common[:, None].conj()
         if share is None:
             # The fit follows part of the noise of known power, so the residuals underestimate it.

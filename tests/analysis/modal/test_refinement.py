@@ -1,0 +1,68 @@
+"""Normal equations of the refinement against dense arrays, and the reduced problem against the complete one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from analysis.modal import refinement
+from analysis.modal.pole_residue import Curves, _Projection, fit
+from analysis.modal.refinement import _Likelihood, _moved
+from rig.results.uncertainty import LineCovariance
+
+RESPONSES, LINES = 3, 60
+
+
+@pytest.fixture
+def curves() -> Curves:
+    random = np.random.default_rng(7)
+    frequency = np.linspace(8.0, 30.0, LINES)
+    s = 2j * np.pi * frequency
+    poles = 2 * np.pi * np.array([12.0, 21.0]) * (-0.02 + 1j)
+    residues = random.standard_normal((RESPONSES, 2)) * 1e-2
+    value = sum(
+        r[:, None] * 1j / (s - p) - r[:, None] * 1j / (s - p.conjugate())
+        for r, p in zip(residues.T, poles, strict=True)
+    )
+    noise = 1e-6 * (random.standard_normal(value.shape) + 1j * random.standard_normal(value.shape))
+    return Curves(frequency, value + noise, np.full(value.shape, 1e6))
+
+
+def test_normal_equations_equal_dense_ones(curves: Curves, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(refinement, "_AT_ONCE", 100)
+    model = fit(curves, 2 * np.pi * np.array([12.1, 20.8]) * (-0.03 + 1j))
+    random = np.random.default_rng(3)
+    root = random.standard_normal((LINES, RESPONSES, 5)) + 1j * random.standard_normal((LINES, RESPONSES, 5))
+    problem = _Likelihood(
+        curves, LineCovariance(root @ root.conj().swapaxes(1, 2), 1.0), np.zeros((RESPONSES, LINES))
+    )
+    normal, right = problem.equations(model)
+    step = 1e-7 / np.sqrt(np.diag(normal))
+    slopes = np.stack(
+        [
+            (problem.rest(_moved(curves, model, -row)) - problem.rest(_moved(curves, model, row)))
+            / (2 * size)
+            for row, size in zip(np.diag(step), step, strict=True)
+        ],
+        axis=2,
+    )
+    weighted = problem.information @ slopes
+    dense = np.einsum("kap,kaq->pq", weighted.conj(), slopes).real
+    scale = np.sqrt(np.outer(np.diag(dense), np.diag(dense)))
+    np.testing.assert_allclose(normal / scale, dense / scale, atol=1e-6)
+    pull = np.einsum("kap,ka->p", weighted.conj(), problem.rest(model)).real
+    np.testing.assert_allclose(right * step, pull * step, atol=1e-6 * abs(right * step).max())
+    rows = random.standard_normal((len(right), 2))
+    np.testing.assert_allclose(
+        problem.weights(model, rows / scale[0, 0]), weighted @ rows / scale[0, 0], rtol=1e-4
+    )
+
+
+def test_reduced_problem_has_the_same_products(curves: Curves) -> None:
+    problem = _Projection(curves, 2 * np.pi * np.array([12.1, 20.8]) * (-0.03 + 1j))
+    x = np.array([0.1, -0.05, 0.02, 0.03])
+    rows = np.column_stack([problem.jacobian(x), problem.misfit(x)])
+    reduced = problem.reduced(x)
+    assert reduced.shape == (5, 5)
+    expected = rows.T @ rows
+    np.testing.assert_allclose(reduced.T @ reduced, expected, rtol=1e-9, atol=1e-12 * abs(expected).max())

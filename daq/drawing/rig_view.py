@@ -108,14 +108,8 @@ def _label_place(text: str, height: float) -> Point:
 class RigView:
     """The drawing of one scene's rig.
 
-    Parameters
-    ----------
-    extremes : Extremes
-        The largest motions to come; they set the exaggeration.
-    gaps_known : bool
-        Whether the dampers' motion will be given; if not, they are drawn pale on their floors, with a remark.
-    unknown : collection of str
-        Points, ``body 1``, ..., ``table``, whose motion is not known: drawn pale and at rest, with a remark.
+    `extremes` set the exaggeration. Unknown damper gaps, and the points in `unknown` (``body 1``, ..., ``table``), are
+    drawn pale and at rest, with a remark.
     """
 
     def __init__(

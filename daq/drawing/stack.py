@@ -38,18 +38,7 @@ class Table(NamedTuple):
 
 
 class Stack:
-    """The parts of a scene's rig at rest.
-
-    Attributes
-    ----------
-    cavities : list of list of Cavity
-        Of each body, body 1 first.
-    heights, lengths, bottoms : list of float
-        Height of each body, length of the spring under it, and height of its underside.
-    top : float
-        Height of the whole stack.
-    tables : list of Table
-    """
+    """The parts of a scene's rig at rest, body 1 first: cavities, heights, spring lengths and undersides."""
 
     def __init__(self, scene: Scene, magnification: float) -> None:
         bodies = range(1, scene.structure.bodies + 1)

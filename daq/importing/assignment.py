@@ -58,19 +58,9 @@ class Choice:
 def choose(
     scene: Scene, signals: Sequence[Signal], table: Mapping[str, Column]
 ) -> tuple[list[Choice], list[str]]:
-    """Choose the signal of each of the scene's channels: as the table states, or else by its name.
+    """Choose the signal of each channel of the scene, by the table or by name; return also notes on unmatched ones.
 
-    Returns
-    -------
-    list of Choice
-        In the order of the scene.
-    list of str
-        Channels without a signal, and signals without a channel, in words.
-
-    Raises
-    ------
-    SceneError
-        If the table names what does not exist, or no signal belongs to a channel; all mistakes at once.
+    Raises `SceneError` with all mistakes at once.
     """
     channels = of_scene(scene)
     names = [channel.name for channel in channels]
@@ -134,13 +124,7 @@ def contradicted_units(chosen: Sequence[Choice]) -> list[str]:
 
 
 def assign(scene: Scene, chosen: Sequence[Choice], rate: float) -> list[Assigned]:
-    """Determine the scale of signals in their channels' units.
-
-    Raises
-    ------
-    SceneError
-        If numbers have no unit or a wrong unit; all mistakes at once.
-    """
+    """Determine the scale of signals in their channels' units; raise `SceneError` with all mistakes at once."""
     skews = delays(filled_in(scene.converter).skew, len(of_scene(scene)), rate)
     assigned: list[Assigned] = []
     mistakes: list[str] = []

@@ -58,13 +58,7 @@ _KEYS = [field.name for field in fields(Column)]
 
 
 def read_table(path: Path) -> dict[str, Column]:
-    """Read a table, YAML or CSV: the column of each channel, by the channel's name.
-
-    Raises
-    ------
-    SceneError
-        If the file cannot be read or holds mistakes; all of them are reported at once.
-    """
+    """Read a YAML or CSV table into a column for each channel name; raise `SceneError` with all mistakes at once."""
     try:
         text = read_whole(path).decode("utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:

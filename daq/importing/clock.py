@@ -95,21 +95,9 @@ def _roundest(low: float, high: float) -> tuple[float, int]:
 
 
 def clock_of_times(times: Array, resolution: float, where: str) -> Clock:
-    """Estimate the clock of stated times; warn where rows are missing or times jitter.
+    """Estimate the clock of stated times (s, written to `resolution` s); warn of missing rows and jitter.
 
-    Parameters
-    ----------
-    times : ndarray, shape (samples,)
-        s, of all samples.
-    resolution : float
-        Of the times as they are written, s.
-    where : str
-        Name of the times, for messages.
-
-    Raises
-    ------
-    RecordingError
-        If they are not evenly spaced.
+    Raises `RecordingError` where the times are not evenly spaced; `where` names them in messages.
     """
     missing = missing_rows([times], resolution)
     if times.size < 2:

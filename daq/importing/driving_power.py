@@ -43,13 +43,7 @@ def _is_returned(sums: Array) -> bool:
 
 
 class DrivingPower:
-    """Sums up the power that a force supplies, piece after piece of one length.
-
-    Parameters
-    ----------
-    force, motion : ChannelInfo
-        The force and the motion where it acts.
-    """
+    """Sums up the power that a force supplies to the motion where it acts, piece by piece of one length."""
 
     def __init__(self, force: ChannelInfo, motion: ChannelInfo) -> None:
         self._force, self._motion = force, motion

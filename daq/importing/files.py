@@ -34,12 +34,7 @@ READERS = {
 def signals_of(path: Path, stack: ExitStack) -> list[Signal]:
     """List the signals of a file, which stays open until the stack is left.
 
-    Raises
-    ------
-    RecordingError
-        If it cannot be read, or holds no signal.
-    RunError
-        If the package for its format is not installed.
+    Raises `RecordingError` for a file without readable signals, `RunError` for a missing package.
     """
     if not path.exists():
         raise RecordingError(f"{path}: no such file")

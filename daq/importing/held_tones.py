@@ -43,18 +43,9 @@ _SAME = 2e-4
 
 @dataclass(frozen=True)
 class HeldTone:
-    """A tone that was held.
+    """A held tone: its settled samples [first, stop), frequency (periods per sample), and amplitude of the reference.
 
-    Attributes
-    ----------
-    first, stop : int
-        Samples in which it is held and settled.
-    frequency : float
-        Periods per sample.
-    amplitude : float
-        Of the reference.
-    settled : bool
-        Whether all channels are seen to be steady.
+    `settled` states whether all channels are steady.
     """
 
     first: int
@@ -65,22 +56,11 @@ class HeldTone:
 
 
 def held_tones(tracks: Sequence[Track], tolerance: float) -> list[HeldTone]:
-    """Detect the tones that were held one after the other; none where the signal is of another kind.
+    """Return the tones that were held one after the other, in order of time; none for other kinds of signals.
 
     The phase of a held tone is linear in time for ten periods or more. That of a sweep is so for a while, but its
-    frequency drifts within a stretch as from one stretch to the next; that of noise is so now and then.
-
-    Parameters
-    ----------
-    tracks : sequence of Track
-        Of one signal, from `ToneTracker`.
-    tolerance : float
-        Largest relative change of a settled amplitude.
-
-    Returns
-    -------
-    list of HeldTone
-        In order of time; they do not overlap.
+    frequency drifts within a stretch as from one stretch to the next; that of noise is so now and then. `tolerance` is
+    the largest relative change of a settled amplitude.
     """
     pieces = [piece for track in tracks for piece in _pieces(track) if not piece.fades]
     pieces.sort(key=lambda piece: piece.first - piece.stop)

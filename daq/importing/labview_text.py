@@ -44,13 +44,7 @@ class LabviewHeading(NamedTuple):
 
 
 def labview_heading(lines: Sequence[str], where: str) -> LabviewHeading:
-    """Read the heading of a LabVIEW measurement file from its first lines; `where` names the file in messages.
-
-    Raises
-    ------
-    RecordingError
-        If it is cut off, or contradicts itself.
-    """
+    """Read the heading of a LabVIEW measurement file; raise `RecordingError` if it is cut off or contradicts itself."""
     ends = [number for number, line in enumerate(lines) if line.startswith(END)]
     if len(ends) < 2 or len(lines) <= ends[1] + 1:
         raise RecordingError(

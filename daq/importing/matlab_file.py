@@ -22,12 +22,7 @@ _NO_HDF5, _TOO_MUCH = "needs h5py", "needs more memory"
 def matlab_arrays(path: Path) -> dict[str, Any]:
     """Read the variables of a MATLAB file.
 
-    Raises
-    ------
-    RecordingError
-        If it is damaged or another kind of file.
-    RunError
-        If it is of version 7.3 and h5py is not installed.
+    Raises `RecordingError` for a damaged file, `RunError` for version 7.3 without h5py.
     """
     memory = str(int(max(most() - PROGRAM, most() / 2)))
     # Modules are found where this process finds them: -m alone would look in the user's folder first.

@@ -16,12 +16,7 @@ _MOST = 100_000
 def hdf5_variables(path: str) -> dict[str, Any]:
     """Read the variables: arrays, texts, structures as dictionaries, cells as arrays of objects.
 
-    Raises
-    ------
-    ImportError
-        If h5py is not installed.
-    OSError
-        If the file is damaged.
+    Raises `ImportError` without h5py, `OSError` for a damaged file.
     """
     import h5py
 

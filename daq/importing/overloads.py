@@ -63,16 +63,9 @@ class Rail:
         return None if self._open is None else self._open[0]
 
     def runs(self, stop: int, least: int, drop: float) -> list[tuple[int, int]]:
-        """Give the stretches [first, stop) at the largest value.
+        """Return the stretches [first, stop) of at least `least` samples at the largest value.
 
-        Parameters
-        ----------
-        stop : int
-            Number of samples in all.
-        least : int
-            Fewest samples of a stretch.
-        drop : float
-            Least difference between a stretch and the samples next to it.
+        They differ by at least `drop` from the samples next to them; `stop` is the number of all samples.
         """
         if self._open is not None:
             self._end(stop, np.nan)
@@ -80,13 +73,7 @@ class Rail:
 
 
 class Overloads:
-    """Detects clipping of one signal.
-
-    Parameters
-    ----------
-    limit : float or None
-        Largest reading of the converter, if it is known.
-    """
+    """Detects clipping of one signal; `limit` is the converter's largest reading, where known."""
 
     def __init__(self, limit: float | None) -> None:
         self.limit = limit

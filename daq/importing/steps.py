@@ -38,17 +38,7 @@ class Step(NamedTuple):
 
 
 class StepFinder:
-    """Detects steps in the channel that shows the excitation best, piece by piece.
-
-    Parameters
-    ----------
-    scene : Scene
-        Its test is a sine or a stepped sine.
-    infos : sequence of ChannelInfo
-        The channels, in the order of the rows.
-    rate : float
-        Hz.
-    """
+    """Detects the steps of a sine or stepped sine, piece by piece, in the channel that shows the excitation best."""
 
     def __init__(self, scene: Scene, infos: Sequence[ChannelInfo], rate: float) -> None:
         assert isinstance(scene.test, Sine | SteppedSine)
@@ -63,13 +53,7 @@ class StepFinder:
         self._tracker.add(volts)
 
     def steps(self, read: Callable[[int, int], Array]) -> list[Step]:
-        """Give the steps; none where no tone was held.
-
-        Parameters
-        ----------
-        read : callable
-            ``read(first, stop)`` gives volts of the channel `row` once more, from the first sample on, in pieces.
-        """
+        """Return the steps; ``read(first, stop)`` gives the volts of the channel `row` again, in rising order."""
         tolerance = self.test.settle.tolerance if isinstance(self.test, SteppedSine) else 1e-3
         tones = _refined(held_tones(self._tracker.tracks(), tolerance), read, self._rate)
         if not tones:
@@ -100,13 +84,7 @@ class StepFinder:
 
 
 def mark_steps(recorder: Recorder, finder: StepFinder, one: Assigned) -> list[str]:
-    """Mark the settled part of each step; give a warning if there is none.
-
-    Parameters
-    ----------
-    one : Assigned
-        The channel that the finder follows: its samples are read once more.
-    """
+    """Mark the settled part of each step, from the samples of the followed channel; warn if there is none."""
     there = one.signal.samples
 
     def read(first: int, stop: int) -> Array:

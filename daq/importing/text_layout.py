@@ -58,13 +58,7 @@ def beginning(path: Path) -> tuple[list[str], str]:
 
 
 def detect_layout(path: Path, lines: list[str], encoding: str) -> Layout:
-    """Detect how a table is written from its first lines.
-
-    Raises
-    ------
-    RecordingError
-        If none of them is a line of numbers.
-    """
+    """Detect the layout of a table from its first lines; raise `RecordingError` if none is a line of numbers."""
     for heading, line in enumerate(lines):
         for delimiter in ("\t", ";", ",", None):
             row = cells(line, delimiter)

@@ -53,19 +53,11 @@ class Track:
 
 
 class ToneTracker:
-    """Follows the tone of one channel in blocks of several lengths, fed piece by piece.
+    """Follows the tone of the channel `reference` in blocks of several lengths, fed piece by piece.
 
     Blocks with a Hann window have four to six periods of the tones that they resolve, so that higher tones are
-    resolved by shorter blocks. A block is a row of averages over a few samples.
-
-    Parameters
-    ----------
-    rate : float
-        Hz.
-    low, high : float
-        Band of the tones, Hz.
-    reference : int
-        Row of the channel that is followed.
+    resolved by shorter blocks. A block is a row of averages over a few samples. `rate`, `low` and `high` (band of the
+    tones) are in Hz.
     """
 
     def __init__(self, rate: float, low: float, high: float, reference: int) -> None:

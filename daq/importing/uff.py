@@ -44,12 +44,7 @@ def uff_signals(path: Path, _stack: ExitStack) -> list[Signal]:
 def functions(path: Path) -> list[dict[str, Any]]:
     """Read all data sets 58 of a Universal File; ``si`` in each states whether the file is in SI.
 
-    Raises
-    ------
-    RecordingError
-        If there are none, or the file is damaged.
-    RunError
-        If pyuff is not installed.
+    Raises `RecordingError` for a damaged file or one without them, `RunError` without pyuff.
     """
     try:
         import pyuff

@@ -40,26 +40,9 @@ class Stored(NamedTuple):
 def unpack_chunk(
     content: memoryview, checksum_needed: bool = False, largest: int | None = None
 ) -> memoryview:
-    """Unpack the content of a chunk record and verify its checksum.
+    """Unpack the content of a chunk record, without opcode and length, and verify its checksum.
 
-    Parameters
-    ----------
-    content : memoryview
-        The record without opcode and length.
-    checksum_needed : bool
-        Whether a chunk without a checksum is rejected.
-    largest : int, optional
-        Largest unpacked size, bytes, at any ratio; by default `LARGEST_CHUNK`, with a limit of the ratio.
-
-    Returns
-    -------
-    memoryview
-        The records inside.
-
-    Raises
-    ------
-    Damage
-        If it is damaged, or too large when unpacked.
+    `largest` limits the unpacked bytes at any ratio; by default `LARGEST_CHUNK` and the ratio do. Raises `Damage`.
     """
     if len(content) < CHUNK_HEAD.size + 8:
         raise Damage("it is cut short")
@@ -126,16 +109,9 @@ def _decompressor() -> Any:
 def record_at(
     read: Callable[[int, int], bytes], place: int, end: int, largest: int
 ) -> tuple[int, memoryview]:
-    """Read opcode and content of the record at a place in a file; raise `Damage` if it is malformed.
+    """Read opcode and content of the record at a place in a file of `end` bytes; raise `Damage` if it is malformed.
 
-    Parameters
-    ----------
-    read : callable
-        ``read(place, length)`` gives bytes of the file.
-    place, end : int
-        Beginning of the record, and end of the file.
-    largest : int
-        The longest content that is accepted, bytes.
+    ``read(place, length)`` gives bytes; content of more than `largest` bytes is rejected.
     """
     head = read(place, RECORD_HEAD.size)
     if len(head) < RECORD_HEAD.size:
@@ -147,14 +123,9 @@ def record_at(
 
 
 def records_in(records: memoryview, stored: int) -> Iterator[tuple[int, memoryview]]:
-    """Yield opcode and content of the records of a chunk; raise `Damage` if they do not fit into it.
+    """Yield opcode and content of the records of an unpacked chunk; raise `Damage` if they do not fit into it.
 
-    Parameters
-    ----------
-    records : memoryview
-        The chunk, unpacked.
-    stored : int
-        Bytes that it takes in the file.
+    `stored` is the number of bytes that the chunk takes in the file.
     """
     place, end, left = 0, len(records), FEW_RECORDS + stored
     while place < end:

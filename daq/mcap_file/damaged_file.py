@@ -47,13 +47,7 @@ class Unreadable:
 
 
 class DamagedFile:
-    """A file whose records are read one by one.
-
-    Raises
-    ------
-    RecordingError
-        If it cannot be opened.
-    """
+    """A file whose records are read one by one; raises `RecordingError` if it cannot be opened."""
 
     def __init__(self, path: Path) -> None:
         if path.exists() and not path.is_file():

@@ -59,13 +59,7 @@ _AT_ONCE = 1 << 20
 
 
 def check_file(container: Container) -> None:
-    """Read a whole file and check every record.
-
-    Raises
-    ------
-    RecordingError
-        At the first record that is damaged or contradicts another.
-    """
+    """Read a whole file and check every record; raise `RecordingError` at the first damage or contradiction."""
     check = _Check(container)
     try:
         check.run()

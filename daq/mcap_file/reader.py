@@ -27,18 +27,7 @@ FOOTER_RECORD = struct.Struct("<BQQQI")
 
 
 class Container:
-    """An MCAP file that was closed properly, open for reading.
-
-    Attributes
-    ----------
-    summary : Summary
-        The content of the file, and its places.
-
-    Raises
-    ------
-    RecordingError
-        If it cannot be opened, is not an MCAP file, was not closed, or is damaged.
-    """
+    """An MCAP file that was closed properly, open for reading; raises `RecordingError` for any other file."""
 
     def __init__(self, path: Path) -> None:
         self.path = path

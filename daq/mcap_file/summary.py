@@ -34,13 +34,7 @@ _COLUMNS = {
 
 
 def parse(opcode: int, content: memoryview) -> Any:
-    """Parse a record of the other kinds; raise `Damage` if it is malformed.
-
-    Returns
-    -------
-    mcap record
-        Schema, Channel, Metadata, Attachment, Statistics, an index, or the record at an end of a section.
-    """
+    """Parse a record of the other kinds into its mcap class; raise `Damage` if it is malformed."""
     from mcap import records
     from mcap.data_stream import ReadDataStream
     from mcap.exceptions import McapError
@@ -92,19 +86,9 @@ class Summary:
 
 
 def read_summary(data: memoryview, file_size: int) -> Summary:
-    """Parse a summary section.
+    """Parse a summary section whose checksum is verified; raise `Damage` if it is malformed.
 
-    Parameters
-    ----------
-    data : memoryview
-        The section, its checksum verified.
-    file_size : int
-        Size of the file, bytes; no record may lie beyond it.
-
-    Raises
-    ------
-    Damage
-        If it is malformed.
+    No record may lie beyond `file_size` bytes.
     """
     chunk_places: dict[int, list[int]] = {}
     others: dict[int, list[Any]] = {}

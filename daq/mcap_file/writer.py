@@ -54,17 +54,7 @@ class Stream(Protocol):
 
 
 class ChunkedFile:
-    """An MCAP file in the making, with checksums, indexes and a summary at its end.
-
-    Parameters
-    ----------
-    stream : Stream
-        Sink of the bytes.
-    library : str
-        Name of the writing program, for the header.
-    compression : {'zstd', 'lz4'}
-        Of the chunks.
-    """
+    """An MCAP file in the making with chunks (zstd or lz4), checksums, indexes and a summary at its end."""
 
     def __init__(self, stream: Stream, library: str, compression: str) -> None:
         self._stream, self._compression = stream, compression.encode()

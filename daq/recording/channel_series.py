@@ -28,13 +28,7 @@ RECENT_SAMPLES = 1 << 17
 
 
 class Series:
-    """Blocks of samples on one topic.
-
-    Parameters
-    ----------
-    channel : mcap Channel
-        The topic with its metadata.
-    """
+    """Blocks of samples on one topic."""
 
     def __init__(self, container: Container, channel: Channel) -> None:
         summary = container.summary
@@ -153,22 +147,9 @@ class Series:
                 return
 
     def read(self, start: int, stop: int) -> NDArray[np.float64]:
-        """Read samples in the unit of the topic.
+        """Return samples [start, stop) in the unit of the topic, NaN where the file has none.
 
-        Parameters
-        ----------
-        start, stop : int
-            First sample, and the one after the last.
-
-        Returns
-        -------
-        ndarray, (stop - start,)
-            NaN where the file has no sample.
-
-        Raises
-        ------
-        RecordingError
-            If a chunk is damaged, or the range holds almost no samples for its size.
+        Raises `RecordingError` for a damaged chunk, or a range with almost no samples for its size.
         """
         self.refuse_void(start, stop)
         values = np.empty(stop - start)

@@ -28,22 +28,8 @@ class DiskError(RunError):
 class Disk:
     """The stream of the MCAP writer: bytes wait in memory until `commit` writes them together.
 
-    Parameters
-    ----------
-    overwrite : bool
-        Whether an existing file may be replaced.
-
-    Attributes
-    ----------
-    failed : bool
-        Whether a commit has failed; the file then ends with the previous commit.
-    at : Path
-        Where the bytes are written: next to an existing file that is to be replaced, else at `path`.
-
-    Raises
-    ------
-    RecordingError
-        If the file exists, or cannot be made.
+    The file `at` lies next to an existing file that is to be replaced. After `failed`, it ends with the previous
+    commit. Raises `RecordingError` if the file exists or cannot be made.
     """
 
     def __init__(self, path: Path, overwrite: bool) -> None:
@@ -80,13 +66,7 @@ class Disk:
         """Do nothing: the MCAP writer flushes every chunk, but chunks are committed in groups."""
 
     def commit(self) -> None:
-        """Write the waiting bytes into the file.
-
-        Raises
-        ------
-        DiskError
-            If the disk is full or fails. The file is truncated to the previous commit.
-        """
+        """Write the waiting bytes; on `DiskError` the file is truncated to the previous commit."""
         waiting, self._waiting = self._waiting, []
         try:
             for first in range(0, len(waiting), _AT_ONCE):
@@ -106,12 +86,7 @@ class Disk:
     def finish(self) -> None:
         """Write the waiting bytes, which complete the file, and give it its name.
 
-        Raises
-        ------
-        DiskError
-            If the disk is full or fails.
-        RunError
-            If the file cannot get its name.
+        Raises `DiskError` if the disk is full or fails, `RunError` if the file cannot get its name.
         """
         self.commit()
         self._whole = True

@@ -19,16 +19,7 @@ _INTEGRATIONS = {"velocity": "once", "acceleration": "twice"}
 
 @dataclass(frozen=True)
 class MotionSource:
-    """Source of the displacement of a point.
-
-    Attributes
-    ----------
-    point : str
-        ``body 1``, ..., ``table``.
-    channel : str or None
-        The channel it is read from; None for truth and for a point that is not measured.
-    quantity : {'displacement', 'velocity', 'acceleration', 'truth', 'nothing'}
-    """
+    """Source of the displacement of a point; without a channel it is the truth, or the point is not measured."""
 
     point: str
     channel: str | None
@@ -68,11 +59,6 @@ class DisplacementEstimate:
 
     With w the corner, an acceleration is filtered by ``s^2 / (s^2 + sqrt(2) w s + w^2)^2``, a velocity by
     ``s / (s^2 + sqrt(2) w s + w^2)``, both by bilinear transform; a displacement is not changed.
-
-    Parameters
-    ----------
-    quantity : {'acceleration', 'velocity', 'displacement'}
-        Of the samples.
     """
 
     def __init__(self, quantity: str, rate: float) -> None:

@@ -87,17 +87,8 @@ class DisplayDecimator:
     """Low-passes signals and keeps every `step`-th sample, at sample numbers that are multiples of it.
 
     The filter has linear phase without delay: a sample is known half a filter length later. Before the first and after
-    the last sample, these continue as constants.
-
-    Parameters
-    ----------
-    step : int
-        Samples from one kept sample to the next.
-
-    Attributes
-    ----------
-    stop : int or None
-        Number of the sample that should come next; None before the first one and after `finish`.
+    the last sample, these continue as constants. `stop` is the expected next sample; None before the first one and
+    after `finish`.
     """
 
     def __init__(self, step: int) -> None:
@@ -114,21 +105,9 @@ class DisplayDecimator:
         self._next = 0
 
     def run(self, first: int, samples: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Take further samples.
+        """Take further samples (signals, samples) from `first` on; return kept sample numbers and their values.
 
-        Parameters
-        ----------
-        first : int
-            Number of the first of them; `finish` is called before a gap.
-        samples : ndarray, (signals, samples)
-            At least one sample.
-
-        Returns
-        -------
-        places : ndarray of int64, (kept,)
-            Sample numbers of the new values.
-        values : ndarray, (signals, kept)
-            The low-passed signals there.
+        `finish` must be called before a gap.
         """
         if self.stop is None:
             self._held = np.repeat(samples[:, :1], self._half, axis=1)
@@ -182,18 +161,7 @@ def _filtered(samples: NDArray[np.float64], taps: NDArray[np.float64], step: int
 class Display:
     """Makes the messages for viewers: waveform, rms and peak of each channel, and the rig's transforms.
 
-    Parameters
-    ----------
-    scene : Scene
-        Of the drawn rig.
-    channels : sequence of ChannelInfo
-        One for each row of samples.
-    clock : Timebase
-        Of the recording.
-    truth : Truth or None
-        The true motion, where recorded, for dampers and for points without a displacement channel.
-    register : callable
-        Announces a topic and gives its channel number.
+    Truth, where recorded, moves dampers and points without a displacement channel.
     """
 
     def __init__(
@@ -255,13 +223,7 @@ class Display:
         }
 
     def levels(self, blocks: Iterable[tuple[int, NDArray[np.float64]]]) -> Messages:
-        """Give rms and peak of blocks of samples at their ends.
-
-        Parameters
-        ----------
-        blocks : iterable of (int, ndarray)
-            At least one: the number of the first sample, and samples, (channels, blocks, samples).
-        """
+        """Return rms and peak at the ends of blocks, given as first sample and samples (channels, blocks, samples)."""
         ends: list[int] = []
         levels = []
         for first, samples in blocks:

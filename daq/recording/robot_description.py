@@ -71,19 +71,9 @@ def exaggeration(scene: Scene) -> float:
 
 
 class RobotDescription:
-    """The rig of a scene as links that move up and down.
+    """The rig of a scene as links that move up and down; dampers are drawn only with a known motion.
 
-    Parameters
-    ----------
-    with_dampers : bool
-        Whether the dampers' motion will be known; if not, they are not drawn.
-
-    Attributes
-    ----------
-    points : tuple of str
-        Moving parts in the order of `transforms`: ``body 1``, ..., ``table``, ``damper 1``, ...
-    exaggeration : float
-        Factor on every displacement and gap.
+    `points` are in the order of `transforms`; `exaggeration` multiplies every displacement and gap.
     """
 
     def __init__(self, scene: Scene, with_dampers: bool) -> None:
@@ -143,19 +133,7 @@ class RobotDescription:
     def transforms(
         self, times_ns: NDArray[np.uint64], displacements: NDArray[np.float64]
     ) -> NDArray[np.uint8]:
-        """Encode messages foxglove.FrameTransforms.
-
-        Parameters
-        ----------
-        times_ns : ndarray of uint64, (messages,)
-            Nanoseconds since the epoch of the recording.
-        displacements : ndarray, (points, messages)
-            Of each of `points`, metres; for a damper its gap.
-
-        Returns
-        -------
-        ndarray of uint8, (messages, bytes)
-        """
+        """Encode displacements, (points, messages) in m (of a damper: its gap), as foxglove.FrameTransforms."""
         heights = np.array(self._rest)[:, None] + self.exaggeration * displacements
         seconds, rest_ns = np.divmod(times_ns, np.uint64(10**9))
         messages = np.empty((times_ns.size, len(self._message)), np.uint8)

@@ -91,23 +91,7 @@ def encode(clock: Timebase, first_sample: int, samples: NDArray[Any]) -> NDArray
 
 
 def decode(data: memoryview, schema: str) -> SampleBlock:
-    """Decode a block.
-
-    Parameters
-    ----------
-    schema : str
-        Name of its schema, a key of `SAMPLE_TYPE`.
-
-    Returns
-    -------
-    SampleBlock
-        Its samples are not copied.
-
-    Raises
-    ------
-    RecordingError
-        If the bytes are not such a block.
-    """
+    """Decode a block of a schema in `SAMPLE_TYPE`, without a copy; raise `RecordingError` for other bytes."""
     kind = SAMPLE_TYPE[schema]
     if len(data) > _HEAD.size:
         tag0, t0_ns, tag1, first, tag2, rate, tag3 = _HEAD.unpack_from(data)

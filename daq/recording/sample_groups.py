@@ -49,25 +49,9 @@ class Group:
 
 
 class Grouping:
-    """Collects samples of some rows into groups.
+    """Collects samples of some rows into groups of `length` samples on a fixed grid.
 
-    Parameters
-    ----------
-    rows : int
-        Signals that are sampled together.
-    length : int
-        Samples of a group.
-    kind : dtype
-        Of the samples.
-
-    Attributes
-    ----------
-    position : int
-        Number of the next sample.
-    group_bytes : int
-        Size of a full group.
-    complete : dict of int to Group
-        Groups whose cell of the grid has been passed, by their number; cells without samples are left out.
+    `complete` has the passed cells of the grid, by their number; cells without samples are omitted.
     """
 
     def __init__(self, rows: int, length: int, kind: np.dtype[Any]) -> None:

@@ -54,30 +54,13 @@ class Timebase:
         return 2 * 10**9 * denominator, numerator, 2 * numerator
 
     def samples_at(self, time_ns: NDArray[np.uint64]) -> NDArray[np.int64]:
-        """Give the sample numbers nearest to some times.
-
-        Parameters
-        ----------
-        time_ns : ndarray of uint64
-            Nanoseconds since the epoch of the recording.
-
-        Returns
-        -------
-        ndarray of int64
-            Sample numbers, negative before sample 0; clipped for times beyond the range of sample numbers.
-        """
+        """Return the sample numbers nearest to times in ns since the recording's epoch, clipped to int64."""
         # The subtraction wraps around in 64 bits, which is right for every span below 292 years.
         since = (time_ns - np.uint64(self.start_ns % 2**64)).view(np.int64)
         return np.clip(np.rint(since * (self.rate * 1e-9)), -(2.0**62), 2.0**62).astype(np.int64)
 
 
 def refuse_reversed(from_s: float | None, to_s: float | None) -> None:
-    """Reject a stretch, in s, whose end is before its beginning.
-
-    Raises
-    ------
-    SceneError
-        If it is reversed.
-    """
+    """Raise `SceneError` for a stretch, in s, whose end is before its beginning."""
     if from_s is not None and to_s is not None and to_s < from_s:
         raise SceneError(f"--from {from_s:g} s is after --to {to_s:g} s. Give the earlier time first.")

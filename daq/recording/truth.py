@@ -42,25 +42,8 @@ def dampers_of(scene: Scene) -> tuple[str, ...]:
 class Truth:
     """Collects the true motion: of each point its motion, of each damper its gap and contact, and the events.
 
-    Parameters
-    ----------
-    scene : Scene
-        The rig.
-    clock : Timebase
-        Of the recording.
-    group : int
-        Samples that are written together.
-    register : callable
-        Announces a topic and gives its channel number.
-
-    Attributes
-    ----------
-    streams : tuple of Grouping
-        Real numbers (motion of the points, then gaps), and contacts.
-    drawn : tuple of str
-        Parts whose position `positions` gives: the points, then ``damper 1``, ...
-    chunks : list of list of (int, int, int)
-        Stream, row and channel number of each series of a chunk.
+    `streams` are the real numbers (motion of the points, then gaps) and the contacts, `chunks` the (stream, row,
+    channel number) of each series of a chunk; `drawn` names the parts of `positions`.
     """
 
     def __init__(self, scene: Scene, clock: Timebase, group: int, register: Register) -> None:

@@ -112,12 +112,7 @@ def live_layout(
 ) -> rrb.Blueprint:
     """Arrange a live view: rig and readings at the left, the last seconds of every curve at the right.
 
-    Parameters
-    ----------
-    plots : sequence of (str, str)
-        Entity and title of each group of channels.
-    eye : tuple
-        Position and target of the camera.
+    `plots` are entity and title of each group of channels, `eye` position and target of the camera.
     """
     import rerun.blueprint as rrb
 

@@ -19,39 +19,19 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Signal:
-    """One row of samples of a file.
-
-    Attributes
-    ----------
-    file : str
-        Name of the file.
-    number : int
-        Position of the signal in the file, from 1.
-    name, unit : str
-        As the file states them; the unit is empty where it states none.
-    samples : int
-    rate : float or None
-        Samples per second, Hz; None where the file states none.
-    read : callable
-        ``read(start, stop)`` gives samples in the file's unit; called with rising, adjoining ranges, or from 0 again.
-    start_s : float
-        Time of the first sample after the file's own zero, s.
-    start_ns : int
-        That zero in nanoseconds since 1970; 0 where the file has no date.
-    full_scale : float or None
-        Largest value that the file can hold, in its unit; None where that is not known.
-    """
+    """One row of samples of a file."""
 
     file: str
-    number: int
+    number: int  # Position of the signal in the file, from 1
     name: str
-    unit: str
+    unit: str  # Empty where the file states none
     samples: int
-    rate: float | None
+    rate: float | None  # Samples per second, Hz; None where the file states none
+    # (start, stop) -> samples in the file's unit; called with rising, adjoining ranges, or from 0 again.
     read: Callable[[int, int], Array]
-    start_s: float = 0.0
-    start_ns: int = 0
-    full_scale: float | None = None
+    start_s: float = 0.0  # Time of the first sample after the file's own zero, s
+    start_ns: int = 0  # That zero in nanoseconds since 1970; 0 where the file has no date
+    full_scale: float | None = None  # Largest value that the file can hold, in its unit; None if not known
 
     @classmethod
     def of_array(

@@ -23,33 +23,15 @@ _HIGHEST = 0.35
 
 @dataclass(frozen=True)
 class Track:
-    """Blocks of one length that resolve the strongest tone of the reference.
+    """Blocks of one length that resolve the strongest tone of the reference."""
 
-    Attributes
-    ----------
-    hop : int
-        Samples from one block to the next; a block is `HOPS` as long.
-    number : ndarray of int, shape (blocks,)
-        Numbers of the blocks, from 0.
-    frequency : ndarray, shape (blocks,)
-        Of the tone, approximately, in periods per hop.
-    phase : ndarray, shape (blocks,)
-        At the middle of the block, rad.
-    amplitude : ndarray, shape (blocks,)
-        In the unit of the reference.
-    ratio : ndarray of complex, shape (channels, blocks)
-        Every channel over the reference.
-    levels : ndarray, shape (all blocks,)
-        Standard deviation of the reference in each block of the signal.
-    """
-
-    hop: int
-    number: NDArray[np.int64]
-    frequency: Array
-    phase: Array
-    amplitude: Array
-    ratio: ComplexArray
-    levels: NDArray[np.float32]
+    hop: int  # Samples from one block to the next; a block is `HOPS` as long
+    number: NDArray[np.int64]  # Of the blocks, from 0
+    frequency: Array  # Of the tone in each block, approximately, periods per hop
+    phase: Array  # At the middle of each block, rad
+    amplitude: Array  # In each block, in the unit of the reference
+    ratio: ComplexArray  # Every channel over the reference, (channels, blocks)
+    levels: NDArray[np.float32]  # Standard deviation of the reference in each block of the signal
 
 
 class ToneTracker:

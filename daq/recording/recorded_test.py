@@ -42,14 +42,7 @@ _KIND_OF_SETTINGS = {
 
 @dataclass(frozen=True)
 class RecordedTest:
-    """The test of a recording.
-
-    Attributes
-    ----------
-    kind : TestKind
-    settings : Test or None
-        Of the recorded scene; None where it has no test.
-    """
+    """The kind of a recording's test, and its settings in the recorded scene; None where that has no test."""
 
     kind: TestKind
     settings: Test | None

@@ -17,26 +17,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SceneOutline:
-    """Facts of a scene.
-
-    Attributes
-    ----------
-    scene : str
-        Its name.
-    test : str
-        Kind of its test; "none" without a test.
-    bodies : tuple of str
-        Names of the bodies, body 1 first; empty where they have none.
-    dampers : int
-    force_places : tuple of str
-        Places whose motion determines the shaker's force where no channel measures it; empty without a shaker, or
-        where the test needs none.
-    """
+    """Facts of a scene."""
 
     scene: str
-    test: str
-    bodies: tuple[str, ...]
+    test: str  # Its kind; "none" without a test
+    bodies: tuple[str, ...]  # Names, body 1 first; empty where they have none
     dampers: int
+    # Places whose motion determines the shaker's force where no channel measures it; empty without a shaker, or where
+    # the test needs none.
     force_places: tuple[str, ...]
 
     @classmethod

@@ -44,14 +44,9 @@ SINK_S = 60.0
 
 
 def save(replay: Replay, file: Path, progress: Progress | None = None) -> None:
-    """Write a replay to an .rrd file, layout included; `rerun FILE.rrd` opens it.
+    """Write a replay with its layout to an .rrd file; `rerun FILE.rrd` opens it.
 
-    Raises
-    ------
-    SceneError
-        If the name does not end in .rrd.
-    RunError
-        If the file cannot be written.
+    Raises `SceneError` for another suffix, `RunError` if the file cannot be written.
     """
     _need_suffix(file, ".rrd", "--save")
 
@@ -114,28 +109,10 @@ def photograph(
     progress: Progress | None = None,
     size: tuple[int, int] = (1600, 1000),
 ) -> float:
-    """Draw a replay at one instant into a PNG file, without a window.
+    """Draw a replay into a PNG file without a window; return the instant that was drawn, s.
 
-    Parameters
-    ----------
-    at_s : float or None
-        The instant, seconds from the start of the recording; None takes `liveliest_s`.
-    progress : callable or None
-        Called with the share that is done.
-    size : tuple of int
-        Width and height in pixels.
-
-    Returns
-    -------
-    float
-        The instant that was drawn, s.
-
-    Raises
-    ------
-    SceneError
-        If the name does not end in .png, or the instant lies outside the replay.
-    RunError
-        If there is no graphics device, a view could not be drawn, or the file cannot be written.
+    `at_s` counts from the start of the recording; None takes `liveliest_s`. `size` is in pixels. Raises `SceneError`
+    for another suffix or an instant outside the replay, `RunError` if no picture can be drawn or written.
     """
     _need_suffix(file, ".png", "--screenshot")
     rate = replay.recording.rate
@@ -162,30 +139,13 @@ def photograph(
 
 
 def window(instead: str) -> AbstractContextManager[Viewer]:
-    """Open a viewer in a window of its own.
-
-    Parameters
-    ----------
-    instead : str
-        Remedy without a display, for the message.
-
-    Raises
-    ------
-    RunError
-        If there is no display, or the viewer does not start.
-    """
+    """Open a viewer in a window; raise `RunError`, with the remedy `instead`, if there is no display."""
     need_display(instead)
     return viewer("--expect-data-soon")
 
 
 def in_window(replay: Replay, progress: Progress | None = None) -> None:
-    """Show a replay in a window of its own; return when the window is closed.
-
-    Raises
-    ------
-    RunError
-        If there is no display, or the viewer does not start.
-    """
+    """Show a replay in a window until it is closed; raise `RunError` if the viewer does not start."""
     with window(WITHOUT_DISPLAY) as running:
         _warn_of_size(replay)
         _feed(replay, running, progress)
@@ -194,19 +154,9 @@ def in_window(replay: Replay, progress: Progress | None = None) -> None:
 
 
 def in_browser(replay: Replay, announce: Callable[[str], None], progress: Progress | None = None) -> None:
-    """Serve a replay to browsers on this machine until interrupted.
+    """Serve a replay to browsers on this machine until interrupted; raise `RunError` if the server does not start.
 
-    Parameters
-    ----------
-    announce : callable
-        Called with the address to open.
-    progress : callable or None
-        Called with the share that is done.
-
-    Raises
-    ------
-    RunError
-        If the server does not start.
+    `announce` gets the address to open.
     """
     with suppress(KeyboardInterrupt), server(announce) as running:
         _warn_of_size(replay)

@@ -20,13 +20,7 @@ BLOCK = 1 << 16
 
 
 class RecordedMotion:
-    """Displacements of bodies and table, and the dampers' gaps, read from a recording in stretches.
-
-    Parameters
-    ----------
-    recording : Recording
-        Its scene determines the points.
-    """
+    """Displacements of bodies and table, and the dampers' gaps, read from a recording in stretches."""
 
     def __init__(self, recording: Recording) -> None:
         self.recording = recording

@@ -34,19 +34,9 @@ Progress = Callable[[float, str], None]
 
 
 class Replay:
-    """A stretch of a recording, ready to be sent to a viewer or a file.
+    """The stretch [begin_s, end_s] of a recording, s from its start, ready to be sent to a viewer or a file.
 
-    Parameters
-    ----------
-    begin_s, end_s : float or None
-        The stretch, seconds from the start of the recording; None means from its start, to its end.
-    speed : float
-        Speed at which the viewer plays, 1 is real time.
-
-    Raises
-    ------
-    SceneError
-        If the stretch holds no sample, or the speed is not positive.
+    Raises `SceneError` if the stretch holds no sample, or the playback speed (1 is real time) is not positive.
     """
 
     def __init__(
@@ -127,17 +117,7 @@ class Replay:
     def send(
         self, stream: rr.RecordingStream, drain: Callable[[], object], progress: Progress | None = None
     ) -> None:
-        """Send everything to a stream.
-
-        Parameters
-        ----------
-        stream : rerun RecordingStream
-            With its sink.
-        drain : callable
-            Waits until the sink has received everything; called often, to bound the memory.
-        progress : callable or None
-            Called with the completed share.
-        """
+        """Send everything to a stream; `drain` waits until its sink has received everything, to bound the memory."""
         import rerun as rr
 
         from daq.viewing.spectrum_picture import spectrum_picture

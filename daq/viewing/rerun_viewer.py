@@ -42,15 +42,7 @@ _SHORTER = "show a part of it with --from and --to"
 
 
 class Viewer:
-    """A running viewer.
-
-    Attributes
-    ----------
-    process : subprocess.Popen
-        The viewer binary.
-    port : int
-        Where it listens for data and commands.
-    """
+    """A running viewer, which listens at `port` for data and commands."""
 
     def __init__(self, process: subprocess.Popen[bytes], port: int, log: TextIO) -> None:
         self.process = process
@@ -82,13 +74,7 @@ class Viewer:
 
     @contextmanager
     def driven(self) -> Iterator[ViewerClient]:
-        """Give a connection that drives the viewer, once the viewer answers it.
-
-        Raises
-        ------
-        RunError
-            If the viewer ends or stops answering, then or later.
-        """
+        """Yield a connection that drives the viewer; raise `RunError` if the viewer ends or stops answering."""
         from rerun.experimental import ViewerClient
 
         deadline = time.monotonic() + START_S
@@ -117,18 +103,7 @@ class Viewer:
 
 @contextmanager
 def viewer(*options: str) -> Iterator[Viewer]:
-    """Start a viewer on a free port of the loopback interface and end it on leaving.
-
-    Parameters
-    ----------
-    *options : str
-        Further options and files for the viewer's command line.
-
-    Raises
-    ------
-    RunError
-        If the viewer cannot start.
-    """
+    """Start a viewer on a free loopback port and end it on leaving; raise `RunError` if it cannot start."""
     port = free_port()
     command = [str(binary()), "--bind", LOOPBACK, "--port", str(port), "--hide-welcome-screen", *options]
     # The viewer sends usage data to its makers unless it runs under CI.
@@ -166,13 +141,7 @@ def _terminable() -> Iterator[None]:
 
 
 def binary() -> Path:
-    """Path of the viewer binary that comes with rerun-sdk.
-
-    Raises
-    ------
-    RunError
-        If the installed rerun-sdk has none.
-    """
+    """Return the path of the viewer binary of rerun-sdk; raise `RunError` if the installed one has none."""
     import rerun_cli
 
     folder = Path(rerun_cli.__file__).parent
@@ -209,30 +178,10 @@ def picture(
     lasts_s: float = 0.0,
     last: str | None = None,
 ) -> tuple[bytes, list[View]]:
-    """Draw a recording without a window.
+    """Draw an .rrd or .mcap file without a window; return the rerun views with what each could not draw.
 
-    Parameters
-    ----------
-    file : Path
-        An .rrd or .mcap file.
-    after_s : float or None
-        Where to put the time cursor, seconds after the first datum in the file; None leaves it.
-    size : tuple of int
-        Width and height of the picture in points.
-    lasts_s : float
-        Least duration of the file's content, s.
-    last : str, optional
-        What was written last, an entity's path: the viewer waits for it.
-
-    Returns
-    -------
-    list of rerun View
-        The views in it with what each could not draw.
-
-    Raises
-    ------
-    RunError
-        If there is no graphics device, the file does not load, or not all of it is shown.
+    The time cursor is put `after_s` after the first datum; the content is at least `lasts_s` long, and the viewer waits
+    for the entity `last`. `size` is in points. Raises `RunError` if the file does not load or not all of it is shown.
     """
     window = ("--headless", "--window-size", f"{size[0]}x{size[1]}")
     with viewer(*window, str(file.resolve())) as running, running.driven() as client:

@@ -23,22 +23,11 @@ INK = "#c8ccd4"
 def peak_spectrum(
     recording: Recording, channel: str, start: int, stop: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Largest amplitude at each frequency over Hann-windowed segments of a channel.
+    """Return frequencies (Hz, without 0) and the largest peak amplitude over Hann-windowed segments of a channel.
 
     A tone of amplitude A gives A, a sweep its envelope over frequency. Segments of up to `SEGMENT_S` seconds overlap by
-    half; of a long recording `MOST_SEGMENTS` are used, evenly spread.
-
-    Parameters
-    ----------
-    start, stop : int
-        Range of sample numbers.
-
-    Returns
-    -------
-    frequency : ndarray, (lines,)
-        Hz, without 0.
-    amplitude : ndarray, (lines,)
-        In the channel's unit, peak (not rms); NaN if every segment has lost samples.
+    half; of a long recording `MOST_SEGMENTS` are used, evenly spread. The amplitude is NaN if every segment has lost
+    samples.
     """
     length = max(8, min(stop - start, round(SEGMENT_S * recording.rate)))
     segments = min(MOST_SEGMENTS, max(1, 2 * (stop - start) // length - 1))

@@ -42,15 +42,7 @@ def plots(channels: Mapping[str, ChannelInfo]) -> list[tuple[str, str]]:
 
 
 class Traces:
-    """Sends curves, contact states and motion to a stream, on one timeline.
-
-    Parameters
-    ----------
-    stream : rerun RecordingStream
-        With its sink.
-    dampers : sequence of Damper
-        Dampers whose gap and contact are sent.
-    """
+    """Sends curves, motion, and gap and contact of the given dampers to a stream, on one timeline."""
 
     def __init__(
         self,

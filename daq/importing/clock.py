@@ -45,22 +45,10 @@ class Clock(NamedTuple):
 
 
 def rate_of_interval(interval: float, resolution: float = 0.0) -> float:
-    """Estimate the intended rate from a rounded sample interval.
+    """Return the rate (Hz) with the fewest digits within the rounding, `resolution`, of a sample interval (both in s).
 
-    Parameters
-    ----------
-    interval : float
-        Time from sample to sample, s.
-    resolution : float
-        Largest rounding error of the interval, s.
+    It is 1 / interval where the interval has fewer digits.
 
-    Returns
-    -------
-    float
-        Of all rates within the rounding the one with the fewest digits; 1 / interval where the interval has fewer.
-
-    Examples
-    --------
     >>> rate_of_interval(1.52588e-05, 5e-11), rate_of_interval(1.95312e-05, 5e-11)
     (65536.0, 51200.0)
     >>> rate_of_interval(1.9999999999999998e-05), rate_of_interval(1e-4, 5e-10)
@@ -134,22 +122,10 @@ def _clock_of_jittery(times: Array, where: str) -> tuple[float, float, float]:
 
 
 def missing_rows(times: Iterable[Array], resolution: float) -> list[Missing]:
-    """Detect rows that are missing in otherwise evenly spaced times.
+    """Return (row, number of missing rows) of otherwise evenly spaced times (s, in pieces, written to `resolution` s).
 
-    Parameters
-    ----------
-    times : iterable of ndarray
-        The times in pieces, s; the first of at least two.
-    resolution : float
-        Of the times as they are written, s.
+    Empty where the times have no gaps, or are uneven otherwise, so that no gap can be measured.
 
-    Returns
-    -------
-    list of (int, int)
-        In order; empty where the times have no gaps, or are uneven otherwise, so that no gap can be measured.
-
-    Examples
-    --------
     >>> missing_rows([np.array([0.0, 0.1, 0.2, 0.5, 0.6])], 0.0)
     [(3, 2)]
     """
@@ -233,17 +209,6 @@ def require_even(
 def looks_like_times(begin: Array, last: float, samples: int) -> bool:
     """Whether unnamed numbers can only be times: they rise evenly, and are no count.
 
-    Parameters
-    ----------
-    begin : ndarray
-        The first numbers, at least two.
-    last : float
-        The last number.
-    samples : int
-        How many numbers there are.
-
-    Examples
-    --------
     >>> looks_like_times(np.array([0.0, 0.01, 0.02]), 0.09, 10), looks_like_times(np.array([1.0, 2.0]), 10.0, 10)
     (True, False)
     """

@@ -25,15 +25,8 @@ _SPELLED = {
 
 
 def meaning(unit: str) -> tuple[Quantity, float]:
-    """Give the quantity and the SI size of a unit, or of a number of units.
+    """Return the quantity and the SI size of a unit, or of a number of units; raise `ValueError` for other quantities.
 
-    Raises
-    ------
-    ValueError
-        If it is a unit of none of acceleration, velocity, displacement, force or voltage.
-
-    Examples
-    --------
     >>> meaning("g"), meaning("m/s2"), meaning("Volts"), meaning("2.5 mm")
     (('acceleration', 9.80665), ('acceleration', 1.0), ('voltage', 1.0), ('displacement', 0.0025))
     """

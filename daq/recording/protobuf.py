@@ -20,20 +20,10 @@ class Schema(NamedTuple):
 
 @cache
 def descriptors(package: str, messages: tuple[tuple[str, tuple[tuple[str, str], ...]], ...]) -> bytes:
-    """Describe protobuf messages for MCAP: a FileDescriptorSet with all imports.
+    """Describe protobuf messages for MCAP as a serialized FileDescriptorSet with all imports.
 
-    Parameters
-    ----------
-    package : str
-        Package of the messages.
-    messages : tuple
-        (message, ((field, type), ...)); fields are numbered from 1. A type is a protobuf type such as
-        ``double``, or the full name of a message; ``[]`` behind it makes the field repeated.
-
-    Returns
-    -------
-    bytes
-        The serialised set.
+    `messages` are (message, ((field, type), ...)); fields are numbered from 1. A type is a protobuf type such as
+    ``double``, or the full name of a message; ``[]`` behind it makes the field repeated.
     """
     from google.protobuf import descriptor_pb2, timestamp_pb2
 

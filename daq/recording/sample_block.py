@@ -58,22 +58,11 @@ def block_schema(schema: str) -> Schema:
 
 
 def encode(clock: Timebase, first_sample: int, samples: NDArray[Any]) -> NDArray[np.uint8]:
-    """Encode blocks of samples that follow each other.
+    """Encode successive blocks of samples, (channels, blocks, samples), as (channels, blocks, bytes).
 
-    Parameters
-    ----------
-    first_sample : int
-        Number of the first of the samples.
-    samples : ndarray, (channels, blocks, samples)
-        In one of the types of `SAMPLE_TYPE`.
+    The samples have a type of `SAMPLE_TYPE`. A block is
+    {sfixed64 t0_ns = 1; fixed64 first_sample = 2; double sample_rate_hz = 3; repeated samples = 4}.
 
-    Returns
-    -------
-    ndarray of uint8, (channels, blocks, bytes)
-        {sfixed64 t0_ns = 1; fixed64 first_sample = 2; double sample_rate_hz = 3; repeated samples = 4}
-
-    Examples
-    --------
     >>> data = encode(Timebase(5120.0), 512, np.array([[[1.5, 2.5]]]))
     >>> decode(memoryview(data[0, 0]), "shotrig.BlockFloat64").samples
     array([1.5, 2.5])

@@ -384,7 +384,7 @@ class _Import:
         if latest >= _LATE * self._samples:
             yield (
                 f"a free test: its decay begins with the first sample, but {name} moves most at "
-                f"{latest / self._rate:.4g} s; leave out the time before with --from"
+                f"{latest / self._rate:.4g} s. Remove the time before it with --from."
             )
 
 

@@ -66,7 +66,9 @@ def detect_layout(path: Path, lines: list[str], encoding: str) -> Layout:
             values = [number(cell, comma) for cell in row]
             if len(values) > 1 and values[0] is None:
                 values[0] = seconds_of_stamp(row[0])
-            if len(row) < (1 if delimiter is None else 2) or not _are_numbers(values):
+            # Empty cells are NaN; a line of empty cells alone has no numbers.
+            are_numbers = None not in values and any(value == value for value in values)
+            if len(row) < (1 if delimiter is None else 2) or not are_numbers:
                 continue
             above = [
                 cells(each.lstrip("#%").strip() if each[:1] in "#%" else each, delimiter)
@@ -81,10 +83,6 @@ def detect_layout(path: Path, lines: list[str], encoding: str) -> Layout:
     raise RecordingError(
         f"{path}: no line of numbers among its first {len(lines)} lines; expected a table of numbers"
     )
-
-
-def _are_numbers(values: list[float | None]) -> bool:
-    return None not in values and any(value == value for value in values)
 
 
 def _heading(above: list[list[str]], width: int) -> tuple[list[str], list[str]]:

@@ -36,9 +36,13 @@ REACH = 0.7
 TABULATED_UP_TO = 16
 TABULATED_WITH_FEW = 40
 FEW_DAMPERS = 3
-#: States and dampers up to which the matrix of a whole step is.
+#: States and dampers up to which the matrix of a whole step is tabulated.
 STEPS_UP_TO = 400
 STEPS_WITH_DAMPERS = 6
+#: Bytes that these matrices may occupy in a larger system whose series would take longer than a product, because A is
+#: dense (modal damping, given matrices); and the bytes of an element, with those of the derivatives and bounds.
+STEPS_BYTES = 1 << 29
+ELEMENT_BYTES = 20
 #: Bits of a configuration up to which slots are looked up in an array of all configurations.
 DIRECT_UP_TO = 12
 #: Steps that turn a tone by less than this are seldom near a contact, on an envelope's coarse view too.
@@ -73,12 +77,19 @@ class FlowTables:
         self._direct = np.full(1 << bits, -1, dtype=np.int64) if bits <= DIRECT_UP_TO else None
         most = TABULATED_WITH_FEW if system.dampers <= FEW_DAMPERS else TABULATED_UP_TO
         self.tabulated = self.size <= most
-        self.stepping = self.tabulated or (self.size <= STEPS_UP_TO and system.dampers <= STEPS_WITH_DAMPERS)
         # What is tabulated is used a million times over: it is computed with digits to spare.
         self._precision = np.longdouble if self.tabulated else np.float64
         self._pointer, self._column = self._pattern()
+        self.stepping = self.tabulated or (system.dampers <= STEPS_WITH_DAMPERS and self._steps_pay(bits))
         self.model = self._model()
         self.flow = self._empty(4)
+
+    def _steps_pay(self, bits: int) -> bool:
+        """Whether the matrix of a whole step is quicker than the series of the sparse matrix, within the memory."""
+        if self.size <= STEPS_UP_TO:
+            return True
+        dense = len(self._column) * TERMS > self.size**2
+        return dense and self.size**2 * ELEMENT_BYTES << bits <= STEPS_BYTES
 
     def slot(self, configuration: int) -> int:
         """Slot of a configuration (bit j set: damper j at rest), made now if it is new."""

@@ -5,15 +5,17 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
-from tests.benchmarks import answers, chain, engine, orbits, recordings, waits
+from tests.benchmarks import answers, chain, engine, growth, orbits, recordings, waits
 
 
 def main() -> None:
     """Print them, part by part."""
-    for part in (answers, engine, orbits, chain, recordings, waits):
+    for part in (answers, growth, engine, orbits, chain, recordings, waits):
         print(f"\n== {(part.__doc__ or '').splitlines()[0]}", flush=True)
         if part is answers:
             answers.main()
+        elif part is growth:
+            growth.main()
         elif part is engine:
             engine.main()
         elif part is waits:

@@ -49,6 +49,7 @@ def pass_time(bench, seconds):
     """Let time pass, and wait until the view has caught up."""
     for _ in range(round(seconds / 0.1)):
         bench.chassis.clock.advance(0.1)
+        bench.monitor.catch_up()
 
 
 def ask(bench, **settings):

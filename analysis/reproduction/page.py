@@ -34,7 +34,7 @@ CAPTIONS = {
     "design": "Design chart",
     "optimum": "Best clearance",
     "trust": "Where the approximate method can be trusted",
-    "c7-beds": "Beds of grains against one mass that lands at once, and on a contact that lasts, in % of the mass",
+    "c7-beds": "Beds of grains against one mass that lands at once, and with finite-duration contact, in % of the mass",
     "c7-modes": "Beds of grains against one mass at the paper's first and second resonance, in % of the mass",
 }
 BEYOND = ("design", "optimum", "trust")

@@ -200,7 +200,7 @@ class Foresight(Result):
         ax.set(xlabel="share of the limit / %")
 
     def __str__(self) -> str:
-        header = ("", "largest", "at", "limit", "of limit", "least signal above noise")
+        header = ("", "largest", "at", "limit", "of limit", "lowest signal-to-noise ratio")
         rows = [header]
         for each in self.expectations:
             limit, share = "", ""

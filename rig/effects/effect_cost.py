@@ -134,7 +134,7 @@ def motion_steps(scene: Scene) -> Iterator[EffectStep]:
         "particle dampers": {"clearance": np.inf, "restitution": 0.0, "contact": None},
         "ceilings": {"restitution": 0.0, "contact": None},
         "restitution": {"contact": None},
-        "contact that lasts": {},
+        "finite-duration contact": {},
     }
     before: tuple[object, ...] = ()
     for name, off in variants.items():

@@ -103,7 +103,7 @@ class Explanation(Result):
         for rows, parts in alike.items():
             lines += ["", *parts, *rows]
         if self.absent:
-            lines += ["", f"not in the scene, no state and no code: {', '.join(self.absent)}"]
+            lines += ["", f"not in the scene, so not modelled: {', '.join(self.absent)}"]
         return "\n".join(lines)
 
 
@@ -128,7 +128,7 @@ def explain(scene: SceneLike) -> Explanation:
         "particle dampers",
         "ceilings",
         "restitution",
-        "contact that lasts",
+        "finite-duration contact",
         "grains",
         "coil spring and table",
         "coil current",
@@ -233,7 +233,7 @@ def _dampers(scene: Scene, system: HybridSystem) -> Iterable[Effect]:
         ratios = ", ".join(f"{ratio:.3g}" for ratio in system.restitution)
         yield Effect("motion", "restitution", 0, ratios)
     if system.lasting.any():
-        yield Effect("motion", "contact that lasts", 0, "; ".join(_walls(system, scene.structure)))
+        yield Effect("motion", "finite-duration contact", 0, "; ".join(_walls(system, scene.structure)))
 
 
 def _walls(system: HybridSystem, structure: Structure) -> Iterable[str]:

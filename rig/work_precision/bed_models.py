@@ -86,7 +86,7 @@ def _models(scene: Scene, frequency: float) -> Models:
     yield "one mass", "lands at once", partial(_of_mass, mass, frequency)
     for duration in DURATIONS:
         lasting = partial(_of_mass, with_ideal_force(on_contact(scene, duration)), frequency)
-        yield "contact that lasts", f"{1e3 * duration:g} ms", lasting
+        yield "finite-duration contact", f"{1e3 * duration:g} ms", lasting
     for step in STEPS:
         coarse = with_step(scene, step)
         if coarse is not None:

@@ -35,7 +35,7 @@ LOOK = {
     "approximate": ("#6b4fa0", "P"),
     "linear": ("#808080", "x"),
     "one mass": ("#c1272d", "*"),
-    "contact that lasts": ("#e8853d", "o"),
+    "finite-duration contact": ("#e8853d", "o"),
     "grains": ("#1f4e79", "s"),
     "grains, softer": ("#4f87bd", "D"),
     OTHER_PACKING: ("#8fb4d9", "v"),

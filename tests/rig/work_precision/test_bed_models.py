@@ -32,9 +32,9 @@ def test_all_but_soft_contacts_agree_at_rest(
     with table.open(newline="", encoding="utf-8") as file:
         found = {(row["method"], row["setting"]): float(row["error"]) for row in csv.DictReader(file)}
     assert found["one mass", "lands at once"] < 0.01
-    assert found["contact that lasts", "1 ms"] < 0.01
+    assert found["finite-duration contact", "1 ms"] < 0.01
     assert found[OTHER_PACKING, "step 0.19 Rayleigh"] < 0.01
-    assert found["contact that lasts", "8 ms"] > found["contact that lasts", "1 ms"]
+    assert found["finite-duration contact", "8 ms"] > found["finite-duration contact", "1 ms"]
     assert "6 grains followed for" in text
     assert {file.suffix for file in files} == {".png", ".svg", ".csv"}
 

@@ -119,7 +119,7 @@ def explain(
         ),
     ] = False,
 ) -> None:
-    """Print the expected maxima of a scene's test, then its effects and states."""
+    """List expected maxima, effects and states of a scene."""
     import rig
     from rig.effects.foresight import foresights
 
@@ -284,7 +284,7 @@ def cost(
 ) -> None:
     """Measure error and computing time of every method on a scene.
 
-    Of a scene with a bed of grains: what one mass, one mass on contacts that last, and coarser grains are worth.
+    Of a scene with a bed of grains: what one mass, one mass with finite-duration contact, and coarser grains are worth.
     """
     import rig
     from rig.output_files import make_ready, stem

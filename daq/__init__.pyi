@@ -1,5 +1,6 @@
 # The public names and where they live; `__init__.py` imports each when it is first used.
 
+from .bench_page.bench import bench
 from .compiling import warm_up
 from .foresight.foresee import foresee
 from .importing.import_files import import_, import_files
@@ -19,6 +20,7 @@ __all__ = [
     "Recorder",
     "Recording",
     "RunWarning",
+    "bench",
     "connect",
     "foresee",
     "import_",

@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.bench.bench import Bench
 from daq.recording.recorder import Recorder
 from daq.recording.sample_block import stored_as
 from daq.signal_chain.chain import Chain
 from daq.signal_chain.converter import Quantiser, SampleClock
 from daq.signal_chain.outputs import volt_effect
 from daq.signal_chain.oversampling import oversampling
+from daq.virtual_bench.bench import Bench
 from rig.effects.effect_cost import EffectStep, bench_drive
 from rig.effects.explanation import Effect, motion_effects
 from rig.scene.measurement_chain import Accelerometer, Channel, Converter, Hammer

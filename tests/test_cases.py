@@ -16,7 +16,7 @@ import pytest
 import yaml
 
 import rig
-from daq.bench.bench import Bench
+from daq.virtual_bench.bench import Bench
 from rig.scene.quantities import FORCE, FREQUENCY, LENGTH, RATIO, TIME, VOLTAGE, parse
 
 FOLDER = Path(__file__).parent / "cases"

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.bench.bench import Bench
 from daq.excitation.impulse import settling_time
 from daq.foresight.chain_limits import reading_limit, without_limits
 from daq.foresight.flights import flight_lines, onset_level, outside_band
@@ -26,6 +25,7 @@ from daq.foresight.shortened import (
     shortened,
 )
 from daq.measurement.estimate import estimate
+from daq.virtual_bench.bench import Bench
 from rig.damper_design.overloads import shaken_by
 from rig.errors import SceneError
 from rig.scene.excitation import Impulse, Multisine, Random, SteppedSine, SweptSine

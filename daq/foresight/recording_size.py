@@ -7,9 +7,9 @@ from collections import deque
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from daq.bench.bench import Bench
-from daq.bench.block import Block
 from daq.recording.recorder import Recorder
+from daq.virtual_bench.bench import Bench
+from daq.virtual_bench.block import Block
 from rig.scene.scene import Scene
 
 # Duration of the end of a rehearsal that is written, s.

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.bench.bench import Bench
-from daq.bench.block import Block
 from daq.excitation import Station, excitation
 from daq.excitation.swept_sine import sweep_frequency
 from daq.foresight.recording_size import LastBlocks
 from daq.measurement.limits import ControlLoss, Limits
 from daq.measurement.run import RAMP_S, ramp_down
+from daq.virtual_bench.bench import Bench
+from daq.virtual_bench.block import Block
 from rig.scene.excitation import SweptSine
 from rig.scene.scene import Scene
 

@@ -31,11 +31,11 @@ from daq.instrument.errors import Code, DaqError
 from daq.instrument.sleepers import Sleepers
 
 if TYPE_CHECKING:
-    from daq.bench.bench import Bench
-    from daq.bench.block import Block
     from daq.instrument.clock import Clock
     from daq.instrument.settings.channels import Channel
     from daq.instrument.terminals import Terminals
+    from daq.virtual_bench.bench import Bench
+    from daq.virtual_bench.block import Block
 
 _BLOCK = 4096
 # The bench may be behind the wall clock by this time before its input buffers overflow, s.

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from daq.bench.stream import samples_per_tick
 from daq.instrument.devices.names import unflatten
 from daq.instrument.engines.acquisition import InputPlan
 from daq.instrument.engines.generation import OutputPlan
@@ -23,11 +22,12 @@ from daq.instrument.engines.triggers import (
 )
 from daq.instrument.errors import Code, DaqError, bad, unsupported
 from daq.instrument.values import Overwrite, Slope, TriggerType, WindowCondition, named
+from daq.virtual_bench.stream import samples_per_tick
 
 if TYPE_CHECKING:
-    from daq.bench.bench import Bench
     from daq.instrument.chassis import Chassis
     from daq.instrument.settings.task_settings import TaskSettings
+    from daq.virtual_bench.bench import Bench
 
 _OWN_CLOCK = re.compile(
     r"|OnboardClock|.*/OnboardClock|/?([^/]+/)?(a[io]/)?SampleClock(Timebase)?", re.IGNORECASE

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.bench.stream import samples_per_tick
 from daq.instrument.chassis import Chassis, Runner
 from daq.instrument.engines.generation import Generation, OutputBuffer, OutputPlan
 from daq.instrument.errors import Code, DaqError
 from daq.instrument.plans import output_plan
+from daq.virtual_bench.stream import samples_per_tick
 
 if TYPE_CHECKING:
     from daq.instrument.engines.triggers import Source

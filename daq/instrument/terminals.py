@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.bench.bench import Bench
-from daq.bench.stream import at_rate
 from daq.excitation import Excitation as PlayedSignal
 from daq.excitation import Station, excitation
 from daq.instrument.background_test import BackgroundTest
@@ -20,14 +18,16 @@ from daq.instrument.errors import Code, DaqError
 from daq.instrument.values import Coupling, Excitation
 from daq.signal_chain.converter import SampleClock
 from daq.signal_chain.oversampling import oversampling
+from daq.virtual_bench.bench import Bench
+from daq.virtual_bench.stream import at_rate
 from rig.scene.modules import module
 from rig.scene.presets import filled_in, input_settings, needs_supply
 from rig.scene.shaker import DRIVE_PER_VOLT
 from rig.scene.teds import electronic_data_sheet
 
 if TYPE_CHECKING:
-    from daq.bench.block import Block
     from daq.instrument.settings.channels import Channel
+    from daq.virtual_bench.block import Block
     from rig.scene.scene import Scene
 
 

@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, TextIO
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.bench.bench import Bench
 from daq.excitation.manual_tone import HandTone, Knobs, ToneReading
 from daq.live_scope.screen import Screen, sentence
 from daq.measurement.run import MeasurementRun
 from daq.recording.recorded_test import TestKind
 from daq.viewing.outputs import recording_stream, server, window
+from daq.virtual_bench.bench import Bench
 from rig.errors import SceneError
 from rig.input_files import path_of
 from rig.scene.loading import SceneLike, load
@@ -26,8 +26,8 @@ from rig.scene.loading import SceneLike, load
 if TYPE_CHECKING:
     import rerun as rr
 
-    from daq.bench.block import Block
     from daq.viewing.rerun_viewer import Viewer
+    from daq.virtual_bench.block import Block
     from rig.scene.scene import Scene
 
 BLOCK_S = 0.04

@@ -19,8 +19,8 @@ from rig.escaping import markdown
 if TYPE_CHECKING:
     import rerun as rr
 
-    from daq.bench.block import Block
     from daq.signal_chain.channel import ChannelInfo
+    from daq.virtual_bench.block import Block
     from rig.scene.scene import Scene
 
 FRAMES_PER_S = 200.0

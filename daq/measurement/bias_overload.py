@@ -27,7 +27,7 @@ def bias_overload(scene: Scene, row: int, seconds: float) -> str | None:
     seconds : float
         Time since the bench was switched on, s.
     """
-    from daq.bench.bench import Bench
+    from daq.virtual_bench.bench import Bench
 
     channel = None if scene.channels is None else scene.channels[row]
     if channel is None or channel.accelerometer is None:

@@ -23,7 +23,7 @@ def missing_force_reference(scene: Scene, channels: Sequence[ChannelInfo]) -> st
     Examples
     --------
     >>> import rig
-    >>> from daq.bench.bench import Bench
+    >>> from daq.virtual_bench.bench import Bench
     >>> bench = Bench(rig.load("bare-structure"))
     >>> missing_force_reference(bench.scene, bench.channels) is None
     True

@@ -15,8 +15,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.bench.bench import Bench
-from daq.bench.block import Block
 from daq.excitation import Excitation, Station, excitation
 from daq.measurement.estimate import estimate, refuse_too_much
 from daq.measurement.force_reference import missing_force_reference
@@ -25,6 +23,8 @@ from daq.recording.committed_file import DiskError
 from daq.recording.interrupts import answered
 from daq.recording.recorded_test import TestKind, kind_of_settings
 from daq.recording.recorder import Recorder
+from daq.virtual_bench.bench import Bench
+from daq.virtual_bench.block import Block
 from rig.ending_signals import came
 from rig.errors import RecordingError, RunError, SceneError, ShotrigError
 from rig.errors import RunWarning as RunWarning  # public as daq.RunWarning

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 
 import rig
-from daq.bench.bench import Bench
 from daq.recording.recorder import Recorder
 from daq.signal_chain.chain import Chain
 from daq.signal_chain.converter import Quantiser, SampleClock
+from daq.virtual_bench.bench import Bench
 from rig.scene.scene import Scene
 from rig.simulation.plant import Plant
 

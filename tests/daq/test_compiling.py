@@ -15,7 +15,7 @@ import daq
 daq.warm_up()
 import numpy as np
 from numba.core.event import install_recorder
-from daq.bench.bench import Bench
+from daq.virtual_bench.bench import Bench
 from tests.benchmarks.chain import full_scene
 with install_recorder("numba:compile") as recorder:
     Bench(full_scene()).acquire(np.zeros((1, 10)))

@@ -12,7 +12,7 @@ import numpy as np
 import yaml
 
 import rig
-from daq.bench.bench import Bench
+from daq.virtual_bench.bench import Bench
 from rig.scene.measurement_chain import Accelerometer, Hammer
 from rig.system.structural_model import receptance
 

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rig
-from daq.bench.stream import samples_per_tick
 from daq.instrument.devices.measurements import MEASUREMENTS
 from daq.instrument.devices.modules import Module
 from daq.instrument.settings.channels import Channel
@@ -19,6 +18,7 @@ from daq.instrument.settings.storage import Storage
 from daq.instrument.task import Task
 from daq.instrument.values import Coupling, SampleMode, TimingType, Wiring
 from daq.signal_chain.channel import ChannelInfo
+from daq.virtual_bench.stream import samples_per_tick
 from rig.scene.modules import Rates
 
 _EVERYTHING = frozenset(each.type for each in MEASUREMENTS.values())

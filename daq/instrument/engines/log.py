@@ -17,11 +17,11 @@ from daq.measurement.limits import Stretches
 from rig.errors import ShotrigError
 
 if TYPE_CHECKING:
-    from daq.bench.bench import Bench
     from daq.instrument.engines.acquisition import Acquisition, InputPlan
     from daq.instrument.settings.properties import Properties
     from daq.instrument.settings.task_settings import TaskSettings
     from daq.signal_chain.channel import ChannelInfo
+    from daq.virtual_bench.bench import Bench
     from rig.scene.scene import Scene
 
 

@@ -124,7 +124,7 @@ def test_only_tolerance_point_has_sensor_tolerances() -> None:
 
 
 def test_named_parts_give_the_same_chain() -> None:
-    from daq.bench.bench import Bench
+    from daq.virtual_bench.bench import Bench
 
     scene = rig.load("fig9")
     channels = [c.replace(accelerometer={"preset": "PCB 352C33"}) for c in scene.channels]

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rig
-from daq.bench.bench import Bench
 from daq.excitation import Excitation, Station, excitation
+from daq.virtual_bench.bench import Bench
 
 Array = NDArray[np.float64]
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import rig
-from daq.bench.bench import Bench
 from daq.server.script import run_script
+from daq.virtual_bench.bench import Bench
 from rig.errors import SceneError
 
 EXAMPLES = ["finite_read", "continuous_read", "impulse_capture", "log_to_recording", "live_control"]

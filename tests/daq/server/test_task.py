@@ -65,7 +65,7 @@ def test_read_size_does_not_change_bits(size):
 def test_inputs_show_response_to_drive():
     read = read_in_pieces(512)
     scene = rig.load("bare-structure")
-    from daq.bench.bench import Bench
+    from daq.virtual_bench.bench import Bench
 
     drive = 1e-3 * tone(512)
     expected = Bench(scene).acquire(drive[None]).samples

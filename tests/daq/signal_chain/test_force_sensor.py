@@ -11,8 +11,8 @@ import daq
 import rig
 from analysis.chain_cost.variants import plain, quiet
 from analysis.responses.frequency_responses import frequency_responses
-from daq.bench.bench import Bench
 from daq.measurement.force_reference import missing_force_reference
+from daq.virtual_bench.bench import Bench
 from rig.errors import RecordingError
 from rig.system.structural_model import receptance
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import rig
-from daq.bench.bench import Bench
+from daq.virtual_bench.bench import Bench
 from rig.system.assembly import assemble
 from tests.rig.landing_force import peak_force
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import rig
-from daq.bench.bench import Bench
 from daq.signal_chain.converter import SampleClock
 from daq.signal_chain.oversampling import oversampling
+from daq.virtual_bench.bench import Bench
 from rig.simulation.plant import Plant
 
 SKEWED = "{rate: 1 kHz, filter: delta_sigma, skew: [0 s, 0.7 ms]}"

@@ -7,8 +7,8 @@ import pytest
 from scipy.linalg import expm
 
 import rig
-from daq.bench.bench import Bench
 from daq.dsp.circuit import Circuit, high_pass, resonance
+from daq.virtual_bench.bench import Bench
 from rig.errors import SceneError
 from tests.daq.dsp.analytic_motion import Path, chain_of, motion_of, scene_of
 

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.bench.block import Block
-from daq.bench.motion_rate import MotionAtRate
 from daq.signal_chain.chain import Chain
 from daq.signal_chain.converter import Quantiser, SampleClock
 from daq.signal_chain.oversampling import oversampling
+from daq.virtual_bench.block import Block
+from daq.virtual_bench.motion_rate import MotionAtRate
 from rig.errors import SceneError
 
 if TYPE_CHECKING:

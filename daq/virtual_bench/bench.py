@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.bench.block import Block
-from daq.bench.stream import Stream, samples_per_tick
 from daq.signal_chain.converter import SampleClock
 from daq.signal_chain.outputs import Outputs
 from daq.signal_chain.oversampling import DriveLine, oversampling
+from daq.virtual_bench.block import Block
+from daq.virtual_bench.stream import Stream, samples_per_tick
 from rig.simulation.drive import checked_drive
 from rig.simulation.plant import Plant
 

@@ -100,7 +100,7 @@ class Fit:
 
 def fit(curves: Curves, start: ComplexArray) -> Fit:
     """Fit the poles by weighted nonlinear least squares; the linear unknowns are eliminated (variable projection)."""
-    problem = _Projection(curves, start)
+    problem = Projection(curves, start)
     x = np.zeros(2 * start.size)
     if start.size:
         x = scipy.optimize.least_squares(
@@ -122,8 +122,8 @@ def fit(curves: Curves, start: ComplexArray) -> Fit:
     slope = np.empty((0, *shape), dtype=complex)
     if count:
         both = np.concatenate([order, order + count])
-        rows = problem.jacobian(x).T[both].reshape(2 * count, shape[0], 2, shape[1])
-        slope = rows[:, :, 0] + 1j * rows[:, :, 1]
+        rows = np.moveaxis(problem.slopes(x)[:, :, both], 2, 0)
+        slope = rows[:, :, : shape[1]] + 1j * rows[:, :, shape[1] :]
     halves = rest.reshape(shape[0], 2, shape[1])
     return Fit(
         poles[order], residue[:, order], unknown[:, 2 * count], upper, float(np.sum(rest**2)),
@@ -146,7 +146,7 @@ def misfits_with(curves: Curves, poles: ComplexArray, added: ComplexArray) -> Ar
     An added pole lowers the misfit by the projection of the residual on the component of its two columns that is
     orthogonal to all other columns.
     """
-    problem = _Projection(curves, poles)
+    problem = Projection(curves, poles)
     x = np.zeros(2 * poles.size)
     basis, rest = problem.factors(x).basis, problem.misfit(x).reshape(len(curves.value), -1, 1)
     count = 2 * added.size
@@ -176,7 +176,7 @@ def misfits_without(curves: Curves, poles: ComplexArray) -> Array:
 
     Without the unknowns u, of covariance C, the misfit rises by ``u^T C^-1 u``.
     """
-    problem = _Projection(curves, poles)
+    problem = Projection(curves, poles)
     x = np.zeros(2 * poles.size)
     factors = problem.factors(x)
     inverse = np.linalg.pinv(factors.triangle, rcond=1e-13)
@@ -205,7 +205,7 @@ class _Factors(NamedTuple):
     target: Array
 
 
-class _Projection:
+class Projection:
     """Misfit of the best linear unknowns for given poles, and its derivative (variable projection [1]_).
 
     References
@@ -264,25 +264,21 @@ class _Projection:
         factors = self.factors(x)
         return np.asarray((factors.target - factors.basis @ factors.projection).ravel())
 
-    def jacobian(self, x: Array) -> Array:
-        """Differentiate the residuals with respect to the parameters."""
-        return self._slopes(x).reshape(-1, 2 * self.start.size)
-
     def reduced(self, x: Array) -> Array:
         """Return the triangular factor of Jacobian and residuals side by side, which has all that a step needs.
 
         Its last column has the norm of the residuals, and both give the same products as the rows of all lines.
         """
         if self._reduced is None or not np.array_equal(self._reduced[0], x):
-            slopes = self._slopes(x)
+            slopes = self.slopes(x)
             rows = np.concatenate([slopes, self.misfit(x).reshape(*slopes.shape[:2], 1)], axis=2)
             triangles = np.asarray(np.linalg.qr(rows, mode="r"))
             whole = np.asarray(np.linalg.qr(triangles.reshape(-1, rows.shape[2]), mode="r"))
             self._reduced = x.copy(), whole
         return self._reduced[1]
 
-    def _slopes(self, x: Array) -> Array:
-        """Differentiate the residuals, shape (responses, 2 n, parameters)."""
+    def slopes(self, x: Array) -> Array:
+        """Differentiate the residuals by the parameters, shape (responses, 2 n, parameters)."""
         unknown, q = self.unknowns(x), self.factors(x).basis
         count = self.start.size
         poles = self.poles(x)[:, None]

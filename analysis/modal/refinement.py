@@ -64,18 +64,16 @@ def refined(curves: Curves, model: Fit, errors: Covariance, rough: Array) -> Ref
     rough : ndarray, shape (responses, n)
         Standard deviation of either quadrature of other errors that differ from line to line.
     """
-    problem = _Likelihood(curves, errors, rough)
+    problem = Likelihood(curves, errors, rough)
     count = 2 * model.poles.size
     if not count or curves.value.size * curves.value.shape[0] * (count + 1 + curves.above) ** 2 > _MOST:
         return None
     misfit = problem.misfit(model)
     for _ in range(_STEPS):
         normal, right = problem.equations(model)
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
-        inverse = scale[:, None] * np.linalg.pinv(normal * np.outer(scale, scale), hermitian=True) * scale
-        step = inverse @ right
+        step = _inverse(normal) @ right
         for halving in range(_HALVINGS):
-            tried = _moved(curves, model, step * 0.5**halving)
+            tried = advanced(curves, model, step * 0.5**halving)
             if (there := problem.misfit(tried)) <= misfit:
                 break
         else:
@@ -83,10 +81,7 @@ def refined(curves: Curves, model: Fit, errors: Covariance, rough: Array) -> Ref
         model, misfit = tried, there
         if step @ right < _SETTLED**2:
             break
-    normal, _ = problem.equations(model)
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    inverse = scale[:, None] * np.linalg.pinv(normal * np.outer(scale, scale), hermitian=True) * scale
-    weights = problem.weights(model, inverse[:, :count])
+    weights = problem.weights(model, _inverse(problem.equations(model)[0])[:, :count])
     deviation = rough.T[..., None] * weights
     scatter = errors.of_sums(weights)
     scatter += errors.shared * np.einsum("kap,kaq->pq", deviation.conj(), deviation).real
@@ -100,7 +95,7 @@ def refined(curves: Curves, model: Fit, errors: Covariance, rough: Array) -> Ref
     return Refined(model, covariance, parts) if np.isfinite(covariance).all() else None
 
 
-class _Likelihood:
+class Likelihood:
     """Weighted misfit of all responses and its normal equations."""
 
     def __init__(self, curves: Curves, errors: Covariance, rough: Array) -> None:
@@ -158,8 +153,8 @@ class _Likelihood:
             by_pole, by_own = self._slopes(model, part)
             information = self.information[part]
             weighted = information @ by_pole
-            flat = weighted.conj().reshape(-1, poles).T
-            corner += (flat @ by_pole.reshape(-1, poles)).real
+            flat = by_pole.reshape(-1, poles)
+            corner += (weighted.conj().reshape(-1, poles).T @ flat).real
             side += (weighted.conj().transpose(2, 1, 0).reshape(-1, len(by_own)) @ by_own).real.reshape(
                 side.shape
             )
@@ -168,7 +163,7 @@ class _Likelihood:
             lines = information.reshape(len(by_own), -1)
             block += (pairs.real @ lines.real - pairs.imag @ lines.imag).reshape(block.shape)
             pull = (information @ rest[part, :, None])[..., 0]
-            right_poles += (flat @ rest[part].ravel()).real
+            right_poles += (flat.conj().T @ pull.ravel()).real
             right_own += (pull.T @ by_own.conj()).real
         size = responses * own
         normal = np.empty((poles + size,) * 2)
@@ -190,7 +185,16 @@ class _Likelihood:
         return np.concatenate(out)
 
 
-def _moved(curves: Curves, model: Fit, step: Array) -> Fit:
+def _inverse(normal: Array) -> Array:
+    """Invert a normal matrix with its unknowns scaled to unit diagonal; dependent unknowns get the smallest values."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    return np.asarray(
+        scale[:, None] * np.linalg.pinv(normal * np.outer(scale, scale), hermitian=True) * scale
+    )
+
+
+def advanced(curves: Curves, model: Fit, step: Array) -> Fit:
+    """Change poles, residues and residual terms by a step of the parameters."""
     modes, responses = model.poles.size, curves.value.shape[0]
     decay = -model.poles.real
     poles = -decay * np.exp(np.clip(step[:modes], -1.0, 1.0)) + 1j * (

@@ -119,7 +119,7 @@ def _shaker(shaker: Shaker, y: float, number: int | None) -> Iterator[str]:
 def _sensors(scene: Scene, tops: Sequence[float]) -> Iterator[str]:
     """Names of the channels to the right of the bodies on which they are mounted."""
     places: dict[str, list[str]] = {}
-    tables = dict(scene.tables)
+    tables, others = dict(scene.tables), []
     for channel in scene.channels or ():
         places.setdefault(channel.at, []).append(channel.name)
     for place, names in places.items():
@@ -136,11 +136,8 @@ def _sensors(scene: Scene, tops: Sequence[float]) -> Iterator[str]:
                 f'<rect x="22" y="{y - 6:g}" width="12" height="12" fill="#0072B2"/>'
                 f'<text x="4" y="{y + 42:g}">{html(", ".join(names))}</text>'
             )
-    others = [
-        f"{', '.join(names)} ({place})"
-        for place, names in places.items()
-        if not place.startswith("body ") and place not in tables
-    ]
+        else:
+            others.append(f"{', '.join(names)} ({place})")
     if others:
         yield f'<text x="4" y="{_MARGIN - 6}">Other channels: {html("; ".join(others))}</text>'
 

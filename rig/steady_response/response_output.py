@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 from pathlib import Path
-from typing import TextIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,7 +53,7 @@ def rows(response: SteadyResponse) -> tuple[list[str], list[list[str]]]:
         header += [f"body{body}_compliance_m_per_n", f"body{body}_phase_deg", f"body{body}_peak_m"]
     header += ["force_n", "motion_type", *(f"damper{k}_impacts_per_period" for k in range(1, dampers + 1))]
     header += ["repetition_periods", "converged", "residual", "direction"]
-    table, ways = [], directions(response.frequency)
+    table, sweep = [], directions(response.frequency)
     for k, frequency in enumerate(response.frequency):
         row = [repr(float(frequency))]
         for body in range(bodies):
@@ -64,7 +63,7 @@ def rows(response: SteadyResponse) -> tuple[list[str], list[list[str]]]:
         row += [repr(float(response.force[k])), str(response.motion_type[k])]
         row += [repr(float(count)) for count in response.impacts[:, k]]
         row += [str(response.repetition[k]), str(bool(response.converged[k])).lower()]
-        row += [repr(float(response.residual[k])), ways[k]]
+        row += [repr(float(response.residual[k])), sweep[k]]
         table.append(row)
     return header, table
 
@@ -89,16 +88,11 @@ def write(response: SteadyResponse, path: Path) -> None:
     SceneError
         If the file cannot be written.
     """
-    with replacing(path) as part, part.open("w", newline="", encoding="utf-8") as file:
-        write_to(response, file)
-
-
-def write_to(response: SteadyResponse, file: TextIO) -> None:
-    """Write a response as CSV into an open file."""
     header, table = rows(response)
-    writer = csv.writer(file, lineterminator="\n")
-    writer.writerow(header)
-    writer.writerows(table)
+    with replacing(path) as part, part.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(header)
+        writer.writerows(table)
 
 
 def text(response: SteadyResponse, every_frequency: bool = False) -> str:
@@ -112,37 +106,42 @@ def text(response: SteadyResponse, every_frequency: bool = False) -> str:
     if not response.converged.all():
         where = frequency_ranges(response.frequency.tolist(), (~response.converged).tolist())
         lines.append(f"  not steady: {where}. A longer wait may help; irregular motion has no steady state.")
-    several = len(set(directions(response.frequency))) > 1
-    lines += ["", *_peak_table(response, several)]
+    motion = _motion(response)
+    lines += ["", *_peak_table(response, motion)]
     if every_frequency:
-        lines += ["", *_frequency_table(response, several)]
+        lines += ["", *_frequency_table(response, motion)]
     return "\n".join(lines)
 
 
-def _peak_table(response: SteadyResponse, several: bool) -> list[str]:
+def _motion(response: SteadyResponse) -> list[str]:
+    """Motion type at each frequency, with the direction of the sweep if it goes both up and down."""
+    sweep = directions(response.frequency)
+    both = len(set(sweep)) > 1
+    return [
+        f"{kind}, {direction}" if both else str(kind)
+        for kind, direction in zip(response.motion_type, sweep, strict=True)
+    ]
+
+
+def _peak_table(response: SteadyResponse, motion: list[str]) -> list[str]:
     """Local maxima of the compliance of each body, at least 10 % above the minima on both sides."""
     from scipy.signal import find_peaks
 
-    ways = directions(response.frequency)
-    rows = []
-    for label, row in zip(response.labels, abs(response.compliance), strict=True):
-        for k in find_peaks(np.log(row), prominence=0.1)[0].tolist() or [int(np.argmax(row))]:
-            way = f"  {ways[k]}" if several else ""
-            rows.append(
-                f"{label:<12}{response.frequency[k]:>14.4f}{1e6 * row[k]:>20.4g}  {response.motion_type[k]}{way}"
-            )
+    rows = [
+        f"{label:<12}{response.frequency[k]:>14.4f}{1e6 * row[k]:>20.4g}  {motion[k]}"
+        for label, row in zip(response.labels, abs(response.compliance), strict=True)
+        for k in find_peaks(np.log(row), prominence=0.1)[0].tolist() or [int(np.argmax(row))]
+    ]
     return [f"{'body':<12}{'frequency / Hz':>14}{'peak / (µm/N)':>20}  motion", *rows]
 
 
-def _frequency_table(response: SteadyResponse, several: bool) -> list[str]:
+def _frequency_table(response: SteadyResponse, motion: list[str]) -> list[str]:
     """Compliance of each body, impacts per period and motion type at each frequency."""
     heads = [f"{label} / (µm/N)" for label in response.labels]
     lines = [f"{'frequency / Hz':>14}" + "".join(f"{head:>18}" for head in heads) + "  impacts  motion"]
-    ways = directions(response.frequency)
     for k, frequency in enumerate(response.frequency):
         sizes = "".join(f"{1e6 * abs(value):18.4g}" for value in response.compliance[:, k])
         note = "" if response.converged[k] else f"  not steady (residual {response.residual[k]:.1g})"
-        way = f", {ways[k]}" if several else ""
         impacts = float(response.impacts[:, k].sum())
-        lines.append(f"{frequency:14.4f}{sizes}  {impacts:7.3g}  {response.motion_type[k]}{way}{note}")
+        lines.append(f"{frequency:14.4f}{sizes}  {impacts:7.3g}  {motion[k]}{note}")
     return lines

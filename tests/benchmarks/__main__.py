@@ -12,12 +12,8 @@ def main() -> None:
     """Print them, part by part."""
     for part in (answers, growth, engine, orbits, chain, recordings, waits):
         print(f"\n== {(part.__doc__ or '').splitlines()[0]}", flush=True)
-        if part is answers:
-            answers.main()
-        elif part is growth:
-            growth.main()
-        elif part is engine:
-            engine.main()
+        if part in (answers, growth, engine):
+            part.main()
         elif part is waits:
             Path("build").mkdir(exist_ok=True)
             waits.main(["build/bench.json"])

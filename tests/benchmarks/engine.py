@@ -10,8 +10,6 @@ from __future__ import annotations
 import importlib.util
 import time
 from collections.abc import Callable
-from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,9 +22,6 @@ from rig.system.open_loop_drive import ToneDrive, tone_drive
 from rig.work_precision.adaptive_solvers import cvode_leg, follow, scipy_leg
 from rig.work_precision.compiled_runge_kutta import DormandPrince
 from rig.work_precision.first_order_form import FirstOrderForm
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 # The same motion for the engine and its peers: events are rare in the first periods, so fewer would not compare.
 PERIODS, BLIND = 100, 2e-5
@@ -97,58 +92,6 @@ def sampled(name: str, amplitude: float, noise: float) -> float:
     return BLOCK / RATE / min(best(lambda b=block: plant.advance(b), 1) for block in blocks * 5)  # type: ignore[misc]
 
 
-def chain_of(bodies: int, dampers: int) -> rig.Scene:
-    """Give a chain of equal bodies with dampers spread over it, driven near a low mode."""
-    places: np.ndarray | list[int] = (
-        np.unique(np.linspace(1, bodies, dampers).round().astype(int)) if dampers else []
-    )
-    return rig.Scene.model_validate(
-        {
-            "name": f"{bodies} bodies, {dampers} dampers",
-            "structure": {
-                "masses": [0.7] * bodies,
-                "springs": [2e4] * bodies,
-                "damping": {"rayleigh": {"beta": 1e-4}},
-            },
-            "dampers": [{"body": int(b), "mass_ratio": 0.1, "clearance": 1e-3} for b in places],
-            "shaker": {"kind": "force", "body": list(range(1, bodies + 1))},
-            "test": {"kind": "sine", "frequency": 20.0, "force": 9.0, "start": "empty"},
-        }
-    )
-
-
-def growth(over: str, sizes: list[tuple[int, int]], at: int, axes: Axes) -> None:
-    """Print and plot the time per period over a size, and the exponent by least squares of the larger half."""
-    number = np.array([size[at] for size in sizes], dtype=float)
-    times = np.array([engine_period(chain_of(*size), 40, 5) for size in sizes])
-    for size, seconds in zip(sizes, times, strict=True):
-        print(f"  {size[0]:4d} bodies {size[1]:3d} dampers  {seconds * 1e6:9.1f} us a period")
-    half = slice(len(sizes) // 2, None)
-    exponent, level = np.polyfit(np.log(number[half]), np.log(times[half]), 1)
-    print(f"  over {over}: exponent {exponent:.2f}")
-    axes.loglog(number, times * 1e6, "o-", color="black", label="measured")
-    line = np.exp(level) * number[half] ** exponent
-    axes.loglog(number[half], line * 1e6, "--", color="tab:red", label=f"exponent {exponent:.2f}")
-    axes.set(xlabel=f"Number of {over}", ylabel="CPU time a period, \u00b5s")
-    axes.grid(True, which="both", alpha=0.3)
-    axes.legend()
-
-
-def growths(path: Path) -> None:
-    """Print and draw how the time per period grows with bodies and with dampers."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(9.0, 3.8), layout="constrained")
-    bodies, dampers = figure.subplots(1, 2)
-    growth("bodies", [(n, 0) for n in (3, 6, 12, 25, 50, 100, 150)], 0, bodies)
-    bodies.set_title("Chain without dampers")
-    growth("dampers", [(40, n) for n in (1, 2, 4, 6, 8, 12, 20)], 1, dampers)
-    dampers.set_title("Chain of 40 bodies")
-    path.parent.mkdir(exist_ok=True)
-    figure.savefig(path, dpi=130)
-    print(f"  {path}")
-
-
 def main() -> None:
     """Print everything."""
     print("CPU time for a period, pure tone, warm, one thread")
@@ -163,8 +106,6 @@ def main() -> None:
     for name, amplitude in (("reference-A", 2.6), ("reference-C", 10.0), ("fig8-three-dampers", 5.0)):
         tone, broad = sampled(name, amplitude, 0.0), sampled(name, amplitude, 0.3 * amplitude)
         print(f"  {name:20s} sine {tone:5.0f} x   sine with broadband noise {broad:5.0f} x")
-    print("Growth")
-    growths(Path("recordings/engine-growth.png"))
 
 
 if __name__ == "__main__":

@@ -12,12 +12,17 @@ import time
 import warnings
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 import analysis
 import daq
 import rig
+from tests.benchmarks.engine import engine_period
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 # Bodies, dampers, channels and seconds of the smallest test, and the sizes of each that are measured.
 SMALLEST = {"bodies": 3, "dampers": 1, "channels": 4, "seconds": 60}
@@ -28,7 +33,7 @@ SIZES = {
     "seconds": (60, 600, 3600),
 }
 # Other values where a size is varied: bodies for all dampers, and few seconds for large systems.
-BESIDE = {
+OTHER_VALUES = {
     "bodies": {"seconds": 5},
     "dampers": {"bodies": 64, "seconds": 5},
     "channels": {"seconds": 20},
@@ -36,38 +41,48 @@ BESIDE = {
 }
 
 
-def chain(bodies: int, dampers: int, channels: int, seconds: float) -> rig.Scene:
-    """Build a chain of bodies with dampers and accelerometers spread over it, and a random force at its end."""
-    places = np.linspace(1, bodies, dampers).round().astype(int).tolist()
+def chain(bodies: int, dampers: int, spring: float, damping: dict[str, Any], **rest: Any) -> rig.Scene:
+    """Build a chain of equal bodies with dampers spread over it."""
+    places = np.unique(np.linspace(1, bodies, dampers).round().astype(int)).tolist() if dampers else []
     return rig.Scene.model_validate(
         {
             "name": f"{bodies} bodies, {dampers} dampers",
-            "structure": {
-                "masses": [1.0] * bodies,
-                "springs": [4e4 * bodies] * bodies,
-                "damping": {"modal": 0.01},
-            },
-            "dampers": [{"body": place, "mass_ratio": 0.02, "clearance": "1 mm"} for place in places],
-            "shaker": {"kind": "force", "body": 1},
-            "test": {
-                "kind": "random",
-                "force": "5 N",
-                "from": "5 Hz",
-                "to": "200 Hz",
-                "duration": f"{seconds} s",
-            },
-            "channels": [
-                *(
-                    {
-                        "name": f"a{k}",
-                        "at": f"body {1 + k % bodies}",
-                        "accelerometer": {"sensitivity": "100 mV/g"},
-                    }
-                    for k in range(channels - 1)
-                ),
-                {"name": "force", "at": "shaker"},
-            ],
+            "structure": {"masses": [0.7] * bodies, "springs": [spring] * bodies, "damping": damping},
+            "dampers": [{"body": place, "mass_ratio": 0.1, "clearance": "1 mm"} for place in places],
+            **rest,
         }
+    )
+
+
+def under_tone(bodies: int, dampers: int) -> rig.Scene:
+    """Build a chain with sparse matrices, driven near a low mode."""
+    return chain(
+        bodies,
+        dampers,
+        2e4,
+        {"rayleigh": {"beta": 1e-4}},
+        shaker={"kind": "force", "body": list(range(1, bodies + 1))},
+        test={"kind": "sine", "frequency": 20.0, "force": 9.0, "start": "empty"},
+    )
+
+
+def under_random_force(bodies: int, dampers: int, channels: int, seconds: float) -> rig.Scene:
+    """Build a chain with full matrices, accelerometers spread over it, and a random force at its end."""
+    accelerometer = {"sensitivity": "100 mV/g"}
+    return chain(
+        bodies,
+        dampers,
+        4e4 * bodies,
+        {"modal": 0.01},
+        shaker={"kind": "force", "body": 1},
+        test={"kind": "random", "force": "5 N", "from": "5 Hz", "to": "200 Hz", "duration": f"{seconds} s"},
+        channels=[
+            *(
+                {"name": f"a{k}", "at": f"body {1 + k % bodies}", "accelerometer": accelerometer}
+                for k in range(channels - 1)
+            ),
+            {"name": "force", "at": "shaker"},
+        ],
     )
 
 
@@ -86,22 +101,56 @@ def measure(scene: rig.Scene, path: Path) -> dict[str, float]:
     return times
 
 
+def engine_growth(over: str, sizes: list[tuple[int, int]], at: int, axes: Axes) -> None:
+    """Print and plot the time per period over a size, and the exponent by least squares of the larger half."""
+    number = np.array([size[at] for size in sizes], dtype=float)
+    times = np.array([engine_period(under_tone(*size), 40, 5) for size in sizes])
+    for size, seconds in zip(sizes, times, strict=True):
+        print(f"  {size[0]:4d} bodies {size[1]:3d} dampers  {seconds * 1e6:9.1f} us a period")
+    half = slice(len(sizes) // 2, None)
+    exponent, level = np.polyfit(np.log(number[half]), np.log(times[half]), 1)
+    print(f"  over {over}: exponent {exponent:.2f}")
+    axes.loglog(number, times * 1e6, "o-", color="black", label="measured")
+    line = np.exp(level) * number[half] ** exponent
+    axes.loglog(number[half], line * 1e6, "--", color="tab:red", label=f"exponent {exponent:.2f}")
+    axes.set(xlabel=f"Number of {over}", ylabel="CPU time a period, \u00b5s")
+    axes.grid(True, which="both", alpha=0.3)
+    axes.legend()
+
+
+def draw_engine_growth(path: Path) -> None:
+    """Print and draw how the time per period grows with bodies and with dampers."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9.0, 3.8), layout="constrained")
+    bodies, dampers = figure.subplots(1, 2)
+    engine_growth("bodies", [(n, 0) for n in (3, 6, 12, 25, 50, 100, 150)], 0, bodies)
+    bodies.set_title("Chain without dampers")
+    engine_growth("dampers", [(40, n) for n in (1, 2, 4, 6, 8, 12, 20)], 1, dampers)
+    dampers.set_title("Chain of 40 bodies")
+    path.parent.mkdir(exist_ok=True)
+    figure.savefig(path, dpi=130)
+    print(f"  {path}")
+
+
 def main() -> None:
     """Print a row for each size and the exponent between the two largest sizes."""
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         # The first test compiles and imports.
-        measure(chain(3, 1, 4, 5), Path(folder) / "first.mcap")
+        measure(under_random_force(3, 1, 4, 5), Path(folder) / "first.mcap")
         for over, sizes in SIZES.items():
             rows = []
             for size in sizes:
-                scene = chain(**{**SMALLEST, **BESIDE[over], over: size})
+                scene = under_random_force(**{**SMALLEST, **OTHER_VALUES[over], over: size})
                 rows.append(measure(scene, Path(folder) / f"{over}-{size}.mcap"))
                 row = "  ".join(f"{name} {seconds:8.2f} s" for name, seconds in rows[-1].items())
                 print(f"{size:6d} {over:10s}{row}", flush=True)
             length = np.log(sizes[-1] / sizes[-2])
             exponents = {name: np.log(rows[-1][name] / rows[-2][name]) / length for name in rows[-1]}
             print(f"       exponents   {'  '.join(f'{name} {e:10.2f}' for name, e in exponents.items())}")
+    print("CPU time of the engine for a period of a tone")
+    draw_engine_growth(Path("recordings/engine-growth.png"))
 
 
 if __name__ == "__main__":

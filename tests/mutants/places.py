@@ -74,7 +74,7 @@ EQUIVALENT = {
     "reached = -1": "no sample has a number below zero",
     "if clearance != np.inf:": "no clearance is above infinity",
     "return _margin(clearance - gap, -slope, clearance - gap_new, -slope_new, error, multiplicity) <= 0.0": (
-        "a finite-duration contact knows of no double zero, and only such are told apart"
+        "a finite-duration contact has no double zero, and only double zeros need the bound"
     ),
     "if mode > FLIGHT:": "no mode is below flight",
     "dampers, points = model.mass.shape[ -1], model.first_velocity": "the array has one dimension",

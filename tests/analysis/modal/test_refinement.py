@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from analysis.modal import refinement
-from analysis.modal.pole_residue import Curves, _Projection, fit
-from analysis.modal.refinement import _Likelihood, _moved
+from analysis.modal.pole_residue import Curves, Projection, fit
+from analysis.modal.refinement import Likelihood, advanced
 from rig.results.uncertainty import LineCovariance
 
 RESPONSES, LINES = 3, 60
@@ -33,14 +33,14 @@ def test_normal_equations_equal_dense_ones(curves: Curves, monkeypatch: pytest.M
     model = fit(curves, 2 * np.pi * np.array([12.1, 20.8]) * (-0.03 + 1j))
     random = np.random.default_rng(3)
     root = random.standard_normal((LINES, RESPONSES, 5)) + 1j * random.standard_normal((LINES, RESPONSES, 5))
-    problem = _Likelihood(
+    problem = Likelihood(
         curves, LineCovariance(root @ root.conj().swapaxes(1, 2), 1.0), np.zeros((RESPONSES, LINES))
     )
     normal, right = problem.equations(model)
     step = 1e-7 / np.sqrt(np.diag(normal))
     slopes = np.stack(
         [
-            (problem.rest(_moved(curves, model, -row)) - problem.rest(_moved(curves, model, row)))
+            (problem.rest(advanced(curves, model, -row)) - problem.rest(advanced(curves, model, row)))
             / (2 * size)
             for row, size in zip(np.diag(step), step, strict=True)
         ],
@@ -59,9 +59,9 @@ def test_normal_equations_equal_dense_ones(curves: Curves, monkeypatch: pytest.M
 
 
 def test_reduced_problem_has_the_same_products(curves: Curves) -> None:
-    problem = _Projection(curves, 2 * np.pi * np.array([12.1, 20.8]) * (-0.03 + 1j))
+    problem = Projection(curves, 2 * np.pi * np.array([12.1, 20.8]) * (-0.03 + 1j))
     x = np.array([0.1, -0.05, 0.02, 0.03])
-    rows = np.column_stack([problem.jacobian(x), problem.misfit(x)])
+    rows = np.column_stack([problem.slopes(x).reshape(-1, 4), problem.misfit(x)])
     reduced = problem.reduced(x)
     assert reduced.shape == (5, 5)
     expected = rows.T @ rows

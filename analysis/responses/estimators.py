@@ -119,8 +119,7 @@ class Averages:
         causes: dict[str, Array] = {}
         if self.unsmeared is not None:
             sharp = self.unsmeared.frf(rec, response, reference, motion)
-            near = np.interp(self.frequency, sharp.frequency, sharp.value)
-            causes[LEAKAGE] = np.asarray(abs(value - near), dtype=float)
+            causes[LEAKAGE] = leakage(self.frequency, value, error, sharp)
         shares = ReadingShares(self.channels, self.frequency, motion, value, upper * reads, lower * reads)
         incoherent = reference_noise_part(value, coherence)
         if len(below.channels) > 1:
@@ -160,6 +159,20 @@ class Averages:
             noise[row] = np.sum(np.square(np.abs(reading - common[:, None] * other)), axis=1)
         # Few blocks increase the common power by chance.
         return np.asarray(noise * self.averages / max(self.averages - 1.0, 1e-300))
+
+
+def leakage(frequency: Array, value: ComplexArray, error: Array, sharp: Response) -> Array:
+    """Estimate the leakage of block averages by their difference from a curve without leakage.
+
+    The random errors of both, of known variance, are subtracted from its mean square over three lines, the bandwidth
+    of a Hann window: a single line's difference contains the random error of that line. `value` and `error`, the
+    standard uncertainty of either quadrature component, belong to one curve, as `sharp` does.
+    """
+    difference = value - np.interp(frequency, sharp.frequency, sharp.value)
+    scatter = sharp.uncertainty.scatter
+    of_sharp = 0.0 if scatter is None else np.interp(frequency, sharp.frequency, scatter.size)
+    excess = np.square(np.abs(difference)) - 2.0 * np.nan_to_num(np.square(error) + np.square(of_sharp))
+    return np.sqrt(np.maximum(np.convolve(np.pad(excess, 1, "edge"), np.full(3, 1.0 / 3.0), "valid"), 0.0))
 
 
 def square_root(matrices: ComplexArray) -> ComplexArray:

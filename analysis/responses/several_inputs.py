@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from analysis.responses import random
 from analysis.responses.budget import ReadingShares, assemble_budget
-from analysis.responses.estimators import Averages
+from analysis.responses.estimators import Averages, leakage
 from analysis.responses.local_models.local_rational import LocalFit, local_fit
 from analysis.responses.local_models.local_spectra import SIDE, LocalSpectra
 from analysis.responses.measurands import Measurand, motion_of, place
@@ -213,13 +213,14 @@ class SpectralMatrix:
             np.einsum("nkk->nk", self._parts()[2]).real,
         )
         bias = np.einsum("nam,nm,nmk->nak", abs(value), noise, abs(inverse))
+        error = np.sqrt(variance / 2.0)
         smeared = np.empty(value.shape)
-        for a in range(o):
-            for k in range(i):
-                near = np.interp(self.frequency, self.sharp.frequency, self.sharp.value[:, a, k])
-                smeared[:, a, k] = abs(value[:, a, k] - near)
+        for a, output in enumerate(self.outputs):
+            for k, force in enumerate(self.inputs):
+                sharp = self.sharp[output.name, force.name]
+                smeared[:, a, k] = leakage(self.frequency, value[:, a, k], error[:, a, k], sharp)
         budget = _matrix_budget(
-            rec, self.frequency, value, (self.outputs, self.inputs), np.sqrt(variance / 2.0),
+            rec, self.frequency, value, (self.outputs, self.inputs), error,
             np.full(value.shape, 2.0 * count), {REFERENCE_NOISE: bias, LEAKAGE: smeared}, MatrixErrors(covariance),
         )  # fmt: skip
         found = Response(

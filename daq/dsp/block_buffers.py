@@ -11,10 +11,7 @@ Array = NDArray[np.float64]
 
 
 class BlockBuffers:
-    """Memory that channels share, one after another, while each is measured.
-
-    Separate memory for each would not stay in a processor's cache.
-    """
+    """Memory that channels share, one after another: separate memory would not stay in a processor's cache."""
 
     def __init__(self) -> None:
         self._rows = zeros(0, LANES)
@@ -27,22 +24,8 @@ class BlockBuffers:
 
 
 class History:
-    """Keeps the last samples of the previous block in front of those of the next.
+    """Stores the last samples of the previous block, at first zeros, in front of those of the next.
 
-    Before the first block everything was zero.
-
-    Parameters
-    ----------
-    kept : int
-        Samples to keep.
-
-    Attributes
-    ----------
-    samples : ndarray, shape (at least kept + samples of the block,)
-        What was kept, then the block. The memory is used again for the next block.
-
-    Examples
-    --------
     >>> history = History(2)
     >>> for block in ([1.0, 2.0, 3.0], [4.0]):
     ...     history.place(len(block))[:] = block

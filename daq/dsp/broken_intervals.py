@@ -42,9 +42,8 @@ def through_parts(
     state: Array,
     workspace: PartWorkspace,
 ) -> int:
-    """Propagate the circuit over an interval with breaks; return the first part of the next.
-
-    States and moments are left in the workspace's vector.
+    """Propagate the circuit over an interval with breaks into the workspace's vector; return the first part of the
+    next.
     """
     vector, work = workspace.vector, workspace.work
     interval = pieces.broken[part]

@@ -45,15 +45,7 @@ class Section:
 
 
 def resonance(frequency: float, q: float) -> Section:
-    """Second-order low pass ``w^2 / (s^2 + s w / q + w^2)``: a seismic mass on its piezo element.
-
-    Parameters
-    ----------
-    frequency : float
-        Undamped natural frequency, Hz.
-    q : float
-        Quality factor, the peak relative to low frequencies.
-    """
+    """Second-order low pass ``w^2 / (s^2 + s w / q + w^2)``, frequency in Hz: a seismic mass on its piezo element."""
     w = 2 * np.pi * frequency
     roots = np.roots([1.0, w / q, w * w])
     return Section(
@@ -84,10 +76,7 @@ def high_pass(corner: float, name: str) -> Section:
 
 
 def integration(corner: float, gain: float) -> Section:
-    """Integrating stage ``gain / (s + w)``: integration above the corner [Hz], plain gain below it.
-
-    The same as a pure integrator followed by a first-order high pass at the corner. `gain` is in 1/s.
-    """
+    """Integrating stage ``gain / (s + w)``, gain in 1/s: integration above the corner in Hz, constant gain below it."""
     w = 2 * np.pi * corner
     return Section(
         INTEGRATION,
@@ -119,8 +108,6 @@ def recovery(time: float) -> Section:
 class Circuit:
     """Sections in series.
 
-    Examples
-    --------
     >>> line = Circuit.series([high_pass(0.5, "low cut-off"), integration(0.0, 1.0)])
     >>> line.a.shape, line.d
     ((2, 2), array([0., 0., 1.]))

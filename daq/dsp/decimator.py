@@ -14,17 +14,7 @@ Array = NDArray[np.float64]
 
 
 class Decimator:
-    """Applies the filter to one channel.
-
-    Parameters
-    ----------
-    taps : ndarray, shape (oversampling, MOMENTS, length)
-        From `Decimation.taps`.
-    late : int
-        Intervals by which the weighed moments lie further back.
-    buffers : BlockBuffers
-        For the moments of a block.
-    """
+    """Applies the filter with the given `Decimation.taps` to one channel, delayed by `late` intervals."""
 
     def __init__(self, taps: Array, late: int, buffers: BlockBuffers) -> None:
         self._oversampling, moments, length = taps.shape
@@ -47,17 +37,8 @@ class Decimator:
         return self._moments[kept:]
 
     def filter(self, count: int) -> Array:
-        """Return the samples that fall due with the intervals whose moments are in `place` now.
-
-        Parameters
-        ----------
-        count : int
-            Number of intervals. The first interval of all ends at sample 0.
-
-        Returns
-        -------
-        ndarray, shape (samples,)
-            One sample for every interval that ends at one, until the next call.
+        """Return the samples that end with the next `count` intervals, whose moments are in `place`; valid until the
+        next call.
         """
         oversampling = self._oversampling
         wait = -self._interval % oversampling
@@ -71,13 +52,7 @@ class Decimator:
 
 
 def _beside(taps: Array, late: int) -> Array:
-    """Lay out the taps for as many samples at a time as a register holds.
-
-    Returns
-    -------
-    ndarray, shape (intervals x MOMENTS, LANES)
-        Weight of every moment, interval after interval, in each of these samples.
-    """
+    """Arrange the taps as weights (intervals x MOMENTS, LANES) for as many samples at a time as a register holds."""
     oversampling, moments, _ = taps.shape
     # Row (p, j) of the taps weighs the interval j samples and p intervals before the sample.
     before = np.concatenate([np.zeros((late, moments)), taps.transpose(2, 0, 1).reshape(-1, moments)])

@@ -108,15 +108,10 @@ def rate_of_change(circuit: Circuit, gain: float, rate: float, integrals: int) -
 def with_disturbances(
     generator: Array, circuit: Circuit, rate: float, integrals: int, entries: Sequence[Entry]
 ) -> tuple[Array, Array]:
-    """Extend the vector by the disturbances' courses.
+    """Extend generator and start of the vector by value, slope and curvature of each disturbance.
 
-    Returns
-    -------
-    generator : ndarray, shape (all, all)
-        Value, slope and curvature of the disturbance at each place follow the vector.
-    start : ndarray, shape (all, states + 4 + disturbances)
-        The extended vector at the start of an interval, from the states, the input's start, end, mean and moment, and
-        1 V of each disturbance.
+    Rows of the start are the extended vector at the start of an interval, from the states, the input's start,
+    end, mean and moment, and 1 V of each disturbance.
     """
     states, size = circuit.c.size, len(generator)
     places = list(dict.fromkeys((entry.section, entry.filtered) for entry in entries))
@@ -139,16 +134,8 @@ def with_disturbances(
 def discretise(
     circuit: Circuit, gain: float, rate: float, integrals: int, entries: Sequence[Entry]
 ) -> Tables:
-    """Make the tables of a circuit.
-
-    Parameters
-    ----------
-    gain : float
-        Volts per unit of the input, in front of the circuit.
-    integrals : int
-        Moments of the output to form over every interval; 0: none, 1: the average.
-    entries : sequence of Entry
-        How each disturbance enters.
+    """Return the tables of a circuit behind a gain in V per unit, with `integrals` moments of the output (1: the
+    average).
     """
     states = circuit.c.size
     width = states + integrals
@@ -211,10 +198,10 @@ def laid_out(matrices: Array) -> Array:
 
 
 def _moments(count: int) -> Array:
-    """Matrix from repeated integrals over the unit interval to moments with the Legendre polynomials.
+    """Return the matrix from repeated integrals over the unit interval to moments with the Legendre polynomials.
 
-    The (k+1)-fold integral weighs with u^k / k!, u being the time left, and in u the polynomial of order n is
-    the sum of (-1)^k C(n, k) C(n+k, k) u^k.
+    The (k+1)-fold integral weighs with u^k / k!, u being the time left; the polynomial of order n is the sum of
+    (-1)^k C(n, k) C(n+k, k) u^k.
     """
     matrix = np.zeros((count, count))
     for n in range(count):

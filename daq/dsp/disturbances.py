@@ -22,13 +22,7 @@ class Disturbance(Protocol):
 
 
 class Offset:
-    """A constant voltage from sample 0 on.
-
-    Parameters
-    ----------
-    level : float
-        V.
-    """
+    """A constant voltage from sample 0 on."""
 
     def __init__(self, level: float) -> None:
         self._level = level
@@ -39,15 +33,9 @@ class Offset:
 
 
 class SettlingOffset:
-    """A voltage that settles exponentially from zero at sample 0, when power is switched on.
+    """A voltage that settles exponentially from zero at sample 0, when power is switched on, with a time constant in
+    s.
 
-    Parameters
-    ----------
-    level : float
-        In the end, V.
-
-    Examples
-    --------
     >>> bias = SettlingOffset(10.0, 2.0, 1.0)
     >>> samples = np.empty(6)
     >>> bias.fill(samples[:5])
@@ -79,14 +67,8 @@ def _settle(samples: Array, level: float, loss: float, missing: Array) -> None:
 class Disturbances:
     """All disturbances of a channel, each a Legendre polynomial over the interval that ends at its sample.
 
-    Parameters
-    ----------
-    direct : ndarray, shape (disturbances,)
-        Which share of each reaches the output at once.
-    degrees : sequence of int
-        Degree of each; degrees 1 and 2 follow a disturbance of degree 0.
-    oversampling : int
-        Intervals of the signal per sample. The random numbers do not depend on it.
+    `direct` is the share of each that reaches the output at once; degrees 1 and 2 follow a disturbance of degree
+    0.
     """
 
     def __init__(
@@ -132,15 +114,7 @@ class Disturbances:
                 held[row] *= length * length
 
     def add_direct(self, held: Array, volts: Array) -> None:
-        """Add the direct feedthrough to the output.
-
-        Parameters
-        ----------
-        held : ndarray, shape (disturbances, samples)
-            Result of `hold`, for the intervals that end at a sample.
-        volts : ndarray, shape (samples,)
-            Output, updated.
-        """
+        """Add the direct feedthrough of the disturbances of `hold`, at intervals that end at a sample, to the volts."""
         if self._any_direct:
             _sum_up(self._direct, held, volts)
 

@@ -28,7 +28,7 @@ LENGTH, JUMP = 4, 5
 
 
 class CubicInput(NamedTuple):
-    """Input over the sample intervals of a block; intervals that hold breaks are given in parts as well.
+    """Input over the sample intervals of a block; intervals with breaks are given in parts as well.
 
     Four numbers describe a piece: input at its start and at its end, its average, and its moment, the average of
     input times remaining share of the piece (1/2 for a constant 1).
@@ -45,13 +45,7 @@ class CubicInput(NamedTuple):
 
 
 class MotionInterpolator:
-    """Cuts the motion of one point into pieces, block after block.
-
-    Parameters
-    ----------
-    row : int
-        The point's row in `Motion`.
-    """
+    """Cuts the motion of the point in one row of `Motion` into pieces, block after block."""
 
     def __init__(self, row: int, rate: float) -> None:
         self._row = row
@@ -61,9 +55,7 @@ class MotionInterpolator:
         self._ends = np.zeros(3), np.zeros(3)
 
     def cut(self, motion: Motion) -> CubicInput:
-        """Return the pieces of the next block.
-
-        Before sample 0 everything is at rest at the initial position: an initial velocity is an impulse
+        """Return the pieces of the next block; before sample 0 is rest, so that an initial velocity is an impulse
         there.
         """
         row = self._row
@@ -178,7 +170,7 @@ def _cut(
     """Fill in the parts of broken intervals; return their number.
 
     `at_break` are acceleration and velocity, before and after, and displacement of all points at the breaks;
-    `rows` are those of the point in this row at the samples, `last` at the one before the block.
+    `rows` are those of the point at the samples, `last` at the sample before the block.
     """
     left, right = ends
     acceleration, velocity, displacement = at_break

@@ -88,23 +88,7 @@ def limits_of(
     entries: Sequence[Entry],
     tables: Tables,
 ) -> Limits | None:
-    """Make the tables of a circuit's limits; None where nothing is limited.
-
-    Parameters
-    ----------
-    sections : sequence of Section
-        The whole circuit.
-    sensor : int
-        Number of sections up to the output that is limited.
-    limit : float or None
-        Of that output, V.
-    rails : ndarray, shape (states,)
-        Largest magnitude of each state, V; infinite where there is none.
-    gain, rate, entries
-        As for `daq.dsp.discretisation.discretise`.
-    tables : Tables
-        Tables of the circuit.
-    """
+    """Return the tables of a circuit's limits in V, of the output of the first `sensor` sections and of each state."""
     if limit is None and not np.isfinite(rails).any():
         return None
     integrals = tables.integrals
@@ -202,12 +186,8 @@ def _looked_at(
 def within(limits: Limits, course: Array, sizes: Array, sums: Array, count: int) -> int:
     """Count the intervals of a stretch up to the first in which a limit may be reached.
 
-    Parameters
-    ----------
-    course : ndarray, shape (4 + disturbances + states, at least count)
-        Input, disturbances and the states at the start of each interval.
-    sizes : ndarray of the same shape
-        Room for their magnitudes.
+    `course` has input, disturbances and states at the start of each interval; `sizes` is room for their
+    magnitudes.
     """
     for r in range(course.shape[0]):
         for k in range(count):
@@ -246,10 +226,11 @@ def follow_closely(
     overload: Array,
     workspace: PartWorkspace,
 ) -> tuple[int, float]:
-    """Propagate the circuit step by step over an interval; return the next part, and the final excess over the limit.
+    """Propagate the circuit step by step over an interval; return the next part, and the final excess over the
+    limit.
 
-    Moments are in the workspace's vector, and the overload of the interval in `overload`: see
-    `daq.dsp.propagation.propagate`.
+    Moments are in the workspace's vector, the severity of the interval in `overload` (see
+    `daq.dsp.propagation.propagate`).
     """
     after, excess, near, reached = _in_steps(
         COARSE, pieces, part, interval, tables, limits, state, held, workspace

@@ -24,7 +24,7 @@ _RATIO = 4.0
 
 
 def generator(seed: int, channel: str, stage: str) -> np.random.Generator:
-    """Make the random numbers of one stage of one channel: independent of the rest of the scene.
+    """Return the random numbers of one stage of one channel: independent of the rest of the scene.
 
     >>> generator(1, "body1", "noise").integers(100) == generator(1, "body1", "noise").integers(100)
     np.True_
@@ -34,19 +34,10 @@ def generator(seed: int, channel: str, stage: str) -> np.random.Generator:
 
 
 class Noise:
-    """A source of noise samples, each the average of the noise over its sample interval.
+    """A source of noise of a one-sided density in V/sqrt(Hz), each sample the average over its interval.
 
-    Parameters
-    ----------
-    density : float
-        One-sided density of the white part, V/sqrt(Hz).
-    corner : float or None
-        Frequency at which the 1/f part is as strong as the white part, Hz; None: white.
-    random : numpy.random.Generator
-        Where the random numbers come from.
+    At the corner frequency in Hz the 1/f part is as strong as the white part; None is white noise.
 
-    Examples
-    --------
     >>> source = Noise(1e-6, None, 5120.0, generator(1, "body1", "noise"))
     >>> samples = np.empty(100_000)
     >>> source.fill(samples)
@@ -76,17 +67,10 @@ class Noise:
 
 
 class FastNoise:
-    """Variation of the same noise within an interval, in addition to its average: a Legendre polynomial.
+    """Variation of the same noise within an interval, in addition to its average: a Legendre polynomial of degree 1
+    or 2.
 
-    White noise has the same density in all normalized polynomials. With averages alone, noise
-    behind a filter would fall towards half the rate as averages do, by 3.9 dB; with these of degree 1 and 2 by 0.04 dB.
-
-    Parameters
-    ----------
-    density, corner, rate, random
-        As for `Noise`; noise that rises as 1/f does so up to half the rate.
-    degree : int
-        Of the polynomial.
+    With averages alone, noise behind a filter would fall towards half the rate by 3.9 dB; with these by 0.04 dB.
     """
 
     def __init__(
@@ -106,27 +90,14 @@ class FastNoise:
 # Sensors of one kind share the same.
 @lru_cache(maxsize=16)
 def shape(corner: float, rate: float) -> tuple[Array, Array, float]:
-    """Find the filter that turns white noise into noise of density ``sqrt(1 + corner / f)`` times as much.
+    """Return loss, weight and gain of the filter from white noise to a density ``sqrt(1 + corner / f)`` times as
+    large.
 
-    A sum of first-order low-pass spectra, their corners spread evenly over the logarithm of frequency, makes
-    the 1/f; the filter is its spectral factor. In y = 4 sin^2(pi f / rate) all spectra are rational with real
-    poles and, between these, real zeros, so that the factor is found one zero at a time. The density is right
-    within 0.3 % for corners up to a hundredth of the sample rate; up to corners twice the rate within 3 % below 0.45
-    of it, and 6 % at its half.
-
-    Parameters
-    ----------
-    corner, rate : float
-        Hz.
-
-    Returns
-    -------
-    loss : ndarray, shape (states,)
-        State i keeps ``1 - loss[i]`` of itself from sample to sample and takes on the input.
-    weight : ndarray, shape (states,)
-        Weight of each state in the output, relative to the input.
-    gain : float
-        Factor of the output.
+    A sum of first-order low-pass spectra, their corners spread evenly over the logarithm of frequency, makes the
+    1/f; the filter is its spectral factor. In y = 4 sin^2(pi f / rate) all spectra are rational with real poles
+    and, between these, real zeros. The density is accurate to 0.3 % for corners up to a hundredth of the rate; up
+    to corners twice the rate to 3 % below 0.45 of it, and 6 % at its half. State i keeps ``1 - loss[i]`` from
+    sample to sample.
     """
     # Few scenes have such noise, and this takes long to import.
     from scipy.optimize import brentq, nnls

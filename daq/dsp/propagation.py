@@ -48,38 +48,22 @@ def propagate(
     pieces: CubicInput,
     tables: Tables,
     limits: Limits | None,
-    state: Array,
-    held: Array,
-    rows: Array,
+    state: Array,  # (states,) at the last sample; updated
+    held: Array,  # disturbances, V; (disturbances, intervals)
+    rows: Array,  # outputs at the samples, from state, input and excess over the limit
     rows_input: Array,
     rows_excess: Array,
-    points: Array,
-    averages: Array,
-    overload: Array,
+    points: Array,  # these outputs, (outputs, intervals)
+    averages: Array,  # moments of the output, (intervals + TOGETHER or 0, LANES)
+    overload: Array,  # 0, or 1 + remaining shift of zero / limit; the last of the previous block first
     scratch: CircuitWorkspace,
 ) -> None:
-    """Propagate a circuit over the intervals of a block.
+    """Propagate a circuit over the intervals of a block, and fill in points, averages and overload.
 
-    Stretches without breaks are processed section by section, as each section only depends on those before it: all but
-    a section's own recurrence is then the same sum for many samples at a time. The order of every sum is fixed, so that
-    no result depends on where a stretch or a block ends. Intervals in which a limit may be reached, and the next
-    intervals after an overload, are processed one by one (`daq.dsp.limiting`).
-
-    Parameters
-    ----------
-    state : ndarray, shape (states,)
-        At the last sample; updated.
-    held : ndarray, shape (disturbances, intervals)
-        Disturbances, V.
-    rows, rows_input, rows_excess : ndarray, shapes (outputs, states), (outputs,) and (outputs,)
-        Outputs at the samples, from state, input and excess over the limit.
-    points : ndarray, shape (outputs, intervals)
-        These outputs; filled in.
-    averages : ndarray, shape (intervals + TOGETHER, LANES), or (0, LANES) where there are no integrals
-        Moments of the output over each interval; filled in, the last rows with arbitrary content.
-    overload : ndarray, shape (1 + intervals,)
-        The last interval of the previous block first: 0 where no limit was reached, else 1 and the remaining shift of
-        zero as a share of the limit; filled in.
+    Stretches without breaks are processed section by section, as each section only depends on those before it:
+    all but a section's own recurrence is then the same sum for many samples at a time. The order of every sum is
+    fixed, so that no result depends on where a stretch or a block ends. Intervals in which a limit may be
+    reached, and the next intervals after an overload, are processed one by one (`daq.dsp.limiting`).
     """
     course = scratch.course
     behind = 4 + held.shape[0]

@@ -14,27 +14,10 @@ Array = NDArray[np.float64]
 
 
 def delays(skew: float | tuple[float, ...] | None, channels: int, rate: float) -> tuple[float, ...]:
-    """Turn lateness of sampling into delay of what is sampled.
+    """Return the delay of each channel, s, relative to the clock tick at which the last channel is sampled.
 
-    A sample has the time of the clock tick at which its last channel is sampled; other channels read earlier values.
+    `skew` is the lateness in s of each channel relative to the previous one, or of every channel.
 
-    Parameters
-    ----------
-    skew : float, tuple of float or None
-        Lateness of each channel relative to the one before, or of every channel, s.
-
-    Returns
-    -------
-    tuple of float
-        Delay of each channel, s.
-
-    Raises
-    ------
-    SceneError
-        If not all channels are sampled within one sample interval.
-
-    Examples
-    --------
     >>> delays(1e-6, 3, 5120.0)
     (2e-06, 1e-06, 0.0)
     """
@@ -55,13 +38,8 @@ def delays(skew: float | tuple[float, ...] | None, channels: int, rate: float) -
 class Delay:
     """Shifts the input of a channel by part of a sample interval, block after block.
 
-    Each interval of the result is the end of one interval and the beginning of the next, described by the
-    same four numbers as any; integrated twice it is exact at the new nodes.
-
-    Parameters
-    ----------
-    share : float
-        Delay as a share of the sample interval, in (0, 1).
+    Each interval of the result is the end of one interval and the beginning of the next, described by the same
+    four numbers as any; integrated twice it is exact at the new nodes.
     """
 
     def __init__(self, share: float) -> None:
@@ -118,10 +96,9 @@ def _shift(
     ends: Array,
     whole: Array,
 ) -> tuple[int, int]:
-    """Fill in the delayed intervals; give the number of their parts and of those left over.
+    """Fill in the delayed intervals; return the number of their parts and of those left over.
 
-    `last` is the interval before, and is kept up to date; if it was broken, its end is in the `tail` first
-    parts of `ends`.
+    `last` is the interval before, updated; if it was broken, its end is in the `tail` first parts of `ends`.
     """
     for r in range(4):
         _join(pieces.smooth, joined[r], last, smooth[r])

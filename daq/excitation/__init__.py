@@ -16,13 +16,7 @@ __all__ = ["Excitation", "Station", "excitation"]
 
 
 def excitation(station: Station) -> Excitation:
-    """Return the excitation of the scene's test.
-
-    Raises
-    ------
-    SceneError
-        If the scene has no test, or the test requires equipment that is not on the bench.
-    """
+    """Return the excitation of the scene's test."""
     test = station.scene.test
     if test is None:
         raise SceneError(

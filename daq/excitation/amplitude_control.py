@@ -18,17 +18,9 @@ _IN_VAIN = 1e-4
 
 
 class AmplitudeControl:
-    """Secant method in log(drive) and log(force), with limited steps inside the bracket of the level.
+    """Secant method in log(drive) and log(force) for a force amplitude in N, with limited steps inside the bracket
+    of the level.
 
-    Parameters
-    ----------
-    level : float
-        Force amplitude to hold, N.
-    longest_step : float
-        Largest ratio of two successive drive amplitudes.
-
-    Examples
-    --------
     A hardening rig, force = 3 drive^1.5:
 
     >>> control, drive = AmplitudeControl(2.6), 0.1
@@ -58,9 +50,8 @@ class AmplitudeControl:
         return abs(force / self.level - 1.0) <= min(max(FORCE_HELD, 2.0 * doubt), HELD_AT_WORST)
 
     def cut(self, drive: float, force: float) -> float | None:
-        """Return an immediately reduced drive, without using a transient force as an observation.
-
-        Return None if a much smaller drive did not reduce the force: the drive is then not its cause.
+        """Return an immediately reduced drive; None if a much smaller drive did not reduce the force, as it is not
+        its cause.
         """
         self._first_cut = max(self._first_cut, drive)
         if drive < _IN_VAIN * self._first_cut:
@@ -68,20 +59,7 @@ class AmplitudeControl:
         return drive * max(math.exp(-self._longest), min(1.0, self.level / force))
 
     def next(self, drive: float, force: float) -> float:
-        """Compute the next drive amplitude from the steady force at the present drive.
-
-        Parameters
-        ----------
-        drive : float
-            Present drive amplitude, above 0.
-        force : float
-            Force amplitude at this drive, N.
-
-        Returns
-        -------
-        float
-            Drive amplitude, at most `limit`.
-        """
+        """Compute the next drive amplitude, at most `limit`, from the present drive and its steady force in N."""
         here, error = math.log(drive), math.log(self.level / max(force, 1e-9 * self.level))
         slope = 1.0
         if self._before is not None and abs(here - self._before[0]) > 1e-3:

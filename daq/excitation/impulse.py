@@ -87,8 +87,6 @@ def _wait_for_sensors(station: Station) -> Excitation:
 def settling_time(info: ChannelInfo) -> float:
     """Return the time after power-on in which a bias disappears from a reading, s; 0 without a bias.
 
-    Examples
-    --------
     >>> from daq.signal_chain.channel import ChannelInfo
     >>> sheet = {"accelerometer.bias": "9.0 V", "accelerometer.bias_settling": "2.0 s"}
     >>> settling_time(ChannelInfo("a1", "body 1", "acceleration", 1.0, 5120.0, sensor=sheet))
@@ -117,30 +115,12 @@ def _drifts(readings: Array) -> bool:
 
 
 def half_sine(peak: float, width: float, rate: float) -> Array:
-    """Sample a half-sine pulse such that its linear interpolation has the given peak and area.
+    """Sample a half-sine pulse, shape (samples,), such that its linear interpolation has the given peak in N and
+    area.
 
-    Linear interpolation between samples would reduce the area of the pulse. The sampled half sine is therefore
-    longer, with a sample at its peak.
+    Linear interpolation would reduce the area: the sampled half sine is longer than `width` in s, with a sample
+    at its peak.
 
-    Parameters
-    ----------
-    peak : float
-        Peak force, N.
-    width : float
-        Width of the half sine, s; at least two samples.
-
-    Returns
-    -------
-    ndarray, shape (samples,)
-        Force in N; first and last sample are zero.
-
-    Raises
-    ------
-    SceneError
-        If the samples are too far apart for the pulse.
-
-    Examples
-    --------
     >>> pulse = half_sine(50.0, 4e-3, 5120.0)
     >>> float(pulse.max()), float(round(pulse.sum() / 5120.0 / (50.0 * 4e-3 * 2 / np.pi), 9))
     (50.0, 1.0)

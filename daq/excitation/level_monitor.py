@@ -13,18 +13,7 @@ READABLE = "take more sensitive sensors, a smaller converter: range, or more for
 
 
 class LevelWatch:
-    """Marks intervals in which the force deviates by more than 10 % from its level as ``level``.
-
-    Parameters
-    ----------
-    level : float
-        Target force amplitude, N.
-
-    Attributes
-    ----------
-    lowest, highest : float
-        Lowest and highest ratio of the force to the level so far.
-    """
+    """Marks intervals in which the force deviates by more than 10 % from its level in N as ``level``."""
 
     def __init__(self, station: Station, level: float) -> None:
         self._station, self._level = station, level

@@ -19,15 +19,8 @@ _SHARE_OF_BEAT = 0.5
 
 
 def fewest_samples(frequency: float, rate: float) -> int:
-    """Return the minimum number of samples for an amplitude estimate without much noise amplification.
+    """Return the minimum number of samples for an amplitude estimate without much noise amplification; both in Hz.
 
-    Parameters
-    ----------
-    frequency, rate : float
-        Frequency and sampling rate, Hz; the frequency is below half the rate.
-
-    Examples
-    --------
     >>> [fewest_samples(frequency, 100.0) for frequency in (1.0, 20.0, 40.0, 49.0)]
     [200, 10, 8, 25]
     """
@@ -36,26 +29,11 @@ def fewest_samples(frequency: float, rate: float) -> int:
 
 
 def whole_periods(frequency: float, rate: float, at_least: float) -> int:
-    """Return the length of a window that is close to a whole number of periods.
+    """Return the window length in samples, of those up to a third longer than `at_least` in s, closest to whole
+    periods.
 
-    In a window with a fraction of a period, harmonics and offsets leak into the fundamental. Of all window lengths
-    up to a third longer than requested, the length closest to whole periods is selected; it is at least
-    `fewest_samples`.
+    In a window with a fraction of a period, harmonics and offsets leak into the fundamental.
 
-    Parameters
-    ----------
-    frequency, rate : float
-        Frequency and sampling rate, Hz.
-    at_least : float
-        Shortest window, s.
-
-    Returns
-    -------
-    int
-        Window length in samples.
-
-    Examples
-    --------
     >>> whole_periods(10.0, 1000.0, 0.15)
     200
     >>> whole_periods(12.5, 100.0, 0.2)
@@ -114,23 +92,10 @@ def _fitted(samples: Array, frequency: float, rate: float) -> Array:
 
 
 def lock_in(samples: Array, frequency: float, rate: float, phase: float = 0.0) -> ComplexArray:
-    """Estimate complex amplitudes X of a steady tone: x(t) = Re(X e^{i(phase + 2 pi f t)}) + slow drift.
+    """Estimate complex amplitudes X (channels,) of a steady tone: x(t) = Re(X e^{i(phase + 2 pi f t)}) + slow drift.
 
-    Parameters
-    ----------
-    samples : ndarray, shape (channels, samples)
-        Window of at least `fewest_samples` samples; t is 0 at its first sample.
-    frequency, rate : float
-        Frequency and sampling rate, Hz.
-    phase : float
-        Phase of the reference at the first sample, rad.
+    `samples` has shape (channels, at least `fewest_samples`); t is 0 at its first sample.
 
-    Returns
-    -------
-    ndarray of complex, shape (channels,)
-
-    Examples
-    --------
     >>> t = np.arange(512) / 5120.0
     >>> amplitude = lock_in(3.0 * np.cos(2 * np.pi * 20 * t + 0.5)[None] + 7.0 + t, 20.0, 5120.0, phase=0.5)
     >>> f"{abs(amplitude[0]):.9f}", bool(abs(np.angle(amplitude[0])) < 1e-9)

@@ -27,19 +27,8 @@ _LOOK = 0.1
 
 
 class Knobs:
-    """Settings of the operator; they take effect with the next window of the drive.
+    """Settings of the operator, Hz and N; they take effect with the next window of the drive.
 
-    Parameters
-    ----------
-    frequency : float
-        Frequency, Hz.
-    force : float
-        Force amplitude, N; 0 is no drive.
-    highest : float
-        Highest permitted frequency, Hz.
-
-    Examples
-    --------
     >>> knobs = Knobs(13.0, 0.0, highest=1000.0)
     >>> knobs.turn("f 34.8"), knobs.turn("F 2.6"), knobs.asked
     (True, True, (34.8, 2.6))
@@ -55,13 +44,7 @@ class Knobs:
         self.asked = self._frequency(frequency), _force(force)
 
     def turn(self, line: str) -> bool:
-        """Execute a command line; an empty line changes nothing.
-
-        Raises
-        ------
-        SceneError
-            If the command is unknown or its value is invalid.
-        """
+        """Execute a command line; an empty line changes nothing."""
         key, _, value = line.strip().partition(" ")
         frequency, force = self.asked
         if key in ("q", "quit", "exit") and not value:
@@ -116,15 +99,7 @@ class ToneReading:
 
 @dataclass
 class HandTone:
-    """The excitation that follows the knobs.
-
-    Parameters
-    ----------
-    knobs : Knobs
-        Settings of the operator.
-    report : callable
-        Called with a `ToneReading` after every window.
-    """
+    """The excitation that follows the knobs; `report` is called after every window."""
 
     knobs: Knobs
     report: Callable[[ToneReading], None]

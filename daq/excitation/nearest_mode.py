@@ -34,23 +34,12 @@ _RIDGE = 1e-4
 class NearestMode:
     """Model of the driven body: the mode nearest to the tone, and a residual term for all other modes.
 
-    The envelopes X of the body's displacement and F of the force, both relative to the tone's phase, obey
-    X = c F + x and dx/dt = (s - i w) x + g F near a mode with pole s; c is the residual term of all other modes.
-    Frequency, damping ratio, g and c are least-squares estimates from the last observations of the channels: g and c
-    are linear parameters, and the pole is searched. The growing response therefore identifies a mode well before the
-    tone reaches it. The model tracks modes that change with the level, for example in a structure with dampers.
+    The envelopes X of the body's displacement and F of the force, both relative to the tone's phase, obey X = c F
+    + x and dx/dt = (s - i w) x + g F near a mode with pole s; c is the residual term of all other modes.
+    Frequency, damping ratio, g and c are least-squares estimates from the last observations: g and c are linear,
+    and the pole is searched. The growing response identifies a mode well before the tone reaches it, and the
+    model tracks modes that change with the level.
 
-    Attributes
-    ----------
-    pole : complex
-        s, 1/s.
-    gain : complex
-        g, m/(N s).
-    rest : complex
-        c, m/N.
-
-    Examples
-    --------
     >>> mode, s, x, force = NearestMode(), (-0.01 + 1j) * 80.0, 0j, 1.0 + 0j
     >>> for look in range(40):
     ...     w = 60.0 + look / 4

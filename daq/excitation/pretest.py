@@ -33,9 +33,8 @@ _LATEST = 0.05
 class ShakerLaw:
     """Drive of a shaker: D = e^(s delay) (P(s) X0 + Q(s) F), for motion X0 e^(st) and force F e^(st).
 
-    A moving coil has P = Z (m s^2 + c s + k) / Bl + Bl s and Q = Z / Bl with Z = R + L s, per amplifier gain;
-    a table with a servo has P = (1 + s / w)^2 and Q = 0. In both cases P and Q are independent of the structure,
-    which affects only X0 and F. The channels measure both.
+    A moving coil has P = Z (m s^2 + c s + k) / Bl + Bl s and Q = Z / Bl with Z = R + L s, per amplifier gain; a
+    table with a servo has P = (1 + s / w)^2 and Q = 0. P and Q are independent of the structure.
     """
 
     motion: Array
@@ -69,15 +68,7 @@ class ShakerLaw:
 def pretest(
     station: Station, lowest: float, highest: float, level: float
 ) -> Generator[Array, Array, ShakerLaw]:
-    """Play a short burst of weak tones and estimate the drive law of the shaker.
-
-    Parameters
-    ----------
-    lowest, highest : float
-        Band of the test, Hz.
-    level : float
-        Force amplitude of the test, N.
-    """
+    """Play a short burst of weak tones and estimate the drive law of the shaker, for a band in Hz and a level in N."""
     period = station.samples(max(_SPAN, _PERIODS / lowest))
     lines = lines_between(lowest / _BEYOND, min(_BEYOND * highest, 0.45 * station.rate), period, station.rate)
     # Random phases spread every tone over the whole burst; low tones are most sensitive to noise.

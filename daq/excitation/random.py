@@ -91,20 +91,10 @@ def _slower(lines: Lines, period: int) -> int:
 
 
 def shaping_filter(lines: Lines, amplitudes: Array, gains: Array, level: float, period: int) -> Array:
-    """Return the impulse response from white noise of unit variance to the required drive; shape (period,).
+    """Return the impulse response (period,) from white noise of unit variance to the required drive.
 
-    Parameters
-    ----------
-    lines : ndarray of int, shape (lines,)
-        Frequencies of `amplitudes` and `gains`, in multiples of rate / period.
-    amplitudes : ndarray, shape (lines,)
-        Amplitudes of tones of the required spectrum.
-    gains : ndarray, shape (lines,)
-        Controlled quantity per drive.
-    level : float
-        Required RMS of the drive times the gains.
-    period : int
-        Length in samples.
+    `amplitudes` of the required spectrum and `gains` per drive are at `lines`; `level` is the RMS of drive times
+    gains.
     """
     spectrum = np.zeros(period // 2 + 1)
     spectrum[lines] = amplitudes

@@ -58,21 +58,14 @@ class Settling:
     """Detector of the steady state.
 
     The free decay of a mode adds a transient to the amplitude in each window (a *look*). From look to look the
-    transient, and therefore also the change of the amplitude, is multiplied by the same complex factor rho. With rho
-    estimated from the last changes, the remaining change of the amplitude is change * rho / (1 - rho). A comparison
-    of two successive looks would not suffice: a 13 Hz mode with a damping ratio of 0.5 % changes by only 4 % of its
-    remaining transient in 0.1 s.
+    transient, and therefore also the change of the amplitude, is multiplied by the same complex factor rho. With
+    rho estimated from the last changes, the remaining change is change * rho / (1 - rho). A comparison of two
+    looks would not suffice: a 13 Hz mode with a damping ratio of 0.5 % changes by only 4 % of its remaining
+    transient in 0.1 s.
 
-    Changes that do not follow this law are noise (of sensors, or of dampers in irregular motion). The amplitude then
-    counts as steady when two halves of the latest looks agree within their scatter and the scatter does not decrease.
+    Changes that do not follow this law are noise. The amplitude then counts as steady when two halves of the
+    latest looks agree within their scatter and the scatter does not decrease.
 
-    Parameters
-    ----------
-    tolerance : float
-        Largest permitted remaining change, relative to the amplitude.
-
-    Examples
-    --------
     >>> judge = Settling(1e-3)
     >>> for look in range(40):
     ...     judge.add(np.array([1.0 - 0.5 * 0.8**look + 0j]))
@@ -168,10 +161,11 @@ class Settling:
         return law.seen & (law.left() < self.tolerance * self._size())
 
     def _within(self, law: Law) -> NDArray[np.bool_]:
-        """Return whether all looks agree within the tolerance with a nearly constant mean, without a law.
+        """Return whether all looks agree within the tolerance with a nearly constant mean: beating modes have no
+        common factor.
 
-        Several beating modes have no common factor. In a slow transient, the mean over half of these looks changes
-        by at least 10 % of the remaining change, unless the transient is longer than thirty looks.
+        In a slow transient of up to thirty looks, the mean of half of these changes by at least 10 % of the
+        remaining change.
         """
         if self.looks < _AGREEING:
             return np.zeros(self._looks[-1].size, dtype=bool)
@@ -182,10 +176,9 @@ class Settling:
         return (~law.seen | (spread < 0.01 * limit)) & (spread < limit) & (drift < 0.1 * limit)
 
     def _scattered(self, law: Law) -> NDArray[np.bool_]:
-        """Return whether the looks scatter like noise about a constant mean.
+        """Return whether the looks scatter like noise about a constant mean; decaying beats scatter less and less.
 
-        Decaying beats also scatter, but their scatter decreases. If the scatter is small, half as many looks
-        suffice: the measurement that follows averages over the beats.
+        If the scatter is small, half as many looks suffice: the measurement that follows averages over the beats.
         """
         many = self._noise(_NOISE_LOOKS, np.inf)
         return ~law.seen & (many | self._noise(_NOISE_LOOKS // 2, _LITTLE_NOISE * self.tolerance))

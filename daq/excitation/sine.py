@@ -20,11 +20,9 @@ _LOOK = 0.1
 
 
 def excite(station: Station, test: Sine) -> Excitation:
-    """Run a tone of constant frequency.
+    """Run a tone of constant frequency, in open loop with full amplitude from the first sample.
 
-    In open loop the tone starts at full amplitude with the first sample, amplitude * sin(2 pi f t), and the steady
-    part is marked as measured. With a controlled spring force, the duration of the test begins when the force is
-    steady at its level.
+    With a controlled spring force, the duration of the test begins when the force is steady at its level.
     """
     if test.force is not None and not station.force_is_drive:
         return _controlled(station, test, test.force)

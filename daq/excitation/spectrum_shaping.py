@@ -34,13 +34,7 @@ def generator(station: Station, purpose: str) -> np.random.Generator:
 
 
 def lines_between(first: float, last: float, period: int, rate: float) -> Lines:
-    """Return the integer multiples of rate / period from `first` to `last` in Hz.
-
-    Raises
-    ------
-    SceneError
-        If there is no line below half the sampling rate.
-    """
+    """Return the integer multiples of rate / period from `first` to `last` in Hz."""
     low, high = (
         np.ceil(first * period / rate - 1e-9),
         np.floor(min(last * period / rate + 1e-9, (period - 1) // 2)),
@@ -100,19 +94,7 @@ class Shaped:
 def equalise(
     station: Station, lines: Lines, period: int, level: float, phases: Array
 ) -> Generator[Array, Array, Shaped]:
-    """Compute the drive with a flat spring force over the lines, by iteration with measurements of the channels.
-
-    Parameters
-    ----------
-    lines : ndarray of int, shape (lines,)
-        Frequencies of the tones, in multiples of rate / period.
-    period : int
-        Number of samples per period.
-    level : float
-        RMS value of the spring force, N.
-    phases : ndarray, shape (lines,)
-        Phases of the tones, rad.
-    """
+    """Compute the drive with a flat spring force of RMS `level` in N over the lines, by iteration with measurements."""
     wanted = flat(level, lines)
     weights = station.force_weights(lines * station.rate / period)
     amplitudes = played = wanted * station.cautious_drive

@@ -114,20 +114,8 @@ class Station:
         return np.asarray(1.0 / read, dtype=complex)
 
     def force_weights(self, frequency: Array | float) -> ComplexArray:
-        """Return the weights of the channels' complex amplitudes in the spring force.
-
-        F1 = k0 (x0 - x1), with x0 and x1 from the channels on the table and on the driven body, each
-        corrected for its sensor, amplifier and converter.
-
-        Parameters
-        ----------
-        frequency : float or ndarray, shape (frequencies,)
-            Frequency, Hz.
-
-        Returns
-        -------
-        ndarray of complex, shape (channels,) + frequency.shape
-            N per unit of the readings.
+        """Return the weights (channels, frequencies) of the channels' amplitudes in the spring force F1 = k0 (x0 -
+        x1), N per unit.
         """
         shaker = self.scene.driven_shaker
         assert shaker is not None and shaker.spring is not None

@@ -34,13 +34,7 @@ _LISTED = 8
 
 
 def excite(station: Station, test: SteppedSine) -> Excitation:
-    """Run a stepped sine.
-
-    Returns
-    -------
-    Excitation
-        Coroutine: it yields drive windows and receives channel readings.
-    """
+    """Run a stepped sine."""
     controlled = test.force is not None and not station.force_is_drive
     return _run(station, test, Gauge(station, force=controlled), controlled)
 
@@ -120,27 +114,10 @@ def settle(
     tolerance: float,
     longest: float,
 ) -> Generator[Array, Array, bool]:
-    """Glide to a frequency and wait for the steady state, with a force control if given.
+    """Glide to a frequency in Hz and wait for the steady state; return whether it was reached at the level.
 
-    Parameters
-    ----------
-    station, tone, gauge
-        Bench, sine source and measured quantities.
-    control : AmplitudeControl or None
-        None leaves the drive amplitude unchanged.
-    frequency : float
-        Frequency, Hz.
-    drive : float
-        Initial drive amplitude.
-    tolerance : float
-        Permitted remaining change of any amplitude, relative.
-    longest : float
-        Longest wait, s.
-
-    Returns
-    -------
-    bool
-        Whether the steady state at the level was reached.
+    Without a control the drive amplitude stays; `tolerance` is the permitted relative change, `longest` the wait
+    in s.
     """
     end = station.now + station.samples(longest)
     look = whole_periods(frequency, station.rate, _LOOK)
@@ -179,22 +156,11 @@ def _change(control: AmplitudeControl, judge: Settling, drive: float) -> float |
 
 
 def extrapolated(reached: Sequence[tuple[float, float]], frequency: float) -> float:
-    """Extrapolate the drive at the next frequency from the last points.
+    """Extrapolate the drive at the next frequency by the parabola through the logarithms of the last (frequency,
+    drive).
 
-    Parameters
-    ----------
-    reached : sequence of (frequency, drive)
-        The last points, at most three, in order of time.
-    frequency : float
-        Frequency, Hz.
+    Return the last drive if the curvature is too large.
 
-    Returns
-    -------
-    float
-        Value of the parabola through the logarithms, or the last drive if the curvature is too large.
-
-    Examples
-    --------
     >>> round(extrapolated([(10.0, 1.0), (11.0, 1.1), (12.0, 1.2)], 13.0), 3)
     1.298
     >>> extrapolated([(12.0, 1.0), (13.0, 2.0), (14.0, 40.0)], 15.0)
@@ -212,8 +178,7 @@ def extrapolated(reached: Sequence[tuple[float, float]], frequency: float) -> fl
 
 
 def _unhurried(judge: Settling, look: int, longest: int) -> int:
-    """Return the length of a glide, in samples, that does not excite the mode whose transient beats with the drive.
-
-    A glide along half a cosine hardly excites a mode if its length is at least two beats.
+    """Return the length in samples of a glide of two beats, which hardly excites the mode whose transient beats with
+    the drive.
     """
     return max(look, min(longest, round(look * 4 * np.pi / float(judge.beat()[0]))))

@@ -56,21 +56,13 @@ class Look:
 
 
 class SweepControl:
-    """Computes the complex amplitude of the drive at the end of the next window.
+    """Computes the complex amplitude of the drive Re(amplitude e^{i phase}) at the end of the next window.
 
     Feedback alone cannot control a force that is measured as an amplitude over some periods: a mode with damping
-    ratio zeta settles in 1 / (zeta w), and a sweep passes it in a shorter time. The drive is therefore computed by
-    feedforward. For the force F and the body's motion X the shaker requires D = a F + b X (`ShakerLaw`, measured in
-    the pretest), in a transient D = a F + a' dF/dt + b X + b' dX/dt, where a' and b' are derivatives
-    by s. The mode nearest to the tone (`NearestMode`) predicts X at the end of the next window. The delay of the
-    observations is compensated by a simulation with the drive played since then.
-
-    Parameters
-    ----------
-    law : ShakerLaw
-        Drive law of the shaker.
-    drive : complex
-        Amplitude of the drive at the start of the sweep, time 0: the drive is Re(amplitude e^{i phase}).
+    ratio zeta settles in 1 / (zeta w), and a sweep passes it in a shorter time. The drive is therefore
+    feedforward: for force F and motion X the shaker requires D = a F + b X (`ShakerLaw`), in a transient D = a F
+    + a' dF/dt + b X + b' dX/dt with derivatives by s. The mode nearest to the tone (`NearestMode`) predicts X;
+    the delay of the observations is compensated by a simulation with the drive played since then.
     """
 
     def __init__(self, law: ShakerLaw, level: float, limit: float, drive: complex) -> None:
@@ -168,19 +160,9 @@ def look_samples(frequency: float, rate: float) -> int:
 
 
 def look_at(samples: Array, phase: Array, rate: float) -> tuple[ComplexArray, ComplexArray]:
-    """Estimate complex amplitudes X in the middle: x = Re(X e^{i phase}) + linear drift, with a Hann window.
+    """Estimate complex amplitudes X in the middle and their change per second: x = Re(X e^{i phase}) + linear drift.
 
-    Parameters
-    ----------
-    samples : ndarray, shape (channels, samples)
-        Window of at least `look_samples` samples.
-    phase : ndarray, shape (samples,)
-        Phase of the tone, rad.
-
-    Returns
-    -------
-    amplitude, slope : ndarray of complex, shape (channels,)
-        X, and its change per second.
+    A Hann window weighs the samples, shape (channels, at least `look_samples`).
     """
     part = (np.arange(phase.size) + 0.5) / phase.size
     time = (part - 0.5) * phase.size / rate

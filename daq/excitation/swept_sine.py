@@ -39,11 +39,7 @@ _TOLERANCE, _LONGEST = 0.01, 60.0
 
 
 def excite(station: Station, test: SweptSine) -> Excitation:
-    """Run a swept sine.
-
-    With a controlled spring force, a pretest identifies the shaker, and the force reaches its level at the first
-    frequency before the sweep begins.
-    """
+    """Run a swept sine; with a controlled spring force after a pretest, and once the force is at its level."""
     controlled = test.force is not None and not station.force_is_drive
     return _run(station, test, Gauge(station, force=controlled), controlled)
 

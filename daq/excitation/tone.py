@@ -9,22 +9,8 @@ Array = NDArray[np.float64]
 
 
 class Tone:
-    """Source of amplitude * sin(phase).
+    """Source of amplitude * sin(phase), with frequency in Hz and the phase in rad at the next sample.
 
-    Parameters
-    ----------
-    frequency : float
-        Initial frequency, Hz.
-
-    Attributes
-    ----------
-    phase : float
-        Phase at the next sample, rad in [0, 2 pi).
-    amplitude : float
-        Amplitude at the next sample.
-
-    Examples
-    --------
     >>> tone = Tone(1000.0, 10.0)
     >>> up, on = tone.glide(200, 10.0, 2.0), tone.hold(100)
     >>> float(round(abs(np.diff(np.concatenate([up, on]))).max(), 3))  # never steeper than 2 w / rate

@@ -20,14 +20,7 @@ _PIECE = 1 << 16
 
 
 class Gauge:
-    """Measures the quantities of a sine test.
-
-    Parameters
-    ----------
-    force : bool
-        Whether to measure the spring force; it is then the first quantity, and missing channels raise a
-        SceneError. The displacements at all motion channels follow.
-    """
+    """Measures the spring force if required, then the displacements at all motion channels."""
 
     def __init__(self, station: Station, force: bool) -> None:
         self._station = station
@@ -59,7 +52,7 @@ class Gauge:
 def held(station: Station, tone: Tone, gauge: Gauge, samples: int) -> Generator[Array, Array, ComplexArray]:
     """Hold a tone for a number of samples, and return the amplitudes of the gauge, shape (quantities,).
 
-    In a long window these are means over pieces of whole periods, so that not all readings are in memory.
+    A long window is read in pieces of whole periods, so that not all readings are in memory.
     """
     frequency, left = tone.frequency, samples
     piece = whole_periods(frequency, station.rate, _PIECE / station.rate)

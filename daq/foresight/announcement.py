@@ -19,12 +19,7 @@ def foresight_text(scene: Scene) -> str:
 
 
 def refuse_certain_abort(name: str, foreseen: Foresight) -> None:
-    """Reject a test that will abort.
-
-    Raises
-    ------
-    SceneError
-    """
+    """Reject a test that will abort."""
     if foreseen.aborts is None:
         return
     level = ""

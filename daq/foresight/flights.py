@@ -26,10 +26,7 @@ _LISTED = 5
 
 
 def onset_level(scene: Scene, system: HybridSystem) -> float:
-    """Lowest level of a tone or a sweep at which a damper leaves its floor: the body's acceleration reaches gravity.
-
-    Infinite where no damper moves, and for other tests.
-    """
+    """Return the lowest level of a tone or sweep at which a damper leaves its floor; infinite for other tests."""
     accelerations = _at_dampers(scene, system, test_frequencies(scene.test, _POINTS))
     return float(system.gravity / accelerations.max()) if accelerations.max(initial=0.0) > 0.0 else np.inf
 

@@ -376,10 +376,10 @@ class _Assessment:
         return max(done, whole * (place + 1) / steps) if place > 1 else done
 
     def _waits(self, part: Rehearsal, test: SteppedSine) -> Iterable[float]:
-        """Give the times until the tones of a part are steady, s.
+        """Return the times until the tones of a part are steady, s.
 
-        A tone that did not settle in a rehearsal may take a little longer or, with irregular motion of dampers, all the
-        time that the test allows: the geometric mean of the two is assumed.
+        A tone that did not settle in a rehearsal may take a little longer or all the time that the test allows:
+        the geometric mean of the two is assumed.
         """
         for settle, measure in zip(part.steps[::2], part.steps[1::2], strict=False):
             wait = (settle.stop - settle.first) / self.bench.rate

@@ -18,39 +18,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Expectation:
-    """Predicted maximum of a quantity in a test.
-
-    Attributes
-    ----------
-    name : str
-        Channel, sensor of a channel, output, amplifier or table.
-    unit : str
-    largest : float
-        Predicted maximum without limits.
-    frequency, time : float or None
-        Its frequency, Hz; or its time from the start of the test, s.
-    limit : float
-        Infinite without a limit.
-    limited_by : str
-        The part with this limit.
-    overloaded : bool
-        Whether the limit is reached.
-    recorded : float
-        Largest reading in the recording; NaN for other quantities than channels.
-    driven : float or None
-        Part of the maximum that grows with the level of the test, without the transient of power-on; None: all of it.
-    """
+    """Predicted maximum of a channel, sensor, output, amplifier or table in a test."""
 
     name: str
     unit: str
-    largest: float
-    frequency: float | None = None
-    time: float | None = None
+    largest: float  # without limits
+    frequency: float | None = None  # of the maximum, Hz
+    time: float | None = None  # of the maximum, from the start of the test, s
     limit: float = np.inf
-    limited_by: str = ""
+    limited_by: str = ""  # the part with this limit
     overloaded: bool = False
-    recorded: float = np.nan
-    driven: float | None = None
+    recorded: float = np.nan  # largest reading in the recording, of a channel
+    driven: float | None = None  # part that grows with the level, without power-on transient; None: all
 
     @property
     def driven_share(self) -> float:
@@ -95,55 +74,24 @@ def in_words(size: float, unit: str) -> str:
 
 @dataclass(frozen=True, repr=False)
 class Foresight(Result):
-    """Prediction of a test.
-
-    Attributes
-    ----------
-    scene : str
-        Name of the scene.
-    expectations : tuple of Expectation
-        Channels first, in their order, then sensors, outputs, amplifier and table.
-    key : str
-        Key of the test's level, such as test.force; "" where it has none.
-    level, largest_level : float
-        Level of the test (the highest of several), and the largest level that fits; NaN without a limit.
-    level_unit : str
-    limited_by : Expectation or None
-        The limit of the level.
-    nonlinear : bool
-        Whether dampers fly, so that `largest_level` is approximate.
-    aborts : str or None
-        Reason for which the test will abort.
-    signals : dict of str to LeastSignal
-        Smallest ratio of signal to noise of each channel with noise.
-    unread : tuple of str
-        Channels whose signal is below the resolution of the converter, and the remedy.
-    flights : tuple of str
-        Dampers in flight, with frequency or time.
-    seconds, disk : float
-        Time that the test takes, s, and the size of its recording, bytes.
-    rehearsed : str
-        The rehearsed part of the test; "" if the whole test was rehearsed.
-    outside : tuple of str
-        Modes outside the band of the test.
-    """
+    """Prediction of a test."""
 
     scene: str
-    expectations: tuple[Expectation, ...]
-    key: str
+    expectations: tuple[Expectation, ...]  # channels first, then sensors, outputs, amplifier, table
+    key: str  # of the test's level, such as test.force; "" where it has none
     level: float
-    largest_level: float
+    largest_level: float  # that fits; NaN without a limit
     level_unit: str
     limited_by: Expectation | None
-    nonlinear: bool
-    aborts: str | None
+    nonlinear: bool  # dampers fly: `largest_level` is approximate
+    aborts: str | None  # reason for which the test will abort
     signals: dict[str, LeastSignal] = field(default_factory=dict)
-    unread: tuple[str, ...] = ()
+    unread: tuple[str, ...] = ()  # channels below the resolution of the converter
     flights: tuple[str, ...] = ()
-    seconds: float = 0.0
-    disk: float = 0.0
-    rehearsed: str = ""
-    outside: tuple[str, ...] = ()
+    seconds: float = 0.0  # that the test takes
+    disk: float = 0.0  # size of its recording, bytes
+    rehearsed: str = ""  # the rehearsed part; "" for the whole test
+    outside: tuple[str, ...] = ()  # modes outside the band of the test
 
     @property
     def fits(self) -> bool:

@@ -48,13 +48,7 @@ def test_frequencies(test: Test | None, points: int) -> Array:
 def states_per_level(
     scene: Scene, system: HybridSystem, frequencies: Array
 ) -> tuple[ComplexArray, ComplexArray]:
-    """States (states, frequencies) and drive (frequencies,) for one unit of the test's level.
-
-    Raises
-    ------
-    SceneError
-        If the rig is undamped and a frequency is its resonance.
-    """
+    """Return states (states, frequencies) and drive (frequencies,) for one unit of the test's level."""
     omega = 2.0 * np.pi * frequencies
     gain = np.broadcast_to(drive_per_level(scene, system, omega), omega.shape).astype(np.complex128)
     return riding_response(system, scene.at_driven("shaker"), omega) * gain, gain

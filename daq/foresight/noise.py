@@ -37,8 +37,8 @@ class LeastSignal:
 def least_signals(scene: Scene, channels: tuple[ChannelInfo, ...]) -> dict[str, LeastSignal]:
     """Compare the linear response with the noise of each channel that has any; by name.
 
-    The noise is that of a measured tone (lock-in over its time T: sqrt(2 S / T) for a density S), or of a line of the
-    spectrum. Hits and free decays have no such measurement.
+    The noise is that of a measured tone (lock-in over its time T: sqrt(2 S / T) for a density S), or of a line of
+    the spectrum. Hits and free decays have no such measurement.
     """
     frequencies = test_frequencies(scene.test, _POINTS)
     settings = {channel.name: channel for channel in scene.channels or ()}

@@ -18,13 +18,7 @@ _KEPT_S = 4.0
 
 @dataclass
 class LastBlocks:
-    """The blocks of the last few seconds of a rehearsal.
-
-    Attributes
-    ----------
-    most : float
-        Least number of samples to keep.
-    """
+    """The blocks of the last seconds of a rehearsal, at least `most` samples."""
 
     most: float
     blocks: deque[Block] = field(default_factory=deque)
@@ -44,18 +38,7 @@ class LastBlocks:
 
 
 def recording_size(scene: Scene, bench: Bench, blocks: list[LastBlocks], seconds: float) -> float:
-    """Estimate the size of the recording of a test, bytes.
-
-    Parameters
-    ----------
-    scene : Scene
-    bench : Bench
-        Of the scene.
-    blocks : list of LastBlocks
-        Of each part that was rehearsed.
-    seconds : float
-        Duration of the test.
-    """
+    """Estimate the size of the recording of a test of a duration in s from the last blocks of its parts, bytes."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "size.mcap"
         written = 0

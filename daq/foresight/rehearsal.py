@@ -51,53 +51,21 @@ class Step:
 
 @dataclass
 class Rehearsal:
-    """Result of a test on the bench.
-
-    Attributes
-    ----------
-    scene : Scene
-        With the rehearsed test.
-    seconds : float
-        Duration on the bench.
-    complete : bool
-        Whether the test ended regularly.
-    readings : list of Extreme
-        Of each channel, in its unit.
-    overloaded : list of bool
-        Whether each channel was overloaded.
-    drives : list of Extreme
-        Of each input of the rig, before the limits of output and amplifier.
-    accelerations : dict of str to Extreme
-        Of each point, m/s^2.
-    tables : dict of str to Extreme
-        Displacement of each table, m.
-    closing_speed : ndarray, shape (dampers,)
-        Largest closing speed of each damper of the scene, m/s.
-    strikes : list of list of float
-        Times of impacts of each damper of the scene, at most a few a second, s.
-    aborted : str or None
-        Reason for which the test would abort.
-    steps : list of Step
-        Held tones.
-    sweep : tuple of int, optional
-        First and last sample of a sweep.
-    last_blocks : LastBlocks
-        Samples of the last seconds.
-    """
+    """Result of a test on the bench; extremes are in the unit of each quantity."""
 
     scene: Scene
     rate: float
     readings: list[Extreme]
     overloaded: list[bool]
-    drives: list[Extreme]
-    accelerations: dict[str, Extreme]
-    tables: dict[str, Extreme]
-    closing_speed: Array
-    strikes: list[list[float]]
-    seconds: float = 0.0
+    drives: list[Extreme]  # of each input of the rig, before the limits of output and amplifier
+    accelerations: dict[str, Extreme]  # of each point, m/s^2
+    tables: dict[str, Extreme]  # displacement of each table, m
+    closing_speed: Array  # largest of each damper of the scene, m/s
+    strikes: list[list[float]]  # times of impacts of each damper, at most a few a second, s
+    seconds: float = 0.0  # duration on the bench
     complete: bool = False
-    aborted: str | None = None
-    steps: list[Step] = field(default_factory=list)
+    aborted: str | None = None  # reason for which the test would abort
+    steps: list[Step] = field(default_factory=list)  # held tones
     sweep: tuple[int, int] | None = None
     last_blocks: LastBlocks = field(default_factory=lambda: LastBlocks(0.0))
 
@@ -112,21 +80,7 @@ class Rehearsal:
 
 
 def rehearse(scene: Scene, longest: float, ahead: int = 0) -> Rehearsal:
-    """Run a scene's test without recording it.
-
-    Parameters
-    ----------
-    scene : Scene
-    longest : float
-        Time on the bench after which the rehearsal ends, s.
-    ahead : int
-        Steps at the beginning whose extremes are not used.
-
-    Raises
-    ------
-    SceneError
-        If the test cannot be run on this bench.
-    """
+    """Run a scene's test without recording it, at most `longest` s; extremes exclude the first `ahead` steps."""
     return _Run(scene, ahead).run(longest)
 
 

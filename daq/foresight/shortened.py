@@ -52,23 +52,12 @@ _SWEEP_POINTS = 400
 
 @dataclass(frozen=True)
 class Shortened:
-    """The rehearsed parts of a test: scenes whose tests are run one after another.
-
-    Attributes
-    ----------
-    scenes : tuple of Scene
-    ahead : tuple of int
-        Steps at the beginning of each scene whose extremes are not used.
-    whole : bool
-        Whether this is the whole test.
-    extends : bool
-        Whether the rest of the test is the same noise, whose extremes are higher in a longer time.
-    """
+    """The rehearsed parts of a test: scenes whose tests are run one after another."""
 
     scenes: tuple[Scene, ...]
-    ahead: tuple[int, ...] = (0,)
+    ahead: tuple[int, ...] = (0,)  # steps at the beginning of each scene whose extremes are not used
     whole: bool = False
-    extends: bool = False
+    extends: bool = False  # the rest of the test is the same noise, with higher extremes in a longer time
 
 
 def affordable_seconds(scene: Scene) -> float:

@@ -16,16 +16,8 @@ _LONGEST = 60.0
 
 
 def bias_overload(scene: Scene, row: int, seconds: float) -> str | None:
-    """Return a message with a remedy if a bias overloads an input; None otherwise.
-
-    The result is simulated: the bench is switched on and stays at rest for that time.
-
-    Parameters
-    ----------
-    row : int
-        Number of the channel, from 0.
-    seconds : float
-        Time since the bench was switched on, s.
+    """Return a message with a remedy if a bias overloads an input at rest, `seconds` after power-on, in a
+    simulation.
     """
     from daq.virtual_bench.bench import Bench
 

@@ -32,17 +32,7 @@ WORTH_SAYING_S = 60.0
 
 @dataclass(frozen=True)
 class Estimate:
-    """Lower bounds of the resources of a test.
-
-    Attributes
-    ----------
-    seconds : float
-        Time on the bench, s, without the waits for steady states.
-    samples : float
-        Samples per channel.
-    disk, memory : float
-        Approximate size, bytes.
-    """
+    """Lower bounds of the resources of a test, without the waits for steady states."""
 
     seconds: float
     samples: float
@@ -64,12 +54,6 @@ class Estimate:
 def estimate(scene: Scene) -> Estimate:
     """Estimate lower bounds of the resources of a scene's test.
 
-    Parameters
-    ----------
-    scene : Scene
-
-    Examples
-    --------
     >>> import rig
     >>> scene = rig.load("fig10b-no-damper")
     >>> print(estimate(scene.replace(test=scene.test.replace(repeats=200, interval="9 s"))))
@@ -94,15 +78,7 @@ def estimate(scene: Scene) -> Estimate:
 
 
 def refuse_too_much(what: Estimate, path: Path) -> None:
-    """Reject a test that exceeds the resources of this computer.
-
-    Raises
-    ------
-    SceneError
-        If it would have too many samples, or certainly exceed the free disk space.
-    RunError
-        If it would exceed the permitted memory.
-    """
+    """Reject a test that exceeds the samples, the free disk space or the memory permitted."""
     if not what.samples <= MOST_SAMPLES:
         raise SceneError(
             f"the test would take {_duration(what.seconds)} and {what.samples:.3g} samples of each channel; at most "

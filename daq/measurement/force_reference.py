@@ -15,13 +15,6 @@ if TYPE_CHECKING:
 def missing_force_reference(scene: Scene, channels: Sequence[ChannelInfo]) -> str | None:
     """Return a text with the channels that are missing for the shaker's force; None if they are complete.
 
-    Parameters
-    ----------
-    channels : sequence of ChannelInfo
-        Channels of the scene.
-
-    Examples
-    --------
     >>> import rig
     >>> from daq.virtual_bench.bench import Bench
     >>> bench = Bench(rig.load("bare-structure"))

@@ -46,17 +46,6 @@ _CLIPPED = 1.0
 class Stretches:
     """Merges flagged samples into intervals and marks each complete interval.
 
-    Parameters
-    ----------
-    kind : str
-        Kind of the marks.
-    channels : sequence of ChannelInfo
-        The channels, in the order of the rows of the flags.
-    mark : callable
-        ``mark(kind, first, stop, channel=name)``.
-
-    Examples
-    --------
     >>> info = ChannelInfo("body1", "body 1", "acceleration", sensitivity=1.0, rate=10.0)
     >>> stretches = Stretches("overload", [info], lambda *args, **fields: print(*args, fields))
     >>> stretches.add(0, np.array([[0, 1, 0, 1, 0, 0, 0, 0, 0, 0]], dtype=bool))
@@ -98,22 +87,7 @@ class Stretches:
 
 
 class Limits:
-    """Monitors alarm and abort limits.
-
-    Parameters
-    ----------
-    scene : Scene
-        Scene whose channels have the limits, in the unit of each channel.
-    channels : sequence of ChannelInfo
-        The channels, in the order of the rows of the readings.
-    mark : callable
-        ``mark(kind, first, stop, **fields)``.
-
-    Attributes
-    ----------
-    given : bool
-        Whether any channel has a limit.
-    """
+    """Monitors alarm and abort limits, in the unit of each channel."""
 
     def __init__(self, scene: Scene, channels: Sequence[ChannelInfo], mark: Callable[..., Any]) -> None:
         settings = {channel.name: channel for channel in scene.channels or ()}
@@ -153,13 +127,7 @@ class Limits:
 
 
 class ControlLoss:
-    """Monitors the channels of a controlled spring force: clipped channels do not measure the force.
-
-    Parameters
-    ----------
-    channels : sequence of ChannelInfo
-        The channels, in the order of the rows of the flags.
-    """
+    """Monitors the channels of a controlled spring force: clipped channels do not measure the force."""
 
     def __init__(self, scene: Scene, channels: Sequence[ChannelInfo]) -> None:
         shaker = scene.driven_shaker

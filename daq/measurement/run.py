@@ -104,25 +104,8 @@ def record(
 class MeasurementRun:
     """One run of a test: the loop between excitation, bench and recorder.
 
-    Parameters
-    ----------
-    scene : Scene
-        Scene of the bench.
-    block : int or None
-        Maximum number of samples per block.
-    progress : callable or None
-        Called with the progress of the test.
-    excite : callable
-        Creates the excitation at a station; by default that of the scene's test.
-    heard : callable
-        Called with each block and the readings of the channels; it may be slow.
-    kind : TestKind, optional
-        Kind of the excitation, if it is not the scene's test.
-
-    Attributes
-    ----------
-    bench : Bench
-        Bench of the run.
+    `heard` is called with each block and the readings of the channels; `kind` differs from the scene's for a
+    manual test.
     """
 
     def __init__(

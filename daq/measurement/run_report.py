@@ -23,21 +23,7 @@ if TYPE_CHECKING:
 
 
 def record_and_report(name: str, scene: Scene, path: Path, overwrite: bool, block: int | None) -> int:
-    """Record a scene's test with a progress bar and print a summary.
-
-    Parameters
-    ----------
-    name : str
-        Name of the scene on the command line.
-    scene : Scene
-    path, overwrite, block
-        As in `daq.record`.
-
-    Returns
-    -------
-    int
-        Exit code: 0 complete, 130 interrupted (the recording is then closed and readable).
-    """
+    """Record a scene's test with a progress bar and print a summary; return the exit code, 130 if interrupted."""
     import daq
     from daq.measurement.estimate import WORTH_SAYING_S, estimate
 

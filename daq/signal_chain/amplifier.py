@@ -8,16 +8,11 @@ from rig.scene.measurement_chain import Integrator
 
 
 def integrating_amplifier(settings: Integrator) -> Stage:
-    """Describe an integrating amplifier of order n, ``gain / (s + w)^n`` with w = 2 pi corner.
+    """Describe an integrating amplifier of order n, ``gain / (s + w)^n`` with w = 2 pi corner, in volts and seconds.
 
-    Above the corner it integrates n times, and output = gain x integral of input, volts and seconds; below, each
-    integration becomes a plain gain 1 / w, as if a high pass ``s / (s + w)`` followed it. With corner 0 it integrates
-    down to zero frequency, and any offset in front of it grows without bound. A low cut-off adds a high pass at the
-    input. Each integration has an equal share of the gain, and neither output exceeds the saturation voltage. The noise
-    is that of the output.
+    A low cut-off adds a high pass at the input. Each integration has an equal share of the gain, and neither
+    output exceeds the saturation voltage. The noise is that of the output.
 
-    Examples
-    --------
     >>> from rig.scene.measurement_chain import Integrator
     >>> integrating_amplifier(Integrator(order=2, corner="1 Hz", gain=1000.0)).effects
     {'integration': 2}

@@ -31,48 +31,16 @@ Array = NDArray[np.float64]
 
 
 class Chain:
-    """All channels of a scene, up to the converter's input.
+    """All channels of a scene, up to the converter's input; results do not depend on how a motion is split into
+    blocks.
 
-    Between samples a point's acceleration is a row of cubics joined at samples and breaks (`daq.dsp.interpolation`);
-    impacts enter as impulses at their instants. The analogue stages are linear and propagated exactly for that input
-    (`daq.dsp.propagation`). How a sample is taken depends on the channel (`daq.signal_chain.sampling`): behind a
-    decimation filter where the scene names one; otherwise, unless the scene says how, a signal behind an integrator is
-    read at the instant of the sample, and any other, which may hold impulses and the ringing of a resonance, is
-    averaged over the interval that ends at the sample. Everything is at rest before sample 0.
+    Between samples a point's acceleration is a row of cubics joined at samples and breaks
+    (`daq.dsp.interpolation`); impacts enter as impulses at their instants. The analogue stages are linear and
+    propagated exactly for that input (`daq.dsp.propagation`). A sample is taken behind a decimation filter where
+    the scene names one; otherwise a signal behind an integrator is read at the instant of the sample, and any
+    other, which may hold impulses, is averaged over the interval that ends at the sample. Everything is at rest
+    before sample 0. Random numbers of a channel depend on the seed and its name alone.
 
-    Each channel has its own random numbers, from the seed and its name, which no other channel or stage changes.
-    Results do not depend on how a motion is split into blocks.
-
-    Parameters
-    ----------
-    rate : float
-        Rate of the motion's samples, Hz: the converter's true rate or a whole multiple of it.
-    points : sequence of str
-        Names of the motion's points, ``"body 1"`` ... ``"table"``.
-    inputs : sequence of str
-        Names of the rows of forces, ``"shaker"``, ``"hammer"``.
-
-    Attributes
-    ----------
-    channels : tuple of ChannelInfo
-        The channels, without the converter's counts.
-    effects : dict of str to dict of str to int
-        For each channel its effects, in the order of the signal, each with the states it adds.
-    wiring : tuple of Channel
-        The channels of the scene as they are set now, see `rewire`.
-    latency : int
-        Samples by which the readings lag behind the motion, and by which fewer come out at first: the decimation
-        filter's delay where the scene has it removed.
-    overload : ndarray of bool, shape (channels, samples)
-        Whether a limit of sensor or amplifier has affected each of the latest samples of `measure`.
-
-    Raises
-    ------
-    SceneError
-        If a channel is at a place that does not exist, or a preset is unknown.
-
-    Examples
-    --------
     >>> import rig
     >>> scene = rig.loads("structure: {masses: [1 kg], springs: [1 kN/m]}")
     >>> chain = Chain(scene, 5120.0, points=["body 1"])
@@ -113,15 +81,7 @@ class Chain:
         return path, info, effects
 
     def rewire(self, wiring: Sequence[Channel]) -> None:
-        """Change couplings and supplies of the channels.
-
-        A channel that changes restarts from rest with the next block, its sensor just switched on.
-
-        Parameters
-        ----------
-        wiring : sequence of Channel
-            The channels of the scene with their new settings.
-        """
+        """Change couplings and supplies; a channel that changes restarts from rest, its sensor just switched on."""
         infos = list(self.channels)
         for row, (before, channel) in enumerate(zip(self.wiring, wiring, strict=True)):
             if channel != before:
@@ -129,19 +89,9 @@ class Chain:
         self.wiring, self.channels = tuple(wiring), tuple(infos)
 
     def measure(self, motion: Motion, forces: Array | None = None) -> Array:
-        """Measure the next block.
+        """Measure the next block, in volts; shape (channels, samples).
 
-        Parameters
-        ----------
-        motion : Motion
-            Motion of the points given, continuing the last block.
-        forces : ndarray, shape (inputs, samples), optional
-            Forces at the same samples, joined by straight lines; for channels at the hammer, a shaker or a drive.
-
-        Returns
-        -------
-        ndarray, shape (channels, samples)
-            Volts.
+        Straight lines join the forces, shape (inputs, samples), for channels at the hammer, a shaker or a drive.
         """
         count = motion.displacement.shape[1]
         first, stop = (-(-k // self._oversampling) for k in (motion.first, motion.first + count))
@@ -165,11 +115,7 @@ class Chain:
 
 
 def default_channels(scene: Scene, points: Sequence[str]) -> tuple[Channel, ...]:
-    """Give the channels of a scene that names none.
-
-    They are ideal: the acceleration of every body and table, and the force where one acts from outside, by a hammer or
-    by shakers of kind force.
-    """
+    """Return the ideal channels of a scene that names none: accelerations of all points, and external forces."""
     channels = [Channel(name=point.replace(" ", ""), at=point) for point in points]
     if isinstance(scene.test, Impulse):
         channels.append(Channel(name="force", at="hammer"))
@@ -182,16 +128,7 @@ def default_channels(scene: Scene, points: Sequence[str]) -> tuple[Channel, ...]
 
 
 def stages(channel: Channel, converter: Converter, seed: int) -> tuple[Stage, ...]:
-    """Describe the devices of a channel: sensor, then amplifier and the coupling if any.
-
-    Parameters
-    ----------
-    channel : Channel
-    converter : Converter
-        As it is at this channel (`rig.scene.presets.input_settings`).
-    seed : int
-        Of the scene.
-    """
+    """Describe the devices of a channel: sensor, then amplifier and the coupling of the converter's input if any."""
     if channel.measures_voltage:
         return (CABLE, *coupling(converter))
     if channel.measures_force:

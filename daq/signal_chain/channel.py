@@ -26,44 +26,12 @@ UNITS: dict[str, str] = {
 
 @dataclass(frozen=True)
 class ChannelInfo:
-    """A channel as its data sheets describe it: where it sits, what it reads, how it answers.
+    """A channel as its data sheets describe it: its place, its quantity and its frequency response.
 
-    The value read is ``volts / sensitivity`` in `unit`. It differs from the true quantity by the linear
-    response of sensor, amplifier and converter, which `response` gives in full; what a data sheet cannot know
-    (the individual error within a sensitivity tolerance, noise, drift, clipping) is not part of it.
+    The value read is ``volts / sensitivity`` in `unit`. It differs from the true quantity by the linear response
+    of sensor, amplifier and converter, which `response` gives in full; tolerances, noise, drift and clipping are
+    not part of it.
 
-    Parameters
-    ----------
-    name : str
-        Name of the channel, unique in a scene.
-    at : str
-        Where the sensor sits: ``"body 2"``, ``"table"``, ``"hammer"``, ``"shaker"`` or ``"drive"``.
-    quantity : {'acceleration', 'velocity', 'displacement', 'force'}
-        What is read after integration, if any.
-    sensitivity : float
-        Nominal sensitivity, V per unit.
-    rate : float
-        Sample rate as the clock states it, Hz.
-    zeros, poles : tuple of complex
-        Zeros and poles of the analogue stages, rad/s, from the true quantity to the value read.
-    gain : float
-        Factor of ``prod(s - zeros) / prod(s - poles)``.
-    average : bool
-        Whether the converter averages over the sample interval that ends at the sample.
-    delay : float
-        Delay on top of the averaging, s: decimation filter and skew, as far as not removed.
-    filter : dict of str to float
-        Decimation filter as `daq.signal_chain.decimation_filter.Decimation` is made from it, apart from its
-        delay; empty if none.
-    volts_per_count : float or None
-        Size of a converter count, V; None if samples are not counts.
-    range : float or None
-        Full scale of the converter, ± V; None if unlimited.
-    sensor : dict of str to str
-        The sensor's data sheet, figures with their units: what goes into an electronic data sheet (TEDS).
-
-    Examples
-    --------
     >>> ideal = ChannelInfo("body1", "body 1", "acceleration", sensitivity=1.0, rate=5120.0, average=True)
     >>> ideal.unit, f"{abs(ideal.response(512.0)):.6f}", f"{np.angle(ideal.response(512.0), deg=True):.1f}"
     ('m/s^2', '0.983632', '-18.0')
@@ -72,19 +40,19 @@ class ChannelInfo:
     """
 
     name: str
-    at: str
-    quantity: Quantity
-    sensitivity: float
-    rate: float
+    at: str  # "body 2", "table", "hammer", "shaker" or "drive"
+    quantity: Quantity  # after integration, if any
+    sensitivity: float  # nominal, V per unit
+    rate: float  # as the clock states it, Hz
     zeros: tuple[complex, ...] = ()
     poles: tuple[complex, ...] = ()
-    gain: float = 1.0
-    average: bool = False
-    delay: float = 0.0
-    filter: Mapping[str, float] = field(default_factory=dict)
+    gain: float = 1.0  # factor of prod(s - zeros) / prod(s - poles), in rad/s
+    average: bool = False  # over the sample interval that ends at the sample
+    delay: float = 0.0  # in addition to the averaging, s
+    filter: Mapping[str, float] = field(default_factory=dict)  # `Decimation` without its delay
     volts_per_count: float | None = None
-    range: float | None = None
-    sensor: Mapping[str, str] = field(default_factory=dict)
+    range: float | None = None  # full scale of the converter, ± V
+    sensor: Mapping[str, str] = field(default_factory=dict)  # data sheet, figures with units
 
     @property
     def unit(self) -> str:
@@ -149,13 +117,7 @@ class ChannelInfo:
 
     @classmethod
     def from_metadata(cls, metadata: Mapping[str, str]) -> Self:
-        """Make a channel from what `to_metadata` gave.
-
-        Raises
-        ------
-        RecordingError
-            If a field is missing or cannot be read.
-        """
+        """Make a channel from the result of `to_metadata`; raise `RecordingError` if a field is missing or invalid."""
         strings = {"name", "at", "quantity"}
         given: dict[str, Any] = {}
         for each in fields(cls):

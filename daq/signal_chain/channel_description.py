@@ -20,15 +20,7 @@ _BY_SENSOR: dict[str, Quantity] = {"hammer": "force", "cable": "voltage"}
 def channel_info(
     name: str, at: str, stages: Sequence[Stage], converter: Converter, clock: SampleClock, delay: float
 ) -> ChannelInfo:
-    """Describe how a channel's readings relate to the quantity at its place.
-
-    Parameters
-    ----------
-    stages : sequence of Stage
-        Sensor first.
-    delay : float
-        Delay of what is sampled, s.
-    """
+    """Describe how a channel's readings relate to the quantity at its place, sampled late by `delay` in s."""
     sections = [section for stage in stages for section in stage.sections]
     order = sum(section.name == INTEGRATION for section in sections)
     zeros = [zero for section in sections for zero in section.zeros]

@@ -67,7 +67,7 @@ class Conversion:
 
 
 def volts_per_count(settings: Settings) -> float | None:
-    """Size of a count, V; none without bits and a range.
+    """Return the size of a count, V; None without bits and a range.
 
     >>> volts_per_count(Settings(bits=8, range="1 V"))
     0.0078125
@@ -78,27 +78,8 @@ def volts_per_count(settings: Settings) -> float | None:
 
 
 class Quantiser:
-    """Quantises and clips.
+    """Quantises and clips; the most positive code is a count less than the range, as in two's complement.
 
-    A range of 5 V means from -5 V to +5 V: a count is ``2 range / 2^bits``, the voltage is rounded to the
-    nearest, and the most positive code stands for one count less than the range, as two's complement has it.
-
-    Parameters
-    ----------
-    settings : rig.scene.measurement_chain.Converter
-        As the scene has them; presets are filled in.
-    channels : sequence of ChannelInfo
-        What is connected.
-
-    Attributes
-    ----------
-    channels : tuple of ChannelInfo
-        The same with the size of a count and the range.
-    lost : tuple of tuple of int
-        First and last sample, inclusive, of every block that is dropped, in order.
-
-    Examples
-    --------
     >>> quantiser = Quantiser(Settings(bits=8, range="1 V"), [])
     >>> block = quantiser.convert(np.array([[0.5, -0.004, 1.5]]))
     >>> block.samples, block.overload

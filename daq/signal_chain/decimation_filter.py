@@ -30,24 +30,11 @@ _ATTENUATION = 109.0
 
 @dataclass(frozen=True)
 class Decimation:
-    """A linear-phase low pass: a sinc cut off by a Kaiser window, symmetric about its delay.
+    """A linear-phase low pass: a sinc with a Kaiser window, symmetric about its delay.
 
-    Flat within 0.0001 dB up to 0.4535 of the sample rate and below -100 dB from 0.5465 of it on; between them
-    a tone folds back into the same gap, so that everything up to 0.4535 is free of aliases.
+    Flat within 0.0001 dB up to 0.4535 of the sample rate and below -100 dB from 0.5465 of it on, so that
+    everything up to 0.4535 is free of aliases.
 
-    Parameters
-    ----------
-    rate : float
-        Sample rate it delivers, Hz.
-    delay : float
-        Group delay, samples; the filter is twice as long.
-    cutoff : float
-        Middle of the transition, as a share of the sample rate.
-    beta : float
-        Shape of the Kaiser window.
-
-    Examples
-    --------
     >>> low_pass = Decimation.standard(5120.0)
     >>> [f"{20 * np.log10(abs(low_pass.magnitude(share * 5120.0))):.4f}" for share in (0.1, 0.4, 0.5)]
     ['0.0000', '0.0000', '-6.0206']
@@ -90,18 +77,9 @@ class Decimation:
         return np.asarray(chebyshev.chebval(np.cos(angle), values / values.sum()))
 
     def taps(self, oversampling: int) -> Array:
-        """Weights of the moments.
+        """Return the weights (oversampling, MOMENTS, length) of the moments.
 
-        Parameters
-        ----------
-        oversampling : int
-            Intervals per sample over which the moments are taken.
-
-        Returns
-        -------
-        ndarray, shape (oversampling, MOMENTS, length)
-            Entry (p, k, j) weighs moment k of the interval that ends p intervals and j samples before the
-            output.
+        Entry (p, k, j) weighs moment k of the interval that ends p intervals and j samples before the output.
         """
         return _taps(self, oversampling)
 

@@ -15,18 +15,8 @@ Array = NDArray[np.float64]
 
 
 class Outputs:
-    """Clips and quantises what the outputs give.
+    """Clips and quantises the drive at the range of each output; the hammer and unspecified outputs pass everything.
 
-    A range of 10 V and 16 bits mean voltages from -10 V on in steps of 20 V / 2^16, as two's complement has them. The
-    hammer's input, and outputs that a scene does not describe, pass everything.
-
-    Parameters
-    ----------
-    inputs, units : sequence of str
-        Drive inputs of the plant and their units.
-
-    Examples
-    --------
     >>> import rig
     >>> scene = rig.load("reference-A")
     >>> scene = scene.replace(shaker=scene.shaker.replace(output={"range": 1.0, "bits": 8}))

@@ -17,19 +17,8 @@ NEGLIGIBLE_ZERO_SHIFT = 1e-3
 
 
 class Overloads:
-    """Flags samples, block after block, from the intervals in which a limit was reached.
-
-    A sample is flagged if a limit was reached in any interval that it is made of, or if the shift of zero that an
-    overload left behind is not negligible yet.
-
-    Parameters
-    ----------
-    stages : sequence of Stage
-        Sensor first.
-    rate : float
-        Intervals a second.
-    intervals : int
-        Intervals that a sample is made of, up to the one that ends at it.
+    """Flags each sample with an interval in which a limit was reached, or with a shift of zero that is not
+    negligible yet.
     """
 
     def __init__(self, stages: Sequence[Stage], rate: float, intervals: int) -> None:

@@ -27,26 +27,12 @@ FASTEST = 1.024e6
 
 
 def oversampling(scene: Scene, clock: SampleClock) -> int:
-    """Choose the number of intervals per sample.
+    """Choose the number of intervals per sample, at least 1.
 
-    Without a decimation filter a converter reads the voltage at its samples, aliases and all; only where a sensor may
-    be driven to its limit, or a landing lasts, does it matter what happens in between. With a filter, what
-    oscillates beyond half the sample rate must be seen as such before it can be filtered out, and what comes
-    through must not suffer from being looked at seldom. A rig that is slow against the sample clock calls for
-    none of this.
+    Without a decimation filter the voltage between samples matters only to a sensor that may reach its limit, or
+    during a finite-duration contact. With a filter, oscillations beyond half the sample rate must be resolved
+    before they can be filtered out.
 
-    Parameters
-    ----------
-    clock : SampleClock
-        Of its converter.
-
-    Returns
-    -------
-    int
-        At least 1.
-
-    Examples
-    --------
     >>> import rig
     >>> scene = rig.loads("structure: {masses: [1 kg], springs: [10 MN/m]}")
     >>> for rate in (1e3, 5e3, 51.2e3):
@@ -96,15 +82,6 @@ def _limited(scene: Scene) -> bool:
 class DriveLine:
     """Drive samples joined by straight lines, at a multiple of their rate, block after block.
 
-    Parameters
-    ----------
-    inputs : int
-        Rows of drive.
-    factor : int
-        Intervals per sample.
-
-    Examples
-    --------
     >>> line = DriveLine(1, 2)
     >>> line.through(np.array([[1.0, 2.0]])).tolist(), line.through(np.array([[4.0]])).tolist()
     ([[1.0, 1.5, 2.0]], [[3.0, 4.0]])
@@ -115,9 +92,8 @@ class DriveLine:
         self._last = np.zeros((inputs, 0))
 
     def through(self, drive: Array) -> Array:
-        """Give the drive at the ends of all intervals up to the samples given, (inputs, samples).
-
-        The very first sample has no interval before it and stands alone.
+        """Return the drive (inputs, intervals) at the ends of all intervals; the first sample has no interval before
+        it.
         """
         if self._share.size == 1:
             return drive

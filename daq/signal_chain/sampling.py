@@ -33,27 +33,11 @@ class Sampler(Protocol):
         """Return the place for moments, shape (at least intervals + TOGETHER, LANES); `integrals` lanes are needed."""
 
     def read(self, points: Array, ends: slice) -> Array:
-        """Return the samples in V, valid until the next call; the moments are in the latest `place`.
-
-        Parameters
-        ----------
-        points : ndarray, shape (outputs, intervals)
-            Voltages that `rows` gave.
-        ends : slice
-            Intervals that end at a sample.
-        """
+        """Return the samples in V, valid until the next call, from the voltages of `rows` and the latest moments."""
 
 
 class PointSampler:
-    """Reads the voltage at the instant of the sample; an impulse between two instants does not show.
-
-    Parameters
-    ----------
-    gain : float
-        Volts per unit of the input in front of the circuit.
-    oversampling, late : int
-        As for `FilteredSampler`.
-    """
+    """Reads the voltage at the instant of the sample; an impulse between two instants does not show."""
 
     integrals = 0
 
@@ -76,10 +60,7 @@ class PointSampler:
 
 
 class AverageSampler:
-    """Averages the voltage over the interval that ends at the sample: for a signal that may hold impulses.
-
-    Parameters are those of `FilteredSampler`.
-    """
+    """Averages the voltage over the interval that ends at the sample: for a signal that may hold impulses."""
 
     integrals = 1
 
@@ -106,17 +87,7 @@ class AverageSampler:
 
 
 class FilteredSampler:
-    """Reads behind the decimation filter of a delta-sigma converter.
-
-    Parameters
-    ----------
-    oversampling : int
-        Intervals per sample.
-    late : int
-        Intervals by which the reading lies further back.
-    buffers : BlockBuffers
-        For the moments of a block.
-    """
+    """Reads behind the decimation filter of a delta-sigma converter, `late` intervals further back."""
 
     integrals = MOMENTS
 
@@ -137,19 +108,10 @@ class FilteredSampler:
 
 
 class Jitter:
-    """Takes samples early or late, through the slope of the voltage.
+    """Takes samples early or late, through the slope of the voltage between samples.
 
-    The slope is that between samples, so that jitter acts a little less than it should on fast signals (by
-    sinc(f / rate)); its second order is neglected, and so is a delay of whole intervals.
-
-    Parameters
-    ----------
-    gain : float
-        Volts per unit of the input in front of the circuit.
-    deviation : float
-        Standard deviation of the sampling instants, in sample intervals.
-    wait : int
-        Samples by which the reading lags behind the voltage.
+    The slope reduces the effect on fast signals by sinc(f / rate); second order and delays of whole intervals are
+    neglected.
     """
 
     def __init__(self, circuit: Circuit, gain: float, deviation: float, wait: int) -> None:
@@ -158,14 +120,8 @@ class Jitter:
         self._voltage = History(wait + 1)
 
     def error(self, voltage: Array, late: Array) -> Array:
-        """Return the change of each sample, V.
-
-        Parameters
-        ----------
-        voltage : ndarray, shape (samples,)
-            At the nominal sampling instants, V, from `row` and `row_input`.
-        late : ndarray, shape (samples,)
-            Lateness, in standard deviations.
+        """Return the change of each sample, V, from the voltage at the nominal instants and the lateness in standard
+        deviations.
         """
         count = voltage.size
         self._voltage.place(count)[:] = voltage

@@ -17,15 +17,12 @@ DEFAULT_LATERAL = 0.1
 
 
 def accelerometer(settings: Accelerometer, seed: int, channel: str) -> Stage:
-    """Describe an accelerometer.
+    """Describe an accelerometer: mounted resonance and low cut-off, limit of the output, noise and offset.
 
-    Behind the mounted resonance and the low cut-off, in this order, the output may be limited; noise and offset are
-    added. Three figures of a data sheet act as one deviation of the sensitivity, unknown to the user of the channel:
-    the tolerance (drawn evenly between its ends), the drift with temperature, and the transverse sensitivity. The rig
-    moves vertically, so that the sideways acceleration is a share of the vertical one, in phase, at a random angle.
+    Tolerance, drift with temperature and transverse sensitivity act as one deviation of the sensitivity, unknown
+    to the user. The rig moves vertically: the sideways acceleration is a share of the vertical one, in phase, at
+    a random angle.
 
-    Examples
-    --------
     >>> ideal = accelerometer(Accelerometer(), 1, "body1")
     >>> ideal.nominal, ideal.effects
     (1.0, {})
@@ -72,10 +69,7 @@ def drawn(seed: int, channel: str, stage: str) -> float:
 
 
 def force_sensor(settings: Hammer, seed: int, channel: str) -> Stage:
-    """Describe a force sensor, ideal where nothing is given.
-
-    Parameters and what is returned are those of `accelerometer`.
-    """
+    """Describe a force sensor, ideal by default, as in `accelerometer`."""
     sensitivity = 1.0 if settings.sensitivity is None else settings.sensitivity
     tolerance = settings.sensitivity_tolerance
     return Stage(

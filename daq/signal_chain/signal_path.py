@@ -30,20 +30,9 @@ NOISE_TERMS = 3
 
 
 class SignalPath:
-    """Sensor, amplifier, coupling and sampling of one channel.
+    """Sensor, amplifier, coupling and sampling of one channel, sampled late by `delay` in s.
 
     The limits of sensor and amplifier act on the signal itself, in front of filter and samples.
-
-    Parameters
-    ----------
-    stages : sequence of Stage
-        Sensor first.
-    oversampling : int
-        Intervals of the input per sample.
-    delay : float
-        Delay of what is sampled, s.
-    buffers : BlockBuffers
-        Shared with the other channels.
     """
 
     def __init__(
@@ -95,10 +84,7 @@ class SignalPath:
     def measure(self, pieces: CubicInput, late: Array | None) -> tuple[Array, NDArray[np.bool_]]:
         """Return the volts at the samples that end intervals of a block, and where a limit has affected them.
 
-        Parameters
-        ----------
-        late : ndarray, shape (samples,), or None
-            Lateness of each sample, in standard deviations of the jitter.
+        `late` is the lateness of each sample, in standard deviations of the jitter.
         """
         if self._delay is not None:
             pieces = self._delay.shift(pieces)

@@ -35,37 +35,10 @@ _LONGEST_PAST = 1 << 18
 class Bench:
     """Plant, measuring chain and converter of a scene, from power-on.
 
-    `acquire` takes the drive at the converter's rate and returns samples at that rate. `advance` takes it tick by tick
-    and samples at several rates. The samples depend neither on the division of the drive into calls nor on other rates.
+    `acquire` takes the drive at the converter's rate and returns samples at that rate. `advance` takes it tick by
+    tick and samples at several rates. The samples depend neither on the division of the drive into calls nor on
+    other rates.
 
-    Parameters
-    ----------
-    scene : Scene
-        Scene of the bench.
-    ticks : int, optional
-        Ticks of the plant per sample; by default as many as the converter needs (`oversampling`).
-
-    Attributes
-    ----------
-    clock : SampleClock
-        Clock of the scene's converter. A clock with an error runs at its true rate and states the nominal one.
-    rate, tick_rate : float
-        Samples and ticks per second by the nominal clock.
-    ticks : int
-        Ticks per sample.
-    inputs : tuple of str
-        Drive inputs, a subset of ``("shaker", "hammer")``; where there are several shakers, ``"shaker 1"``, ...
-    drive_units : tuple of str
-        Unit of each input: N, m or V.
-    points : tuple of str
-        Points of the rig, in the order of the rows of `Block.motion`.
-    latency : int
-        Delay of the decimation filter in samples where the scene removes it: the first block is shorter by as much.
-    drive : ndarray, shape (inputs, samples)
-        Drive of the latest ticks of `advance`, at `rate`.
-
-    Examples
-    --------
     >>> import rig
     >>> bench = Bench(rig.load("bare-structure"))
     >>> bench.inputs, bench.drive_units, [channel.at for channel in bench.channels]

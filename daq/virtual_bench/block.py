@@ -14,21 +14,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Block:
-    """Samples of all channels, and the motion that they measure.
+    """Samples of all channels, in volts or counts, and the true motion at them, which tests and control do not use."""
 
-    Attributes
-    ----------
-    first : int
-        Number of the first sample, counted from power-on.
-    samples : ndarray, shape (channels, samples)
-        Volts (float64), or counts (int32) where the scene's converter has bits.
-    overload : ndarray of bool, shape (channels, samples)
-        Samples at which a channel exceeds its range, or its sensor or amplifier its limit.
-    motion : Motion
-        True motion at the same samples. It may be recorded or drawn; tests and control do not use it.
-    """
-
-    first: int
-    samples: NDArray[np.float64] | NDArray[np.int32]
-    overload: NDArray[np.bool_]
+    first: int  # number of the first sample, from power-on
+    samples: NDArray[np.float64] | NDArray[np.int32]  # (channels, samples): volts or counts
+    overload: NDArray[np.bool_]  # samples beyond the range of a channel or a limit of its devices
     motion: Motion

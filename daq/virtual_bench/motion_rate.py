@@ -16,21 +16,11 @@ Array = NDArray[np.float64]
 
 
 class MotionAtRate:
-    """Resamples a motion and its drive, block after block.
+    """Resamples a motion and its drive at instant n / rate ticks after power-on, in complete groups, block after
+    block.
 
-    Instants that coincide with ticks get the motion of the tick. Between ticks and breaks, the acceleration is the
-    cubic of `daq.dsp.interpolation`, integrated once and twice; straight lines join the drive.
-
-    Parameters
-    ----------
-    rate : Fraction
-        Instants per tick: instant n is n / rate ticks after power-on.
-    group : int
-        Instants of a sample: they are given together, up to the sample. The first instant is a group by itself.
-    tick : float
-        Length of a tick, s.
-    first : int
-        Number of the first instant; the instants given are counted from it.
+    Instants that coincide with ticks get the motion of the tick. Between ticks and breaks, the acceleration is
+    the cubic of `daq.dsp.interpolation`, integrated once and twice; straight lines join the drive.
     """
 
     def __init__(self, rate: Fraction, group: int, tick: float, first: int) -> None:

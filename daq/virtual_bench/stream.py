@@ -28,34 +28,10 @@ Array = NDArray[np.float64]
 
 
 class Stream:
-    """Samples of all channels at one rate.
+    """Samples of all channels at one rate: sample n is taken n / rate seconds after power-on of the bench.
 
-    Sample n is taken n / rate seconds after power-on of the bench, whenever the stream begins. The samples depend
-    neither on the division into blocks nor on other streams.
-
-    Parameters
-    ----------
-    scene : Scene
-        Scene of the bench.
-    rate : float
-        Samples per second.
-    per_tick : Fraction
-        Samples per tick of the plant.
-    plant : Plant
-        Source of the motion.
-    past : iterable of (Motion, ndarray)
-        The latest motion and drive; the filters settle on them before the stream begins.
-    wiring : sequence of Channel or None
-        Couplings and supplies of the channels, see `Chain.rewire`; None: those of the scene.
-
-    Attributes
-    ----------
-    channels : tuple of ChannelInfo
-        The channels.
-    latency : int
-        Delay of the decimation filter in samples where the scene removes it: the first block is shorter by as much.
-    lost : tuple of tuple of int
-        First and last sample of every stretch that is lost between converter and recording.
+    The samples depend neither on the division into blocks nor on other streams. The filters settle on the `past`
+    motion and drive before the stream begins.
     """
 
     def __init__(
@@ -118,13 +94,6 @@ class Stream:
 def samples_per_tick(rate: float, tick_rate: float) -> Fraction:
     """Return the samples at a rate [S/s] per tick, as a ratio of whole numbers.
 
-    Parameters
-    ----------
-    tick_rate : float
-        Ticks per second.
-
-    Examples
-    --------
     >>> samples_per_tick(51200.0 / 6, 51200.0)
     Fraction(1, 6)
     """

@@ -42,9 +42,7 @@ def through_parts(
     state: Array,
     workspace: PartWorkspace,
 ) -> int:
-    """Propagate the circuit over an interval with breaks into the workspace's vector; return the first part of the
-    next.
-    """
+    """Propagate the circuit's vector in the workspace over an interval with breaks; return the next part."""
     vector, work = workspace.vector, workspace.work
     interval = pieces.broken[part]
     vector[:] = 0.0

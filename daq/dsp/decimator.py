@@ -37,9 +37,7 @@ class Decimator:
         return self._moments[kept:]
 
     def filter(self, count: int) -> Array:
-        """Return the samples that end with the next `count` intervals, whose moments are in `place`; valid until the
-        next call.
-        """
+        """Return the samples that end with the next `count` intervals, whose moments are in `place`."""
         oversampling = self._oversampling
         wait = -self._interval % oversampling
         due = max(0, -(-(count - wait) // oversampling))

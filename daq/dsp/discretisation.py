@@ -134,9 +134,7 @@ def with_disturbances(
 def discretise(
     circuit: Circuit, gain: float, rate: float, integrals: int, entries: Sequence[Entry]
 ) -> Tables:
-    """Return the tables of a circuit behind a gain in V per unit, with `integrals` moments of the output (1: the
-    average).
-    """
+    """Return the tables of a circuit behind a gain in V per unit, with moments of the output (1: the average)."""
     states = circuit.c.size
     width = states + integrals
     generator = rate_of_change(circuit, gain, rate, integrals)

@@ -33,8 +33,7 @@ class Offset:
 
 
 class SettlingOffset:
-    """A voltage that settles exponentially from zero at sample 0, when power is switched on, with a time constant in
-    s.
+    """A voltage that settles exponentially from zero at sample 0, with a time constant in s.
 
     >>> bias = SettlingOffset(10.0, 2.0, 1.0)
     >>> samples = np.empty(6)

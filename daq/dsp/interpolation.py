@@ -55,9 +55,7 @@ class MotionInterpolator:
         self._ends = np.zeros(3), np.zeros(3)
 
     def cut(self, motion: Motion) -> CubicInput:
-        """Return the pieces of the next block; before sample 0 is rest, so that an initial velocity is an impulse
-        there.
-        """
+        """Return the pieces of the next block; before sample 0 is rest: an initial velocity is an impulse there."""
         row = self._row
         acceleration, velocity = motion.acceleration[row], motion.velocity[row]
         displacement = motion.displacement[row]

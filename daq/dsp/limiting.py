@@ -226,8 +226,7 @@ def follow_closely(
     overload: Array,
     workspace: PartWorkspace,
 ) -> tuple[int, float]:
-    """Propagate the circuit step by step over an interval; return the next part, and the final excess over the
-    limit.
+    """Propagate the circuit step by step over an interval; return the next part and the final excess.
 
     Moments are in the workspace's vector, the severity of the interval in `overload` (see
     `daq.dsp.propagation.propagate`).

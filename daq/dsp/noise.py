@@ -67,8 +67,7 @@ class Noise:
 
 
 class FastNoise:
-    """Variation of the same noise within an interval, in addition to its average: a Legendre polynomial of degree 1
-    or 2.
+    """Variation of the same noise within an interval: a Legendre polynomial of degree 1 or 2.
 
     With averages alone, noise behind a filter would fall towards half the rate by 3.9 dB; with these by 0.04 dB.
     """
@@ -90,8 +89,7 @@ class FastNoise:
 # Sensors of one kind share the same.
 @lru_cache(maxsize=16)
 def shape(corner: float, rate: float) -> tuple[Array, Array, float]:
-    """Return loss, weight and gain of the filter from white noise to a density ``sqrt(1 + corner / f)`` times as
-    large.
+    """Return loss, weight and gain of the filter from white noise to a density ``sqrt(1 + corner / f)`` times.
 
     A sum of first-order low-pass spectra, their corners spread evenly over the logarithm of frequency, makes the
     1/f; the filter is its spectral factor. In y = 4 sin^2(pi f / rate) all spectra are rational with real poles

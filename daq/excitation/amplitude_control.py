@@ -18,10 +18,7 @@ _IN_VAIN = 1e-4
 
 
 class AmplitudeControl:
-    """Secant method in log(drive) and log(force) for a force amplitude in N, with limited steps inside the bracket
-    of the level.
-
-    A hardening rig, force = 3 drive^1.5:
+    """Secant method in log(drive) and log(force) for a force amplitude in N, with steps limited by a bracket.
 
     >>> control, drive = AmplitudeControl(2.6), 0.1
     >>> for step in range(12):
@@ -50,9 +47,7 @@ class AmplitudeControl:
         return abs(force / self.level - 1.0) <= min(max(FORCE_HELD, 2.0 * doubt), HELD_AT_WORST)
 
     def cut(self, drive: float, force: float) -> float | None:
-        """Return an immediately reduced drive; None if a much smaller drive did not reduce the force, as it is not
-        its cause.
-        """
+        """Return an immediately reduced drive; None if a much smaller drive did not reduce the force."""
         self._first_cut = max(self._first_cut, drive)
         if drive < _IN_VAIN * self._first_cut:
             return None

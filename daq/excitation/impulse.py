@@ -115,8 +115,7 @@ def _drifts(readings: Array) -> bool:
 
 
 def half_sine(peak: float, width: float, rate: float) -> Array:
-    """Sample a half-sine pulse, shape (samples,), such that its linear interpolation has the given peak in N and
-    area.
+    """Sample a half-sine pulse such that its linear interpolation has the given peak in N and area.
 
     Linear interpolation would reduce the area: the sampled half sine is longer than `width` in s, with a sample
     at its peak.

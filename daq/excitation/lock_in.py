@@ -29,8 +29,7 @@ def fewest_samples(frequency: float, rate: float) -> int:
 
 
 def whole_periods(frequency: float, rate: float, at_least: float) -> int:
-    """Return the window length in samples, of those up to a third longer than `at_least` in s, closest to whole
-    periods.
+    """Return the length in samples closest to whole periods, up to a third longer than `at_least` in s.
 
     In a window with a fraction of a period, harmonics and offsets leak into the fundamental.
 

@@ -161,11 +161,10 @@ class Settling:
         return law.seen & (law.left() < self.tolerance * self._size())
 
     def _within(self, law: Law) -> NDArray[np.bool_]:
-        """Return whether all looks agree within the tolerance with a nearly constant mean: beating modes have no
-        common factor.
+        """Return whether all looks agree within the tolerance with a nearly constant mean.
 
-        In a slow transient of up to thirty looks, the mean of half of these changes by at least 10 % of the
-        remaining change.
+        Beating modes have no common factor. In a slow transient of up to thirty looks, the mean of half of these
+        changes by at least 10 % of the remaining change.
         """
         if self.looks < _AGREEING:
             return np.zeros(self._looks[-1].size, dtype=bool)

@@ -114,9 +114,7 @@ class Station:
         return np.asarray(1.0 / read, dtype=complex)
 
     def force_weights(self, frequency: Array | float) -> ComplexArray:
-        """Return the weights (channels, frequencies) of the channels' amplitudes in the spring force F1 = k0 (x0 -
-        x1), N per unit.
-        """
+        """Return the weights of the channels' amplitudes in the spring force F1 = k0 (x0 - x1), N per unit."""
         shaker = self.scene.driven_shaker
         assert shaker is not None and shaker.spring is not None
         frequency = np.asarray(frequency, dtype=float)

@@ -156,8 +156,7 @@ def _change(control: AmplitudeControl, judge: Settling, drive: float) -> float |
 
 
 def extrapolated(reached: Sequence[tuple[float, float]], frequency: float) -> float:
-    """Extrapolate the drive at the next frequency by the parabola through the logarithms of the last (frequency,
-    drive).
+    """Extrapolate the drive by the parabola through the logarithms of the last (frequency, drive).
 
     Return the last drive if the curvature is too large.
 
@@ -178,7 +177,5 @@ def extrapolated(reached: Sequence[tuple[float, float]], frequency: float) -> fl
 
 
 def _unhurried(judge: Settling, look: int, longest: int) -> int:
-    """Return the length in samples of a glide of two beats, which hardly excites the mode whose transient beats with
-    the drive.
-    """
+    """Return the samples of a glide of two beats, which hardly excites the mode that beats with the drive."""
     return max(look, min(longest, round(look * 4 * np.pi / float(judge.beat()[0]))))

@@ -16,9 +16,7 @@ _LONGEST = 60.0
 
 
 def bias_overload(scene: Scene, row: int, seconds: float) -> str | None:
-    """Return a message with a remedy if a bias overloads an input at rest, `seconds` after power-on, in a
-    simulation.
-    """
+    """Return a message if, in a simulation at rest, a bias overloads an input `seconds` after power-on."""
     from daq.virtual_bench.bench import Bench
 
     channel = None if scene.channels is None else scene.channels[row]

@@ -31,8 +31,7 @@ Array = NDArray[np.float64]
 
 
 class Chain:
-    """All channels of a scene, up to the converter's input; results do not depend on how a motion is split into
-    blocks.
+    """All channels of a scene, up to the converter's input; results do not depend on the division into blocks.
 
     Between samples a point's acceleration is a row of cubics joined at samples and breaks
     (`daq.dsp.interpolation`); impacts enter as impulses at their instants. The analogue stages are linear and

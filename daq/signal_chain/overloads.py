@@ -17,9 +17,7 @@ NEGLIGIBLE_ZERO_SHIFT = 1e-3
 
 
 class Overloads:
-    """Flags each sample with an interval in which a limit was reached, or with a shift of zero that is not
-    negligible yet.
-    """
+    """Flags samples with an interval at a limit, or with a shift of zero that is not negligible yet."""
 
     def __init__(self, stages: Sequence[Stage], rate: float, intervals: int) -> None:
         fades = [-section.a[0, 0] for section in stages[0].sections if section.name == RECOVERY]

@@ -92,9 +92,7 @@ class DriveLine:
         self._last = np.zeros((inputs, 0))
 
     def through(self, drive: Array) -> Array:
-        """Return the drive (inputs, intervals) at the ends of all intervals; the first sample has no interval before
-        it.
-        """
+        """Return the drive (inputs, intervals) at the ends of all intervals; none ends at the first sample."""
         if self._share.size == 1:
             return drive
         nodes = np.concatenate([self._last, drive], axis=1)

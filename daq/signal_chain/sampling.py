@@ -120,9 +120,7 @@ class Jitter:
         self._voltage = History(wait + 1)
 
     def error(self, voltage: Array, late: Array) -> Array:
-        """Return the change of each sample, V, from the voltage at the nominal instants and the lateness in standard
-        deviations.
-        """
+        """Return the change of each sample, V, from the nominal voltage and the lateness in standard deviations."""
         count = voltage.size
         self._voltage.place(count)[:] = voltage
         due = self._voltage.samples

@@ -16,8 +16,7 @@ Array = NDArray[np.float64]
 
 
 class MotionAtRate:
-    """Resamples a motion and its drive at instant n / rate ticks after power-on, in complete groups, block after
-    block.
+    """Resamples a motion and its drive at instant n / rate ticks after power-on, in complete groups.
 
     Instants that coincide with ticks get the motion of the tick. Between ticks and breaks, the acceleration is
     the cubic of `daq.dsp.interpolation`, integrated once and twice; straight lines join the drive.

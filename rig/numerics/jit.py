@@ -154,13 +154,11 @@ def _warn_once(text: str) -> None:
 def _njit(function: F, kernel: bool, **options: Any) -> F:
     folder = code_folder(_room(function))
     compiler = numba.njit if callees is None else functools.partial(callees.njit, kernel=kernel)
-    before = _CONFIG.CACHE_DIR, getattr(_CONFIG, "CACHE_LOCATOR_CLASSES", "")
-    # The folder serves versions of numba that know no locators.
-    _CONFIG.CACHE_DIR, _CONFIG.CACHE_LOCATOR_CLASSES = str(folder), "rig.numerics.jit.CodeFolder"
+    before, _CONFIG.CACHE_LOCATOR_CLASSES = _CONFIG.CACHE_LOCATOR_CLASSES, "rig.numerics.jit.CodeFolder"
     try:
         return cast(F, compiler(function, cache=folder is not None, **options))
     finally:
-        _CONFIG.CACHE_DIR, _CONFIG.CACHE_LOCATOR_CLASSES = before
+        _CONFIG.CACHE_LOCATOR_CLASSES = before
 
 
 def stored(function: F) -> F:

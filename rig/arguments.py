@@ -69,10 +69,7 @@ Overwrite = Annotated[
 def loaded(scene: str, changes: Sequence[str] | None) -> Scene:
     """Load the scene of a command and apply its changes.
 
-    Raises
-    ------
-    SceneError
-        As `rig.load`.
+    Raises `SceneError` as `rig.load`.
     """
     from rig.scene.loading import load_changed
 

@@ -73,13 +73,7 @@ class Application(typer.Typer):
     ) -> Callable[..., Any]:
         """Register a command.
 
-        Parameters
-        ----------
-        name : str, optional
-            Name of the command; omitted, the name of the function.
-        example : str, optional
-            A command line as a user types it.
-        **settings
-            Arguments of `typer.Typer.command`.
+        `name`: name of the command; omitted, the name of the function; `example`: a command line as a user types it;
+        `**settings`: arguments of `typer.Typer.command`.
         """
         return super().command(name, cls=GroupedCommand, epilog=example, **settings)

@@ -129,8 +129,6 @@ def decades(axes: Axes, values: Any, most: float = 7.0, least: float = 1.0) -> N
 def plain_ticks(low: float, high: float, most: int = 8) -> list[float]:
     """Select at most `most` round numbers on a logarithmic axis; even steps if there are too few.
 
-    Examples
-    --------
     >>> plain_ticks(0.08, 3.0), plain_ticks(0.08, 3.0, 4)
     ([0.1, 0.2, 0.5, 1.0, 2.0], [0.1, 0.3, 1.0, 3.0])
     >>> plain_ticks(0.71, 0.95)
@@ -212,10 +210,7 @@ def _wrapped(figure: Figure, sentences: Sequence[str]) -> str:
 def save_with_table(figure: Figure, stem: Path, write_table: Callable[[Path], None]) -> list[Path]:
     """Write a figure as `save`, and its table by a function of the path; return the three paths.
 
-    Raises
-    ------
-    SceneError, RunError
-        If a file cannot be written.
+    Raises `SceneError`, `RunError` if a file cannot be written.
     """
     table = stem.with_name(stem.name + ".csv")
     make_ready(stem.parent)

@@ -15,10 +15,7 @@ MOST_BYTES = 64_000_000
 def path_of(path: str | Path, name: str = "path") -> Path:
     """Convert an argument to the path of a file.
 
-    Raises
-    ------
-    SceneError
-        If it is not a valid path; the message begins with the name of the argument.
+    Raises `SceneError` if it is not a valid path; the message begins with the name of the argument.
     """
     if not isinstance(path, str | Path):
         raise SceneError(f"{name}: got {path!r:.60}; expected the path of a file")
@@ -28,11 +25,8 @@ def path_of(path: str | Path, name: str = "path") -> Path:
 def read_whole(path: Path) -> bytes:
     """Read a regular file; pipes and devices are rejected, because reading them may never end.
 
-    Raises
-    ------
-    OSError
-        If the file does not exist, is not a regular file, cannot be read or is too large; `strerror` gives the
-        reason.
+    Raises `OSError` if the file does not exist, is not a regular file, cannot be read or is too large; `strerror`
+    gives the reason.
     """
     if path.exists() and not path.is_file():
         raise OSError(errno.EINVAL, "no ordinary file", str(path))

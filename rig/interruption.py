@@ -25,15 +25,9 @@ def end_silently() -> None:
 def is_command(words: list[str], all_words: list[str]) -> bool:
     """Whether a process runs one of the commands.
 
-    Parameters
-    ----------
-    words : list of str
-        `sys.argv`; its first element is ``-m`` until Python has located the module.
-    all_words : list of str
-        `sys.orig_argv`, which includes the options of Python.
+    `words`: `sys.argv`; its first element is ``-m`` until Python has located the module; `all_words`:
+    `sys.orig_argv`, which includes the options of Python.
 
-    Examples
-    --------
     >>> is_command(["/usr/bin/rig", "scenes"], ["python", "/usr/bin/rig", "scenes"])
     True
     >>> is_command(["-m", "scenes"], ["python", "-X", "dev", "-m", "rig", "scenes"])

@@ -20,10 +20,7 @@ _OF_FILES = (".png", ".svg", ".csv", ".html", ".mcap", ".npz", ".yaml", ".pdf")
 def make_ready(folder: Path) -> None:
     """Create the output folder if it does not exist, before the work starts.
 
-    Raises
-    ------
-    SceneError
-        If it is not writable, or does not exist and has the suffix of an output file.
+    Raises `SceneError` if it is not writable, or does not exist and has the suffix of an output file.
     """
     if folder.suffix.lower() in _OF_FILES and not folder.exists():
         raise SceneError(
@@ -42,24 +39,9 @@ def make_ready(folder: Path) -> None:
 def destination(path: Path, overwrite: bool, refusal: type[ShotrigError] = SceneError) -> Path:
     """Resolve the path of an output file, and reject a file that must not be written.
 
-    Parameters
-    ----------
-    path : Path
-        File to create or replace; symbolic links are followed.
-    overwrite : bool
-        Whether an existing file may be replaced.
-    refusal : type
-        Type of the error.
-
-    Returns
-    -------
-    Path
-        The resolved path.
-
-    Raises
-    ------
-    ShotrigError
-        If a protected file or a special file exists at this path, or the folder does not exist.
+    `path`: file to create or replace; symbolic links are followed; `overwrite`: whether an existing file may be
+    replaced; `refusal`: type of the error. Returns the resolved path. Raises `ShotrigError` if a protected file or a
+    special file exists at this path, or the folder does not exist.
     """
     try:
         file = path.resolve()
@@ -89,25 +71,10 @@ def replacing(path: Path, overwrite: bool | None = None) -> Iterator[Path]:
     At any time, `path` contains either the complete old file or the complete new file. If a finished file cannot be
     renamed, it is saved under another name, which the message reports.
 
-    Parameters
-    ----------
-    path : Path
-        File to create or replace, in an existing folder.
-    overwrite : bool, optional
-        Whether an existing file may be replaced; omitted, as decided by `rig.provenance`.
-
-    Yields
-    ------
-    Path
-        Temporary file to write, with the suffix of `path`.
-
-    Raises
-    ------
-    SceneError
-        If `path` must not be written, see `destination`, or a protected file of that name was created in the
-        meantime.
-    RunError
-        If the disk is full or fails.
+    `path`: file to create or replace, in an existing folder; `overwrite`: whether an existing file may be replaced;
+    omitted, as decided by `rig.provenance`. Yields temporary file to write, with the suffix of `path`. Raises
+    `SceneError` if `path` must not be written, see `destination`, or a protected file of that name was created in
+    the meantime. Raises `RunError` if the disk is full or fails.
     """
     marked, unmarked = overwrite is None and carries_mark(path), overwrite is None and not carries_mark(path)
     if overwrite is None:
@@ -148,12 +115,7 @@ def replacing(path: Path, overwrite: bool | None = None) -> Iterator[Path]:
 def put_in_place(part: Path, file: Path, overwrite: bool) -> None:
     """Rename a complete file to its final name, replacing an existing file only if allowed.
 
-    Raises
-    ------
-    FileExistsError
-        If a protected file of that name exists.
-    OSError
-        If the disk fails.
+    Raises `FileExistsError` if a protected file of that name exists. Raises `OSError` if the disk fails.
     """
     _sync(part)
     _name(part, file, overwrite)
@@ -201,8 +163,6 @@ def _kept(part: Path, file: Path) -> Path:
 def stem(study: str, scene: str) -> str:
     """Return the file stem for a study and its scene.
 
-    Examples
-    --------
     >>> stem("cost", "Fig 9, a damper in body 2")
     'cost-fig-9-a-damper-in-body-2'
     """

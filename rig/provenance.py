@@ -101,10 +101,7 @@ def carries_mark(path: Path) -> bool:
 def refuse_others(*paths: Path) -> None:
     """Raise an error before work whose results would replace protected files.
 
-    Raises
-    ------
-    SceneError
-        If one of the files exists and is not an unchanged output from the same source.
+    Raises `SceneError` if one of the files exists and is not an unchanged output from the same source.
     """
     if may_overwrite():
         return

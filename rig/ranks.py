@@ -62,10 +62,7 @@ def on_this_machine() -> int:
 def join() -> None:
     """Join ranks started by mpiexec, if any: the first rank returns, the others end here when it ends.
 
-    Raises
-    ------
-    SceneError
-        If mpiexec belongs to another MPI implementation.
+    Raises `SceneError` if mpiexec belongs to another MPI implementation.
     """
     global _world, _near
     said = [os.environ.get(name, "") for name in _STARTED]
@@ -111,12 +108,8 @@ def total(values: Array) -> Array:
 class Shared:
     """An object with a part on each rank; calls and attribute accesses are executed on every rank.
 
-    Parameters
-    ----------
-    make : callable
-        Returns the part of a rank. It must be picklable, as must all arguments of calls.
-    *given
-        Arguments of `make`.
+    `make`: returns the part of a rank. It must be picklable, as must all arguments of calls; `*given`: arguments of
+    `make`.
     """
 
     def __init__(self, make: Callable[..., Any], *given: Any) -> None:

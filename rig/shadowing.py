@@ -11,10 +11,7 @@ from pathlib import Path
 def shadowed(folder: Path) -> list[str]:
     """Return the files of a folder that shadow installed or standard modules.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder of the script, or the first folder of the module search path.
+    `folder`: folder of the script, or the first folder of the module search path.
     """
     out = []
     elsewhere = [entry for entry in sys.path if entry and Path(entry).absolute() != folder.absolute()]

@@ -24,27 +24,15 @@ Progress = Callable[[int, int], None]
 class Study(Generic[Piece, Value]):
     """A study of pieces whose values are stored in a table.
 
-    Attributes
-    ----------
-    name : str
-        Content of the table, for messages.
-    columns : tuple of str
-        Column names of the table.
-    compute : callable
-        Computes the value of a piece; a module-level function, so that other processes can import it.
-    key : callable
-        Returns the identity of a piece, which includes all its inputs.
-    encode : callable
-        Returns the table row for a key and a value.
-    decode : callable
-        Returns key and value of a row; raises `ValueError`, `KeyError` or `TypeError` for a damaged row.
+    `compute`: computes the value of a piece; a module-level function, so that other processes can import it;
+    `decode`: returns key and value of a row; raises `ValueError`, `KeyError` or `TypeError` for a damaged row.
     """
 
-    name: str
-    columns: tuple[str, ...]
+    name: str  # content of the table, for messages
+    columns: tuple[str, ...]  # column names of the table
     compute: Callable[[Piece], Value]
-    key: Callable[[Piece], Any]
-    encode: Callable[[Any, Value], Sequence[object]]
+    key: Callable[[Piece], Any]  # returns the identity of a piece, which includes all its inputs
+    encode: Callable[[Any, Value], Sequence[object]]  # returns the table row for a key and a value
     decode: Callable[[list[str]], tuple[Any, Value]]
 
     def run(
@@ -136,24 +124,9 @@ def decoded(study: Study[Piece, Value], rows: Iterable[list[str]]) -> Iterator[t
 class KeptTable:
     """A CSV table that is written to disk row by row.
 
-    Parameters
-    ----------
-    path : Path
-        CSV file; created with its folder if it does not exist. An incomplete last line is removed.
-    header : sequence of str
-        Names of the columns.
-    what : str
-        Content of the table, for messages.
-
-    Attributes
-    ----------
-    rows : list of list of str
-        Content of the file when it was opened.
-
-    Raises
-    ------
-    RunError
-        If the file is not such a table, or cannot be written.
+    `path`: CSV file; created with its folder if it does not exist. An incomplete last line is removed; `header`:
+    names of the columns; `what`: content of the table, for messages; `rows`: content of the file when it was opened.
+    Raises `RunError` if the file is not such a table, or cannot be written.
     """
 
     def __init__(self, path: Path, header: Sequence[str], what: str) -> None:
@@ -184,10 +157,7 @@ class KeptTable:
 def rows_of(path: Path, header: Sequence[str], what: str) -> list[list[str]]:
     """Read the rows of a table without changing it.
 
-    Raises
-    ------
-    RunError
-        If the file is not such a table, or cannot be read.
+    Raises `RunError` if the file is not such a table, or cannot be read.
     """
     try:
         content = path.read_bytes()

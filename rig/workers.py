@@ -45,16 +45,9 @@ def cores() -> int:
 class Workers:
     """Workers that compute pieces of a study; leaving the context ends them immediately.
 
-    Parameters
-    ----------
-    cluster : str, optional
-        Address of a running Dask scheduler, or "local" to start a local cluster; None: processes of this machine, one
-        for each core, or only this process if it shares each piece with other MPI ranks (`rig.ranks`).
-
-    Raises
-    ------
-    SceneError
-        If there is no such cluster, or Dask is not installed.
+    `cluster`: address of a running Dask scheduler, or "local" to start a local cluster; None: processes of this
+    machine, one for each core, or only this process if it shares each piece with other MPI ranks (`rig.ranks`).
+    Raises `SceneError` if there is no such cluster, or Dask is not installed.
     """
 
     def __init__(self, cluster: str | None = None) -> None:
@@ -83,12 +76,7 @@ class Workers:
 
         Further pieces may be appended during the iteration.
 
-        Raises
-        ------
-        RunError
-            If workers repeatedly end unexpectedly.
-        Exception
-            The exception of a piece.
+        Raises `RunError` if workers repeatedly end unexpectedly. Raises `Exception`: the exception of a piece.
         """
         if self._cluster is None and size() > 1:
             # This includes pieces that are appended during the iteration.

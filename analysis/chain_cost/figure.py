@@ -53,15 +53,7 @@ def _line(point: Measurement) -> str:
 def write(study: ChainStudy, folder: Path) -> list[Path]:
     """Write chain-cost-<scene>.png, .svg and .csv into a folder.
 
-    Parameters
-    ----------
-    folder : Path
-        Created if it does not exist.
-
-    Raises
-    ------
-    SceneError, RunError
-        If a file cannot be written.
+    `folder`: created if it does not exist. Raises `SceneError`, `RunError` if a file cannot be written.
     """
     name = folder / stem("chain-cost", study.scene.name)
     return save_with_table(_draw(study), name, lambda path: _write_csv(study, path))

@@ -99,30 +99,17 @@ def chain_study(
 ) -> ChainStudy:
     """Measure the effect of each part of a measurement chain on the compliance, and its computing time.
 
-    Parameters
-    ----------
-    scene : Scene
-        With a shaker, and a test with a level and, unless `frequencies` is given, a frequency.
-    frequencies : sequence of float, optional
-        Hz; None: the lowest, the highest and the hardest (largest acceleration) frequency of the test's range at
-        which the motion repeats every period in upward and downward sweeps.
-    progress : callable, optional
-        Called with the number of recordings done and the total.
-
-    Raises
-    ------
-    SceneError
-        If nothing drives the scene, or its channels do not measure the force.
-    RunError
-        If no motion repeats every period, or the unchanged scene cannot be measured.
-
-    Notes
-    -----
     A structure without moving dampers is linear: its exact compliance is the receptance at the frequency
     (`receptance`). With dampers the compliance depends on the level. The recording contains the drive amplitude that
     the controller reached. The reference is the engine's steady motion under this drive, computed until it repeats
     within 1e-10. `rig cost` compares the engine with arithmetic of 40 digits. Both references are independent of the
     measurement chain.
+
+    `scene`: with a shaker, and a test with a level and, unless `frequencies` is given, a frequency; `frequencies`:
+    Hz; None: the lowest, the highest and the hardest (largest acceleration) frequency of the test's range at which
+    the motion repeats every period in upward and downward sweeps. Raises `SceneError` if nothing drives the scene,
+    or its channels do not measure the force. Raises `RunError` if no motion repeats every period, or the unchanged
+    scene cannot be measured.
     """
     base = plain(scene)
     level_of(base)
@@ -167,15 +154,8 @@ def chain_study(
 def steady_frequencies(scene: Scene) -> tuple[float, ...]:
     """Select frequencies with the same period-1 motion in upward and downward sweeps.
 
-    Returns
-    -------
-    tuple of float
-        The lowest, the hardest and the highest of several frequencies in the test's range, Hz; rising.
-
-    Raises
-    ------
-    RunError
-        If there is no such frequency.
+    Returns the lowest, the hardest and the highest of several frequencies in the test's range, Hz; rising. Raises
+    `RunError` if there is no such frequency.
     """
     motion = with_ideal_force(scene)
     candidates = columns(motion, points=CANDIDATES)

@@ -50,10 +50,7 @@ class Variant:
 def plain(scene: Scene) -> Scene:
     """Expand a scene's chain: presets filled in, channels named, no limits of the readings.
 
-    Raises
-    ------
-    SceneError
-        If no channel measures the force.
+    Raises `SceneError` if no channel measures the force.
     """
     shaker = scene.driven_shaker
     converter = filled_in(scene.converter).replace(preset=None, rate=SampleClock.of(scene.converter).rate)
@@ -85,10 +82,7 @@ def _written_out(channel: Channel) -> Channel:
 def own_setting(scene: Scene, group: str) -> str:
     """Describe the own setting of a plain scene for a group.
 
-    Parameters
-    ----------
-    group : str
-        One of `GROUPS`.
+    `group`: one of `GROUPS`.
     """
     converter, channels = scene.converter, scene.channels or ()
     if group == "sample rate":
@@ -140,14 +134,9 @@ def variants(
 ) -> Iterator[Variant]:
     """Change one part at a time in the scene from `quiet`, where noise does not mask the effects.
 
-    Parameters
-    ----------
-    scene : Scene
-        As returned by `plain`.
-    lowest, hardest, highest : float
-        Measured frequencies, Hz; an added integrator has unit gain at `hardest`.
-    largest_volts : float
-        Largest reading of the unchanged scene, V; it determines the range of a converter without a range.
+    `scene`: as returned by `plain`; `lowest`, `hardest`, `highest`: measured frequencies, Hz; an added integrator
+    has unit gain at `hardest`; `largest_volts`: largest reading of the unchanged scene, V; it determines the range
+    of a converter without a range.
     """
     for name, factor in (("the scene's", 1.0), ("ten times", 10.0)):
         loud = _with_noise(scene, factor)

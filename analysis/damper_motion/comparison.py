@@ -27,21 +27,11 @@ _RESOLVED = 0.01
 class Peak:
     """A resonance peak of a measured receptance.
 
-    Attributes
-    ----------
-    value, bound : float
-        Height and its 95 % bound, m/N. `bound` is infinite if the curve has a jump, or if points were excluded next
-        to the highest point; `value` is then a lower bound of the height.
-    frequency, first, last : float
-        Frequency of the peak, and its limits, Hz.
-    least : float
-        Lower limit of the height: lower bound of the highest measured point, m/N.
-    between : float
-        Part of `bound` due to interpolation between the points, m/N.
-    step : float
-        Largest frequency step next to the highest point, Hz; 0 if there is no interpolation.
-    at_end : bool
-        Whether the highest point is at an end of the band, and therefore on the flank of another peak.
+    `value`, `bound`: height and its 95 % bound, m/N. `bound` is infinite if the curve has a jump, or if points were
+    excluded next to the highest point; `value` is then a lower bound of the height; `frequency`, `first`, `last`:
+    frequency of the peak, and its limits, Hz.
+
+    `at_end`: whether the highest point is at an end of the band, and therefore on the flank of another peak.
     """
 
     value: float
@@ -49,9 +39,9 @@ class Peak:
     frequency: float
     first: float
     last: float
-    least: float = 0.0
-    between: float = 0.0
-    step: float = 0.0
+    least: float = 0.0  # lower limit of the height: lower bound of the highest measured point, m/N
+    between: float = 0.0  # part of `bound` due to interpolation between the points, m/N
+    step: float = 0.0  # largest frequency step next to the highest point, Hz; 0 if there is no interpolation
     at_end: bool = False
 
     @property
@@ -73,17 +63,8 @@ def peak(frf: Response, low: float, high: float) -> Peak | None:
     bound contained the true peak in 98 % of cases.) The limits of the frequency enclose all frequencies at which
     the curve is within the bound of its peak.
 
-    Parameters
-    ----------
-    frf : Response
-        FRF with respect to force.
-    low, high : float
-        Limits of the band, Hz.
-
-    Returns
-    -------
-    Peak or None
-        None if there are fewer than three points in the band.
+    `frf`: FRF with respect to force; `low`, `high`: limits of the band, Hz. Returns None if there are fewer than
+    three points in the band.
     """
     part = frf.to("displacement").sorted()
     part = part.between(low, high)
@@ -222,19 +203,9 @@ def peak_changes(
 ) -> list[PeakChange]:
     """Compare each resonance peak of each response without and with dampers.
 
-    Parameters
-    ----------
-    modes : Modes
-        Modes of the bare structure.
-    bare, damped : sequence of Response
-        All responses of a recording without dampers, and of a recording with dampers (or with two different sets).
-    same_sensors : collection of str
-        Responses that were measured by the same sensors in both recordings, with the same force sensor.
-
-    Returns
-    -------
-    list of PeakChange
-        Sorted by response, then by frequency.
+    `modes`: modes of the bare structure; `bare`, `damped`: all responses of a recording without dampers, and of a
+    recording with dampers (or with two different sets); `same_sensors`: responses that were measured by the same
+    sensors in both recordings, with the same force sensor. Returns sorted by response, then by frequency.
     """
     frequency, low, high = surroundings(modes)
     damping = modes.damping[np.argsort(modes.frequency)]
@@ -305,10 +276,7 @@ def highest_left_out(modes: Modes, bare: Sequence[Response]) -> list[str]:
 def unresolved(peaks: Sequence[tuple[float, str, Peak]]) -> list[str]:
     """Return a message for each peak with too large a frequency step, with the step that is needed.
 
-    Parameters
-    ----------
-    peaks : sequence of (float, str, Peak)
-        Natural frequency of the mode, Hz, name of the response, and the peak.
+    `peaks`: natural frequency of the mode, Hz, name of the response, and the peak.
     """
     wide = [one for one in peaks if not isinf(one[2].bound) and one[2].between > _RESOLVED * one[2].value]
     said = []

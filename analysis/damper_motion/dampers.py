@@ -119,19 +119,8 @@ class Dampers(Result):
 def dampers_in(rec: Recording, label: str | None = None, progress: Progress | None = None) -> list[Dampers]:
     """Estimate the motion of the dampers and the energy per period in each sweep of a recording.
 
-    Parameters
-    ----------
-    rec : daq.Recording
-        Recording of a sine or stepped-sine test.
-    label : str, optional
-        Label instead of the scene name.
-    progress : callable, optional
-        Called with (frequencies completed, total) during the lock-in and then during impact detection in each body.
-
-    Raises
-    ------
-    RecordingError
-        If the recording contains no steady tone.
+    `rec`: recording of a sine or stepped-sine test; `label`: label instead of the scene name. Raises
+    `RecordingError` if the recording contains no steady tone.
     """
     numbers = sorted({damper.body for damper in rec.scene.dampers if not damper.locked})
     out = []

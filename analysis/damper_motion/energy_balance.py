@@ -48,12 +48,8 @@ def energy_per_cycle(rec: Recording, sweep: Sweep) -> CycleEnergy:
     quadratic forms of the complex amplitudes a of the channels. An error da therefore changes their difference by
     ``2 Re(g^H da)`` to first order, with the gradient g.
 
-    Parameters
-    ----------
-    rec : daq.Recording
-        Recording of a stepped-sine test with a channel on every body.
-    sweep : Sweep
-        Result of `analysis.responses.stepped_sine.sweeps`.
+    `rec`: recording of a stepped-sine test with a channel on every body; `sweep`: result of
+    `analysis.responses.stepped_sine.sweeps`.
     """
     from rig.system.structural_model import structural_model
 
@@ -105,14 +101,8 @@ def _bound(
 ) -> Array:
     """95 % bound of the energy: root sum of squares of scatter and of all systematic errors of the channels.
 
-    Parameters
-    ----------
-    slopes : list of ndarray of complex, shape (channels, harmonics)
-        Gradient g for each tone.
-    compliance : ndarray of complex, shape (n,)
-        Compliance of the driven body.
-    of_force : ndarray of complex, shape (channels, n)
-        Contribution of each channel to the force.
+    `slopes`, shape (channels, harmonics): gradient g for each tone; `compliance`, shape (n,): compliance of the
+    driven body; `of_force`, shape (channels, n): contribution of each channel to the force.
     """
     lines = sweep.lines
     scatter, gains, turns, along = [], [], [], []

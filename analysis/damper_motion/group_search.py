@@ -46,14 +46,8 @@ class Stretch:
     ) -> tuple[list[Jump], float]:
         """Search for the jumps that best explain the stretch; return them with the residual sum of squares.
 
-        Parameters
-        ----------
-        places : tuple of float
-            Limits of the times of the jumps, samples.
-        min_distance : float
-            Minimum distance between two jumps, samples.
-        sufficient : float
-            Residual sum of squares at which the search ends.
+        `places`: limits of the times of the jumps, samples; `min_distance`: minimum distance between two jumps,
+        samples; `sufficient`: residual sum of squares at which the search ends.
         """
         best: list[tuple[list[Jump], float]] = []
         sets: list[list[Jump]] = [[]]

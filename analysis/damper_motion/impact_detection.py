@@ -125,20 +125,10 @@ def impacts(
     is repeated (orthogonal matching pursuit). Overlapping impacts are fitted jointly. For finite-duration contact,
     the pulse shape of the scene's spring-dashpot contact replaces the jump, and times are those of first contact.
 
-    Parameters
-    ----------
-    channel : str
-        Acceleration, velocity or displacement channel on a body.
-    start, stop : int
-        First and one-past-last sample.
-    samples : ndarray, optional
-        Samples of the stretch, if already read.
-
-    Raises
-    ------
-    RecordingError
-        If the channel measures no motion or does not respond to impacts; if the stretch is too short, damaged or
-        zero; or if the body contains grains, or dampers with different contact durations.
+    `channel`: acceleration, velocity or displacement channel on a body; `start`, `stop`: first and one-past-last
+    sample; `samples`: samples of the stretch, if already read. Raises `RecordingError` if the channel measures no
+    motion or does not respond to impacts; if the stretch is too short, damaged or zero; or if the body contains
+    grains, or dampers with different contact durations.
     """
     info = _motion_channel(rec, channel)
     stop = rec.samples if stop is None else min(stop, rec.samples)
@@ -314,22 +304,9 @@ def _acceleration(samples: Array, places: Array, info: ChannelInfo, duration: fl
 def score(found: Array, true: Array, tolerance: float) -> tuple[float, NDArray[np.bool_], NDArray[np.bool_]]:
     """Match detected with true times, each at most once, the closest pairs first.
 
-    Parameters
-    ----------
-    found, true : ndarray
-        Detected and true times, s.
-    tolerance : float
-        Maximum distance of a pair, s.
+    `found`, `true`: detected and true times, s; `tolerance`: maximum distance of a pair, s. Returns `f1`, F1 score,
+    2 × matches / (detected + true); 1 if both are empty; `found_matched, true_matched`, which times are matched.
 
-    Returns
-    -------
-    f1 : float
-        F1 score, 2 × matches / (detected + true); 1 if both are empty.
-    found_matched, true_matched : ndarray of bool
-        Which times are matched.
-
-    Examples
-    --------
     >>> score(np.array([1.0, 2.0, 5.0]), np.array([1.01, 2.0, 3.0]), 0.05)[0]
     0.6666666666666666
     """

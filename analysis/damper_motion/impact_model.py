@@ -174,10 +174,7 @@ class ImpactModel:
     def readings(self, differences: Array, order: int | None = None) -> Array:
         """Integrate differences to readings and remove the smooth motion; shape (..., differences).
 
-        Parameters
-        ----------
-        order : int, optional
-            Polynomial order; default: `order_over` for the length.
+        `order`: polynomial order; default: `order_over` for the length.
         """
         length = differences.shape[-1]
         for _ in range(self.difference):
@@ -209,16 +206,9 @@ class ImpactModel:
     def best_instant(self, window: Array, noise: float) -> tuple[float, Array, float, float]:
         """Estimate the time of the jump that best explains a window of differences.
 
-        Returns
-        -------
-        instant : float
-            Time of the jump after the window's sample 0, samples.
-        sizes : ndarray, shape (3,)
-            Jump [m/s], step [m/s²], kink [m/s³].
-        error : float
-            Standard deviation of the jump, m/s.
-        explained : float
-            Reduction of the sum of squares by jump, step and kink, in noise variances.
+        Returns `instant`, time of the jump after the window's sample 0, samples; `sizes`, shape (3,), jump [m/s],
+        step [m/s²], kink [m/s³]; `error`, standard deviation of the jump, m/s; `explained`, reduction of the sum of
+        squares by jump, step and kink, in noise variances.
         """
         stride = self.stride
         outputs = (self._coarse_filters @ window).reshape(-1, 3)
@@ -254,14 +244,9 @@ def impact_models(
 ) -> tuple[ImpactModel, ...]:
     """Compute the response of a channel to a jump from its data sheet; one model for each of `ORDERS`.
 
-    Parameters
-    ----------
-    info : daq.signal_chain.channel.ChannelInfo
-        Acceleration, velocity or displacement channel.
-    pulse : Pulse, optional
-        Force pulse of finite-duration contact, which smooths jump, step and kink alike. None: instant.
-    decimation : int
-        Number of samples that are averaged to one reading.
+    `info`: acceleration, velocity or displacement channel; `pulse`: force pulse of finite-duration contact, which
+    smooths jump, step and kink alike. None: instant; `decimation`: number of samples that are averaged to one
+    reading.
     """
     response = info.quantity, info.rate, info.gain, *map(tuple, (info.zeros, info.poles)), info.average
     return _impact_models(response, tuple(info.filter.items()), pulse, decimation)

@@ -63,10 +63,7 @@ def fit_group(
 ) -> tuple[list[Jump], float]:
     """Fit jumps jointly to the differenced readings around them; return them with the residual sum of squares.
 
-    Parameters
-    ----------
-    residual : ndarray
-        Differenced readings, with all other jumps subtracted.
+    `residual`: differenced readings, with all other jumps subtracted.
     """
     first, last = _around(model, [jump.place for jump in group])
     return fit_within(residual, model, group, (max(first, 0), min(last, residual.size)), noise)
@@ -113,14 +110,8 @@ def with_errors(
 ) -> list[Jump]:
     """Estimate the standard deviations of jumps from the noise, or from the residual if that is larger.
 
-    Parameters
-    ----------
-    residual : ndarray
-        Differenced readings, with all jumps subtracted.
-    noise : ndarray, shape (jumps,)
-        Standard deviation of the readings at each jump.
-    usual : tuple of float
-        Prior standard deviations of steps and kinks.
+    `residual`: differenced readings, with all jumps subtracted; `noise`, shape (jumps,): standard deviation of the
+    readings at each jump; `usual`: prior standard deviations of steps and kinks.
     """
     if not jumps:
         return []

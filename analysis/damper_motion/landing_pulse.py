@@ -42,8 +42,6 @@ class Pulse:
     def exchanged(self, time: Array) -> Array:
         """Return the completed share of the velocity change of the body at a time after first contact, s.
 
-        Examples
-        --------
         >>> half_sine = Pulse(duration=2e-3, ratio=0.0, angular=np.pi / 2e-3)
         >>> half_sine.exchanged(np.array([-1.0, 0.0, 1e-3, 2e-3, 1.0])).round(12).tolist()
         [0.0, 0.0, 0.5, 1.0, 1.0]
@@ -76,10 +74,7 @@ _INSTANT_PULSE = Pulse(duration=1e-9, ratio=0.0, angular=np.pi / 1e-9)
 def landing_pulse(scene: Scene, place: str, rate: float) -> Pulse | None:
     """Return the common pulse of all impacts in a location such as ``"body 2"``; None if they are instant.
 
-    Raises
-    ------
-    RecordingError
-        If there are grains, or impacts with different pulses.
+    Raises `RecordingError` if there are grains, or impacts with different pulses.
     """
     from rig.system.assembly import assemble
 

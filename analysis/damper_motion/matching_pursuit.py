@@ -84,16 +84,9 @@ _PLACES_AT_ONCE = 256
 class MatchingPursuit:
     """Search of one stretch: its differenced residual, and the jumps that were subtracted.
 
-    Parameters
-    ----------
-    models : sequence of ImpactModel
-        One model for each order of the smooth motion; the search chooses the order.
-    samples, good : ndarray
-        Readings, and which of them are valid.
-    noise_floor : float
-        Minimum standard deviation of a reading.
-    calm_share : float
-        Share of the windows from which the noise of the search is estimated.
+    `models`: one model for each order of the smooth motion; the search chooses the order; `samples`, `good`:
+    readings, and which of them are valid; `noise_floor`: minimum standard deviation of a reading; `calm_share`:
+    share of the windows from which the noise of the search is estimated.
     """
 
     def __init__(

@@ -99,21 +99,8 @@ def damper_motion(
     requires flights that stay below the ceiling. In a long window only the first million samples are searched, but at
     least enough periods to determine a pattern.
 
-    Parameters
-    ----------
-    rec : daq.Recording
-        Recording of a stepped-sine test.
-    sweep : Sweep
-        Result of `analysis.responses.stepped_sine.sweeps`.
-    channel : str
-        Channel on the body of the dampers.
-    progress : callable, optional
-        Called with (windows searched, total).
-
-    Returns
-    -------
-    list of DamperMotion
-        One for each window.
+    `rec`: recording of a stepped-sine test; `sweep`: result of `analysis.responses.stepped_sine.sweeps`; `channel`:
+    channel on the body of the dampers. Returns one for each window.
     """
     place = rec.channels[channel].at
     numbers = [

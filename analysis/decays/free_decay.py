@@ -148,8 +148,6 @@ def outline(acceleration: Array, period: float) -> Array:
     The running maximum over half a period [samples] on either side is smoothed with a window of the same length. Each
     maximum in that window includes the sample in its middle, so that the smoothed value is at least as large.
 
-    Examples
-    --------
     >>> read = np.exp(-0.01 * np.arange(400)) * np.sin(np.arange(400))
     >>> bool(np.all(outline(read, 2 * np.pi) >= abs(read)))
     True

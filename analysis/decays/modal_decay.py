@@ -42,35 +42,24 @@ _POINTS = 64
 class ModalDecay(Result):
     """Decay of one mode after a band-pass filter.
 
-    Attributes
-    ----------
-    frequency, frequency_error : float
-        Natural frequency at the amplitude with the smallest uncertainty, Hz, and its standard uncertainty (noise,
-        bias of band-pass and fall, clock). If no amplitude determines it, the frequency is `centre` and the
-        uncertainty is NaN.
-    centre : float
-        Centre frequency of the band-pass, Hz: the peak of the spectrum.
-    time, envelope : ndarray, shape (n,)
-        Time after the hit, s, and amplitude of the acceleration, m/s².
-    noise : float
-        Noise of the band-passed acceleration, rms, m/s².
-    amplitude : ndarray, shape (levels,)
-        Acceleration amplitudes in descending order, m/s²; only amplitudes at which the relative uncertainty due to
-        noise is below `WORST`.
-    damping, damping_error : ndarray, shape (levels,)
-        Damping ratio at those amplitudes, and its standard uncertainty: noise, and half of `damping_smear`.
-    damping_smear : ndarray, shape (levels,)
-        Bound of the bias of the damping ratio, because band-pass and fall average over neighbouring amplitudes.
-    natural, natural_error : ndarray, shape (levels,)
-        Natural frequency at those amplitudes, Hz, and its standard uncertainty (noise, bias, clock).
+    `frequency`, `frequency_error`: natural frequency at the amplitude with the smallest uncertainty, Hz, and its
+    standard uncertainty (noise, bias of band-pass and fall, clock). If no amplitude determines it, the frequency is
+    `centre` and the uncertainty is NaN; `time`, `envelope`, shape (n,): time after the hit, s, and amplitude of the
+    acceleration, m/s²; `damping`, `damping_error`, shape (levels,): damping ratio at those amplitudes, and its
+    standard uncertainty: noise, and half of `damping_smear`; `natural`, `natural_error`, shape (levels,): natural
+    frequency at those amplitudes, Hz, and its standard uncertainty (noise, bias, clock).
+
+    `amplitude`: acceleration amplitudes in descending order, m/s²; only amplitudes at which the relative uncertainty
+    due to noise is below `WORST`, shape (levels,); `damping_smear`: bound of the bias of the damping ratio, because
+    band-pass and fall average over neighbouring amplitudes, shape (levels,).
     """
 
     frequency: float
     frequency_error: float
-    centre: float
+    centre: float  # centre frequency of the band-pass, Hz: the peak of the spectrum
     time: Array
     envelope: Array
-    noise: float
+    noise: float  # noise of the band-passed acceleration, rms, m/s²
     amplitude: Array
     damping: Array
     damping_error: Array
@@ -186,21 +175,10 @@ def modal_decay(
     of the envelope while it falls by 6 dB around that amplitude: from the last time above the upper level to the
     last time above the lower level.
 
-    Parameters
-    ----------
-    acceleration : ndarray, shape (n,)
-        Acceleration that begins before the hit, m/s².
-    rate : float
-        Sample rate, Hz.
-    frequency, width : float
-        Centre and standard deviation of the band-pass, Hz.
-    begin : int
-        Sample at which the free decay begins.
-    amplitudes : ndarray, optional
-        Amplitudes at which to estimate the damping ratio, m/s²; the result is NaN outside the decay. Default: every
-        1.5 dB down to the noise.
-    clock : float
-        Bound of the relative error of the sample rate.
+    `acceleration`, shape (n,): acceleration that begins before the hit, m/s²; `rate`: sample rate, Hz; `frequency`,
+    `width`: centre and standard deviation of the band-pass, Hz; `begin`: sample at which the free decay begins;
+    `amplitudes`: amplitudes at which to estimate the damping ratio, m/s²; the result is NaN outside the decay.
+    Default: every 1.5 dB down to the noise; `clock`: bound of the relative error of the sample rate.
     """
     analytic, edge = _band_passed(acceleration, rate, frequency, width)
     envelope = np.abs(analytic)

@@ -19,18 +19,12 @@ Array = NDArray[np.float64]
 class CorrectedMotion:
     """Band-limited true motion of a stretch of samples, as displacement, velocity or acceleration.
 
-    Parameters
-    ----------
-    samples : ndarray, shape (n,)
-        Uncorrected samples in the channel's unit, evenly spaced.
-    low, high : float
-        Limits of the pass band, Hz. The correction is exact inside and fades out over half an octave outside.
-
-    Notes
-    -----
     The samples are mirrored at both ends before the Fourier transform, so that the periodic continuation has no step
     between the last sample and the first. If the samples are differentiated, the mirror image is also inverted (odd
     extension), which removes the kink at the ends. It changes the mean, which differentiation removes.
+
+    `samples`, shape (n,): uncorrected samples in the channel's unit, evenly spaced; `low`, `high`: limits of the
+    pass band, Hz. The correction is exact inside and fades out over half an octave outside.
     """
 
     def __init__(self, info: ChannelInfo, samples: Array, low: float, high: float) -> None:

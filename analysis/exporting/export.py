@@ -141,10 +141,7 @@ def expected_bytes(stretch: Slice, ending: str) -> float:
 def kind_of(path: Path) -> str:
     """Return the file name ending, which determines the format.
 
-    Raises
-    ------
-    SceneError
-        If the format is not supported.
+    Raises `SceneError` if the format is not supported.
     """
     kind = path.suffix.lower()
     if kind not in WRITERS:

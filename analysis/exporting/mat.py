@@ -23,10 +23,7 @@ def write_mat(stretch: Slice, path: Path) -> None:
 
     Lost samples are NaN.
 
-    Raises
-    ------
-    SceneError
-        If there are too many samples for the format.
+    Raises `SceneError` if there are too many samples for the format.
     """
     count = stretch.stop - stretch.start
     if count > MOST_SAMPLES:
@@ -82,10 +79,7 @@ def variables(names: Iterable[str], taken: set[str]) -> list[str]:
     >>> variables(["body1", "3 +Z", "fs"], {"fs"})
     ['body1', 'x3__Z', 'fs_']
 
-    Raises
-    ------
-    SceneError
-        If two names become equal.
+    Raises `SceneError` if two names become equal.
     """
     plain = [re.sub(r"\W", "_", name, flags=re.ASCII)[:50] for name in names]
     made = [f"x{name}" if not name[:1].isalpha() else name for name in plain]

@@ -26,26 +26,10 @@ def export_results(
 ) -> list[str]:
     """Write the FRFs or modes of a recording or of an FRF file, one output file for each sweep.
 
-    Parameters
-    ----------
-    file : Path
-        A recording, or an FRF file that `analysis.read_frfs` can read.
-    path : Path
-        Output file, ``.uff``, ``.unv`` or ``.mat``; the files of the second and later sweeps are numbered.
-    what : {'frfs', 'modes'}
-        Results to write.
-    overwrite : bool
-        Whether existing files with different content may be replaced.
-
-    Returns
-    -------
-    list of str
-        Messages for the user.
-
-    Raises
-    ------
-    SceneError
-        If the file name ending is unknown, or the file exists.
+    `file`: a recording, or an FRF file that `analysis.read_frfs` can read; `path`: output file, ``.uff``, ``.unv``
+    or ``.mat``; the files of the second and later sweeps are numbered; `what`: 'frfs' or 'modes'. Results to write;
+    `overwrite`: whether existing files with different content may be replaced. Returns messages for the user. Raises
+    `SceneError` if the file name ending is unknown, or the file exists.
     """
     kind = path.suffix.lower()
     if what not in ("frfs", "modes"):

@@ -22,14 +22,8 @@ def write_uff(stretch: Slice, path: Path) -> None:
     Node n is body n, direction +Z is up; table and hammer are node 0. The format rounds the sample
     interval to six digits; the fourth line of each data set contains the exact rate.
 
-    Raises
-    ------
-    RecordingError
-        If samples were lost.
-    SceneError
-        If there are too many samples for a text file, or too few for the format.
-    RunError
-        If pyuff is not installed.
+    Raises `RecordingError` if samples were lost. Raises `SceneError` if there are too many samples for a text file,
+    or too few for the format. Raises `RunError` if pyuff is not installed.
     """
     stretch.need_all("UFF 58")
     count = stretch.stop - stretch.start

@@ -15,22 +15,9 @@ from rig.errors import SceneError
 def write_wav(stretch: Slice, path: Path, speed: float = 1.0) -> list[float]:
     """Write 24-bit sound, with each channel scaled to full scale.
 
-    Parameters
-    ----------
-    speed : float
-        Playback speed factor: with 10, a tone of 30 Hz sounds at 300 Hz.
-
-    Returns
-    -------
-    list of float
-        Full-scale value of each channel, in its unit.
-
-    Raises
-    ------
-    RecordingError
-        If samples were lost.
-    SceneError
-        If the sound is too long for a WAV file, or its rate cannot be stored in the file header.
+    `speed`: playback speed factor: with 10, a tone of 30 Hz sounds at 300 Hz. Returns full-scale value of each
+    channel, in its unit. Raises `RecordingError` if samples were lost. Raises `SceneError` if the sound is too long
+    for a WAV file, or its rate cannot be stored in the file header.
     """
     stretch.need_all("a WAV file")
     rate = stretch.recording.rate * speed

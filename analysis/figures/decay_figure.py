@@ -29,10 +29,7 @@ _MOST_TITLED = 3
 def decay_figure(decays: Sequence[Decay], title: str) -> Figure:
     """Overlay decays: measured acceleration, logarithmic envelope, and damping ratio of each mode.
 
-    Parameters
-    ----------
-    decays : sequence of Decay
-        One decay for each recording.
+    `decays`: one decay for each recording.
     """
     columns = _columns(decays)
     gravity = decays[0].gravity

@@ -38,14 +38,8 @@ def frf_figure(
 ) -> Figure:
     """Draw measured frequency responses on common axes.
 
-    Parameters
-    ----------
-    frfs : sequence of Response
-        Curves of one kind (same motion and reference); the legend shows their labels.
-    theory : sequence of Response
-        Curves without error bars, drawn thin and dashed in the colour of their response.
-    marks : sequence of (frequency in Hz, text)
-        Vertical lines, such as jumps.
+    `frfs`: curves of one kind (same motion and reference); the legend shows their labels; `theory`: curves without
+    error bars, drawn thin and dashed in the colour of their response; `marks`: vertical lines, such as jumps.
     """
     every = np.concatenate([each for frf in frfs for each in (frf.frequency, frf.omitted)])
     low, high = float(every.min()), float(every.max())

@@ -20,10 +20,7 @@ if TYPE_CHECKING:
 def modes_figure(frfs: Sequence[Response], modes: Modes, title: str) -> Figure:
     """Draw measured FRFs with the modal model, the stabilization chart and the mode shapes.
 
-    Parameters
-    ----------
-    frfs : sequence of Response
-        The FRFs from which `analysis.modal.identification.identify` estimated the modes.
+    `frfs`: the FRFs from which `analysis.modal.identification.identify` estimated the modes.
     """
     curves = [frf.to("displacement").with_gaps() for frf in frfs]
     low, high = float(curves[0].frequency[0]), float(curves[0].frequency[-1])

@@ -55,12 +55,7 @@ _FEWEST_LEFT = 2
 def cause(problem: Problem) -> tuple[bool, str]:
     """Try single mistakes in the recordings without moving dampers, and name the one that explains the misfit best.
 
-    Returns
-    -------
-    explains : bool
-        Whether one of them explains the misfit.
-    text : str
-        The mistake, or what was tried.
+    Returns `explains`, whether one of them explains the misfit; `text`, the mistake, or what was tried.
     """
     bare = [group.curves for group in problem.groups if group.tones is None]
     if not bare:
@@ -287,12 +282,7 @@ def _with_sensor(curves: Curves, old: Sensor, new: Sensor) -> Curves:
 def left_out(curves: Curves, used: NDArray[np.bool_], uncovered: Mapping[int, str]) -> list[str]:
     """List the points that were left out of a fit, with the reasons.
 
-    Parameters
-    ----------
-    curves : Curves
-    used : ndarray of bool, shape (n,)
-    uncovered : mapping of int to str
-        Reason why no orbit can be computed for the motion at a point.
+    `used` has the shape (n,); `uncovered`: reason why no orbit can be computed for the motion at a point.
     """
     why: dict[str, list[str]] = {}
     for k in np.flatnonzero(~used).tolist():

@@ -48,19 +48,13 @@ _CLUSTERS = 40
 class Estimate:
     """A solution.
 
-    Attributes
-    ----------
-    x : ndarray, shape (unknowns,)
-    factor : ndarray, shape (unknowns, columns)
-        Of the covariance, as its product with its transpose; with what is known beforehand, the larger of what the
-        stated errors and what the misses themselves imply.
-    variance : float
-        Mean square of the misses, in standard deviations: 1 where the stated errors explain them.
+    `factor`: of the covariance, as its product with its transpose; with what is known beforehand, the larger of what
+    the stated errors and what the misses themselves imply, shape (unknowns, columns).
     """
 
-    x: Array
+    x: Array  # shape (unknowns,)
     factor: Array
-    variance: float
+    variance: float  # mean square of the misses, in standard deviations: 1 where the stated errors explain them
 
     @property
     def deviation(self) -> Array:
@@ -247,11 +241,8 @@ def _covariance(problem: Problem, x: Array) -> tuple[Array, float]:
 
     Systematic errors shift the unknowns; each shift is added. Residuals larger than the stated errors enlarge the
     covariance by their mean square. Residuals with common causes, between responses and over neighbouring
-    frequencies, are counted by cluster [1]_; the larger covariance is used.
-
-    References
-    ----------
-    .. [1] K.-Y. Liang, S. L. Zeger, Longitudinal data analysis using generalized linear models, Biometrika 73 (1986).
+    frequencies, are counted by cluster (K.-Y. Liang, S. L. Zeger, Longitudinal data analysis using generalized
+    linear models, Biometrika 73 (1986)); the larger covariance is used.
     """
     shifts: list[Array] = []
     data, scores, square, count = np.zeros((0, problem.size)), [np.diag(1.0 / problem.spread)], 0.0, 0

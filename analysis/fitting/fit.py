@@ -53,25 +53,18 @@ _MOST_ELSEWHERE, _MOST_IRREGULAR = 0.25, 0.5
 class Fitted:
     """Fitted value of the scene.
 
-    Attributes
-    ----------
-    key, unit : str
-        Key as in `--set`, and unit.
-    start, value : float
-        Before and after the fit, in SI.
-    low, high : float
-        95 % interval.
-    status : {'determined', 'roughly', 'undetermined'}
-        Whether the recordings determine it within a few per cent, within 50 %, or not at all. No value counts as
-        determined if the residuals exceed the errors of the curves.
+    `key`, `unit`: key as in `--set`, and unit; `start`, `value`: before and after the fit, in SI.
+
+    `status`: 'determined', 'roughly' or 'undetermined'. Whether the recordings determine it within a few per cent,
+    within 50 %, or not at all. No value counts as determined if the residuals exceed the errors of the curves.
     """
 
     key: str
     unit: str
     start: float
     value: float
-    low: float
-    high: float
+    low: float  # 95 % interval
+    high: float  # 95 % interval
     status: str
 
     @property
@@ -99,25 +92,14 @@ class Mode:
 class Compared:
     """Measured curves, and the prediction of the fitted scene as the sensors read it.
 
-    Attributes
-    ----------
-    curves : Curves
-        Measured.
-    predicted : ndarray of complex, shape (responses, n)
-        NaN where the model has no steady motion.
-    used : ndarray of bool, shape (n,)
-        Points that count.
-    misses : ndarray, shape (responses, n)
-        Residuals in standard deviations.
-    relative : float
-        Root mean square of the residuals relative to that of the curve, both weighted by their errors; the largest
-        over the responses.
+    `relative`: root mean square of the residuals relative to that of the curve, both weighted by their errors; the
+    largest over the responses.
     """
 
-    curves: Curves
-    predicted: ComplexArray
-    used: NDArray[np.bool_]
-    misses: Array
+    curves: Curves  # measured
+    predicted: ComplexArray  # NaN where the model has no steady motion, shape (responses, n)
+    used: NDArray[np.bool_]  # points that count, shape (n,)
+    misses: Array  # residuals in standard deviations, shape (responses, n)
     relative: float
 
 

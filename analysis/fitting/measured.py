@@ -51,55 +51,30 @@ class Sensor:
 class Curves:
     """Responses of one sweep or test over one reference.
 
-    Attributes
-    ----------
-    label : str
-        Recording, and setting where there are several.
-    scene : Scene
-        Scene of the recording: shaker, test and places. Its structure's values are not used.
-    frequency : ndarray, shape (n,)
-        Hz, as measured one after the other.
-    value : ndarray of complex, shape (responses, n)
-        Displacement / reference, as read by the sensors.
-    whiten : ndarray of complex, shape (n, responses, responses)
-        Applied to errors, gives components of which each quadrature has variance 1.
-    errors : Covariance
-        Of the random errors.
-    rough, smooth : ndarray, shape (responses, n)
-        Limits of the systematic errors that differ from line to line, and of those that do not. Sensor tolerances
-        are not included, because they are parameters of the fit.
-    common : ndarray, shape (n,)
-        Limit of the relative error common to all responses, from noise of their reference.
-    sensors : tuple of Sensor
-        Sensor of each response; `reference_sensor` is that of the reference.
-    bodies : tuple of int
-        Bodies of the responses, from 0.
-    reference : {'force', 'table'}
-    level : ndarray, shape (n,), or None
-        Amplitude of the reference for tones, on which the motion of dampers depends.
-    clock : float
-        Largest relative deviation of the sample clock.
-    warnings : tuple of str
-        Warnings of the estimation.
+    `rough`, `smooth`, shape (responses, n): limits of the systematic errors that differ from line to line, and of
+    those that do not. Sensor tolerances are not included, because they are parameters of the fit.
+
+    `whiten`: applied to errors, gives components of which each quadrature has variance 1, shape (n, responses,
+    responses).
     """
 
-    label: str
-    scene: Scene
-    frequency: Array
-    value: ComplexArray
+    label: str  # recording, and setting where there are several
+    scene: Scene  # scene of the recording: shaker, test and places. Its structure's values are not used
+    frequency: Array  # Hz, as measured one after the other, shape (n,)
+    value: ComplexArray  # displacement / reference, as read by the sensors, shape (responses, n)
     whiten: ComplexArray
-    errors: Covariance
+    errors: Covariance  # of the random errors
     rough: Array
     smooth: Array
-    common: Array
-    sensors: tuple[Sensor, ...]
+    common: Array  # limit of the relative error common to all responses, from noise of their reference, shape (n,)
+    sensors: tuple[Sensor, ...]  # sensor of each response; `reference_sensor` is that of the reference
     reference_sensor: Sensor
-    bodies: tuple[int, ...]
-    reference: str
-    level: Array | None
-    clock: float
+    bodies: tuple[int, ...]  # bodies of the responses, from 0
+    reference: str  # 'force' or 'table'
+    level: Array | None  # amplitude of the reference for tones, on which the motion of dampers depends, shape (n,)
+    clock: float  # largest relative deviation of the sample clock
     frfs: tuple[Response, ...]
-    warnings: tuple[str, ...]
+    warnings: tuple[str, ...]  # warnings of the estimation
 
     @property
     def moving(self) -> bool:
@@ -113,10 +88,7 @@ def measured(rec: Recording, name: str, progress: Progress | None = None) -> lis
     With a coil spring the reference is the displacement of the table: the responses are those of the structure with
     the spring to ground, and no small difference of two readings enters.
 
-    Raises
-    ------
-    RecordingError
-        If the recording holds no responses, or dampers in a test that is not of tones.
+    Raises `RecordingError` if the recording holds no responses, or dampers in a test that is not of tones.
     """
     scene = rec.scene
     if not rec.test.drives:

@@ -49,21 +49,11 @@ _LARGEST = 600.0
 
 @dataclass(frozen=True)
 class Parameter:
-    """A positive value of a scene that can be fitted.
+    """A positive value of a scene that can be fitted."""
 
-    Attributes
-    ----------
-    key : str
-        As `--set` names it: ``dampers[1].clearance``; lists count from 1.
-    place : tuple
-        The key as steps; positions count from 0.
-    start : float
-        Its value in the scene, in SI.
-    """
-
-    key: str
-    place: Place
-    start: float
+    key: str  # as `--set` names it: ``dampers[1].clearance``; lists count from 1
+    place: Place  # the key as steps; positions count from 0
+    start: float  # its value in the scene, in SI
 
     @property
     def what(self) -> str:
@@ -116,20 +106,10 @@ def spelt_out(scene: Scene) -> Scene:
 def free_parameters(scene: Scene, free: Sequence[str] | None = None) -> list[Parameter]:
     """List the free parameters.
 
-    Parameters
-    ----------
-    scene : Scene
-        From `spelt_out`.
-    free : sequence of str, optional
-        Keys, such as ``structure.masses`` for all masses or ``dampers[1].clearance``; omitted, `FREE`.
+    `scene`: from `spelt_out`; `free`: keys, such as ``structure.masses`` for all masses or ``dampers[1].clearance``;
+    omitted, `FREE`. Raises `SceneError` if a key names nothing that can be fitted; the message lists the keys that
+    can.
 
-    Raises
-    ------
-    SceneError
-        If a key names nothing that can be fitted; the message lists the keys that can.
-
-    Examples
-    --------
     >>> import rig
     >>> [parameter.key for parameter in free_parameters(rig.load("fig9"), ["structure.masses[1]", "dampers"])]
     ['structure.masses[1]', 'dampers[1].mass_ratio', 'dampers[1].clearance']

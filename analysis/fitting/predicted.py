@@ -20,10 +20,7 @@ ComplexArray = NDArray[np.complex128]
 def on_the_bench(model: Scene, curves: Curves) -> Scene:
     """Give the model the shaker and test of a recording, and those of its dampers that were in the recording.
 
-    Raises
-    ------
-    SceneError
-        If the recording has bodies or dampers that the model lacks.
+    Raises `SceneError` if the recording has bodies or dampers that the model lacks.
     """
     recorded = curves.scene
     bodies = model.structure.bodies
@@ -55,10 +52,7 @@ def riding(bench: Scene, curves: Curves, frequency: Array) -> tuple[ComplexArray
 
     A bed with finite-duration contact moves on the spring of its floor, so that it lifts off at another acceleration.
 
-    Returns
-    -------
-    bodies : ndarray of complex, shape (bodies, frequencies)
-    beds : ndarray of complex, shape (beds, frequencies)
+    Returns `bodies`, shape (bodies, frequencies); `beds`, shape (beds, frequencies).
     """
     system = assemble(bench)
     states = riding_response(system, _drive(bench), 2.0 * np.pi * frequency)
@@ -77,16 +71,8 @@ def linear_slopes(
     They follow from the derivatives of the matrices, in which masses and springs are linear. Differences of the
     response itself are too inaccurate near narrow resonances for combinations of values that hardly change it.
 
-    Parameters
-    ----------
-    changed : sequence of (Scene, Scene, float)
-        For each value: the scene with a larger and with a smaller value, and their difference.
-
-    Returns
-    -------
-    by_value : ndarray of complex, shape (values, bodies, frequencies)
-    by_frequency : ndarray of complex, shape (bodies, frequencies)
-        Per Hz.
+    `changed`: for each value: the scene with a larger and with a smaller value, and their difference. Returns
+    `by_value`, shape (values, bodies, frequencies); `by_frequency`, shape (bodies, frequencies), per Hz.
     """
     system = assemble(bench)
     inertia, matrix, _ = riding_equations(system, _drive(bench))

@@ -26,16 +26,8 @@ def present_fit(
 ) -> tuple[list[Path], tuple[str, ...]]:
     """Fit a scene to recordings; print the result, write the figure of residuals, and the scene if it fits.
 
-    Returns
-    -------
-    files, warnings
-
-    Raises
-    ------
-    SceneError
-        If the output exists, or the fit is impossible.
-    RunError
-        If the scene does not fit the recordings; the figure is written nevertheless.
+    Raises `SceneError` if the output exists, or the fit is impossible. Raises `RunError` if the scene does not fit
+    the recordings; the figure is written nevertheless.
     """
     if output.suffix not in (".yaml", ".yml"):
         raise SceneError(f"--output {output}: expected the name of a scene file, such as fitted.yaml")

@@ -68,10 +68,7 @@ class Group:
     def choose_motions(self, problem: Problem, x: Array, scene: Scene) -> bool:
         """Replace the motion at outlying points by one that fits better, and leave out points that stay outlying.
 
-        Returns
-        -------
-        bool
-            Whether anything changed.
+        Returns whether anything changed.
         """
         assert self.tones is not None
         self.tones.given_up.clear()
@@ -106,23 +103,10 @@ class Group:
 class Problem:
     """Unknowns of a scene, and its residuals against the measured curves.
 
-    Parameters
-    ----------
-    model : Scene
-        With one damping value for each mode.
-    parameters : sequence of Parameter
-        Its free values.
-    curves : sequence of Curves
-        Measured responses.
-
-    Attributes
-    ----------
-    sensors : list of Sensor
-        Sensors with a tolerance of sensitivity; their deviations are unknowns after the parameters.
-    clocks : float
-        Largest deviation of the sample clock; if it is not zero, its deviation is the last unknown.
-    start, spread : ndarray, shape (unknowns,)
-        Prior mean and standard deviation. Values are represented by their logarithm.
+    `model`: with one damping value for each mode; `parameters`: its free values; `curves`: measured responses;
+    `sensors`: sensors with a tolerance of sensitivity; their deviations are unknowns after the parameters; `clocks`:
+    largest deviation of the sample clock; if it is not zero, its deviation is the last unknown; `start`, `spread`,
+    shape (unknowns,): prior mean and standard deviation. Values are represented by their logarithm.
     """
 
     def __init__(self, model: Scene, parameters: Sequence[Parameter], curves: Sequence[Curves]) -> None:

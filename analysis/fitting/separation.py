@@ -17,24 +17,13 @@ Array = NDArray[np.float64]
 class LevelDamping:
     """Damping of the structure, estimated from one sweep.
 
-    Attributes
-    ----------
-    label : str
-        Recording and setting.
-    damped : bool
-        Whether dampers moved. The model contains their dissipation; these values do not.
-    acceleration : float
-        Largest acceleration of a measured body, m/s².
-    keys : tuple of str
-        Keys of the damping in the scene.
-    value, bound : ndarray, shape (keys,)
-        Damping and its 95 % bound; NaN where the sweep does not determine it.
+    `value`, `bound`, shape (keys,): damping and its 95 % bound; NaN where the sweep does not determine it.
     """
 
-    label: str
-    damped: bool
-    acceleration: float
-    keys: tuple[str, ...]
+    label: str  # recording and setting
+    damped: bool  # whether dampers moved. The model contains their dissipation; these values do not
+    acceleration: float  # largest acceleration of a measured body, m/s²
+    keys: tuple[str, ...]  # keys of the damping in the scene
     value: Array
     bound: Array
 

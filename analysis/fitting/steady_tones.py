@@ -42,11 +42,8 @@ _SEARCHES = 5
 class Known:
     """A periodic motion: its events, the unknowns of its equations, and the level of the drive that causes it.
 
-    Attributes
-    ----------
-    slope : ndarray of complex, shape (bodies,), or None
-        Derivative of displacement / reference with respect to the level of the reference, where the reference is not
-        the driven quantity.
+    `slope`: derivative of displacement / reference with respect to the level of the reference, where the reference
+    is not the driven quantity, shape (bodies,).
     """
 
     plan: Plan
@@ -61,19 +58,9 @@ Answer = tuple[Known, ComplexArray]
 class SteadyTones:
     """Steady motion with dampers at each point of a sweep, continued from the motion stored there.
 
-    Parameters
-    ----------
-    curves : Curves
-        Of steady tones.
-
-    Attributes
-    ----------
-    known : list of Known or None
-        The motion at each point; None where all dampers rest on their floors, or the motion is not periodic.
-    given_up : set of int
-        Points without a motion; they are not searched again until this set is emptied.
-    uncovered : dict of int to str
-        Reasons why orbits cannot be computed at points, from the last search.
+    `curves`: of steady tones; `known`: the motion at each point; None where all dampers rest on their floors, or the
+    motion is not periodic; `given_up`: points without a motion; they are not searched again until this set is
+    emptied; `uncovered`: reasons why orbits cannot be computed at points, from the last search.
     """
 
     def __init__(self, curves: Curves) -> None:
@@ -91,16 +78,8 @@ class SteadyTones:
     def at(self, bench: Scene, level: Array, frequency: Array, settle: bool = True) -> ComplexArray:
         """Return displacement of the bodies / reference; NaN where the motion is irregular.
 
-        Parameters
-        ----------
-        bench : Scene
-            From `on_the_bench`.
-        level : ndarray, shape (n,)
-            True amplitude of the reference.
-        frequency : ndarray, shape (n,)
-            Hz.
-        settle : bool
-            Whether motions may be searched; otherwise the stored ones are followed, for derivatives.
+        `bench`: from `on_the_bench`; `level`, shape (n,): True amplitude of the reference; `frequency`, shape (n,):
+        Hz; `settle`: whether motions may be searched; otherwise the stored ones are followed, for derivatives.
         """
         found, beds = riding(bench, self.curves, frequency)
         pull = (2.0 * np.pi * frequency) ** 2 * level * abs(beds).max(axis=0, initial=0.0)
@@ -208,10 +187,7 @@ class _Rig:
     def searched(self, frequency: float, level: float, moving: bool) -> Answer | None:
         """Motion reached from the steady motion with riding dampers or, unless `moving`, from rest.
 
-        Raises
-        ------
-        UncoveredMotionError
-            If it settles to a motion for which orbits are not computed.
+        Raises `UncoveredMotionError` if it settles to a motion for which orbits are not computed.
         """
         drive = level * (self.spring or 1.0)
         if self.table is not None:

@@ -30,20 +30,10 @@ def doubts(
 ) -> Iterator[str]:
     """Describe what limits some modes.
 
-    Parameters
-    ----------
-    curves : sequence of Response
-        Curves from which the modes were identified.
-    count : int or None
-        Requested number of modes.
-    dropped : sequence of float
-        Hz: poles rejected because their damping or peak height is undetermined.
-    loose : ndarray
-        Hz: poles rejected because the uncertainty of the curves is too large there.
-    unseen : ndarray
-        Hz: poles rejected because no line was measured around them.
-    left_out : sequence of str
-        Responses that were not used.
+    `curves`: curves from which the modes were identified; `count`: requested number of modes; `dropped`: Hz: poles
+    rejected because their damping or peak height is undetermined; `loose`: Hz: poles rejected because the
+    uncertainty of the curves is too large there; `unseen`: Hz: poles rejected because no line was measured around
+    them; `left_out`: responses that were not used.
     """
     yield from (f"{name} was left out: its uncertainty is unbounded." for name in left_out)
     if modes.model_error:

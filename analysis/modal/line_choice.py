@@ -27,10 +27,7 @@ _AROUND = 31
 def thinned(curves: Sequence[Response]) -> list[Response]:
     """Remove lines in excess of those that a fit needs: far from peaks, and within wide peaks.
 
-    Parameters
-    ----------
-    curves : sequence of Response
-        Curves at equal, rising frequencies.
+    `curves`: curves at equal, rising frequencies.
     """
     count = curves[0].frequency.size
     if count <= MOST_LINES or any(curve.frequency.size != count for curve in curves):
@@ -57,8 +54,6 @@ def scatter(value: NDArray[np.complex128]) -> Array:
 
     The median over many lines is insensitive to the few lines of a narrow peak.
 
-    Examples
-    --------
     >>> random = np.random.default_rng(1)
     >>> noise = random.standard_normal(2000) + 1j * random.standard_normal(2000)
     >>> bool(abs(np.median(scatter(noise)) - 1.0) < 0.1)
@@ -78,8 +73,6 @@ def in_holes(frequency: Array, poles: NDArray[np.complex128]) -> NDArray[np.bool
 
     The flanks of a peak determine its pole only for an isolated mode and a complete model of all other modes.
 
-    Examples
-    --------
     >>> lines = np.r_[10.0:12.0:0.1, 15.0:20.0:0.1]
     >>> in_holes(lines, 2 * np.pi * np.array([-0.1 + 11.05j, -0.1 + 13.0j, -2.0 + 13.0j, -0.1 + 30.0j]))
     array([False,  True, False, False])

@@ -43,26 +43,12 @@ def poles_by_order(
 
     The model is H_o = B_o(z) / A(z) with z = exp(-i pi (f - f_min) / (f_max - f_min)), complex coefficients, and the
     highest coefficient of A set to 1. With this constraint the poles due to noise are unstable, and the chart is
-    clear [1]_. The frequencies need not be evenly spaced.
+    clear (P. Guillaume et al., A poly-reference implementation of the least-squares complex frequency-domain
+    estimator, IMAC XXI, 2003). The frequencies need not be evenly spaced.
 
-    Parameters
-    ----------
-    frequency : ndarray, shape (n,)
-        Hz.
-    value : ndarray of complex, shape (outputs, n)
-        Frequency responses.
-    weight : ndarray, shape (outputs, n)
-        Inverse standard deviations.
-
-    Yields
-    ------
-    poles : ndarray of complex
-        Poles in rad/s with a positive frequency inside the band and a negative real part.
-
-    References
-    ----------
-    .. [1] P. Guillaume et al., A poly-reference implementation of the least-squares complex frequency-domain
-       estimator, IMAC XXI, 2003.
+    `frequency`, shape (n,): Hz; `value`, shape (outputs, n): frequency responses; `weight`, shape (outputs, n):
+    inverse standard deviations. Yields `poles`, poles in rad/s with a positive frequency inside the band and a
+    negative real part.
     """
     low, high = float(frequency.min()), float(frequency.max())
     most = max(orders)
@@ -110,12 +96,8 @@ def chart(frequency: Array, value: ComplexArray, weight: Array, most: int = 24) 
 def columns(frequency: Array, charts: Sequence[list[ChartPole]]) -> tuple[ComplexArray, ComplexArray]:
     """Merge the poles of charts into columns.
 
-    Returns
-    -------
-    stable : ndarray of complex
-        Poles that are stable from order to order, the most frequent first, rad/s.
-    every : ndarray of complex
-        All poles, including less frequent poles.
+    Returns `stable`, poles that are stable from order to order, the most frequent first, rad/s; `every`, all poles,
+    including less frequent poles.
     """
     spacing = _spacing(frequency)
     seen: list[tuple[complex, int]] = []

@@ -48,20 +48,10 @@ def hidden(curves: Curves, poles: ComplexArray) -> NDArray[np.bool_]:
 def select(curves: Curves, stable: ComplexArray, candidates: ComplexArray, most: int = MOST_MODES) -> Fit:
     """Select the best model with all significant poles of the curves.
 
-    Parameters
-    ----------
-    curves : Curves
-        Curves to be fitted, with error bars.
-    stable : ndarray of complex
-        Initial poles, rad/s.
-    candidates : ndarray of complex
-        Further poles to try, rad/s.
-    most : int
-        Largest number of poles inside the band.
+    `curves`: curves to be fitted, with error bars; `stable`: initial poles, rad/s; `candidates`: further poles to
+    try, rad/s; `most`: largest number of poles inside the band.
 
-    References
-    ----------
-    .. [1] G. Schwarz, Estimating the dimension of a model, Annals of Statistics 6 (1978) 461-464.
+    G. Schwarz, Estimating the dimension of a model, Annals of Statistics 6 (1978) 461-464.
     """
     current = _pruned(curves, _sensible_part(curves, fit(curves, stable)))
     outside = _outside(curves)

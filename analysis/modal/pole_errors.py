@@ -44,14 +44,11 @@ def pole_errors(curves: Curves, model: Fit) -> tuple[Array, Array]:
 
     The largest of three estimates: for independent errors of all lines and responses, with the variance of the
     misfit; for errors common to responses and neighbouring lines, due to force noise, transients or a nonlinear
-    structure [1]_; and for errors of the reference.
+    structure (W. K. Newey, K. D. West, A simple, positive semi-definite, heteroskedasticity and autocorrelation
+    consistent covariance matrix, Econometrica 55 (1987) 703-708); and for errors of the reference.
 
-    References
-    ----------
-    .. [1] W. K. Newey, K. D. West, A simple, positive semi-definite, heteroskedasticity and autocorrelation
-       consistent covariance matrix, Econometrica 55 (1987) 703-708.
-    .. [2] J. G. MacKinnon, H. White, Some heteroskedasticity-consistent covariance matrix estimators with improved
-       finite sample properties, Journal of Econometrics 29 (1985) 305-325.
+    J. G. MacKinnon, H. White, Some heteroskedasticity-consistent covariance matrix estimators with improved finite
+    sample properties, Journal of Econometrics 29 (1985) 305-325.
     """
     f_error, z_error = propagated(model.poles, _factors(curves, model))
     # Errors of random phase shift a pole in any direction; with few lines the estimate in one direction may be small
@@ -99,14 +96,8 @@ def systematic_pole_errors(
     order this is a stiffness error: a relative error d of the curve at s shifts the pole p by ``d |s - p|`` (no shift
     if d is constant). An error at the peak alone may also change its width, and so does the leakage of a window.
 
-    Parameters
-    ----------
-    frfs : sequence of Response
-        The curves, by rising frequency.
-    poles : ndarray of complex, shape (modes,)
-        rad/s.
-    without : sequence of str
-        Parts that the random errors of the poles already include.
+    `frfs`: the curves, by rising frequency; `poles`, shape (modes,): rad/s; `without`: parts that the random errors
+    of the poles already include.
     """
     widening = tuple(name for name in _WIDENS if name not in without)
     half = half_width(poles)

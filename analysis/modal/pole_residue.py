@@ -25,27 +25,13 @@ _DEPENDENT = 1e-20
 
 @dataclass(frozen=True)
 class Curves:
-    """Curves to which a modal model is fitted.
+    """Curves to which a modal model is fitted."""
 
-    Attributes
-    ----------
-    frequency : ndarray, shape (n,)
-        Hz, rising.
-    value : ndarray of complex, shape (responses, n)
-        Receptances, m/N.
-    weight : ndarray, shape (responses, n)
-        Inverse standard deviations.
-    shared : float
-        Number of neighbouring lines with a common error.
-    resolution : float
-        Hz: leakage bandwidth of each line.
-    """
-
-    frequency: Array
-    value: ComplexArray
-    weight: Array
-    shared: float = 1.0
-    resolution: float = 0.0
+    frequency: Array  # Hz, rising, shape (n,)
+    value: ComplexArray  # receptances, m/N, shape (responses, n)
+    weight: Array  # inverse standard deviations, shape (responses, n)
+    shared: float = 1.0  # number of neighbouring lines with a common error
+    resolution: float = 0.0  # Hz: leakage bandwidth of each line
 
     @property
     def numbers(self) -> int:

@@ -35,34 +35,21 @@ _AT_ONCE, _MOST = 1 << 20, 5e10
 class Refined:
     """Modes fitted with the covariance of all responses.
 
-    Attributes
-    ----------
-    model : Fit
-        Refined model; its `misfit`, `rest` and `slope` are those for the weights of the curves.
-    covariance : ndarray, shape (2 modes, 2 modes)
-        Of the logarithms of the decay rates, then the damped frequencies in decay rates.
-    parts : tuple of str
-        Systematic parts of the curves that the covariance includes.
+    `covariance`: of the logarithms of the decay rates, then the damped frequencies in decay rates, shape (2 modes, 2
+    modes).
     """
 
-    model: Fit
+    model: Fit  # refined model; its `misfit`, `rest` and `slope` are those for the weights of the curves
     covariance: Array
-    parts: tuple[str, ...]
+    parts: tuple[str, ...]  # systematic parts of the curves that the covariance includes
 
 
 def refined(curves: Curves, model: Fit, errors: Covariance, rough: Array) -> Refined | None:
     """Refine a model; None if the problem is too large, or if the iteration does not converge.
 
-    Parameters
-    ----------
-    curves : Curves
-        Curves at the lines of `errors`.
-    model : Fit
-        Initial model.
-    errors : Covariance
-        Covariance of the random errors.
-    rough : ndarray, shape (responses, n)
-        Standard deviation of either quadrature of other errors that differ from line to line.
+    `curves`: curves at the lines of `errors`; `model`: initial model; `errors`: covariance of the random errors;
+    `rough`, shape (responses, n): standard deviation of either quadrature of other errors that differ from line to
+    line.
     """
     problem = Likelihood(curves, errors, rough)
     count = 2 * model.poles.size

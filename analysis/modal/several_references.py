@@ -41,19 +41,9 @@ def separated(
 ) -> Modes:
     """Separate the modes of each pole by the singular values of its residues.
 
-    Parameters
-    ----------
-    modes : Modes
-        Modes identified from all elements of a matrix, in the order of the outputs.
-    outputs, inputs : tuple of str
-        Channels and inputs of the matrix.
-    places : tuple of str
-        Positions of the outputs.
-
-    Returns
-    -------
-    Modes
-        Modes with the residues of the input of largest participation.
+    `modes`: modes identified from all elements of a matrix, in the order of the outputs; `outputs`, `inputs`:
+    channels and inputs of the matrix; `places`: positions of the outputs. Returns modes with the residues of the
+    input of largest participation.
     """
     o, i = len(outputs), len(inputs)
     parts: list[_Part] = []

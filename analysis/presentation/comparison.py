@@ -99,18 +99,9 @@ class Comparison(ResultBase):
 def compare_peaks(paths: Sequence[Path], progress: Progress | None = None) -> Comparison:
     """Compare each resonance peak of the first recording with those of the others.
 
-    Parameters
-    ----------
-    paths : sequence of Path
-        Recordings with frequency responses of one structure. The first sweep (level, direction) of the first
-        recording is the reference; all sweeps of the other recordings are compared with it.
-    progress : callable, optional
-        Called with (completed, total) during the analysis of each recording.
-
-    Raises
-    ------
-    SceneError
-        If there is only one recording, or if the recordings have no response in common.
+    `paths`: recordings with frequency responses of one structure. The first sweep (level, direction) of the first
+    recording is the reference; all sweeps of the other recordings are compared with it. Raises `SceneError` if there
+    is only one recording, or if the recordings have no response in common.
     """
     if len(paths) < 2:
         raise SceneError("one recording: expected at least two, first the one to compare with")

@@ -39,15 +39,8 @@ def present_dampers(
 ) -> Result:
     """Report the motion of the dampers at each frequency of stepped-sine tests as text, figures and tables.
 
-    Parameters
-    ----------
-    paths : sequence of Path
-        Recordings of stepped-sine tests with dampers.
-    output : Path, optional
-        Folder for figures and tables; default: the folder of the first recording.
-    progress : callable, optional
-        Called with (frequencies completed, total) during the lock-in and then during impact detection in each
-        body.
+    `paths`: recordings of stepped-sine tests with dampers; `output`: folder for figures and tables; default: the
+    folder of the first recording.
     """
     from analysis.figures.dampers_figure import dampers_figure
     from rig.figure_style import save

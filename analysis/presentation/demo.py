@@ -41,19 +41,8 @@ def frequencies() -> list[float]:
 def demonstrate(folder: Path, say: Callable[[str], None], at: Sequence[float] | None = None) -> list[Path]:
     """Record two stepped sines and two impulse tests in parallel, analyze them, and suggest next commands.
 
-    Parameters
-    ----------
-    folder : Path
-        Output folder for recordings, figures and tables.
-    say : callable
-        Called with each line of text.
-    at : sequence of float, optional
-        Frequencies of the stepped sines, Hz; default: `frequencies`.
-
-    Returns
-    -------
-    list of Path
-        All files written.
+    `folder`: output folder for recordings, figures and tables; `say`: called with each line of text; `at`:
+    frequencies of the stepped sines, Hz; default: `frequencies`. Returns all files written.
     """
     began = time.monotonic()
     folder.mkdir(parents=True, exist_ok=True)

@@ -21,19 +21,9 @@ if TYPE_CHECKING:
 def expect(rec: Recording, path: Path, command: str) -> None:
     """Raise an error if a recording lacks the data that a command analyzes.
 
-    Parameters
-    ----------
-    rec : daq.recording.recording.Recording
-        An open recording.
-    path : Path
-        File of the recording, for the message.
-    command : {'frf', 'modes', 'decay', 'dampers'}
-        Command to check.
-
-    Raises
-    ------
-    RecordingError
-        If the command does not suit the recording. The message states the content and a suitable command.
+    `rec`: an open recording; `path`: file of the recording, for the message; `command`: 'frf', 'modes', 'decay' or
+    'dampers'. Command to check. Raises `RecordingError` if the command does not suit the recording. The message
+    states the content and a suitable command.
     """
     test, file = rec.test, shlex.quote(str(path))
     held = f"{path} holds {test.name}"
@@ -67,10 +57,7 @@ def expect_all(
 ) -> list[str]:
     """Raise an error for files that do not suit a command and for options without effect on any file.
 
-    Returns
-    -------
-    list of str
-        Warnings: files given twice, and options that have no effect on some of the files, with the reason.
+    Returns warnings: files given twice, and options that have no effect on some of the files, with the reason.
     """
     asked = {**vars(blocks), "theory": theory or None, "unit": unit}
     idle: dict[str, list[str]] = {name: [] for name, value in asked.items() if value is not None}

@@ -25,17 +25,9 @@ def output_stem(paths: Sequence[Path], output: Path | None, kind: str, *endings:
     `with` block follow the overwriting rule of `rig.provenance`; their source is the paths of the recordings relative
     to the output folder.
 
-    Parameters
-    ----------
-    endings : str
-        Endings of the files that are always written.
-
-    Raises
-    ------
-    RunError
-        If files with these names exist and were made from other recordings.
-    SceneError
-        If files with these names exist and were not written by shotrig, or were changed since.
+    `endings`: endings of the files that are always written. Raises `RunError` if files with these names exist and
+    were made from other recordings. Raises `SceneError` if files with these names exist and were not written by
+    shotrig, or were changed since.
     """
     folder = output if output is not None else paths[0].parent
     with made_from(kind, *relative(paths, folder)):
@@ -61,8 +53,6 @@ def check_outputs(paths: Sequence[Path], output: Path | None, kind: str, *ending
 def joined(names: Sequence[str]) -> str:
     """Join names into one name of limited length.
 
-    Examples
-    --------
     >>> joined(["none", "three"])
     'none+three'
     >>> joined(["a-sweep-of-a-structure-with-a-long-name", "another-one-of-the-same-kind"])
@@ -79,8 +69,6 @@ def joined(names: Sequence[str]) -> str:
 def of_part(stem: Path, part: str) -> Path:
     """Append a channel name, with characters that are unsafe in a file name replaced.
 
-    Examples
-    --------
     >>> of_part(Path("run-frf"), "body1").name, of_part(Path("run-frf"), "../../etc/passwd").name
     ('run-frf-body1', 'run-frf-.._.._etc_passwd-3754')
     """
@@ -93,8 +81,6 @@ def of_part(stem: Path, part: str) -> Path:
 def with_ending(stem: Path, ending: str) -> Path:
     """Add an ending to a name that may contain dots.
 
-    Examples
-    --------
     >>> with_ending(Path("a0.5-report"), "html").name
     'a0.5-report.html'
     """

@@ -27,8 +27,6 @@ def noted(path: Path, notes: Sequence[str]) -> list[str]:
 def aligned(rows: Sequence[Sequence[str]], left: int = 0) -> list[str]:
     """Return the lines of a table: the first `left` columns are aligned to the left, the others to the right.
 
-    Examples
-    --------
     >>> aligned([("channel", "peak / Hz"), ("body1", "12.54")], left=1)
     ['channel  peak / Hz', 'body1        12.54']
     """

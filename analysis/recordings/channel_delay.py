@@ -15,8 +15,6 @@ def arrival(info: ChannelInfo, first: int, last: int) -> tuple[int, int]:
     A marker contains the time of an action. The corresponding samples are later by the channel's delay, unless it was
     removed, and extend to either side by half the length of the filter.
 
-    Examples
-    --------
     >>> from daq.signal_chain.channel import ChannelInfo
     >>> from daq.signal_chain.decimation_filter import Decimation
     >>> low_pass = Decimation.standard(5120.0)

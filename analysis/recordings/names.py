@@ -61,8 +61,6 @@ def takes_path(
 def distinct_names(names: Sequence[str], paths: Sequence[Path]) -> list[str]:
     """Return distinct names of recordings.
 
-    Examples
-    --------
     >>> distinct_names(["none", "three", "three"], [Path("a.mcap"), Path("b.mcap"), Path("c.mcap")])
     ['none', 'three (b)', 'three (c)']
     >>> distinct_names(["none", "none"], [Path("x/a.mcap"), Path("x/b.mcap")])

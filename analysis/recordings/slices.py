@@ -43,12 +43,8 @@ class Slice:
     ) -> Slice:
         """Select channels (default: all) between two times in s (default: the whole recording).
 
-        Raises
-        ------
-        SceneError
-            If a channel does not exist, or if there is no sample between the times.
-        RecordingError
-            If the recording contains too few samples between the times for an interval of this length.
+        Raises `SceneError` if a channel does not exist, or if there is no sample between the times. Raises
+        `RecordingError` if the recording contains too few samples between the times for an interval of this length.
         """
         names = tuple(recording.channels if channels is None else channels)
         for name in names:
@@ -103,17 +99,9 @@ def read_slices(
 ) -> Iterator[NDArray[np.float64]]:
     """Yield the samples of each stretch ``[start, stop)``.
 
-    Parameters
-    ----------
-    channels : sequence of str
-        Names of the channels, in the order of the rows.
-    bounds : iterable of (start, stop)
-        Sample numbers with non-decreasing starts; stretches may overlap.
-
-    Yields
-    ------
-    ndarray, shape (channels, stop - start)
-        Physical units, NaN where samples are lost or the recording has ended.
+    `channels`: names of the channels, in the order of the rows; `bounds`: sample numbers with non-decreasing starts;
+    stretches may overlap. Yields shape (channels, stop - start), physical units, NaN where samples are lost or the
+    recording has ended.
     """
     held: dict[int, NDArray[np.float64]] = {}
     for start, stop in bounds:

@@ -21,12 +21,7 @@ def answer(
 ) -> list[str]:
     """Summarize the results: decays, then comparisons, then resonances and dampers.
 
-    Parameters
-    ----------
-    measurements : sequence of Measured
-        All recordings of the report.
-    changes : sequence of (Measured, Measured, PeakChange)
-        Result of `Measurements.changes`.
+    `measurements`: all recordings of the report; `changes`: result of `Measurements.changes`.
     """
     sentences = _decays(measurements) + _comparisons(changes)
     for measured in measurements:

@@ -28,8 +28,6 @@ _COILS = 8
 def rig_drawing(scene: Scene) -> str:
     """Draw the bodies, springs, dampers, shakers and sensors of a scene, not to scale.
 
-    Examples
-    --------
     >>> import rig
     >>> drawing = rig_drawing(rig.load("fig8-three-dampers"))
     >>> drawing.count('class="body"'), drawing.count('class="damper"')

@@ -29,26 +29,10 @@ def write_report(
 ) -> Result:
     """Write one self-contained HTML report about recordings.
 
-    Parameters
-    ----------
-    paths : sequence of Path
-        Recordings; the first is the reference of the comparisons.
-    output : Path, optional
-        Folder for the page, or its file name if it ends in .html; default: the folder of the first recording.
-    progress : callable, optional
-        Called with (completed, total) during the analysis of the recordings.
-
-    Returns
-    -------
-    Result
-        The page, the sentences of its summary, and the warnings.
-
-    Raises
-    ------
-    RecordingError
-        If a file is not a recording.
-    SceneError
-        If the page exists and was not made from these recordings.
+    `paths`: recordings; the first is the reference of the comparisons; `output`: folder for the page, or its file
+    name if it ends in .html; default: the folder of the first recording. Returns the page, the sentences of its
+    summary, and the warnings. Raises `RecordingError` if a file is not a recording. Raises `SceneError` if the page
+    exists and was not made from these recordings.
     """
     with _page(paths, output):
         pass  # Raise the error of an existing page before the long analysis.

@@ -162,21 +162,9 @@ def compared(setting: Setting) -> Row:
 def follow(path: Path, points: int | None, say: Callable[[str], None], cluster: str | None = None) -> None:
     """Simulate settings and add each result to a table; settings already in the table are not repeated.
 
-    Parameters
-    ----------
-    path : Path
-        CSV file; the rows are sorted in the order of `settings` when all are complete.
-    points : int or None
-        Number of settings, from the first; None: all.
-    say : callable
-        Called with one line of text per setting.
-    cluster : str, optional
-        See `rig.workers.Workers`.
-
-    Raises
-    ------
-    RunError
-        If the file is not such a table, or cannot be written.
+    `path`: CSV file; the rows are sorted in the order of `settings` when all are complete; `points`: number of
+    settings, from the first; None: all; `say`: called with one line of text per setting; `cluster`: see
+    `rig.workers.Workers`. Raises `RunError` if the file is not such a table, or cannot be written.
     """
     complete(path, TABLE.study(compared, setting_of), settings()[:points], _words, say, cluster)
 
@@ -184,12 +172,9 @@ def follow(path: Path, points: int | None, say: Callable[[str], None], cluster: 
 def table(path: Path | None = None) -> Arrays:
     """Read a table of settings, averaged over seeds.
 
-    Returns
-    -------
-    dict of ndarray
-        ``frequency``, ``level``, ``clearance``, ``layers``, ``seeds`` (their number), ``depth``, each (settings,);
-        and ``grains_NAME``, ``mass_NAME``, ``error_NAME`` (the standard error of the mean over the seeds, infinite
-        where there is one) for each NAME of `MEASURES`, with ``grains_type`` and ``mass_type``.
+    Returns ``frequency``, ``level``, ``clearance``, ``layers``, ``seeds`` (their number), ``depth``, each
+    (settings,); and ``grains_NAME``, ``mass_NAME``, ``error_NAME`` (the standard error of the mean over the seeds,
+    infinite where there is one) for each NAME of `MEASURES`, with ``grains_type`` and ``mass_type``.
     """
     groups: dict[tuple[float, float, float, int], list[Row]] = {}
     for row in TABLE.read(path):

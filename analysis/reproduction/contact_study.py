@@ -133,12 +133,8 @@ def table(path: Path | None = None) -> Arrays:
 def fit_contact(beds: Mapping[str, np.ndarray], contacts: Mapping[str, np.ndarray]) -> FittedContact:
     """Fit a contact to beds: smallest mean logarithmic ratio of the compliances.
 
-    Parameters
-    ----------
-    beds : mapping
-        As returned by `analysis.reproduction.bed_study.table`, or a selection of its settings.
-    contacts : mapping
-        As returned by `table`.
+    `beds`: as returned by `analysis.reproduction.bed_study.table`, or a selection of its settings; `contacts`: as
+    returned by `table`.
     """
     tried = [
         FittedContact(restitution, duration, share)

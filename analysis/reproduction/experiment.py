@@ -45,10 +45,7 @@ def recorded(scene: Scene, path: Path) -> Recording:
 def sweep(scene: Scene, path: Path) -> Arrays:
     """Estimate the compliances of the bodies, X_j / F_1, from a stepped-sine recording.
 
-    Returns
-    -------
-    dict
-        frequency (points,) Hz, compliance, error and coherence (bodies, points).
+    Returns frequency (points,) Hz, compliance, error and coherence (bodies, points).
     """
     with recorded(scene, path) as recording:
         curves = frequency_responses(recording, BODIES)[0]
@@ -63,11 +60,8 @@ def sweep(scene: Scene, path: Path) -> Arrays:
 def bare_sweep(scene: Scene, path: Path) -> Arrays:
     """Estimate compliances as `sweep`, transmissibilities X_j / X_0, and modal parameters from a recording.
 
-    Returns
-    -------
-    dict
-        As `sweep`, with transfer (bodies, points), omega and omega_error (modes,) in rad/s, damping (modes,),
-        and mode shapes (bodies, modes) with largest element 1.
+    Returns as `sweep`, with transfer (bodies, points), omega and omega_error (modes,) in rad/s, damping (modes,),
+    and mode shapes (bodies, modes) with largest element 1.
     """
     with recorded(scene, path) as recording:
         arrays = sweep(scene, path)
@@ -95,13 +89,10 @@ def damper_sweep(scene: Scene, path: Path, body: int) -> Arrays:
 def impact_phases(scene: Scene, path: Path, body: int) -> Arrays:
     """Estimate impact phases of a damper over frequency, from the channel on its body and the spring force.
 
-    Returns
-    -------
-    dict
-        frequency (points,) Hz; phi (points,), lag of the force with respect to the floor impact; tau_1
-        (points,), ceiling impact after the floor impact [rad]; floor and ceiling (points,), impacts per period.
-        NaN unless there is exactly one impact of that kind in every period. Take-off causes no velocity jump, so
-        tau_0 cannot be measured.
+    Returns frequency (points,) Hz; phi (points,), lag of the force with respect to the floor impact; tau_1
+    (points,), ceiling impact after the floor impact [rad]; floor and ceiling (points,), impacts per period. NaN
+    unless there is exactly one impact of that kind in every period. Take-off causes no velocity jump, so tau_0
+    cannot be measured.
     """
     frequencies, phis, taus, floors, ceilings = [], [], [], [], []
     with recorded(scene, path) as recording:
@@ -162,11 +153,8 @@ def _force_phase(recording: Recording, channels: list[str], frequency: float, fi
 def ring_down(scene: Scene, path: Path) -> Arrays:
     """Compute the free decay of body 3's acceleration after the first hit.
 
-    Returns
-    -------
-    dict
-        time, acceleration, envelope (samples,); halving, quiet_from (): time for a 6 dB decay of energy [s], and
-        time after which the acceleration remains below 1 g [s].
+    Returns time, acceleration, envelope (samples,); halving, quiet_from (): time for a 6 dB decay of energy [s], and
+    time after which the acceleration remains below 1 g [s].
     """
     with recorded(scene, path) as recording:
         found = decay(recording, "body3")

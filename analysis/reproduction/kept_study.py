@@ -17,21 +17,12 @@ Piece = TypeVar("Piece", bound=tuple[object, ...])
 class Table(NamedTuple):
     """Columns of the table of a study.
 
-    Attributes
-    ----------
-    header : tuple of str
-        Names of its columns.
-    what : str
-        Description of the content, for messages.
-    file : str
-        Name of the bundled file.
-    whole, words : tuple of str
-        Columns of integers and of words; all other columns contain floating-point numbers.
+    `whole`, `words`: columns of integers and of words; all other columns contain floating-point numbers.
     """
 
-    header: tuple[str, ...]
-    what: str
-    file: str
+    header: tuple[str, ...]  # names of its columns
+    what: str  # description of the content, for messages
+    file: str  # name of the bundled file
     whole: tuple[str, ...] = ()
     words: tuple[str, ...] = ()
 
@@ -75,21 +66,8 @@ def complete(
 ) -> None:  # fmt: skip
     """Compute missing pieces of a table, and sort its rows when complete; rows of other pieces are last.
 
-    Parameters
-    ----------
-    path : Path
-        CSV file.
-    words : callable
-        Returns a description of a row.
-    say : callable
-        Called with a line for each new row.
-    cluster : str, optional
-        See `rig.workers.Workers`.
-
-    Raises
-    ------
-    RunError
-        If the file is not such a table, or cannot be written.
+    `path`: CSV file; `words`: returns a description of a row; `say`: called with a line for each new row; `cluster`:
+    see `rig.workers.Workers`. Raises `RunError` if the file is not such a table, or cannot be written.
     """
     kept = Kept(study, path)
     missing = sum(piece not in kept for piece in pieces)

@@ -45,28 +45,10 @@ def reproduce(
 ) -> list[Path]:
     """Compute missing parts, draw all figures, and write the page.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder for recordings, data, figures and pages. Results of an earlier run with the same inputs are reused.
-    say : callable
-        Called with one line of text at a time.
-    fresh : sequence of str
-        Names of parts to recompute.
-    cluster : str, optional
-        As for `rig.design`; its workers must have access to the folder under the same name.
-
-    Returns
-    -------
-    list of Path
-        Figures and pages.
-
-    Raises
-    ------
-    SceneError
-        If `fresh` contains an unknown part.
-    RunError
-        If the folder cannot be written.
+    `folder`: folder for recordings, data, figures and pages. Results of an earlier run with the same inputs are
+    reused; `say`: called with one line of text at a time; `fresh`: names of parts to recompute; `cluster`: as for
+    `rig.design`; its workers must have access to the folder under the same name. Returns figures and pages. Raises
+    `SceneError` if `fresh` contains an unknown part. Raises `RunError` if the folder cannot be written.
     """
     began = time.monotonic()
     # Workers on other machines have a different working folder.

@@ -35,12 +35,9 @@ def scan(
 ) -> Arrays:
     """Compute peak compliance and motion type around a resonance, over force (rows) and clearance (columns).
 
-    Returns
-    -------
-    dict
-        peak (forces, clearances): largest |X| / F_1 of the body; where (same): its frequency; type_there: the
-        motion type at the peak; types: all types of any damper, joined by spaces; orbits: share of the
-        frequencies with an exact stable orbit; exact: whether the peak is an exact stable orbit.
+    Returns peak (forces, clearances): largest |X| / F_1 of the body; where (same): its frequency; type_there: the
+    motion type at the peak; types: all types of any damper, joined by spaces; orbits: share of the frequencies with
+    an exact stable orbit; exact: whether the peak is an exact stable orbit.
     """
     shape = (len(forces), len(clearances))
     peak, where, orbits = np.zeros(shape), np.zeros(shape), np.zeros(shape)
@@ -73,10 +70,7 @@ def stays_over_damping(
 ) -> Arrays:
     """Compute whether Type III occurs near the resonance, over damping ratio (rows) and clearance (columns).
 
-    Returns
-    -------
-    dict
-        third (dampings, clearances): whether Type III occurs; peak (same): largest compliance of the body [m/N].
+    Returns third (dampings, clearances): whether Type III occurs; peak (same): largest compliance of the body [m/N].
     """
     shape = (len(dampings), len(clearances))
     third, peak = np.zeros(shape, dtype=bool), np.zeros(shape)
@@ -102,11 +96,8 @@ def least_affected(
 ) -> Arrays:
     """Compute the peak ratio with and without dampers at each mode, over parameters that the paper does not state.
 
-    Returns
-    -------
-    dict
-        share (dampings, mass_ratios, forces, modes): largest compliance of the body near a mode, relative to the bare
-        structure; dampings, mass_ratios, forces.
+    Returns share (dampings, mass_ratios, forces, modes): largest compliance of the body near a mode, relative to the
+    bare structure; dampings, mass_ratios, forces.
     """
     share = np.empty((len(dampings), len(mass_ratios), len(forces), len(bands)))
     for i, damping in enumerate(dampings):
@@ -165,11 +156,8 @@ def best_clearance(
     A coarse search over the given clearances is refined by golden sections around the best. The robust criterion is
     the worst peak at `LEVELS` times the force.
 
-    Returns
-    -------
-    dict
-        clearance, mass_ratios, worst (trials,) in the order of the search; best, mass_ratio, peak (): the optimum
-        and its worst peak; orbits (): share of all frequencies with an exact stable orbit.
+    Returns clearance, mass_ratios, worst (trials,) in the order of the search; best, mass_ratio, peak (): the
+    optimum and its worst peak; orbits (): share of all frequencies with an exact stable orbit.
     """
     worst = _Worst(scene, force, frequencies, body)
     grid = np.log(clearances)

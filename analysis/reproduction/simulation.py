@@ -180,17 +180,9 @@ def waveforms(scene: Scene, frequency: float, periods: float = 2.0) -> Arrays:
 def weightings(scene: Scene, bands: dict[int, tuple[float, float]]) -> Arrays:
     """Compute peaks of the approximate method with both weightings of the mass ratio, and of the simulation.
 
-    Parameters
-    ----------
-    bands : dict
-        Frequency band [Hz] around each mode (from 1).
-
-    Returns
-    -------
-    dict
-        mode (modes,), and rows all modes (exact orbits), printed, energy: peak (3, modes) of the body that moves
-        most in the mode [m/N], frequency (3, modes) Hz, mass_ratio (3, modes); NaN where the printed sum
-        is not a valid mass.
+    `bands`: frequency band [Hz] around each mode (from 1). Returns mode (modes,), and rows all modes (exact orbits),
+    printed, energy: peak (3, modes) of the body that moves most in the mode [m/N], frequency (3, modes) Hz,
+    mass_ratio (3, modes); NaN where the printed sum is not a valid mass.
     """
     peak, where, ratio = (np.full((3, len(bands)), np.nan) for _ in range(3))
     forced = with_ideal_force(scene)

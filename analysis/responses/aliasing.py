@@ -46,14 +46,8 @@ def aliasing_part(
     and amplifier. The table's acceleration contains the images that the shaker reproduces, a body's acceleration
     those that the structure transmits above its modes.
 
-    Parameters
-    ----------
-    rec, names, value, upper, lower
-        As in `analysis.responses.systematic.sensitivity_part`.
-    frequency : ndarray, shape (lines,)
-        Hz.
-    motion : str
-        Quantity of the response `value`: displacement, velocity or acceleration.
+    `frequency`, shape (lines,): Hz; `motion`: quantity of the response `value`: displacement, velocity or
+    acceleration.
     """
     share, far = folded_shares(rec, names, frequency, value, lower, motion)
     return {ALIASING: off_by_gains(share, far, value, upper, lower)} if far.any() else {}
@@ -146,10 +140,7 @@ def _moved(
     practically at rest, and the full spring force acts on the table. The image is smaller by the square of the
     frequency ratio; its acceleration per displacement is larger by the same factor.
 
-    Parameters
-    ----------
-    share : ndarray of complex, shape (lines,)
-        Spring stiffness times X0 / F: the table's share of the force.
+    `share`, shape (lines,): spring stiffness times X0 / F: the table's share of the force.
     """
     motion, pull = _drive_taken(shaker, frequency)
     there, pull_there = _drive_taken(shaker, images)

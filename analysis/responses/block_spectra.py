@@ -80,17 +80,9 @@ def cross_spectra(
 ) -> CrossSpectra:
     """Average the spectra of blocks after removal of each block's mean.
 
-    Parameters
-    ----------
-    starts : sequence of int
-        First samples of the blocks, in rising order.
-    window : ndarray, shape (samples of a block,)
-    low, high : float
-        Frequency band, Hz.
-    forgetting : float, optional
-        Weight of each block relative to the next block; omitted: equal weights.
-    progress : callable, optional
-        Called with (blocks done, total number of blocks).
+    `starts`: first samples of the blocks, in rising order; `window` has the shape (samples of a block,); `low`,
+    `high`: frequency band, Hz; `forgetting`: weight of each block relative to the next block; omitted: equal
+    weights.
     """
     names, size = list(channels), window.size
     found = flaws(rec, names, starts[0], starts[-1] + size)
@@ -126,10 +118,7 @@ def cross_spectra(
 def window_of(name: str, size: int) -> Array:
     """Return a periodic window by its scipy name; ``none`` is a rectangular window.
 
-    Raises
-    ------
-    SceneError
-        If scipy has no window of that name.
+    Raises `SceneError` if scipy has no window of that name.
     """
     try:
         return np.asarray(scipy.signal.get_window("boxcar" if name == "none" else name, size), dtype=float)

@@ -16,18 +16,9 @@ _MIN_SIGMAS = 5.0
 def jumps(frf: Response) -> list[tuple[float, str]]:
     """Find the frequencies at which a curve jumps from one branch to another.
 
-    Parameters
-    ----------
-    frf : Response
-        Points in the order measured.
+    `frf`: points in the order measured. Returns mean frequency of the two points in Hz, and ``"jump up"`` or ``"jump
+    down"`` in the order measured.
 
-    Returns
-    -------
-    list of (frequency, text)
-        Mean frequency of the two points in Hz, and ``"jump up"`` or ``"jump down"`` in the order measured.
-
-    Examples
-    --------
     >>> f = np.linspace(10.0, 20.0, 11)
     >>> value = np.where(f < 14.5, 1.0 + 0.02 * f, 0.5 + 0.02 * f).astype(complex)
     >>> error = np.full(11, 1e-6)

@@ -29,24 +29,14 @@ ComplexArray = NDArray[np.complex128]
 class ReadingShares:
     """Shares of the channels in a response and in its reference.
 
-    Attributes
-    ----------
-    names : sequence of str
-        Channels, in the order of the rows.
-    frequency : ndarray, shape (lines,)
-        Hz.
-    motion : str
-        Quantity of the response.
-    value : ndarray of complex, shape (lines,)
-        The response.
-    upper, lower : ndarray of complex, shape (channels, lines)
-        Share of each channel in the response and in the reference; their sums are `value` and 1.
+    `upper`, `lower`, shape (channels, lines): share of each channel in the response and in the reference; their sums
+    are `value` and 1.
     """
 
-    names: Sequence[str]
-    frequency: Array
-    motion: str
-    value: ComplexArray
+    names: Sequence[str]  # channels, in the order of the rows
+    frequency: Array  # Hz, shape (lines,)
+    motion: str  # quantity of the response
+    value: ComplexArray  # shape (lines,)
     upper: ComplexArray
     lower: ComplexArray
 
@@ -67,16 +57,9 @@ def assemble_budget(
     The parts for aliasing, sensor tolerances and clock error follow from the shares of the channels. A reference that
     may be smaller than recorded increases the uncertainty beyond first-order propagation.
 
-    Parameters
-    ----------
-    error, degrees : ndarray, shape (lines,)
-        Type A standard uncertainty of either quadrature component, and its degrees of freedom.
-    causes : mapping of str to ndarray
-        Limits of error that the estimator provides, by cause.
-    doubts : sequence of ndarray, shape (lines,)
-        Largest relative deviations of the reference.
-    errors, shared, scale
-        As in `UncertaintyBudget`.
+    `error`, `degrees`, shape (lines,): type A standard uncertainty of either quadrature component, and its degrees
+    of freedom; `causes`: limits of error that the estimator provides, by cause; `doubts`, shape (lines,): largest
+    relative deviations of the reference.
     """
     parts = shares.value, shares.upper, shares.lower
     limits = {**aliasing_part(rec, shares.names, shares.frequency, *parts, shares.motion), **causes}

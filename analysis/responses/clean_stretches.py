@@ -52,8 +52,6 @@ def flaws(rec: Recording, channels: Collection[str], first: int, stop: int) -> l
 def clean_stretches(found: list[Flaw], first: int, stop: int) -> list[tuple[int, int]]:
     """Return the stretches (start, stop) between two samples that contain no flaw.
 
-    Examples
-    --------
     >>> clean_stretches([Flaw(20, 30, "a", "lost"), Flaw(25, 40, "b", "overloaded")], 0, 100)
     [(0, 20), (40, 100)]
     """

@@ -36,17 +36,9 @@ ESTIMATORS = ("H1", "H2", "Hv")
 def estimate(estimator: str, sxx: Array, sff: Array, sxf: ComplexArray) -> ComplexArray:
     """Estimate a frequency response from auto and cross spectra.
 
-    Parameters
-    ----------
-    estimator : {'H1', 'H2', 'Hv'}
-        H1 assumes a reference without noise, H2 a response without noise; Hv is the geometric mean of both.
-    sxx, sff : ndarray
-        Mean of abs(X)² and of abs(F)².
-    sxf : ndarray of complex
-        Mean of X conj(F).
+    `estimator`: 'H1', 'H2' or 'Hv'. H1 assumes a reference without noise, H2 a response without noise; Hv is the
+    geometric mean of both; `sxx`, `sff`: mean of abs(X)² and of abs(F)²; `sxf`: mean of X conj(F).
 
-    Examples
-    --------
     >>> x, f = np.array([2.0 - 2.0j]), np.array([1.0 + 0.0j])
     >>> [complex(estimate(name, abs(x)**2, abs(f)**2, x * f.conj())[0].round(12)) for name in ESTIMATORS]
     [(2-2j), (2-2j), (2-2j)]
@@ -181,12 +173,8 @@ def square_root(matrices: ComplexArray) -> ComplexArray:
     Eigenvalues that are negative by rounding are set to zero, which gives the nearest semidefinite matrix (Higham
     1988).
 
-    Parameters
-    ----------
-    matrices : ndarray of complex, shape (n, size, size)
+    `matrices` has the shape (n, size, size).
 
-    Examples
-    --------
     >>> factor = square_root(np.array([[[1.0, 2e9j], [-2e9j, 4e18]]]))
     >>> np.allclose(factor @ factor.conj().swapaxes(1, 2), [[[1.0, 2e9j], [-2e9j, 4e18]]])
     True
@@ -200,8 +188,6 @@ def square_root(matrices: ComplexArray) -> ComplexArray:
 def independent_blocks(window: Array, step: int, blocks: int) -> float:
     """Compute the equivalent number of independent averages of overlapping windowed blocks (Welch 1967, eq. 11).
 
-    Examples
-    --------
     >>> from scipy.signal import windows
     >>> round(independent_blocks(windows.hann(1000, sym=False), 500, 99), 1)
     93.8

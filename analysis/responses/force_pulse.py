@@ -27,19 +27,9 @@ def pulse_alone(info: ChannelInfo, force: Array, first: int, last: int) -> Array
     The tail is part of the signal and may be longer than the recording. The high-pass filters are therefore inverted
     first, and the window then removes the noise. `high_passes` returns their effect on the spectrum of the result.
 
-    Parameters
-    ----------
-    info : daq.signal_chain.channel.ChannelInfo
-        The force channel.
-    force : ndarray, shape (n,)
-        Its samples, N, beginning before the hit, without residuals of earlier hits.
-    first, last : int
-        First and last sample of the hit itself.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Force, N, as recorded by the same channel without its high-pass filters.
+    `info`: the force channel; `force`, shape (n,): its samples, N, beginning before the hit, without residuals of
+    earlier hits; `first`, `last`: first and last sample of the hit itself. Returns shape (n,), force, N, as recorded
+    by the same channel without its high-pass filters.
     """
     slow, fast = slow_and_fast(info)
     ringing = _TIME_CONSTANTS / min((abs(pole.real) for pole in fast), default=np.inf)

@@ -96,21 +96,11 @@ class Source(Protocol):
 
 @dataclass(frozen=True)
 class Estimator:
-    """Estimator of the responses of one kind of test.
+    """Estimator of the responses of one kind of test."""
 
-    Attributes
-    ----------
-    estimate : callable
-        Returns the response of each pass for a request.
-    method : str
-        Description of the method.
-    options : frozenset of str
-        Fields of `Blocks` that have an effect.
-    """
-
-    estimate: Callable[[Request], list[Response]]
-    method: str
-    options: frozenset[str] = frozenset()
+    estimate: Callable[[Request], list[Response]]  # returns the response of each pass for a request
+    method: str  # description of the method
+    options: frozenset[str] = frozenset()  # fields of `Blocks` that have an effect
 
     def takes(self, blocks: Blocks) -> bool:
         """Whether all requested options have an effect."""

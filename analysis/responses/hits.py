@@ -196,15 +196,9 @@ class Hits:
         every second and every third count. Noise of s counts reduces it by ``exp(-2 pi^2 s^2)`` (Widrow and Kollár,
         as in `noise_gain`). The result is infinite for readings of too few counts to be rounded again.
 
-        Parameters
-        ----------
-        blocks, spectra : sequences of ndarray
-            Samples of the stretches, shape (channels, samples), and their zero-padded spectra, shape (channels,
-            bins).
-        lines : ndarray of int
-            Bins at which the response is estimated.
-        side : int
-            Lines on either side that a local fit uses.
+        `blocks`, `spectra`: samples of the stretches, shape (channels, samples), and their zero-padded spectra,
+        shape (channels, bins); `lines`: bins at which the response is estimated; `side`: lines on either side that a
+        local fit uses.
         """
         count = counts_of(rec, names)[:, None]
         step = np.where(count > 0.0, count, 1.0)

@@ -60,12 +60,8 @@ def averages(
 ) -> Averages:
     """Average the spectra of one block for each hit, as most programs do.
 
-    Parameters
-    ----------
-    block : float, optional
-        Length of a block in s; if omitted, the shortest time from a hit to the next hit, or to the end.
-    window : str
-        Window of each block, by its name in `scipy.signal.get_window`.
+    `block`: length of a block in s; if omitted, the shortest time from a hit to the next hit, or to the end;
+    `window`: window of each block, by its name in `scipy.signal.get_window`.
     """
     hits = Hits.of(rec)
     begins = [begin for begin, _ in hits.arrivals]

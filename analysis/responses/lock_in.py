@@ -66,15 +66,8 @@ class LockIn:
     All parts have a common fit; the deviation of each part from it determines the scatter. Only the normal equations
     are stored, so the memory does not depend on the length of the window.
 
-    Parameters
-    ----------
-    frequency, rate : float
-        Hz.
-    harmonics : int
-        Highest harmonic of the fit, the fundamental included.
+    `frequency`, `rate`: Hz; `harmonics`: highest harmonic of the fit, the fundamental included.
 
-    Examples
-    --------
     >>> t = np.arange(4000) / 5120.0
     >>> lockin = LockIn(10.0, 5120.0, harmonics=3)
     >>> for part in np.split(2.0 * np.cos(2 * np.pi * 10.0 * t - 0.5)[None] + 7.0, 4, axis=1):
@@ -209,8 +202,6 @@ def parts_of_whole_periods(
     A remainder shorter than a part is discarded. Bounds are rounded to samples. A window shorter than one period is a
     single part.
 
-    Examples
-    --------
     >>> parts_of_whole_periods(0, 1000, 10.0, 1000.0, most=4)
     [(0, 300), (300, 600), (600, 900)]
     """

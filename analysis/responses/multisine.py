@@ -66,12 +66,8 @@ class BestLinearApproximation:
     def distortion(self, rec: Recording, response: str, reference: str = "force") -> Array:
         """Estimate the nonlinear distortion in one realisation, as a standard deviation of the receptance.
 
-        Zero where noise explains the scatter of the realisations. Requires several realisations [1]_.
-
-        References
-        ----------
-        .. [1] R. Pintelon, J. Schoukens, System Identification: A Frequency Domain Approach, 2nd ed.,
-        section 4.3.
+        Zero where noise explains the scatter of the realisations. Requires several realisations (R. Pintelon, J.
+        Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., section 4.3).
         """
         total = self.total.frf(rec, response, reference).error ** 2
         noise = self.noise.frf(rec, response, reference).error ** 2
@@ -90,16 +86,8 @@ def best_linear_approximation(
     The spectra of each realisation are rotated by the phase of its own reference before averaging. The remaining
     scatter between realisations, beyond the noise between periods, is the nonlinear distortion.
 
-    Parameters
-    ----------
-    markers : sequence of daq.recording.markers.Marker
-        The ``measure`` markers of the test, one for each realisation.
-    names : sequence of str
-        Names of the channels to average.
-    reference : {'force', 'table'}
-        Reference whose phases are used.
-    progress : callable, optional
-        Called with (realisations done, total number of realisations).
+    `markers`: the ``measure`` markers of the test, one for each realisation; `names`: names of the channels to
+    average; `reference`: 'force' or 'table'. Reference whose phases are used.
     """
     found = [_realisation(rec, names, marker, reference) for marker in markers]
     if progress is not None:
@@ -255,11 +243,8 @@ def _without_drift(periods: Array, numbers: NDArray[np.int64]) -> Array:
     A slowly settling bias changes each line from period to period. Noise may hide these changes although their sum is
     a significant error of the line.
 
-    Parameters
-    ----------
-    periods : ndarray, shape (periods, channels, samples)
-    numbers : ndarray of int, shape (periods,)
-        Numbers of these periods within the realisation.
+    `periods` has the shape (periods, channels, samples); `numbers`, shape (periods,): numbers of these periods
+    within the realisation.
     """
     slopes = np.gradient(periods.mean(axis=2), numbers, axis=0, edge_order=2 if len(numbers) > 2 else 1)
     return np.asarray(periods - slopes[:, :, None] * np.linspace(-0.5, 0.5, periods.shape[2]))

@@ -20,10 +20,7 @@ _KNOWN_SHARE = 0.3
 def reversed_force(curves: Sequence[Response]) -> str:
     """Warn if the force absorbs power from the structure at the driving point; empty otherwise.
 
-    Parameters
-    ----------
-    curves : sequence of Response
-        Responses to one force, measured together; only those at the driving point are evaluated.
+    `curves`: responses to one force, measured together; only those at the driving point are evaluated.
     """
     wrong = [curve for curve in curves if curve.is_driving_point and takes_energy(curve)]
     if not wrong:

@@ -52,23 +52,12 @@ def averages(
 ) -> Averages:
     """Average the spectra of a random test.
 
-    Parameters
-    ----------
-    marker : daq.recording.markers.Marker
-        The ``measure`` marker of the test.
-    channels : sequence of str
-        Names of the channels to average.
-    block : float, optional
-        Length of a block in s. If omitted, the length for about 30 averages, or the block of the bursts.
-    overlap : float
-        Overlap of successive blocks, from 0 to below 1, as a fraction of the block. Bursts do not overlap.
-    forgetting : float, optional
-        Weight of each block relative to the next block, between 0 and 1: exponential averaging, for a structure that
-        changes. Linear averaging if omitted.
-    progress : callable, optional
-        Called with (blocks done, total number of blocks).
-    window : str
-        Window of each block, by its name in `scipy.signal.get_window`; bursts have no window.
+    `marker`: the ``measure`` marker of the test; `channels`: names of the channels to average; `block`: length of a
+    block in s. If omitted, the length for about 30 averages, or the block of the bursts; `overlap`: overlap of
+    successive blocks, from 0 to below 1, as a fraction of the block. Bursts do not overlap; `forgetting`: weight of
+    each block relative to the next block, between 0 and 1: exponential averaging, for a structure that changes.
+    Linear averaging if omitted; `window`: window of each block, by its name in `scipy.signal.get_window`; bursts
+    have no window.
     """
     if not 0.0 <= overlap < 1.0:
         raise SceneError(f"overlap of {overlap:g}: expected 0 or more, below 1")

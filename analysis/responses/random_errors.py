@@ -278,12 +278,8 @@ def _kinds_of_noise(
     Weighted least squares on the residuals of local fits, over the lines around each line. The cross-powers of the
     residuals are those of the curves times the noise of the reference, plus the noise of each response.
 
-    Returns
-    -------
-    reference : ndarray, shape (lines,)
-    own : ndarray, shape (lines, responses)
-    share : ndarray, shape (lines,)
-        Noise share of the reference power.
+    Returns `reference`, shape (lines,); `own`, shape (lines, responses); `share`, shape (lines,), noise share of the
+    reference power.
     """
     lines, _, width = curve.shape
     step = float(np.median(np.diff(centre))) if lines > 1 else 1.0

@@ -35,24 +35,11 @@ def ringing(value: ComplexArray, frequency: Array, waited: Array, lasted: Array,
     steady responses. It shifts the mean over a window of length L by ``c exp(Re(s) t) |exp(l L) - 1| / |l L|`` after
     a wait t, with l = s - i w.
 
-    Parameters
-    ----------
-    value : ndarray of complex, shape (n,)
-        Response at the points, in the order of measurement.
-    frequency : ndarray, shape (n,)
-        Hz.
-    waited, lasted : ndarray, shape (n,)
-        Time from the end of the previous window to the beginning of each window, and length of each window; s.
-    error : ndarray, shape (n,)
-        Standard deviation of `value`.
+    `value`, shape (n,): response at the points, in the order of measurement; `frequency`, shape (n,): Hz; `waited`,
+    `lasted`, shape (n,): time from the end of the previous window to the beginning of each window, and length of
+    each window; s; `error`, shape (n,): standard deviation of `value`. Returns shape (n,), 0 where there is no
+    resonance, or where the spacing of the points is too large to resolve it.
 
-    Returns
-    -------
-    ndarray, shape (n,)
-        0 where there is no resonance, or where the spacing of the points is too large to resolve it.
-
-    Examples
-    --------
     >>> frequency = np.linspace(18.5, 19.5, 25)
     >>> value = 1.0 / (2j * np.pi * frequency - (-1.0 + 2j * np.pi * 19.0))
     >>> rings = ringing(value, frequency, np.full(25, 5.0), np.full(25, 1.0), np.zeros(25))

@@ -41,8 +41,6 @@ class Scatter:
     def variance(self, weights: ComplexArray) -> Array:
         """Compute the variance of a weighted sum of the channels; weights of shape (channels, lines).
 
-        Examples
-        --------
         >>> scatter = Scatter(np.array([[[3.0], [4.0]]]) + 0j, np.array([2.0]))
         >>> scatter.variance(np.array([[4.0], [-3.0]]) + 0j).tolist()
         [0.0]
@@ -62,8 +60,6 @@ class Scatter:
 def stacked(parts: list[ComplexArray]) -> ComplexArray:
     """Join factors of single lines, each of shape (rows, channels), padded with rows of zeros.
 
-    Examples
-    --------
     >>> stacked([np.ones((1, 2)) + 0j, np.ones((3, 2)) + 0j]).shape
     (3, 2, 2)
     """
@@ -77,17 +73,10 @@ def moderated(variance: Array, degrees: Array, expected: Array, side: int) -> tu
     The logarithms of ``variance / expected`` scatter between lines because of the finite degrees of freedom and
     because the true ratios differ. The weight of neighbouring lines increases as the true ratios become more similar.
 
-    Parameters
-    ----------
-    variance, degrees : ndarray, shape (lines,)
-        Values of each line alone, with equal degrees of freedom at all lines.
-    expected : ndarray, shape (lines,)
-        Expected variance from the noise of neighbouring lines.
-    side : int
-        Number of lines on either side.
+    `variance`, `degrees`, shape (lines,): values of each line alone, with equal degrees of freedom at all lines;
+    `expected`, shape (lines,): expected variance from the noise of neighbouring lines; `side`: number of lines on
+    either side.
 
-    Examples
-    --------
     >>> random = np.random.default_rng(1)
     >>> alone = random.chisquare(2.0, 400) / 2.0
     >>> better, degrees = moderated(alone, np.full(400, 2.0), np.ones(400), 12)

@@ -30,14 +30,7 @@ def settling(rec: Recording, names: Sequence[str], first: int, stop: int, lowest
     means is an error of the sensor. In a response channel the local fit includes it as a transient; in a reference
     channel it is an apparent force.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Channels.
-    first, stop : int
-        Samples between which the test ran.
-    lowest : float
-        Hz.
+    `first`, `stop`: samples between which the test ran; `lowest`: Hz.
     """
     size = int(np.ceil(rec.rate / lowest))
     count = (stop - first) // size

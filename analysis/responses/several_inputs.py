@@ -100,14 +100,8 @@ def response_matrix(
 ) -> Response:
     """Estimate the response of some channels to several forces.
 
-    Parameters
-    ----------
-    inputs : sequence of Point
-        From `driven_forces`.
-    estimator : {'H1', 'Hv'}, optional
-        Average blocks, for random tests. If omitted, the local rational method is used.
-    block, overlap, window
-        As in `analysis.frequency_responses`.
+    `inputs`: from `driven_forces`; `estimator`: 'H1' or 'Hv'. Average blocks, for random tests. If omitted, the
+    local rational method is used.
     """
     markers = [each for each in rec.markers if each.kind == "measure"]
     if rec.test.kind is TestKind.MULTISINE:
@@ -122,19 +116,14 @@ def response_matrix(
 class SpectralMatrix:
     """Spectra of outputs and several inputs, averaged over blocks.
 
-    Attributes
-    ----------
-    outputs, inputs : tuple of Point
-    power : ndarray of complex, shape (n, outputs + inputs, outputs + inputs)
-        Auto and cross spectra, outputs first, corrected for the sensors.
-    averages : Averages
-        Spectra of the channels as recorded, with their averages and resolution.
+    `power`: auto and cross spectra, outputs first, corrected for the sensors, shape (n, outputs + inputs, outputs +
+    inputs).
     """
 
     outputs: tuple[Point, ...]
     inputs: tuple[Point, ...]
     power: ComplexArray
-    averages: Averages
+    averages: Averages  # spectra of the channels as recorded, with their averages and resolution
     sharp: Response
 
     @property

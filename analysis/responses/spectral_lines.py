@@ -145,14 +145,8 @@ class Lines:
 def _noise(changes: NDArray[np.complex128]) -> NDArray[np.float64]:
     """Estimate the noise power in the changes between parts, from differences between lines; transients are smooth.
 
-    Parameters
-    ----------
-    changes : ndarray of complex, shape (changes, channels, lines)
-
-    Returns
-    -------
-    ndarray, shape (channels, lines)
-        Sum over the changes. The median over lines excludes transients of single modes.
+    `changes` has the shape (changes, channels, lines). Returns shape (channels, lines), sum over the changes. The
+    median over lines excludes transients of single modes.
     """
     count, _, lines = changes.shape
     if lines < _ALIKE:
@@ -178,17 +172,9 @@ def remainder(successive: NDArray[np.complex128]) -> NDArray[np.float64]:
     (P (1 - r))``. The change from part k to the next is ``c r^k (r - 1)``, which determines r and c. Many parts are
     first averaged to a few, because noise would otherwise hide r.
 
-    Parameters
-    ----------
-    successive : ndarray of complex, shape (parts, channels, lines)
-        Amplitudes of successive parts of equal length.
+    `successive`, shape (parts, channels, lines): amplitudes of successive parts of equal length. Returns shape
+    (channels, lines).
 
-    Returns
-    -------
-    ndarray, shape (channels, lines)
-
-    Examples
-    --------
     >>> amplitudes = 1.0 + 0.1 * 0.8 ** np.arange(5.0)[:, None, None] + 0j
     >>> float(round(remainder(amplitudes)[0, 0] / (abs(amplitudes.mean()) - 1.0), 6))
     1.0

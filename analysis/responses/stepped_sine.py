@@ -57,19 +57,8 @@ def sweeps(
 ) -> list[Sweep]:
     """Apply lock-in detection to every window marked ``measure``; group the results by level and direction.
 
-    Parameters
-    ----------
-    rec : daq.Recording
-        A stepped-sine or sine recording.
-    channels : sequence of str, optional
-        Names of the channels; all if omitted.
-    progress : callable, optional
-        Called with (windows done, total number of windows).
-
-    Returns
-    -------
-    list of Sweep
-        In the order of the test.
+    `rec`: a stepped-sine or sine recording; `channels`: names of the channels; all if omitted. Returns in the order
+    of the test.
     """
     markers = sorted(
         (m for m in rec.markers if m.kind == "measure" and "frequency" in m.fields),
@@ -235,11 +224,8 @@ def _resolution(rec: Recording, names: Sequence[str], tone: ToneFit) -> NDArray[
     """Compute the largest error of each amplitude of a tone by rounding to counts, shape (channels,).
 
     A tone below half a count is not recorded. The error of a larger tone, with an amplitude of a counts, is at most
-    ``2 / pi^2 / sqrt(a)`` (first term of the quantiser's series in Bessel functions [1]_); noise reduces it.
-
-    References
-    ----------
-    .. [1] B. Widrow, I. Kollár, Quantization Noise, Cambridge University Press 2008, sections 4 and 16.
+    ``2 / pi^2 / sqrt(a)`` (first term of the quantiser's series in Bessel functions (B. Widrow, I. Kollár,
+    Quantization Noise, Cambridge University Press 2008, sections 4 and 16)); noise reduces it.
     """
     count = counts_of(rec, names)
     step = np.where(count > 0.0, count, 1.0)

@@ -78,13 +78,9 @@ class SweptTone:
         """Estimate the error of a nonlinear response by the finite sweep rate.
 
         The response to a sweep differs from the steady-state response by half the sweep rate (in rad/s²) times the
-        curvature of the response [1]_. The fit corrects this for a linear structure; for a nonlinear structure it is
-        a possible error.
-
-        References
-        ----------
-        .. [1] J. R. Carson, T. C. Fry, Variable frequency electric circuit theory, Bell System Technical Journal 16
-           (1937) 513-540.
+        curvature of the response (J. R. Carson, T. C. Fry, Variable frequency electric circuit theory, Bell System
+        Technical Journal 16 (1937) 513-540). The fit corrects this for a linear structure; for a nonlinear structure
+        it is a possible error.
         """
         if found.frequency.size < 3:
             return np.full(found.frequency.size, np.inf)
@@ -103,14 +99,8 @@ def tracked(
     The transients at the beginning and end of a stretch are part of the fit, so that neither the sweep rate nor the
     length of the stretch limits the resolution.
 
-    Parameters
-    ----------
-    marker : daq.recording.markers.Marker
-        The ``measure`` marker of the sweep: from, to, duration, spacing.
-    channels : sequence of str
-        Names of the channels to track.
-    progress : callable, optional
-        Called with (frequencies done, total number of frequencies).
+    `marker`: the ``measure`` marker of the sweep: from, to, duration, spacing; `channels`: names of the channels to
+    track.
     """
     first, stop = (
         marker.first_sample,
@@ -247,19 +237,9 @@ def at_lines(block: Array, lines: NDArray[np.int64], shift: float) -> ComplexArr
     The stretch is folded into rows and multiplied by a small matrix of phases, which takes a fraction of the time of
     a complete transform.
 
-    Parameters
-    ----------
-    block : ndarray, shape (channels, samples)
-    lines : ndarray of int, shape (lines,)
-    shift : float
-        Frequency shift above each line, in lines.
+    `block` has the shape (channels, samples); `lines` has the shape (lines,); `shift`: frequency shift above each
+    line, in lines. Returns shape (channels, lines).
 
-    Returns
-    -------
-    ndarray of complex, shape (channels, lines)
-
-    Examples
-    --------
     >>> block = np.random.default_rng(1).standard_normal((1, 1000))
     >>> moved = np.fft.fft(block * np.exp(-2j * np.pi * 0.3 / 1000 * np.arange(1000)))
     >>> np.allclose(at_lines(block, np.array([3, 80]), 0.3), moved[:, [3, 80]], rtol=1e-12)

@@ -44,8 +44,6 @@ def tolerance(info: ChannelInfo) -> float:
 
     The sum of calibration tolerance, temperature drift and transverse sensitivity.
 
-    Examples
-    --------
     >>> from daq.signal_chain.channel import ChannelInfo
     >>> sheet = {"accelerometer.sensitivity_tolerance": "0.1", "accelerometer.transverse": "0.05"}
     >>> round(tolerance(ChannelInfo("a1", "body 1", "acceleration", 1.0, 5120.0, sensor=sheet)), 6)
@@ -68,21 +66,10 @@ def sensitivity_part(
 ) -> dict[str, Array]:
     """Compute the largest deviation of a response by the tolerances of its channels.
 
-    Parameters
-    ----------
-    rec : Recording
-    names : sequence of str
-        Channels, in the order of the rows.
-    value : ndarray of complex, shape (lines,)
-        The response.
-    upper, lower : ndarray of complex, shape (channels, lines)
-        Share of each channel in the response and in the reference; their sums are `value` and 1.
-
-    Returns
-    -------
-    dict of str to ndarray, shape (lines,)
-        Empty if no data sheet states a tolerance. Infinite if the true reference may be zero, as a small difference
-        of two large readings.
+    `names`: channels, in the order of the rows; `value` has the shape (lines,); `upper`, `lower`, shape (channels,
+    lines): share of each channel in the response and in the reference; their sums are `value` and 1. Returns shape
+    (lines,), empty if no data sheet states a tolerance. Infinite if the true reference may be zero, as a small
+    difference of two large readings.
     """
     share = np.array([[tolerance(rec.channels[name])] for name in names])
     return {SENSITIVITY: off_by_gains(share, of_reading(share), value, upper, lower)} if share.any() else {}
@@ -91,10 +78,7 @@ def sensitivity_part(
 def common_scale(rec: Recording, above: Sequence[str], below: Sequence[str]) -> float:
     """Return the largest relative error of a reference common to all responses; zero for a two-channel reference.
 
-    Parameters
-    ----------
-    above, below : sequence of str
-        Channels of the response and of the reference.
+    `above`, `below`: channels of the response and of the reference.
     """
     alone = len(below) == 1 and below[0] not in above
     return tolerance(rec.channels[below[0]]) if alone else 0.0
@@ -121,17 +105,9 @@ def off_by_gains(
     This is bounded directly, and after division of both sums by the gain of any single channel, which reduces the
     error to e for a channel that is the entire denominator. The smallest of these bounds is valid.
 
-    Parameters
-    ----------
-    share, far : ndarray, shape (channels, lines) or (channels, 1)
-        Upper limits of ``abs(e)`` and ``abs(e / (1 + e))``.
-    value, upper, lower
-        As in `sensitivity_part`.
-
-    Returns
-    -------
-    ndarray, shape (lines,)
-        Infinite if the true denominator may be zero, as a small difference of two large readings.
+    `share`, `far`, shape (channels, lines) or (channels, 1): upper limits of ``abs(e)`` and ``abs(e / (1 + e))``.
+    Returns shape (lines,), infinite if the true denominator may be zero, as a small difference of two large
+    readings.
     """
     parts: Array = np.asarray(abs(upper - value * lower), dtype=float)
     in_reference: Array = np.asarray(abs(lower), dtype=float)
@@ -175,17 +151,8 @@ def shared_noise_part(noise: Array, off: ComplexArray, lower: ComplexArray, powe
     cross-spectrum and ``|l|^2 N`` to the reference's power: H1 has the error ``(u - H1 l) l* N`` over the noise-free
     part of that power. The coherence does not show this error, because noise common to both looks like a response.
 
-    Parameters
-    ----------
-    noise : ndarray, shape (channels, lines)
-        Upper limit of the noise power.
-    off : ndarray of complex, shape (channels, lines)
-        ``u - H1 l``.
-    lower : ndarray of complex, shape (channels, lines)
-        ``l``.
-    power : ndarray, shape (lines,)
-        Power of the reference.
-
+    `noise`, shape (channels, lines): upper limit of the noise power; `off`, shape (channels, lines): ``u - H1 l``;
+    `lower`, shape (channels, lines): ``l``; `power`, shape (lines,): power of the reference.
     """
     left = power - np.sum(abs(lower) ** 2 * noise, axis=0)
     bias = np.sum(abs(off * lower) * noise, axis=0)
@@ -199,13 +166,8 @@ def doubtful_reference_part(bound: Array, doubt: Array) -> dict[str, Array]:
     With errors dx of a response x = H f and df of its reference, x / f has the error ``(dx - H df) / (f - df)``: the
     first-order error over ``1 - df / f``.
 
-    Parameters
-    ----------
-    bound : ndarray, shape (lines,)
-        First-order bound.
-    doubt : ndarray, shape (lines,)
-        Bound of the reference, relative to its reading. From 1 on the true reference may be zero and the error is
-        unbounded.
+    `bound`, shape (lines,): first-order bound; `doubt`, shape (lines,): bound of the reference, relative to its
+    reading. From 1 on the true reference may be zero and the error is unbounded.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         more = np.sqrt(1.0 / np.maximum(1.0 - doubt, 0.0) ** 2 - 1.0)
@@ -217,12 +179,8 @@ def rounding_part(
 ) -> dict[str, Array]:
     """Compute the largest deviation of a response by rounding, for readings of a few counts.
 
-    Parameters
-    ----------
-    gain : ndarray, shape (channels, lines)
-        Largest relative change of a channel's gain by rounding: `noise_gain` or `tone_gain`.
-    value, upper, lower
-        As in `sensitivity_part`.
+    `gain`, shape (channels, lines): largest relative change of a channel's gain by rounding: `noise_gain` or
+    `tone_gain`.
     """
     if not gain.any():
         return {}
@@ -233,16 +191,10 @@ def noise_gain(power: Array) -> Array:
     """Compute the largest relative change of the gain by rounding to counts, for a noise signal.
 
     The rounding error is random noise except for a part proportional to the signal, at most ``2 exp(-2 pi^2 s^2)``
-    for Gaussian noise of s counts [1]_. Below a quarter of a count it is unbounded (infinite).
+    for Gaussian noise of s counts (B. Widrow, I. Kollár, Quantization Noise, Cambridge University Press 2008,
+    sections 4 and 11). Below a quarter of a count it is unbounded (infinite).
 
-    Parameters
-    ----------
-    power : ndarray
-        Mean square of a reading in counts², of which rounding contributes 1/12; infinite without a converter.
-
-    References
-    ----------
-    .. [1] B. Widrow, I. Kollár, Quantization Noise, Cambridge University Press 2008, sections 4 and 11.
+    `power`: mean square of a reading in counts², of which rounding contributes 1/12; infinite without a converter.
     """
     power = power - 1.0 / 12.0
     return np.asarray(np.where(power > _QUARTER, 2.0 * np.exp(-2.0 * np.pi**2 * power), np.inf))
@@ -263,16 +215,9 @@ def scattered(power: Array) -> Array:
     """Compute the share of a tone's rounding error that additional noise leaves equal in every period.
 
     Noise of s counts reduces the first term of the quantizer's series by ``exp(-2 pi^2 s^2)``, and all others more
-    [1]_.
+    (B. Widrow, I. Kollár, Quantization Noise, Cambridge University Press 2008, sections 4 and 11).
 
-    Parameters
-    ----------
-    power : ndarray
-        Mean square of the noise in counts², of which rounding contributes 1/12.
-
-    References
-    ----------
-    .. [1] B. Widrow, I. Kollár, Quantization Noise, Cambridge University Press 2008, sections 4 and 11.
+    `power`: mean square of the noise in counts², of which rounding contributes 1/12.
     """
     return np.asarray(np.exp(-2.0 * np.pi**2 * np.maximum(power - 1.0 / 12.0, 0.0)))
 
@@ -304,14 +249,7 @@ def clock_part(
     The frequency error acts through the slope of the curve, and through the powers of frequency that convert an
     acceleration to a displacement.
 
-    Parameters
-    ----------
-    rec, names, value, upper, lower
-        As in `sensitivity_part`.
-    frequency : ndarray, shape (lines,)
-        Hz.
-    motion : str
-        Quantity of the response `value`.
+    `frequency`, shape (lines,): Hz; `motion`: quantity of the response `value`.
     """
     off = clock_deviation(rec)
     if not off:

@@ -24,34 +24,18 @@ Rows = list[tuple[int, str, Mapping[str, Any]]]
 class Column:
     """One line of the table.
 
-    Attributes
-    ----------
-    column : str
-        Name of a signal in the files, or its number from 1.
-    file : str or None
-        Name of the file it is in, where several files have such a signal.
-    unit : str or None
-        Meaning of 1 in the file: a unit, or a number of units, ``5 V``; None: as the file states.
-    sensitivity : str or None
-        Volts per unit of the sensor, ``100 mV/g``, where the file's numbers are volts; None: as the scene states.
-    sign : int
-        -1 reverses a sensor that was mounted upside down.
-    offset : float
-        Reading at rest, in the file's unit.
-    delay : float or None
-        Delay of the signal, s; None: as the file's start times state.
-    rate : float or None
-        Samples per second, Hz, where the file states none, or a wrong value.
+    `unit`: meaning of 1 in the file: a unit, or a number of units, ``5 V``; None: as the file states; `sensitivity`:
+    volts per unit of the sensor, ``100 mV/g``, where the file's numbers are volts; None: as the scene states.
     """
 
-    column: str
-    file: str | None = None
+    column: str  # name of a signal in the files, or its number from 1
+    file: str | None = None  # name of the file it is in, where several files have such a signal
     unit: str | None = None
     sensitivity: str | None = None
-    sign: int = 1
-    offset: float = 0.0
-    delay: float | None = None
-    rate: float | None = None
+    sign: int = 1  # -1 reverses a sensor that was mounted upside down
+    offset: float = 0.0  # reading at rest, in the file's unit
+    delay: float | None = None  # delay of the signal, s; None: as the file's start times state
+    rate: float | None = None  # samples per second, Hz, where the file states none, or a wrong value
 
 
 _KEYS = [field.name for field in fields(Column)]

@@ -131,8 +131,6 @@ def seconds_of_stamp(cell: str) -> float | None:
 
     Without a zone it is taken as UTC: only differences of times count.
 
-    Examples
-    --------
     >>> seconds_of_stamp("1970-01-02 00:00:00.25"), seconds_of_stamp("1970-01-01T00:00:01Z"), seconds_of_stamp("1.5")
     (86400.25, 1.0, None)
     >>> seconds_of_stamp("00:01:00.5")

@@ -21,26 +21,12 @@ Array = NDArray[np.float64]
 class BackgroundTest:
     """Plays a test on a bench; the controller of the test reads the channels.
 
-    Parameters
-    ----------
-    station : Station
-        The test's view of the bench; `station.now` is the number of its first sample.
-    ticks : int
-        Ticks of the bench per sample; the drive is interpolated linearly between samples.
-    physical : callable
-        Converts samples to the channels' units.
-    lead : int
-        Ticks without drive before the first sample.
-    excite : callable
-        Creates the excitation; by default, that of the scene's test.
-    ended : callable, optional
-        Called once with the reason when the test ends; the reason is empty at a regular end. By default the test
-        restarts, and an error is logged as a warning.
-
-    Attributes
-    ----------
-    quiet : bool
-        Whether nothing is played: no test, the test has ended or failed, or a client has taken its output.
+    `station`: the test's view of the bench; `station.now` is the number of its first sample; `ticks`: ticks of the
+    bench per sample; the drive is interpolated linearly between samples; `physical`: converts samples to the
+    channels' units; `lead`: ticks without drive before the first sample; `excite`: creates the excitation; by
+    default, that of the scene's test; `ended`: called once with the reason when the test ends; the reason is empty
+    at a regular end. By default the test restarts, and an error is logged as a warning; `quiet`: whether nothing is
+    played: no test, the test has ended or failed, or a client has taken its output.
     """
 
     def __init__(

@@ -73,29 +73,12 @@ class Runner(Protocol):
 class Chassis:
     """Devices in front of a bench.
 
-    Parameters
-    ----------
-    modules : sequence of Module
-        Devices that scripts can use, including a chassis.
-    terminals : Terminals
-        Of the bench, at rest.
-    clock : Clock
-        Clock that advances the bench.
-
-    Attributes
-    ----------
-    devices : DeviceList
-        Devices by name.
-    position : int
-        Ticks that have passed since the bench was switched on.
-    changed : threading.Condition
-        Notified when samples have passed; its lock protects the whole chassis.
-    sleepers : Sleepers
-        Threads that wait for samples.
-    listeners : list of callable
-        Called with every block of the bench at the bench's sample rate, for example by the scope or a recording.
-    wired : list of callable
-        Called with the inputs of a task immediately before they are sampled.
+    `modules`: devices that scripts can use, including a chassis; `terminals`: of the bench, at rest; `clock`: clock
+    that advances the bench; `devices`: devices by name; `position`: ticks that have passed since the bench was
+    switched on; `changed`: notified when samples have passed; its lock protects the whole chassis; `sleepers`:
+    threads that wait for samples; `listeners`: called with every block of the bench at the bench's sample rate, for
+    example by the scope or a recording; `wired`: called with the inputs of a task immediately before they are
+    sampled.
     """
 
     def __init__(self, modules: Sequence[Module], terminals: Terminals, clock: Clock) -> None:
@@ -186,17 +169,8 @@ class Chassis:
     def reserve(self, task: Runner, resources: Mapping[Hashable, str]) -> None:
         """Reserve the resources that a task needs.
 
-        Parameters
-        ----------
-        task : Runner
-            The task.
-        resources : mapping of hashable to str
-            Names by resource: the inputs of a module, and the numbers of the bench's drives.
-
-        Raises
-        ------
-        DaqError
-            With -50103, if another task has reserved a resource.
+        `resources`: names by resource: the inputs of a module, and the numbers of the bench's drives. Raises
+        `DaqError` with -50103, if another task has reserved a resource.
         """
         with self.changed:
             for other, theirs in self._reserved.items():

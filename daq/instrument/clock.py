@@ -33,13 +33,8 @@ _LOG = logging.getLogger("shotrig.clock")
 def seconds(timeout: float) -> float:
     """Return a time to wait, s; a negative time is infinite.
 
-    Raises
-    ------
-    DaqError
-        With -200077, if it is not a valid time.
+    Raises `DaqError` with -200077, if it is not a valid time.
 
-    Examples
-    --------
     >>> seconds(2), seconds(-1.0), seconds(float("inf"))
     (2.0, -1.0, -1.0)
     """
@@ -104,22 +99,10 @@ class Clock(Protocol):
     ) -> bool:
         """Wait until a condition is met.
 
-        Parameters
-        ----------
-        bench : Timeline
-            The bench; the caller holds its lock.
-        ready : callable
-            Returns whether the condition is met.
-        wanted : callable
-            Lower bound of the samples until the condition can be met; the bench advances by at most this number at
-            once.
-        timeout : float
-            Bench time, s; 0 checks once, a negative timeout is infinite.
-
-        Returns
-        -------
-        bool
-            Whether the condition was met before the timeout.
+        `bench`: the bench; the caller holds its lock; `ready`: returns whether the condition is met; `wanted`: lower
+        bound of the samples until the condition can be met; the bench advances by at most this number at once;
+        `timeout`: bench time, s; 0 checks once, a negative timeout is infinite. Returns whether the condition was
+        met before the timeout.
         """
 
 
@@ -162,8 +145,6 @@ class FastClock:
 class ManualClock:
     """Time passes on request.
 
-    Examples
-    --------
     >>> clock = ManualClock()
     >>> clock.advance(0.25)  # moves every bench that runs on this clock by a quarter of a second
     """
@@ -279,13 +260,8 @@ class _Delays:
 def longest_step(elapsed: float) -> float:
     """Limit a step of a bench in real time, s.
 
-    Parameters
-    ----------
-    elapsed : float
-        Seconds of the wall clock since the previous step.
+    `elapsed`: seconds of the wall clock since the previous step.
 
-    Examples
-    --------
     >>> longest_step(0.004), longest_step(1.0)
     (0.008, 0.04)
     """
@@ -338,18 +314,9 @@ CLOCKS: dict[str, Callable[[], Clock]] = {"real": RealClock, "fast": FastClock, 
 def clock(kind: str | Clock) -> Clock:
     """Create a clock by name, or return the given clock.
 
-    Parameters
-    ----------
-    kind : {'real', 'fast', 'manual'} or Clock
-        Name of the clock, or a clock.
+    `kind`: 'real', 'fast' or 'manual'. Name of the clock, or a clock. Raises `SceneError` if there is no clock of
+    that name.
 
-    Raises
-    ------
-    SceneError
-        If there is no clock of that name.
-
-    Examples
-    --------
     >>> type(clock("fast")).__name__
     'FastClock'
     """

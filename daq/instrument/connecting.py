@@ -28,19 +28,10 @@ from rig.scene.shaker import Output
 def connect_scene(scene: rig.Scene | str | Path | None = None, clock: str | Clock | None = None) -> Chassis:
     """Connect a chassis to the bench of a scene.
 
-    Parameters
-    ----------
-    scene : Scene or str or Path, optional
-        Scene, name of a bundled scene, or path of a scene file. The default is the environment variable
-        SHOTRIG_SCENE, then `default_scene`.
-    clock : {'real', 'fast', 'manual'} or Clock, optional
-        Clock that advances the bench, see `daq.instrument.clock`. The default is the environment variable
-        SHOTRIG_CLOCK, then 'real'.
-
-    Raises
-    ------
-    SceneError
-        If the scene cannot be used or there is no clock of that name.
+    `scene`: scene, name of a bundled scene, or path of a scene file. The default is the environment variable
+    SHOTRIG_SCENE, then `default_scene`; `clock`: 'real', 'fast' or 'manual'. Clock that advances the bench, see
+    `daq.instrument.clock`. The default is the environment variable SHOTRIG_CLOCK, then 'real'. Raises `SceneError`
+    if the scene cannot be used or there is no clock of that name.
     """
     if scene is None:
         scene = os.environ.get("SHOTRIG_SCENE") or default_scene()
@@ -60,12 +51,7 @@ def scene_modules(scene: rig.Scene, terminals: Terminals) -> list[Module]:
     many modules as the channels need. C Series modules are in a chassis, others are separate devices. Without a named
     module, an ideal module has all inputs, or all outputs.
 
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-    terminals : Terminals
-        Terminals of its bench.
+    `terminals`: terminals of its bench.
     """
     described = _inputs(scene, terminals)
     outputs = [filled_in(shaker.output) for shaker in scene.shakers]
@@ -179,8 +165,6 @@ def default_scene() -> rig.Scene:
     Its four accelerometers are connected directly to the inputs, without the integrating amplifiers, and the input
     range is ±10 V, as scripts for a vibration module or a multifunction device expect.
 
-    Examples
-    --------
     >>> scene = default_scene()
     >>> [channel.at for channel in scene.channels], scene.converter.range
     (['body 1', 'body 2', 'body 3', 'table'], 10.0)

@@ -14,8 +14,6 @@ STOPPED_BEFORE_DONE = int(DAQmxWarnings.STOPPED_BEFORE_DONE)
 def meaning(code: int) -> str:
     """Return the driver's text of a code, or its name where that text is not known; empty for an unknown code.
 
-    Examples
-    --------
     >>> meaning(-200220), meaning(-200709), meaning(-12345)
     ('Device identifier is invalid.', 'Teds sensor not detected.', '')
     """
@@ -27,17 +25,9 @@ def meaning(code: int) -> str:
 class DaqError(ShotrigError):
     """An error in a call of the instrument.
 
-    Parameters
-    ----------
-    message : str
-        Cause and remedy.
-    code : int
-        The driver's code of the error.
-    done : int, optional
-        Samples per channel that were read or written before the error.
+    `message`: cause and remedy; `code`: the driver's code of the error; `done`: samples per channel that were read
+    or written before the error.
 
-    Examples
-    --------
     >>> error = DaqError("no such device", Code.INVALID_DEVICE_ID)
     >>> int(error.code), str(error)
     (-200220, 'no such device')

@@ -36,11 +36,8 @@ class Events:
     def listen_every(self, kind: int, samples: int, listener: Listener | None, outputs: bool = False) -> None:
         """Register a listener that is called after every `samples` samples acquired or generated; None removes it.
 
-        Raises
-        ------
-        DaqError
-            With -200966 or -200967 if there is a listener already, -200980 or -200981 for output samples of an
-            input task or input samples of an output task, -200880 for zero samples.
+        Raises `DaqError` with -200966 or -200967 if there is a listener already, -200980 or -200981 for output
+        samples of an input task or input samples of an output task, -200880 for zero samples.
         """
         chosen = named(EverySamples, kind, "every_n_samples_event_type")
         if listener is None:
@@ -118,12 +115,7 @@ class Events:
     def notify(self, passed: int, run: Any) -> bool:
         """Send all events that are due; return whether a callback may respond with a read or a write.
 
-        Parameters
-        ----------
-        passed : int
-            Samples per channel acquired or generated.
-        run : Acquisition or Generation or None
-            Their run.
+        `passed`: samples per channel acquired or generated; `run`: their run.
         """
         sent = False
         if self._every is not None:

@@ -37,11 +37,8 @@ _OWN_CLOCK = re.compile(
 def check_timing(task: TaskSettings) -> None:
     """Check the timing of a task.
 
-    Raises
-    ------
-    DaqError
-        With -201087 for channels that need a sample clock, -89136 for a clock that does not exist, -200077 for
-        invalid rates and numbers, -89121 for a signal exported to an invalid terminal.
+    Raises `DaqError` with -201087 for channels that need a sample clock, -89136 for a clock that does not exist,
+    -200077 for invalid rates and numbers, -89121 for a signal exported to an invalid terminal.
     """
     timing = task.groups["timing"]
     if task.kind == "ai" and not task.clocked and not all(each.module.on_demand for each in task.channels):
@@ -91,11 +88,8 @@ def check_timing(task: TaskSettings) -> None:
 def sources(task: TaskSettings, chassis: Chassis) -> tuple[Source | None, Source | None]:
     """Return the sources of the start trigger and the reference trigger.
 
-    Raises
-    ------
-    DaqError
-        With -200262 without a sample clock, -200358 for a reference trigger of a continuous task, -200213
-        for more pretrigger samples than the record has, -200265 for a source that does not exist.
+    Raises `DaqError` with -200262 without a sample clock, -200358 for a reference trigger of a continuous task,
+    -200213 for more pretrigger samples than the record has, -200265 for a source that does not exist.
     """
     settings = task.groups["trig"]
     kinds = [settings[f"{name}_trig_type"] for name in ("start", "ref")]
@@ -193,16 +187,8 @@ def input_plan(
 ) -> InputPlan:
     """Return the plan of an acquisition.
 
-    Parameters
-    ----------
-    task : TaskSettings
-        Settings of the task.
-    bench : Bench
-        The bench.
-    start, reference : Source or None
-        Its triggers.
-    on_demand : int, optional
-        Samples to acquire immediately, independent of the settings of the sample clock.
+    `start`, `reference`: its triggers; `on_demand`: samples to acquire immediately, independent of the settings of
+    the sample clock.
     """
     samples, size, rate = on_demand, on_demand or 1, bench.rate
     if on_demand is None:

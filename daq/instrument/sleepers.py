@@ -14,10 +14,7 @@ class Sleepers:
     A bench that advances every 4 ms would wake ten readers that each wait for 100 ms unnecessarily 25 times. This
     would delay the reader whose samples are available.
 
-    Parameters
-    ----------
-    lock : lock
-        Lock of the bench; the calling thread holds it, and releases it while it sleeps.
+    `lock`: lock of the bench; the calling thread holds it, and releases it while it sleeps.
     """
 
     def __init__(self, lock: threading.RLock) -> None:

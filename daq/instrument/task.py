@@ -29,25 +29,10 @@ Array = NDArray[np.float64]
 class Task:
     """A task on the chassis: settings, an input or an output, events, and its state.
 
-    Parameters
-    ----------
-    chassis : Chassis
-        Chassis of the task.
-    name : str
-        Name; an empty name is replaced by a generated name.
-    scales : mapping of str to Scale
-        Custom scales that its channels may use.
-
-    Attributes
-    ----------
-    settings : TaskSettings
-        Settings of the script.
-    input, output : TaskInput and TaskOutput
-        Its parts; a task with inputs uses `input`, a task with outputs uses `output`.
-    events : Events
-        Registered callbacks.
-    running, closed : bool
-        State of the task.
+    `chassis`: chassis of the task; `name`: name; an empty name is replaced by a generated name; `scales`: custom
+    scales that its channels may use; `settings`: settings of the script; `input`, `output`: its parts; a task with
+    inputs uses `input`, a task with outputs uses `output`; `events`: registered callbacks; `running`, `closed`:
+    state of the task.
     """
 
     def __init__(self, chassis: Chassis, name: str, scales: Mapping[str, Scale]) -> None:
@@ -121,15 +106,8 @@ class Task:
     def stop(self) -> int:
         """Stop the task.
 
-        Returns
-        -------
-        int
-            The warning 200010, if a finite task is not done yet; else 0.
-
-        Raises
-        ------
-        DaqError
-            If the task ended early and the error has not been reported.
+        Returns the warning 200010, if a finite task is not done yet; else 0. Raises `DaqError` if the task ended
+        early and the error has not been reported.
         """
         if not self.running:
             return 0
@@ -318,23 +296,12 @@ class Task:
     ) -> Reading:
         """Read samples; starts the task where necessary.
 
-        Parameters
-        ----------
-        samples : int
-            Samples per channel; -1 reads all of a finite task, and the available samples of a continuous task.
-        timeout : float
-            Seconds to wait; 0 tries once, a negative timeout is infinite.
-        raw : bool
-            Whether to return the converter's counts instead of the channels' units.
-        check : callable, optional
-            Called with the samples per channel before the read; an exception that it raises ends the read.
-
-        Returns
-        -------
-        Reading
-            Samples before an error, and the error: -200284 after the timeout, -200279 when samples were overwritten
-            (the next read begins with the oldest stored sample), -200278 after the end of a finite acquisition, or
-            the reason why the acquisition stopped.
+        `samples`: samples per channel; -1 reads all of a finite task, and the available samples of a continuous
+        task; `timeout`: seconds to wait; 0 tries once, a negative timeout is infinite; `raw`: whether to return the
+        converter's counts instead of the channels' units; `check`: called with the samples per channel before the
+        read; an exception that it raises ends the read. Returns samples before an error, and the error: -200284
+        after the timeout, -200279 when samples were overwritten (the next read begins with the oldest stored
+        sample), -200278 after the end of a finite acquisition, or the reason why the acquisition stopped.
         """
         timeout = seconds(timeout)
         with self.chassis.changed:
@@ -363,16 +330,8 @@ class Task:
     def write(self, volts: Array, auto_start: bool, timeout: float) -> int:
         """Write samples, shape (channels, n), in the channels' units.
 
-        Returns
-        -------
-        int
-            Samples per channel written, n.
-
-        Raises
-        ------
-        DaqError
-            With -200292 after the timeout; the reason why the output stopped; -200561 for samples beyond the
-            channel's limits, -200524 for the wrong number of channels.
+        Returns samples per channel written, n. Raises `DaqError` with -200292 after the timeout; the reason why the
+        output stopped; -200561 for samples beyond the channel's limits, -200524 for the wrong number of channels.
         """
         timeout = seconds(timeout)
         self.settings.require("ao")

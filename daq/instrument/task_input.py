@@ -37,12 +37,7 @@ class Reading:
 class TaskInput:
     """The input of a task.
 
-    Attributes
-    ----------
-    run : Acquisition or None
-        The present acquisition, or the last acquisition.
-    log : TaskLog or None
-        Log of the present acquisition.
+    `run`: the present acquisition, or the last acquisition; `log`: log of the present acquisition.
     """
 
     def __init__(self, chassis: Chassis, settings: TaskSettings, task: Runner) -> None:

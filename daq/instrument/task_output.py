@@ -27,12 +27,7 @@ _FOR_EVER = 1 << 62
 class TaskOutput:
     """The output of a task.
 
-    Attributes
-    ----------
-    run : Generation or None
-        The present generation, or the last generation.
-    buffer : OutputBuffer or None
-        Written samples.
+    `run`: the present generation, or the last generation; `buffer`: written samples.
     """
 
     # An output has no log, and no event waits for its response.

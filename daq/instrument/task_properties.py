@@ -19,10 +19,7 @@ _TERMINAL = re.compile(r"A?PFI\d+|RTSI\d+|(a[io]/)?\w*(Clock|Timebase|Trigger)\w
 def get_channel(task: Task, names: str, name: str) -> Any:
     """Read a property of channels.
 
-    Raises
-    ------
-    DaqError
-        With -200077, if the channels have different values.
+    Raises `DaqError` with -200077, if the channels have different values.
     """
     channels = task.settings.find(names)
     if not channels:
@@ -56,17 +53,7 @@ def reset_channel(task: Task, names: str, name: str) -> None:
 def get_value(task: Task, group: str, name: str) -> Any:
     """Read a setting or a derived value.
 
-    Parameters
-    ----------
-    group : str
-        Group of settings.
-    name : str
-        The driver's name.
-
-    Raises
-    ------
-    DaqError
-        With -200452, if there is no property of that name.
+    `name`: the driver's name. Raises `DaqError` with -200452, if there is no property of that name.
     """
     computed = _COMPUTED.get((group, name))
     with task.chassis.changed:
@@ -110,11 +97,8 @@ def reset_value(task: Task, group: str, name: str) -> None:
 def time_of(task: Task, event: TimestampEvent, timeout: float) -> int:
     """Return the time at which the task started or was triggered, ns.
 
-    Raises
-    ------
-    DaqError
-        With -209842, if timestamps of triggers are disabled; with -200284, if the event did not occur before the
-        timeout.
+    Raises `DaqError` with -209842, if timestamps of triggers are disabled; with -200284, if the event did not occur
+    before the timeout.
     """
     name = {TimestampEvent.START_TRIGGER: "start", TimestampEvent.REFERENCE_TRIGGER: "ref"}.get(event)
     settings, key = task.settings.groups["trig"], f"{name}_trig_timestamp_enable"
@@ -148,10 +132,7 @@ def time_of(task: Task, event: TimestampEvent, timeout: float) -> int:
 def full_terminal(task: Task, name: str) -> str:
     """Return the driver's full name of a terminal, with its device.
 
-    Raises
-    ------
-    DaqError
-        With -89120, if it is not a terminal.
+    Raises `DaqError` with -89120, if it is not a terminal.
     """
     if not name or name.startswith("/"):
         return name

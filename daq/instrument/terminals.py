@@ -37,14 +37,8 @@ class Terminals:
     The time step of the plant suits the fastest module, so that neither the motion nor a sample depends on the
     running tasks.
 
-    Attributes
-    ----------
-    bench : Bench
-        The bench.
-    drive_per_volt : ndarray, shape (outputs,)
-        Drive per volt at each output.
-    dtype : type
-        Type of the samples: volts, or counts of a converter.
+    `drive_per_volt`, shape (outputs,): drive per volt at each output; `dtype`: type of the samples: volts, or counts
+    of a converter.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -114,10 +108,7 @@ class Terminals:
     def wire(self, channels: Sequence[Channel], in_use: Collection[int]) -> None:
         """Set couplings and supplies for a task's channels.
 
-        Raises
-        ------
-        DaqError
-            With -50103 for an input in use that has another coupling or supply.
+        Raises `DaqError` with -50103 for an input in use that has another coupling or supply.
         """
         wiring, taken = list(self.bench.wiring), set(in_use)
         for each in channels:

@@ -13,10 +13,7 @@ Named = TypeVar("Named", bound=IntEnum)
 def named(kind: type[Named], value: int, what: str) -> Named:
     """Return the named value of a number.
 
-    Raises
-    ------
-    DaqError
-        With -200077, if there is no value of that number.
+    Raises `DaqError` with -200077, if there is no value of that number.
     """
     if value not in list(kind):
         names = ", ".join(f"{each.name} ({int(each)})" for each in kind)

@@ -40,15 +40,7 @@ FEWEST_SAMPLES = 10.0
 class Pace:
     """Synchronizes samples with the wall clock.
 
-    Parameters
-    ----------
-    report : callable
-        Called once if the computer is too slow.
-
-    Attributes
-    ----------
-    given_up_s : float
-        Total skipped wall-clock time, s.
+    `report`: called once if the computer is too slow; `given_up_s`: total skipped wall-clock time, s.
     """
 
     def __init__(self, rate: float, report: Callable[[str], None]) -> None:
@@ -83,29 +75,12 @@ def record_live(
 ) -> Path:
     """Run and record a bench controlled by an operator, until the knobs are turned off.
 
-    Parameters
-    ----------
-    scene : Scene
-        Scene of the bench; its test is not run.
-    stream : rerun RecordingStream
-        Stream of the live view.
-    knobs : Knobs
-        Settings, which another thread changes.
-    report : callable
-        Called with a line of text when a setting has been reached.
-    keep : callable
-        Called after every block with the number of samples that have passed; it waits for real time.
-    overwrite : bool
-        Whether an existing file may be replaced.
-
-    Raises
-    ------
-    SceneError
-        If the rig has no shaker, or the channels do not measure the spring force.
-    RunError
-        If a channel exceeded its abort limit, or the recording could not be written.
-    KeyboardInterrupt
-        If the operator pressed Ctrl-C; the recording up to this time is closed.
+    `scene`: scene of the bench; its test is not run; `stream`: stream of the live view; `knobs`: settings, which
+    another thread changes; `report`: called with a line of text when a setting has been reached; `keep`: called
+    after every block with the number of samples that have passed; it waits for real time; `overwrite`: whether an
+    existing file may be replaced. Raises `SceneError` if the rig has no shaker, or the channels do not measure the
+    spring force. Raises `RunError` if a channel exceeded its abort limit, or the recording could not be written.
+    Raises `KeyboardInterrupt` if the operator pressed Ctrl-C; the recording up to this time is closed.
     """
     was: list[tuple[float, float, bool]] = [(0.0, 0.0, False)]
 
@@ -206,12 +181,7 @@ def live(
 ) -> None:
     """Run the scope with a viewer in real time, with its knobs at standard input.
 
-    Parameters
-    ----------
-    scene, path, knobs, overwrite
-        As in `record_live`.
-    viewing : context manager
-        The viewer; closing it turns the knobs off.
+    `viewing`: the viewer; closing it turns the knobs off.
     """
     bench = Bench(scene)
     # The kernels are compiled before real time starts; the run uses a new bench.

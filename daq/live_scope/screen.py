@@ -37,10 +37,7 @@ class Screen:
     The drawing shows the true motion of the rig and its dampers, as an observer would see it; the curves show the
     readings of the instrument.
 
-    Parameters
-    ----------
-    stream : rerun RecordingStream
-        Stream with a sink.
+    `stream`: stream with a sink.
     """
 
     def __init__(

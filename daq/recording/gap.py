@@ -11,22 +11,12 @@ from rig.errors import RecordingError
 
 @dataclass(frozen=True)
 class Gap:
-    """Samples that a recording lacks; they read as NaN.
+    """Samples that a recording lacks; they read as NaN."""
 
-    Attributes
-    ----------
-    first_sample, last_sample : int
-        The range, both included.
-    channels : tuple of str
-        Names of the channels that lack them; of true motion, its topics.
-    reason : str
-        `never acquired`, or how they were lost.
-    """
-
-    first_sample: int
-    last_sample: int
-    channels: tuple[str, ...]
-    reason: str
+    first_sample: int  # the range, both included
+    last_sample: int  # the range, both included
+    channels: tuple[str, ...]  # names of the channels that lack them; of true motion, its topics
+    reason: str  # `never acquired`, or how they were lost
 
 
 def gaps_of(markers: Iterable[Marker], channels: Sequence[str]) -> list[Gap]:

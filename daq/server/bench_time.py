@@ -21,12 +21,7 @@ _AT_ONCE = 100.0
 class TimeLimit:
     """Ends a process after a bench time.
 
-    Parameters
-    ----------
-    chassis : Chassis
-        The bench.
-    seconds : float or None
-        Bench time; None for no limit.
+    `chassis`: the bench; `seconds`: bench time; None for no limit.
     """
 
     def __init__(self, chassis: Chassis, seconds: float | None) -> None:
@@ -60,12 +55,7 @@ class TimeLimit:
 class BenchTime(grpc.GenericRpcHandler):
     """Answers /shotrig.Bench/Pass and /shotrig.Bench/Prompt.
 
-    Parameters
-    ----------
-    chassis : Chassis
-        The bench.
-    limit : TimeLimit, optional
-        Limit of the waiting time of a prompt.
+    `chassis`: the bench; `limit`: limit of the waiting time of a prompt.
     """
 
     def __init__(self, chassis: Chassis, limit: TimeLimit | None = None) -> None:

@@ -25,12 +25,7 @@ class Connection(GrpcSessionOptions):
 
     It extends the client's session options. Close it, or use it in a `with` block.
 
-    Attributes
-    ----------
-    chassis : Chassis
-        The instrument.
-    address : str
-        Address of the server for other processes.
+    `chassis`: the instrument; `address`: address of the server for other processes.
     """
 
     def __init__(self, scene: Scene | str | Path | None, clock: str | Clock | None, limits: Limits) -> None:

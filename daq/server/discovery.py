@@ -24,10 +24,7 @@ SERVICES = (SERVICE, SESSION_SERVICE, _HEALTH, _REFLECTION)
 class Discovery:
     """The reflection service and the health service.
 
-    Attributes
-    ----------
-    handlers : tuple of grpc.GenericRpcHandler
-        Handlers of their calls.
+    `handlers`: handlers of their calls.
     """
 
     def __init__(self) -> None:
@@ -93,10 +90,7 @@ def _of_stream(
 def write_proto_files(folder: Path) -> list[Path]:
     """Write the .proto files of the protocol, including their imports.
 
-    Raises
-    ------
-    SceneError
-        If a file of that name has different text, or cannot be written.
+    Raises `SceneError` if a file of that name has different text, or cannot be written.
     """
     files: dict[str, Any] = {}
     for service in SERVICES:

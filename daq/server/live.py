@@ -26,12 +26,7 @@ _WAITING = 64
 class LiveView:
     """Shows the bench of a chassis in a viewer, from a separate thread.
 
-    Parameters
-    ----------
-    chassis : Chassis
-        The instrument.
-    stream : rerun RecordingStream
-        Stream with a sink.
+    `chassis`: the instrument; `stream`: stream with a sink.
     """
 
     def __init__(self, chassis: Chassis, stream: rr.RecordingStream) -> None:
@@ -64,14 +59,7 @@ class LiveRecording:
 
     A change of the input settings starts another file, with a number appended to its name.
 
-    Parameters
-    ----------
-    chassis : Chassis
-        The instrument.
-    path : Path
-        Recording to write.
-    overwrite : bool
-        Whether an existing file may be replaced.
+    `chassis`: the instrument; `path`: recording to write; `overwrite`: whether an existing file may be replaced.
     """
 
     def __init__(self, chassis: Chassis, path: Path, overwrite: bool = False) -> None:

@@ -60,10 +60,7 @@ def signals_passed_on(process: subprocess.Popen[Any]) -> Iterator[None]:
 
     The script handles Ctrl-C. Other signals request its end; after `PATIENCE` it is killed.
 
-    Parameters
-    ----------
-    process : Popen
-        Process in the group of this process; Ctrl-C in a terminal reaches the whole group.
+    `process`: process in the group of this process; Ctrl-C in a terminal reaches the whole group.
     """
     end = threading.Timer(PATIENCE, process.kill)
     end.daemon = True

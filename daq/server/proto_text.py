@@ -18,10 +18,7 @@ _INDENT = "  "
 def proto_text(file: Any) -> str:
     """Return the text of a .proto file.
 
-    Parameters
-    ----------
-    file : FileDescriptor
-        Descriptor in syntax proto3.
+    `file`: descriptor in syntax proto3.
     """
     described = descriptor_pb2.FileDescriptorProto()
     file.CopyToProto(described)

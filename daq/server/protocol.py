@@ -38,22 +38,12 @@ DeviceProperties = message_factory.GetMessageClass(_SESSION_FILE.message_types_b
 
 @dataclass(frozen=True)
 class Method:
-    """A remote call.
+    """A remote call."""
 
-    Attributes
-    ----------
-    name : str
-        Its name in the service.
-    request, response : type
-        Message classes.
-    streams : bool
-        Whether its response is a stream.
-    """
-
-    name: str
-    request: Any
-    response: Any
-    streams: bool
+    name: str  # its name in the service
+    request: Any  # message classes
+    response: Any  # message classes
+    streams: bool  # whether its response is a stream
 
 
 def methods(service: Any = SERVICE) -> list[Method]:
@@ -75,11 +65,8 @@ def decode(request: Any) -> dict[str, Any]:
     A choice between a named and a raw value becomes the number, under the name of the choice, 0 if absent; a
     session becomes its name; lists become lists, or arrays of numbers; a time becomes seconds since 1970.
 
-    Raises
-    ------
-    DaqError
-        With -200077 for a text, or a list other than samples, above the maximum length, and for a text with a null
-        character.
+    Raises `DaqError` with -200077 for a text, or a list other than samples, above the maximum length, and for a text
+    with a null character.
     """
     found: dict[str, Any] = {}
     for name, choice, kind, repeated in _fields(request.DESCRIPTOR):

@@ -36,12 +36,9 @@ from rig.scene.scene import Scene
 class Certificates:
     """Certificate files of the server, and of the authority that signs clients' certificates.
 
-    Parameters
-    ----------
-    certificate, key : Path
-        The server's certificate chain and its private key, PEM.
-    clients : Path or None
-        Certificate of the authority that signs clients' certificates; clients must then have a certificate.
+    `certificate`, `key`: the server's certificate chain and its private key, PEM.
+
+    `clients`: certificate of the authority that signs clients' certificates; clients must then have a certificate.
     """
 
     certificate: Path
@@ -51,10 +48,7 @@ class Certificates:
     def credentials(self) -> grpc.ServerCredentials:
         """Read the files.
 
-        Raises
-        ------
-        SceneError
-            If a file cannot be read.
+        Raises `SceneError` if a file cannot be read.
         """
         pair = (_read(self.key), _read(self.certificate))
         root = None if self.clients is None else _read(self.clients)
@@ -169,13 +163,8 @@ def _span(names: list[str]) -> str:
 def parse_address(address: str, port: int) -> tuple[str, int]:
     """Return host and port of an address; an IPv6 address may be in brackets, and `port` is the default port.
 
-    Raises
-    ------
-    SceneError
-        If the part after the host is not a port.
+    Raises `SceneError` if the part after the host is not a port.
 
-    Examples
-    --------
     >>> parse_address("::1", 31763), parse_address("[::1]:4000", 31763), parse_address("localhost:0", 31763)
     (('::1', 31763), ('::1', 4000), ('localhost', 0))
     """

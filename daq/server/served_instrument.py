@@ -24,39 +24,21 @@ _LONGEST_TEXT, _LONGEST_NAME = 3000, 200
 class Limits:
     """Limits of the resources of clients.
 
-    Parameters
-    ----------
-    message : int
-        Maximum size of a message, bytes.
-    tasks : int
-        Maximum number of open tasks per client.
-    memory : int
-        Maximum total size of the buffers of a client's tasks, bytes.
-    calls : int
-        Maximum number of simultaneous calls per client, including event streams.
-    all_calls : int
-        Maximum number of simultaneous calls of all clients; further calls are rejected immediately.
-    patience : float
-        Time after which the sessions of a disconnected client are ended, s.
+    `all_calls`: maximum number of simultaneous calls of all clients; further calls are rejected immediately.
     """
 
-    message: int = 256 << 20
-    tasks: int = 64
-    memory: int = 2 << 30
-    calls: int = 256
+    message: int = 256 << 20  # maximum size of a message, bytes
+    tasks: int = 64  # maximum number of open tasks per client
+    memory: int = 2 << 30  # maximum total size of the buffers of a client's tasks, bytes
+    calls: int = 256  # maximum number of simultaneous calls per client, including event streams
     all_calls: int = 1024
-    patience: float = 30.0
+    patience: float = 30.0  # time after which the sessions of a disconnected client are ended, s
 
 
 class ServedInstrument:
     """The instrument and the state that all clients share.
 
-    Parameters
-    ----------
-    chassis : Chassis
-        The instrument.
-    limits : Limits
-        Limits of the resources of clients.
+    `chassis`: the instrument; `limits`: limits of the resources of clients.
     """
 
     def __init__(self, chassis: Chassis, limits: Limits) -> None:

@@ -37,23 +37,9 @@ PORT = 31763
 class Server:
     """An instrument on the network.
 
-    Parameters
-    ----------
-    chassis : Chassis
-        The instrument.
-    address : str
-        Address and port; port 0 selects a free port.
-    credentials : grpc.ServerCredentials, optional
-        Certificates; without them the connection is not encrypted.
-    limits : Limits
-        Limits of the resources of clients.
-    further : sequence of grpc.GenericRpcHandler
-        Additional handlers.
-
-    Attributes
-    ----------
-    port : int
-        Port of the server.
+    `chassis`: the instrument; `address`: address and port; port 0 selects a free port; `credentials`: certificates;
+    without them the connection is not encrypted; `limits`: limits of the resources of clients; `further`: additional
+    handlers; `port`: port of the server.
     """
 
     def __init__(

@@ -20,24 +20,12 @@ AUTO, INITIALIZE, ATTACH = 0, 1, 2
 
 @dataclass
 class Session:
-    """A task of a client.
-
-    Attributes
-    ----------
-    task : Task
-        The task.
-    owner : str
-        Connection that created it.
-    users : set of str
-        Connections that have used it.
-    left_at : float or None
-        Time at which all of them were disconnected, s.
-    """
+    """A task of a client."""
 
     task: Task
-    owner: str
-    users: set[str] = field(default_factory=set)
-    left_at: float | None = None
+    owner: str  # connection that created it
+    users: set[str] = field(default_factory=set)  # connections that have used it
+    left_at: float | None = None  # time at which all of them were disconnected, s
 
 
 class SessionExists(ShotrigError):
@@ -47,14 +35,8 @@ class SessionExists(ShotrigError):
 class Sessions:
     """The sessions of a server.
 
-    Parameters
-    ----------
-    chassis : Chassis
-        Chassis of the tasks.
-    storage : Storage
-        Storage of their custom scales.
-    most : int
-        Maximum number of open tasks per connection.
+    `chassis`: chassis of the tasks; `storage`: storage of their custom scales; `most`: maximum number of open tasks
+    per connection.
     """
 
     def __init__(self, chassis: Chassis, storage: Storage, most: int) -> None:
@@ -163,17 +145,8 @@ class Sessions:
     def sweep(self, there: Collection[tuple[str, int]], patience: float) -> list[str]:
         """End the sessions of clients that disconnected without closing them.
 
-        Parameters
-        ----------
-        there : collection of tuple
-            Address and port of every connected client.
-        patience : float
-            Time for which a session waits for its client to reconnect, s.
-
-        Returns
-        -------
-        list of str
-            Names of the ended tasks.
+        `there`: address and port of every connected client; `patience`: time for which a session waits for its
+        client to reconnect, s. Returns names of the ended tasks.
         """
         ended = []
         with self._lock:

@@ -25,17 +25,8 @@ def starter_script(chassis: Chassis, channel: str) -> list[str]:
 
     The modules of a chassis are one task; of several separate devices, the script uses the first.
 
-    Parameters
-    ----------
-    chassis : Chassis
-        The instrument.
-    channel : str
-        Expression for the connection to the instrument.
-
-    Returns
-    -------
-    list of str
-        Lines of the script, beginning with an empty line.
+    `chassis`: the instrument; `channel`: expression for the connection to the instrument. Returns lines of the
+    script, beginning with an empty line.
     """
     modules = [each for name in chassis.devices.names if (each := chassis.devices.module(name)).inputs]
     first = modules[0]

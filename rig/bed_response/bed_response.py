@@ -106,27 +106,11 @@ def bed_response(
 ) -> BedResponse:
     """Follow beds of grains at each frequency until their motion is steady, and the same beds as one mass.
 
-    Parameters
-    ----------
-    scene : Scene, str, Path or mapping
-        With a bed of grains that can move, and a test that gives the level.
-    frequencies : sequence of float or str
-        Hz, or text with units.
-    periods : int
-        Of a block; the motion is steady once the compliances of two blocks agree within 1 %. The result is their mean.
-    table : Path, optional
-        CSV file with every frequency as soon as it is there; what stands in it of the same scene is not done again.
-    cluster : str, optional
-        See `rig.workers.Workers`.
-    progress : callable, optional
-        Called with frequencies done and of all.
-
-    Raises
-    ------
-    SceneError
-        If no damper is a bed of grains that can move, or LAMMPS is not installed.
-    RunError
-        If the table cannot be read or written.
+    `scene`: with a bed of grains that can move, and a test that gives the level; `frequencies`: Hz, or text with
+    units; `periods`: of a block; the motion is steady once the compliances of two blocks agree within 1 %. The
+    result is their mean; `table`: CSV file with every frequency as soon as it is there; what stands in it of the
+    same scene is not done again; `cluster`: see `rig.workers.Workers`. Raises `SceneError` if no damper is a bed of
+    grains that can move, or LAMMPS is not installed. Raises `RunError` if the table cannot be read or written.
     """
     scene = scene_of(scene)
     asked = np.asarray(positives(frequencies, FREQUENCY, "frequencies"), dtype=np.float64)

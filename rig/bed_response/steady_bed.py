@@ -35,35 +35,19 @@ _SEEN = 0.01
 class SteadyBed:
     """Steady motion at one frequency; per period of the drive where not said otherwise.
 
-    Attributes
-    ----------
-    compliance : complex ndarray, shape (bodies,)
-        First harmonic of each displacement over that of the force, m/N.
-    floor_impulse, ceiling_impulse : ndarray, shape (beds,)
-        Of the wall on the bed, N s.
-    energy : ndarray, shape (beds,)
-        Taken from the structure, J.
-    landing : ndarray, shape (beds,)
-        Phase of the drive at which the floor receives its impulse (mean over the impulse), degrees from the force's
-        rising zero.
-    flight : ndarray, shape (beds,)
-        Share of the time with neither wall touched.
-    motion_type : ndarray of str, shape (beds,)
-    spread : float
-        Relative difference of the last two blocks' compliances.
-    periods : int
-        Followed in all.
+    `landing`: phase of the drive at which the floor receives its impulse (mean over the impulse), degrees from the
+    force's rising zero, shape (beds,).
     """
 
-    compliance: Complex
-    floor_impulse: Array
-    ceiling_impulse: Array
-    energy: Array
+    compliance: Complex  # first harmonic of each displacement over that of the force, m/N, shape (bodies,)
+    floor_impulse: Array  # of the wall on the bed, N s, shape (beds,)
+    ceiling_impulse: Array  # of the wall on the bed, N s, shape (beds,)
+    energy: Array  # taken from the structure, J, shape (beds,)
     landing: Array
-    flight: Array
-    motion_type: NDArray[np.str_]
-    spread: float
-    periods: int
+    flight: Array  # share of the time with neither wall touched, shape (beds,)
+    motion_type: NDArray[np.str_]  # shape (beds,)
+    spread: float  # relative difference of the last two blocks' compliances
+    periods: int  # followed in all
 
     @property
     def steady(self) -> bool:
@@ -79,16 +63,8 @@ def as_one_mass(scene: Scene) -> Scene:
 def steady_grains(scene: Scene, frequency: float, block: int, most: int, least: int = 2) -> SteadyBed:
     """Follow beds of grains under a tone until two blocks of periods agree.
 
-    Parameters
-    ----------
-    scene : Scene
-        Its test gives the level; a force that its test holds acts on the body itself.
-    frequency : float
-        Hz.
-    block : int
-        Periods in a block.
-    most, least : int
-        Blocks at most and at least; the last two are averaged.
+    `scene`: its test gives the level; a force that its test holds acts on the body itself; `frequency`: Hz; `block`:
+    periods in a block; `most`, `least`: blocks at most and at least; the last two are averaged.
     """
     scene = with_ideal_force(scene)
     coupled = CoupledPropagator(scene, 1.0 / (_MARKS * frequency))

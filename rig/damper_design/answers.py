@@ -23,21 +23,9 @@ Piece = tuple[Question, Choice]
 class Answers:
     """Worst peaks of candidate designs, from a table or from workers.
 
-    Parameters
-    ----------
-    workers : Workers
-        Compute the designs that are not in the table.
-    table : Path or None
-        CSV file to which each result is added as soon as it is known, one structure and level per row.
-    progress : callable or None
-        Called with the number of pieces done and the estimated total.
-    total : int
-        Approximate number of pieces.
-
-    Raises
-    ------
-    RunError
-        If the table cannot be written.
+    `workers`: compute the designs that are not in the table; `table`: CSV file to which each result is added as soon
+    as it is known, one structure and level per row; `total`: approximate number of pieces. Raises `RunError` if the
+    table cannot be written.
     """
 
     def __init__(
@@ -65,16 +53,9 @@ class Answers:
     ) -> dict[Choice, Trial]:
         """Compute the designs that several searches need, until all searches are finished.
 
-        Parameters
-        ----------
-        searches : sequence of callable
-            Each returns, from the known results, the designs that it needs: those it has used and those it waits for.
-            It is called again after every result, so that no worker is idle while any search needs a design.
-
-        Returns
-        -------
-        dict
-            Trials in the order of the designs.
+        `searches`: each returns, from the known results, the designs that it needs: those it has used and those it
+        waits for. It is called again after every result, so that no worker is idle while any search needs a design.
+        Returns trials in the order of the designs.
         """
         asked: set[Choice] = set()
         pieces: list[Piece] = []

@@ -31,10 +31,7 @@ BUDGET = 0.05
 def mass_of(budget: float | str | None, scene: Scene) -> float:
     """Return the mass limit [kg] from a mass, a share of the structure's mass, or the default.
 
-    Raises
-    ------
-    SceneError
-        If it is not one of these.
+    Raises `SceneError` if it is not one of these.
     """
     if budget is None:
         return BUDGET * total_mass(scene)
@@ -101,10 +98,7 @@ def asked(
 ) -> tuple[Question, Space]:
     """Fill in defaults and check the request; parameters as of `rig.design`.
 
-    Raises
-    ------
-    SceneError
-        If no candidate designs remain, or nothing drives the structure.
+    Raises `SceneError` if no candidate designs remain, or nothing drives the structure.
     """
     may_carry, count = _bodies(bodies, scene, "bodies"), tuple(sorted({*_bodies(watched, scene, "watched")}))
     if not 1 <= dampers <= len(may_carry):

@@ -35,21 +35,14 @@ REACH = 0.04
 class Expected:
     """Expected measurement at a peak.
 
-    Attributes
-    ----------
-    peak : Peak
-        As computed by the design, under a purely sinusoidal force.
-    sizes : tuple of float, or None
-        Compliance with the scene's own shaker, whose spring adds harmonics to the force, m/N: minimum, nominal
-        value and maximum over the tolerances of force control and steady state. None if no steady motion was
-        reached within `LONGEST` periods.
-    closing_speed : tuple of float
-        Largest approach speed of each damper to a wall at the peak, m/s.
+    `sizes`: compliance with the scene's own shaker, whose spring adds harmonics to the force, m/N: minimum, nominal
+    value and maximum over the tolerances of force control and steady state. None if no steady motion was reached
+    within `LONGEST` periods.
     """
 
-    peak: Peak
+    peak: Peak  # as computed by the design, under a purely sinusoidal force
     sizes: tuple[float, float, float] | None
-    closing_speed: tuple[float, ...]
+    closing_speed: tuple[float, ...]  # largest approach speed of each damper to a wall at the peak, m/s
 
 
 def check(scene: Scene, trial: Trial, question: Question) -> Scene:
@@ -121,12 +114,7 @@ def _around(peaks: Sequence[float], band: tuple[float, float]) -> Array:
 def expected(scene: Scene, trial: Trial) -> tuple[Expected, ...]:
     """Describe what a check should measure at the largest peak of each level.
 
-    Parameters
-    ----------
-    scene : Scene
-        As returned by `check`.
-    trial : Trial
-        The dampers of the scene, and their peaks.
+    `scene`: as returned by `check`; `trial`: the dampers of the scene, and their peaks.
     """
     assert isinstance(scene.test, SteppedSine)
     return tuple(_expected(scene, scene.test, peak) for peak in trial.peaks)

@@ -108,18 +108,10 @@ class Choice:
 
 @dataclass(frozen=True)
 class Trial:
-    """A candidate design with its computed peaks.
+    """A candidate design with its computed peaks."""
 
-    Attributes
-    ----------
-    choice : Choice
-        The dampers.
-    peaks : tuple of Peak
-        Worst peak at each level, in the order of the question's levels.
-    """
-
-    choice: Choice
-    peaks: tuple[Peak, ...]
+    choice: Choice  # the dampers
+    peaks: tuple[Peak, ...]  # worst peak at each level, in the order of the question's levels
 
     @property
     def peak(self) -> Peak:
@@ -136,22 +128,13 @@ class Trial:
 class Space:
     """The space of candidate designs.
 
-    Attributes
-    ----------
-    places : tuple of tuple of int
-        Allowed bodies of the dampers, a tuple for each arrangement, in order of the number of dampers.
-    mass : float
-        Largest added mass, kg.
-    clearance : tuple of float
-        Smallest and largest, m.
-    without_ceiling : bool
-        Whether dampers may have no ceiling.
+    `places`: allowed bodies of the dampers, a tuple for each arrangement, in order of the number of dampers.
     """
 
     places: tuple[tuple[int, ...], ...]
-    mass: float
-    clearance: tuple[float, float]
-    without_ceiling: bool = True
+    mass: float  # largest added mass, kg
+    clearance: tuple[float, float]  # smallest and largest, m
+    without_ceiling: bool = True  # whether dampers may have no ceiling
 
     @property
     def dampers(self) -> int:
@@ -172,30 +155,14 @@ class Space:
 
 @dataclass(frozen=True)
 class Question:
-    """The objective: worst peak over structures, levels and frequencies.
+    """The objective: worst peak over structures, levels and frequencies."""
 
-    Attributes
-    ----------
-    scenes : tuple of Scene
-        Without dampers: the nominal structure first, then its variants.
-    levels : tuple of float
-        Forces, N.
-    band : tuple of float
-        Lowest and highest frequency, Hz.
-    bodies : tuple of int
-        Bodies whose peaks are evaluated, from 1.
-    landings : Landings
-        Restitution and contact of the dampers.
-    density : int
-        Frequencies per natural frequency in the band.
-    """
-
-    scenes: tuple[Scene, ...]
-    levels: tuple[float, ...]
-    band: tuple[float, float]
-    bodies: tuple[int, ...]
-    landings: Landings = INSTANT
-    density: int = COARSE
+    scenes: tuple[Scene, ...]  # without dampers: the nominal structure first, then its variants
+    levels: tuple[float, ...]  # forces, N
+    band: tuple[float, float]  # lowest and highest frequency, Hz
+    bodies: tuple[int, ...]  # bodies whose peaks are evaluated, from 1
+    landings: Landings = INSTANT  # restitution and contact of the dampers
+    density: int = COARSE  # frequencies per natural frequency in the band
 
     @cached_property
     def bare(self) -> Peak:
@@ -243,10 +210,7 @@ class Question:
 def variants(scene: Scene, damping: float, stiffness: float) -> tuple[Scene, ...]:
     """Return the nominal scene and the extreme combinations of its uncertain parameters.
 
-    Parameters
-    ----------
-    damping, stiffness : float
-        Relative uncertainty of each, in both directions.
+    `damping`, `stiffness`: relative uncertainty of each, in both directions.
     """
     nominal = structural_model(scene)
     corners = product(*({1.0 - share, 1.0 + share} for share in (damping, stiffness)))

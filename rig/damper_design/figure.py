@@ -122,10 +122,7 @@ def _modes(design: Design) -> list[str]:
 def write(design: Design, folder: Path) -> list[Path]:
     """Write the scene with the best dampers and the figures into a folder that exists.
 
-    Raises
-    ------
-    SceneError
-        If a file cannot be written.
+    Raises `SceneError` if a file cannot be written.
     """
     name = folder / stem("design", design.scene.name)
     scene = name.with_suffix(".yaml")

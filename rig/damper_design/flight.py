@@ -24,19 +24,12 @@ _LIVELY = 3.0
 class Flight:
     """Take-off and flight height of the dampers of a design.
 
-    Attributes
-    ----------
-    take_off : float
-        Lowest level at which a damper takes off in the band, N.
-    body : int
-        Body of that damper, from 1.
-    height : float
-        Largest height above the floor without a ceiling, over the band and the levels of the question, m; NaN where
-        part of the motion is irregular, or where the dampers reach their ceiling.
+    `height`: largest height above the floor without a ceiling, over the band and the levels of the question, m; NaN
+    where part of the motion is irregular, or where the dampers reach their ceiling.
     """
 
-    take_off: float
-    body: int
+    take_off: float  # lowest level at which a damper takes off in the band, N
+    body: int  # body of that damper, from 1
     height: float
 
     def reach(self, level: float) -> float:
@@ -47,10 +40,7 @@ class Flight:
 def flight(question: Question, trial: Trial, unreached: bool) -> Flight:
     """Compute where the dampers of a trial take off, and how high they fly.
 
-    Parameters
-    ----------
-    unreached : bool
-        Whether the dampers do not reach their ceiling, so that the height is computed.
+    `unreached`: whether the dampers do not reach their ceiling, so that the height is computed.
     """
     choice = trial.choice
     bare = question.scenes[0]
@@ -99,12 +89,7 @@ def shortfall(
 ) -> list[str]:
     """Report levels without effect, the reason, and effective levels; empty if the dampers are effective everywhere.
 
-    Parameters
-    ----------
-    charted : mapping of float to Peak
-        Peak of these dampers by level, N.
-    trials : iterable of Trial
-        All designs computed.
+    `charted`: peak of these dampers by level, N; `trials`: all designs computed.
     """
     idle = idle_levels(trial, bare, flight_)
     if not idle:

@@ -14,19 +14,12 @@ from rig.scene.damper import Contact, Damper, Landing, SpringDamper, walls_of
 class Landings:
     """Restitution and contact of all new dampers.
 
-    Attributes
-    ----------
-    restitution : float
-        As of a `Damper`.
-    contact : Contact or None
-        Floor and ceiling with finite-duration contact; None: instantaneous impact.
-    taken : str
-        Origin of these values, for messages.
+    `contact`: floor and ceiling with finite-duration contact; None: instantaneous impact.
     """
 
-    restitution: float = 0.0
+    restitution: float = 0.0  # as of a `Damper`
     contact: Contact | None = None
-    taken: str = "the scene has none to go by"
+    taken: str = "the scene has none to go by"  # origin of these values, for messages
 
     def __str__(self) -> str:
         """Describe the landings.
@@ -44,10 +37,7 @@ INSTANT = Landings()
 def landings_of(dampers: Sequence[Damper]) -> Landings:
     """Return the landings of the dampers of a scene; if these differ, those of the first damper.
 
-    Raises
-    ------
-    SceneError
-        If the contact is given by stiffness and damping, which depend on the mass of the bed.
+    Raises `SceneError` if the contact is given by stiffness and damping, which depend on the mass of the bed.
     """
     if not dampers:
         return INSTANT

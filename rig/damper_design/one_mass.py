@@ -30,14 +30,8 @@ _SHOT, _REACH, _POINTS = 2e-3, 0.01, 3
 def rests_on(dampers: Sequence[Damper], expected: Sequence[Expected], scene: Path) -> list[str]:
     """Report how well one mass agrees with grains, and the command that simulates these dampers as grains.
 
-    Parameters
-    ----------
-    dampers : sequence of Damper
-        The dampers of the design.
-    expected : sequence of Expected
-        Expected results of the check; the command uses the largest of these peaks.
-    scene : Path
-        The scene of the check.
+    `dampers`: the dampers of the design; `expected`: expected results of the check; the command uses the largest of
+    these peaks; `scene`: the scene of the check.
     """
     peak = max(one.peak for one in expected)
     beds = ", ".join(_as_shot(damper) for damper in dampers)

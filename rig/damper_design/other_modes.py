@@ -23,24 +23,12 @@ _COMPARED = 5
 
 @dataclass(frozen=True)
 class ModePeaks:
-    """Peaks of a mode.
+    """Peaks of a mode."""
 
-    Attributes
-    ----------
-    frequency : float
-        Natural frequency of the structure without dampers, Hz.
-    inside : bool
-        Whether it lies in the band of the question.
-    bare : Peak
-        Without dampers.
-    damped : tuple of Peak
-        With dampers, at each level.
-    """
-
-    frequency: float
-    inside: bool
-    bare: Peak
-    damped: tuple[Peak, ...]
+    frequency: float  # natural frequency of the structure without dampers, Hz
+    inside: bool  # whether it lies in the band of the question
+    bare: Peak  # without dampers
+    damped: tuple[Peak, ...]  # with dampers, at each level
 
 
 def modes_of(question: Question) -> list[tuple[float, Question]]:

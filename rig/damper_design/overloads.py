@@ -29,31 +29,17 @@ _SWING = 2.0
 
 @dataclass(frozen=True)
 class Overload:
-    """A part of the bench that a check overloads.
+    """A part of the bench that a check overloads."""
 
-    Attributes
-    ----------
-    reason : str
-        Name of the part, size of the overload, and its levels.
-    changes : tuple of str
-        Changes of the scene for ``--set`` that remove the overload.
-    """
-
-    reason: str
-    changes: tuple[str, ...]
+    reason: str  # name of the part, size of the overload, and its levels
+    changes: tuple[str, ...]  # changes of the scene for ``--set`` that remove the overload
 
 
 def overloads(scene: Scene, expected: Sequence[Expected], bare: Peak) -> list[Overload]:
     """Return overloaded accelerometers and converter inputs of a check, with remedies.
 
-    Parameters
-    ----------
-    scene : Scene
-        The scene of the check.
-    expected : sequence of Expected
-        Expected results of the check at each level.
-    bare : Peak
-        Largest peak without dampers; it is recorded at the smallest of these levels.
+    `scene`: the scene of the check; `expected`: expected results of the check at each level; `bare`: largest peak
+    without dampers; it is recorded at the smallest of these levels.
     """
     system = assemble(scene)
     lowest = min(each.peak.level for each in expected)
@@ -165,19 +151,10 @@ def shaken_by(
     its resonance frequency; without a resonance the value is unbounded. A finite-duration contact begins with a
     step of the dashpot force; if the dashpot is weak, the peak of the spring force is larger.
 
-    Parameters
-    ----------
-    system : HybridSystem
-        The assembled system of the scene.
-    row : int
-        Coordinate of the sensor location.
-    closing_speed : sequence of float, shape (dampers,)
-        Approach speed of each damper to a wall, m/s.
-    resonance : float or None
-        Resonance frequency of the sensor, Hz; None without a resonance.
+    `system`: the assembled system of the scene; `row`: coordinate of the sensor location; `closing_speed`, shape
+    (dampers,): approach speed of each damper to a wall, m/s; `resonance`: resonance frequency of the sensor, Hz;
+    None without a resonance.
 
-    Examples
-    --------
     >>> import rig
     >>> jump = 0.1 * 0.71 / 0.781  # of a tenth of the body's mass at 1 m/s
     >>> system = assemble(rig.load("fig9", {"dampers": [{"body": 2, "mass_ratio": 0.1, "clearance": 1e-3}]}))

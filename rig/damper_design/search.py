@@ -51,12 +51,8 @@ def pieces(question: Question, space: Space) -> int:
 def search(question: Question, space: Space, answers: Answers) -> tuple[Trial, list[Trial]]:
     """Search for the dampers with the smallest worst peak at each mass; ties are resolved as in `ranked`.
 
-    Returns
-    -------
-    best : Trial
-        Best design, with its peaks on a finer grid of frequencies.
-    trials : list of Trial
-        All designs computed, including the best.
+    Returns `best`, best design, with its peaks on a finer grid of frequencies; `trials`, all designs computed,
+    including the best.
     """
     grid = [[c for place in space.places for c in _row(space, place, share)] for share in SHARES]
     tried = _bounded(question, grid, answers)

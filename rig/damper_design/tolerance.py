@@ -25,20 +25,13 @@ _NEAR = 0.15
 class Tolerance:
     """Clearances of the heaviest damper for which the worst peak rises by at most `RISE`; others in proportion.
 
-    Attributes
-    ----------
-    low, high : float
-        Ends of the interval, m; `high` is infinite if a ceiling is not required.
-    limited : tuple of bool
-        Whether each end is a limit of the search, so that the interval may be wider.
-    chosen : float
-        Clearance of the chosen design, m.
+    `low`, `high`: ends of the interval, m; `high` is infinite if a ceiling is not required.
     """
 
     low: float
     high: float
-    limited: tuple[bool, bool]
-    chosen: float
+    limited: tuple[bool, bool]  # whether each end is a limit of the search, so that the interval may be wider
+    chosen: float  # clearance of the chosen design, m
 
     def __str__(self) -> str:
         """Report the interval, and the recommended clearance if the chosen clearance is near an end.
@@ -73,12 +66,7 @@ def tolerance(
 ) -> Tolerance:
     """Compute the interval: outward through the trials with the same dampers, then by bisection.
 
-    Parameters
-    ----------
-    best : Trial
-        The design whose interval is computed.
-    trials : iterable of Trial
-        All designs computed.
+    `best`: the design whose interval is computed; `trials`: all designs computed.
     """
     most = best.peak.size * 10.0 ** (RISE / 20.0)
     choice, heaviest = best.choice, best.choice.heaviest

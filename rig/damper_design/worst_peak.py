@@ -24,30 +24,14 @@ RIVAL = 0.7
 
 @dataclass(frozen=True, order=True)
 class Peak:
-    """A peak of the compliance; peaks are ordered by size.
+    """A peak of the compliance; peaks are ordered by size."""
 
-    Attributes
-    ----------
-    size : float
-        Largest |X| / F, m/N.
-    frequency : float
-        Frequency of the peak, Hz.
-    level : float
-        Force amplitude, N.
-    body : int
-        Number of the body, from 1.
-    acceleration : float
-        Amplitude of the body's acceleration at the peak, m/s^2.
-    simulated : float
-        Share of frequencies with irregular motion, which is simulated and averaged.
-    """
-
-    size: float
-    frequency: float
-    level: float
-    body: int
-    acceleration: float
-    simulated: float
+    size: float  # largest |X| / F, m/N
+    frequency: float  # frequency of the peak, Hz
+    level: float  # force amplitude, N
+    body: int  # number of the body, from 1
+    acceleration: float  # amplitude of the body's acceleration at the peak, m/s^2
+    simulated: float  # share of frequencies with irregular motion, which is simulated and averaged
 
 
 def curve(problem: OrbitProblem, force: float, frequencies: Array) -> OrbitResponse:

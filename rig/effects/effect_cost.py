@@ -59,15 +59,7 @@ class EffectCost:
 def effect_costs(scene: Scene, progress: Callable[[str], None] | None = None) -> tuple[EffectCost, ...]:
     """Add a scene's effects one at a time and measure each.
 
-    Parameters
-    ----------
-    progress : callable, optional
-        Called with the name of each effect before it is measured.
-
-    Returns
-    -------
-    tuple of EffectCost
-        In the order of the signal: motion, measurement chain, recording.
+    Returns in the order of the signal: motion, measurement chain, recording.
     """
     steps: list[EffectStep] = list(motion_steps(scene))
     for point in sorted(entry_points(group=GROUP), key=lambda point: point.name):
@@ -163,10 +155,7 @@ def _step(name: str, scene: Scene) -> EffectStep:
 def bench_drive(scene: Scene, rate: float) -> Array:
     """Return `SECONDS` + 1 seconds of drive: a tone at a resonance with the test's level, or the test's hits.
 
-    Parameters
-    ----------
-    rate : float
-        Hz.
+    `rate`: Hz.
     """
     system = assemble(scene)
     samples = (SECONDS + 1) * round(rate)

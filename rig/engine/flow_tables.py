@@ -57,12 +57,7 @@ _LOCK = Lock()
 class FlowTables:
     """The flow of one system under one kind of drive, for as many configurations as have been visited.
 
-    Parameters
-    ----------
-    drive : Drive
-        How the inputs evolve inside a segment.
-    step : float
-        Step length h in seconds.
+    `drive`: how the inputs evolve inside a segment; `step`: step length h in seconds.
     """
 
     def __init__(self, system: HybridSystem, drive: Drive, step: float) -> None:

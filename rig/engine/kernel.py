@@ -58,26 +58,12 @@ def advance(
 ) -> tuple[int, float, int]:
     """Advance to the end of a segment of `steps` step lengths (a real number), or come back earlier.
 
-    Parameters
-    ----------
-    segment : int
-        Label for the log: events get it, and their time since the start of the segment in seconds.
-    steps, left : float
-        Step lengths in the segment, and those left. The times of events are computed from both, so that they have the
-        same bits wherever the kernel came back in between.
-    known : int
-        `UNSETTLED`, `STALE`, `CURRENT` or `CLEAR`: what is known of the state.
-    shown : bool
-        Whether the accelerations at the end are needed, behind the state.
-
-    Returns
-    -------
-    status : int
-        `DONE`, or `NEED_TABLE`, `LOG_FULL`, `STUCK`: call again with what is left when that is handled.
-    left : float
-        Step lengths left.
-    known : int
-        What is known of the state now.
+    `segment`: label for the log: events get it, and their time since the start of the segment in seconds; `steps`,
+    `left`: step lengths in the segment, and those left. The times of events are computed from both, so that they
+    have the same bits wherever the kernel came back in between; `known`: `UNSETTLED`, `STALE`, `CURRENT` or `CLEAR`:
+    what is known of the state; `shown`: whether the accelerations at the end are needed, behind the state. Returns
+    `status`, `DONE`, or `NEED_TABLE`, `LOG_FULL`, `STUCK`: call again with what is left when that is handled;
+    `left`, step lengths left; `known`, what is known of the state now.
     """
     columns = flow.rates_constant.shape[1]
     dampers = model.mass.shape[0]

@@ -106,10 +106,7 @@ FARTHEST = LENGTH.most
 class Propagator:
     """A system on its way through time.
 
-    Parameters
-    ----------
-    step : float
-        Step length in seconds; `step_for` finds one.
+    `step`: step length in seconds; `step_for` finds one.
     """
 
     def __init__(self, system: HybridSystem, drive: Drive, step: float) -> None:
@@ -146,10 +143,7 @@ class Propagator:
     def place(self, state: Array, drive: Array) -> NDArray[np.int64]:
         """Put the system at a state with every damper on its floor; dampers whose contact would pull lift off.
 
-        Returns
-        -------
-        ndarray of int64
-            Dampers (from 0) that lifted off at once.
+        Returns dampers (from 0) that lifted off at once.
         """
         self.state.z[: self.system.states] = state
         self.state.z[self.system.states : self.tables.size] = drive
@@ -192,17 +186,7 @@ class Propagator:
     def through_interval(self, drive: Array, interval_steps: Array, kept: StateSamples) -> Trajectory | None:
         """Run through one sample interval, as one of very many: what may be made once is given.
 
-        Parameters
-        ----------
-        drive : float64 (inputs, 2)
-        interval_steps : float64 (1,)
-        kept : StateSamples
-            Of one sample, for the state at the end; see `room`.
-
-        Returns
-        -------
-        Trajectory or None
-            None if nothing happened.
+        `kept`: of one sample, for the state at the end; see `room`. Returns None if nothing happened.
         """
         self._go(Segments(interval_steps, EVERY, drive, _FIRST), kept, self._unseen)
         self._elapsed += float(interval_steps[0]) * self.tables.step
@@ -245,16 +229,9 @@ class Propagator:
     ) -> Trajectory:
         """Run through segments of given lengths under a tone.
 
-        Parameters
-        ----------
-        steps : float64 (segments,)
-            Lengths in step lengths.
-        sample_row : int64 (segments,)
-            Row in which to keep the state at the end of the segment, or -1.
-        new_period : bool (segments,)
-            Whether the segment begins with a period of the drive.
-        level : float
-            Times the amplitudes of the tone.
+        `steps`: lengths in step lengths; `sample_row`: row in which to keep the state at the end of the segment, or
+        -1; `new_period`: whether the segment begins with a period of the drive; `level`: times the amplitudes of the
+        tone.
         """
         # The tone's states (cos, sin) begin a period as a drive that does not change would.
         drive = np.full((1, len(steps) + 1), level)

@@ -98,11 +98,8 @@ def screen(
 ) -> tuple[int, int]:
     """Dampers whose guards are not proven free of zeros over the step.
 
-    Returns
-    -------
-    near, ceilings : int
-        Bit j is set where the floor's gap or the contact force of damper j, or any guard of a finite-duration contact,
-        may have a zero; and where the ceiling's gap may.
+    Returns `near, ceilings`, bit j is set where the floor's gap or the contact force of damper j, or any guard of a
+    finite-duration contact, may have a zero; and where the ceiling's gap may.
     """
     near = ceilings = 0
     fall = model.gravity * duration

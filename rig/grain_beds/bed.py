@@ -35,18 +35,8 @@ _ARRAY = 2
 class Bed:
     """Grains in a cavity.
 
-    Parameters
-    ----------
-    spheres : Spheres
-        Their settings.
-    positions : ndarray, shape (grains, 3)
-        m; the axis of the cavity is z, its floor at 0.
-    ceiling : float
-        Height of the ceiling, m; may be infinite.
-    gravity : float
-        m/s^2.
-    step : float
-        Step of time, s.
+    `spheres`: their settings; `positions`, shape (grains, 3): m; the axis of the cavity is z, its floor at 0;
+    `ceiling`: height of the ceiling, m; may be infinite; `gravity`: m/s^2; `step`: step of time, s.
     """
 
     def __init__(

@@ -60,25 +60,9 @@ class CoupledState(NamedTuple):
 class CoupledPropagator:
     """Propagates a system with beds of grains; otherwise as `rig.engine.propagator.Propagator`.
 
-    Parameters
-    ----------
-    scene : Scene
-    interval : float
-        Sample interval of the drive, s; divided into the steps that the grains need.
-
-    Attributes
-    ----------
-    system : HybridSystem
-        The scene's, in which each bed is one mass.
-    structure : Propagator
-        The structure with the dampers without grains, and the beds' forces as further inputs.
-    substeps : int
-        Steps in a sample interval.
-    step : float
-        s.
-    beds : list of Bed
-    bodies : int array (beds,)
-        Coordinate of each bed's body.
+    `interval`: sample interval of the drive, s; divided into the steps that the grains need; `system`: the scene's,
+    in which each bed is one mass; `structure`: the structure with the dampers without grains, and the beds' forces
+    as further inputs; `substeps`: steps in a sample interval; `step`: s; `bodies`: coordinate of each bed's body.
     """
 
     def __init__(self, scene: Scene, interval: float) -> None:
@@ -140,11 +124,7 @@ class CoupledPropagator:
     def march(self, drive: Array) -> tuple[Trajectory, BedStates]:
         """Advance through the steps between the columns of a drive (inputs, steps + 1).
 
-        Returns
-        -------
-        trajectory : Trajectory
-            Of `structure`; its segments are the steps.
-        beds : BedStates
+        Returns `trajectory`, of `structure`; its segments are the steps.
         """
         steps = drive.shape[1] - 1
         forces, lift = (
@@ -285,12 +265,8 @@ def interpolated(drive: Array, substeps: int) -> Array:
 def _with_ports(scene: Scene, system: HybridSystem, bodies: NDArray[np.intp]) -> HybridSystem:
     """Compile a scene without its beds of grains, in the same coordinates, with the beds' forces as inputs.
 
-    Parameters
-    ----------
-    system : HybridSystem
-        The scene's; its initial state includes the beds' weight and is kept.
-    bodies : int array (beds,)
-        Coordinates on which the forces act.
+    `system`: the scene's; its initial state includes the beds' weight and is kept; `bodies`: coordinates on which
+    the forces act.
     """
     numbers = system.damper_number[system.grains]
     others = [damper for number, damper in enumerate(scene.dampers, 1) if number not in numbers]

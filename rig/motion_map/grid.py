@@ -27,15 +27,8 @@ CLOSE = 0.02
 def vertical_axis(scene: Scene, over: str | None) -> tuple[str, str]:
     """Return the quantity of the vertical axis, and its unit (N, V or m).
 
-    Parameters
-    ----------
-    over : {"force", "drive", "clearance"} or None
-        None: the level of the scene's test.
-
-    Raises
-    ------
-    SceneError
-        If it is neither that level nor the clearance, or the scene has no level or no moving damper.
+    `over`: "force", "drive" or "clearance". None: the level of the scene's test. Raises `SceneError` if it is
+    neither that level nor the clearance, or the scene has no level or no moving damper.
     """
     level_of(scene)
     if not assemble(scene).dampers:
@@ -56,15 +49,8 @@ def vertical_axis(scene: Scene, over: str | None) -> tuple[str, str]:
 def columns(scene: Scene, low: float | None = None, high: float | None = None, points: int = POINTS) -> Array:
     """Select frequencies from low to high, half evenly spaced and half near the natural frequencies, Hz.
 
-    Parameters
-    ----------
-    low, high : float, optional
-        Hz; None: the ends of the test's range, or 20 % below and above its single frequency.
-
-    Raises
-    ------
-    SceneError
-        If the ends are not a valid range.
+    `low`, `high`: Hz; None: the ends of the test's range, or 20 % below and above its single frequency. Raises
+    `SceneError` if the ends are not a valid range.
     """
     if low is None or high is None:
         usual = _range_of_test(scene)
@@ -112,15 +98,7 @@ def _range_of_test(scene: Scene) -> tuple[float, float]:
 def take_off(scene: Scene, frequency: Array) -> Array:
     """Compute the level at which a damper reaches 1 g in the linear structure with all dampers riding.
 
-    Parameters
-    ----------
-    frequency : ndarray, shape (frequencies,)
-        Hz.
-
-    Returns
-    -------
-    ndarray, shape (frequencies,)
-        N, or the unit of the drive.
+    `frequency`, shape (frequencies,): Hz. Returns shape (frequencies,), N, or the unit of the drive.
     """
     return assemble(scene).gravity / _dampers_accelerations(scene, frequency)
 
@@ -144,20 +122,10 @@ def rows_of(
 ) -> Array:
     """Select levels or clearances, evenly spaced in the logarithm.
 
-    Parameters
-    ----------
-    over : {"force", "drive", "clearance"}
-    frequency : ndarray
-        Hz.
-    least, most : float, optional
-        Ends of the range. Default for levels: from below the first take-off to well above it. Default for clearances:
-        from a damper that hardly moves to a damper that hardly reaches its ceiling. Unless both are given, one row is
-        the scene's own value.
-
-    Raises
-    ------
-    SceneError
-        If the ends are not a valid range.
+    `over`: "force", "drive" or "clearance"; `frequency`: Hz; `least`, `most`: ends of the range. Default for levels:
+    from below the first take-off to well above it. Default for clearances: from a damper that hardly moves to a
+    damper that hardly reaches its ceiling. Unless both are given, one row is the scene's own value. Raises
+    `SceneError` if the ends are not a valid range.
     """
     own, usual = (_clearances if over == "clearance" else _levels)(scene, frequency)
     low, high = usual[0] if least is None else least, usual[1] if most is None else most

@@ -133,25 +133,11 @@ def first_crossing(
 ) -> tuple[float, int]:
     """Find where a guard first falls below zero on (0, 1].
 
-    Parameters
-    ----------
-    series : float64 (LENGTH,)
-        Power-series coefficients in tau of a guard that should stay positive.
-    start : int
-        Number of leading coefficients known to be exactly zero (multiplicity of the root at tau = 0).
-    allowance : float
-        Rounding of the guard: values within it are rounding errors of zero.
-    work : float64 (DEEPEST + 3, LENGTH), spans : float64 (DEEPEST + 3, 2)
-        Scratch space.
-    bernstein : float64
-        The conversion matrices `BERNSTEIN`.
-
-    Returns
-    -------
-    tau : float
-        The crossing; 0 when the guard is at zero within rounding and falling; `NONE` when there is none.
-    ambiguous : int
-        Number of dips whose depth lies within the allowance; they are decided as no event.
+    `series`: power-series coefficients in tau of a guard that should stay positive; `start`: number of leading
+    coefficients known to be exactly zero (multiplicity of the root at tau = 0); `allowance`: rounding of the guard:
+    values within it are rounding errors of zero; `work`: scratch space; `bernstein`: the conversion matrices
+    `BERNSTEIN`. Returns `tau`, the crossing; 0 when the guard is at zero within rounding and falling; `NONE` when
+    there is none; `ambiguous`, number of dips whose depth lies within the allowance; they are decided as no event.
     """
     while start < LENGTH and abs(series[start]) <= allowance:
         start += 1

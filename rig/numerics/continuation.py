@@ -75,20 +75,9 @@ def newton(
 ) -> tuple[Vector, Vector, int]:
     """Solve the equations on the plane through `x` at right angles to `border` (scaled unknowns).
 
-    Returns
-    -------
-    x : ndarray, shape (n + 1,)
-        The solution.
-    tangent : ndarray, shape (n + 1,)
-        Unit tangent of the curve there (scaled unknowns), on the side of `border`; from the last correction,
-        which was too small to change it.
-    iterations : int
-        Corrections it took.
-
-    Raises
-    ------
-    NoConvergence
-        With the size of the last correction.
+    Returns `x`, shape (n + 1,), the solution; `tangent`, shape (n + 1,), unit tangent of the curve there (scaled
+    unknowns), on the side of `border`; from the last correction, which was too small to change it; `iterations`,
+    corrections it took. Raises `NoConvergence` with the size of the last correction.
     """
     start, last = x, np.inf
     system, right = np.empty((x.size, x.size)), np.zeros((x.size, 2))
@@ -131,16 +120,8 @@ def hold(
 ) -> tuple[Vector, Vector]:
     """Solve the equations with the parameter held at a given value, starting from `x`.
 
-    Returns
-    -------
-    x : ndarray, shape (n + 1,)
-    tangent : ndarray, shape (n + 1,)
-        Unit tangent there, on the side of rising parameters.
-
-    Raises
-    ------
-    NoConvergence
-        If Newton's iteration does not settle.
+    Returns `x`, shape (n + 1,); `tangent`, shape (n + 1,), unit tangent there, on the side of rising parameters.
+    Raises `NoConvergence` if Newton's iteration does not settle.
     """
     border = np.zeros(x.size)
     border[-1] = 1.0
@@ -168,24 +149,12 @@ def trace(
 ) -> Curve:
     """Follow the curve through a solution in both directions.
 
-    Parameters
-    ----------
-    equations : callable
-        x -> residual (n,), jacobian (n, n + 1); the parameter is x's last element.
-    start : ndarray, shape (n + 1,)
-        A solution.
-    bounds : tuple of float
-        Range of the parameter; the curve ends on it exactly.
-    scale : ndarray, shape (n + 1,)
-        Natural size of each unknown; arclength is measured in these.
-    margins : callable, optional
-        x -> margin to each border, negative for what is not part of the curve any more, and the borders' names. A
-        margin changes smoothly across its border, so that the last point kept lies there.
-
-    Returns
-    -------
-    Curve
-        From the end reached against the parameter's direction at the start to the other end.
+    `equations`: x -> residual (n,), jacobian (n, n + 1); the parameter is x's last element; `start`, shape (n + 1,):
+    a solution; `bounds`: range of the parameter; the curve ends on it exactly; `scale`, shape (n + 1,): natural size
+    of each unknown; arclength is measured in these; `margins`: x -> margin to each border, negative for what is not
+    part of the curve any more, and the borders' names. A margin changes smoothly across its border, so that the last
+    point kept lies there. Returns from the end reached against the parameter's direction at the start to the other
+    end.
     """
     steps = steps or Steps()
     first = tangent(equations, start, scale)
@@ -338,15 +307,8 @@ def locate(
     The chord between them is divided, each trial is put back on the curve, and the zero is closed in by Brent's
     method.
 
-    Returns
-    -------
-    x, tangent : ndarray, shape (n + 1,)
-        The point and the unit tangent there.
-
-    Raises
-    ------
-    NoConvergence
-        If the curve cannot be met between the two points, or the monitor has one sign at both.
+    Returns `x, tangent`, shape (n + 1,), the point and the unit tangent there. Raises `NoConvergence` if the curve
+    cannot be met between the two points, or the monitor has one sign at both.
     """
     steps = steps or Steps()
     begin, scale = curve.points[index], curve.scale

@@ -113,12 +113,7 @@ def weigh(rows: Any, first: int, column: int, weights: Any, count: int, out: Any
 
     The length is rounded up to a multiple of `WEIGHED`: rows and `out` must have that much room.
 
-    Parameters
-    ----------
-    rows : float64 (rows, columns), C-contiguous
-    first, column : int
-        Where to begin.
-    weights : float64 (at least count,)
+    `first`, `column`: where to begin.
     """
     stride = rows.shape[1]
     start = first * stride + column
@@ -136,15 +131,8 @@ def spread(
     flat indices of `factors` and `out`. The count is rounded up to a multiple of `TOGETHER`: factors and `out`
     must have that much room.
 
-    Parameters
-    ----------
-    rows : float64 (entries, LANES), C-contiguous
-    factors : float64, C-contiguous
-    start, step, apart : int
-        Place of the first factor; how far it is to that of the next entry, and of the next sum.
-    out : float64, C-contiguous
-    first, count : int
-        Number of the first sum, and how many there are.
+    `start`, `step`, `apart`: place of the first factor; how far it is to that of the next entry, and of the next
+    sum; `first`, `count`: number of the first sum, and how many there are.
     """
     entries = rows.shape[0]
     for done in range(0, count, TOGETHER):

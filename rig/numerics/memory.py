@@ -18,20 +18,9 @@ _PREFIXES = {"": 1.0, "M": 1e6, "G": 1e9, "T": 1e12}
 def need(size: float, what: str) -> None:
     """Refuse what would take more memory than is allowed.
 
-    Parameters
-    ----------
-    size : float
-        Bytes.
-    what : str
-        What takes them.
+    `size`: bytes; `what`: what takes them. Raises `RunError` if they are more than 1 GB, or than the environment
+    variable `SHOTRIG_MEMORY` allows.
 
-    Raises
-    ------
-    RunError
-        If they are more than 1 GB, or than the environment variable `SHOTRIG_MEMORY` allows.
-
-    Examples
-    --------
     >>> need(1e15, "a motion")  # doctest: +ELLIPSIS
     Traceback (most recent call last):
     rig.errors.RunError: a motion would take 1e+06 GB of memory; at most 1 GB is taken unless ...
@@ -56,10 +45,7 @@ def need_beside_program(size: float, what: str) -> None:
 def most() -> float:
     """Give what a command may take, bytes.
 
-    Raises
-    ------
-    RunError
-        If the environment variable says no amount.
+    Raises `RunError` if the environment variable says no amount.
     """
     written = os.environ.get(ALLOWED, "")
     if not written:

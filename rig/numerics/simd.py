@@ -319,14 +319,7 @@ def exceeds(vector: Any, bound: Any) -> bool:
 def combine(matrix: Any, constant: Any, slot: int, vector: Any, columns: int, out: Any) -> None:
     """Out = matrix[slot]^T vector + constant[slot].
 
-    Parameters
-    ----------
-    matrix : float64 (slots, at least columns, rows), C-contiguous, rows a multiple of LANES
-    constant : float64 (slots, rows)
-    vector : float64 (at least columns,)
-    columns : int
-        A multiple of SUMS is quickest.
-    out : float64 (rows,), or any contiguous array of that size
+    `columns`: a multiple of SUMS is quickest.
     """
     _combine_from(matrix, constant, slot, vector, columns, out, 0)
 
@@ -355,12 +348,7 @@ def _combine_from(
 def multiply(matrix: Any, slot: int, vector: Any, constant: Any, out: Any) -> None:
     """Out = matrix[slot]^T vector + constant, the same for all slots.
 
-    Parameters
-    ----------
-    matrix : float64 (slots, columns, rows), C-contiguous, rows a multiple of LANES
-    vector : float64 (columns,)
-    constant, out : float64 (rows,)
-        Not the same array.
+    `constant`, `out`: not the same array.
     """
     columns, rows = matrix.shape[1], matrix.shape[2]
     for row in range(0, rows, LANES):

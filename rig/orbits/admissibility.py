@@ -138,11 +138,8 @@ def _lasting_margins(
 def margins(equations: Equations, sequence: Sequence, track: Track, instants: Array, closing: Array) -> Array:
     """Compute the margin of an orbit at each border beyond which it is impossible as a motion.
 
-    Returns
-    -------
-    ndarray, shape (kinds of borders, max(events, dampers))
-        Gaps in g/w^2, accelerations in g, times in 1/w; at most 1, negative beyond the border. The second index
-        is an event for the kinds ORDER, LET_GO and MISS, else a damper.
+    Returns shape (kinds of borders, max(events, dampers)), gaps in g/w^2, accelerations in g, times in 1/w; at most
+    1, negative beyond the border. The second index is an event for the kinds ORDER, LET_GO and MISS, else a damper.
     """
     omega, gravity = equations.omega, equations.gravity
     size = gravity / omega**2 if gravity > 0.0 else np.abs(track.reach).max()

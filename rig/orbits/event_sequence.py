@@ -125,25 +125,10 @@ def plan_from(
 ) -> tuple[Plan, Array]:
     """Derive the sequence of events from a simulated cycle.
 
-    Parameters
-    ----------
-    course : Trajectory
-        Events of the cycle.
-    start : ndarray of int8, shape (dampers,)
-        Contact state at its start.
-    repetition : int
-        Periods in the cycle.
-
-    Returns
-    -------
-    order : ndarray
-        Positions of the plan's events among the events of the cycle.
-
-    Raises
-    ------
-    UncoveredMotionError
-        If a damper with rebound comes to rest on a wall after infinitely many impacts; or the impact of another
-        damper throws a damper from its wall, through a full mass matrix or a common body.
+    `course`: events of the cycle; `start`, shape (dampers,): contact state at its start; `repetition`: periods in
+    the cycle. Returns `order`, positions of the plan's events among the events of the cycle. Raises
+    `UncoveredMotionError` if a damper with rebound comes to rest on a wall after infinitely many impacts; or the
+    impact of another damper throws a damper from its wall, through a full mass matrix or a common body.
     """
     kinds: list[int] = []
     dampers: list[int] = []

@@ -27,25 +27,10 @@ def correct(
 ) -> tuple[Array, Array, Shot, float, int]:
     """Solve the equations of an orbit by Newton's iteration, the parameter fixed.
 
-    Parameters
-    ----------
-    equations, change, sequence, unknowns
-        As in `shoot`.
-    scale, rows : ndarray, shape (unknowns,)
-        Sizes of the unknowns and of the residuals.
-    most : int
-        Maximum number of corrections.
-
-    Returns
-    -------
-    slope : ndarray
-        Derivative of the unknowns with respect to the parameter.
-    shot : Shot
-        Evaluation at the solution.
-    last : float
-        Size of the last correction.
-    corrections : int
-        Number of corrections; -1 if the iteration did not converge.
+    `scale`, `rows`, shape (unknowns,): sizes of the unknowns and of the residuals; `most`: maximum number of
+    corrections. Returns `slope`, derivative of the unknowns with respect to the parameter; `shot`, evaluation at the
+    solution; `last`, size of the last correction; `corrections`, number of corrections; -1 if the iteration did not
+    converge.
     """
     x, slope, last = unknowns.copy(), np.zeros(unknowns.size), np.inf
     shot = shoot(equations, change, sequence, x)

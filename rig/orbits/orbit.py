@@ -172,10 +172,7 @@ def solve(
 ) -> Orbit:
     """Solve the equations of an orbit for one setting by Newton's iteration with a limited number of corrections.
 
-    Raises
-    ------
-    RunError
-        If the iteration does not converge.
+    Raises `RunError` if the iteration does not converge.
     """
     curve = Following(problem, plan, setting, "frequency", unknowns)
     equations, change = curve.tables(setting.frequency)
@@ -194,15 +191,8 @@ def solve(
 class Following:
     """The equations of an orbit with one free parameter, for `rig.numerics.continuation`.
 
-    Parameters
-    ----------
-    plan : Plan
-        Events of the orbit.
-    setting : OperatingPoint
-        Values of all other parameters.
-    parameter : {'frequency', 'force', 'clearance', 'mass_ratio'}
-    unknowns : ndarray
-        Initial guess; it also sets the scales.
+    `plan`: events of the orbit; `setting`: values of all other parameters; `parameter`: 'frequency', 'force',
+    'clearance' or 'mass_ratio'; `unknowns`: initial guess; it also sets the scales.
     """
 
     def __init__(

@@ -24,22 +24,17 @@ Array = NDArray[np.float64]
 class OrbitBranch(Result):
     """Orbits with one sequence of events along a continuous curve.
 
-    Attributes
-    ----------
-    value : ndarray, shape (points,)
-        Values of the parameter (Hz, N, m, or factor on the mass ratios); not monotonic at folds.
-    orbits : tuple of Orbit, length points
-    ends : tuple of str
-        Reasons for the ends of the curve, before its first and after its last point.
-    folds, doublings, toruses : ndarray
-        Values of the parameter at which the curve turns back, at which a multiplier passes -1 (period
-        doubling), and at which a complex pair leaves the unit circle.
+    `folds`, `doublings`, `toruses`: values of the parameter at which the curve turns back, at which a multiplier
+    passes -1 (period doubling), and at which a complex pair leaves the unit circle.
+
+    `value`: values of the parameter (Hz, N, m, or factor on the mass ratios); not monotonic at folds, shape
+    (points,).
     """
 
     parameter: Parameter
     value: Array
     orbits: tuple[Orbit, ...]
-    ends: tuple[str, str]
+    ends: tuple[str, str]  # reasons for the ends of the curve, before its first and after its last point
     folds: Array
     doublings: Array
     toruses: Array

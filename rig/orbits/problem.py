@@ -63,10 +63,7 @@ def column_name(parameter: Parameter) -> str:
 def parameter_values(parameter: Parameter, values: ArrayLike) -> Array:
     """Convert values of a parameter, in SI or as text, to an array in SI.
 
-    Raises
-    ------
-    SceneError
-        If the parameter does not exist or a value is invalid.
+    Raises `SceneError` if the parameter does not exist or a value is invalid.
     """
     if parameter not in PARAMETERS:
         raise SceneError(f"parameter {parameter!r}: expected one of {', '.join(PARAMETERS)}")
@@ -76,10 +73,7 @@ def parameter_values(parameter: Parameter, values: ArrayLike) -> Array:
 def base_frequency(parameter: Parameter, frequency: float | str | None, first: float) -> float:
     """Return the frequency at which a parameter is varied, or its first value if it is the frequency.
 
-    Raises
-    ------
-    SceneError
-        If the frequency is missing or invalid.
+    Raises `SceneError` if the frequency is missing or invalid.
     """
     if frequency is not None:
         return float(positives(frequency, FREQUENCY, "frequency")[0])
@@ -110,15 +104,7 @@ class _Linear(NamedTuple):
 class OrbitProblem:
     """A scene's equations for any setting, with tables of the configurations visited.
 
-    Parameters
-    ----------
-    scene : Scene
-        With a shaker and a test that gives a level.
-
-    Raises
-    ------
-    SceneError
-        If the scene has no excitation.
+    `scene`: with a shaker and a test that gives a level. Raises `SceneError` if the scene has no excitation.
     """
 
     def __init__(self, scene: Scene) -> None:

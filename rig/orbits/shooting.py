@@ -272,13 +272,8 @@ def _return(sequence: Sequence, unknowns: Array, course: Course, residual: Array
 def shoot(equations: Equations, change: Change, sequence: Sequence, unknowns: Array) -> Shot:
     """Evaluate the equations of an orbit.
 
-    Parameters
-    ----------
-    change : Change
-        Derivatives with respect to the parameter.
-    unknowns : ndarray, shape (unknowns,)
-        State at t = 0, height and velocity of each damper in flight there (in order), instants of the events
-        [s].
+    `change`: derivatives with respect to the parameter; `unknowns`, shape (unknowns,): state at t = 0, height and
+    velocity of each damper in flight there (in order), instants of the events [s].
     """
     n, nd = equations.generator.shape[1] - 3, equations.position.shape[0]
     events, size, omega = sequence.kind.shape[0], unknowns.shape[0], equations.omega

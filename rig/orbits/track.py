@@ -180,14 +180,8 @@ def _first_harmonic(a: Array, omega: float, times: Array, x: Array, step: float)
 def follow(equations: Equations, sequence: Sequence, instants: Array, states: Array) -> Track:
     """Follow an orbit between its events.
 
-    Parameters
-    ----------
-    equations, sequence
-        As in `rig.orbits.shooting.shoot`.
-    instants : ndarray, shape (events,)
-        Instants of the events.
-    states : ndarray, shape (events + 1, states + 2 dampers)
-        As `shoot` returns them.
+    `instants`, shape (events,): instants of the events; `states`, shape (events + 1, states + 2 dampers): as `shoot`
+    returns them.
     """
     n = equations.generator.shape[1] - 3
     nq, nd, omega = equations.inverse_mass.shape[1], equations.position.shape[0], equations.omega

@@ -57,20 +57,13 @@ _SHOWN = {"m/N": ("µm/N", 1e6), "m/(N s)": ("mm/(N s)", 1e3)}
 class Point:
     """Degree of freedom of an output or input.
 
-    Attributes
-    ----------
-    name : str
-        Channel or body.
-    quantity : str
-        ``"displacement"``, ``"velocity"``, ``"acceleration"``, ``"force"``, ``"table"`` (its displacement), or
-        ``"ratio"`` of two responses.
-    place : str
-        Body by its name, or ``body 1``; empty where it is not known.
+    `quantity`: ``"displacement"``, ``"velocity"``, ``"acceleration"``, ``"force"``, ``"table"`` (its displacement),
+    or ``"ratio"`` of two responses.
     """
 
-    name: str
+    name: str  # channel or body
     quantity: str = "displacement"
-    place: str = ""
+    place: str = ""  # body by its name, or ``body 1``; empty where it is not known
 
 
 @dataclass(frozen=True, repr=False, eq=False)

@@ -54,16 +54,7 @@ class Result(ABC):
     def plot(self, ax: Axes | None = None, **style: Any) -> Axes:
         """Draw it.
 
-        Parameters
-        ----------
-        ax : matplotlib Axes, optional
-            Where to; omitted, new ones of pyplot.
-        **style
-            For the curves, as `Axes.plot` takes it.
-
-        Returns
-        -------
-        matplotlib Axes
+        `ax`: where to; omitted, new ones of pyplot; `**style`: for the curves, as `Axes.plot` takes it.
         """
         if ax is None:
             import matplotlib.pyplot as plt
@@ -80,10 +71,7 @@ class Result(ABC):
     def to_dataframe(self) -> pandas.DataFrame:
         """Give the columns as a pandas table, the first one as its index.
 
-        Raises
-        ------
-        RunError
-            If pandas is not installed.
+        Raises `RunError` if pandas is not installed.
         """
         try:
             import pandas
@@ -95,10 +83,7 @@ class Result(ABC):
     def to_xarray(self) -> xarray.Dataset:
         """Give the columns as an xarray data set over the first one.
 
-        Raises
-        ------
-        RunError
-            If xarray is not installed.
+        Raises `RunError` if xarray is not installed.
         """
         try:
             import xarray

@@ -16,8 +16,6 @@ _MOST_RANGES = 8
 def plainly(value: float) -> str:
     """Write a number with three digits, without a power of ten unless it is tiny or huge.
 
-    Examples
-    --------
     >>> [plainly(value) for value in (2.6, 3000.0, 12345.6, 1.5e-7)]
     ['2.6', '3000', '12300', '1.5e-07']
     """
@@ -27,8 +25,6 @@ def plainly(value: float) -> str:
 def rounded(value: float, bound: float) -> str:
     """Write a number to the second digit of its bound.
 
-    Examples
-    --------
     >>> rounded(0.0123456, 0.00021), rounded(1078.4, 134.0), rounded(3.14159, 0.0)
     ('0.01235', '1078', '3.142')
     """
@@ -40,8 +36,6 @@ def rounded(value: float, bound: float) -> str:
 def bounded(value: float, bound: float, unit: str) -> str:
     """Write a number with its bound and unit, in brackets so that the bound of a percentage is not read as a share.
 
-    Examples
-    --------
     >>> bounded(2.4213, 0.204, "%"), bounded(935.21, float("inf"), "µm/N")
     ('(2.42 ± 0.20) %', '935.2 µm/N (no bound)')
     """

@@ -76,22 +76,14 @@ class RandomErrors(Protocol):
 class Contribution:
     """One cause of uncertainty.
 
-    Attributes
-    ----------
-    name : str
-    evaluation : {'A', 'B'}
-        By statistics of the readings, or by other knowledge (GUM 4.2, 4.3).
-    size : ndarray, of the shape of the response's values
-        Type A: standard uncertainty of either quadrature component, NaN where one average gives no scatter.
-        Type B: largest deviation, infinite where it is unbounded.
-    degrees : ndarray, optional
-        Degrees of freedom of type A.
+    `size`: type A: standard uncertainty of either quadrature component, NaN where one average gives no scatter. Type
+    B: largest deviation, infinite where it is unbounded.
     """
 
     name: str
-    evaluation: Literal["A", "B"]
+    evaluation: Literal["A", "B"]  # by statistics of the readings, or by other knowledge (GUM 4.2, 4.3)
     size: Array
-    degrees: Array | None = None
+    degrees: Array | None = None  # degrees of freedom of type A
 
     def standard(self) -> Array:
         """Give the standard uncertainty; a largest deviation counts as a uniform distribution (GUM 4.3.7)."""
@@ -108,25 +100,16 @@ class Contribution:
 class UncertaintyBudget:
     """Contributions to the uncertainty of a response.
 
-    Attributes
-    ----------
-    contributions : tuple of Contribution
-        Empty where a response is exact.
-    errors : RandomErrors, optional
-        Of the elements, for their covariance; omitted, they are independent.
-    shared : float
-        Number of neighbouring lines that rest on the same samples, so that they have one error.
-    clock : float
-        Largest relative error of all frequencies by the sample clock; its effect on values is a contribution.
-    scale : float
-        Largest relative error that the sensor of the reference causes in all values alike.
+    `errors`: of the elements, for their covariance; omitted, they are independent; `shared`: number of neighbouring
+    lines that rest on the same samples, so that they have one error; `clock`: largest relative error of all
+    frequencies by the sample clock; its effect on values is a contribution.
     """
 
-    contributions: tuple[Contribution, ...] = ()
+    contributions: tuple[Contribution, ...] = ()  # empty where a response is exact
     errors: RandomErrors | None = None
     shared: float = 1.0
     clock: float = 0.0
-    scale: float = 0.0
+    scale: float = 0.0  # largest relative error that the sensor of the reference causes in all values alike
 
     @classmethod
     def of(
@@ -291,18 +274,12 @@ class LineCovariance:
 class BudgetTable:
     """Uncertainty budget of one value as text: contributions, type, standard uncertainty, share of the variance.
 
-    Attributes
-    ----------
-    title : str
-        What the value is of.
-    value, expanded : float
-        Magnitude and radius of its 95 % circle, in `unit`.
-    unit : str
-    rows : tuple of (str, str, float, float)
-        Name, type, standard uncertainty in `unit`, share of the combined variance; largest first.
+    `value`, `expanded`: magnitude and radius of its 95 % circle, in `unit`.
+
+    `rows`: name, type, standard uncertainty in `unit`, share of the combined variance; largest first.
     """
 
-    title: str
+    title: str  # what the value is of
     value: float
     expanded: float
     unit: str

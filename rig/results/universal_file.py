@@ -32,16 +32,8 @@ def write_curve(
 
     After it follows its standard deviation, as a general function (type 0), which other programs skip.
 
-    Parameters
-    ----------
-    number, node, driven : int
-        Of the function, of the output, whose direction is +Z, and of the force.
-    title, labels : str
-        Response and ratio; scene and ratio.
-    motion : str
-        Quantity of the response.
-    resolution : float
-        Hz.
+    `number`, `node`, `driven`: of the function, of the output, whose direction is +Z, and of the force; `title`,
+    `labels`: response and ratio; scene and ratio; `motion`: quantity of the response; `resolution`: Hz.
     """
     steps = np.diff(frequency)
     where = {

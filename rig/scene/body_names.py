@@ -36,13 +36,8 @@ def mistakes_in(names: Sequence[str], bodies: int) -> Iterator[tuple[int | None,
 def number_of(body: int | str, names: Sequence[str] | None, bodies: int) -> int:
     """Return the number of a body, from 1, given its number or its name as in options and arguments.
 
-    Raises
-    ------
-    SceneError
-        If the body does not exist; the message suggests the nearest name.
+    Raises `SceneError` if the body does not exist; the message suggests the nearest name.
 
-    Examples
-    --------
     >>> number_of("arm", ("base", "arm"), 2), number_of("body 1", None, 2), number_of("2", None, 2)
     (2, 1, 2)
     """
@@ -59,12 +54,8 @@ def number_of(body: int | str, names: Sequence[str] | None, bodies: int) -> int:
 def numbered(scene: Mapping[str, Any]) -> tuple[dict[str, Any], list[Mistake]]:
     """Replace each name of a body in a scene by its number, and check the number.
 
-    Returns
-    -------
-    dict
-        The scene with body numbers; all other settings are unchanged.
-    list of Mistake
-        One mistake for each name or number without a body.
+    Returns the scene with body numbers; all other settings are unchanged; one mistake for each name or number
+    without a body.
     """
     names, bodies = _names(scene.get("structure"))
     mistakes: list[Mistake] = []

@@ -78,18 +78,9 @@ class Change:
 def changes_of(given: Mapping[str, Any]) -> list[Change]:
     """Read changes from Python.
 
-    Parameters
-    ----------
-    given : mapping of str to any
-        Values by key, such as ``"dampers[2].clearance"``; items of lists count from 1.
+    `given`: values by key, such as ``"dampers[2].clearance"``; items of lists count from 1. Raises `SceneError` if a
+    key is invalid.
 
-    Raises
-    ------
-    SceneError
-        If a key is invalid.
-
-    Examples
-    --------
     >>> changes_of({"dampers[2].clearance": "1 mm"})[0].steps
     ('dampers', 1, 'clearance')
     """
@@ -99,18 +90,9 @@ def changes_of(given: Mapping[str, Any]) -> list[Change]:
 def parsed(settings: Iterable[str]) -> list[Change]:
     """Read changes from a command line.
 
-    Parameters
-    ----------
-    settings : iterable of str
-        Each ``KEY=VALUE``, the value as in a scene file; an empty value or `null` removes the key.
+    `settings`: each ``KEY=VALUE``, the value as in a scene file; an empty value or `null` removes the key. Raises
+    `SceneError` if a setting does not have this form.
 
-    Raises
-    ------
-    SceneError
-        If a setting does not have this form.
-
-    Examples
-    --------
     >>> [change.value for change in parsed(["test.force=5N", "structure.masses=[1 kg, 2 kg]", "dampers="])]
     ['5N', ['1 kg', '2 kg'], None]
     """

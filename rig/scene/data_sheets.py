@@ -68,17 +68,8 @@ def data_sheets() -> dict[str, DataSheet]:
 def data_sheet(name: str, kind: str | None = None) -> DataSheet:
     """Return the data sheet of a part; case, spaces and hyphens are ignored.
 
-    Parameters
-    ----------
-    name : str
-        Name of the part.
-    kind : str, optional
-        Required kind of part: one of `KINDS`, or ``"module"``; by default any.
-
-    Raises
-    ------
-    SceneError
-        If no data sheet has that name and kind.
+    `name`: name of the part; `kind`: required kind of part: one of `KINDS`, or ``"module"``; by default any. Raises
+    `SceneError` if no data sheet has that name and kind.
     """
     known = {
         _plain(each.name): each
@@ -97,13 +88,8 @@ def data_sheet(name: str, kind: str | None = None) -> DataSheet:
 def described(name: str) -> list[str]:
     """Describe a part in lines: every figure that a scene takes from it, with figures without a source marked.
 
-    Raises
-    ------
-    SceneError
-        If no data sheet has that name.
+    Raises `SceneError` if no data sheet has that name.
 
-    Examples
-    --------
     >>> described("ni9263")[1:4]
     ['  as output: {preset: NI 9263}', '    bits   16', '    range  10 V']
     """

@@ -63,10 +63,7 @@ def load(scene: SceneLike, changes: Mapping[str, Any] | None = None) -> Scene:
 def load_changed(scene: str, settings: Iterable[str]) -> Scene:
     """Load a scene with changes ``KEY=VALUE`` from a command line, shown in messages as ``--set KEY=VALUE``.
 
-    Raises
-    ------
-    SceneError
-        As `load`.
+    Raises `SceneError` as `load`.
     """
     return _loaded(scene, parsed(settings))
 
@@ -121,10 +118,7 @@ def loads(text: str, where: str = "scene", folder: str | Path | None = None) -> 
 def loads_si(text: str, where: str) -> Scene:
     """Load a scene from the text of `Scene.to_si_yaml`, which does not contain the user's units.
 
-    Raises
-    ------
-    SceneError
-        If the scene has mistakes; the message has one line for each.
+    Raises `SceneError` if the scene has mistakes; the message has one line for each.
     """
     scene = loads(text, where)
     scene.forget_spelling()

@@ -165,10 +165,7 @@ class Module:
 def module(name: str) -> Module:
     """Return a module by its preset name; case, spaces and hyphens are ignored.
 
-    Raises
-    ------
-    SceneError
-        If no module has that name.
+    Raises `SceneError` if no module has that name.
     """
     sheet = data_sheet(name, "module")
     facts, settings = sheet.facts, sheet.settings

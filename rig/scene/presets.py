@@ -18,13 +18,8 @@ Device = TypeVar("Device", Accelerometer, Hammer, Converter, Output)
 def filled_in(settings: Device) -> Device:
     """Complete settings with the values of their preset, if any.
 
-    Raises
-    ------
-    SceneError
-        If the part does not exist, or the given settings are incompatible with it.
+    Raises `SceneError` if the part does not exist, or the given settings are incompatible with it.
 
-    Examples
-    --------
     >>> filled_in(Converter(preset="NI 9234", range=10.0)).bits, filled_in(Converter(preset="ni9234")).range
     (24, 5.0)
     """
@@ -45,8 +40,6 @@ def filled_in(settings: Device) -> Device:
 def origin(settings: Accelerometer | Hammer | None, key: str) -> str:
     """Describe the preset and source of a figure; an empty string if the scene gives the figure.
 
-    Examples
-    --------
     >>> origin(Accelerometer(preset="PCB 352C33"), "saturation")
     ' by preset PCB 352C33, from no source'
     >>> origin(Accelerometer(preset="PCB 352C33", saturation=500.0), "saturation")
@@ -61,8 +54,6 @@ def origin(settings: Accelerometer | Hammer | None, key: str) -> str:
 def needs_supply(channel: Channel) -> bool:
     """Whether the sensor of a channel needs a supply current from its input (IEPE).
 
-    Examples
-    --------
     >>> needs_supply(Channel(name="body1", at="body 1", accelerometer={"preset": "PCB 352C33"}))
     True
     >>> needs_supply(Channel(name="body1", at="body 1", accelerometer={"sensitivity": "100 mV/g"}))
@@ -78,19 +69,8 @@ def input_settings(converter: Converter, channel: Channel) -> Converter:
 
     If a module supplies sensors only through AC-coupled inputs, DC coupling turns the supply off.
 
-    Parameters
-    ----------
-    converter : Converter
-        Settings in the scene.
-    channel : Channel
+    `converter`: settings in the scene. Returns settings completed from the preset.
 
-    Returns
-    -------
-    Converter
-        Settings completed from the preset.
-
-    Examples
-    --------
     >>> channel = Channel(name="body1", at="body 1", coupling="DC")
     >>> input_settings(Converter(preset="NI 9234"), channel).excitation
     0.0

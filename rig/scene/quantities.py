@@ -131,26 +131,11 @@ _GRAVITY = re.compile(r"(?<![A-Za-z])([num]?)g(?![A-Za-z])")
 def parse(value: Any, kind: Kind) -> float:
     """Read a quantity.
 
-    Parameters
-    ----------
-    value : float, int or str
-        A number in SI (frequencies in Hz), or text: a number and a unit. The result is the double nearest to
-        the written value.
-    kind : Kind
-        Required kind of quantity.
+    `value`: a number in SI (frequencies in Hz), or text: a number and a unit. The result is the double nearest to
+    the written value; `kind`: required kind of quantity. Returns the value in the SI unit of its kind; may be
+    infinite, never NaN. Raises `ValueError` if the text is not a number, the unit is unknown or of another kind, or
+    the value is NaN.
 
-    Returns
-    -------
-    float
-        The value in the SI unit of its kind; may be infinite, never NaN.
-
-    Raises
-    ------
-    ValueError
-        If the text is not a number, the unit is unknown or of another kind, or the value is NaN.
-
-    Examples
-    --------
     >>> parse("0.98 mm", LENGTH)
     0.00098
     >>> round(parse("312.4 rad/s", FREQUENCY), 2)
@@ -206,13 +191,8 @@ def number(value: float | str | None, kind: Kind, name: str) -> float | None: ..
 def number(value: float | str | None, kind: Kind, name: str) -> float | None:
     """Convert an argument to a number in SI: numbers are taken as SI, text is parsed with its unit.
 
-    Raises
-    ------
-    SceneError
-        If the text is not a quantity of this kind; the message begins with the argument's name.
+    Raises `SceneError` if the text is not a quantity of this kind; the message begins with the argument's name.
 
-    Examples
-    --------
     >>> number("2 s", TIME, "duration"), number(2.0, TIME, "duration")
     (2.0, 2.0)
     """
@@ -228,13 +208,8 @@ def number(value: float | str | None, kind: Kind, name: str) -> float | None:
 def span(values: ArrayLike, kind: Kind, name: str) -> tuple[float, float]:
     """Convert an argument of two quantities in ascending order, each like `number`.
 
-    Raises
-    ------
-    SceneError
-        If the argument is invalid; the message begins with its name.
+    Raises `SceneError` if the argument is invalid; the message begins with its name.
 
-    Examples
-    --------
     >>> span(["55 Hz", 70], FREQUENCY, "band")
     (55.0, 70.0)
     """
@@ -248,13 +223,8 @@ def span(values: ArrayLike, kind: Kind, name: str) -> tuple[float, float]:
 def positives(values: ArrayLike, kind: Kind, name: str) -> NDArray[np.float64]:
     """Convert an argument of one or several quantities, each like `number`; all must be positive and finite.
 
-    Raises
-    ------
-    SceneError
-        If a value is invalid; the message begins with the argument's name.
+    Raises `SceneError` if a value is invalid; the message begins with the argument's name.
 
-    Examples
-    --------
     >>> positives(["49 Hz", "3000 rpm"], FREQUENCY, "frequencies").tolist()
     [49.0, 50.0]
     """
@@ -284,13 +254,8 @@ def text(value: float, kind: Kind) -> str:
 def spelled(value: float, kind: Kind, before: str | None = None) -> str:
     """Write a quantity with the fewest digits from which `parse` returns the identical double.
 
-    Parameters
-    ----------
-    before : str, optional
-        The user's spelling: returned unchanged if its value is the same; otherwise its unit is used.
+    `before`: the user's spelling: returned unchanged if its value is the same; otherwise its unit is used.
 
-    Examples
-    --------
     >>> spelled(0.000133, LENGTH), spelled(0.00125, LENGTH, "5e-4 m"), spelled(0.00125, LENGTH, "1.25 mm")
     ('0.133 mm', '0.00125 m', '1.25 mm')
     >>> spelled(parse("100 mV/g", ACCELERATION_SENSITIVITY), ACCELERATION_SENSITIVITY)
@@ -387,10 +352,7 @@ def _factor(unit: str, kind: Kind) -> Fraction:
 def by_pint(unit: str, kind: Kind) -> Fraction:
     """Return the SI factor of a unit from Pint.
 
-    Raises
-    ------
-    ValueError
-        If the unit is unknown or of another kind.
+    Raises `ValueError` if the unit is unknown or of another kind.
     """
     plain = _spelled_out(unit)
     # g is the gram or standard gravity, whichever results in the required kind (74 g, 100 mV/g).

@@ -93,8 +93,6 @@ def keys() -> tuple[Key, ...]:
 
     Keys that several kinds have in common are listed once.
 
-    Examples
-    --------
     >>> next(key for key in keys() if key.name == "dampers[].clearance").takes
     'a length such as 0.98 mm, at least 0; a bare number is in m'
     """
@@ -180,15 +178,8 @@ def _takes(schema: Any, node: Any) -> str:
 def help_on(key: str | None = None) -> str:
     """Explain a key: meaning, allowed values, default, and the keys inside.
 
-    Parameters
-    ----------
-    key : str, optional
-        Full dotted name or only its end (``clearance``); item numbers are ignored. None: all top-level keys.
-
-    Raises
-    ------
-    SceneError
-        If the key does not exist.
+    `key`: full dotted name or only its end (``clearance``); item numbers are ignored. None: all top-level keys.
+    Raises `SceneError` if the key does not exist.
     """
     if key is None:
         top = [_line(each, each.name) for each in keys() if "." not in each.name]

@@ -26,10 +26,7 @@ def summary(name: str) -> str:
 def find(scene: str | Path) -> Path:
     """Return the path of a scene file, or of a bundled scene by its name.
 
-    Raises
-    ------
-    SceneError
-        If the file does not exist.
+    Raises `SceneError` if the file does not exist.
     """
     path = Path(scene)
     names = bundled()
@@ -57,10 +54,7 @@ def find(scene: str | Path) -> Path:
 def read_text(path: Path) -> str:
     """Read the text of a scene file.
 
-    Raises
-    ------
-    SceneError
-        If the file cannot be read or is not text.
+    Raises `SceneError` if the file cannot be read or is not text.
     """
     try:
         text = read_whole(path).decode("utf-8-sig")
@@ -76,9 +70,6 @@ def read_text(path: Path) -> str:
 def text_of(scene: str | Path) -> str:
     """Return the text of a scene file, including comments.
 
-    Raises
-    ------
-    SceneError
-        If the file does not exist or is not text.
+    Raises `SceneError` if the file does not exist or is not text.
     """
     return read_text(find(scene))

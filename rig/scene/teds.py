@@ -62,17 +62,8 @@ class ElectronicDataSheet:
 def electronic_data_sheet(channel: Channel, seed: int) -> ElectronicDataSheet | None:
     """Return the electronic data sheet of a channel's sensor.
 
-    Parameters
-    ----------
-    channel : Channel
-        A channel of the scene.
-    seed : int
-        Seed of the scene; with the channel's name it determines the serial number.
-
-    Returns
-    -------
-    ElectronicDataSheet or None
-        None if the sensor has no preset.
+    `channel`: a channel of the scene; `seed`: seed of the scene; with the channel's name it determines the serial
+    number. Returns None if the sensor has no preset.
     """
     sensor = channel.hammer if channel.measures_force else channel.accelerometer
     if sensor is None or sensor.preset is None:

@@ -53,10 +53,7 @@ class _Unreadable(Exception):
 def read(text: str) -> Document:
     """Read a YAML text.
 
-    Returns
-    -------
-    Document
-        Content of the text; duplicate keys and invalid YAML are listed in its `mistakes`.
+    Returns content of the text; duplicate keys and invalid YAML are listed in its `mistakes`.
     """
     document = Document()
     try:

@@ -13,17 +13,8 @@ from rig.errors import RunError
 def checked_drive(drive: ArrayLike, inputs: Sequence[str], first: int = 0) -> NDArray[np.float64]:
     """Return a drive as an array of shape (inputs, samples).
 
-    Parameters
-    ----------
-    inputs : sequence of str
-        Names of the drive inputs.
-    first : int
-        Number of the first sample, for error messages.
-
-    Raises
-    ------
-    RunError
-        If the drive has another shape or is not finite.
+    `inputs`: names of the drive inputs; `first`: number of the first sample, for error messages. Raises `RunError`
+    if the drive has another shape or is not finite.
     """
     block = np.asarray(drive, dtype=np.float64)
     if block.ndim != 2 or block.shape[0] != len(inputs):

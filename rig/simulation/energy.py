@@ -36,30 +36,19 @@ _NUMBERS = 1 << 21
 class Energy:
     """Energy balance over a run, J.
 
-    Attributes
-    ----------
-    work : float
-        Work of the drive: of the force, of the table on the coil spring, or of the amplifier on the coil.
-    stored, stored_before : float
-        Kinetic, elastic (including contacts), gravitational (dampers) and magnetic energy at the end and at
-        the start.
-    dissipated : float
-        Energy dissipated in structural damping, suspension and coil resistance.
-    impacts : float
-        Energy lost in impacts.
-    contacts : float
-        Energy lost in finite-duration contacts: in dashpots, and remaining in contact springs at release.
-    grains : float
-        Energy transferred to beds of grains: stored in their motion, and dissipated.
+    `stored`, `stored_before`: kinetic, elastic (including contacts), gravitational (dampers) and magnetic energy at
+    the end and at the start.
+
+    `contacts`: energy lost in finite-duration contacts: in dashpots, and remaining in contact springs at release.
     """
 
-    work: float
+    work: float  # work of the drive: of the force, of the table on the coil spring, or of the amplifier on the coil
     stored: float
     stored_before: float
-    dissipated: float
-    impacts: float
+    dissipated: float  # energy dissipated in structural damping, suspension and coil resistance
+    impacts: float  # energy lost in impacts
     contacts: float
-    grains: float
+    grains: float  # energy transferred to beds of grains: stored in their motion, and dissipated
 
     @property
     def residual(self) -> float:
@@ -88,10 +77,7 @@ class Forms:
 def forms(scene: Scene, system: HybridSystem, output: Array) -> Forms:
     """Return stored energy, dissipation, and power of the drive and into beds of grains as quadratic forms.
 
-    Parameters
-    ----------
-    output : float64 (inputs, drive states)
-        u = output p.
+    `output`: u = output p.
     """
     n, ns = system.coordinates, system.states
     size = ns + output.shape[1]
@@ -168,16 +154,8 @@ def ledger(
 ) -> Energy:
     """Compute the energy balance of a simulated motion.
 
-    Parameters
-    ----------
-    scene, tables
-        The scene and the flow tables of its simulation.
-    start, end : Ends
-        The complete state before and after.
-    begins : float64 (segments, size)
-        States at which the segments begin.
-    durations : float64 (segments,)
-        Lengths of the segments, s.
+    `scene`, `tables`: the scene and the flow tables of its simulation; `start`, `end`: the complete state before and
+    after; `begins`: states at which the segments begin; `durations`: lengths of the segments, s.
     """
     quadratic = forms(scene, tables.system, tables.drive.output)
     states, slots, lengths, _ = _stretches(tables, trajectory, begins, durations)

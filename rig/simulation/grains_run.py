@@ -24,27 +24,14 @@ STRETCH = 20_000
 
 
 class Course(NamedTuple):
-    """Results of a run up to the end of a stretch.
-
-    Attributes
-    ----------
-    state : CoupledState
-    rows : ndarray, shape (rows of `MotionSamples`, samples so far)
-    contact : ndarray of int8, shape (dampers, samples so far)
-    events : structured ndarray
-        Events so far.
-    energy : tuple of Energy
-        Energy balance of each stretch.
-    ambiguous : int
-        Number of contact decisions within rounding so far.
-    """
+    """Results of a run up to the end of a stretch."""
 
     state: CoupledState
-    rows: Array
-    contact: NDArray[np.int8]
-    events: NDArray[np.void]
-    energy: tuple[Energy, ...]
-    ambiguous: int
+    rows: Array  # shape (rows of `MotionSamples`, samples so far)
+    contact: NDArray[np.int8]  # shape (dampers, samples so far)
+    events: NDArray[np.void]  # events so far
+    energy: tuple[Energy, ...]  # energy balance of each stretch
+    ambiguous: int  # number of contact decisions within rounding so far
 
     @property
     def samples(self) -> int:
@@ -55,15 +42,9 @@ class Course(NamedTuple):
 class GrainsRun:
     """Simulation of a scene with beds of grains from stretch to stretch.
 
-    Parameters
-    ----------
-    scene : Scene
-    samples : int
-        Number of samples of the whole run, including the sample at its start.
-    rate : float
-        Sample rate, Hz.
-    drive : ToneDrive or array_like, shape (inputs, samples)
-        A tone is evaluated at every grain time step; a sampled drive is interpolated linearly.
+    `samples`: number of samples of the whole run, including the sample at its start; `rate`: sample rate, Hz;
+    `drive`, shape (inputs, samples): a tone is evaluated at every grain time step; a sampled drive is interpolated
+    linearly.
     """
 
     def __init__(self, scene: Scene, samples: int, rate: float, drive: ToneDrive | ArrayLike) -> None:

@@ -25,15 +25,8 @@ _AS_THEY_ARE = ("rows", "contact", "events")
 def write(path: Path, asked: Mapping[str, Any], course: Course) -> None:
     """Write a checkpoint and replace the previous one atomically.
 
-    Parameters
-    ----------
-    asked : mapping
-        All parameters of the run, with their names in messages.
-
-    Raises
-    ------
-    ShotrigError
-        If the file cannot be written.
+    `asked`: all parameters of the run, with their names in messages. Raises `ShotrigError` if the file cannot be
+    written.
     """
     state = course.state
     arrays = {name: getattr(course, name) for name in _AS_THEY_ARE}
@@ -55,10 +48,7 @@ def write(path: Path, asked: Mapping[str, Any], course: Course) -> None:
 def read(path: Path, asked: Mapping[str, Any]) -> Course | None:
     """Read a checkpoint; None if the file does not exist.
 
-    Raises
-    ------
-    RunError
-        If the file belongs to another run or is not a checkpoint.
+    Raises `RunError` if the file belongs to another run or is not a checkpoint.
     """
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:

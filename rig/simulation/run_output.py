@@ -32,10 +32,7 @@ def duration_of(scene: Scene) -> float:
 def check_name(path: Path) -> None:
     """Reject a file name with an unknown extension before the simulation.
 
-    Raises
-    ------
-    SceneError
-        If the extension is unknown.
+    Raises `SceneError` if the extension is unknown.
     """
     if path.suffix not in ENDINGS:
         raise SceneError(f"{path}: expected a name that ends in {' or '.join(ENDINGS)}")
@@ -51,17 +48,8 @@ def simulate_into(
 ) -> Run:
     """Simulate a scene and write the run; runs with grains keep a checkpoint next to the file until it is written.
 
-    Parameters
-    ----------
-    output : Path or None
-        File for `write`; None: no file and no checkpoint are written.
-    scene, duration, rate, frequency, progress
-        As in `simulate`; the default duration is that of the scene's test.
-
-    Raises
-    ------
-    ShotrigError
-        If `simulate` raises an error, or a file cannot be written.
+    `output`: file for `write`; None: no file and no checkpoint are written. Raises `ShotrigError` if `simulate`
+    raises an error, or a file cannot be written.
     """
     if output is not None:
         check_name(output)
@@ -111,15 +99,8 @@ def summary(run: Run) -> str:
 def write(run: Run, path: Path) -> None:
     """Write a run: everything as .npz, or time, motion and gaps as columns of a .csv.
 
-    Parameters
-    ----------
-    path : Path
-        The extension selects the format.
-
-    Raises
-    ------
-    SceneError
-        If the extension is not supported, or the file cannot be written.
+    `path`: the extension selects the format. Raises `SceneError` if the extension is not supported, or the file
+    cannot be written.
     """
     check_name(path)
     with replacing(path) as part:

@@ -100,10 +100,7 @@ def extremes(batch: Batch, index: int, quantity: Quantity) -> tuple[Floats, Floa
 def flaws(batch: Batch) -> NDArray[np.str_]:
     """Return the reason why each solution is inadmissible; "" if it is admissible.
 
-    Returns
-    -------
-    ndarray of str, shape (solutions,)
-        The first violation in time order.
+    Returns shape (solutions,), the first violation in time order.
     """
     kind, motion = batch.kind, batch.motion
     found = np.full(batch.unknowns.shape[1], "", dtype="U32")

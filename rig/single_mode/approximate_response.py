@@ -39,48 +39,29 @@ _STEPS = continuation.Steps(first=3e-3, longest=0.1, turn=0.15)
 class Branch:
     """Periodic motions of one type along a continuous curve.
 
-    Attributes
-    ----------
-    motion_type : {'I', 'II', 'III'}
-    frequency : ndarray, shape (points,)
-        Driving frequency [Hz]; not monotonic where the curve folds.
-    compliance : ndarray of complex, shape (points,)
-        First harmonic of the mode's coordinate over the force, with the force's phase as reference [m/N].
-    peak : ndarray, shape (points,)
-        Half the peak-to-peak of the coordinate over the force's amplitude [m/N].
-    phi : ndarray, shape (points,)
-        Phase lag of the force with respect to the floor impact, force = F sin(tau - phi) [rad, 0 to 2 pi].
-    tau_0, tau_1, tau_2 : ndarray, shape (points,)
-        Take-off from the floor, ceiling impact, take-off from the ceiling, counted from the floor impact
-        [rad]; NaN where the type has none.
-    multipliers : ndarray of complex, shape (2, points)
-        Floquet multipliers.
-    stable : ndarray of bool, shape (points,)
-        Both multipliers inside the unit circle.
-    flaw : ndarray of str, shape (points,)
-        Reason why the motion is inadmissible; "" if it is admissible.
-    unknowns : ndarray, shape (4 + instants, points)
-        q_0, q'_0, a, b and instants, dimensionless, as in `rig.single_mode.periodic_motion`.
-    ends : tuple of str
-        Why the curve ends before its first and after its last point.
-    folds : ndarray, shape (folds,)
-        Frequencies [Hz] of the fold bifurcations.
+    `tau_0`, `tau_1`, `tau_2`, shape (points,): take-off from the floor, ceiling impact, take-off from the ceiling,
+    counted from the floor impact [rad]; NaN where the type has none.
+
+    `compliance`: first harmonic of the mode's coordinate over the force, with the force's phase as reference [m/N],
+    shape (points,); `phi`: phase lag of the force with respect to the floor impact, force = F sin(tau - phi) [rad, 0
+    to 2 pi], shape (points,); `unknowns`: q_0, q'_0, a, b and instants, dimensionless, as in
+    `rig.single_mode.periodic_motion`, shape (4 + instants, points).
     """
 
-    motion_type: MotionType
-    frequency: Floats
+    motion_type: MotionType  # 'I', 'II' or 'III'
+    frequency: Floats  # driving frequency [Hz]; not monotonic where the curve folds, shape (points,)
     compliance: NDArray[np.complex128]
-    peak: Floats
+    peak: Floats  # half the peak-to-peak of the coordinate over the force's amplitude [m/N], shape (points,)
     phi: Floats
     tau_0: Floats
     tau_1: Floats
     tau_2: Floats
-    multipliers: NDArray[np.complex128]
-    stable: NDArray[np.bool_]
-    flaw: NDArray[np.str_]
+    multipliers: NDArray[np.complex128]  # Floquet multipliers, shape (2, points)
+    stable: NDArray[np.bool_]  # both multipliers inside the unit circle, shape (points,)
+    flaw: NDArray[np.str_]  # reason why the motion is inadmissible; "" if it is admissible, shape (points,)
     unknowns: Floats
-    ends: tuple[str, str]
-    folds: Floats
+    ends: tuple[str, str]  # why the curve ends before its first and after its last point
+    folds: Floats  # frequencies [Hz] of the fold bifurcations, shape (folds,)
 
     @property
     def valid(self) -> NDArray[np.bool_]:

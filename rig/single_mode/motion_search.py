@@ -47,20 +47,11 @@ def order(kind: MotionType, instants: Floats) -> Floats:
 def eliminate(kind: MotionType, instants: Array, setting: MotionParameters) -> tuple[Array, Array]:
     """Solve the linear conditions for given instants, and evaluate the remaining conditions.
 
-    Parameters
-    ----------
-    kind : {'I', 'II', 'III'}
-        Motion type.
-    instants : array, shape (instants, batch)
-        Given instants; complex values are allowed, for complex-step derivatives.
-
-    Returns
-    -------
-    unknowns : array, shape (4 + instants, batch)
-        Unknowns whose (q_0, q'_0, a, b) satisfy the first four conditions.
-    left : array, shape (instants, batch)
-        Residuals: ceiling contact force (Type III), gap at the ceiling impact (II and III), and half the
-        logarithm of the squared ratio of required to applied force.
+    `kind`: 'I', 'II' or 'III'. Motion type; `instants`, shape (instants, batch): given instants; complex values are
+    allowed, for complex-step derivatives. Returns `unknowns`, shape (4 + instants, batch), unknowns whose (q_0,
+    q'_0, a, b) satisfy the first four conditions; `left`, shape (instants, batch), residuals: ceiling contact force
+    (Type III), gap at the ceiling impact (II and III), and half the logarithm of the squared ratio of required to
+    applied force.
     """
     # The affine conditions are evaluated at zero and at the four unit vectors, to obtain their matrix.
     trials = np.concatenate([np.zeros((4, 1, 1)), np.eye(4)[:, :, None]], axis=1)
@@ -80,15 +71,8 @@ def eliminate(kind: MotionType, instants: Array, setting: MotionParameters) -> t
 def solutions(kind: MotionType, setting: MotionParameters) -> Floats:
     """Compute all solutions of one type at one frequency, including inadmissible motions.
 
-    Parameters
-    ----------
-    kind : {'I', 'II', 'III'}
-        Motion type.
-
-    Returns
-    -------
-    ndarray, shape (solutions, 4 + instants)
-        Unknowns as in `rig.single_mode.periodic_motion`, to the accuracy of the elimination.
+    `kind`: 'I', 'II' or 'III'. Motion type. Returns shape (solutions, 4 + instants), unknowns as in
+    `rig.single_mode.periodic_motion`, to the accuracy of the elimination.
     """
     count, points = INSTANTS[kind], _GRID[kind]
     grid = (np.arange(points) + 0.5) * TURN / points

@@ -82,14 +82,8 @@ class MotionPhase:
 class PeriodicMotion:
     """The motion defined by a set of unknowns, whether or not it satisfies the conditions.
 
-    Parameters
-    ----------
-    kind : {'I', 'II', 'III'}
-        Motion type.
-    unknowns : array, shape (4 + instants, ...), or a sequence of 4 + instants arrays
-        q_0, q'_0, a, b and the instants; they broadcast against each other.
-    setting : MotionParameters
-        Parameters; broadcast against unknowns[0].
+    `kind`: 'I', 'II' or 'III'. Motion type; `unknowns`, shape (4 + instants, ...): q_0, q'_0, a, b and the instants;
+    they broadcast against each other; `setting`: parameters; broadcast against unknowns[0].
     """
 
     def __init__(
@@ -235,25 +229,12 @@ def jacobian(
 ) -> tuple[Array, Array]:
     """Compute the conditions and their exact derivatives by the unknowns and one parameter.
 
-    Parameters
-    ----------
-    kind : {'I', 'II', 'III'}
-        Motion type.
-    unknowns : ndarray, shape (n,)
-        q_0, q'_0, a, b and the instants.
-    parameter : str
-        Field of `setting` for the last derivative.
-
-    Returns
-    -------
-    conditions : ndarray, shape (n,)
-    derivatives : ndarray, shape (n, n + 1)
-        Columns: the unknowns, then the parameter.
-
-    Notes
-    -----
     The complex-step derivative Im f(x + i h)/h has no cancellation, so a very small h gives derivatives exact to
     rounding.
+
+    `kind`: 'I', 'II' or 'III'. Motion type; `unknowns`, shape (n,): q_0, q'_0, a, b and the instants; `parameter`:
+    field of `setting` for the last derivative. Returns `conditions`, shape (n,); `derivatives`, shape (n, n + 1),
+    columns: the unknowns, then the parameter.
     """
     n = len(unknowns)
     step = 1e-40

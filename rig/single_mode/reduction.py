@@ -60,17 +60,8 @@ class SingleMode:
     def receptance(self, frequencies: ArrayLike, riding: bool = False) -> NDArray[np.complex128]:
         """Compute the linear compliance of the modal coordinate [m/N], without damper or with it always riding.
 
-        Parameters
-        ----------
-        frequencies : array_like, shape (frequencies,)
-            [Hz].
-        riding : bool
-            Whether the damper's mass is part of the mode.
-
-        Returns
-        -------
-        ndarray, shape (frequencies,)
-            Ratio of the complex amplitudes of modal coordinate and force.
+        `frequencies`, shape (frequencies,): [Hz]; `riding`: whether the damper's mass is part of the mode. Returns
+        shape (frequencies,), ratio of the complex amplitudes of modal coordinate and force.
         """
         omega = 2 * np.pi * np.asarray(frequencies, dtype=float)
         inertia = self.mass * (1 + self.mass_ratio * riding)
@@ -94,35 +85,13 @@ def reduce_to_mode(
 ) -> SingleMode:
     """Reduce a structure to one mode.
 
-    Parameters
-    ----------
-    matrices : tuple of array_like, each (bodies, bodies)
-        Mass [kg], damping [N s/m] and stiffness [N/m].
-    mode : int
-        Number of the mode, from 1.
-    driven : tuple of int
-        Driven bodies, from 1.
-    force : float
-        Amplitude of the force [N].
-    dampers : dict
-        Damper mass [kg] by body (from 1).
-    clearance : float
-        Common clearance [m]; inf without ceilings.
-    gravity : float
-        [m/s^2], above 0.
-    weighting : {'printed', 'energy'}
-        Eq 13 as printed (signed shape), or squared shape.
-    at : int, optional
-        Body at which the shape is 1; default the body with the largest displacement.
+    `matrices`: mass [kg], damping [N s/m] and stiffness [N/m]; `mode`: number of the mode, from 1; `driven`: driven
+    bodies, from 1; `force`: amplitude of the force [N]; `dampers`: damper mass [kg] by body (from 1); `clearance`:
+    common clearance [m]; inf without ceilings; `gravity`: [m/s^2], above 0; `weighting`: 'printed' or 'energy'. Eq
+    13 as printed (signed shape), or squared shape; `at`: body at which the shape is 1; default the body with the
+    largest displacement. Raises `SceneError` if the mode does not exist, gravity is not positive, the mode is not
+    oscillatory, or the printed sum is not positive (dampers on bodies in antiphase with the largest displacement).
 
-    Raises
-    ------
-    SceneError
-        If the mode does not exist, gravity is not positive, the mode is not oscillatory, or the printed sum
-        is not positive (dampers on bodies in antiphase with the largest displacement).
-
-    Examples
-    --------
     >>> import numpy as np
     >>> m = np.diag([0.74, 0.71, 0.64])
     >>> k = np.array([[46.1e3, -21.8e3, 0], [-21.8e3, 41.6e3, -19.8e3], [0, -19.8e3, 19.8e3]])

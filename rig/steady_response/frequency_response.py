@@ -287,13 +287,7 @@ class _Counter:
 
 
 class Follower:
-    """Continuation of the steady motion of a scene in frequency.
-
-    Parameters
-    ----------
-    scene, tolerance, longest
-        As in `frequency_response`.
-    """
+    """Continuation of the steady motion of a scene in frequency."""
 
     def __init__(self, scene: Scene, tolerance: float, longest: int) -> None:
         self.scene, self.system = scene, assemble(scene)

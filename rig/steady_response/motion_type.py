@@ -18,22 +18,11 @@ STAY = 2.0
 def motion_types(trajectory: Trajectory, system: HybridSystem, repetition: int, duration: float) -> list[str]:
     """Classify the motion of every damper over one repetition of a steady motion.
 
-    Parameters
-    ----------
-    trajectory : Trajectory
-        One repetition.
-    system : HybridSystem
-    repetition : int
-        Length of the repetition in periods of the drive; 0 if the motion does not repeat.
-    duration : float
-        Length of the segments of the trajectory, s.
-
-    Returns
-    -------
-    list of str
-        "riding"; "I" (one floor impact a period), "II" (one floor and one ceiling impact, no stay at the
-        ceiling), "III" (the same with a stay); "k per n" for k impacts in n periods; "irregular". In finite-duration
-        contact, a touch counts as an impact, and contact longer than `STAY` times a landing counts as a stay.
+    `trajectory`: one repetition; `repetition`: length of the repetition in periods of the drive; 0 if the motion
+    does not repeat; `duration`: length of the segments of the trajectory, s. Returns "riding"; "I" (one floor impact
+    a period), "II" (one floor and one ceiling impact, no stay at the ceiling), "III" (the same with a stay); "k per
+    n" for k impacts in n periods; "irregular". In finite-duration contact, a touch counts as an impact, and contact
+    longer than `STAY` times a landing counts as a stay.
     """
     times = trajectory.event_segment * duration + trajectory.event_offset
     cycle = len(trajectory.state) * duration

@@ -21,10 +21,7 @@ def frequencies_of(
 ) -> tuple[tuple[float, ...], str]:
     """Return rising frequencies in Hz and the direction, as given or from the scene's test.
 
-    Raises
-    ------
-    SceneError
-        If neither specifies the frequencies.
+    Raises `SceneError` if neither specifies the frequencies.
     """
     test = scene.test
     given = (first, last, points)
@@ -71,8 +68,6 @@ def rows(response: SteadyResponse) -> tuple[list[str], list[list[str]]]:
 def directions(frequency: NDArray[np.float64]) -> list[str]:
     """Return the sweep direction, "up" or "down", at each frequency in the order visited.
 
-    Examples
-    --------
     >>> directions(np.array([10.0, 11.0, 12.0, 12.0, 11.0]))
     ['up', 'up', 'up', 'down', 'down']
     """
@@ -83,10 +78,7 @@ def directions(frequency: NDArray[np.float64]) -> list[str]:
 def write(response: SteadyResponse, path: Path) -> None:
     """Write a response as CSV.
 
-    Raises
-    ------
-    SceneError
-        If the file cannot be written.
+    Raises `SceneError` if the file cannot be written.
     """
     header, table = rows(response)
     with replacing(path) as part, part.open("w", newline="", encoding="utf-8") as file:

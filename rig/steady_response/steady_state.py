@@ -59,25 +59,9 @@ def settle(
 ) -> Steady:
     """Integrate the motion from the start of a period until it is steady.
 
-    Parameters
-    ----------
-    march : Propagator
-        Propagator at the start of a period.
-    steps : float
-        Period of the drive in step lengths.
-    level : float
-        Level of the drive.
-    tolerance : float
-        Largest distance from the steady state, relative to the motion.
-    longest : int
-        Largest number of periods.
-    stopped : callable
-        Called at intervals; returns whether to stop.
-
-    Raises
-    ------
-    RunError
-        If `stopped` returns true.
+    `march`: propagator at the start of a period; `steps`: period of the drive in step lengths; `level`: level of the
+    drive; `tolerance`: largest distance from the steady state, relative to the motion; `longest`: largest number of
+    periods; `stopped`: called at intervals; returns whether to stop. Raises `RunError` if `stopped` returns true.
     """
     done, units = 0, _units(propagator)
     while True:
@@ -180,10 +164,7 @@ def one_cycle(
 ) -> tuple[Trajectory, Array]:
     """Integrate one repetition of a steady motion, with states stored at `MARKS` instants per period.
 
-    Returns
-    -------
-    begins : float64 (segments, size)
-        Initial states of the segments.
+    Returns `begins`, initial states of the segments.
     """
     count = MARKS * repetition
     anew = np.zeros(count, dtype=bool)

@@ -22,17 +22,10 @@ MOST_DAMPERS = 62
 def assemble(scene: Scene) -> HybridSystem:
     """Compile a scene.
 
-    Returns
-    -------
-    HybridSystem
-        Coordinates are the bodies, then the tables of the shakers that have one, then the beds of finite-duration
-        contacts. Dampers that are locked or have no clearance are part of the mass matrix.
-
-    Raises
-    ------
-    SceneError
-        If there are more free dampers than `MOST_DAMPERS`, or the test asks for a start from the static
-        equilibrium of a structure without support.
+    Returns coordinates are the bodies, then the tables of the shakers that have one, then the beds of
+    finite-duration contacts. Dampers that are locked or have no clearance are part of the mass matrix. Raises
+    `SceneError` if there are more free dampers than `MOST_DAMPERS`, or the test asks for a start from the static
+    equilibrium of a structure without support.
     """
     model = structural_model(scene)
     bodies = len(model.mass)
@@ -248,10 +241,7 @@ def _start(scene: Scene, system: HybridSystem) -> Array:
 def static_equilibrium(scene: Scene, system: HybridSystem) -> Array:
     """Coordinates at rest under the weight of the dampers, m.
 
-    Raises
-    ------
-    SceneError
-        If nothing supports the structure.
+    Raises `SceneError` if nothing supports the structure.
     """
     n = system.coordinates
     load = system.force_constant.copy()

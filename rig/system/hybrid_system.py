@@ -21,35 +21,23 @@ class HybridSystem:
     configuration (M + riding damper masses) q'' = F_q state + F_u u + F_1 - (riding dampers' weight), and the
     further states obey r' = R_q state + R_u u.
 
-    Attributes
-    ----------
-    points : tuple of str
-        Names of the coordinates: "body 1" ... "body n", then "table" if the scene has one.
-    inputs, drive_units : tuple of str
-        What can be driven, and its unit.
-    mass : float64 (coordinates, coordinates)
-        Mass matrix without the dampers of instant contact; locked dampers are in it.
-    force_state, force_drive, force_constant : float64
-        F_q (coordinates, states), F_u (coordinates, inputs) and F_1 (coordinates,).
-    rate_state, rate_drive : float64
-        R_q (further states, states) and R_u (further states, inputs).
-    damper_coordinate, damper_mass, clearance, restitution, damper_number : arrays (dampers,)
-        The free dampers; `damper_number` is the 1-based position in the scene's list.
-    bed : int array (dampers,)
-        Coordinate of a damper of finite-duration contact, behind those of the points: its gap. -1: instant contact.
-    wall_stiffness, wall_damping : float64 (dampers, 2)
-        Of floor and ceiling where contact has a duration [N/m, N s/m].
-    grains : bool array (dampers,)
-        Whether a damper is a bed of grains. Here it is one mass, at rest; `rig.grain_beds` computes its motion.
-    fastest : float
-        Bound on the fastest rate in any configuration, rad/s.
+    `inputs`, `drive_units`: what can be driven, and its unit; `force_state`, `force_drive`, `force_constant`: F_q
+    (coordinates, states), F_u (coordinates, inputs) and F_1 (coordinates,); `rate_state`, `rate_drive`: R_q (further
+    states, states) and R_u (further states, inputs); `damper_coordinate`, `damper_mass`, `clearance`, `restitution`,
+    `damper_number`: the free dampers; `damper_number` is the 1-based position in the scene's list; `wall_stiffness`,
+    `wall_damping`: of floor and ceiling where contact has a duration [N/m, N s/m]; `fastest`: bound on the fastest
+    rate in any configuration, rad/s.
+
+    `bed`: coordinate of a damper of finite-duration contact, behind those of the points: its gap. -1: instant
+    contact; `grains`: whether a damper is a bed of grains. Here it is one mass, at rest; `rig.grain_beds` computes
+    its motion.
     """
 
-    points: tuple[str, ...]
+    points: tuple[str, ...]  # names of the coordinates: "body 1" ... "body n", then "table" if the scene has one
     inputs: tuple[str, ...]
     drive_units: tuple[str, ...]
     gravity: float
-    mass: np.ndarray
+    mass: np.ndarray  # mass matrix without the dampers of instant contact; locked dampers are in it
     force_state: np.ndarray
     force_drive: np.ndarray
     force_constant: np.ndarray
@@ -181,12 +169,7 @@ class Drive:
 def tone(amplitudes: np.ndarray, angular_frequency: float) -> Drive:
     """Pure tone u(t) = Re(U e^{i w t}), with p = (cos w t, sin w t).
 
-    Parameters
-    ----------
-    amplitudes : complex (inputs,)
-        U of each input.
-    angular_frequency : float
-        w in rad/s.
+    `amplitudes`: U of each input; `angular_frequency`: w in rad/s.
     """
     generator = np.array([[0.0, -angular_frequency], [angular_frequency, 0.0]])
     amplitudes = np.asarray(amplitudes, dtype=complex)

@@ -38,8 +38,6 @@ def _angle(ratio: float) -> float:
 def damping_ratio(duration: float, restitution: float) -> float:
     """Damping ratio of the contact with a duration [s] and a restitution.
 
-    Examples
-    --------
     >>> damping_ratio(2e-3, 1.0), round(damping_ratio(2e-3, math.exp(-2.0)), 12), damping_ratio(RECOVERY, 0.0)
     (0.0, 1.0, 1.0)
     """
@@ -60,17 +58,9 @@ def damping_ratio(duration: float, restitution: float) -> float:
 def spring_damper(duration: float, restitution: float, mass: float) -> tuple[float, float]:
     """Stiffness [N/m] and damping [N s/m] of the contact with a duration and a restitution.
 
-    Parameters
-    ----------
-    duration : float
-        From touch to release of a landing under no other force, s.
-    restitution : float
-        Ratio of separation to approach speed; 0: the lowest that is possible with `RECOVERY`.
-    mass : float
-        Reduced mass of damper and body, kg.
+    `duration`: from touch to release of a landing under no other force, s; `restitution`: ratio of separation to
+    approach speed; 0: the lowest that is possible with `RECOVERY`; `mass`: reduced mass of damper and body, kg.
 
-    Examples
-    --------
     >>> stiffness, damping = spring_damper(duration=2e-3, restitution=0.3, mass=0.04)
     >>> [round(value, 9) for value in landing(stiffness, damping, mass=0.04)]
     [0.002, 0.3]

@@ -31,15 +31,8 @@ class ToneDrive:
 def tone_drive(scene: Scene, system: HybridSystem, frequency: float | None = None) -> ToneDrive | None:
     """Tone of a sine or stepped sine test, or at a given frequency; None if the test is no tone.
 
-    Parameters
-    ----------
-    frequency : float, optional
-        Hz; None: the test's own, the first one of a stepped sine.
-
-    Raises
-    ------
-    SceneError
-        If a frequency is given but no level or no shaker.
+    `frequency`: Hz; None: the test's own, the first one of a stepped sine. Raises `SceneError` if a frequency is
+    given but no level or no shaker.
     """
     test = scene.test
     if frequency is None:
@@ -68,10 +61,7 @@ def tone_drive(scene: Scene, system: HybridSystem, frequency: float | None = Non
 def level_of(scene: Scene) -> float:
     """Level of the test: force [N], or drive in its own unit.
 
-    Raises
-    ------
-    SceneError
-        If the scene has no shaker, or a test without a level.
+    Raises `SceneError` if the scene has no shaker, or a test without a level.
     """
     if scene.driven_shaker is None and scene.shakers:
         raise SceneError(
@@ -137,14 +127,8 @@ def with_ideal_force(scene: Scene) -> Scene:
 def riding_equations(system: HybridSystem, name: str) -> tuple[Array, Array, Array]:
     """Matrices of the rig with all dampers riding, under the drive of a name: E dx/dt = G x + b u.
 
-    Returns
-    -------
-    inertia : ndarray, shape (states, states)
-        E: identity but for the mass matrix in the rows of the velocities.
-    matrix : ndarray, shape (states, states)
-        G.
-    inflow : ndarray, shape (states,)
-        b.
+    Returns `inertia`, shape (states, states), E: identity but for the mass matrix in the rows of the velocities;
+    `matrix`, shape (states, states), G; `inflow`, shape (states,), b.
     """
     n, ns = system.coordinates, system.states
     inertia, matrix, inflow = np.eye(ns), np.zeros((ns, ns)), np.zeros(ns)
@@ -184,10 +168,7 @@ def riding_response(system: HybridSystem, name: str, omega: float | Array) -> ND
 def sampled_drive(scene: Scene, system: HybridSystem, samples: int, rate: float) -> Array:
     """Drive (inputs, samples) of a test that is not a tone.
 
-    Raises
-    ------
-    SceneError
-        For tests whose signal only the bench generates.
+    Raises `SceneError` for tests whose signal only the bench generates.
     """
     drive = np.zeros((len(system.inputs), samples))
     test = scene.test

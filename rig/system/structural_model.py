@@ -28,18 +28,11 @@ _ELEMENTS_AT_ONCE = 1_000_000
 class NaturalModes:
     """Modes of the undamped structure, and what its damping makes of each alone.
 
-    Attributes
-    ----------
-    omega : ndarray, shape (modes,)
-        Natural frequencies, rising, rad/s; 0 for a rigid-body motion.
-    shapes : ndarray, shape (bodies, modes)
-        Column i is the shape of mode i, its largest element +1.
-    mass, damping : ndarray, shape (modes,)
-        Modal mass, kg, and the diagonal of the modal damping matrix, N s/m.
+    `mass`, `damping`, shape (modes,): modal mass, kg, and the diagonal of the modal damping matrix, N s/m.
     """
 
-    omega: Array
-    shapes: Array
+    omega: Array  # natural frequencies, rising, rad/s; 0 for a rigid-body motion, shape (modes,)
+    shapes: Array  # column i is the shape of mode i, its largest element +1, shape (bodies, modes)
     mass: Array
     damping: Array
 
@@ -63,16 +56,10 @@ class NaturalModes:
 class StructuralModel:
     """M x'' + C x' + K x = f of the bodies, and the masses of the beds in them.
 
-    Attributes
-    ----------
-    mass, damping, stiffness : ndarray, shape (bodies, bodies)
-        In kg, N s/m and N/m; without the masses of beds.
-    bed_mass : ndarray, shape (dampers,)
-        kg, in the scene's order.
-    bed_body : ndarray of int, shape (dampers,)
-        Position of the body of each damper, from 0.
-    held : ndarray of bool, shape (dampers,)
-        Dampers that are locked or have no clearance.
+    `mass`, `damping`, `stiffness`, shape (bodies, bodies): in kg, N s/m and N/m; without the masses of beds.
+
+    `bed_mass`: kg, in the scene's order, shape (dampers,); `bed_body`: position of the body of each damper, from 0,
+    shape (dampers,); `held`: dampers that are locked or have no clearance, shape (dampers,).
     """
 
     mass: Array
@@ -103,15 +90,7 @@ class StructuralModel:
     def with_riding(self, dampers: Iterable[int] = ()) -> StructuralModel:
         """Add the masses of the beds that are held, and of those that ride, to their bodies.
 
-        Parameters
-        ----------
-        dampers : iterable of int
-            Those that ride, by their position from 1.
-
-        Raises
-        ------
-        SceneError
-            If a damper does not exist.
+        `dampers`: those that ride, by their position from 1. Raises `SceneError` if a damper does not exist.
         """
         count = self.held.size
         numbers = list(dampers)
@@ -165,8 +144,6 @@ def structural_model(scene: Scene) -> StructuralModel:
 
     A mass ratio refers to the body's mass, with matrices to the diagonal element of the mass matrix.
 
-    Examples
-    --------
     >>> import rig
     >>> model = structural_model(rig.load("fig9"))
     >>> model.modes.frequency.round(2), model.bed_mass
@@ -187,32 +164,14 @@ def receptance(
 ) -> ComplexArray:
     """Compute the linear frequency response of a scene's structure.
 
-    Parameters
-    ----------
-    scene : Scene
-        Its shaker says where the force acts (without a shaker, its impulse test does).
-    frequencies_hz : array_like, shape (frequencies,)
-        Frequencies [Hz].
-    attached : bool
-        False: response to the force on the driven body, X / F_1. True: response to the displacement of the
-        table, X / X_0, with the coil spring between table and body.
-    riding : iterable of int
-        Dampers that ride, by their position from 1 in the scene: their masses move with their bodies. Dampers
-        that are locked or have no clearance always do.
+    `scene`: its shaker says where the force acts (without a shaker, its impulse test does); `frequencies_hz` has the
+    shape (frequencies,); `attached`: False: response to the force on the driven body, X / F_1. True: response to the
+    displacement of the table, X / X_0, with the coil spring between table and body; `riding`: dampers that ride, by
+    their position from 1 in the scene: their masses move with their bodies. Dampers that are locked or have no
+    clearance always do. Returns shape (bodies, frequencies), complex response of each body [m/N, or m/m]. Raises
+    `SceneError` if a frequency is negative or not finite, a damper does not exist, nothing drives the structure, the
+    scene has no coil spring to attach, or an undamped structure is asked for exactly at resonance.
 
-    Returns
-    -------
-    ndarray, shape (bodies, frequencies)
-        Complex response of each body [m/N, or m/m].
-
-    Raises
-    ------
-    SceneError
-        If a frequency is negative or not finite, a damper does not exist, nothing drives the structure, the
-        scene has no coil spring to attach, or an undamped structure is asked for exactly at resonance.
-
-    Examples
-    --------
     >>> import rig
     >>> scene = rig.load("bare-structure")
     >>> static = receptance(scene, [0.0])[0, 0]
@@ -258,15 +217,8 @@ def coil_spring(scene: Scene) -> float:
 def structure_matrices(structure: Structure) -> tuple[Array, Array, Array]:
     """Assemble the matrices of the structure without dampers and coil spring.
 
-    Parameters
-    ----------
-    structure : Structure
-        A chain, or matrices.
-
-    Returns
-    -------
-    mass, damping, stiffness : ndarray, shape (bodies, bodies)
-        M [kg], C [N s/m] and K [N/m] of M x'' + C x' + K x = f.
+    `structure`: a chain, or matrices. Returns `mass, damping, stiffness`, shape (bodies, bodies), M [kg], C [N s/m]
+    and K [N/m] of M x'' + C x' + K x = f.
     """
     if structure.matrices is not None:
         mass = _symmetric(np.array(structure.matrices.mass))
@@ -291,22 +243,10 @@ def chain(elements: tuple[float, ...]) -> Array:
 def natural_modes(mass: Array, stiffness: Array) -> tuple[Array, Array]:
     """Find natural frequencies and shapes of the undamped structure.
 
-    Parameters
-    ----------
-    mass, stiffness : ndarray, shape (bodies, bodies)
-        Symmetric; mass positive definite, stiffness positive semidefinite.
-
-    Returns
-    -------
-    frequencies : ndarray, shape (bodies,)
-        Rising, in rad/s; 0 for a rigid-body motion.
-    shapes : ndarray, shape (bodies, bodies)
-        Column i is the shape of mode i, its largest element +1.
-
-    Raises
-    ------
-    SceneError
-        If the stiffness lets the structure run away (a negative eigenvalue beyond rounding).
+    `mass`, `stiffness`, shape (bodies, bodies): symmetric; mass positive definite, stiffness positive semidefinite.
+    Returns `frequencies`, shape (bodies,), rising, in rad/s; 0 for a rigid-body motion; `shapes`, shape (bodies,
+    bodies), column i is the shape of mode i, its largest element +1. Raises `SceneError` if the stiffness lets the
+    structure run away (a negative eigenvalue beyond rounding).
     """
     squares, shapes = scipy.linalg.eigh(stiffness, mass)
     rounding = 10 * len(squares) * np.finfo(float).eps * np.abs(squares).max(initial=0.0)

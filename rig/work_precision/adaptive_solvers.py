@@ -78,19 +78,8 @@ class _Contacts:
 def follow(problem: FirstOrderForm, leg: Leg, blind: float, limit: float) -> Outcome:
     """Compute the motion with an adaptive solver.
 
-    Parameters
-    ----------
-    leg : callable
-        Integrates from one contact change to the next.
-    blind : float
-        Time for which a guard is disabled after its separation, s.
-    limit : float
-        CPU time limit, s.
-
-    Raises
-    ------
-    RunError
-        If the solver makes no progress or takes too long.
+    `leg`: integrates from one contact change to the next; `blind`: time for which a guard is disabled after its
+    separation, s; `limit`: CPU time limit, s. Raises `RunError` if the solver makes no progress or takes too long.
     """
     n, contacts = problem.system.coordinates, _Contacts(problem, blind)
     state, now, times = np.array(problem.start), 0.0, problem.times
@@ -157,10 +146,7 @@ def penalty(problem: FirstOrderForm, contacts: int) -> Outcome:
     The dashpot determines the restitution of a free impact. It acts during the whole penetration: without its tensile
     force, plastic impacts would rebound by 13 % at any stiffness.
 
-    Parameters
-    ----------
-    contacts : int
-        Number of contact durations (half periods on the spring) in a period of the drive.
+    `contacts`: number of contact durations (half periods on the spring) in a period of the drive.
     """
     system, dampers = problem.system, len(problem.rows)
     mass = 1.0 / (problem.inverse_mass + 1.0 / system.damper_mass)

@@ -42,20 +42,9 @@ Compliance = NDArray[np.complex128]
 def bed_models(scene: Scene, frequency: float, progress: Callable[[str], None] | None = None) -> SteadyStudy:
     """Measure models of a scene's beds of grains at one frequency.
 
-    Parameters
-    ----------
-    scene : Scene
-        With beds of grains that can move. If its test controls the amplitude of the spring force, that force acts on
-        the body as a pure sinusoid.
-    frequency : float
-        Drive frequency, Hz.
-    progress : callable, optional
-        Called with the name of each model before it is computed.
-
-    Raises
-    ------
-    SceneError
-        If LAMMPS is not installed.
+    `scene`: with beds of grains that can move. If its test controls the amplitude of the spring force, that force
+    acts on the body as a pure sinusoid; `frequency`: drive frequency, Hz. Raises `SceneError` if LAMMPS is not
+    installed.
     """
     say = progress if progress is not None else lambda name: None
     say("packing")

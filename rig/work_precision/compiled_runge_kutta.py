@@ -68,14 +68,7 @@ class Contacts(NamedTuple):
 class DormandPrince:
     """The solver, reusable for any number of runs.
 
-    Parameters
-    ----------
-    problem : FirstOrderForm
-
-    Raises
-    ------
-    RunError
-        If there are too many dampers.
+    Raises `RunError` if there are too many dampers.
     """
 
     def __init__(self, problem: FirstOrderForm) -> None:
@@ -86,19 +79,9 @@ class DormandPrince:
     def follow(self, rtol: float, blind: float, longest: float) -> Outcome:
         """Compute the motion.
 
-        Parameters
-        ----------
-        rtol : float
-            Relative tolerance; the absolute tolerance is a thousandth of it, as for the other adaptive solvers.
-        blind : float
-            Time for which a guard is disabled after its separation, s.
-        longest : float
-            Longest step, s.
-
-        Raises
-        ------
-        RunError
-            If a damper takes off and lands endlessly at one instant.
+        `rtol`: relative tolerance; the absolute tolerance is a thousandth of it, as for the other adaptive solvers;
+        `blind`: time for which a guard is disabled after its separation, s; `longest`: longest step, s. Raises
+        `RunError` if a damper takes off and lands endlessly at one instant.
         """
         problem = self._problem
         dampers, most = len(problem.rows), LIVELOCK * problem.periods

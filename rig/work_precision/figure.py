@@ -87,17 +87,8 @@ def _line(point: Point, milliseconds: float, events: str) -> str:
 def write(study: Study, steady: SteadyStudy, folder: Path) -> list[Path]:
     """Write cost-<scene>.png, .svg and .csv into a folder.
 
-    Parameters
-    ----------
-    study, steady
-        Results of both studies.
-    folder : Path
-        Created if it does not exist.
-
-    Raises
-    ------
-    SceneError
-        If a file cannot be written.
+    `study`, `steady`: results of both studies; `folder`: created if it does not exist. Raises `SceneError` if a file
+    cannot be written.
     """
     name = folder / stem("cost", study.scene.name)
     found = (("motion, a period", study.points), ("steady state", steady.points))

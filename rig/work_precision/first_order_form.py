@@ -41,33 +41,12 @@ class Outcome:
 class FirstOrderForm:
     """z' = M z with z = (states, damper heights, damper speeds, 1, cos w t, sin w t, integrals) under a tone.
 
-    Parameters
-    ----------
-    periods : int
-        Length of the motion.
-    number : callable
-        Converts a float to the number type of the computation, such as `Decimal`.
-    pi : number
-        Value in that type.
-    integrals : bool
-        Whether to append real and imaginary part of the integral of each coordinate times exp(-i w t), which is
-        exact after whole periods.
-
-    Attributes
-    ----------
-    first : int
-        Position of the first damper's height in z.
-    one : int
-        Position of the constant 1; cosine and sine follow.
-    size : int
-        Length of z.
-    inverse_mass : ndarray, shape (dampers,)
-        Mobility of each damper's coordinate, 1/kg.
-
-    Raises
-    ------
-    SceneError
-        If an impact would accelerate other coordinates as well.
+    `periods`: length of the motion; `number`: converts a float to the number type of the computation, such as
+    `Decimal`; `pi`: value in that type; `integrals`: whether to append real and imaginary part of the integral of
+    each coordinate times exp(-i w t), which is exact after whole periods; `first`: position of the first damper's
+    height in z; `one`: position of the constant 1; cosine and sine follow; `size`: length of z; `inverse_mass`,
+    shape (dampers,): mobility of each damper's coordinate, 1/kg. Raises `SceneError` if an impact would accelerate
+    other coordinates as well.
     """
 
     def __init__(

@@ -91,15 +91,8 @@ class ExactOrbit:
 def exact_motion(system: HybridSystem, tone: ToneDrive, run: Run, samples_per_period: int) -> Exact:
     """Recompute a run under a sinusoidal drive to forty digits.
 
-    Parameters
-    ----------
-    run : Run
-        Run of the engine with `samples_per_period` samples in each period of the drive.
-
-    Raises
-    ------
-    RunError
-        If an event of the run is not an event of the motion.
+    `run`: run of the engine with `samples_per_period` samples in each period of the drive. Raises `RunError` if an
+    event of the run is not an event of the motion.
     """
     events = _events(run.events, system)
     resting = [bool(mode) for mode in run.contact[:, -1]]
@@ -120,16 +113,9 @@ def exact_motion(system: HybridSystem, tone: ToneDrive, run: Run, samples_per_pe
 def exact_orbit(scene: Scene, orbit: Orbit) -> ExactOrbit:
     """Refine a periodic orbit to forty digits.
 
-    Parameters
-    ----------
-    scene : Scene
-        With the force applied directly to its body if the test controls a force
-        (`rig.system.open_loop_drive.with_ideal_force`).
-
-    Raises
-    ------
-    RunError
-        If Newton's iteration does not converge in decimal arithmetic.
+    `scene`: with the force applied directly to its body if the test controls a force
+    (`rig.system.open_loop_drive.with_ideal_force`). Raises `RunError` if Newton's iteration does not converge in
+    decimal arithmetic.
     """
     coarse, fine = _ClosedOrbit(scene, orbit, CHECK_DIGITS), _ClosedOrbit(scene, orbit, DIGITS)
     start, _ = coarse.close(coarse.start())
@@ -149,16 +135,8 @@ def _events(events: Any, system: HybridSystem) -> list[Event]:
 class DecimalMotion:
     """Motion of a system in decimal arithmetic along known events.
 
-    Attributes
-    ----------
-    z : list of Decimal
-        Current state, as in `FirstOrderForm`.
-    mode : list of int
-        Contact state of each damper.
-    now : Decimal
-        Current time, s.
-    samples : list
-        States at the sample times; `times` are the event times, s.
+    `z`: current state, as in `FirstOrderForm`; `mode`: contact state of each damper; `now`: current time, s;
+    `samples`: states at the sample times; `times` are the event times, s.
     """
 
     def __init__(self, system: HybridSystem, tone: ToneDrive, digits: int, integrals: bool = False) -> None:
@@ -181,10 +159,7 @@ class DecimalMotion:
     ) -> None:
         """Compute the motion through the events; `resting` marks dampers at rest on a wall after the last event.
 
-        Raises
-        ------
-        RunError
-            If an event is not an event of the motion.
+        Raises `RunError` if an event is not an event of the motion.
         """
         ahead, last = list(samples)[::-1], -1.0
         with decimal.localcontext(self.context):

@@ -49,10 +49,7 @@ class Step(NamedTuple):
 def moreau_jean(problem: FirstOrderForm, steps: int) -> Outcome:
     """Compute the motion with `steps` steps per period.
 
-    Raises
-    ------
-    RunError
-        If the scheme is unstable.
+    Raises `RunError` if the scheme is unstable.
     """
     system, size, dampers = problem.system, problem.one + 1, len(problem.rows)
     length = 1.0 / (problem.tone.frequency * steps)

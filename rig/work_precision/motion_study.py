@@ -88,10 +88,7 @@ class Study:
 def hardest_frequency(scene: Scene, system: HybridSystem) -> float:
     """Return the single frequency of the test, or the frequency of largest linear acceleration in its range, Hz.
 
-    Raises
-    ------
-    SceneError
-        If the scene has no shaker, or its test no frequency.
+    Raises `SceneError` if the scene has no shaker, or its test no frequency.
     """
     level_of(scene)
     test = scene.test
@@ -115,17 +112,8 @@ def motion_study(
 ) -> Study:
     """Measure all methods for the first periods of a scene's motion under a sinusoidal drive.
 
-    Parameters
-    ----------
-    frequency : float, optional
-        Drive frequency, Hz; None: `hardest_frequency`.
-    progress : callable, optional
-        Called with the name of each method before it runs.
-
-    Raises
-    ------
-    SceneError
-        If nothing drives the scene, or its impacts are coupled by a full mass matrix.
+    `frequency`: drive frequency, Hz; None: `hardest_frequency`. Raises `SceneError` if nothing drives the scene, or
+    its impacts are coupled by a full mass matrix.
     """
     system = assemble(scene)
     frequency = frequency if frequency is not None else hardest_frequency(scene, system)

@@ -48,19 +48,9 @@ def steady_study(
 ) -> SteadyStudy:
     """Measure all methods for a scene's steady response at one frequency.
 
-    Parameters
-    ----------
-    scene : Scene
-        If its test controls the amplitude of the spring force, that force acts on the body as a pure sinusoid.
-    frequency : float
-        Hz. If the motion is irregular, the nearest of several frequencies with periodic motion.
-    progress : callable, optional
-        Called with the name of each method before it runs.
-
-    Raises
-    ------
-    RunError
-        If the reference is not a thousand times better than the best method.
+    `scene`: if its test controls the amplitude of the spring force, that force acts on the body as a pure sinusoid;
+    `frequency`: Hz. If the motion is irregular, the nearest of several frequencies with periodic motion. Raises
+    `RunError` if the reference is not a thousand times better than the best method.
     """
     say = progress if progress is not None else lambda name: None
     scene = with_ideal_force(scene)

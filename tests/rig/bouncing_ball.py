@@ -22,27 +22,18 @@ FULL_PERIOD = float(np.hypot(1.0, np.pi))
 class Flight:
     """One flight of the ball; phases in radians, counted on from the phase of take-off.
 
-    Attributes
-    ----------
-    start, end : float
-        Phase of take-off and of landing.
-    speed : float
-        Closing speed at landing, in units of g/w.
-    sticks : bool
-        Whether the ball rides after landing (else it takes off again at once).
+    `start`, `end`: phase of take-off and of landing.
     """
 
     start: float
     end: float
-    speed: float
-    sticks: bool
+    speed: float  # closing speed at landing, in units of g/w
+    sticks: bool  # whether the ball rides after landing (else it takes off again at once)
 
 
 def take_off(acceleration: float) -> float:
     """Phase in [0, pi/2] at which the ball leaves; `acceleration` is the body's peak over g, 1 or more.
 
-    Examples
-    --------
     >>> round(take_off(2.0) / np.pi, 6)
     0.166667
     """

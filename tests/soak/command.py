@@ -30,30 +30,14 @@ PACKAGES = ("rig", "daq", "analysis")
 
 @dataclass(frozen=True)
 class Ended:
-    """How a command ended.
+    """How a command ended."""
 
-    Attributes
-    ----------
-    command : tuple of str
-        Its words.
-    code : int
-        Exit code; negative: the signal that ended it.
-    output : str
-        What it wrote to both streams.
-    silence : float
-        Longest time without output, s, without the time in which it waited for a processor.
-    seconds : float
-        Time from start to end.
-    memory : int
-        Most resident memory, bytes.
-    """
-
-    command: tuple[str, ...]
-    code: int
-    output: str
-    silence: float
-    seconds: float
-    memory: int
+    command: tuple[str, ...]  # its words
+    code: int  # exit code; negative: the signal that ended it
+    output: str  # what it wrote to both streams
+    silence: float  # longest time without output, s, without the time in which it waited for a processor
+    seconds: float  # time from start to end
+    memory: int  # most resident memory, bytes
 
     @property
     def faults(self) -> list[str]:
@@ -116,12 +100,7 @@ def run_afresh(
 ) -> Ended:
     """Run a command in a new process, as a shell does: by its installed script, or by ``python -m``.
 
-    Parameters
-    ----------
-    words, folder, end
-        As of `run`.
-    module : bool
-        Whether to run it by ``python -m``.
+    `words`, `folder`, `end`: as of `run`; `module`: whether to run it by ``python -m``.
     """
     script = Path(sys.executable).with_name(words[0])
     begin = [sys.executable, "-m", words[0]] if module or not script.exists() else [str(script)]

@@ -35,16 +35,8 @@ def jitter_factor(
     them. Each sample is weighted by its effect on a local fit. All channels have the same clock and therefore the
     same delay.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Channels.
-    hits : sequence of (int, int)
-        First and last sample of each hit; the covariance is the mean over the hits.
-    size : int
-        Number of samples of a spectrum.
-    side : int
-        Lines on either side that a local fit uses.
+    `hits`: first and last sample of each hit; the covariance is the mean over the hits; `size`: number of samples of
+    a spectrum; `side`: lines on either side that a local fit uses.
     """
     deviation = (rec.scene.converter.jitter or 0.0) * rec.rate
     factor = np.zeros((0, len(names)))
@@ -67,17 +59,10 @@ def jitter_factor(
 def jitter_part(factor: Array, off: ComplexArray, power: Array) -> dict[str, Array]:
     """Largest deviation of a response by jitter during and shortly after the hits.
 
-    Parameters
-    ----------
-    factor : ndarray, shape (rows, channels)
-        From `jitter_factor`.
-    off : ndarray of complex, shape (channels, lines)
-        ``u - H l``, where u and l are the weights of the readings in the response and in the reference.
-    power : ndarray, shape (lines,)
-        Power of the reference, summed over all hits.
+    `factor`, shape (rows, channels): from `jitter_factor`; `off`, shape (channels, lines): ``u - H l``, where u and
+    l are the weights of the readings in the response and in the reference; `power`, shape (lines,): power of the
+    reference, summed over all hits.
 
-    Examples
-    --------
     >>> part = jitter_part(np.array([[2.0, 1.0]]), np.array([[1.0], [-2.0]]) + 0j, np.ones(1))
     >>> {name: size.tolist() for name, size in part.items()}  # what both read is off by the same
     {'jitter of the sampling instants': [0.0]}

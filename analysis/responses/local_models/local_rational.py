@@ -98,27 +98,14 @@ def local_fit(
 ) -> LocalFit:
     """Fit the response at some lines.
 
-    Parameters
-    ----------
-    reading : Reading
-        Reading of the response channel.
-    reference : ndarray of complex, shape (stretches, bins)
-        True spectra of the reference.
-    ends : ndarray of complex, shape (stretches, bins)
-        Phase of the first sample of each stretch, if the transients at beginning and end are separate terms. It is 1
-        at all bins if they are a single term, and 0 if the rig was at rest.
-    lines : ndarray of int, shape (lines,)
-        Bins at which to fit.
-    side : int
-        Lines on either side that a fit uses.
-    used : float
-        Measured share of the samples of the spectra; the remainder is zero padding, which correlates neighbouring
-        lines and reduces the degrees of freedom.
-    others : ndarray of complex, shape (inputs, stretches, bins), optional
-        True spectra of other inputs, each with its own numerator and the common denominator.
+    `reading`: reading of the response channel; `reference`, shape (stretches, bins): True spectra of the reference;
+    `ends`, shape (stretches, bins): phase of the first sample of each stretch, if the transients at beginning and
+    end are separate terms. It is 1 at all bins if they are a single term, and 0 if the rig was at rest; `lines`,
+    shape (lines,): bins at which to fit; `side`: lines on either side that a fit uses; `used`: measured share of the
+    samples of the spectra; the remainder is zero padding, which correlates neighbouring lines and reduces the
+    degrees of freedom; `others`, shape (inputs, stretches, bins): True spectra of other inputs, each with its own
+    numerator and the common denominator.
 
-    Examples
-    --------
     >>> random = np.random.default_rng(1)
     >>> bins = np.arange(200)
     >>> force = random.standard_normal((1, 200)) + 1j * random.standard_normal((1, 200))
@@ -373,11 +360,8 @@ def _solved(terms: _Terms, model: ComplexArray, right: ComplexArray) -> tuple[_U
     If a lower order suffices, denominator, numerator and transient have an arbitrary common factor. A weak
     regularization towards small coefficients determines it without effect on the response at the line.
 
-    Parameters
-    ----------
-    model : ndarray of complex, shape (lines, stretches, width)
-        Model that is multiplied by the denominator.
-    right : ndarray of complex, shape (lines, stretches, width)
+    `model`, shape (lines, stretches, width): model that is multiplied by the denominator; `right` has the shape
+    (lines, stretches, width).
     """
     lines, stretches, width = right.shape
     count = terms.own.shape[-1]

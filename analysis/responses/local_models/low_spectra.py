@@ -35,23 +35,10 @@ def low_spectra(
 ) -> tuple[ComplexArray, Array]:
     """Compute the spectra of a clean stretch after leading zeros, with its mean removed.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Channels.
-    start, stop : int
-        First sample of the stretch, and the one after the last.
-    size : int
-        Number of samples with the zeros.
-    bins : int
-        Number of bins from zero frequency, with a spacing of the sample rate / size.
-
-    Returns
-    -------
-    spectra : ndarray of complex, shape (channels, bins)
-        As returned by `numpy.fft.rfft`.
-    squares : ndarray, shape (channels,)
-        Mean square of the stretch without its mean.
+    `start`, `stop`: first sample of the stretch, and the one after the last; `size`: number of samples with the
+    zeros; `bins`: number of bins from zero frequency, with a spacing of the sample rate / size. Returns `spectra`,
+    shape (channels, bins), as returned by `numpy.fft.rfft`; `squares`, shape (channels,), mean square of the stretch
+    without its mean.
     """
     step = max(each for each in range(1, max(1, int(_REACH * size / bins)) + 1) if size % each == 0)
     taps = (

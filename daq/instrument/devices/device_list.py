@@ -13,10 +13,7 @@ from daq.instrument.errors import Code, DaqError
 class DeviceList:
     """Finds devices by their names.
 
-    Parameters
-    ----------
-    modules : sequence of Module
-        Devices, including a chassis; a module without a name has all inputs and outputs.
+    `modules`: devices, including a chassis; a module without a name has all inputs and outputs.
     """
 
     def __init__(self, modules: Sequence[Module]) -> None:
@@ -25,10 +22,7 @@ class DeviceList:
     def module(self, name: str) -> Module:
         """Return a device by its name; a typical driver name selects all inputs and outputs.
 
-        Raises
-        ------
-        DaqError
-            With -200220, if there is no device of that name.
+        Raises `DaqError` with -200220, if there is no device of that name.
         """
         bare = name.strip().lstrip("/").partition("/")[0]
         found = self._modules.get(bare.lower())

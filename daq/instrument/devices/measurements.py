@@ -44,18 +44,12 @@ SENSITIVITY_UNITS: dict[int, float] = {
 class Measurement:
     """A kind of measurement.
 
-    Parameters
-    ----------
-    type : int
-        The driver's number.
-    units : str
-        Setting with the units of the readings.
-    sensitivity : str
-        Setting with the sensitivity of the sensor; the setting of the same name plus `_units` has its units.
+    `sensitivity`: setting with the sensitivity of the sensor; the setting of the same name plus `_units` has its
+    units.
     """
 
-    type: int
-    units: str
+    type: int  # the driver's number
+    units: str  # setting with the units of the readings
     sensitivity: str = ""
 
     def settings(self, given: Mapping[str, Any]) -> dict[str, Any]:
@@ -186,13 +180,8 @@ _BRIDGE_SCALES = {"TwoPointLin": 15898, "Table": 10450, "Polynomial": 10449}
 def measurement(name: str) -> tuple[Measurement, dict[str, Any]]:
     """Return a kind of measurement by its name in the driver's calls, with the settings that the name implies.
 
-    Raises
-    ------
-    KeyError
-        If the instrument has no measurement of that name.
+    Raises `KeyError` if the instrument has no measurement of that name.
 
-    Examples
-    --------
     >>> measurement("ForceBridgeTable")[1]
     {'ai_bridge_scale_type': 10450}
     """

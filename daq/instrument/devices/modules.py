@@ -43,82 +43,50 @@ DIVIDED = Rates(51200.0 / 31, 51200.0, tuple(51200.0 / divisor for divisor in ra
 class Module:
     """A device that scripts can use.
 
-    Parameters
-    ----------
-    name : str
-        Name on this bench.
-    product_type : str
-        Name in the driver, for example "NI 9234".
-    category, bus : int
-        The driver's numbers for product category and bus type.
-    inputs, outputs : tuple of int
-        Channels of the bench on ai0, ai1, ... and drives of the bench on ao0, ao1, ...
-    ranges : tuple of float
-        Input ranges, ± V, smallest first; empty if the inputs are not limited.
-    output_range : float
-        Range of the outputs, ± V.
-    bits, output_bits : int or None
-        Resolution of its converters; None if they are ideal.
-    rates, output_rates : Rates
-        Rates that the sample clocks of its inputs and outputs can generate.
-    timebase : float
-        Frequency of the clock that they divide, Hz.
-    own_rate : float or None
-        A rate that the clock generates exactly: that of the scene's converter, where no module is named.
-    couplings, wirings, currents : tuple
-        Couplings and terminal configurations of its inputs, the first is the default; currents of its IEPE supply, A.
-    supply_coupling : {"AC", "any"}
-        Coupling that this supply requires.
-    on_demand, output_on_demand : bool
-        Whether its inputs can be read and its outputs written without a sample clock; delta-sigma modules require a
-        clock.
-    teds : bool
-        Whether it reads the electronic data sheets of sensors.
-    measurements : frozenset of int
-        Kinds of measurement that it supports, by the driver's numbers.
-    chassis, slot : str and int
-        Its chassis and slot; empty and 0 for a separate device.
-    number : int
-        The driver's product number; 0 if not known.
+    `category`, `bus`: the driver's numbers for product category and bus type; `inputs`, `outputs`: channels of the
+    bench on ai0, ai1, ... and drives of the bench on ao0, ao1, ..; `bits`, `output_bits`: resolution of its
+    converters; None if they are ideal; `rates`, `output_rates`: rates that the sample clocks of its inputs and
+    outputs can generate; `couplings`, `wirings`, `currents`: couplings and terminal configurations of its inputs,
+    the first is the default; currents of its IEPE supply, A; `on_demand`, `output_on_demand`: whether its inputs can
+    be read and its outputs written without a sample clock; delta-sigma modules require a clock; `chassis`, `slot`:
+    its chassis and slot; empty and 0 for a separate device.
+
+    `own_rate`: a rate that the clock generates exactly: that of the scene's converter, where no module is named;
+    `measurements`: kinds of measurement that it supports, by the driver's numbers.
     """
 
-    name: str
-    product_type: str
+    name: str  # name on this bench
+    product_type: str  # name in the driver, for example "NI 9234"
     category: int = MODULE_CATEGORY
     bus: int = COMPACT_DAQ_BUS
     inputs: tuple[int, ...] = ()
     outputs: tuple[int, ...] = ()
-    ranges: tuple[float, ...] = ()
-    output_range: float = 10.0
+    ranges: tuple[float, ...] = ()  # input ranges, ± V, smallest first; empty if the inputs are not limited
+    output_range: float = 10.0  # range of the outputs, ± V
     bits: int | None = None
     output_bits: int | None = None
     rates: Rates = DIVIDED
     output_rates: Rates = DIVIDED
-    timebase: float = 13.1072e6
+    timebase: float = 13.1072e6  # frequency of the clock that they divide, Hz
     own_rate: float | None = None
     couplings: tuple[Coupling, ...] = (Coupling.AC, Coupling.DC)
     wirings: tuple[Wiring, ...] = (Wiring.PSEUDO_DIFFERENTIAL,)
     currents: tuple[float, ...] = (0.002,)
-    supply_coupling: Literal["AC", "any"] = "any"
+    supply_coupling: Literal["AC", "any"] = "any"  # coupling that this supply requires
     on_demand: bool = True
     output_on_demand: bool = True
-    teds: bool = True
+    teds: bool = True  # whether it reads the electronic data sheets of sensors
     simultaneous: bool = True
     measurements: frozenset[int] = frozenset({VOLTAGE, ACCELERATION, FORCE, VELOCITY, MICROPHONE})
     chassis: str = ""
     slot: int = 0
-    number: int = 0
+    number: int = 0  # the driver's product number; 0 if not known
 
     def coerced(self, rate: float, output: bool = False) -> float:
         """Return the lowest rate of the sample clock that is not below the requested rate.
 
-        Raises
-        ------
-        DaqError
-            With -200077, if the rate is not positive or faster than the clock.
+        Raises `DaqError` with -200077, if the rate is not positive or faster than the clock.
 
-        Examples
-        --------
         >>> module = Module("Mod1", "NI 9234")
         >>> module.coerced(5000.0), module.coerced(8000.0), module.coerced(1000.0)
         (5120.0, 8533.333333333334, 1651.6129032258063)
@@ -133,10 +101,7 @@ class Module:
     def range_for(self, limit: float) -> float:
         """Return the smallest range that includes ± a voltage; infinite if the inputs are not limited.
 
-        Raises
-        ------
-        DaqError
-            With -200077, if no range does.
+        Raises `DaqError` with -200077, if no range does.
         """
         if not self.ranges:
             return math.inf
@@ -163,10 +128,7 @@ class Module:
     def row(self, kind: str, number: int) -> int:
         """Return the bench's channel or drive at a terminal.
 
-        Raises
-        ------
-        DaqError
-            With -200170, if the terminal does not exist.
+        Raises `DaqError` with -200170, if the terminal does not exist.
         """
         rows = {"ai": self.inputs, "ao": self.outputs}.get(kind, ())
         if not 0 <= number < len(rows):
@@ -193,10 +155,7 @@ class Module:
     def attributes(self, modules: Sequence[str] = ()) -> dict[str, Any]:
         """Return the properties of the device, by the driver's names of the attributes.
 
-        Parameters
-        ----------
-        modules : sequence of str
-            Names of the modules in a chassis.
+        `modules`: names of the modules in a chassis.
         """
         found: dict[str, Any] = {
             "product_type": self.product_type,

@@ -35,13 +35,8 @@ class Port(NamedTuple):
 def parse_port(name: str) -> Port:
     """Parse the name of a physical channel.
 
-    Raises
-    ------
-    DaqError
-        With -200170, if it is not the name of a physical channel.
+    Raises `DaqError` with -200170, if it is not the name of a physical channel.
 
-    Examples
-    --------
     >>> parse_port("cDAQ9189-1D91958Mod1/ai3")
     Port(device='cDAQ9189-1D91958Mod1', kind='ai', number=3)
     """
@@ -58,13 +53,8 @@ def parse_port(name: str) -> Port:
 def unflatten(names: str) -> list[str]:
     """Expand a list with ranges.
 
-    Raises
-    ------
-    DaqError
-        With -200498, if a range is not of the form `ai0:3` or `Dev1/ai0:Dev1/ai3`, or too long.
+    Raises `DaqError` with -200498, if a range is not of the form `ai0:3` or `Dev1/ai0:Dev1/ai3`, or too long.
 
-    Examples
-    --------
     >>> unflatten("Dev1/ai0:2, Dev1/ai7")
     ['Dev1/ai0', 'Dev1/ai1', 'Dev1/ai2', 'Dev1/ai7']
     >>> unflatten("a03:01")
@@ -105,8 +95,6 @@ def _expand(item: str) -> list[str]:
 def numbered(name: str, count: int) -> list[str]:
     """Return names of several channels: numbered from 0, or from the number at the end of the given name.
 
-    Examples
-    --------
     >>> numbered("acc", 3), numbered("acc09", 3), numbered("acc", 1)
     (['acc0', 'acc1', 'acc2'], ['acc09', 'acc10', 'acc11'], ['acc'])
     """

@@ -31,23 +31,9 @@ _FILE_HEADER = 40
 def basic_teds(data: bytes) -> dict[str, Any]:
     """Read the basic TEDS of a data sheet, and the number of the template that follows.
 
-    Parameters
-    ----------
-    data : bytes
-        The memory of the sensor without the checksum bytes, which TEDS readers remove.
+    `data`: the memory of the sensor without the checksum bytes, which TEDS readers remove. Returns values by the
+    driver's names of the properties. Raises `DaqError` with -200826, if it is not a data sheet.
 
-    Returns
-    -------
-    dict
-        Values by the driver's names of the properties.
-
-    Raises
-    ------
-    DaqError
-        With -200826, if it is not a data sheet.
-
-    Examples
-    --------
     >>> found = basic_teds(bytes([17, 64, 0, 32, 4, 57, 48, 0, 120]))
     >>> found["teds_mfg_id"], found["teds_version_letter"], found["teds_serial_num"], found["teds_template_i_ds"]
     (17, 'A', 12345, [30])
@@ -71,8 +57,6 @@ def basic_teds(data: bytes) -> dict[str, Any]:
 def sensitivity(data: bytes) -> float | None:
     """Read the sensitivity of a sensor [V per unit]; None for a template without sensitivity.
 
-    Examples
-    --------
     >>> sheet = with_sensitivity(bytes([17, 64, 0, 32, 4, 57, 48, 0]), 25, 0.0102)
     >>> f"{sensitivity(sheet):.5f}"
     '0.01020'
@@ -105,10 +89,7 @@ def _unpacked(data: bytes) -> bytes:
 class TedsMemory:
     """The data sheets of the sensors, and the virtual data sheets that replace them.
 
-    Parameters
-    ----------
-    sensor : callable
-        Returns the data sheet of the sensor at a terminal, None without a data sheet.
+    `sensor`: returns the data sheet of the sensor at a terminal, None without a data sheet.
     """
 
     def __init__(self, sensor: Callable[[Port], bytes | None]) -> None:

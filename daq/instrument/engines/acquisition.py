@@ -22,43 +22,19 @@ Moment = Callable[[OtherTask], int | None]
 
 @dataclass(frozen=True)
 class InputPlan:
-    """The settings of an input task.
+    """The settings of an input task."""
 
-    Attributes
-    ----------
-    rows : tuple of int
-        The bench's channels, in the order of the task's.
-    factors : ndarray, shape (channels,)
-        Units of each channel per unit of the converter samples.
-    scales : tuple of Scale or None
-        Custom scale of each channel.
-    rate : float
-        Samples per second.
-    samples : int or None
-        Samples of a finite acquisition; None for a continuous acquisition.
-    buffer : int
-        Capacity of the buffer, samples per channel.
-    keep : bool
-        Whether the acquisition stops before it overwrites unread samples.
-    start, reference : Source or None
-        Triggers.
-    pretrigger : int
-        Samples before the reference trigger.
-    again : bool
-        Whether the start trigger is re-armed after each complete record.
-    """
-
-    rows: tuple[int, ...]
-    factors: NDArray[np.float64]
-    scales: tuple[Scale | None, ...]
-    rate: float
-    samples: int | None
-    buffer: int
-    keep: bool = False
-    start: Source | None = None
-    reference: Source | None = None
-    pretrigger: int = 0
-    again: bool = False
+    rows: tuple[int, ...]  # the bench's channels, in the order of the task's
+    factors: NDArray[np.float64]  # units of each channel per unit of the converter samples, shape (channels,)
+    scales: tuple[Scale | None, ...]  # custom scale of each channel
+    rate: float  # samples per second
+    samples: int | None  # samples of a finite acquisition; None for a continuous acquisition
+    buffer: int  # capacity of the buffer, samples per channel
+    keep: bool = False  # whether the acquisition stops before it overwrites unread samples
+    start: Source | None = None  # triggers
+    reference: Source | None = None  # triggers
+    pretrigger: int = 0  # samples before the reference trigger
+    again: bool = False  # whether the start trigger is re-armed after each complete record
 
     def reading(self, row: int, samples: NDArray[Any]) -> NDArray[np.float64]:
         """Convert converter samples to the units of their channel."""
@@ -78,35 +54,12 @@ class Acquisition:
     therefore stores up to twice as many samples, until the reader is half a buffer behind. Without this reserve, a
     reader that pauses between its reads would lose samples at every read.
 
-    Parameters
-    ----------
-    plan : InputPlan
-        What to acquire.
-    tick_rate : float
-        Ticks of the bench per second.
-    position : int
-        Number of ticks that have passed on the bench.
-    dtype : dtype_like
-        Type of the converter's samples.
-
-    Attributes
-    ----------
-    ring : RingBuffer
-        The converter's samples.
-    overloads : RingBuffer
-        Whether each of them was overloaded.
-    position : int
-        Number of the sample that is read next by default.
-    first_tick : int or None
-        Tick of the first sample of the current record; None before the start trigger.
-    trigger : int or None
-        Number of the sample at which the reference trigger was detected.
-    done : bool
-        Whether the acquisition is complete or has stopped.
-    error : DaqError or None
-        Reason of an early stop.
-    overloaded : ndarray of bool, shape (channels,)
-        Channels overloaded since the flags were last cleared.
+    `plan`: what to acquire; `tick_rate`: ticks of the bench per second; `position`: number of ticks that have passed
+    on the bench; `dtype`: type of the converter's samples; `ring`: the converter's samples; `overloads`: whether
+    each of them was overloaded; `position`: number of the sample that is read next by default; `first_tick`: tick of
+    the first sample of the current record; None before the start trigger; `trigger`: number of the sample at which
+    the reference trigger was detected; `done`: whether the acquisition is complete or has stopped; `error`: reason
+    of an early stop; `overloaded`, shape (channels,): channels overloaded since the flags were last cleared.
     """
 
     def __init__(self, plan: InputPlan, tick_rate: float, position: int, dtype: Any) -> None:
@@ -220,16 +173,9 @@ class Acquisition:
     def take(self, tick: int, samples: NDArray[Any], overload: NDArray[np.bool_], moment: Moment) -> None:
         """Process a block of the bench.
 
-        Parameters
-        ----------
-        tick : int
-            Instant of the block's first sample; blocks are contiguous.
-        samples : ndarray, shape (bench channels, n)
-            Converter samples.
-        overload : ndarray of bool, shape (bench channels, n)
-            Overload flags.
-        moment : callable
-            Returns the tick at which another task started or was triggered; None before that.
+        `tick`: instant of the block's first sample; blocks are contiguous; `samples`, shape (bench channels, n):
+        converter samples; `overload`, shape (bench channels, n): overload flags; `moment`: returns the tick at which
+        another task started or was triggered; None before that.
         """
         rows = list(self.plan.rows)
         x, over = samples[rows], overload[rows]

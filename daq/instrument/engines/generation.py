@@ -22,12 +22,7 @@ class OutputBuffer:
 
     Until the task starts the buffer grows with every write, unless its size is set.
 
-    Parameters
-    ----------
-    channels : int
-        Channels.
-    size : int or None
-        Samples per channel; None to grow.
+    `size`: samples per channel; None to grow.
     """
 
     def __init__(self, channels: int, size: int | None) -> None:
@@ -59,54 +54,23 @@ class OutputBuffer:
 
 @dataclass(frozen=True)
 class OutputPlan:
-    """The settings of an output task.
+    """The settings of an output task."""
 
-    Attributes
-    ----------
-    rows : tuple of int
-        The bench's drives, in the order of the task's channels.
-    rate : float
-        Ticks of the bench per second.
-    per_tick : Fraction
-        Samples of the output per tick of the bench.
-    samples : int or None
-        Samples of a finite generation; None for a continuous generation.
-    regenerate : bool
-        Whether the buffer is repeated.
-    start : SyncPulse, AtTime, OtherTask or None
-        Start trigger.
-    """
-
-    rows: tuple[int, ...]
-    rate: float
-    per_tick: Fraction
-    samples: int | None
-    regenerate: bool
-    start: SyncPulse | AtTime | OtherTask | None = None
+    rows: tuple[int, ...]  # the bench's drives, in the order of the task's channels
+    rate: float  # ticks of the bench per second
+    per_tick: Fraction  # samples of the output per tick of the bench
+    samples: int | None  # samples of a finite generation; None for a continuous generation
+    regenerate: bool  # whether the buffer is repeated
+    start: SyncPulse | AtTime | OtherTask | None = None  # start trigger
 
 
 class Generation:
     """The state of an output task from start to stop.
 
-    Parameters
-    ----------
-    plan : OutputPlan
-        What to generate.
-    buffer : OutputBuffer
-        Samples to play; may be written during the run.
-    tick : int
-        Position of the bench at the start.
-    held : ndarray, shape (channels,)
-        Output voltage before the start, V.
-
-    Attributes
-    ----------
-    generated : int
-        Samples per channel generated so far.
-    done : bool
-        Whether the generation has ended; the output keeps its last value.
-    error : DaqError or None
-        Reason of an early end.
+    `plan`: what to generate; `buffer`: samples to play; may be written during the run; `tick`: position of the bench
+    at the start; `held`, shape (channels,): output voltage before the start, V; `generated`: samples per channel
+    generated so far; `done`: whether the generation has ended; the output keeps its last value; `error`: reason of
+    an early end.
     """
 
     def __init__(self, plan: OutputPlan, buffer: OutputBuffer, tick: int, held: Array) -> None:

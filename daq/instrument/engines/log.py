@@ -164,12 +164,8 @@ class TaskLog:
     also lost in the log and marked as a gap. With `LOG` it is written as samples are acquired. While it is paused,
     samples are omitted.
 
-    Parameters
-    ----------
-    open_file : callable
-        Opens a file by its path and the number of its first sample.
-    settings : Properties
-        Path, size of one file, and whether the log is paused.
+    `open_file`: opens a file by its path and the number of its first sample; `settings`: path, size of one file, and
+    whether the log is paused.
     """
 
     def __init__(self, open_file: Callable[[Path, int], _File], settings: Properties) -> None:
@@ -232,23 +228,9 @@ def open_log(
 ) -> TaskLog:
     """Open a log for a task at its start.
 
-    Parameters
-    ----------
-    name : str
-        Name of the task.
-    task : TaskSettings
-        Its settings. The suffix of the log's path selects the format, `.mcap` or `.tdms`.
-    bench : Bench
-        The bench.
-    plan : InputPlan
-        Plan of the acquisition.
-    time_ns : callable
-        Returns the time of a sample by its number, ns.
-
-    Raises
-    ------
-    DaqError
-        If the file cannot be opened with these settings; the message contains the remedy.
+    `name`: name of the task; `task`: its settings. The suffix of the log's path selects the format, `.mcap` or
+    `.tdms`; `plan`: plan of the acquisition; `time_ns`: returns the time of a sample by its number, ns. Raises
+    `DaqError` if the file cannot be opened with these settings; the message contains the remedy.
     """
     settings = task.groups["read"]
     infos = [replace(bench.channels[row], rate=plan.rate) for row in plan.rows]

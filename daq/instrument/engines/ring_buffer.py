@@ -16,10 +16,7 @@ MOST_BYTES = 2 << 30
 def memory(channels: int, samples: int, dtype: DTypeLike = np.float64) -> NDArray[Any]:
     """Allocate an array of zeros, shape (channels, samples).
 
-    Raises
-    ------
-    DaqError
-        With -200077, if there is not enough memory.
+    Raises `DaqError` with -200077, if there is not enough memory.
     """
     if samples < 0:
         raise bad(f"{samples} samples per channel: expected 0 at least, or READ_ALL_AVAILABLE (-1)")
@@ -37,27 +34,9 @@ def memory(channels: int, samples: int, dtype: DTypeLike = np.float64) -> NDArra
 class RingBuffer:
     """The last `size` samples of a stream whose samples are numbered from 0.
 
-    Parameters
-    ----------
-    channels : int
-        Channels.
-    size : int
-        Samples per channel that fit.
-    dtype : dtype_like
-        Type of a sample.
+    `size`: samples per channel that fit; `dtype`: type of a sample; `written`: samples per channel written so far,
+    which is the number of the next sample. Raises `DaqError` with -200077, if there is not enough memory.
 
-    Raises
-    ------
-    DaqError
-        With -200077, if there is not enough memory.
-
-    Attributes
-    ----------
-    written : int
-        Samples per channel written so far, which is the number of the next sample.
-
-    Examples
-    --------
     >>> ring = RingBuffer(1, 4, float)
     >>> ring.write(np.arange(6.0)[None])
     >>> ring.oldest, ring.read(3, 3).tolist()
@@ -96,10 +75,7 @@ class RingBuffer:
     def read(self, first: int, count: int) -> NDArray[Any]:
         """Copy samples out, shape (channels, count).
 
-        Raises
-        ------
-        IndexError
-            If samples have been overwritten, or not written yet.
+        Raises `IndexError` if samples have been overwritten, or not written yet.
         """
         if first < self.oldest or first + count > self.written:
             raise IndexError(

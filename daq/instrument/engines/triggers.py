@@ -32,14 +32,8 @@ Condition = Callable[[NDArray[np.float64]], tuple[NDArray[np.bool_], NDArray[np.
 def edge(slope: Slope, level: float, hysteresis: float = 0.0) -> Condition:
     """Return the condition of a level crossing.
 
-    Parameters
-    ----------
-    slope : Slope
-        Direction of the crossing.
-    level : float
-        Level, in the units of the samples.
-    hysteresis : float
-        Distance from the level that the signal must have had before the crossing, on the opposite side.
+    `slope`: direction of the crossing; `level`: level, in the units of the samples; `hysteresis`: distance from the
+    level that the signal must have had before the crossing, on the opposite side.
     """
     sign = 1.0 if slope == Slope.RISING else -1.0
     return lambda x: (sign * x > sign * level, sign * x <= sign * level - hysteresis)
@@ -58,13 +52,8 @@ def window(condition: WindowCondition, bottom: float, top: float) -> Condition:
 class CrossingFinder:
     """Finds the first sample at which a signal meets a condition.
 
-    Parameters
-    ----------
-    condition : callable
-        See `edge` and `window`.
+    `condition`: see `edge` and `window`.
 
-    Examples
-    --------
     >>> finder = CrossingFinder(edge(Slope.RISING, 1.0))
     >>> finder.find(np.array([2.0, 1.0, 1.5, 3.0]))
     2
@@ -77,17 +66,8 @@ class CrossingFinder:
     def find(self, samples: NDArray[np.float64], skip: int = 0) -> int | None:
         """Return the first crossing in samples that directly follow those of the last call.
 
-        Parameters
-        ----------
-        samples : ndarray, shape (n,)
-            Samples.
-        skip : int
-            Number of first samples in which crossings are ignored; they still arm the trigger.
-
-        Returns
-        -------
-        int or None
-            Index of the first sample after the crossing; None without a crossing.
+        `samples` has the shape (n,); `skip`: number of first samples in which crossings are ignored; they still arm
+        the trigger. Returns index of the first sample after the crossing; None without a crossing.
         """
         beyond, before = self._condition(samples)
         if skip:
@@ -163,10 +143,7 @@ Source = AnalogSource | SyncPulse | AtTime | OtherTask
 def digital_source(source: str, slope: Slope) -> SyncPulse | OtherTask:
     """Return the signal at a terminal.
 
-    Raises
-    ------
-    DaqError
-        With -89136, if the terminal does not exist.
+    Raises `DaqError` with -89136, if the terminal does not exist.
     """
     match = _SIGNAL.fullmatch(source.strip())
     if not match:

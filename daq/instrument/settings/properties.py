@@ -150,13 +150,8 @@ WHILE_RUNNING = {
 def alike(name: str, value: Any, default: Any) -> Any:
     """Convert the value of a setting to the type of its default.
 
-    Raises
-    ------
-    DaqError
-        With -200077, if it is not one of the named values, or not a finite number.
+    Raises `DaqError` with -200077, if it is not one of the named values, or not a finite number.
 
-    Examples
-    --------
     >>> alike("samp_clk_rate", 5120, 1000.0)
     5120.0
     """
@@ -172,15 +167,8 @@ def alike(name: str, value: Any, default: Any) -> Any:
 class Properties:
     """Settings with their defaults.
 
-    Parameters
-    ----------
-    what : str
-        Group of the settings, for error messages.
-    defaults : mapping of str to any
-        All settings with their defaults.
+    `what`: group of the settings, for error messages; `defaults`: all settings with their defaults.
 
-    Examples
-    --------
     >>> timing = Properties("timing", TIMING)
     >>> timing["samp_clk_rate"] = 5120
     >>> timing["samp_clk_rate"], timing.was_set("samp_clk_rate")

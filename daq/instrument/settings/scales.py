@@ -21,12 +21,8 @@ LINEAR, MAP_RANGES, POLYNOMIAL, TABLE = 10447, 10448, 10449, 10450
 class Scale:
     """A custom scale, as in the driver.
 
-    Parameters
-    ----------
-    kind : int
-        LINEAR, MAP_RANGES, POLYNOMIAL or TABLE.
-    settings : dict
-        Its parameters, by the driver's names of the attributes.
+    `kind`: LINEAR, MAP_RANGES, POLYNOMIAL or TABLE; `settings`: its parameters, by the driver's names of the
+    attributes.
     """
 
     def __init__(self, kind: int, settings: dict[str, Any]) -> None:
@@ -46,10 +42,8 @@ class Scale:
     def changed(self, name: str, value: Any) -> Scale:
         """Return the scale with a changed parameter.
 
-        Raises
-        ------
-        DaqError
-            With -200077 for an invalid value, -200601 for a parameter that a scale of this type does not have.
+        Raises `DaqError` with -200077 for an invalid value, -200601 for a parameter that a scale of this type does
+        not have.
         """
         own = self.settings
         if name not in own or name == "type":
@@ -77,10 +71,7 @@ class Scale:
     def convert(self, values: Array) -> Array:
         """Scale readings.
 
-        Raises
-        ------
-        DaqError
-            With -200077, if the scale is invalid.
+        Raises `DaqError` with -200077, if the scale is invalid.
         """
         own = self.settings
         if own["type"] == MAP_RANGES and own["map_pre_scaled_min"] == own["map_pre_scaled_max"]:
@@ -97,8 +88,6 @@ class Scale:
 def reverse_polynomial(forward: list[float], low: float, high: float, points: int, order: int) -> list[float]:
     """Fit the inverse polynomial, from scaled values to readings.
 
-    Examples
-    --------
     >>> [round(each, 6) for each in reverse_polynomial([1.0, 2.0], -10.0, 10.0, 100, 1)]
     [-0.5, 0.5]
     """

@@ -22,12 +22,7 @@ _BUFFERS = ((100.0, 1000), (10_000.0, 10_000), (1_000_000.0, 100_000), (math.inf
 class TaskSettings:
     """The settings of a task, by the driver's names, in groups: timing, trig, read, write, buffer, exported_signal.
 
-    Parameters
-    ----------
-    module : callable
-        Returns a device by its name.
-    scales : mapping of str to Scale
-        Custom scales that channels may use.
+    `module`: returns a device by its name; `scales`: custom scales that channels may use.
     """
 
     def __init__(self, module: Callable[[str], Module], scales: Mapping[str, Scale]) -> None:
@@ -102,21 +97,9 @@ class TaskSettings:
     ) -> list[Channel]:
         """Add inputs.
 
-        Parameters
-        ----------
-        physical : str
-            Terminals, such as "cDAQ1Mod1/ai0:3".
-        name : str
-            Virtual name, or the common prefix of several names. Empty: the names of the terminals.
-        kind : Measurement
-            Kind of measurement.
-        given : mapping of str to any
-            Settings, by the driver's names.
-
-        Raises
-        ------
-        DaqError
-            See `Channel.input`; -200171 for a name that is taken.
+        `physical`: terminals, such as "cDAQ1Mod1/ai0:3"; `name`: virtual name, or the common prefix of several
+        names. Empty: the names of the terminals; `kind`: kind of measurement; `given`: settings, by the driver's
+        names. Raises `DaqError`: see `Channel.input`; -200171 for a name that is taken.
         """
         return self._add(
             "ai",
@@ -178,10 +161,7 @@ class TaskSettings:
     def find(self, names: str) -> list[Channel]:
         """Return channels by their names or the names of their terminals; all channels for an empty string.
 
-        Raises
-        ------
-        DaqError
-            With -200488, if there is no channel of that name.
+        Raises `DaqError` with -200488, if there is no channel of that name.
         """
         found = []
         for name in unflatten(names):
@@ -213,10 +193,7 @@ class TaskSettings:
     def samples(self) -> int:
         """Samples per channel of a finite task; a hint for the buffer size of a continuous task.
 
-        Raises
-        ------
-        DaqError
-            With -200077, if there are too few.
+        Raises `DaqError` with -200077, if there are too few.
         """
         samples = int(self.groups["timing"]["samp_quant_samp_per_chan"])
         if samples < 2 and self.clocked:

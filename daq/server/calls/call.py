@@ -20,28 +20,16 @@ Answer = dict[str, Any]
 class Call:
     """A remote call.
 
-    Attributes
-    ----------
-    instrument : ServedInstrument
-        Instrument of the server.
-    peer : str
-        Address of the client.
-    message : Message
-        The request.
-    fields : dict
-        Decoded fields of the request, see `daq.server.protocol.decode`.
-    strict : bool
-        Whether a duplicate name is the error of the driver instead of that of the network.
-    is_active : callable
-        Returns whether the client still waits for the response.
+    `fields`: decoded fields of the request, see `daq.server.protocol.decode`; `strict`: whether a duplicate name is
+    the error of the driver instead of that of the network.
     """
 
-    instrument: ServedInstrument
-    peer: str
-    message: Any = None
+    instrument: ServedInstrument  # instrument of the server
+    peer: str  # address of the client
+    message: Any = None  # the request
     fields: dict[str, Any] = field(default_factory=dict)
     strict: bool = False
-    is_active: Callable[[], bool] = lambda: True
+    is_active: Callable[[], bool] = lambda: True  # returns whether the client still waits for the response
 
     @property
     def task(self) -> Task:

@@ -51,10 +51,7 @@ def _declared(call: Call, kind: Measurement) -> tuple[str, str, dict[str, Any]]:
 def _settings_of_sensor(call: Call, physical: str, kind: Measurement) -> dict[str, Any]:
     """Return the settings of a channel from its sensor's TEDS.
 
-    Raises
-    ------
-    DaqError
-        With -200709 for a sensor without TEDS, -200826 for a sensor of another kind.
+    Raises `DaqError` with -200709 for a sensor without TEDS, -200826 for a sensor of another kind.
     """
     port = parse_port(physical)
     volts = sensitivity(call.instrument.teds.sheet(port))

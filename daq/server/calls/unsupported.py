@@ -17,8 +17,6 @@ _WORDS = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
 def script_function(method: str) -> str:
     """Return the function name in a script: for channels and timing that of the package nidaqmx, else the driver's.
 
-    Examples
-    --------
     >>> script_function("CreateTEDSAIRTDChan"), script_function("ReadDigitalU32")
     ('add_teds_ai_rtd_chan', 'DAQmxReadDigitalU32')
     """

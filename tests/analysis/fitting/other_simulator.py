@@ -74,10 +74,7 @@ def random_test(
 ) -> dict[str, Any]:
     """Write a random test as a text table; return the settings of the scene that was on the bench.
 
-    Parameters
-    ----------
-    noise : (float, float)
-        Relative to the rms value of the force and of each response.
+    `noise`: relative to the rms value of the force and of each response.
     """
     random = np.random.default_rng(seed)
     rate, low, high = 1000.0, 4.0, 220.0

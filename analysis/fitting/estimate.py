@@ -54,7 +54,9 @@ class Estimate:
 
     x: Array  # shape (unknowns,)
     factor: Array
-    variance: float  # mean square of the misses, in standard deviations: 1 where the stated errors explain them
+    variance: (
+        float  # mean square of the misses, in standard deviations: 1 where the stated errors explain them
+    )
 
     @property
     def deviation(self) -> Array:

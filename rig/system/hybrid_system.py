@@ -33,7 +33,9 @@ class HybridSystem:
     its motion.
     """
 
-    points: tuple[str, ...]  # names of the coordinates: "body 1" ... "body n", then "table" if the scene has one
+    points: tuple[
+        str, ...
+    ]  # names of the coordinates: "body 1" ... "body n", then "table" if the scene has one
     inputs: tuple[str, ...]
     drive_units: tuple[str, ...]
     gravity: float

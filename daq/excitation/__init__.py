@@ -20,7 +20,7 @@ def excitation(station: Station) -> Excitation:
     test = station.scene.test
     if test is None:
         raise SceneError(
-            f"scene {station.scene.name!r} names no test: add one, such as "
-            "test: {kind: impulse, body: 1, peak: 50 N, width: 4 ms}"
+            f"scene {station.scene.name!r} names no test. Add a test, such as "
+            "test: {kind: impulse, body: 1, peak: 50 N, width: 4 ms}."
         )
     return import_module(f"daq.excitation.{test.kind}").excite(station, test)

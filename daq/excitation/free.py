@@ -14,8 +14,9 @@ _WINDOW = 0.1
 
 def excite(station: Station, test: Free) -> Excitation:
     """Record a free decay."""
-    total = station.samples(test.duration)
-    while station.now < total:
-        yield station.quiet(min(station.samples(_WINDOW), total - station.now))
-        station.report(station.now / total, f"{station.now / station.rate:.1f} s of {test.duration:g} s")
-    station.mark("free", 0, total)
+    first, total = station.now, station.samples(test.duration)
+    while (done := station.now - first) < total:
+        yield station.quiet(min(station.samples(_WINDOW), total - done))
+        done = station.now - first
+        station.report(done / total, f"{done / station.rate:.1f} s of {test.duration:g} s")
+    station.mark("free", first, first + total)

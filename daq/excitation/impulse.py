@@ -29,16 +29,14 @@ _TIME_CONSTANTS, _LONGEST, _LOOK, _BEYOND = 10.0, 60.0, 0.5, 4.0
 def excite(station: Station, test: Impulse) -> Excitation:
     """Run the hits of an impulse test."""
     clean = half_sine(test.peak, test.width, station.rate)
-    doubled = clean
+    doubled, bounces = clean, set()
     if test.double_hit is not None:
         second = half_sine(test.peak * test.double_hit.ratio, test.width, station.rate)
         after = station.samples(test.double_hit.after)
         doubled = np.zeros(after + second.size)
         doubled[: clean.size] += clean
         doubled[after:] += second
-    bounces = set(range(1, test.repeats + 1)) if test.double_hit is not None else set()
-    if test.double_hit is not None and test.double_hit.hits is not None:
-        bounces = set(test.double_hit.hits)
+        bounces = set(test.double_hit.hits or range(1, test.repeats + 1))
     return _run(station, test, clean, doubled, bounces)
 
 
@@ -57,15 +55,9 @@ def _run(station: Station, test: Impulse, clean: Array, doubled: Array, bounces:
             yield station.drive(wave[start:stop], "hammer")
             if start == 0:
                 station.mark(
-                    "hit",
-                    first,
-                    first + pulse.size,
-                    number=hit,
-                    body=test.body,
-                    peak=test.peak,
-                    width=test.width,
+                    "hit", first, first + pulse.size, number=hit, body=test.body, peak=test.peak, width=test.width,
                     double=hit in bounces,
-                )
+                )  # fmt: skip
             station.report((hit - 1 + stop / interval) / test.repeats, f"hit {hit} of {test.repeats}")
 
 
@@ -130,7 +122,7 @@ def half_sine(peak: float, width: float, rate: float) -> Array:
     if wanted < 1.2:
         raise SceneError(
             f"test.width: a pulse of {width * 1e3:g} ms has no two samples at {rate:g} Hz; expected at least "
-            f"{2.0 / rate * 1e3:.3g} ms: widen the pulse (a softer tip) or raise converter.rate"
+            f"{2.0 / rate * 1e3:.3g} ms. Widen the pulse (a softer tip) or raise converter.rate."
         )
 
     def pulse(length: float) -> Array:

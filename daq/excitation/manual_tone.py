@@ -9,12 +9,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.excitation import Excitation, Station
-from daq.excitation.amplitude_control import AmplitudeControl
 from daq.excitation.lock_in import whole_periods
-from daq.excitation.stepped_sine import GLIDE, settle
-from daq.excitation.tone import Tone
-from daq.excitation.tone_measurement import Gauge
+from daq.excitation.station import Excitation, Station
+from daq.excitation.steady_tone import GLIDE, LOOK, SteadyTone
 from rig.errors import SceneError
 
 # Relative transient at which a level counts as reached; an operator changes the setting before the last percent.
@@ -23,7 +20,6 @@ LONGEST = 60.0
 # A force is readjusted if it deviates by more than this fraction in several successive observations.
 STRAYED = 0.05
 PATIENCE = 5
-_LOOK = 0.1
 
 
 class Knobs:
@@ -45,14 +41,16 @@ class Knobs:
 
     def turn(self, line: str) -> bool:
         """Execute a command line; an empty line changes nothing."""
-        key, _, value = line.strip().partition(" ")
+        key, _, text = line.strip().partition(" ")
         frequency, force = self.asked
-        if key in ("q", "quit", "exit") and not value:
+        if key in ("q", "quit", "exit") and not text:
             self.off = True
-        elif key == "f":
-            self.asked = self._frequency(_number(value)), force
-        elif key == "F":
-            self.asked = frequency, _force(_number(value))
+        elif key in ("f", "F"):
+            try:
+                value = float(text)
+            except ValueError:
+                raise SceneError(f"{text!r} is no number; expected  {self.HELP}") from None
+            self.asked = (self._frequency(value), force) if key == "f" else (frequency, _force(value))
         elif key:
             raise SceneError(f"{line.strip()!r}: expected  {self.HELP}")
         return bool(key)
@@ -69,28 +67,16 @@ def _force(value: float) -> float:
     return value
 
 
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise SceneError(f"{text!r} is no number; expected  {Knobs.HELP}") from None
-
-
 @dataclass(frozen=True)
 class ToneReading:
-    """Readings of the tone in one window."""
+    """Readings of the tone in one window; phases of force and displacement have the same reference."""
 
-    frequency: float
-    level: float
-    """Requested settings, Hz and N."""
-    held: bool
-    """Whether the level has been reached and the motion is steady."""
-    drive: float
-    """Amplitude of the drive, in its unit."""
-    force: complex
-    """Force of the coil spring, or the drive where the drive is the force, N."""
-    displacement: dict[str, complex]
-    """Displacement by channel, m; phases have the same reference as `force`."""
+    frequency: float  # requested, Hz
+    level: float  # requested, N
+    held: bool  # the level has been reached and the motion is steady
+    drive: float  # amplitude of the drive, in its unit
+    force: complex  # of the coil spring, or the drive where the drive is the force, N
+    displacement: dict[str, complex]  # by channel, m
 
     def receptance(self, channel: str) -> complex:
         """Return displacement over force, m/N."""
@@ -110,70 +96,56 @@ class HandTone:
         """Play until the knobs are turned off; steady points are marked as in a stepped sine."""
         # Raises without a shaker, before the channels of the spring force are checked.
         station.drive(np.zeros(1))
-        return self._play(station, Gauge(station, force=not station.force_is_drive))
+        return self._play(SteadyTone(station, self.knobs.asked[0], controlled=not station.force_is_drive))
 
-    def _play(self, station: Station, gauge: Gauge) -> Excitation:
-        tone = Tone(station.rate, self.knobs.asked[0])
+    def _play(self, tone: SteadyTone) -> Excitation:
         while not self.knobs.off:
             asked = self.knobs.asked
             # The held interval is marked at once, whether the knobs or the run ends it.
-            with closing(self._at(station, tone, gauge, *asked)) as work:
+            with closing(self._at(tone, *asked)) as work:
                 phase, window = tone.phase, next(work)
                 while True:
                     readings = yield window
-                    self.report(self._reading(station, tone, gauge, readings, phase, asked))
+                    self.report(self._reading(tone, readings, phase, asked))
                     if self.knobs.off or self.knobs.asked != asked:
                         break
                     phase, window = tone.phase, work.send(readings)
-        yield station.drive(tone.glide(station.samples(GLIDE), tone.frequency, 0.0))
+        yield tone.end()
 
-    def _at(self, station: Station, tone: Tone, gauge: Gauge, frequency: float, level: float) -> Excitation:
+    def _at(self, tone: SteadyTone, frequency: float, level: float) -> Excitation:
         """Go to a setting and hold it until the generator is closed."""
-        self._held = False
-        look = whole_periods(frequency, station.rate, _LOOK)
+        self._held, station = False, tone.station
+        look = whole_periods(frequency, station.rate, LOOK)
         if level == 0.0:
             yield station.drive(tone.glide(max(station.samples(GLIDE), look), frequency, 0.0))
             while True:
                 yield station.quiet(look)
-        control, drive = None, level
-        if not station.force_is_drive:
-            control = AmplitudeControl(level, station.drive_limit)
+        before, drive = tone.amplitude, tone.start(level)
+        if tone.control is not None:
             # The drive of the last level is scaled in proportion to the level.
-            drive = tone.amplitude * level / (self._level or level) or level * station.cautious_drive
-            drive = min(drive, station.drive_limit)
+            drive = min(before * level / (self._level or level) or drive, station.drive_limit)
         self._level = level
+        facts = {"frequency": frequency, "level": level}
         while True:
-            first, facts = station.now, {"frequency": frequency, "level": level}
-            settled = False
+            first, settled = station.now, False
             try:
-                settled = yield from settle(
-                    station, tone, gauge, control, frequency, drive, TOLERANCE, LONGEST
-                )
+                settled = yield from tone.settle(frequency, drive, TOLERANCE, LONGEST)
             finally:
                 if station.now > first:
                     station.mark("settle", first, station.now, drive=tone.amplitude, settled=settled, **facts)
-            yield from self._hold(station, tone, gauge, look, control, settled, facts)
+            yield from self._hold(tone, look, settled, facts)
             drive = tone.amplitude
 
-    def _hold(
-        self,
-        station: Station,
-        tone: Tone,
-        gauge: Gauge,
-        look: int,
-        control: AmplitudeControl | None,
-        settled: bool,
-        facts: dict[str, float],
-    ) -> Excitation:
+    def _hold(self, tone: SteadyTone, look: int, settled: bool, facts: dict[str, float]) -> Excitation:
         """Hold until the force deviates, or the operator changes a setting."""
-        self._held, strayed, force = settled, 0, facts["level"]
+        self._held, strayed, force, station = settled, 0, facts["level"], tone.station
         first = station.now
         try:
             while strayed < PATIENCE:
                 phase = tone.phase
                 readings = yield station.drive(tone.hold(look))
-                if control is not None:
-                    force = float(abs(gauge.steady(readings, tone.frequency, phase)[0]))
+                if tone.control is not None:
+                    force = float(abs(tone.amplitudes(readings, phase)[0]))
                 strayed = strayed + 1 if abs(force / facts["level"] - 1.0) > STRAYED else 0
         finally:
             self._held = False
@@ -183,18 +155,13 @@ class HandTone:
                 )
 
     def _reading(
-        self,
-        station: Station,
-        tone: Tone,
-        gauge: Gauge,
-        readings: NDArray[np.float64],
-        phase: float,
-        asked: tuple[float, float],
+        self, tone: SteadyTone, readings: NDArray[np.float64], phase: float, asked: tuple[float, float]
     ) -> ToneReading:
-        values = gauge.steady(readings, tone.frequency, phase)
+        motions, station = tone.amplitudes(readings, phase), tone.station
         # The drive is amplitude * sin(phase), and a complex amplitude A represents Re(A e^{i phase}).
-        force = -1j * tone.amplitude if station.force_is_drive else complex(values[0])
-        motions = values if station.force_is_drive else values[1:]
+        force = -1j * tone.amplitude
+        if not station.force_is_drive:
+            force, motions = complex(motions[0]), motions[1:]
         names = [info.name for info in station.channels if info.quantity not in ("force", "voltage")]
         moved = {name: complex(value) for name, value in zip(names, motions, strict=True)}
         return ToneReading(*asked, self._held, tone.amplitude, force, moved)

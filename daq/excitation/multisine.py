@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Mapping
+from collections.abc import Generator
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,11 +10,9 @@ from numpy.typing import NDArray
 
 from daq.excitation.spectrum_shaping import (
     Lines,
-    closed_loop,
     crossfade,
     equalise,
     flat,
-    generator,
     lines_between,
     wave_of,
     within_limit,
@@ -33,86 +31,62 @@ _NOISE = 0.9
 
 def excite(station: Station, test: Multisine) -> Excitation:
     """Run a multisine test."""
-    if test.period is not None:
-        period = station.samples(test.period)
-        lines = lines_between(test.from_, test.to, period, station.rate)
-    else:
-        count = test.lines or 2
-        period = station.samples(count / (test.to - test.from_))
-        lines = lines_between(test.from_, test.to, period, station.rate)[:count]
-    return _run(station, test, lines, period, closed_loop(station, test))
+    period = station.samples(test.period or (test.lines or 2) / (test.to - test.from_))
+    lines = lines_between(test.from_, test.to, period, station.rate)
+    if test.period is None:
+        lines = lines[: test.lines or 2]
+    if station.controlled:
+        # Raises where the channels of the spring force are missing.
+        station.force_weights(1.0)
+    return _run(station, test, lines, period)
 
 
-def _run(station: Station, test: Multisine, lines: Lines, period: int, closed: bool) -> Excitation:
-    level = test.force or test.drive or 0.0
-    random = generator(station, "multisine")
-    shakers = station.shakers
+def _run(station: Station, test: Multisine, lines: Lines, period: int) -> Excitation:
+    random, shakers = station.generator("multisine"), station.shakers
     playing = np.zeros((len(shakers), period))
-    amplitudes = flat(level, lines)
+    amplitudes = flat(station.level, lines)
     for realisation in range(1, test.realisations + 1):
-        phases = random.uniform(0.0, 2 * np.pi, lines.size)
-        if closed and realisation == 1:
-            shaped = yield from equalise(station, lines, period, level, phases)
-            amplitudes, playing[0] = shaped.amplitudes, shaped.wave
-        others = [
-            generator(station, f"multisine {number} {realisation}").uniform(0.0, 2 * np.pi, lines.size)
-            for number in shakers[1:]
-        ]
+        phases = [random.uniform(0.0, 2 * np.pi, lines.size)]
+        if station.controlled and realisation == 1:
+            amplitudes, _, playing[0] = yield from equalise(station, lines, period, phases[0])
+        for number in shakers[1:]:
+            other = station.generator(f"multisine {number} {realisation}")
+            phases.append(other.uniform(0.0, 2 * np.pi, lines.size))
         for experiment in range(len(shakers)):
             turn = 2.0 * np.pi * experiment / len(shakers)
             waves = np.stack(
-                [
-                    wave_of(lines, amplitudes, each + turn * k, period)
-                    for k, each in enumerate([phases, *others])
-                ]
+                [wave_of(lines, amplitudes, each + turn * k, period) for k, each in enumerate(phases)]
             )
             factor = min(within_limit(station, wave) for wave in waves)
-            number = realisation if len(shakers) == 1 else f"{realisation}, experiment {experiment + 1}"
-            message = f"realisation {number} of {test.realisations}"
-            done = (realisation - 1 + experiment / len(shakers)) / test.realisations
-            step = 1.0 / test.realisations / len(shakers)
+            several: dict[str, object] = {}
+            message = f"realisation {realisation}"
+            if len(shakers) > 1:
+                several = {"experiment": experiment, "shakers": list(shakers)}
+                message += f", experiment {experiment + 1}"
+            message += f" of {test.realisations}"
             if factor < 1.0:
                 station.warn(
                     f"{message}: the amplifier's limit keeps the drive at {factor:.0%} of what was asked"
                 )
-            several = {} if len(shakers) == 1 else {"experiment": experiment, "shakers": list(shakers)}
-            yield from _measured(
-                station, test, lines, playing, factor * waves, message, (done, step),
-                {"realisation": realisation, **several}, level,
+            waves *= factor
+            done = (realisation - 1 + experiment / len(shakers)) / test.realisations
+            station.report(done, f"{message}, settling")
+            first = station.now
+            yield station.drives(np.stack([crossfade(a, b) for a, b in zip(playing, waves, strict=True)]))
+            settled = yield from _settle(station, waves)
+            station.mark("settle", first, station.now, realisation=realisation, settled=settled)
+            if not settled:
+                station.warn(f"{message}: not periodic within {_longest(station, period) / station.rate:g} s")
+            first, step = station.now, 1.0 / test.realisations / len(shakers)
+            for turns in range(test.periods):
+                station.report(done + turns / test.periods * step, f"{message}, period {turns + 1}")
+                yield station.drives(waves)
+            station.mark(
+                "measure", first, station.now, realisation=realisation, **several, period=period,
+                periods=test.periods, lines=[int(lines[0]), int(lines[-1])], level=station.level, settled=settled,
             )  # fmt: skip
-            playing = factor * waves
+            playing = waves
     yield station.drives(np.stack([crossfade(each, np.zeros(period)) for each in playing]))
-
-
-def _measured(
-    station: Station, test: Multisine, lines: Lines, playing: Array, waves: Array, message: str,
-    progress: tuple[float, float], fields: Mapping[str, object], level: float,
-) -> Generator[Array, Array, None]:  # fmt: skip
-    """Play waves of the driven shakers until the response is periodic, then measure periods."""
-    done, step = progress
-    period = waves.shape[1]
-    station.report(done, f"{message}, settling")
-    first = station.now
-    yield station.drives(np.stack([crossfade(a, b) for a, b in zip(playing, waves, strict=True)]))
-    settled = yield from _settle(station, waves)
-    station.mark("settle", first, station.now, realisation=fields["realisation"], settled=settled)
-    if not settled:
-        station.warn(f"{message}: not periodic within {_longest(station, period) / station.rate:g} s")
-    first = station.now
-    for turn in range(test.periods):
-        station.report(done + turn / test.periods * step, f"{message}, period {turn + 1}")
-        yield station.drives(waves)
-    station.mark(
-        "measure",
-        first,
-        station.now,
-        **fields,
-        period=period,
-        periods=test.periods,
-        lines=[int(lines[0]), int(lines[-1])],
-        level=level,
-        settled=settled,
-    )
 
 
 def _settle(station: Station, waves: Array) -> Generator[Array, Array, bool]:

@@ -74,7 +74,12 @@ class NearestMode:
         best, nearby = int(np.argmin(unexplained)), int(np.argmin(unexplained[: near.size]))
         if best >= near.size and unexplained[best] > _BETTER * unexplained[nearby]:
             best = nearby
-        self._adapt_step(best, near.size)
+        if best >= near.size:
+            self._step = _STEP
+        elif best // 3 == 1:
+            self._step = max(_SHORTEST, _SHORTER * self._step)
+        else:
+            self._step = min(_LONGEST, _LONGER * self._step)
         self.pole, self.gain, self.rest = complex(poles[best]), complex(gains[best]), complex(rests[best])
 
     def _around(self) -> ComplexArray:
@@ -84,14 +89,6 @@ class NearestMode:
         turns = turn * (1 + self._step * steps)
         dampings = np.clip(damping * (1 + _DAMPING_STEP * steps), *_DAMPING)
         return np.asarray((turns[:, None] * (1j - dampings)).ravel())
-
-    def _adapt_step(self, best: int, near: int) -> None:
-        if best >= near:
-            self._step = _STEP
-        elif best // 3 == 1:
-            self._step = max(_SHORTEST, _SHORTER * self._step)
-        else:
-            self._step = min(_LONGEST, _LONGER * self._step)
 
 
 def _explain(

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
-from daq.excitation.spectrum_shaping import generator, lines_between, wave_of
+from daq.excitation.spectrum_shaping import lines_between, wave_of
 from daq.excitation.station import Station
 
 Array = NDArray[np.float64]
@@ -37,15 +37,11 @@ class ShakerLaw:
     table with a servo has P = (1 + s / w)^2 and Q = 0. P and Q are independent of the structure.
     """
 
-    motion: Array
-    pull: Array
-    """Coefficients of P [drive/m] and Q [drive/N], rising powers of s."""
-    spring: float
-    """Stiffness of the coil spring, N/m."""
-    delay: float
-    """Delay of the channels relative to the drive, s."""
-    misfit: float
-    """Relative RMS residual of the drive in the pretest."""
+    motion: Array  # coefficients of P, drive/m, rising powers of s
+    pull: Array  # coefficients of Q, drive/N
+    spring: float  # stiffness of the coil spring, N/m
+    delay: float  # of the channels relative to the drive, s
+    misfit: float  # relative RMS residual of the drive in the pretest
 
     @property
     def is_known(self) -> bool:
@@ -72,7 +68,7 @@ def pretest(
     period = station.samples(max(_SPAN, _PERIODS / lowest))
     lines = lines_between(lowest / _BEYOND, min(_BEYOND * highest, 0.45 * station.rate), period, station.rate)
     # Random phases spread every tone over the whole burst; low tones are most sensitive to noise.
-    phases = generator(station, "pretest").uniform(0.0, 2 * pi, lines.size)
+    phases = station.generator("pretest").uniform(0.0, 2 * pi, lines.size)
     wave = wave_of(lines, np.asarray(lines**-_TILT, dtype=np.float64), phases, period)
     edge = station.samples(_EDGE)
     wave = np.concatenate([wave[-edge:], wave, wave[:edge]])
@@ -89,11 +85,9 @@ def pretest(
 
 def _fit(station: Station, drive: Array, readings: Array, lines: NDArray[np.int64]) -> ShakerLaw:
     """Estimate the coefficients by least squares over the lines; the delay minimizes the residual."""
-    shaker = station.scene.driven_shaker
-    assert shaker is not None and shaker.spring is not None
     period = drive.size
     frequency = lines * station.rate / period
-    table, body = station.row(station.scene.at_driven("table")), station.row(f"body {shaker.body}")
+    table, body = station.spring_rows
     windows = _windows(period, station.rate)
     s = np.asarray(2j * pi * frequency, dtype=np.complex128)
     # s is normalized by the middle of the band, so that its powers have similar magnitudes.
@@ -101,10 +95,15 @@ def _fit(station: Station, drive: Array, readings: Array, lines: NDArray[np.int6
     # Constant readings are then exactly zero.
     changed = readings - readings[:, :1]
     spectra = [np.fft.rfft(changed * window, axis=1)[:, lines] for window in windows]
-    to_table, to_body = (station.displacement(row, frequency) for row in (table, body))
-    terms = [to_table * _derivative(spectra, table, s, order) / unit**order for order in range(_MOTION)]
+
+    def derivative(row: int, order: int) -> ComplexArray:
+        """Return the windowed spectrum of a displacement's derivative by partial integration: exact for transients."""
+        parts = (comb(order, j) * (-1) ** j * s ** (order - j) * spectra[j][row] for j in range(order + 1))
+        return np.asarray(station.displacement(row, frequency) * np.asarray(sum(parts)) / unit**order)
+
+    terms = [derivative(table, order) for order in range(_MOTION)]
     for order in range(_PULL):
-        terms.append(terms[order] - to_body * _derivative(spectra, body, s, order) / unit**order)
+        terms.append(terms[order] - derivative(body, order))
     played = np.fft.rfft(drive * windows[0])[lines]
     model, wanted = np.array(terms).T / abs(played)[:, None], played / abs(played)
 
@@ -121,8 +120,8 @@ def _fit(station: Station, drive: Array, readings: Array, lines: NDArray[np.int6
     delay = float(min(rough + step * np.linspace(-1.0, 1.0, 17), key=lambda delay: solve(delay)[0]))
     misfit, found = solve(delay)
     motion = found[:_MOTION] / unit ** np.arange(_MOTION)
-    pull = found[_MOTION:] / unit ** np.arange(_PULL) / shaker.spring
-    return ShakerLaw(motion, pull, shaker.spring, delay, misfit)
+    pull = found[_MOTION:] / unit ** np.arange(_PULL) / station.spring
+    return ShakerLaw(motion, pull, station.spring, delay, misfit)
 
 
 def _windows(samples: int, rate: float) -> list[Array]:
@@ -134,10 +133,3 @@ def _windows(samples: int, rate: float) -> list[Array]:
         turn**2 * np.cos(angle) / 2,
         -(turn**3) * np.sin(angle) / 2,
     ]
-
-
-def _derivative(spectra: list[ComplexArray], row: int, s: ComplexArray, order: int) -> ComplexArray:
-    """Return the windowed spectrum of a channel's derivative, by partial integration: exact for transients."""
-    return np.asarray(
-        sum(comb(order, j) * (-1) ** j * s ** (order - j) * spectra[j][row] for j in range(order + 1))
-    )

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.signal.windows import hann
 
-from daq.excitation.spectrum_shaping import Lines, closed_loop, equalise, flat, generator, lines_between
+from daq.excitation.spectrum_shaping import Lines, equalise, flat, lines_between
 from daq.excitation.station import Excitation, Station
 
 if TYPE_CHECKING:
@@ -25,43 +25,43 @@ _EDGE = 0.02
 def excite(station: Station, test: Random) -> Excitation:
     """Run a random test."""
     period = station.samples(_FILTER)
-    return _run(
-        station,
-        test,
-        lines_between(test.from_, test.to, period, station.rate),
-        period,
-        closed_loop(station, test),
-    )
+    lines = lines_between(test.from_, test.to, period, station.rate)
+    if station.controlled:
+        # Raises where the channels of the spring force are missing.
+        station.force_weights(1.0)
+    return _run(station, test, lines, period)
 
 
-def _run(station: Station, test: Random, lines: Lines, period: int, closed: bool) -> Excitation:
-    level = test.force or test.drive or 0.0
-    random = generator(station, "random")
+def _run(station: Station, test: Random, lines: Lines, period: int) -> Excitation:
+    level = station.level
+    random = station.generator("random")
     amplitudes, gains = flat(level, lines), np.ones(lines.size)
-    if closed:
+    if station.controlled:
         phases = random.uniform(0.0, 2 * np.pi, lines.size)
-        shaped = yield from equalise(station, lines, period, level, phases)
-        amplitudes, gains = shaped.amplitudes, shaped.gains
-        yield station.drive(shaped.wave * _fall(period))
-    shape = shaping_filter(lines, amplitudes, gains, level, period)
+        amplitudes, gains, wave = yield from equalise(station, lines, period, phases)
+        yield station.drive(wave * (1 + np.cos(np.pi * np.arange(period) / period)) / 2)
     total = station.samples(test.duration)
     block = min(total, station.samples(_BLOCK))
     gate = _gate(block, test.burst, station.samples(_EDGE))
     first, done, clipped = station.now, 0, 0
-    slower = _slower(lines, period)
+    # The rate of the white noise, a divisor of the drive's, is at least four times the highest frequency.
+    most = max(1, period // (4 * int(lines[-1])))
+    slower = next(times for times in range(most, 0, -1) if period % times == 0)
     length = slower * next_fast_len(-(-(2 * period - 1) // slower), real=True)
+    shape = shaping_filter(lines, amplitudes, gains, level, period)
     spectrum = rfft(shape, length)[: length // slower // 2 + 1] * np.sqrt(slower)
-
-    sources = [random, *(generator(station, f"random {number}") for number in station.shakers[1:])]
+    sources = [random, *(station.generator(f"random {number}") for number in station.shakers[1:])]
 
     def shaped_noise() -> Array:
         white = [rfft(each.standard_normal(period // slower), length // slower) for each in sources]
         return np.asarray([irfft(each * spectrum, length)[: 2 * period - 1] for each in white])
 
     tails = shaped_noise()[:, period:]
-    facts = {"from": test.from_, "to": test.to}
-    burst = {} if test.burst is None else {"burst": test.burst, "block": block}
-    several = {"shakers": list(station.shakers)} if len(station.shakers) > 1 else {}
+    facts: dict[str, object] = {"from": test.from_, "to": test.to}
+    if test.burst is not None:
+        facts |= {"burst": test.burst, "block": block}
+    if len(station.shakers) > 1:
+        facts["shakers"] = list(station.shakers)
     try:
         while done < total:
             # Overlap-add convolution makes the noise continuous across windows.
@@ -79,15 +79,9 @@ def _run(station: Station, test: Random, lines: Lines, period: int, closed: bool
     finally:
         # A test that ends early has measured up to this sample.
         if done:
-            station.mark("measure", first, first + done, level=level, **facts, **burst, **several)
+            station.mark("measure", first, first + done, level=level, **facts)
     if clipped:
         station.warn(f"the amplifier's limit clipped {clipped} of {total} drive samples")
-
-
-def _slower(lines: Lines, period: int) -> int:
-    """Return the drive's rate over that of the white noise, which is at least four times the highest frequency."""
-    most = max(1, period // (4 * int(lines[-1])))
-    return next(times for times in range(most, 0, -1) if period % times == 0)
 
 
 def shaping_filter(lines: Lines, amplitudes: Array, gains: Array, level: float, period: int) -> Array:
@@ -113,7 +107,3 @@ def _gate(block: int, burst: float | None, edge: int) -> Array:
     gate = np.zeros(block)
     gate[:on] = np.minimum(1.0, np.minimum(np.arange(on), on - 1 - np.arange(on)) / edge)
     return gate
-
-
-def _fall(samples: int) -> Array:
-    return (1 + np.cos(np.pi * np.arange(samples) / samples)) / 2

@@ -26,12 +26,9 @@ _AGREEING = 6
 class Law:
     """Geometric law of the changes between successive observations, one entry per quantity."""
 
-    changes: ComplexArray
-    """The last changes; complex, shape (changes, quantities)."""
-    factor: ComplexArray
-    """Ratio of successive changes, by least squares; complex, shape (quantities,)."""
-    seen: NDArray[np.bool_]
-    """Whether the changes follow the law; bool, shape (quantities,)."""
+    changes: ComplexArray  # the last changes, (changes, quantities)
+    factor: ComplexArray  # ratio of successive changes, by least squares
+    seen: NDArray[np.bool_]  # whether the changes follow the law
 
     @classmethod
     def of(cls, looks: ComplexArray) -> Law:

@@ -3,18 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Generator
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
-from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq.excitation.station import Station
 from rig.errors import SceneError
-
-if TYPE_CHECKING:
-    from rig.scene.excitation import Multisine, Random
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -26,24 +20,15 @@ _RATIO, _STANDOUT = 4.0, 100.0
 _LEVEL = 0.03
 
 
-def generator(station: Station, purpose: str) -> np.random.Generator:
-    """Return a random generator that depends only on the scene's seed and on the purpose."""
-    return np.random.Generator(
-        np.random.PCG64(np.random.SeedSequence([station.scene.seed, crc32(purpose.encode())]))
-    )
-
-
 def lines_between(first: float, last: float, period: int, rate: float) -> Lines:
     """Return the integer multiples of rate / period from `first` to `last` in Hz."""
-    low, high = (
-        np.ceil(first * period / rate - 1e-9),
-        np.floor(min(last * period / rate + 1e-9, (period - 1) // 2)),
-    )
+    low = np.ceil(first * period / rate - 1e-9)
+    high = np.floor(min(last * period / rate + 1e-9, (period - 1) // 2))
     lines = np.arange(max(1, int(low)), int(high) + 1)
     if lines.size == 0:
         raise SceneError(
-            f"test: no line between {first:g} and {last:g} Hz that {rate:g} Hz sampling carries: "
-            "widen the band, lengthen the period or raise converter.rate"
+            f"test: no line between {first:g} and {last:g} Hz that {rate:g} Hz sampling carries. "
+            "Widen the band, lengthen the period or raise converter.rate."
         )
     return lines
 
@@ -71,30 +56,14 @@ def flat(level: float, lines: Lines) -> Array:
     return np.full(lines.size, level * np.sqrt(2.0 / lines.size))
 
 
-def closed_loop(station: Station, test: Random | Multisine) -> bool:
-    """Return whether the level is a spring force, which requires drive shaping from the channels."""
-    if test.force is None or station.force_is_drive:
-        return False
-    station.force_weights(1.0)
-    return True
-
-
-@dataclass(frozen=True)
-class Shaped:
-    """A drive computed by `equalise`."""
-
-    amplitudes: Array
-    """Drive amplitudes; shape (lines,)."""
-    gains: Array
-    """Force amplitude per drive amplitude, N per unit of drive; shape (lines,)."""
-    wave: Array
-    """The present period of the drive; shape (period,)."""
-
-
 def equalise(
-    station: Station, lines: Lines, period: int, level: float, phases: Array
-) -> Generator[Array, Array, Shaped]:
-    """Compute the drive with a flat spring force of RMS `level` in N over the lines, by iteration with measurements."""
+    station: Station, lines: Lines, period: int, phases: Array
+) -> Generator[Array, Array, tuple[Array, Array, Array]]:
+    """Compute the drive with a flat spring force over the lines, by iteration with measurements.
+
+    Return the drive amplitudes and the force per drive in N, (lines,), and the present period of the drive.
+    """
+    level = station.level
     wanted = flat(level, lines)
     weights = station.force_weights(lines * station.rate / period)
     amplitudes = played = wanted * station.cautious_drive
@@ -116,9 +85,8 @@ def equalise(
             break
         ratio = np.clip(wanted / np.maximum(force, 1e-12 * wanted), 1 / _RATIO, _RATIO)
         amplitudes = np.minimum(played * ratio, _STANDOUT * np.median(played * ratio))
-    station.mark(
-        "settle", first, station.now, level=level, force=rms, settled=abs(rms / level - 1) < 5 * _LEVEL
-    )
-    if abs(rms / level - 1) >= 5 * _LEVEL:
+    reached = abs(rms / level - 1) < 5 * _LEVEL
+    station.mark("settle", first, station.now, level=level, force=rms, settled=reached)
+    if not reached:
         station.warn(f"the spring force came to {rms:.3g} N rms instead of {level:g} N")
-    return Shaped(played, force / played, playing)
+    return played, force / played, playing

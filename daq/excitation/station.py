@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
+from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,35 +32,48 @@ class Station:
     """The place of the operator: all information and actions that are available to a test."""
 
     scene: Scene
-    """Description of the setup: structure, shaker and coil spring, the test, the seed."""
-    channels: Sequence[ChannelInfo]
-    """The channels, in the order of the rows of the readings."""
-    inputs: Sequence[str]
-    """Drive inputs, a subset of ``("shaker", "hammer")`` (``"shaker 1"``, ... for several shakers), in the order of
-    the rows of drives."""
-    rate: float  # Samples per second
+    channels: Sequence[ChannelInfo]  # in the order of the rows of the readings
+    inputs: Sequence[str]  # drive inputs of the bench, in the order of the rows of drives
+    rate: float  # samples per second
     mark: Callable[..., Any]
-    """``mark(kind, first, stop, **fields)`` writes a marker for the samples `first` to `stop` - 1 into the log of the
-    recording."""
-    report: Callable[[float, str], None] = lambda fraction, message: None
-    """``report(fraction, message)`` shows the progress of the test."""
-    warn: Callable[[str], None] = lambda message: None
-    """``warn(message)`` stores a warning for the end of the test."""
-    latency: int = 0
-    """Number of samples by which the returned readings precede the drive of the window (removed filter delay)."""
-    now: int = field(default=0)
-    """Number of the first sample of the next window."""
+    """``mark(kind, first, stop, **fields)`` marks the samples `first` to `stop` - 1 in the recording."""
+    report: Callable[[float, str], None] = lambda fraction, message: None  # the progress of the test
+    warn: Callable[[str], None] = lambda message: None  # a warning for the end of the test
+    latency: int = 0  # samples by which the readings precede the drive of the window (removed filter delay)
+    now: int = 0  # number of the first sample of the next window
 
     def samples(self, seconds: float) -> int:
         """Return the nearest number of samples in a time, at least 1."""
         return max(1, round(seconds * self.rate))
 
+    def generator(self, purpose: str) -> np.random.Generator:
+        """Return a random generator that depends only on the scene's seed and on the purpose."""
+        seeds = np.random.SeedSequence([self.scene.seed, crc32(purpose.encode())])
+        return np.random.Generator(np.random.PCG64(seeds))
+
+    @property
+    def level(self) -> float:
+        """Level of the test: its force, N, or its drive."""
+        test = self.scene.test
+        return getattr(test, "force", None) or getattr(test, "drive", None) or 0.0
+
+    @property
+    def force_is_drive(self) -> bool:
+        """Whether the drive is the force on the structure itself."""
+        return self.scene.driven_shaker is not None and self.scene.driven_shaker.kind == "force"
+
+    @property
+    def controlled(self) -> bool:
+        """Whether the test prescribes a spring force, which is controlled from the channels."""
+        return getattr(self.scene.test, "force", None) is not None and not self.force_is_drive
+
     def drive(self, wave: Array, name: str | None = None) -> Array:
         """Return a drive with a wave at one input, by default the driven shaker; shape (inputs, samples)."""
         name = self.scene.at_driven("shaker") if name is None else name
         if name not in self.inputs:
+            there = f"only the {' and the '.join(self.inputs)}" if self.inputs else "no drive input"
             raise SceneError(
-                f"the test drives the {name}, but the scene has {self._there()}: "
+                f"the test drives the {name}, but the scene has {there}: "
                 + ("add a shaker to the scene" if name != "hammer" else "choose another test")
             )
         rows = np.zeros((len(self.inputs), wave.size))
@@ -73,25 +87,12 @@ class Station:
 
     def drives(self, waves: Array) -> Array:
         """Return a drive with waves, shape (shakers, samples), at the driven shakers, and zeros elsewhere."""
-        count = len(self.scene.shakers)
-        return np.asarray(
-            sum(
-                self.drive(wave, at_shaker("shaker", number, count))
-                for number, wave in zip(self.shakers, waves, strict=True)
-            )
-        )
+        names = [at_shaker("shaker", number, len(self.scene.shakers)) for number in self.shakers]
+        return np.asarray(sum(self.drive(wave, name) for name, wave in zip(names, waves, strict=True)))
 
     def quiet(self, samples: int) -> Array:
         """Return a zero drive for a number of samples."""
         return np.zeros((len(self.inputs), samples))
-
-    def _there(self) -> str:
-        return "no drive input" if not self.inputs else f"only the {' and the '.join(self.inputs)}"
-
-    @property
-    def force_is_drive(self) -> bool:
-        """Whether the drive is the force on the structure itself."""
-        return self.scene.driven_shaker is not None and self.scene.driven_shaker.kind == "force"
 
     def row(self, place: str) -> int:
         """Return the first channel that measures motion at a place."""
@@ -100,28 +101,36 @@ class Station:
                 return row
         have = ", ".join(f"{info.name} ({info.quantity} at {info.at})" for info in self.channels) or "none"
         raise SceneError(
-            f"holding the spring force k0 (x0 - x1) needs a channel at the {place}: the scene's channels are "
-            f"{have}; add {{name: {place.replace(' ', '')}, at: {place}}}, or give the level as drive: "
-            "(open loop)"
+            f"channels: holding the spring force k0 (x0 - x1) needs a channel at the {place} (the channels are "
+            f"{have}). Add {{name: {place.replace(' ', '')}, at: {place}}}, or give the level as drive: (open loop)."
         )
+
+    @property
+    def spring_rows(self) -> tuple[int, int]:
+        """Rows of the channels at both ends of the coil spring: table, then body."""
+        assert self.scene.driven_shaker is not None
+        return self.row(self.scene.at_driven("table")), self.row(f"body {self.scene.driven_shaker.body}")
+
+    @property
+    def spring(self) -> float:
+        """Stiffness of the coil spring, N/m."""
+        shaker = self.scene.driven_shaker
+        assert shaker is not None and shaker.spring is not None
+        return shaker.spring
 
     def displacement(self, row: int, frequency: Array | float) -> ComplexArray:
         """Return the factor from a channel's complex amplitude to its displacement, per frequency in Hz."""
         info = self.channels[row]
-        derivative = _DERIVATIVES[info.quantity]
         frequency = np.asarray(frequency, dtype=float)
-        read = info.response(frequency) * (2j * np.pi * frequency) ** derivative
+        read = info.response(frequency) * (2j * np.pi * frequency) ** _DERIVATIVES[info.quantity]
         return np.asarray(1.0 / read, dtype=complex)
 
     def force_weights(self, frequency: Array | float) -> ComplexArray:
         """Return the weights of the channels' amplitudes in the spring force F1 = k0 (x0 - x1), N per unit."""
-        shaker = self.scene.driven_shaker
-        assert shaker is not None and shaker.spring is not None
         frequency = np.asarray(frequency, dtype=float)
         weights = np.zeros((len(self.channels), *frequency.shape), dtype=complex)
-        table, body = self.row(self.scene.at_driven("table")), self.row(f"body {shaker.body}")
-        weights[table] = shaker.spring * self.displacement(table, frequency)
-        weights[body] = -shaker.spring * self.displacement(body, frequency)
+        for row, stiffness in zip(self.spring_rows, (self.spring, -self.spring), strict=True):
+            weights[row] = stiffness * self.displacement(row, frequency)
         return weights
 
     @property
@@ -136,9 +145,9 @@ class Station:
     def cautious_drive(self) -> float:
         """Initial drive per newton of spring force, well below the required drive."""
         shaker = self.scene.driven_shaker
-        assert shaker is not None and shaker.spring is not None
+        assert shaker is not None and shaker.kind != "force"
         if shaker.kind == "table":
-            return 0.2 / shaker.spring
+            return 0.2 / self.spring
         per_input = shaker.coil.force_factor * shaker.amplifier.gain
         if shaker.amplifier.mode == "voltage":
             per_input /= shaker.coil.resistance

@@ -30,20 +30,21 @@ _LONGEST = 0.5
 _REMEMBERED = 12
 # Ratio of the force to the level above which the drive is not increased.
 _TOO_MUCH = 1.5
+# Hann window over an observation, at instants from -1/2 to 1/2 of its length.
+_ABOUT = (np.arange(64) + 0.5) / 64 - 0.5
+_HANN = (1 + np.cos(2 * pi * _ABOUT)) / 64
 
 
 @dataclass(frozen=True)
 class Look:
     """An observation: estimates from the channels in the last periods."""
 
-    end: float  # Time of the end, s
-    frequency: float
-    rate: float
-    """Frequency of the tone in the middle, Hz, and its rate of change, Hz/s."""
-    length: float  # Duration, s
-    motion: complex
-    force: complex
-    """Amplitudes of the body's displacement in m and the spring force in N."""
+    end: float  # time of the end, s
+    frequency: float  # of the tone in the middle, Hz
+    rate: float  # of change of the frequency, Hz/s
+    length: float  # duration, s
+    motion: complex  # amplitude of the body's displacement, m
+    force: complex  # amplitude of the spring force, N
 
     @property
     def middle(self) -> float:
@@ -94,7 +95,10 @@ class SweepControl:
         mode, law, force = self._mode, self._law, look.force
         centre = 1j * look.turn(look.middle)
         (per_force, per_motion), (force_slope, motion_slope) = law.at(centre), law.slope(centre)
-        envelope = self._unsmeared(look.motion - mode.rest * force, force, mode.pole - centre, look.length)
+        # The envelope in the middle of the observation, from its windowed mean.
+        decay = mode.pole - centre
+        spread = complex(_HANN @ np.exp(decay * look.length * _ABOUT))
+        envelope = (look.motion - mode.rest * force) / spread + mode.gain * force * (1 / spread - 1) / decay
         times, drives = (np.array(row) for row in zip(*self._played, strict=True))
         step = look.length / 2 / _STEPS
         for time in look.middle + step * np.arange(1, _STEPS + 1):
@@ -124,11 +128,6 @@ class SweepControl:
         change = (mode.pole - there) * envelope + mode.gain * goal
         return (per_force + per_motion * mode.rest) * goal + per_motion * envelope + motion_slope * change
 
-    def _unsmeared(self, envelope: complex, force: complex, decay: complex, length: float) -> complex:
-        """Return the envelope of the mode in the middle of an observation, from its windowed mean."""
-        spread = _mean_of_exponential(decay * length)
-        return envelope / spread + self._mode.gain * force * (1 / spread - 1) / decay
-
     def _careful(self, wanted: complex, force: float) -> complex:
         """Limit the steps of the drive, its growth at an excessive force, and its amplitude."""
         drive = self._played[-1][1]
@@ -138,15 +137,6 @@ class SweepControl:
             wanted = drive + change * longest / abs(change)
         most = min(self._limit, abs(drive)) if force > _TOO_MUCH * self._level else self._limit
         return wanted * min(1.0, most / abs(wanted)) if wanted else wanted
-
-
-_ABOUT = (np.arange(64) + 0.5) / 64 - 0.5
-_HANN = (1 + np.cos(2 * pi * _ABOUT)) / 64
-
-
-def _mean_of_exponential(exponent: complex) -> complex:
-    """Return the mean of e^(exponent u), u from -1/2 to 1/2, with a Hann window."""
-    return complex(_HANN @ np.exp(exponent * _ABOUT))
 
 
 def look_samples(frequency: float, rate: float) -> int:

@@ -16,14 +16,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.excitation.amplitude_control import AmplitudeControl
-from daq.excitation.level_monitor import READABLE, LevelWatch
 from daq.excitation.pretest import pretest
 from daq.excitation.station import Excitation, Station
-from daq.excitation.stepped_sine import GLIDE, settle
+from daq.excitation.steady_tone import SteadyTone
 from daq.excitation.sweep_control import Look, SweepControl, look_at, look_samples
-from daq.excitation.tone import Tone
-from daq.excitation.tone_measurement import Gauge
 
 if TYPE_CHECKING:
     from rig.scene.excitation import SweptSine
@@ -36,55 +32,51 @@ _WINDOW_PERIODS, _FEWEST = 0.5, 4
 _WINDOW = 0.1
 # Relative tolerance of the steady state at the first frequency, before the sweep.
 _TOLERANCE, _LONGEST = 0.01, 60.0
+# Permitted relative deviation of the force from its level.
+ALLOWED = 0.1
+# Intervals with a shorter gap are merged, s.
+_PAUSE = 0.5
+# Remedy if the channels do not measure the force.
+_READABLE = "take more sensitive sensors, a smaller converter: range, or more force"
 
 
 def excite(station: Station, test: SweptSine) -> Excitation:
     """Run a swept sine; with a controlled spring force after a pretest, and once the force is at its level."""
-    controlled = test.force is not None and not station.force_is_drive
-    return _run(station, test, Gauge(station, force=controlled), controlled)
+    return _run(station, test, SteadyTone(station, test.from_, station.controlled))
 
 
-def _run(station: Station, test: SweptSine, gauge: Gauge, controlled: bool) -> Excitation:
-    level = test.force or test.drive or 0.0
-    tone = Tone(station.rate, test.from_)
-    law = None
-    if controlled:
+def _run(station: Station, test: SweptSine, tone: SteadyTone) -> Excitation:
+    level, law = station.level, None
+    if station.controlled:
         station.report(0.0, "measuring the shaker")
         law = yield from pretest(station, min(test.from_, test.to), max(test.from_, test.to), level)
-    control = AmplitudeControl(level, station.drive_limit) if controlled else None
-    drive = level * station.cautious_drive if controlled else level
     station.report(0.0, f"settling at {test.from_:.2f} Hz")
     first = station.now
-    settled = yield from settle(station, tone, gauge, control, test.from_, drive, _TOLERANCE, _LONGEST)
+    settled = yield from tone.settle(test.from_, tone.start(level), _TOLERANCE, _LONGEST)
     station.mark("settle", first, station.now, frequency=test.from_, level=level, settled=settled)
 
     first, start = station.now, tone.phase
-    amplitude, held = -1j * tone.amplitude, {}
-    if law is None or not law.is_known:
-        if law is not None:
-            station.warn(_unread(station, level))
-        yield from _sweep_open(station, test, start, amplitude)
-    else:
+    amplitude, extremes = -1j * tone.amplitude, {}
+    if law is not None and law.is_known:
         watch = LevelWatch(station, level)
         sweep = SweepControl(law, level, station.drive_limit, amplitude)
-        amplitude = yield from _sweep_held(station, test, start, amplitude, sweep, watch)
+        amplitude = yield from _sweep_controlled(station, test, start, amplitude, sweep, watch)
         watch.close(station.now - first)
-        held = {"lowest": watch.lowest, "highest": watch.highest}
+        extremes = {"lowest": watch.lowest, "highest": watch.highest}
+    else:
+        if law is not None:
+            station.warn(
+                f"the spring force was not held at {level:g} N, and the drive kept its amplitude: the channel at the "
+                f"{station.scene.at_driven('table')} ({station.channels[station.spring_rows[0]].name}) read nothing "
+                f"of the pretest, less than one count of the converter; {_READABLE}"
+            )
+        yield from _sweep_open(station, test, start, amplitude)
     tone.amplitude, tone.frequency = abs(amplitude), test.to
     turns = float(sweep_turns(test, np.ones(1))[0])
     tone.phase = float(np.fmod(start + 2 * np.pi * turns + np.angle(1j * amplitude), 2 * np.pi))
-    facts = {"from": test.from_, "to": test.to, "spacing": test.spacing, "level": level, **held}
+    facts = {"from": test.from_, "to": test.to, "spacing": test.spacing, "level": level, **extremes}
     station.mark("measure", first, station.now, duration=test.duration, settled=settled, **facts)
-    yield station.drive(tone.glide(station.samples(GLIDE), test.to, 0.0))
-
-
-def _unread(station: Station, level: float) -> str:
-    table = station.scene.at_driven("table")
-    channel = station.channels[station.row(table)].name
-    return (
-        f"the spring force was not held at {level:g} N, and the drive kept its amplitude: the channel at the {table} "
-        f"({channel}) read nothing of the pretest, less than one count of the converter; {READABLE}"
-    )
+    yield tone.end()
 
 
 def _sweep_open(station: Station, test: SweptSine, start: float, amplitude: complex) -> Excitation:
@@ -98,7 +90,7 @@ def _sweep_open(station: Station, test: SweptSine, start: float, amplitude: comp
         station.report(done / total, f"{sweep_frequency(test, done / total):.2f} Hz")
 
 
-def _sweep_held(
+def _sweep_controlled(
     station: Station,
     test: SweptSine,
     start: float,
@@ -108,12 +100,7 @@ def _sweep_held(
 ) -> Generator[Array, Array, complex]:
     """Sweep with a constant force amplitude; return the final amplitude of the drive."""
     total, done, rate = station.samples(test.duration), 0, station.rate
-    shaker = station.scene.driven_shaker
-    assert shaker is not None and shaker.spring is not None
-    spring, rows = (
-        shaker.spring,
-        [station.row(station.scene.at_driven("table")), station.row(f"body {shaker.body}")],
-    )
+    rows = list(station.spring_rows)
     seen, phases = np.zeros((2, 0)), np.zeros(0)
     goal = amplitude
     while done < total:
@@ -131,12 +118,63 @@ def _sweep_held(
             continue
         middle = sweep_frequency(test, (done - look / 2) / total)
         table, body = _displacements(station, rows, middle, *look_at(seen, phases, rate))
-        motion, force = body, spring * (table - body)
+        force = station.spring * (table - body)
         watch.add(station.now - look, station.now, middle, abs(force))
         pace = (sweep_frequency(test, done / total) - middle) / (look / 2 / rate)
-        goal = control.next(Look(done / rate, middle, pace, look / rate, motion, force), size / rate)
+        goal = control.next(Look(done / rate, middle, pace, look / rate, body, force), size / rate)
         station.report(done / total, f"{middle:.2f} Hz")
     return amplitude
+
+
+class LevelWatch:
+    """Marks intervals in which the force deviates by more than 10 % from its level in N as ``level``."""
+
+    def __init__(self, station: Station, level: float) -> None:
+        self._station, self._level = station, level
+        self.lowest = self.highest = 1.0
+        self._open: tuple[int, int, float, float] | None = None
+        self._worst = (1.0, 0.0)
+        self._samples = self._stretches = 0
+
+    def add(self, first: int, stop: int, frequency: float, force: float) -> None:
+        """Add the force amplitude in N of the samples first to stop - 1, at a frequency in Hz."""
+        ratio = force / self._level
+        self.lowest, self.highest = min(self.lowest, ratio), max(self.highest, ratio)
+        if self._open is not None and first - self._open[1] >= self._station.samples(_PAUSE):
+            self._note()
+        if abs(ratio - 1.0) <= ALLOWED:
+            return
+        begin, _, worst, at = self._open or (first, stop, 1.0, frequency)
+        if abs(ratio - 1.0) > abs(worst - 1.0):
+            worst, at = ratio, frequency
+        self._open = begin, stop, worst, at
+
+    def close(self, samples: int) -> None:
+        """Mark an open interval, and warn if the force of the sweep deviated from its level."""
+        if self._open is not None:
+            self._note()
+        if self._stretches:
+            worst, at = self._worst
+            advice = "sweep more slowly, or step"
+            if self.lowest == 0.0:
+                advice = (
+                    f"in places the channels read no force, less than one count of the converter: {_READABLE}"
+                )
+            self._station.warn(
+                f"the spring force was off its level of {self._level:g} N by more than {ALLOWED:.0%} in "
+                f"{self._stretches} stretch{'es' if self._stretches > 1 else ''}, {self._samples / samples:.1%} of "
+                f"the sweep (marked as level): {worst:.3g} times the level at {at:.2f} Hz; {advice}"
+            )
+
+    def _note(self) -> None:
+        assert self._open is not None
+        first, stop, worst, at = self._open
+        self._station.mark("level", first, stop, worst=worst, frequency=at, level=self._level)
+        self._samples += stop - first
+        self._stretches += 1
+        if abs(worst - 1.0) > abs(self._worst[0] - 1.0):
+            self._worst = worst, at
+        self._open = None
 
 
 def _displacements(

@@ -207,7 +207,7 @@ def _long_switched_on(scene: Scene) -> Scene:
 def _chosen(scene: Scene, channels: tuple[ChannelInfo, ...], rising: Array, most: int) -> NDArray[np.intp]:
     """Choose positions in a rising list of frequencies: the peaks of the linear response, then their neighbours."""
     seeds: dict[int, float] = {}
-    for dampers in {scene.dampers, ()}:
+    for dampers in dict.fromkeys((scene.dampers, ())):
         for curve in channel_readings(scene.replace(dampers=dampers), channels, rising):
             largest = float(curve.max(initial=0.0))
             padded = np.concatenate([[-1.0], curve, [-1.0]])

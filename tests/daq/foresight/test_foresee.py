@@ -10,6 +10,7 @@ import pytest
 
 import daq
 import rig
+from daq.foresight import shortened
 from rig.errors import SceneError
 from rig.system.structural_model import receptance
 from tests.gauntlet.foresights import KINDS, compare, lengthened
@@ -61,6 +62,27 @@ def test_long_random_scene_records_what_was_foreseen(number: int, tmp_path: Path
     kind = KINDS[number]
     found = compare(lengthened(draw(3602, number, kind)), kind, tmp_path)
     assert found.kept, found
+
+
+def test_peaks_are_ranked_in_fixed_order(monkeypatch: pytest.MonkeyPatch) -> None:
+    orders = []
+
+    def readings(scene: rig.Scene, channels: Any, rising: np.ndarray) -> np.ndarray:
+        orders.append(len(scene.dampers) > 0)
+        return np.ones((1, rising.size))
+
+    monkeypatch.setattr(shortened, "channel_readings", readings)
+    names = (
+        "fig5-single-damper",
+        "fig5-three-dampers",
+        "fig8-two-dampers",
+        "fig8-three-dampers",
+        "fig9",
+        "fig10a",
+    )
+    for scene in map(rig.load, names):
+        shortened.about_peaks(scene, scene.test, (), 10.0)
+    assert orders == [True, False] * len(names)
 
 
 def test_largest_level_fits_and_a_larger_does_not() -> None:

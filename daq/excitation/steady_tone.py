@@ -1,0 +1,188 @@
+"""A sine source without jumps, and its steady state: amplitudes at the channels, and a controlled force level."""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.excitation.amplitude_control import AmplitudeControl
+from daq.excitation.lock_in import fewest_samples, lock_in, whole_periods
+from daq.excitation.settling import FEWEST_LOOKS, Settling
+from daq.excitation.station import Station
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+# A glide of this length does not excite modes more than a few hertz away: only the nearest modes must decay, s.
+GLIDE = 0.4
+# Shortest window of an amplitude, s.
+LOOK = 0.1
+_LONGEST_GLIDE = 3.0
+# A transient force above the level by this factor is reduced immediately, before the steady state.
+_TOO_MUCH = 3.0
+# A drive change, as log ratio, with a negligible transient.
+_SMALL = 0.03
+# A longer window is driven and measured in pieces of at least this number of samples.
+_PIECE = 1 << 16
+
+
+class Tone:
+    """Source of amplitude * sin(phase), with frequency in Hz and the phase in rad at the next sample.
+
+    >>> tone = Tone(1000.0, 10.0)
+    >>> up, on = tone.glide(200, 10.0, 2.0), tone.hold(100)
+    >>> float(round(abs(np.diff(np.concatenate([up, on]))).max(), 3))  # never steeper than 2 w / rate
+    0.126
+    """
+
+    def __init__(self, rate: float, frequency: float) -> None:
+        self.rate = rate
+        self.frequency = frequency
+        self.amplitude = 0.0
+        self.phase = 0.0
+
+    def hold(self, samples: int) -> Array:
+        """Generate samples of constant frequency and amplitude; shape (samples,)."""
+        turns = self.frequency / self.rate * np.arange(samples + 1, dtype=float)
+        return self.amplitude * np.sin(self._advance(turns))
+
+    def glide(self, samples: int, frequency: float, amplitude: float) -> Array:
+        """Glide to a frequency and an amplitude along half a cosine; shape (samples,)."""
+        part = np.arange(samples + 1) / samples
+        # Phase in periods: the integral of f0 + (f1 - f0) (1 - cos(pi u)) / 2 over u.
+        bend = samples * (part / 2 - np.sin(np.pi * part) / (2 * np.pi))
+        turns = (self.frequency * samples * part + (frequency - self.frequency) * bend) / self.rate
+        rise = (1 - np.cos(np.pi * part[:-1])) / 2
+        envelope = self.amplitude + (amplitude - self.amplitude) * rise
+        wave = envelope * np.sin(self._advance(turns))
+        self.frequency, self.amplitude = frequency, amplitude
+        return wave
+
+    def _advance(self, turns: Array) -> Array:
+        """Return the phases of a window; `turns` ends with the first sample of the next window."""
+        phase = self.phase + 2 * np.pi * np.fmod(turns, 1.0)
+        self.phase = float(np.fmod(phase[-1], 2 * np.pi))
+        return phase[:-1]
+
+
+class SteadyTone(Tone):
+    """A tone of the driven shaker; amplitudes are those of a controlled spring force, then displacements."""
+
+    def __init__(self, station: Station, frequency: float, controlled: bool) -> None:
+        super().__init__(station.rate, frequency)
+        self.station, self._controlled = station, controlled
+        self.control: AmplitudeControl | None = None
+        self._rows = [
+            row for row, info in enumerate(station.channels) if info.quantity not in ("force", "voltage")
+        ]
+        self._weights_at, self._weights = -1.0, np.zeros((0, len(station.channels)), dtype=complex)
+        if controlled:
+            # Raises where the channels of the spring force are missing.
+            station.force_weights(1.0)
+
+    def start(self, level: float) -> float:
+        """Control the spring force at a level, N, if required; return a first drive amplitude."""
+        if not self._controlled:
+            return level
+        self.control = AmplitudeControl(level, self.station.drive_limit)
+        return level * self.station.cautious_drive
+
+    def end(self) -> Array:
+        """Return the drive of a glide to zero amplitude."""
+        return self.station.drive(self.glide(self.station.samples(GLIDE), self.frequency, 0.0))
+
+    def amplitudes(self, readings: Array, phase: float) -> ComplexArray:
+        """Return the amplitudes (quantities,) in a window of the tone, from its phase at the start."""
+        if self.frequency != self._weights_at:
+            self._weights_at, channels = self.frequency, len(self.station.channels)
+            force = [self.station.force_weights(self.frequency)] if self._controlled else []
+            motions = np.zeros((len(self._rows), channels), dtype=complex)
+            for weights, row in zip(motions, self._rows, strict=True):
+                weights[row] = self.station.displacement(row, self.frequency)
+            self._weights = np.array([*force, *motions]).reshape(-1, channels)
+        turned = 2.0 * np.pi * self.frequency * self.station.latency / self.rate
+        return self._weights @ lock_in(readings, self.frequency, self.rate, phase - turned)
+
+    def look(self, samples: int) -> Generator[Array, Array, ComplexArray]:
+        """Hold the tone for a window and return its amplitudes."""
+        phase = self.phase
+        return self.amplitudes((yield self.station.drive(self.hold(samples))), phase)
+
+    def mean(self, samples: int) -> Generator[Array, Array, ComplexArray]:
+        """Hold the tone and return its mean amplitudes; only a piece of the readings is in memory."""
+        piece = whole_periods(self.frequency, self.rate, _PIECE / self.rate)
+        total: ComplexArray = np.zeros(0, dtype=complex)
+        left = samples
+        while left:
+            size = piece if left >= 2 * piece else left
+            read = size / samples * (yield from self.look(size))
+            total, left = (total + read if total.size else read), left - size
+        return total
+
+    def settle(
+        self, frequency: float, drive: float, tolerance: float, longest: float
+    ) -> Generator[Array, Array, bool]:
+        """Glide to a frequency in Hz and wait for the steady state; return whether it was reached at the level.
+
+        `tolerance` is the permitted relative change of any amplitude, `longest` the longest wait in s.
+        """
+        station, control, judge = self.station, self.control, Settling(tolerance)
+        end = station.now + station.samples(longest)
+        look = whole_periods(frequency, self.rate, LOOK)
+        if control is not None:
+            control.restart()
+        yield station.drive(self.glide(max(station.samples(GLIDE), look), frequency, drive))
+        while station.now + look <= end:
+            judge.add((yield from self.look(look)))
+            change = None if control is None else _change(control, judge, self.amplitude)
+            if change is not None:
+                glide = look
+                if abs(np.log(change / self.amplitude)) >= _SMALL:
+                    # A glide of two beats hardly excites the mode whose transient beats with the drive.
+                    beats = round(look * 4 * np.pi / float(judge.beat()[0]))
+                    glide = max(look, min(station.samples(_LONGEST_GLIDE), beats))
+                judge.restart()
+                yield station.drive(self.glide(glide, frequency, change))
+            elif judge.settled:
+                return control is None or control.holds(
+                    float(abs(judge.expected()[0])), float(judge.doubt()[0])
+                )
+        return False
+
+    def settle_and_mark(
+        self, frequency: float, drive: float, tolerance: float, longest: float, facts: dict[str, Any]
+    ) -> Generator[Array, Array, bool]:
+        """Settle and mark the interval."""
+        first = self.station.now
+        settled = yield from self.settle(frequency, drive, tolerance, longest)
+        self.station.mark("settle", first, self.station.now, drive=self.amplitude, settled=settled, **facts)
+        return settled
+
+    def measure(self, samples: int, settled: bool, facts: dict[str, Any]) -> Generator[Array, Array, None]:
+        """Hold the tone for at least a number of samples, and mark the interval with its force."""
+        first = self.station.now
+        read = yield from self.mean(max(samples, fewest_samples(self.frequency, self.rate)))
+        force = facts["level"] if self.station.force_is_drive else None
+        if self.control is not None:
+            force = float(abs(read[0]))
+        self.station.mark(
+            "measure", first, self.station.now, drive=self.amplitude, force=force, settled=settled, **facts
+        )
+
+
+def _change(control: AmplitudeControl, judge: Settling, drive: float) -> float | None:
+    """Return a new drive amplitude; None if the present drive suffices, or the force is not yet known."""
+    force, doubt = float(abs(judge.expected()[0])), float(judge.doubt()[0])
+    if judge.looks < FEWEST_LOOKS + 1:
+        too_much = judge.rising and abs(judge.latest[0]) > _TOO_MUCH * control.level
+        return control.cut(drive, float(abs(judge.latest[0]))) if too_much else None
+    # The predicted force is usable long before the transient has decayed, as soon as the prediction is constant.
+    known = judge.settled or float(judge.wavering()[0]) < 0.3 * abs(force / control.level - 1.0)
+    if not known or control.holds(force, doubt):
+        return None
+    change = control.next(drive, force)
+    # At the limit of the amplifier, the point is measured as not settled.
+    return None if change == drive else change

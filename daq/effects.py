@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from daq.recording.recorder import Recorder
 from daq.recording.sample_block import stored_as
 from daq.signal_chain.chain import Chain
-from daq.signal_chain.converter import Quantiser, SampleClock
+from daq.signal_chain.converter import Quantiser
 from daq.signal_chain.outputs import volt_effect
 from daq.signal_chain.oversampling import oversampling
 from daq.virtual_bench.bench import Bench
@@ -31,16 +31,15 @@ Array = NDArray[np.float64]
 
 def measurement_effects(scene: Scene) -> Iterable[Effect]:
     """List the effects of each channel, from the chain itself, and those of the recording."""
-    clock = SampleClock.of(scene.converter)
     # Before the chain is there: matrices of thousands of bodies take the memory of both.
-    intervals = oversampling(scene, clock)
+    intervals = oversampling(scene)
     system = assemble(scene)
-    chain = Chain(scene, clock.true_rate, system.points, system.inputs)
+    chain = Chain(scene, scene.converter.true_rate, system.points, system.inputs)
     for channel in chain.channels:
         part = f"channel {channel.name} ({channel.quantity} at {scene.structure.label(channel.at)})"
         for name, states in chain.effects[channel.name].items():
             yield Effect(part, name, states)
-        yield Effect(part, "sample clock", 0, f"{clock.rate:.6g} Hz")
+        yield Effect(part, "sample clock", 0, f"{scene.converter.sample_rate:.6g} Hz")
     for number in range(1, len(scene.shakers) + 1):
         yield Effect("outputs", f"ao{number - 1}", 0, volt_effect(scene, number))
     if intervals > 1:

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from daq.signal_chain.converter import SampleClock
 from rig.errors import SceneError
 from rig.scene.measurement_chain import Accelerometer, Channel, Integrator
 from rig.scene.presets import filled_in
@@ -53,7 +52,7 @@ def plain(scene: Scene) -> Scene:
     Raises `SceneError` if no channel measures the force.
     """
     shaker = scene.driven_shaker
-    converter = filled_in(scene.converter).replace(preset=None, rate=SampleClock.of(scene.converter).rate)
+    converter = filled_in(scene.converter).replace(preset=None, rate=scene.converter.sample_rate)
     channels = scene.channels
     if shaker is not None and shaker.kind == "force":
         if channels is not None and not any(channel.measures_force for channel in channels):

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from daq.recording.recorder import Recorder
 from daq.virtual_bench.bench import Bench
-from daq.virtual_bench.block import Block
+from daq.virtual_bench.stream import Block
 from rig.scene.scene import Scene
 
 # Duration of the end of a rehearsal that is written, s.

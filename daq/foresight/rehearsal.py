@@ -14,7 +14,7 @@ from daq.foresight.recording_size import LastBlocks
 from daq.measurement.limits import ControlLoss, Limits
 from daq.measurement.run import RAMP_S, ramp_down
 from daq.virtual_bench.bench import Bench
-from daq.virtual_bench.block import Block
+from daq.virtual_bench.stream import Block
 from rig.scene.excitation import SweptSine
 from rig.scene.scene import Scene
 

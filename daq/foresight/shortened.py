@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from daq.foresight.linear import channel_readings, test_frequencies
 from daq.measurement.estimate import estimate
 from daq.signal_chain.channel import ChannelInfo
-from daq.signal_chain.converter import SampleClock
 from daq.signal_chain.oversampling import oversampling
 from rig.scene.excitation import Free, Impulse, Multisine, Random, Sine, SteppedSine, SweptSine
 from rig.scene.presets import filled_in, input_settings
@@ -62,13 +61,12 @@ class Shortened:
 
 def affordable_seconds(scene: Scene) -> float:
     """Duration on the bench that can be rehearsed within the budget, s."""
-    clock = SampleClock.of(scene.converter)
     system = assemble(scene)
     channels = system.coordinates if scene.channels is None else len(scene.channels)
     states = system.states + system.dampers
     channel = _CHANNEL_S * (1.0 if filled_in(scene.converter).filter is None else _FILTERED)
     sample = _SAMPLE_S + _STATE_S * states + _ELEMENT_S * states**2 + channel * channels
-    return BUDGET_S / (clock.true_rate * oversampling(scene, clock) * sample)
+    return BUDGET_S / (scene.converter.true_rate * oversampling(scene) * sample)
 
 
 def shortened(scene: Scene, channels: tuple[ChannelInfo, ...]) -> Shortened:

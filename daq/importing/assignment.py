@@ -12,10 +12,11 @@ from daq.importing.channel_table import EXAMPLE, Column
 from daq.importing.signal import Array, Signal
 from daq.importing.units import meaning
 from daq.recording.truth import points_of
-from daq.signal_chain.chain import default_channels, stages
+from daq.signal_chain.chain import default_channels
 from daq.signal_chain.channel import ChannelInfo, Quantity
 from daq.signal_chain.channel_description import channel_info
-from daq.signal_chain.converter import SampleClock, volts_per_count
+from daq.signal_chain.converter import volts_per_count
+from daq.signal_chain.devices import stages
 from rig.errors import SceneError
 from rig.scene.measurement_chain import Channel, Integrator
 from rig.scene.presets import filled_in, input_settings
@@ -175,7 +176,7 @@ def described(scene: Scene, channel: Channel, rate: float, delay: float) -> Chan
     """
     settings = input_settings(scene.converter, channel).replace(excitation=None, remove_delay=True)
     line = stages(channel, settings, scene.seed)
-    info = channel_info(channel.name, channel.at, line, settings, SampleClock(rate, rate), delay)
+    info = channel_info(channel.name, channel.at, line, settings, rate, delay)
     return replace(
         info,
         average=settings.sampling == "average",

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from daq.instrument.settings.channels import Channel
     from daq.instrument.terminals import Terminals
     from daq.virtual_bench.bench import Bench
-    from daq.virtual_bench.block import Block
+    from daq.virtual_bench.stream import Block
 
 _BLOCK = 4096
 # The bench may be behind the wall clock by this time before its input buffers overflow, s.

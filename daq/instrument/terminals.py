@@ -16,7 +16,6 @@ from daq.instrument.devices.modules import DIVIDED
 from daq.instrument.devices.teds import with_sensitivity
 from daq.instrument.errors import Code, DaqError
 from daq.instrument.values import Coupling, Excitation
-from daq.signal_chain.converter import SampleClock
 from daq.signal_chain.oversampling import oversampling
 from daq.virtual_bench.bench import Bench
 from daq.virtual_bench.stream import at_rate
@@ -27,7 +26,7 @@ from rig.scene.teds import electronic_data_sheet
 
 if TYPE_CHECKING:
     from daq.instrument.settings.channels import Channel
-    from daq.virtual_bench.block import Block
+    from daq.virtual_bench.stream import Block
     from rig.scene.scene import Scene
 
 
@@ -175,8 +174,8 @@ def _ticks_for_all_rates(scene: Scene) -> int:
     fastest, *others = (
         DIVIDED.fastest if each is None else each.rates.fastest for each in (inputs, *outputs)
     )
-    needed = [own * oversampling(scene, SampleClock.of(scene.converter)), *others]
+    needed = [own * oversampling(scene), *others]
     if fastest > own:
         fast = at_rate(scene, fastest)
-        needed.append(fastest * oversampling(fast, SampleClock.of(fast.converter)))
+        needed.append(fastest * oversampling(fast))
     return math.ceil(max(needed) / own - 1e-6)

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     import rerun as rr
 
     from daq.viewing.rerun_viewer import Viewer
-    from daq.virtual_bench.block import Block
+    from daq.virtual_bench.stream import Block
     from rig.scene.scene import Scene
 
 BLOCK_S = 0.04

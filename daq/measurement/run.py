@@ -24,7 +24,7 @@ from daq.recording.interrupts import answered
 from daq.recording.recorded_test import TestKind, kind_of_settings
 from daq.recording.recorder import Recorder
 from daq.virtual_bench.bench import Bench
-from daq.virtual_bench.block import Block
+from daq.virtual_bench.stream import Block
 from rig.ending_signals import came
 from rig.errors import RecordingError, RunError, SceneError, ShotrigError
 from rig.errors import RunWarning as RunWarning  # public as daq.RunWarning

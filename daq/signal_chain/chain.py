@@ -11,18 +11,15 @@ from daq.dsp.block_buffers import BlockBuffers
 from daq.dsp.interpolation import ForceInterpolator, MotionInterpolator
 from daq.dsp.noise import generator
 from daq.dsp.skew import delays
-from daq.signal_chain.amplifier import integrating_amplifier
 from daq.signal_chain.channel import ChannelInfo
 from daq.signal_chain.channel_description import channel_effects, channel_info
-from daq.signal_chain.converter import SampleClock, coupling
 from daq.signal_chain.decimation_filter import DELAY
-from daq.signal_chain.sensors import accelerometer, force_sensor, unfed
+from daq.signal_chain.devices import stages
 from daq.signal_chain.signal_path import SignalPath
-from daq.signal_chain.stage import CABLE, Stage
 from rig.errors import SceneError
 from rig.scene.excitation import Impulse
-from rig.scene.measurement_chain import Accelerometer, Channel, Converter, Hammer
-from rig.scene.presets import filled_in, input_settings, needs_supply
+from rig.scene.measurement_chain import Channel
+from rig.scene.presets import filled_in, input_settings
 from rig.scene.scene import Scene
 from rig.scene.shaker import DRIVE_PER_VOLT, at_shaker
 from rig.simulation.motion import Motion
@@ -48,11 +45,16 @@ class Chain:
     """
 
     def __init__(self, scene: Scene, rate: float, points: Sequence[str], inputs: Sequence[str] = ()) -> None:
-        self._scene, self._clock = scene, SampleClock.of(scene.converter)
+        self._scene, true_rate = scene, scene.converter.true_rate
         converter = filled_in(scene.converter)
-        self._oversampling = _oversampling(rate, self._clock.true_rate)
+        self._oversampling = round(rate / true_rate)
+        if self._oversampling < 1 or abs(rate - self._oversampling * true_rate) > 1e-9 * rate:
+            raise SceneError(
+                f"the motion comes at {rate!r} Hz; expected the converter's true rate, {true_rate!r} Hz, "
+                "or a whole multiple of it"
+            )
         channels = default_channels(scene, points) if scene.channels is None else scene.channels
-        self._late = delays(converter.skew, len(channels), self._clock.true_rate)
+        self._late = delays(converter.skew, len(channels), true_rate)
         self._inputs, self._sources = tuple(inputs), [_source(channel, scene) for channel in channels]
         self._cutters = [_cutter(channel, rate, points) for channel in channels]
         self._buffers = BlockBuffers()
@@ -67,13 +69,11 @@ class Chain:
 
     def _wire(self, row: int, channel: Channel) -> tuple[SignalPath, ChannelInfo, dict[str, int]]:
         """Set up a channel, from rest."""
-        scene, clock, delay = self._scene, self._clock, self._late[row]
+        scene, delay = self._scene, self._late[row]
         settings, converter = input_settings(scene.converter, channel), filled_in(scene.converter)
         line = stages(channel, settings, scene.seed)
-        path = SignalPath(
-            channel.name, line, converter, clock, self._oversampling, delay, scene.seed, self._buffers
-        )
-        info = channel_info(channel.name, channel.at, line, settings, clock, delay)
+        path = SignalPath(channel.name, line, converter, self._oversampling, delay, scene.seed, self._buffers)
+        info = channel_info(channel.name, channel.at, line, settings, converter.sample_rate, delay)
         effects = channel_effects(line, converter, delay)
         if "1/f noise" in effects:
             effects["1/f noise"] = path.noise_states
@@ -101,13 +101,13 @@ class Chain:
             if isinstance(cutter, MotionInterpolator):
                 pieces = cutter.cut(motion)
             else:
-                pieces = cutter.cut(self._from_outside(*self._sources[row], forces, count))
+                pieces = cutter.cut(self._external(*self._sources[row], forces, count))
             volts[row], overload[row] = path.measure(pieces, jitter)
         self.overload = overload[:, max(self.latency - first, 0) :]
         return volts[:, max(self.latency - first, 0) :]
 
-    def _from_outside(self, name: str, factor: float, forces: Array | None, count: int) -> Array:
-        """Force or voltage at a channel: a factor times an input; zero of a hammer that is not used."""
+    def _external(self, name: str, factor: float, forces: Array | None, count: int) -> Array:
+        """Return the force or voltage at a channel, a factor times an input; zero of a hammer that is not used."""
         if forces is None or name not in self._inputs:
             return np.zeros(count)
         return np.ascontiguousarray(factor * forces[self._inputs.index(name)], dtype=float)
@@ -126,22 +126,6 @@ def default_channels(scene: Scene, points: Sequence[str]) -> tuple[Channel, ...]
     return tuple(channels)
 
 
-def stages(channel: Channel, converter: Converter, seed: int) -> tuple[Stage, ...]:
-    """Describe the devices of a channel: sensor, then amplifier and the coupling of the converter's input if any."""
-    if channel.measures_voltage:
-        return (CABLE, *coupling(converter))
-    if channel.measures_force:
-        hammer = filled_in(channel.hammer or Hammer())
-        sensor = force_sensor(hammer, seed, channel.name)
-    else:
-        settings = filled_in(channel.accelerometer or Accelerometer())
-        sensor = accelerometer(settings, seed, channel.name)
-    line = [unfed(sensor) if needs_supply(channel) and converter.excitation == 0.0 else sensor]
-    if channel.integrator is not None:
-        line.append(integrating_amplifier(channel.integrator))
-    return (*line, *coupling(converter))
-
-
 def _source(channel: Channel, scene: Scene) -> tuple[str, float]:
     """Return the input that a channel measures, and its reading per unit."""
     if not channel.measures_voltage:
@@ -157,13 +141,3 @@ def _cutter(channel: Channel, rate: float, points: Sequence[str]) -> MotionInter
     if channel.at not in points:
         raise SceneError(f"channel {channel.name!r} sits at {channel.at}: the rig has {', '.join(points)}")
     return MotionInterpolator(list(points).index(channel.at), rate)
-
-
-def _oversampling(motion_rate: float, true_rate: float) -> int:
-    ratio = round(motion_rate / true_rate)
-    if ratio < 1 or abs(motion_rate - ratio * true_rate) > 1e-9 * motion_rate:
-        raise SceneError(
-            f"the motion comes at {motion_rate!r} Hz; expected the converter's true rate, {true_rate!r} Hz, "
-            "or a whole multiple of it"
-        )
-    return ratio

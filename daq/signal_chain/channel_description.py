@@ -8,19 +8,18 @@ import numpy as np
 
 from daq.dsp.circuit import INTEGRATION
 from daq.signal_chain.channel import ChannelInfo, Quantity
-from daq.signal_chain.converter import SampleClock
 from daq.signal_chain.decimation_filter import DELAY, Decimation
 from daq.signal_chain.stage import Stage, data_sheet, is_averaged
 from rig.scene.measurement_chain import Converter
 
-_QUANTITIES: tuple[Quantity, ...] = ("acceleration", "velocity", "displacement")
+_INTEGRATED: tuple[Quantity, ...] = ("acceleration", "velocity", "displacement")
 _BY_SENSOR: dict[str, Quantity] = {"hammer": "force", "cable": "voltage"}
 
 
 def channel_info(
-    name: str, at: str, stages: Sequence[Stage], converter: Converter, clock: SampleClock, delay: float
+    name: str, at: str, stages: Sequence[Stage], converter: Converter, rate: float, delay: float
 ) -> ChannelInfo:
-    """Describe how a channel's readings relate to the quantity at its place, sampled late by `delay` in s."""
+    """Describe how a channel's readings relate to the quantity at its place, at a rate in Hz, late by `delay` in s."""
     sections = [section for stage in stages for section in stage.sections]
     order = sum(section.name == INTEGRATION for section in sections)
     zeros = [zero for section in sections for zero in section.zeros]
@@ -33,14 +32,14 @@ def channel_info(
     for _ in range(min(zeros.count(0j), poles.count(0j))):
         zeros.remove(0j)
         poles.remove(0j)
-    low_pass = None if converter.filter is None else Decimation.standard(clock.rate)
-    filter_delay = 0.0 if low_pass is None or converter.remove_delay else DELAY / clock.rate
+    low_pass = None if converter.filter is None else Decimation.standard(rate)
+    filter_delay = 0.0 if low_pass is None or converter.remove_delay else DELAY / rate
     return ChannelInfo(
         name=name,
         at=at,
-        quantity=_BY_SENSOR.get(stages[0].name, _QUANTITIES[order]),
+        quantity=_BY_SENSOR.get(stages[0].name, _INTEGRATED[order]),
         sensitivity=float(np.prod([stage.nominal for stage in stages])),
-        rate=clock.rate,
+        rate=rate,
         zeros=tuple(zeros),
         poles=tuple(poles),
         gain=gain,

@@ -7,7 +7,6 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.signal_chain.converter import SampleClock
 from daq.signal_chain.decimation_filter import PASS, STOP
 from rig.grain_beds.spheres import contact_time, spheres_of
 from rig.scene.presets import filled_in
@@ -26,7 +25,7 @@ FOLLOWED = 0.1
 FASTEST = 1.024e6
 
 
-def oversampling(scene: Scene, clock: SampleClock) -> int:
+def oversampling(scene: Scene) -> int:
     """Choose the number of intervals per sample, at least 1.
 
     Without a decimation filter the voltage between samples matters only to a sensor that may reach its limit, or
@@ -37,12 +36,12 @@ def oversampling(scene: Scene, clock: SampleClock) -> int:
     >>> scene = rig.loads("structure: {masses: [1 kg], springs: [10 MN/m]}")
     >>> for rate in (1e3, 5e3, 51.2e3):
     ...     filtered = scene.replace(converter={"rate": rate, "filter": "delta_sigma"})
-    ...     oversampling(filtered, SampleClock.of(filtered.converter))
+    ...     oversampling(filtered)
     5
     2
     1
     """
-    system = assemble(scene)
+    system, rate = assemble(scene), scene.converter.true_rate
     limited, filtered = _limited(scene), filled_in(scene.converter).filter is not None
     fastest = 0.0
     if filtered or limited:
@@ -50,17 +49,17 @@ def oversampling(scene: Scene, clock: SampleClock) -> int:
     if system.lasting.any():
         # A landing may be over between two samples, and the sensor still has to feel all of it.
         fastest = max(fastest, system.fastest / (2 * np.pi))
-    followed = fastest / clock.true_rate / FOLLOWED
+    followed = fastest / rate / FOLLOWED
     for spheres in spheres_of(scene).values():
         # A contact of grains is half a period of what they do, and their forces are the body's.
         fastest = max(fastest, 0.5 / contact_time(spheres.settings))
     if filtered:
-        seen = fastest / clock.true_rate + STOP
-        band = max(fastest, BAND) / clock.true_rate
+        seen = fastest / rate + STOP
+        band = max(fastest, BAND) / rate
         followed = max(seen, (band if limited else min(band, PASS)) / FOLLOWED)
         # The drive's straight lines end in corners, which a table follows as far as it can.
-        followed = max(followed, _quickest_table(scene) / clock.true_rate / FOLLOWED)
-    return max(1, min(math.ceil(followed), int(FASTEST / clock.true_rate)))
+        followed = max(followed, _quickest_table(scene) / rate / FOLLOWED)
+    return max(1, min(math.ceil(followed), int(FASTEST / rate)))
 
 
 def _quickest_table(scene: Scene) -> float:

@@ -20,17 +20,13 @@ Array = NDArray[np.float64]
 class Sampler(Protocol):
     """Takes samples."""
 
-    integrals: int
-    """Moments of the voltage over each interval that it needs."""
-    intervals: int
-    """Intervals that a sample is made of, up to the one that ends at it."""
-    rows: Array
-    rows_input: Array
-    """Voltages at the end of each interval that it needs, from state and input; shapes (outputs, states) and
-    (outputs,)."""
+    integrals: int  # required moments of the voltage over each interval
+    intervals: int  # intervals that affect a sample, up to the interval that ends at it
+    rows: Array  # required voltages at the end of each interval, from the state; (outputs, states)
+    rows_input: Array  # and from the input; (outputs,)
 
     def place(self, intervals: int) -> Array:
-        """Return the place for moments, shape (at least intervals + TOGETHER, LANES); `integrals` lanes are needed."""
+        """Return the place for moments, shape (at least intervals + TOGETHER or 0, LANES)."""
 
     def read(self, points: Array, ends: slice) -> Array:
         """Return the samples in V, valid until the next call, from the voltages of `rows` and the latest moments."""
@@ -48,11 +44,11 @@ class PointSampler:
         self._no_moments = np.zeros((0, LANES))
 
     def place(self, intervals: int) -> Array:
-        """Return no place: no moments are needed."""
+        """Return the place for moments; see `Sampler`."""
         return self._no_moments
 
     def read(self, points: Array, ends: slice) -> Array:
-        """Return the samples; see `Sampler.read`."""
+        """Return the samples; see `Sampler`."""
         if not self._late:
             return np.asarray(points[0, ends])
         self._voltage.place(points.shape[1])[:] = points[0]
@@ -72,12 +68,12 @@ class AverageSampler:
         self._averages = buffers.rows(0)
 
     def place(self, intervals: int) -> Array:
-        """Return the place for the averages; see `Sampler.place`."""
+        """Return the place for moments; see `Sampler`."""
         self._averages = self._buffers.rows(intervals + TOGETHER)
         return self._averages
 
     def read(self, points: Array, ends: slice) -> Array:
-        """Return the samples; see `Sampler.read`."""
+        """Return the samples; see `Sampler`."""
         self._past.place(points.shape[1])[:] = self._averages[: points.shape[1], 0]
         samples = self._past.samples[ends].copy()
         for later in range(1, self._oversampling):
@@ -99,11 +95,11 @@ class FilteredSampler:
         self.intervals = low_pass.length * oversampling + late
 
     def place(self, intervals: int) -> Array:
-        """Return the place for the moments; see `Sampler.place`."""
+        """Return the place for moments; see `Sampler`."""
         return self._filter.place(intervals)
 
     def read(self, points: Array, ends: slice) -> Array:
-        """Return the samples; see `Sampler.read`."""
+        """Return the samples; see `Sampler`."""
         return self._filter.filter(points.shape[1])
 
 

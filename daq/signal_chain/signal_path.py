@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.dsp.block_buffers import BlockBuffers
-from daq.dsp.circuit import INTEGRATION, Circuit
+from daq.dsp.circuit import INTEGRATION, RECOVERY, Circuit
 from daq.dsp.discretisation import Entry, Tables, discretise
 from daq.dsp.disturbances import Disturbance, Disturbances, Offset, SettlingOffset
 from daq.dsp.interpolation import CubicInput
@@ -16,9 +16,7 @@ from daq.dsp.limiting import limits_of
 from daq.dsp.noise import FastNoise, Noise, generator
 from daq.dsp.propagation import propagate, scratch_for
 from daq.dsp.skew import Delay
-from daq.signal_chain.converter import SampleClock
 from daq.signal_chain.decimation_filter import DELAY, Decimation
-from daq.signal_chain.overloads import Overloads
 from daq.signal_chain.sampling import AverageSampler, FilteredSampler, Jitter, PointSampler, Sampler
 from daq.signal_chain.stage import Stage, is_averaged
 from rig.scene.measurement_chain import Converter
@@ -27,6 +25,8 @@ Array = NDArray[np.float64]
 
 # Polynomials per sample that noise behind a filter is made of: see `FastNoise`.
 NOISE_TERMS = 3
+# Share of the limit below which the shift of zero after an overload is negligible: the last digit of a data sheet.
+NEGLIGIBLE_ZERO_SHIFT = 1e-3
 
 
 class SignalPath:
@@ -40,7 +40,6 @@ class SignalPath:
         name: str,
         stages: Sequence[Stage],
         converter: Converter,
-        clock: SampleClock,
         oversampling: int,
         delay: float,
         seed: int,
@@ -48,20 +47,33 @@ class SignalPath:
     ) -> None:
         sections = [section for stage in stages for section in stage.sections]
         circuit = Circuit.series(sections)
-        sensor, rate = stages[0], clock.true_rate * oversampling
-        gain = sensor.nominal * (1.0 + sensor.deviation)
+        sensor, sample_rate = stages[0], converter.true_rate
+        rate, gain = sample_rate * oversampling, sensor.nominal * (1.0 + sensor.deviation)
         # The filter delays by whole intervals.
         late = int(delay * rate)
         filtered, self._oversampling, self._interval = converter.filter is not None, oversampling, 0
-        self._reading = _reading(stages, circuit, gain, converter, clock, oversampling, late, buffers)
-        entries, sources = _disturbances(stages, name, clock.true_rate, seed, filtered)
+        self._reading: Sampler
+        if filtered:
+            low_pass = Decimation.standard(converter.sample_rate)
+            self._reading = FilteredSampler(circuit, low_pass, oversampling, late, buffers)
+        elif is_averaged(stages, converter):
+            self._reading = AverageSampler(circuit, oversampling, late, buffers)
+        else:
+            self._reading = PointSampler(circuit, gain, oversampling, late)
+        entries, sources = _disturbances(stages, name, sample_rate, seed, filtered)
         self.noise_states = sum(source.states for source in sources if isinstance(source, Noise))
         direct = np.array([0.0 if filtered else circuit.d[entry.section] for entry in entries])
         self._disturbances = Disturbances(sources, direct, [entry.degree for entry in entries], oversampling)
         self._tables = _tables(circuit, gain, rate, self._reading.integrals, entries)
+        # The largest voltage of each state.
+        rails: list[float] = []
+        for stage in stages:
+            limit = np.inf if stage.rails is None else stage.rails
+            for section in stage.sections:
+                rails += [limit if section.name == INTEGRATION else np.inf] * section.states
         limited = len(sensor.sections)
         self._limits = limits_of(
-            sections, limited, sensor.limit, _rails(stages), gain, rate, entries, self._tables
+            sections, limited, sensor.limit, np.array(rails), gain, rate, entries, self._tables
         )
         self._state, self._scratch = np.zeros(circuit.c.size), scratch_for(self._tables)
         self._overloads = Overloads(stages, rate, self._reading.intervals)
@@ -72,14 +84,14 @@ class SignalPath:
         self._jitter = None
         if converter.jitter:
             wait = DELAY if filtered else 0
-            self._jitter = Jitter(circuit, gain, converter.jitter * clock.true_rate, wait)
+            self._jitter = Jitter(circuit, gain, converter.jitter * sample_rate, wait)
             self._rows = np.concatenate([self._rows, self._jitter.row[None]])
             self._rows_input = np.append(self._rows_input, self._jitter.row_input)
         self._rows_excess = np.full(len(self._rows), -circuit.d[limited])
         self._noise = None
         if converter.noise is not None:
             random = generator(seed, name, "converter noise")
-            self._noise = Noise(converter.noise, None, clock.true_rate, random)
+            self._noise = Noise(converter.noise, None, sample_rate, random)
 
     def measure(self, pieces: CubicInput, late: Array | None) -> tuple[Array, NDArray[np.bool_]]:
         """Return the volts at the samples that end intervals of a block, and where a limit has affected them.
@@ -109,31 +121,37 @@ class SignalPath:
         return volts, self._overloads.flags(ends)
 
 
-def _reading(
-    stages: Sequence[Stage],
-    circuit: Circuit,
-    gain: float,
-    converter: Converter,
-    clock: SampleClock,
-    oversampling: int,
-    late: int,
-    buffers: BlockBuffers,
-) -> Sampler:
-    if converter.filter is not None:
-        return FilteredSampler(circuit, Decimation.standard(clock.rate), oversampling, late, buffers)
-    if is_averaged(stages, converter):
-        return AverageSampler(circuit, oversampling, late, buffers)
-    return PointSampler(circuit, gain, oversampling, late)
+class Overloads:
+    """Flags samples with an interval at a limit, or with a shift of zero that is not negligible yet."""
 
+    def __init__(self, stages: Sequence[Stage], rate: float, intervals: int) -> None:
+        fades = [-section.a[0, 0] for section in stages[0].sections if section.name == RECOVERY]
+        self._decay_intervals = rate / fades[0] if fades else 0.0
+        self._intervals_per_sample = intervals
+        self._severity = np.zeros(1)
+        self._flagged_ahead = 0
 
-def _rails(stages: Sequence[Stage]) -> Array:
-    """Return the largest voltage of each state."""
-    rails: list[float] = []
-    for stage in stages:
-        limit = np.inf if stage.rails is None else stage.rails
-        for section in stage.sections:
-            rails += [limit if section.name == INTEGRATION else np.inf] * section.states
-    return np.array(rails)
+    def place(self, intervals: int) -> Array:
+        """Return the place for the severity of each interval; see `daq.dsp.propagation.propagate`."""
+        last, self._severity = self._severity[-1], np.empty(1 + intervals)
+        self._severity[0] = last
+        return self._severity
+
+    def flags(self, ends: slice) -> NDArray[np.bool_]:
+        """Return the flag of each sample that ends at one of the intervals `ends`."""
+        severity = self._severity[1:]  # 0: within the limit; otherwise 1 + zero shift / limit
+        if self._flagged_ahead <= 0 and not severity.any():
+            return np.zeros(severity[ends].size, dtype=bool)
+        overloaded = np.flatnonzero(severity)
+        # The zero shift decays exponentially; count the intervals until it is negligible.
+        excess = np.maximum((severity[overloaded] - 1.0) / NEGLIGIBLE_ZERO_SHIFT, 1.0)
+        recovery = np.ceil(self._decay_intervals * np.log(excess)).astype(np.int64)
+        valid_from = np.zeros(severity.size + 1, dtype=np.int64)
+        valid_from[0] = self._flagged_ahead  # carried over from the previous block
+        valid_from[overloaded + 1] = overloaded + self._intervals_per_sample + recovery
+        valid_from = np.maximum.accumulate(valid_from)
+        self._flagged_ahead = int(valid_from[-1]) - severity.size
+        return (valid_from[1:] > np.arange(severity.size))[ends]
 
 
 # Tables by the circuit's content: channels with equal data sheets, and further benches of a scene, share them.

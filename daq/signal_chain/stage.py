@@ -16,26 +16,17 @@ from rig.scene.settings import Settings
 class Stage:
     """One device of a channel: its linear circuit, and its deviations from that."""
 
-    name: str
-    """The device: accelerometer, hammer, integrator, converter."""
-    sections: tuple[Section, ...] = ()
-    """Its circuit; none: it passes the signal on as it is."""
-    nominal: float = 1.0
-    """Volts out per unit in (V per m/s^2 for an accelerometer), as the data sheet says."""
-    deviation: float = 0.0
-    """True sensitivity relative to the nominal one, less 1."""
-    noise: float | None = None
-    noise_corner: float | None = None
-    """Density of the noise at its output, V/sqrt(Hz), and the corner below which it rises as 1/f, Hz."""
-    offset: float | None = None
-    settling: float | None = None
-    """Offset of its output, V, and the time constant with which it settles from zero after power-on, s."""
-    limit: float | None = None
-    """Largest output the signal can reach, V."""
-    rails: float | None = None
-    """Largest voltage each integration can reach, V."""
-    data: Mapping[str, str] = field(default_factory=dict)
-    """Its data sheet as text, figures with units."""
+    name: str  # accelerometer, hammer, cable, integrator or converter
+    sections: tuple[Section, ...] = ()  # its circuit
+    nominal: float = 1.0  # volts out per unit in (V per m/s^2 for an accelerometer), by the data sheet
+    deviation: float = 0.0  # true sensitivity relative to the nominal sensitivity, less 1
+    noise: float | None = None  # density of the noise at its output, V/sqrt(Hz)
+    noise_corner: float | None = None  # frequency below which the noise rises as 1/f, Hz
+    offset: float | None = None  # of its output, V
+    settling: float | None = None  # time constant with which the offset settles from zero after power-on, s
+    limit: float | None = None  # largest output that the signal can reach, V
+    rails: float | None = None  # largest voltage that each integration can reach, V
+    data: Mapping[str, str] = field(default_factory=dict)  # its data sheet as text, figures with units
 
     @property
     def effects(self) -> dict[str, int]:
@@ -52,10 +43,6 @@ class Stage:
             "offset settling": (self.settling, 1),
         }
         return effects | {name: states for name, (there, states) in named.items() if there is not None}
-
-
-#: In place of a sensor where a voltage is measured.
-CABLE = Stage("cable")
 
 
 def is_averaged(stages: Sequence[Stage], converter: Converter) -> bool:

@@ -10,11 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.signal_chain.converter import SampleClock
 from daq.signal_chain.outputs import Outputs
 from daq.signal_chain.oversampling import DriveLine, oversampling
-from daq.virtual_bench.block import Block
-from daq.virtual_bench.stream import Stream, samples_per_tick
+from daq.virtual_bench.stream import Block, Stream, samples_per_tick
 from rig.simulation.drive import checked_drive
 from rig.simulation.plant import Plant
 
@@ -49,10 +47,11 @@ class Bench:
 
     def __init__(self, scene: Scene, ticks: int | None = None) -> None:
         self.scene = scene
-        self.clock = SampleClock.of(scene.converter)
-        self.ticks = oversampling(scene, self.clock) if ticks is None else ticks
-        self.rate, self.tick_rate = self.clock.rate, self.clock.rate * self.ticks
-        self._plant = plant = Plant(scene, self.clock.true_rate * self.ticks)
+        self.ticks = oversampling(scene) if ticks is None else ticks
+        # Samples and ticks per second by the nominal clock; the bench runs at the true rate.
+        self.rate = scene.converter.sample_rate
+        self.tick_rate = self.rate * self.ticks
+        self._plant = plant = Plant(scene, scene.converter.true_rate * self.ticks)
         self._own = Stream(scene, self.rate, Fraction(1, self.ticks), plant)
         self._streams = {self.rate: self._own}
         self._outputs = Outputs(scene, plant.inputs, plant.drive_units)

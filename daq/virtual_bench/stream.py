@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
@@ -11,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.signal_chain.chain import Chain
-from daq.signal_chain.converter import Quantiser, SampleClock
+from daq.signal_chain.converter import Quantiser
 from daq.signal_chain.oversampling import oversampling
-from daq.virtual_bench.block import Block
 from daq.virtual_bench.motion_rate import MotionAtRate
 from rig.errors import SceneError
 
@@ -25,6 +25,16 @@ if TYPE_CHECKING:
     from rig.simulation.plant import Plant
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Block:
+    """Samples of all channels, in volts or counts, and the true motion at them, which tests and control do not use."""
+
+    first: int  # number of the first sample, from power-on
+    samples: NDArray[np.float64] | NDArray[np.int32]  # (channels, samples): volts or counts
+    overload: NDArray[np.bool_]  # samples beyond the range of a channel or a limit of its devices
+    motion: Motion
 
 
 class Stream:
@@ -44,13 +54,12 @@ class Stream:
         wiring: Sequence[Channel] | None = None,
     ) -> None:
         self._scene = at_rate(scene, rate)
-        clock = SampleClock.of(self._scene.converter)
-        needed = oversampling(self._scene, clock)
-        if _reads_drive(scene):
+        needed = oversampling(self._scene)
+        if any(channel.measures_force or channel.measures_voltage for channel in scene.channels or ()):
             # The drive is a straight line from tick to tick: longer intervals would lose what lies between.
             needed = max(needed, math.ceil(1 / per_tick))
         self._intervals = _intervals(needed, per_tick)
-        motion_rate = clock.true_rate * self._intervals
+        motion_rate = self._scene.converter.true_rate * self._intervals
         self._chain = Chain(self._scene, motion_rate, plant.points, plant.inputs)
         self._interval = 1.0 / motion_rate
         past = list(past)
@@ -80,11 +89,11 @@ class Stream:
     def take(self, motion: Motion, drive: Array) -> Block:
         """Sample the motion of the next ticks, driven by `drive`, shape (inputs, ticks)."""
         motion, drive = self._motion.take(motion, drive)
-        converted = self._converter.convert(self._chain.measure(motion, drive))
+        samples, overload = self._converter.convert(self._chain.measure(motion, drive))
         if self._intervals > 1:
             motion = motion.every(self._intervals, self._interval)
         first = self._first + max(motion.first - self.latency, 0)
-        return Block(first, converted.samples, converted.overload | self._chain.overload, motion)
+        return Block(first, samples, overload | self._chain.overload, motion)
 
     def physical(self, samples: NDArray[np.float64] | NDArray[np.int32]) -> Array:
         """Convert samples to each channel's unit by its data sheet; shape (channels, samples)."""
@@ -123,11 +132,6 @@ def at_rate(scene: Scene, rate: float) -> Scene:
         return scene.replace(converter=converter)
     except SceneError:
         return scene.replace(converter=converter, test=None)
-
-
-def _reads_drive(scene: Scene) -> bool:
-    """Whether a channel reads the drive itself: the force of a shaker or hammer, or the voltage of an output."""
-    return any(channel.measures_force or channel.measures_voltage for channel in scene.channels or ())
 
 
 def _intervals(needed: int, per_tick: Fraction) -> int:

@@ -321,6 +321,11 @@ class Converter(Settings):
         except SceneError as error:
             raise SceneError(f"{error}, which is what {found.name} samples at") from None
 
+    @property
+    def true_rate(self) -> float:
+        """Sample rate with the error of the clock [Hz]: everything on the bench runs at it, the drive as well."""
+        return self.sample_rate * (1.0 + (self.clock_error or 0.0))
+
 
 class RecordingSettings(Settings):
     """Content of the recording in addition to the channels."""

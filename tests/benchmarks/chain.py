@@ -16,7 +16,7 @@ import numpy as np
 import rig
 from daq.recording.recorder import Recorder
 from daq.signal_chain.chain import Chain
-from daq.signal_chain.converter import Quantiser, SampleClock
+from daq.signal_chain.converter import Quantiser
 from daq.virtual_bench.bench import Bench
 from rig.scene.scene import Scene
 from rig.simulation.plant import Plant
@@ -85,7 +85,7 @@ def measure() -> Iterator[str]:
     """Yield a line for each step: time per channel and sample, and how many times real time four channels run."""
     scene = rig.load("fig8-three-dampers")
     for name, step in steps(scene):
-        rate = SampleClock.of(step.converter).true_rate
+        rate = step.converter.true_rate
         best = np.inf
         # The first pass compiles.
         for _ in range(4):

@@ -94,9 +94,7 @@ def scene_of(*channels, converter="{rate: 5120 Hz}", bodies=1, more=""):
 
 def chain_of(scene, oversampling=1):
     """Make the signal chain of a scene, and return it with the rate of its motion."""
-    from daq.signal_chain.converter import SampleClock
-
-    rate = SampleClock.of(scene.converter).true_rate * oversampling
+    rate = scene.converter.true_rate * oversampling
     return Chain(scene, rate, [f"body {n + 1}" for n in range(scene.structure.bodies)]), rate
 
 

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 import rig
-from daq.signal_chain.converter import SampleClock
 from daq.signal_chain.oversampling import oversampling
 from daq.virtual_bench.bench import Bench
 from rig.simulation.plant import Plant
@@ -115,4 +114,4 @@ shaker: {{kind: table, body: 1, spring: 100 kN/m, bandwidth: 400 Hz}}
 test: {{kind: sine, frequency: 5 Hz, force: 8 N, duration: 1 s}}
 converter: {{rate: {rate}, filter: delta_sigma}}
 """)
-    assert oversampling(scene, SampleClock.of(scene.converter)) == expected
+    assert oversampling(scene) == expected

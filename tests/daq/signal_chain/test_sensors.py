@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from daq.signal_chain.sensors import accelerometer
+from daq.signal_chain.devices import accelerometer
 from rig.scene.measurement_chain import Accelerometer
 from tests.daq.dsp.analytic_motion import Path, at_rest, chain_of, motion_of, scene_of
 

@@ -16,7 +16,7 @@ from scipy import special
 import analysis
 import rig
 from analysis.responses.multisine import LIFTED, NONLINEAR, ONE_REALISATION
-from daq.signal_chain.sensors import accelerometer, force_sensor
+from daq.signal_chain.devices import accelerometer, force_sensor
 from rig.results.response import MOTIONS, Response
 from rig.results.uncertainty import CLOCK, SENSITIVITY
 from rig.scene.measurement_chain import Accelerometer, Hammer

@@ -1,4 +1,4 @@
-"""Accelerometers and force sensors: from a data sheet to their effects on the signal."""
+"""Devices of a channel from their data sheets: accelerometer or force sensor, integrating amplifier, coupling."""
 
 from __future__ import annotations
 
@@ -6,14 +6,35 @@ from dataclasses import replace
 
 import numpy as np
 
-from daq.dsp.circuit import high_pass, recovery, resonance
+from daq.dsp.circuit import high_pass, integration, recovery, resonance
 from daq.dsp.noise import generator
 from daq.signal_chain.stage import Stage, data_sheet
-from rig.scene.measurement_chain import Accelerometer, Hammer
+from rig.scene.measurement_chain import Accelerometer, Channel, Converter, Hammer, Integrator
+from rig.scene.presets import filled_in, needs_supply
 
-# Values of effects that a scene names without them.
+# Values of effects that a scene names without them; the corner of an AC coupling in Hz.
 DEFAULT_Q = 30.0
 DEFAULT_LATERAL = 0.1
+DEFAULT_AC_CORNER = 0.5
+
+
+def stages(channel: Channel, converter: Converter, seed: int) -> tuple[Stage, ...]:
+    """Describe the devices of a channel: sensor, then amplifier and the coupling of the converter's input if any."""
+    coupling: tuple[Stage, ...] = ()
+    if converter.coupling == "AC":
+        corner = DEFAULT_AC_CORNER if converter.ac_corner is None else converter.ac_corner
+        coupling = (Stage("converter", (high_pass(corner, "AC coupling"),)),)
+    if channel.measures_voltage:
+        return (Stage("cable"), *coupling)
+    if channel.measures_force:
+        sensor = force_sensor(filled_in(channel.hammer or Hammer()), seed, channel.name)
+    else:
+        sensor = accelerometer(filled_in(channel.accelerometer or Accelerometer()), seed, channel.name)
+    if needs_supply(channel) and converter.excitation == 0.0:
+        # The output of an amplifier without supply is zero.
+        sensor = replace(sensor, deviation=-1.0, noise=None, noise_corner=None, offset=None, settling=None)
+    amplifier = () if channel.integrator is None else (integrating_amplifier(channel.integrator),)
+    return (sensor, *amplifier, *coupling)
 
 
 def accelerometer(settings: Accelerometer, seed: int, channel: str) -> Stage:
@@ -54,16 +75,16 @@ def accelerometer(settings: Accelerometer, seed: int, channel: str) -> Stage:
 def _deviation(settings: Accelerometer, seed: int, channel: str) -> float:
     factor = 1.0
     if settings.sensitivity_tolerance is not None:
-        factor += settings.sensitivity_tolerance * drawn(seed, channel, "tolerance")
+        factor += settings.sensitivity_tolerance * _drawn(seed, channel, "tolerance")
     if settings.temperature_drift is not None and settings.temperature_change is not None:
         factor *= 1.0 + settings.temperature_drift * settings.temperature_change
     if settings.transverse is not None:
         lateral = DEFAULT_LATERAL if settings.lateral is None else settings.lateral
-        factor += settings.transverse * lateral * np.cos(np.pi * drawn(seed, channel, "transverse"))
+        factor += settings.transverse * lateral * np.cos(np.pi * _drawn(seed, channel, "transverse"))
     return float(factor - 1.0)
 
 
-def drawn(seed: int, channel: str, stage: str) -> float:
+def _drawn(seed: int, channel: str, stage: str) -> float:
     """Draw an even number from -1 to 1."""
     return float(generator(seed, channel, stage).uniform(-1.0, 1.0))
 
@@ -76,13 +97,32 @@ def force_sensor(settings: Hammer, seed: int, channel: str) -> Stage:
         "hammer",
         () if settings.low_cutoff is None else (high_pass(settings.low_cutoff, "low cut-off"),),
         nominal=sensitivity,
-        deviation=0.0 if tolerance is None else tolerance * drawn(seed, channel, "tolerance"),
+        deviation=0.0 if tolerance is None else tolerance * _drawn(seed, channel, "tolerance"),
         noise=None if settings.noise is None else settings.noise * sensitivity,
         limit=None if settings.saturation is None else settings.saturation * sensitivity,
         data=data_sheet("hammer", settings),
     )
 
 
-def unfed(sensor: Stage) -> Stage:
-    """Describe a sensor whose amplifier gets no current: its output is zero."""
-    return replace(sensor, deviation=-1.0, noise=None, noise_corner=None, offset=None, settling=None)
+def integrating_amplifier(settings: Integrator) -> Stage:
+    """Describe an integrating amplifier of order n, ``gain / (s + w)^n`` with w = 2 pi corner, in volts and seconds.
+
+    A low cut-off adds a high pass at the input. Each integration has an equal share of the gain, and neither
+    output exceeds the saturation voltage. The noise is that of the output.
+
+    >>> from rig.scene.measurement_chain import Integrator
+    >>> integrating_amplifier(Integrator(order=2, corner="1 Hz", gain=1000.0)).effects
+    {'integration': 2}
+    """
+    gain = settings.gain ** (1.0 / settings.order)
+    sections = [integration(settings.corner, gain)] * settings.order
+    if settings.low_cutoff is not None:
+        sections.insert(0, high_pass(settings.low_cutoff, "amplifier low cut-off"))
+    return Stage(
+        "integrator",
+        tuple(sections),
+        nominal=settings.gain,
+        noise=settings.noise,
+        rails=settings.saturation,
+        data=data_sheet("integrator", settings),
+    )

@@ -31,7 +31,7 @@ _NOISE = 0.9
 
 def excite(station: Station, test: Multisine) -> Excitation:
     """Run a multisine test."""
-    period = station.samples(test.period or (test.lines or 2) / (test.to - test.from_))
+    period = station.samples(test.period_s)
     lines = lines_between(test.from_, test.to, period, station.rate)
     if test.period is None:
         lines = lines[: test.lines or 2]

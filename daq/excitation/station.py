@@ -24,8 +24,6 @@ ComplexArray = NDArray[np.complex128]
 # the channels in that window, shape (channels, samples), in physical units.
 Excitation = Generator[Array, Array, None]
 
-_DERIVATIVES = {"displacement": 0, "velocity": 1, "acceleration": 2}
-
 
 @dataclass
 class Station:
@@ -97,7 +95,7 @@ class Station:
     def row(self, place: str) -> int:
         """Return the first channel that measures motion at a place."""
         for row, info in enumerate(self.channels):
-            if info.at == place and info.quantity in _DERIVATIVES:
+            if info.at == place and info.derivative is not None:
                 return row
         have = ", ".join(f"{info.name} ({info.quantity} at {info.at})" for info in self.channels) or "none"
         raise SceneError(
@@ -122,7 +120,7 @@ class Station:
         """Return the factor from a channel's complex amplitude to its displacement, per frequency in Hz."""
         info = self.channels[row]
         frequency = np.asarray(frequency, dtype=float)
-        read = info.response(frequency) * (2j * np.pi * frequency) ** _DERIVATIVES[info.quantity]
+        read = info.response(frequency) * (2j * np.pi * frequency) ** (info.derivative or 0)
         return np.asarray(1.0 / read, dtype=complex)
 
     def force_weights(self, frequency: Array | float) -> ComplexArray:

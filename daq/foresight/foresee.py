@@ -16,19 +16,22 @@ from daq.foresight.foresight import Expectation, Foresight, in_words
 from daq.foresight.linear import drive_needed
 from daq.foresight.noise import least_signals
 from daq.foresight.recording_size import recording_size
-from daq.foresight.rehearsal import Extreme, Rehearsal, rehearse
+from daq.foresight.rehearsal import Extreme, Rehearsal
 from daq.foresight.shortened import (
     Shortened,
     about_peaks,
     affordable_seconds,
+    at_level,
     expected_seconds,
+    level_key,
+    near_extreme,
     shortened,
 )
 from daq.measurement.estimate import estimate
 from daq.virtual_bench.bench import Bench
 from rig.damper_design.overloads import shaken_by
 from rig.errors import SceneError
-from rig.scene.excitation import Impulse, Multisine, Random, SteppedSine, SweptSine
+from rig.scene.excitation import Multisine, Random, SteppedSine, SweptSine
 from rig.scene.loading import load
 from rig.scene.presets import filled_in
 from rig.scene.scene import Scene
@@ -72,7 +75,9 @@ def foresee(scene: Scene | str | Path) -> Foresight:
     >>> found.fits, found["body1"].unit
     (True, 'm/s^2')
     """
-    what = _one_mass_beds(scene if isinstance(scene, Scene) else load(scene))
+    what = scene if isinstance(scene, Scene) else load(scene)
+    if any(damper.grains is not None for damper in what.dampers):
+        what = what.replace(dampers=tuple(damper.replace(grains=None) for damper in what.dampers))
     if what.test is None:
         raise SceneError(
             f"scene {what.name!r} names no test. Add a test, such as "
@@ -86,12 +91,6 @@ def foresee(scene: Scene | str | Path) -> Foresight:
     return _Assessment(what, bench, played, free).foresight()
 
 
-def _one_mass_beds(scene: Scene) -> Scene:
-    if not any(damper.grains is not None for damper in scene.dampers):
-        return scene
-    return scene.replace(dampers=tuple(damper.replace(grains=None) for damper in scene.dampers))
-
-
 @dataclass(frozen=True)
 class Played:
     """Rehearsals of the parts of a test; whether they are the whole test, and which parts are left out."""
@@ -99,8 +98,7 @@ class Played:
     parts: tuple[Rehearsal, ...]
     whole: bool
     left_out: str = ""
-    beyond: float = 1.0
-    """Factor on the extremes of a random test that was rehearsed in part."""
+    extension: float = 1.0  # factor on the extremes of a random test that was rehearsed in part
 
     @property
     def aborted(self) -> str | None:
@@ -114,7 +112,7 @@ class Played:
         part, top = self.parts[place], tops[place]
         frequency = part.frequency_at(top.sample)
         time = top.sample / part.rate if frequency is None else None
-        return top.size * self.beyond, frequency, time
+        return top.size * self.extension, frequency, time
 
     def time(self, what: str, key: int | str) -> float:
         """Time of that extreme, s from the start of the test; infinite in a part that begins later."""
@@ -139,27 +137,23 @@ def play(scene: Scene, bench: Bench) -> Played:
     if parts[0].aborted is not None:
         # The rest of the test does not happen.
         return Played(parts, True)
-    left_out = f"{sum(part.seconds for part in parts):.3g} s of it"
+    extension = 1.0
     if chosen.extends and isinstance(test, Random):
-        return Played(parts, False, left_out, _extension(test, parts[0].seconds))
-    return Played(parts, False, left_out)
+        # Expected extremes of a Gaussian process in the whole test and in a part, by its zero crossings.
+        crossings = test.from_ + test.to
+        whole, part = (np.log(max(crossings * time, 3.0)) for time in (test.duration, parts[0].seconds))
+        extension = float(max(np.sqrt(whole / part), 1.0))
+    return Played(parts, False, f"{sum(part.seconds for part in parts):.3g} s of it", extension)
 
 
 def _rehearsed(chosen: Shortened, longest: float) -> tuple[Rehearsal, ...]:
     """Rehearse the parts one after another, up to an abort."""
     parts: list[Rehearsal] = []
     for scene, ahead in zip(chosen.scenes, chosen.ahead, strict=True):
-        parts.append(rehearse(scene, longest, ahead))
+        parts.append(Rehearsal(scene, ahead).run(longest))
         if parts[-1].aborted is not None:
             break
     return tuple(parts)
-
-
-def _extension(test: Random, seconds: float) -> float:
-    """Ratio of the expected extremes of a Gaussian process in the whole test and in a part, by its zero crossings."""
-    crossings = test.from_ + test.to
-    whole, part = (np.log(max(crossings * time, 3.0)) for time in (test.duration, seconds))
-    return float(max(np.sqrt(whole / part), 1.0))
 
 
 class _Assessment:
@@ -201,7 +195,10 @@ class _Assessment:
             flights=flight_lines(self.scene, self.system, self.level, self.free.parts),
             seconds=seconds,
             disk=recording_size(
-                self.scene, self.bench, [part.last_blocks for part in self.played.parts], seconds
+                self.scene,
+                self.bench,
+                (block for part in self.played.parts for block in part.last_blocks),
+                seconds,
             ),
             rehearsed=self.played.left_out,
             outside=outside_band(self.scene),
@@ -217,19 +214,13 @@ class _Assessment:
                 # The reading of a sensor while its bias settles is no response to the tone.
                 frequency, time = None, self.free.time("readings", row)
                 driven = max((part.readings[row].size for part in self.free.parts[1:]), default=largest)
-            recorded = self.played.largest("readings", row)[0]
-            yield Expectation(
-                info.name,
-                info.unit,
-                largest,
-                frequency,
-                time,
-                limit.size,
-                limit.part,
-                largest > limit.size,
-                min(recorded, limit.size if info.range is not None else np.inf),
-                driven,
+            recorded = min(
+                self.played.largest("readings", row)[0], limit.size if info.range is not None else np.inf
             )
+            yield Expectation(
+                info.name, info.unit, largest, frequency, time, limit.size, limit.part, largest > limit.size, recorded,
+                driven,
+            )  # fmt: skip
 
     def _unread(self, rows: Iterable[Expectation]) -> Iterable[str]:
         """Name channels whose signal is below the resolution of the converter."""
@@ -242,11 +233,9 @@ class _Assessment:
         for info in self.bench.channels:
             count = info.unit_per_count
             if info.volts_per_count is not None and sizes[info.name] < 2.0 * count:
-                lost = (
-                    ", so that the force cannot be controlled and all maxima are uncertain"
-                    if info.at in places
-                    else ""
-                )
+                lost = ""
+                if info.at in places:
+                    lost = ", so that the force cannot be controlled and all maxima are uncertain"
                 yield (
                     f"{info.name} reads less than two counts of the converter ({in_words(count, info.unit)} each)"
                     f"{lost}. Choose a smaller range or a higher sensitivity."
@@ -254,9 +243,8 @@ class _Assessment:
 
     def _sensors(self) -> Iterable[Expectation]:
         """Compare accelerometers with their limit: acceleration of the smooth motion and of landings."""
-        speeds = np.max([part.closing_speed for part in self.free.parts], axis=0)[
-            self.system.damper_number - 1
-        ]
+        closing = np.max([part.closing_speed for part in self.free.parts], axis=0)
+        speeds = closing[self.system.damper_number - 1]
         names = [info.name for info in self.bench.channels]
         for channel in self.scene.channels or ():
             sensor = None if channel.accelerometer is None else filled_in(channel.accelerometer)
@@ -267,17 +255,10 @@ class _Assessment:
             shaken = shaken_by(self.system, row, speeds.tolist(), sensor.resonance)
             reached = any(part.overloaded[names.index(channel.name)] for part in self.played.parts)
             largest = max(smooth, shaken)
-            yield Expectation(
-                f"{channel.name} sensor",
-                "m/s^2",
-                largest,
-                frequency,
-                time,
-                sensor.saturation,
-                "sensor",
-                # A sample does not show which limit it met; the acceleration does.
-                reached and largest > sensor.saturation,
-            )
+            # A sample does not show which limit it met; the acceleration does.
+            over = reached and largest > sensor.saturation
+            name, limit = f"{channel.name} sensor", sensor.saturation
+            yield Expectation(name, "m/s^2", largest, frequency, time, limit, "sensor", over)
 
     def _outputs(self) -> Iterable[Expectation]:
         """Give the output that drives the shaker, in volts, and the power amplifier in front of a coil."""
@@ -296,15 +277,15 @@ class _Assessment:
                 needed = drive_needed(self.scene, self.system)
                 drive, frequency = (needed[0] * self.level, needed[1]) if needed else (drive, frequency)
             volts = drive / DRIVE_PER_VOLT[unit]
-            limit = np.inf if output is None else output
-            yield Expectation(
-                f"ao{self.scene.driven - 1}", "V", volts, frequency, time, limit, "output", volts > limit
-            )
+            limit, name = np.inf if output is None else output, f"ao{self.scene.driven - 1}"
+            yield Expectation(name, "V", volts, frequency, time, limit, "output", volts > limit)
             if amplifier is not None:
-                size, unit = amplifier.gain * drive, "V" if amplifier.mode == "voltage" else "A"
-                yield Expectation(
-                    "amplifier", unit, size, frequency, time, amplifier.limit, "amplifier", drive > most
+                size, unit, limit = (
+                    amplifier.gain * drive,
+                    "V" if amplifier.mode == "voltage" else "A",
+                    amplifier.limit,
                 )
+                yield Expectation("amplifier", unit, size, frequency, time, limit, "amplifier", drive > most)
 
     def _tables(self) -> Iterable[Expectation]:
         for name in self.free.parts[0].tables:
@@ -333,7 +314,7 @@ class _Assessment:
             return level
         free, tried = without_limits(scene), [(np.log(self.level), np.log(limiting.driven_share))]
         for _ in range(_TRIALS):
-            run = rehearse(at_level(free, level), 4.0 * seconds, ahead)
+            run = Rehearsal(at_level(free, level), ahead).run(4.0 * seconds)
             share = max(run.readings[row].size / limiting.limit, 1e-12)
             tried.append((np.log(level), np.log(share)))
             if abs(share - 1.0) < _NEAR:
@@ -385,51 +366,3 @@ class _Assessment:
             wait = (settle.stop - settle.first) / self.bench.rate
             irregular = not measure.settled and any(part.strikes)
             yield float(np.sqrt(wait * max(test.settle.longest, wait))) if irregular else wait
-
-
-def level_key(scene: Scene) -> tuple[str, float, str]:
-    """Key of the test's level in the scene, the highest level, and its unit; ("", nan, "") without a level."""
-    test = scene.test
-    if isinstance(test, Impulse):
-        return "test.peak", test.peak, "N"
-    for name in ("force", "drive"):
-        given = getattr(test, name, None)
-        if given is not None:
-            unit = "N"
-            if name == "drive":
-                shaker = scene.driven_shaker
-                unit = "V" if isinstance(shaker, ElectrodynamicShaker) else "m"
-                unit = "N" if shaker is not None and shaker.kind == "force" else unit
-            return f"test.{name}", float(max(given) if isinstance(given, tuple) else given), unit
-    return "", np.nan, ""
-
-
-def at_level(scene: Scene, level: float) -> Scene:
-    """Give the scene with another level of its test."""
-    key = level_key(scene)[0].removeprefix("test.")
-    assert scene.test is not None
-    return scene.replace(test=scene.test.replace(**{key: level}))
-
-
-def near_extreme(scene: Scene, frequency: float | None, seconds: float) -> tuple[Scene | None, int]:
-    """Give the scene with the few tones of its test before a frequency, or with its test if that is short."""
-    test = scene.test
-    if isinstance(test, SteppedSine) and frequency is not None:
-        order = list(test.order)
-        place = int(np.argmin(np.abs(np.array(order) - frequency)))
-        first = max(place - 2, 0)
-        kept = sorted(set(order[first : place + 2]))
-        direction = "up" if len(order) < 2 or order[place] >= order[max(place - 1, 0)] else "down"
-        few = {
-            "kind": "stepped_sine",
-            "frequencies": kept,
-            "direction": direction,
-            "shaker": test.shaker,
-            "force": None if test.force is None else max(test.levels),
-            "drive": None if test.force is not None else max(test.levels),
-            "settle": test.settle.replace(longest=min(test.settle.longest, 10.0)),
-            "measure": test.measure,
-            "start": test.start,
-        }
-        return scene.replace(test=few), min(place - first, 1)
-    return (scene, 0) if estimate(scene).seconds <= seconds else (None, 0)

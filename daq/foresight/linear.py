@@ -19,7 +19,6 @@ ComplexArray = NDArray[np.complex128]
 
 # Frequencies of a band at which the required drive is computed.
 _POINTS = 400
-_DERIVATIVES = {"displacement": 0, "velocity": 1, "acceleration": 2}
 
 
 def test_band(test: Test | None) -> tuple[float, float] | None:
@@ -62,8 +61,8 @@ def channel_readings(scene: Scene, channels: Sequence[ChannelInfo], frequencies:
     for row, info in enumerate(channels):
         size: Array
         if info.at in system.points:
-            derivative = _DERIVATIVES.get(info.quantity, 0)
-            size = abs(states[system.points.index(info.at)]) * (2.0 * np.pi * frequencies) ** derivative
+            order = info.derivative or 0
+            size = abs(states[system.points.index(info.at)]) * (2.0 * np.pi * frequencies) ** order
         elif isinstance(scene.test, Impulse):
             continue
         else:

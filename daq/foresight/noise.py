@@ -20,7 +20,6 @@ Array = NDArray[np.float64]
 
 # Frequencies of a band at which signal and noise are compared.
 _POINTS = 400
-_INTEGRATIONS = {"displacement": 2, "velocity": 1, "acceleration": 0}
 
 
 @dataclass(frozen=True)
@@ -66,9 +65,9 @@ def _measured(scene: Scene, frequencies: Array) -> Array:
     if isinstance(test, Random):
         return np.full(frequencies.size, level / np.sqrt(test.to - test.from_))
     if isinstance(test, Multisine):
-        period = test.period if test.period is not None else (test.lines or 2) / (test.to - test.from_)
-        lines = max(1.0, (test.to - test.from_) * period)
-        return np.full(frequencies.size, level * np.sqrt(2.0 / lines) * np.sqrt(period * test.periods / 2.0))
+        period, band = test.period_s, test.to - test.from_
+        amplitude = level * np.sqrt(2.0 / max(1.0, band * period))
+        return np.full(frequencies.size, amplitude * np.sqrt(period * test.periods / 2.0))
     if isinstance(test, Sine):
         return np.full(frequencies.size, level * np.sqrt(test.duration / 2.0))
     if isinstance(test, SteppedSine):
@@ -92,7 +91,7 @@ def _density(scene: Scene, channel: Channel | None, info: ChannelInfo, frequenci
     sensor = None if channel is None else channel.accelerometer
     if sensor is not None:
         sheet = filled_in(sensor)
-        integrated = (2.0 * np.pi * frequencies) ** _INTEGRATIONS.get(info.quantity, 0)
+        integrated = (2.0 * np.pi * frequencies) ** (2 - (info.derivative or 0))
         flicker = 1.0 + (sheet.noise_corner or 0.0) / frequencies
         power += ((sheet.noise or 0.0) * abs(info.response(frequencies)) / integrated) ** 2 * flicker
     elif channel is not None and channel.hammer is not None:

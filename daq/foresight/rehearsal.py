@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Any
+from collections import deque
+from dataclasses import dataclass
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.excitation import Station, excitation
+from daq.excitation import excitation
 from daq.excitation.swept_sine import sweep_frequency
-from daq.foresight.recording_size import LastBlocks
-from daq.measurement.limits import ControlLoss, Limits
-from daq.measurement.run import RAMP_S, ramp_down
-from daq.virtual_bench.bench import Bench
+from daq.measurement.bench_loop import BenchLoop, LimitReached
 from daq.virtual_bench.stream import Block
 from rig.scene.excitation import SweptSine
 from rig.scene.scene import Scene
@@ -22,6 +20,8 @@ Array = NDArray[np.float64]
 
 # Impacts of a damper within this time after another are not stored, s.
 _PAUSE = 0.5
+# Duration of the end of a rehearsal whose blocks are stored, s.
+_STORED_S = 4.0
 
 
 @dataclass
@@ -49,25 +49,42 @@ class Step:
     settled: bool
 
 
-@dataclass
-class Rehearsal:
-    """Result of a test on the bench; extremes are in the unit of each quantity."""
+class Rehearsal(BenchLoop):
+    """A test on the bench without a recording, with its extremes in the unit of each quantity.
 
-    scene: Scene
-    rate: float
-    readings: list[Extreme]
-    overloaded: list[bool]
-    drives: list[Extreme]  # of each input of the rig, before the limits of output and amplifier
-    accelerations: dict[str, Extreme]  # of each point, m/s^2
-    tables: dict[str, Extreme]  # displacement of each table, m
-    closing_speed: Array  # largest of each damper of the scene, m/s
-    strikes: list[list[float]]  # times of impacts of each damper, at most a few a second, s
-    seconds: float = 0.0  # duration on the bench
-    complete: bool = False
-    aborted: str | None = None  # reason for which the test would abort
-    steps: list[Step] = field(default_factory=list)  # held tones
-    sweep: tuple[int, int] | None = None
-    last_blocks: LastBlocks = field(default_factory=lambda: LastBlocks(0.0))
+    The extremes exclude the first `ahead` steps.
+    """
+
+    def __init__(self, scene: Scene, ahead: int = 0) -> None:
+        super().__init__(scene)
+        bench = self.bench
+        self.scene, self.rate, self._ahead = scene, bench.rate, ahead
+        self.readings = [Extreme() for _ in bench.channels]
+        self.overloaded = [False] * len(bench.channels)
+        # Of each input of the rig, before the limits of output and amplifier.
+        self.drives = [Extreme() for _ in bench.inputs]
+        self.accelerations = {point: Extreme() for point in bench.points}
+        self.tables = {point: Extreme() for point in bench.points if point.startswith("table")}
+        self.closing_speed = np.zeros(len(scene.dampers))
+        # Times of the impacts of each damper, s.
+        self.strikes: list[list[float]] = [[] for _ in scene.dampers]
+        self.steps: list[Step] = []
+        self.sweep: tuple[int, int] | None = None
+        self.seconds, self.complete = 0.0, False
+        # Reason for which the test would abort.
+        self.aborted: str | None = None
+        self.last_blocks: deque[Block] = deque()
+        self._stored = 0
+
+    def run(self, longest: float) -> Self:
+        """Run the test to its end, to an abort, or up to a duration in s."""
+        test = excitation(self.station)
+        try:
+            self.complete = self.play(test, next(test), longest)
+        except LimitReached as reached:
+            self.aborted = str(reached)
+        self.seconds = self.station.now / self.rate
+        return self
 
     def frequency_at(self, sample: int) -> float | None:
         """Frequency of the tone at a sample, Hz; None where the test plays no single tone."""
@@ -78,110 +95,47 @@ class Rehearsal:
         earlier = [step for step in self.steps if step.first <= sample]
         return earlier[-1].frequency if earlier else None
 
+    def ending(self, readings: Array) -> BaseException | None:
+        """Return the error of a limit, unless its steps are excluded."""
+        error = super().ending(readings)
+        return None if self._ahead else error
 
-def rehearse(scene: Scene, longest: float, ahead: int = 0) -> Rehearsal:
-    """Run a scene's test without recording it, at most `longest` s; extremes exclude the first `ahead` steps."""
-    return _Run(scene, ahead).run(longest)
-
-
-class _Run:
-    """The loop between excitation and bench of `daq.measurement.run`, without a recording."""
-
-    def __init__(self, scene: Scene, ahead: int) -> None:
-        self._ahead = ahead
-        self._control_lost: str | None = None
-        self._bench = bench = Bench(scene)
-        self._limits = Limits(scene, bench.channels, lambda *args, **fields: None)
-        self._control = ControlLoss(scene, bench.channels)
-        self._station = Station(
-            scene, bench.channels, bench.inputs, bench.rate, mark=self._mark, latency=bench.latency
-        )
-        self._points = bench.points
-        self._last = np.zeros((len(bench.inputs), 2))
-        count = len(bench.channels)
-        self._found = Rehearsal(
-            scene=scene,
-            rate=bench.rate,
-            readings=[Extreme() for _ in range(count)],
-            overloaded=[False] * count,
-            drives=[Extreme() for _ in bench.inputs],
-            accelerations={point: Extreme() for point in bench.points},
-            tables={point: Extreme() for point in bench.points if point.startswith("table")},
-            closing_speed=np.zeros(len(scene.dampers)),
-            strikes=[[] for _ in scene.dampers],
-            last_blocks=LastBlocks.of(bench.rate),
-        )
-
-    def run(self, longest: float) -> Rehearsal:
-        """Run the test to its end, to an abort, or up to a duration."""
-        test = excitation(self._station)
-        drive, found = next(test), self._found
-        quantum = self._station.samples(self._limits.interval)
-        while found.aborted is None and self._station.now < longest * self._bench.rate:
-            readings = []
-            for start in range(0, drive.shape[1], quantum):
-                readings.append(self._acquire(drive[:, start : start + quantum]))
-                came = self._station.now - self._bench.latency - readings[-1].shape[1]
-                trip = self._limits.watch(came, readings[-1])
-                lost = self._control_lost if trip is None else str(trip)
-                if lost is not None and not self._ahead:
-                    found.aborted = lost
-                    break
-            else:
-                try:
-                    drive = test.send(readings[0] if len(readings) == 1 else np.concatenate(readings, axis=1))
-                except StopIteration:
-                    found.complete = True
-                    break
-        if found.aborted is not None:
-            test.close()
-            self._acquire(ramp_down(self._last, self._station.samples(RAMP_S)))
-        elif found.complete and self._bench.latency:
-            self._acquire(np.repeat(self._last[:, -1:], self._bench.latency, axis=1))
-        found.seconds = self._station.now / self._bench.rate
-        return found
-
-    def _acquire(self, drive: Array) -> Array:
-        bench, found, first = self._bench, self._found, self._station.now
-        self._last = np.concatenate([self._last, drive[:, -2:]], axis=1)[:, -2:]
-        got = bench.acquire(drive)
-        found.last_blocks.add(got)
-        readings = np.zeros((len(bench.channels), drive.shape[1]))
-        overload = np.zeros(readings.shape, dtype=bool)
-        came = slice(drive.shape[1] - got.samples.shape[1], None)
-        readings[:, came] = bench.physical(got.samples)
-        overload[:, came] = got.overload
-        self._station.now = first + drive.shape[1]
-        self._control_lost = self._control.watch(first, overload)
+    def took(self, got: Block, readings: Array) -> None:
+        """Update the extremes of channels, tables and bodies, and the impacts of dampers."""
+        self.last_blocks.append(got)
+        self._stored += got.samples.shape[1]
+        while self._stored - self.last_blocks[0].samples.shape[1] > _STORED_S * self.rate:
+            self._stored -= self.last_blocks.popleft().samples.shape[1]
         if self._ahead:
-            return readings
-        for row, extreme in enumerate(found.readings):
-            extreme.add(got.first, readings[row, came])
-            found.overloaded[row] |= bool(overload[row].any())
-        for row, extreme in enumerate(found.drives):
-            extreme.add(first, drive[row])
-        self._follow(got)
-        return readings
-
-    def _follow(self, got: Block) -> None:
-        """Update the motion of tables and bodies, and the impacts of dampers."""
-        motion, found = got.motion, self._found
-        for row, point in enumerate(self._points):
-            found.accelerations[point].add(motion.first, motion.acceleration[row])
-            if point in found.tables:
-                found.tables[point].add(motion.first, motion.displacement[row])
+            return
+        for extreme, values in zip(self.readings, readings, strict=True):
+            extreme.add(got.first, values)
+        motion = got.motion
+        for row, point in enumerate(self.bench.points):
+            self.accelerations[point].add(motion.first, motion.acceleration[row])
+            if point in self.tables:
+                self.tables[point].add(motion.first, motion.displacement[row])
         for event in motion.events[motion.events["speed"] > 0.0]:
             damper = int(event["damper"]) - 1
-            found.closing_speed[damper] = max(found.closing_speed[damper], event["speed"])
-            struck = found.strikes[damper]
+            self.closing_speed[damper] = max(self.closing_speed[damper], event["speed"])
+            struck = self.strikes[damper]
             if not struck or event["time"] - struck[-1] > _PAUSE:
                 struck.append(float(event["time"]))
 
-    def _mark(self, kind: str, first: int, stop: int, **fields: Any) -> None:
+    def acquired(self, first: int, drive: Array, overload: NDArray[np.bool_]) -> None:
+        """Update the extremes of the drives, and the overloads."""
+        if self._ahead:
+            return
+        for extreme, wave in zip(self.drives, drive, strict=True):
+            extreme.add(first, wave)
+        for row in np.flatnonzero(overload.any(axis=1)):
+            self.overloaded[row] = True
+
+    def mark(self, kind: str, first: int, stop: int, **fields: Any) -> None:
+        """Note the tones and the sweep of the test."""
         if kind == "measure" and "from" in fields:
-            self._found.sweep = (first, stop)
+            self.sweep = first, stop
         elif kind in ("settle", "measure") and "frequency" in fields:
-            self._found.steps.append(
-                Step(first, stop, float(fields["frequency"]), bool(fields.get("settled", True)))
-            )
+            settled = bool(fields.get("settled", True))
+            self.steps.append(Step(first, stop, float(fields["frequency"]), settled))
             self._ahead -= kind == "measure" and self._ahead > 0

@@ -8,6 +8,7 @@ them. Of a long random test it is the beginning, of equal hits the first, of rep
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,9 +17,10 @@ from daq.foresight.linear import channel_readings, test_frequencies
 from daq.measurement.estimate import estimate
 from daq.signal_chain.channel import ChannelInfo
 from daq.signal_chain.oversampling import oversampling
-from rig.scene.excitation import Free, Impulse, Multisine, Random, Sine, SteppedSine, SweptSine
+from rig.scene.excitation import Free, Impulse, Multisine, Random, Settle, Sine, SteppedSine, SweptSine
 from rig.scene.presets import filled_in, input_settings
 from rig.scene.scene import Scene
+from rig.scene.shaker import ElectrodynamicShaker
 from rig.system.assembly import assemble
 from rig.system.structural_model import structural_model
 
@@ -106,15 +108,11 @@ def expected_seconds(scene: Scene) -> float:
 
 
 def _wait(scene: Scene) -> float:
-    """Estimate the time between the measurements of a stepped sine, s."""
+    """Estimate the time between the measurements of a stepped sine, s, from the slowest mode."""
     assert isinstance(scene.test, SteppedSine)
-    return _STEP_S + min(_TIME_CONSTANTS * _slowest(scene), scene.test.settle.longest)
-
-
-def _slowest(scene: Scene) -> float:
-    """Time constant of the slowest mode, s."""
     modes = structural_model(scene).modes
-    return float(1.0 / max(modes.decay_rate[modes.omega > 0.0].min(initial=np.inf), 1e-3))
+    slowest = float(1.0 / max(modes.decay_rate[modes.omega > 0.0].min(initial=np.inf), 1e-3))
+    return _STEP_S + min(_TIME_CONSTANTS * slowest, scene.test.settle.longest)
 
 
 def _holds_spring_force(scene: Scene) -> bool:
@@ -123,21 +121,14 @@ def _holds_spring_force(scene: Scene) -> bool:
 
 
 def _fewer_hits(test: Impulse, seconds: float) -> Impulse:
-    """Keep the first hits, which later hits repeat."""
+    """Keep the first hits, which later hits repeat, with their bounces."""
+    double, repeats, interval = test.double_hit, max(1, int(seconds / test.interval)), test.interval
     if test.interval >= seconds:
-        after = 0.0 if test.double_hit is None else test.double_hit.after
-        interval = max(seconds, 2.0 * (test.width + after))
-        return test.replace(repeats=1, interval=interval, double_hit=_bounces(test, 1))
-    repeats = max(1, int(seconds / test.interval))
-    return test.replace(repeats=repeats, double_hit=_bounces(test, repeats))
-
-
-def _bounces(test: Impulse, repeats: int) -> object:
-    """Bounces of the hits that are kept."""
-    if test.double_hit is None or test.double_hit.hits is None:
-        return test.double_hit
-    hits = tuple(hit for hit in test.double_hit.hits if hit <= repeats)
-    return test.double_hit.replace(hits=hits) if hits else None
+        interval = max(seconds, 2.0 * (test.width + (0.0 if double is None else double.after)))
+    if double is not None and double.hits is not None:
+        hits = tuple(hit for hit in double.hits if hit <= repeats)
+        double = double.replace(hits=hits) if hits else None
+    return test.replace(repeats=repeats, interval=interval, double_hit=double)
 
 
 def about_peaks(
@@ -152,16 +143,7 @@ def about_peaks(
         rising, direction = test_frequencies(test, _SWEEP_POINTS), "up" if test.from_ < test.to else "down"
         settle, periods = SteppedSine.model_fields["settle"].default, 5
         level = test.force or test.drive or 0.0
-    settle = settle.replace(longest=min(settle.longest, _LONGEST_WAIT_S))
-    row = {
-        "kind": "stepped_sine",
-        "start": test.start,
-        "direction": direction,
-        "shaker": test.shaker,
-        "settle": settle,
-        "measure": {"periods": periods},
-        "drive" if test.force is None else "force": level,
-    }
+    row = _tones(test, direction, level, settle, {"periods": periods})
     runs = 2 if direction == "both" else 1
     step = _wait(scene.replace(test={**row, "frequencies": rising.tolist()})) + periods / rising.mean()
     chosen = _chosen(scene, channels, rising, max(2, int(seconds / step / runs)))
@@ -222,3 +204,56 @@ def _chosen(scene: Scene, channels: tuple[ChannelInfo, ...], rising: Array, most
                     chosen.add(place)
         reach += 1
     return np.array(sorted(chosen), dtype=np.intp)
+
+
+def level_key(scene: Scene) -> tuple[str, float, str]:
+    """Key of the test's level in the scene, the highest level, and its unit; ("", nan, "") without a level."""
+    test = scene.test
+    if isinstance(test, Impulse):
+        return "test.peak", test.peak, "N"
+    for name in ("force", "drive"):
+        given = getattr(test, name, None)
+        if given is not None:
+            unit = "N"
+            if name == "drive":
+                shaker = scene.driven_shaker
+                unit = "V" if isinstance(shaker, ElectrodynamicShaker) else "m"
+                unit = "N" if shaker is not None and shaker.kind == "force" else unit
+            return f"test.{name}", float(max(given) if isinstance(given, tuple) else given), unit
+    return "", np.nan, ""
+
+
+def at_level(scene: Scene, level: float) -> Scene:
+    """Give the scene with another level of its test."""
+    key = level_key(scene)[0].removeprefix("test.")
+    assert scene.test is not None
+    return scene.replace(test=scene.test.replace(**{key: level}))
+
+
+def near_extreme(scene: Scene, frequency: float | None, seconds: float) -> tuple[Scene | None, int]:
+    """Give the scene with the few tones of its test before a frequency, or with its test if that is short."""
+    test = scene.test
+    if isinstance(test, SteppedSine) and frequency is not None:
+        order = list(test.order)
+        place = int(np.argmin(np.abs(np.array(order) - frequency)))
+        first = max(place - 2, 0)
+        direction = "up" if len(order) < 2 or order[place] >= order[max(place - 1, 0)] else "down"
+        few = _tones(test, direction, max(test.levels), test.settle, test.measure)
+        few["frequencies"] = sorted(set(order[first : place + 2]))
+        return scene.replace(test=few), min(place - first, 1)
+    return (scene, 0) if estimate(scene).seconds <= seconds else (None, 0)
+
+
+def _tones(
+    test: SteppedSine | SweptSine, direction: str, level: float, settle: Settle, measure: object
+) -> dict[str, Any]:
+    """Give the settings of a stepped sine in place of a test, without its frequencies."""
+    return {
+        "kind": "stepped_sine",
+        "start": test.start,
+        "direction": direction,
+        "shaker": test.shaker,
+        "settle": settle.replace(longest=min(settle.longest, _LONGEST_WAIT_S)),
+        "measure": measure,
+        "drive" if test.force is None else "force": level,
+    }

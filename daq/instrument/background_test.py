@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.excitation import Excitation, Station, excitation
-from daq.measurement.run import RAMP_S, ramp_down
+from daq.measurement.bench_loop import RAMP_S, ramp_down
 from daq.signal_chain.oversampling import DriveLine
 from rig.errors import ShotrigError
 

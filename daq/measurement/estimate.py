@@ -35,11 +35,10 @@ class Estimate:
     """Lower bounds of the resources of a test, without the waits for steady states."""
 
     seconds: float
-    samples: float
-    disk: float
-    memory: float
-    waits: bool
-    """Whether the test waits for the steady state at each frequency, for an unknown time."""
+    samples: float  # per channel
+    disk: float  # bytes
+    memory: float  # bytes
+    waits: bool  # for the steady state at each frequency, for an unknown time
 
     def __str__(self) -> str:
         more = (
@@ -69,7 +68,7 @@ def estimate(scene: Scene) -> Estimate:
     motion = 3 * scene.structure.bodies * (TRUTH_COPIES if scene.recording.truth else MOTION_COPIES)
     memory = PROGRAM + channels * state + 8.0 * stretch * (COPIES * channels + motion)
     if isinstance(scene.test, Multisine):
-        memory += 8.0 * PERIOD_COPIES * _period(scene.test) * rate
+        memory += 8.0 * PERIOD_COPIES * scene.test.period_s * rate
     points = scene.structure.bodies + len(scene.tables)
     true_series = 3 * points + len(scene.dampers) if scene.recording.truth else 0
     stored = scene.recording.samples or ("float64" if scene.converter.bits is None else "counts")
@@ -81,16 +80,16 @@ def refuse_too_much(what: Estimate, path: Path) -> None:
     """Reject a test that exceeds the samples, the free disk space or the memory permitted."""
     if not what.samples <= MOST_SAMPLES:
         raise SceneError(
-            f"the test would take {_duration(what.seconds)} and {what.samples:.3g} samples of each channel; at most "
-            f"{MOST_SAMPLES:.0e} are taken: choose a shorter test or a lower rate"
+            f"test: {_duration(what.seconds)} and {what.samples:.3g} samples of each channel are too many (at most "
+            f"{MOST_SAMPLES:.0e}). Choose a shorter test or a lower rate."
         )
     need(what.memory, "the test with half a second of all its channels, as held before it is written,")
     folder = next(folder for folder in path.absolute().parents if folder.is_dir())
     free = shutil.disk_usage(folder).free
     if what.disk * FEWEST + RESERVE > free:
         raise SceneError(
-            f"the test would take about {_size(what.disk)}, and the disk of {path} has {_size(free)} left; choose "
-            "another disk (-o FILE.mcap), a shorter test, or a lower rate"
+            f"{path}: the test would take about {_size(what.disk)}, and the disk has {_size(free)} left. Choose "
+            "another disk (-o FILE.mcap), a shorter test, or a lower rate."
         )
 
 
@@ -102,14 +101,10 @@ def _shortest(scene: Scene) -> float:
     if isinstance(test, SteppedSine):
         return len(test.levels) * test.measure.periods * sum(1.0 / frequency for frequency in test.order)
     if isinstance(test, Multisine):
-        return test.realisations * test.periods * _period(test)
+        return test.realisations * test.periods * test.period_s
     if isinstance(test, Impulse):
         return test.repeats * test.interval
     return test.duration
-
-
-def _period(test: Multisine) -> float:
-    return test.period if test.period is not None else (test.lines or 2) / (test.to - test.from_)
 
 
 def _duration(seconds: float) -> str:

@@ -28,11 +28,11 @@ def missing_force_reference(scene: Scene, channels: Sequence[ChannelInfo]) -> st
         return None
     shaker = scene.driven_shaker
     assert shaker is not None
-    missing = [
-        f"{{name: {'force' if shaker.kind == 'force' else place.replace(' ', '')}, at: {place}}}"
-        for place in places
-    ]
+    names = ["force" if shaker.kind == "force" else place.replace(" ", "") for place in places]
+    missing = " and ".join(
+        f"{{name: {name}, at: {place}}}" for name, place in zip(names, places, strict=True)
+    )
     return (
-        "no channel measures the force on the structure, so `analysis frf` has no reference; "
-        f"add {' and '.join(missing)} to the scene's channels"
+        "no channel measures the force on the structure, so `analysis frf` has no reference. "
+        f"Add {missing} to the scene's channels."
     )

@@ -20,6 +20,8 @@ _PAUSE = 0.5
 # Interval at which the channels are checked, s, independent of the block size; the longer interval if the channels
 # have no limits and only the control can be lost.
 _WATCH, _WATCH_LONG = 0.1, 0.5
+# Duration of an overload of a control channel after which a test ends, s.
+_CLIPPED = 1.0
 
 
 @dataclass(frozen=True)
@@ -37,10 +39,6 @@ class Trip:
             f"channel {name} read {self.value:.4g} {unit} at {self.sample / self.channel.rate:.3f} s, "
             f"beyond its abort limit of {self.limit:.4g} {unit}"
         )
-
-
-#: Duration of an overload of a control channel after which a test ends, s.
-_CLIPPED = 1.0
 
 
 class Stretches:
@@ -64,17 +62,15 @@ class Stretches:
         for row in range(len(self._channels)):
             flagged = np.flatnonzero(flags[row]) + first
             # Flagged samples with a gap shorter than a pause belong to the same interval.
-            for together in np.split(flagged, np.flatnonzero(np.diff(flagged) > pause) + 1):
-                if together.size:
-                    self._join(row, int(together[0]), int(together[-1]) + 1, pause)
+            for interval in np.split(flagged, np.flatnonzero(np.diff(flagged) > pause) + 1):
+                if not interval.size:
+                    continue
+                start, stop = int(interval[0]), int(interval[-1]) + 1
+                if row in self._open and start - self._open[row][1] >= pause:
+                    self._note(row)
+                self._open[row] = self._open.get(row, (start, stop))[0], stop
             if row in self._open and first + flags.shape[1] - self._open[row][1] >= pause:
                 self._note(row)
-
-    def _join(self, row: int, start: int, stop: int, pause: int) -> None:
-        """Merge an interval into the open interval, if the gap is short."""
-        if row in self._open and start - self._open[row][1] >= pause:
-            self._note(row)
-        self._open[row] = self._open.get(row, (start, stop))[0], stop
 
     def close(self) -> None:
         """Mark the open intervals."""
@@ -131,13 +127,10 @@ class ControlLoss:
 
     def __init__(self, scene: Scene, channels: Sequence[ChannelInfo]) -> None:
         shaker = scene.driven_shaker
-        held = getattr(scene.test, "force", None) is not None
-        places = (
-            ()
-            if shaker is None or shaker.kind == "force"
-            else (scene.at_driven("table"), f"body {shaker.bodies[0]}")
-        )
-        self._rows = [row for row, info in enumerate(channels) if held and info.at in places]
+        places: tuple[str, ...] = ()
+        if shaker is not None and shaker.kind != "force" and getattr(scene.test, "force", None) is not None:
+            places = scene.at_driven("table"), f"body {shaker.bodies[0]}"
+        self._rows = [row for row, info in enumerate(channels) if info.at in places]
         self._scene, self._channels = scene, channels
         self._since: int | None = None
 

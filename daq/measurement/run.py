@@ -16,14 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.excitation import Excitation, Station, excitation
+from daq.measurement.bench_loop import BenchLoop
 from daq.measurement.estimate import estimate, refuse_too_much
 from daq.measurement.force_reference import missing_force_reference
-from daq.measurement.limits import ControlLoss, Limits, Stretches
+from daq.measurement.limits import Stretches
 from daq.recording.committed_file import DiskError
 from daq.recording.interrupts import answered
 from daq.recording.recorded_test import TestKind, kind_of_settings
 from daq.recording.recorder import Recorder
-from daq.virtual_bench.bench import Bench
 from daq.virtual_bench.stream import Block
 from rig.ending_signals import came
 from rig.errors import RecordingError, RunError, SceneError, ShotrigError
@@ -35,8 +35,6 @@ from rig.scene.scene import Scene
 Array = NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
-#: Duration of the drive's ramp to zero after an early end of a test, s.
-RAMP_S = 0.05
 # Fraction of a test after which the size of its recording can be extrapolated.
 _ENOUGH = 0.02
 
@@ -101,8 +99,8 @@ def record(
     return MeasurementRun(what, target, block, progress).run(overwrite)
 
 
-class MeasurementRun:
-    """One run of a test: the loop between excitation, bench and recorder.
+class MeasurementRun(BenchLoop):
+    """A run of a test that is recorded.
 
     `heard` is called with each block and the readings of the channels; `kind` differs from the scene's for a
     manual test.
@@ -118,36 +116,19 @@ class MeasurementRun:
         heard: Callable[[Block, Array], None] = lambda block, readings: None,
         kind: TestKind | None = None,
     ) -> None:
+        super().__init__(scene, block)
         self._path = path
         self._kind = kind_of_settings(scene.test) if kind is None else kind
-        self._excite, self._heard = excite, heard
-        self._block, self._progress = block, progress
-        self.bench = Bench(scene)
-        self._warnings: list[str] = []
-        self._station = Station(
-            scene,
-            self.bench.channels,
-            self.bench.inputs,
-            self.bench.rate,
-            mark=self._mark,
-            report=self._report,
-            warn=self._warnings.append,
-            latency=self.bench.latency,
-        )
+        self._excite, self._heard, self._progress = excite, heard, progress
         self._recorder: Recorder | None = None
+        self._interrupted: Callable[[], bool] = lambda: False
         self._lost = 0
-        self._last = np.zeros((len(self.bench.inputs), 2))
-        self._limits = Limits(scene, self.bench.channels, self._mark)
-        self._overloads = Stretches("overload", self.bench.channels, self._mark)
-        self._control = ControlLoss(scene, self.bench.channels)
-        self._control_lost: str | None = None
-        # Sample at which the test was aborted, if any.
-        self._ended: int | None = None
+        self._overloads = Stretches("overload", self.bench.channels, self.mark)
 
     def run(self, overwrite: bool) -> Path:
         """Run the test to its end and close the recording."""
         # Errors of the test are reported before a file is created.
-        test = self._excite(self._station)
+        test = self._excite(self.station)
         drive = next(test)
         bench, path = self.bench, self._path
         missing = missing_force_reference(bench.scene, bench.channels)
@@ -158,7 +139,7 @@ class MeasurementRun:
             # Interrupts are deferred while the file is created and while it is completed: otherwise it would be
             # invalid.
             with (
-                _interruptible() as interrupted,
+                _interruptible() as self._interrupted,
                 Recorder(
                     path, bench.scene, bench.channels, bench.rate, overwrite=overwrite, test_kind=self._kind
                 ) as recorder,
@@ -167,16 +148,16 @@ class MeasurementRun:
                 try:
                     # The test must write its last markers while the recorder is open.
                     with closing(test):
-                        self._play(test, drive, interrupted)
+                        self.play(test, drive)
                 except (ShotrigError, _Stopped) as error:
-                    ended = self._last_sample if self._ended is None else self._ended
-                    self._mark("abort", ended, ended + 1, reason=str(error))
+                    ended = self.last_sample if self.ended is None else self.ended
+                    self.mark("abort", ended, ended + 1, reason=str(error))
                     raise
                 finally:
                     self._note_loss()
                     self._limits.close()
                     self._overloads.close()
-            if interrupted():
+            if self._interrupted():
                 raise KeyboardInterrupt(self._holds())
         except _Stopped as stopped:
             raise KeyboardInterrupt(self._holds()) from stopped
@@ -187,99 +168,54 @@ class MeasurementRun:
             if self._recorder is None:
                 raise
             raise type(error)(f"{error}; {self._holds()}") from error
-        for message in dict.fromkeys(self._warnings):
+        for message in dict.fromkeys(self.warnings):
             warnings.warn(message, RunWarning, stacklevel=4)
         return path
 
-    def _play(self, test: Excitation, drive: Array, interrupted: Callable[[], bool]) -> None:
-        quantum = self._station.samples(self._limits.interval)
-        while True:
-            readings = []
-            for start in range(0, drive.shape[1], quantum):
-                readings.append(self._acquire(drive[:, start : start + quantum]))
-                came = self._station.now - self.bench.latency - readings[-1].shape[1]
-                trip = self._limits.watch(came, readings[-1])
-                ends = trip if trip is not None else self._control_lost
-                if ends is not None:
-                    self._ended = trip.sample if trip is not None else self._last_sample
-                    self._end(test)
-                    raise RunError(f"test aborted: {ends}")
-                if interrupted():
-                    self._end(test)
-                    raise _Stopped("interrupted")
-            try:
-                drive = test.send(readings[0] if len(readings) == 1 else np.concatenate(readings, axis=1))
-            except StopIteration:
-                if self.bench.latency:
-                    self._acquire(np.repeat(self._last[:, -1:], self.bench.latency, axis=1))
-                return
+    def ending(self, readings: Array) -> BaseException | None:
+        """Return the error of a limit, or of an interrupt by the user."""
+        error = super().ending(readings)
+        if error is not None:
+            return RunError(f"test aborted: {error}")
+        return _Stopped("interrupted") if self._interrupted() else None
 
-    def _acquire(self, drive: Array) -> Array:
-        """Acquire and record a window in blocks; return the readings of the channels."""
+    def took(self, got: Block, readings: Array) -> None:
+        """Record a block, except for the samples that are lost during the transfer."""
         assert self._recorder is not None
-        first, size = self._station.now, drive.shape[1]
-        block = size if self._block is None else self._block
-        readings = np.zeros((len(self.bench.channels), size))
-        overload = np.zeros(readings.shape, dtype=bool)
-        for start in range(0, size, block):
-            part = slice(start, min(start + block, size))
-            got = self.bench.acquire(drive[:, part])
-            if self.bench.scene.recording.truth:
-                self._recorder.write_truth(got.motion)
-            self._write(got.samples, got.first)
-            # If the latency of a filter is removed from the sample numbers, the first blocks have no samples.
-            came = slice(part.stop - got.samples.shape[1], part.stop)
-            readings[:, came] = self.bench.physical(got.samples)
-            overload[:, came] = got.overload
-            self._heard(got, readings[:, came])
-        self._station.now = first + size
-        self._last = np.concatenate([self._last, drive[:, -2:]], axis=1)[:, -2:]
+        if self.bench.scene.recording.truth:
+            self._recorder.write_truth(got.motion)
+        # At a low rate a whole window may be shorter than the removed filter delay.
+        if got.samples.size and not self.bench.lost:
+            self._recorder.write(got.samples)
+        elif got.samples.size:
+            kept = np.ones(got.samples.shape[1], dtype=bool)
+            for begin, end in self.bench.lost:
+                kept[max(0, begin - got.first) : max(0, end + 1 - got.first)] = False
+            for start, stop in stretches_of_equals(kept):
+                if not kept[start]:
+                    self._lost += stop - start
+                    continue
+                self._note_loss()
+                self._recorder.write(got.samples[:, start:stop])
+        self._heard(got, readings)
+
+    def acquired(self, first: int, drive: Array, overload: NDArray[np.bool_]) -> None:
+        """Mark the overloads of a window."""
         self._overloads.add(first - self.bench.latency, overload)
-        self._control_lost = self._control.watch(first, overload)
-        return readings
-
-    def _write(self, samples: NDArray[Any], first: int) -> None:
-        """Write samples, except those that are lost during the transfer to the recording."""
-        assert self._recorder is not None
-        if not samples.size:
-            # At a low rate a whole window may be shorter than the removed filter delay.
-            return
-        if not self.bench.lost:
-            self._recorder.write(samples)
-            return
-        kept = np.ones(samples.shape[1], dtype=bool)
-        for begin, end in self.bench.lost:
-            kept[max(0, begin - first) : max(0, end + 1 - first)] = False
-        for start, stop in stretches_of_equals(kept):
-            if not kept[start]:
-                self._lost += stop - start
-                continue
-            self._note_loss()
-            self._recorder.write(samples[:, start:stop])
 
     def _note_loss(self) -> None:
         if self._lost and self._recorder is not None and self._recorder.takes_more:
             self._recorder.gap(self._lost)
             self._lost = 0
 
-    def _end(self, test: Excitation) -> None:
-        """End the test at the present sample and ramp the drive to zero, continuously and with a continuous slope."""
-        # The test is closed first: its markers of held intervals must not include the ramp.
-        test.close()
-        self._acquire(ramp_down(self._last, self._station.samples(RAMP_S)))
-
-    def _mark(self, kind: str, first: int, stop: int, **fields: Any) -> None:
+    def mark(self, kind: str, first: int, stop: int, **fields: Any) -> None:
+        """Write a marker."""
         assert self._recorder is not None
         # No marker is written on a full disk: its error would hide the message that the disk is full.
         if self._recorder.takes_more:
             self._recorder.mark(kind, first, stop - 1, **fields)
 
-    @property
-    def _last_sample(self) -> int:
-        """Number of the last sample of the converter."""
-        return max(0, self._station.now - self.bench.latency - 1)
-
-    def _report(self, fraction: float, message: str) -> None:
+    def report(self, fraction: float, message: str) -> None:
         """Report progress, with a warning if the disk space will not suffice: the first estimate excludes waits."""
         if self._progress is None:
             return
@@ -291,7 +227,7 @@ class MeasurementRun:
         self._progress(fraction, message)
 
     def _holds(self) -> str:
-        return f"{self._path} holds the {self._station.now / self.bench.rate:.2f} s up to there"
+        return f"{self._path} holds the {self.station.now / self.bench.rate:.2f} s up to there"
 
 
 def _make_folder(path: Path) -> None:
@@ -300,15 +236,9 @@ def _make_folder(path: Path) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise RecordingError(
-            f"cannot make the folder {path.parent.absolute()} for the recording: {error.strerror}; choose a place "
-            "that can be written to (-o FILE.mcap)"
+            f"{path}: cannot make the folder {path.parent.absolute()} ({error.strerror}). Choose a place that can be "
+            "written to (-o FILE.mcap)."
         ) from None
-
-
-def ramp_down(last: Array, samples: int) -> Array:
-    """Return a ramp of the drive to zero, continuous in value and slope, from its last two samples (inputs, 2)."""
-    part = np.arange(1, samples + 1)
-    return (last[:, -1:] + (last[:, -1:] - last[:, :1]) * part) * (1 + np.cos(np.pi * part / samples)) / 2
 
 
 class _Stopped(KeyboardInterrupt):

@@ -60,6 +60,11 @@ class ChannelInfo:
         return UNITS[self.quantity]
 
     @property
+    def derivative(self) -> int | None:
+        """Order of the derivative of the displacement that is read; None of a force or a voltage."""
+        return {"displacement": 0, "velocity": 1, "acceleration": 2}.get(self.quantity)
+
+    @property
     def sampling(self) -> Literal["point", "average", "filter"]:
         """What a sample is: the voltage at its instant, its average over the interval before, or what a filter gave."""
         return "filter" if self.filter else "average" if self.average else "point"

@@ -234,6 +234,11 @@ class Multisine(Settings):
     """Numbers of other shakers to drive simultaneously: each realisation then has one experiment per shaker,
     with orthogonal phases."""
 
+    @property
+    def period_s(self) -> float:
+        """Period of the signal [s], as given or from the number of lines."""
+        return self.period if self.period is not None else (self.lines or 2) / (self.to - self.from_)
+
     def relations(self) -> Iterable[Mistake]:
         """Check the band."""
         yield from band(self.from_, self.to)

@@ -15,7 +15,7 @@ import numpy as np
 import yaml
 
 import daq
-from daq.measurement.run import RAMP_S
+from daq.measurement.bench_loop import RAMP_S
 from rig.ending_signals import ENDINGS
 from rig.errors import ShotrigError
 from tests.daq.importing import files

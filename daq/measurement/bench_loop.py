@@ -1,0 +1,126 @@
+"""The loop between the excitation of a test and the bench: windows of drive in, readings within their limits out."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.excitation.station import Excitation, Station
+from daq.measurement.limits import ControlLoss, Limits
+from daq.virtual_bench.bench import Bench
+from daq.virtual_bench.stream import Block
+from rig.errors import RunError
+from rig.scene.scene import Scene
+
+Array = NDArray[np.float64]
+
+#: Duration of the drive's ramp to zero after an early end of a test, s.
+RAMP_S = 0.05
+
+
+def ramp_down(last: Array, samples: int) -> Array:
+    """Return a ramp of the drive to zero, continuous in value and slope, from its last two samples (inputs, 2)."""
+    part = np.arange(1, samples + 1)
+    return (last[:, -1:] + (last[:, -1:] - last[:, :1]) * part) * (1 + np.cos(np.pi * part / samples)) / 2
+
+
+class LimitReached(RunError):
+    """A channel exceeded its abort limit, or the controlled force could no longer be read."""
+
+
+class BenchLoop:
+    """A test on the bench of its scene; `took` and `acquired` receive the blocks and windows, `mark` the markers."""
+
+    def __init__(self, scene: Scene, block: int | None = None) -> None:
+        self.bench = bench = Bench(scene)
+        self.warnings: list[str] = []
+        self.station = Station(
+            scene,
+            bench.channels,
+            bench.inputs,
+            bench.rate,
+            self.mark,
+            self.report,
+            self.warnings.append,
+            bench.latency,
+        )
+        self.ended: int | None = None  # sample at which a limit ended the test
+        self._block = block
+        self._limits = Limits(scene, bench.channels, self.mark)
+        self._control = ControlLoss(scene, bench.channels)
+        self._control_lost: str | None = None
+        self._last = np.zeros((len(bench.inputs), 2))
+
+    def mark(self, kind: str, first: int, stop: int, **fields: Any) -> None:
+        """Receive a marker of the samples first to stop - 1."""
+        raise NotImplementedError
+
+    def report(self, fraction: float, message: str) -> None:
+        """Receive the progress of the test."""
+
+    def took(self, got: Block, readings: Array) -> None:
+        """Receive a block, and its readings in the unit of each channel."""
+
+    def acquired(self, first: int, drive: Array, overload: NDArray[np.bool_]) -> None:
+        """Receive the drive and the overloads of a window from the sample `first` on."""
+
+    @property
+    def last_sample(self) -> int:
+        """Number of the last sample of the converter."""
+        return max(0, self.station.now - self.bench.latency - 1)
+
+    def play(self, test: Excitation, drive: Array, longest: float = math.inf) -> bool:
+        """Play a test from its first window; return whether it came to its end within `longest` s.
+
+        An error of `ending` is raised after a ramp of the drive to zero, continuous in value and slope.
+        """
+        quantum = self.station.samples(self._limits.interval)
+        while self.station.now < longest * self.bench.rate:
+            readings = []
+            for start in range(0, drive.shape[1], quantum):
+                readings.append(self.acquire(drive[:, start : start + quantum]))
+                error = self.ending(readings[-1])
+                if error is not None:
+                    # The test is closed first: its markers of held intervals must not include the ramp.
+                    test.close()
+                    self.acquire(ramp_down(self._last, self.station.samples(RAMP_S)))
+                    raise error
+            try:
+                drive = test.send(readings[0] if len(readings) == 1 else np.concatenate(readings, axis=1))
+            except StopIteration:
+                if self.bench.latency:
+                    self.acquire(np.repeat(self._last[:, -1:], self.bench.latency, axis=1))
+                return True
+        return False
+
+    def ending(self, readings: Array) -> BaseException | None:
+        """Return the error that ends the test after these readings, if any."""
+        came = self.station.now - self.bench.latency - readings.shape[1]
+        trip = self._limits.watch(came, readings)
+        if trip is None and self._control_lost is None:
+            return None
+        self.ended = self.last_sample if trip is None else trip.sample
+        return LimitReached(self._control_lost if trip is None else str(trip))
+
+    def acquire(self, drive: Array) -> Array:
+        """Acquire a window in blocks; return the readings of the channels."""
+        first, size = self.station.now, drive.shape[1]
+        block = size if self._block is None else self._block
+        readings = np.zeros((len(self.bench.channels), size))
+        overload = np.zeros(readings.shape, dtype=bool)
+        for start in range(0, size, block):
+            stop = min(start + block, size)
+            got = self.bench.acquire(drive[:, start:stop])
+            # If the latency of a filter is removed from the sample numbers, the first blocks have no samples.
+            came = slice(stop - got.samples.shape[1], stop)
+            readings[:, came] = self.bench.physical(got.samples)
+            overload[:, came] = got.overload
+            self.took(got, readings[:, came])
+        self.station.now = first + size
+        self._last = np.concatenate([self._last, drive[:, -2:]], axis=1)[:, -2:]
+        self._control_lost = self._control.watch(first, overload)
+        self.acquired(first, drive, overload)
+        return readings

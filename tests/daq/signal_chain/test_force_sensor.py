@@ -90,16 +90,16 @@ def test_chain_study_corrects_force_sensor_preset() -> None:
     ("shaker", "test", "channels", "missing"),
     [
         ("{kind: force, body: 1}", STEPS, [BODY, FORCE], None),
-        ("{kind: force, body: 1}", STEPS, [BODY], "add {name: force, at: shaker} to"),
-        ("{kind: force, body: 1}", "", [BODY], "add {name: force, at: shaker} to"),
+        ("{kind: force, body: 1}", STEPS, [BODY], "Add {name: force, at: shaker} to"),
+        ("{kind: force, body: 1}", "", [BODY], "Add {name: force, at: shaker} to"),
         ("{kind: force, body: 1}", "test: {kind: free, mode: 1, amplitude: 1 mm}\n", [BODY], None),
         ("{kind: table, body: 2, spring: 5 kN/m}", "", [BODY, TABLE], None),
-        ("{kind: table, body: 2, spring: 5 kN/m}", "", [BODY], "add {name: table, at: table} to"),
+        ("{kind: table, body: 2, spring: 5 kN/m}", "", [BODY], "Add {name: table, at: table} to"),
         (
             "{kind: table, body: 1, spring: 5 kN/m}",
             "",
             [BODY],
-            "add {name: table, at: table} and {name: body1, at: body 1} to",
+            "Add {name: table, at: table} and {name: body1, at: body 1} to",
         ),
     ],
 )

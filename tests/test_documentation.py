@@ -81,8 +81,9 @@ def test_commands_of_pages_run_as_typed(page, folder) -> None:
 def test_readme_quotes_the_comparison_it_prints(folder) -> None:
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     (words,) = [words for words in commands(ROOT / "README.md", "sh") if words[1] == "compare"]
-    (quoted,) = re.findall(r"^    (body3.*?)(?: \.\.\.)?$", text, re.MULTILINE)
-    assert quoted in CliRunner().invoke(import_module("analysis.cli").app, words[1:]).output
+    header, row = re.findall(r"^    ((?:response|body3) .*)$", text, re.MULTILINE)
+    printed = CliRunner().invoke(import_module("analysis.cli").app, words[1:]).output
+    assert header in printed and row in printed
 
 
 @pytest.mark.thorough

@@ -9,7 +9,7 @@ from math import inf, isinf, log10, sqrt
 import numpy as np
 
 from analysis.modal.modes import Modes
-from rig.results import plainly, rounded
+from rig.results import plainly
 from rig.results.response import Response
 from rig.results.uncertainty import SENSITIVITY
 
@@ -291,49 +291,3 @@ def unresolved(peaks: Sequence[tuple[float, str, Peak]]) -> list[str]:
             f"measure every {worst.step * sqrt(_RESOLVED / off):.1g} Hz there"
         )
     return said
-
-
-def describe_changes(changes: Sequence[PeakChange]) -> list[str]:
-    """Return one line for each peak that was compared."""
-    return [f"{one.response}, mode at {one.mode:.2f} Hz: {_described(one)}" for one in changes]
-
-
-def _described(one: PeakChange) -> str:
-    bare, damped = one.bare, one.damped
-    before = rounded(1e6 * bare.value, 1e6 * bare.bound)
-    if damped.at_end:
-        return (
-            f"of the peak of {before} µm/N none is left between {damped.first:.2f} and {damped.last:.2f} Hz, where the "
-            f"curve reaches {1e6 * damped.value:.4g} µm/N"
-        )
-    return (
-        f"peak {_change(one.decibel, 'dB', 1, 'lowered', 'raised')}, from {before} to "
-        f"{rounded(1e6 * damped.value, 1e6 * damped.bound)} µm/N; "
-        f"{_change(one.shift, 'Hz', 2, 'moved down', 'moved up')}, to {damped.frequency:.2f} Hz; "
-        f"{_without_bound(one) or f'as if damped by {100 * one.equivalent_damping:.2g} % of critical'}"
-    )
-
-
-def _change(value: tuple[float, float, float], unit: str, digits: int, falls: str, rises: str) -> str:
-    """Format a change: ``lowered by 12.3 dB (12.0 to 12.6 dB)``, with signs if its direction is uncertain."""
-    best, low, high = value
-    if low <= 0.0 <= high and not isinf(low) and not isinf(high):
-        return f"changed by {best:+.{digits}f} {unit} ({low:+.{digits}f} to {high:+.{digits}f} {unit})"
-    word, sign = (falls, -1.0) if best < 0.0 else (rises, 1.0)
-    least, most = sorted((sign * low, sign * high))
-    limits = f"{least:.{digits}f} to {most:.{digits}f} {unit}"
-    if isinf(least) and isinf(most):
-        return "changed by an unknown amount"
-    if isinf(least) or isinf(most):
-        # If one limit is infinite, there is no best estimate.
-        return (
-            f"{word} by at {f'least {least:.{digits}f}' if isinf(most) else f'most {most:.{digits}f}'} {unit}"
-        )
-    return f"{word} by {sign * best:.{digits}f} {unit} ({limits})"
-
-
-def _without_bound(change: PeakChange) -> str:
-    """Message about the peaks that have no upper bound."""
-    peaks = (("first", change.bare), ("second", change.damped))
-    which = " and ".join(name for name, one in peaks if isinf(one.bound))
-    return which and f"the {which} peak may be higher than measured"

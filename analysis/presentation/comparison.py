@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from analysis.damper_motion.comparison import (
     PeakChange,
     covers,
-    describe_changes,
     highest_left_out,
     peak_changes,
     unresolved,
@@ -25,12 +24,13 @@ from analysis.modal.identification import identify
 from analysis.modal.modes import Modes
 from analysis.presentation.expectations import expect, repeats
 from analysis.presentation.output_names import check_outputs, output_stem, with_ending
-from analysis.presentation.result import Progress, Result, noted
+from analysis.presentation.result import Progress, Result, aligned, noted
 from analysis.presentation.tables import write_table
 from analysis.recordings.names import opened, relabelled, scene_labels
 from analysis.responses.frequency_responses import frequency_responses
 from analysis.responses.measurands import reference_of, responses
 from rig.errors import SceneError
+from rig.results import rounded
 from rig.results.response import Response
 from rig.results.result import Result as ResultBase
 from rig.results.result import styled
@@ -128,17 +128,59 @@ def compare_peaks(paths: Sequence[Path], progress: Progress | None = None) -> Co
         changes = peak_changes(modes, bare, group, same)
         notes += noted(paths[0], unresolved([(one.mode, one.response, one.bare) for one in changes]))
         notes += noted(path, unresolved([(one.mode, one.response, one.damped) for one in changes]))
-        lines.append(f"{bare[0].label} -> {group[0].label}, by {bare[0].input}")
+        lines.append(f"{bare[0].label} -> {group[0].label}, {bare[0].input}")
         lines += [f"  {line}" for line in describe_changes(changes)]
         if any(SENSITIVITY in curve.limits for curve in group if curve.response in same):
             lines.append(
-                f"  by their data sheets the same sensors read {', '.join(same)} and the force in both: what their "
-                "sensitivities are off by is in no change"
+                f"  {', '.join(same)}: measured with the same sensors, whose sensitivity errors cancel in these "
+                "changes"
             )
         lines += _without_peaks(changes, ((paths[0], bare), (path, group)), modes)
         jumps |= any(isinf(one.bare.bound + one.damped.bound) for one in changes)
         every += [(bare[0], group[0], change) for change in changes]
     return Comparison(tuple(every), tuple(lines), (*dict.fromkeys(notes), *((_JUMPS,) if jumps else ())))
+
+
+def describe_changes(changes: Sequence[PeakChange]) -> list[str]:
+    """Tabulate the peaks that were compared, with the 95 % interval of each change, and explain missing limits."""
+    rows = [
+        (
+            "response", "mode / Hz", "before µm/N", "after µm/N", "change / dB", "95 % interval", "shift / Hz",
+            "95 % interval", "equivalent ζ / %",
+        )
+    ]  # fmt: skip
+    remarks = []
+    for one in changes:
+        bare, damped = one.bare, one.damped
+        known = (one.response, f"{one.mode:.2f}", rounded(1e6 * bare.value, 1e6 * bare.bound))
+        after = rounded(1e6 * damped.value, 1e6 * damped.bound)
+        if damped.at_end:
+            rows.append((*known, "none", "", "", "", "", ""))
+            remarks.append(
+                f"{one.response}, mode at {one.mode:.2f} Hz: no peak is left between {damped.first:.2f} and "
+                f"{damped.last:.2f} Hz, where the curve reaches {after} µm/N"
+            )
+            continue
+        open_ended = [name for name, peak in (("before", bare), ("after", damped)) if isinf(peak.bound)]
+        equivalent = "" if open_ended else f"{100 * one.equivalent_damping:.2g}"
+        rows.append((*known, after, *_change(one.decibel, 1), *_change(one.shift, 2), equivalent))
+        remarks += [
+            f"{one.response}, mode at {one.mode:.2f} Hz: the peak {name} may be higher than measured"
+            for name in open_ended
+        ]
+    return [*aligned(rows, "<>>>>>>>>"), *remarks] if changes else []
+
+
+def _change(value: tuple[float, float, float], digits: int) -> tuple[str, str]:
+    """Format a change and its interval; without one of the limits there is no best estimate."""
+    best, low, high = (f"{each:+.{digits}f}" for each in value)
+    if isinf(value[1]) and isinf(value[2]):
+        return "unknown", ""
+    if isinf(value[1]):
+        return "", f"below {high}"
+    if isinf(value[2]):
+        return "", f"above {low}"
+    return best, f"{low} to {high}"
 
 
 def present_compare(

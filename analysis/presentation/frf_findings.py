@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,12 +13,13 @@ import numpy as np
 from analysis.presentation.expectations import expect_all
 from analysis.presentation.inputs import labels, read_curves
 from analysis.presentation.output_names import check_outputs, of_part, output_stem, with_ending
-from analysis.presentation.result import Progress, Result, noted
+from analysis.presentation.result import Progress, Result, aligned, noted
 from analysis.recordings.names import opened, relabelled
 from analysis.responses.branch_jumps import jumps
 from analysis.responses.frequency_responses import Blocks, frequency_responses
 from analysis.responses.frf_files import is_frf_file
 from analysis.responses.systematic import tolerance
+from rig.results import interval
 from rig.results.response import Response
 from rig.results.uncertainty import SENSITIVITY
 from rig.scene.presets import origin
@@ -66,7 +68,36 @@ def present_frf(
     with output_stem(paths, output, "frf", "csv") as stem:
         files = _drawn(curves, exact, stem)
         files.append(frf_table(with_ending(stem, "csv"), curves))
-    return Result(tuple(files), (*(frf.summary() for frf in curves), *dict.fromkeys(doubts)), tuple(notes))
+    return Result(tuple(files), (*describe_frfs(curves), *dict.fromkeys(doubts)), tuple(notes))
+
+
+def describe_frfs(curves: Sequence[Response]) -> list[str]:
+    """Tabulate the highest value of each response; curves of one recording, input and range share a heading."""
+    lines: list[str] = []
+    for heading, group in groupby(curves, _heading):
+        shown = list(group)
+        unit, factor = shown[0].shown_in
+        rows = [("response", f"highest / ({unit})", "at / Hz", "under / N", "largest contribution")]
+        remarks: list[str] = []
+        for frf in shown:
+            if not np.isfinite(frf.value).any():
+                rows.append((frf.response, "no value", "", "", ""))
+                continue
+            top = frf.peak_line()
+            size, bound = factor * float(abs(frf.value[top])), factor * float(frf.bound()[top])
+            force = "" if frf.amplitude is None or frf.reference != "force" else f"{frf.amplitude[top]:.4g}"
+            cause = frf.parts()[top] if bound > 0.0 else ""
+            rows.append((frf.response, interval(size, bound), f"{frf.frequency[top]:.4g}", force, cause))
+            remarks += [f"{frf.response}: {text}" for text in frf.uncertain_peak()]
+        lines += [heading, *(f"  {line}" for line in (*aligned(rows, "<>>><"), *remarks))]
+    return lines
+
+
+def _heading(frf: Response) -> str:
+    return (
+        f"{frf.label}, {frf.name}, {frf.input}: {frf.frequency.size} points, {frf.frequency.min():.4g} to "
+        f"{frf.frequency.max():.4g} Hz"
+    )
 
 
 def _drawn(curves: Sequence[Response], exact: Sequence[Response], stem: Path) -> list[Path]:

@@ -15,11 +15,11 @@ from analysis.modal.modes import Modes, mac
 from analysis.presentation.expectations import expect_all
 from analysis.presentation.inputs import labels, read_curves
 from analysis.presentation.output_names import check_outputs, output_stem, with_ending
-from analysis.presentation.result import Progress, Result, noted
+from analysis.presentation.result import Progress, Result, aligned, noted
 from analysis.recordings.names import opened, relabelled
 from analysis.responses.frequency_responses import Blocks, frequency_responses
 from analysis.responses.frf_files import is_frf_file
-from rig.results import bounded, rounded
+from rig.results import interval
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
@@ -76,22 +76,20 @@ def present_modes(
 
 def describe_modes(modes: Modes, theory: np.ndarray | None = None) -> list[str]:
     """List natural frequency, damping ratio, shape and, with a theory, the MAC of each mode."""
-    out = [
-        f"{modes.label}{f', {modes.input}' * bool(modes.input)}: "
-        f"{modes.frequency.size} mode{'s' * (modes.frequency.size != 1)}"
-    ]
+    count = modes.frequency.size
     bodies = modes.of_bodies()
+    rows = [
+        ("frequency / Hz", "damping ratio / %", "MAC with theory", *(f"at {name}" for name in bodies.names))
+    ]
+    agreement = [""] * count if theory is None else [f"{each:.4f}" for each in nearest_mac(modes, theory)]
     for i, frequency in enumerate(modes.frequency):
-        known = zip(bodies.names, bodies.shapes[:, i].real, 2.0 * bodies.errors[:, i], strict=True)
-        shape = ", ".join(f"{name} {_element(value, bound)}" for name, value, bound in known)
-        line = (
-            f"  {bounded(frequency, 2 * modes.frequency_error[i], 'Hz')}, damping ratio "
-            f"{modes.damping_text(i)}, shape ({shape})"
-        )
-        if theory is not None:
-            line += f", MAC with theory {nearest_mac(modes, theory)[i]:.4f}"
-        out.append(line)
-    return out
+        elements = zip(bodies.shapes[:, i].real, 2.0 * bodies.errors[:, i], strict=True)
+        ratio = modes.damping_text(i).strip("(%) ")
+        known = (interval(frequency, 2.0 * modes.frequency_error[i]), ratio, agreement[i])
+        rows.append((*known, *(interval(value, bound) for value, bound in elements)))
+    by = f", {modes.input}" if modes.input else ""
+    heading = f"{modes.label}{by}: {count} mode{'s' * (count != 1)}"
+    return [heading, *(f"  {line}" for line in aligned(rows, ">" * len(rows[0])) if count)]
 
 
 def nearest_mac(modes: Modes, theory: np.ndarray) -> NDArray[np.float64]:
@@ -116,17 +114,6 @@ def unlike_theory(modes: Modes, theory: np.ndarray | None) -> list[str]:
         "channels are swapped, or one has the wrong sign or place, whether the scene is that of this structure "
         "(analysis fit finds its values), and where dampers fly, at a lower level."
     ]
-
-
-def _element(value: float, bound: float) -> str:
-    """Format a mode-shape element with its bound; the scaling element has none."""
-    if not bound:
-        return f"{value:.3g}"
-    return (
-        f"{rounded(value, bound)} ± {rounded(bound, bound)}"
-        if np.isfinite(bound)
-        else f"{value:.3f} (no bound)"
-    )
 
 
 def theoretical_shapes(rec: Recording, modes: Modes) -> np.ndarray | None:

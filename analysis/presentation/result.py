@@ -24,17 +24,17 @@ def noted(path: Path, notes: Sequence[str]) -> list[str]:
     return [f"{path.name}: {note}" for note in notes]
 
 
-def aligned(rows: Sequence[Sequence[str]], left: int = 0) -> list[str]:
-    """Return the lines of a table: the first `left` columns are aligned to the left, the others to the right.
+def aligned(rows: Sequence[Sequence[str]], alignment: str) -> list[str]:
+    """Return the lines of a table with a header; `alignment` has ``<`` or ``>`` for each column.
 
-    >>> aligned([("channel", "peak / Hz"), ("body1", "12.54")], left=1)
+    Columns that are empty below the header are left out.
+
+    >>> aligned([("channel", "peak / Hz", "note"), ("body1", "12.54", "")], "<><")
     ['channel  peak / Hz', 'body1        12.54']
     """
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return [
-        "  ".join(
-            cell.ljust(width) if number < left else cell.rjust(width)
-            for number, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ).rstrip()
-        for row in rows
+    columns = [
+        [f"{cell:{side}{max(map(len, column))}}" for cell in column]
+        for column, side in zip(zip(*rows, strict=True), alignment, strict=True)
+        if any(column[1:])
     ]
+    return ["  ".join(row).rstrip() for row in zip(*columns, strict=True)]

@@ -386,36 +386,44 @@ class Response(Result, Sequence["Response"]):
         what = f"{self.label}, {self.ratio}: {self.name}, {self.frequency.size} points"
         if not np.isfinite(self.value).any():
             return what
-        size, bounds, (unit, factor) = abs(self.value), self.bound(), self.shown_in
-        # At low frequencies, where noise is divided by the square of frequency, the largest value may be noise.
-        known = ~(bounds > _UNCERTAIN_SHARE * size)
-        top = int(np.nanargmax(np.where(known, size, np.nan) if np.isfinite(size[known]).any() else size))
-        bound, tallest = float(bounds[top]), int(np.nanargmax(size))
-        height, mostly = f"{factor * size[top]:.4g} {unit}", ""
+        top, (unit, factor) = self.peak_line(), self.shown_in
+        size, bound = factor * float(abs(self.value[top])), factor * float(self.bound()[top])
+        height, mostly = f"{size:.4g} {unit}", ""
         if bound > 0.0:
-            height = bounded(factor * float(size[top]), factor * bound, unit)
+            height = bounded(size, bound, unit)
             cause = "largest contribution" if np.isfinite(bound) else "unbounded by"
             mostly = f"; {cause}: {self.parts()[top]}"
         under = ""
         if self.amplitude is not None and self.reference == "force":
             under = f" under {self.amplitude[top]:.4g} N"
-        higher = "" if tallest == top else self._too_uncertain(tallest, float(bounds[tallest]))
         return (
             f"{what}, {self.frequency.min():.4g} to {self.frequency.max():.4g} Hz, highest {height} "
-            f"at {self.frequency[top]:.4g} Hz{under}{mostly}{higher}"
+            f"at {self.frequency[top]:.4g} Hz{under}{mostly}{'; '.join(['', *self.uncertain_peak()])}"
         )
 
     def _several_inputs(self) -> str:
         return f" by {self.input}" if len(self.inputs) > 1 else ""
 
-    def _too_uncertain(self, point: int, bound: float) -> str:
-        """Describe a higher point that is too uncertain to be the peak."""
-        unit, factor = self.shown_in
-        far = f"{bound / abs(self.value[point]):.0%}" if np.isfinite(bound) else "unbounded"
-        return (
-            f"; ignored as too uncertain: {factor * abs(self.value[point]):.4g} {unit} at "
-            f"{self.frequency[point]:.4g} Hz (uncertainty {far}, {self.parts()[point]})"
-        )
+    def peak_line(self) -> int:
+        """Return the line of a curve's highest value whose uncertainty is small enough for a peak.
+
+        At low frequencies, where noise is divided by the square of frequency, the largest value may be noise.
+        """
+        size = abs(self.value)
+        known = ~(self.bound() > _UNCERTAIN_SHARE * size)
+        return int(np.nanargmax(np.where(known, size, np.nan) if np.isfinite(size[known]).any() else size))
+
+    def uncertain_peak(self) -> list[str]:
+        """Describe the highest point of a curve if it is too uncertain to be the peak."""
+        point, (unit, factor) = int(np.nanargmax(abs(self.value))), self.shown_in
+        if point == self.peak_line():
+            return []
+        size, bound = float(abs(self.value[point])), float(self.bound()[point])
+        far = f"{bound / size:.0%}" if np.isfinite(bound) else "unbounded"
+        return [
+            f"ignored as too uncertain: {factor * size:.4g} {unit} at {self.frequency[point]:.4g} Hz "
+            f"(uncertainty {far}, {self.parts()[point]})"
+        ]
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Frequency; value, 95 % bound and, of a curve, coherence."""

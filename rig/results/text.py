@@ -33,6 +33,17 @@ def rounded(value: float, bound: float) -> str:
     return f"{value:.{min(max(1 - floor(log10(bound)), 0), 9)}f}"
 
 
+def interval(value: float, bound: float) -> str:
+    """Write a number with its bound, for a table whose header states the unit.
+
+    >>> interval(2.4213, 0.204), interval(935.21, float("inf")), interval(1.0, 0.0)
+    ('2.42 ± 0.20', '935.2 (no bound)', '1')
+    """
+    if bound == 0.0:
+        return rounded(value, bound)
+    return f"{rounded(value, bound)} " + (f"± {rounded(bound, bound)}" if isfinite(bound) else "(no bound)")
+
+
 def bounded(value: float, bound: float, unit: str) -> str:
     """Write a number with its bound and unit, in brackets so that the bound of a percentage is not read as a share.
 

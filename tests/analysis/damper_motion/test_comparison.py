@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -17,12 +18,12 @@ from analysis.cli import app
 from analysis.damper_motion.comparison import (
     Peak,
     PeakChange,
-    describe_changes,
     highest_left_out,
     peak,
     peak_changes,
     unresolved,
 )
+from analysis.presentation.comparison import describe_changes
 from rig.results.response import Response
 from rig.results.uncertainty import SENSITIVITY
 from tests.analysis.responses import synthetic
@@ -68,8 +69,8 @@ def test_jump_near_peak_removes_upper_bound() -> None:
     assert found is not None and math.isinf(found.bound) and found.frequency == pytest.approx(10.15)
     change = PeakChange("body1", 10.0, 0.01, Peak(1e-3, 0.0, 10.0, 10.0, 10.0), found)
     assert math.isinf(change.decibel[2])
-    [said] = describe_changes([change])
-    assert "raised by at least 81.6 dB" in said and "the second peak may be higher" in said
+    _, row, remark = describe_changes([change])
+    assert "above +81.6" in row and "the peak after may be higher" in remark
 
 
 def test_omitted_points_near_peak_remove_upper_bound() -> None:
@@ -118,10 +119,11 @@ def test_bounded_changes_state_direction_and_limit() -> None:
         Peak(2e-4, 1e-5, 9.5, 9.4, 9.8),
         Peak(1e-3, 2e-5, 10.05, 9.9, 10.2),
     ]
-    lowered, same = describe_changes([PeakChange("b1", 10.0, 0.01, peaks[0], other) for other in peaks[1:]])
-    assert "peak lowered by 14.0 dB (13.5 to 14.5 dB), from 1000 to 200 µm/N" in lowered
-    assert "moved down by 0.50 Hz (0.10 to 0.70 Hz), to 9.50 Hz" in lowered
-    assert "peak changed by +0.0 dB (-0.3 to +0.3 dB)" in same
+    changes = [PeakChange("b1", 10.0, 0.01, peaks[0], other) for other in peaks[1:]]
+    _, lowered, same = (re.split(r"  +", line) for line in describe_changes(changes))
+    assert lowered[2:6] == ["1000", "200", "-14.0", "-14.5 to -13.5"]
+    assert lowered[6:8] == ["-0.50", "-0.70 to -0.10"]
+    assert same[4:6] == ["+0.0", "-0.3 to +0.3"]
 
 
 def test_small_peak_on_flank_is_compared() -> None:
@@ -137,7 +139,7 @@ def test_small_peak_on_flank_is_compared() -> None:
     assert raised.bare.frequency == pytest.approx(79.0, abs=1.0) and not raised.bare.at_end
     assert raised.decibel[1] > 0.0
     assert gone.decibel[1:] == (-math.inf, math.inf)
-    assert "none is left between" in describe_changes([gone])[0]
+    assert "no peak is left between" in describe_changes([gone])[-1]
     assert peak_changes(modes, [curve(0.5)], [curve(0.01)]) == []
 
 
@@ -170,7 +172,7 @@ def test_same_structure_shows_no_change(tmp_path) -> None:
         assert change.equivalent_damping == pytest.approx(0.005, rel=2e-3)
     other = synthetic.stepped_sine(tmp_path / "b.mcap", frequencies + 0.01)
     said = CliRunner().invoke(app, ["compare", str(path), str(other)])
-    assert said.exit_code == 0 and said.output.count(" dB (") == 9
+    assert said.exit_code == 0 and len(re.findall(r"^  body\d ", said.output, re.MULTILINE)) == 9
     assert (tmp_path / "a+b-compare.csv").read_text(encoding="utf-8").count("\n") == 10
     assert CliRunner().invoke(app, ["compare", str(path)]).exit_code != 0
 

@@ -18,14 +18,13 @@ Array = NDArray[np.float64]
 class PartWorkspace(NamedTuple):
     """Room to work in."""
 
+    # The vector, two work vectors of its size, zeros, and the contribution of disturbances; (size,).
     vector: Array
     term: Array
     work: Array
     nothing: Array
     steady: Array
-    """The vector, two work vectors of its size, zeros, and the contribution of disturbances; shape (size,)."""
-    whole: Array
-    """A part; shape (6,)."""
+    whole: Array  # A part; (6,)
 
 
 def part_workspace(size: int) -> PartWorkspace:

@@ -24,19 +24,17 @@ RECOVERY = "overload recovery"
 class Section:
     """A linear circuit ``x' = a x + b u``, ``y = c x + d u`` and the same as zeros, poles and gain."""
 
-    name: str
-    """Name in the terms of the field."""
+    name: str  # name in the terms of the field
+    # State space; every state is a voltage, so that a limit on it means something; shapes (states, states), (states,),
+    # (states,).
     a: Array
     b: Array
     c: Array
-    """State space; every state is a voltage, so that a limit on it means something; shapes (states, states),
-    (states,), (states,)."""
     d: float  # Direct feedthrough
+    # Of the transfer function, rad/s.
     zeros: tuple[complex, ...]
     poles: tuple[complex, ...]
-    """Of the transfer function, rad/s."""
-    gain: float
-    """Factor of ``prod(s - zeros) / prod(s - poles)``."""
+    gain: float  # factor of ``prod(s - zeros) / prod(s - poles)``
 
     @property
     def states(self) -> int:
@@ -44,64 +42,43 @@ class Section:
         return len(self.b)
 
 
+def _first_order(
+    name: str,
+    w: float,
+    b: float,
+    c: float,
+    d: float,
+    gain: float,
+    zeros: tuple[complex, ...] = (),
+    poles: tuple[complex, ...] = (),
+) -> Section:
+    """Return the section ``x' = -w x + b u``, ``y = c x + d u``."""
+    return Section(name, np.array([[-w]]), np.array([b]), np.array([c]), d, zeros, poles, gain)
+
+
 def resonance(frequency: float, q: float) -> Section:
     """Second-order low pass ``w^2 / (s^2 + s w / q + w^2)``, frequency in Hz: a seismic mass on its piezo element."""
     w = 2 * np.pi * frequency
-    roots = np.roots([1.0, w / q, w * w])
-    return Section(
-        "resonance",
-        a=np.array([[0.0, w], [-w, -w / q]]),
-        b=np.array([0.0, w]),
-        c=np.array([1.0, 0.0]),
-        d=0.0,
-        zeros=(),
-        poles=tuple(complex(root) for root in roots),
-        gain=w * w,
-    )
+    poles = tuple(complex(root) for root in np.roots([1.0, w / q, w * w]))
+    a = np.array([[0.0, w], [-w, -w / q]])
+    return Section("resonance", a, np.array([0.0, w]), np.array([1.0, 0.0]), 0.0, (), poles, w * w)
 
 
 def high_pass(corner: float, name: str) -> Section:
     """First-order high pass ``s / (s + w)`` with its corner in Hz: a coupling capacitor."""
     w = 2 * np.pi * corner
-    return Section(
-        name,
-        a=np.array([[-w]]),
-        b=np.array([w]),
-        c=np.array([-1.0]),
-        d=1.0,
-        zeros=(0j,),
-        poles=(complex(-w),),
-        gain=1.0,
-    )
+    return _first_order(name, w, b=w, c=-1.0, d=1.0, gain=1.0, zeros=(0j,), poles=(complex(-w),))
 
 
 def integration(corner: float, gain: float) -> Section:
     """Integrating stage ``gain / (s + w)``, gain in 1/s: integration above the corner in Hz, constant gain below it."""
     w = 2 * np.pi * corner
-    return Section(
-        INTEGRATION,
-        a=np.array([[-w]]),
-        b=np.array([gain]),
-        c=np.array([1.0]),
-        d=0.0,
-        zeros=(),
-        poles=(complex(-w),),
-        gain=gain,
-    )
+    return _first_order(INTEGRATION, w, b=gain, c=1.0, d=0.0, gain=gain, poles=(complex(-w),))
 
 
 def recovery(time: float) -> Section:
     """Shift of zero that an overload leaves behind: it fades with a time constant in s, whatever the signal does."""
-    return Section(
-        RECOVERY,
-        a=np.array([[-1.0 / time]]),
-        b=np.zeros(1),
-        c=np.array([-1.0]),
-        d=1.0,
-        zeros=(),
-        poles=(),
-        gain=1.0,
-    )
+    return _first_order(RECOVERY, 1.0 / time, b=0.0, c=-1.0, d=1.0, gain=1.0)
 
 
 @dataclass(frozen=True)
@@ -113,17 +90,11 @@ class Circuit:
     ((2, 2), array([0., 0., 1.]))
     """
 
-    a: Array
-    """State matrix; shape (states, states)."""
-    b: Array
-    """Row i: input in front of section i; the last row, behind the last section, is zero; shape (entries,
-    states)."""
-    c: Array
-    """Output row; shape (states,)."""
-    d: Array
-    """Feedthrough from each entry to the output; the last is 1; shape (entries,)."""
-    sections: tuple[int, ...]
-    """First state of each section, and the number of states."""
+    a: Array  # state matrix; (states, states)
+    b: Array  # row i: input in front of section i; the last row, behind the last section, is zero; (entries, states)
+    c: Array  # output row; (states,)
+    d: Array  # feedthrough from each entry to the output; the last is 1; (entries,)
+    sections: tuple[int, ...]  # first state of each section, and the number of states
 
     @classmethod
     def series(cls, sections: Sequence[Section]) -> Circuit:

@@ -45,12 +45,11 @@ LEGENDRE = np.array([[1.0, 0.0, 0.0], [-1.0, 2.0, 0.0], [1.0, -6.0, 12.0]])
 class Entry(NamedTuple):
     """How a disturbance enters a circuit."""
 
-    section: int
-    """In front of which section."""
-    degree: int
-    """Its course over an interval: the Legendre polynomial of this degree, up to 2, times its voltage."""
-    filtered: bool
-    """Whether its direct feedthrough enters the moments."""
+    section: int  # in front of which section
+    degree: (
+        int  # its course over an interval: the Legendre polynomial of this degree, up to 2, times its voltage
+    )
+    filtered: bool  # whether its direct feedthrough enters the moments
 
 
 class Tables(NamedTuple):
@@ -60,32 +59,28 @@ class Tables(NamedTuple):
     not needed, and gives moments where the vector holds repeated integrals.
     """
 
+    # Number of states, of moments of the output, and of both.
     states: int
     integrals: int
     width: int
-    """Number of states, of moments of the output, and of both."""
-    sections: NDArray[np.int64]
-    """First state of each section, and the number of states; int64, shape (sections + 1,)."""
+    sections: NDArray[
+        np.int64
+    ]  # first state of each section, and the number of states; int64; (sections + 1,)
+    # Contributions of the input's start, end, mean and moment, then of 1 V of each disturbance, then of the states of
+    # the sections before its own to each state over an interval; (states, 4 + disturbances + states).
     weights: Array
-    """Contributions of the input's start, end, mean and moment, then of 1 V of each disturbance, then of the states of
-    the sections before its own to each state over an interval; shape (states, 4 + disturbances + states)."""
-    spread: Array
-    """Their contributions to the moments, and zeros; shape (4 + disturbances + states, LANES)."""
+    spread: Array  # their contributions to the moments, and zeros; (4 + disturbances + states, LANES)
+    # Transition of each state, then contributions of the input's start, end, mean and moment, then of 1 V of each
+    # disturbance over an interval; (states + 4 + disturbances, width).
     step: Array
-    """Transition of each state, then contributions of the input's start, end, mean and moment, then of 1 V of each
-    disturbance over an interval; shape (states + 4 + disturbances, width)."""
-    impulse: Array
-    """Jump of the vector by a unit impulse; shape (width,)."""
+    impulse: Array  # jump of the vector by a unit impulse; (width,)
+    # Exponentials of the generator over k/64 and k/4096 of the interval. Here and in `generator` zeros fill up the
+    # size to whole registers. Shape (65, size, size).
     coarse: Array
     fine: Array
-    """Exponentials of the generator over k/64 and k/4096 of the interval. Here and in `generator` zeros fill
-    up the size to whole registers. Shape (65, size, size)."""
-    generator: Array
-    """Rate of change of the vector; shape (1, size, size)."""
-    terms: int
-    """Terms of the Taylor series that make it exact over 1/4096."""
-    moments: Array
-    """Repeated integrals to moments; shape (integrals, integrals)."""
+    generator: Array  # rate of change of the vector; (1, size, size)
+    terms: int  # terms of the Taylor series that make it exact over 1/4096
+    moments: Array  # repeated integrals to moments; (integrals, integrals)
 
 
 def rate_of_change(circuit: Circuit, gain: float, rate: float, integrals: int) -> Array:

@@ -34,14 +34,12 @@ class CubicInput(NamedTuple):
     input times remaining share of the piece (1/2 for a constant 1).
     """
 
-    smooth: Array
-    """These numbers for the interval that ends at each sample; shape (4, intervals)."""
+    smooth: Array  # these numbers for the interval that ends at each sample; (4, intervals)
+    # Interval to which a part belongs, ascending; for these the numbers above mean nothing; int64; (parts,).
     broken: NDArray[np.int64]
-    """Interval to which a part belongs, ascending; for these the numbers above mean nothing; int64, shape
-    (parts,)."""
+    # The numbers of each part; its length as a share of the interval; the impulse at its end, divided by the sample
+    # interval; (parts, 6).
     parts: Array
-    """The numbers of each part; its length as a share of the interval; the impulse at its end, divided by the
-    sample interval; shape (parts, 6)."""
 
 
 class MotionInterpolator:

@@ -40,42 +40,29 @@ SHORTEST = 1e-9
 class Limits(NamedTuple):
     """Tables to detect where limits are reached, and to propagate the circuit there."""
 
+    # Contributions of input, disturbances and states, in the order of `Tables.weights`, to each limited voltage at
+    # each look in an interval; (looks, 4 + disturbances + states).
     checks: Array
-    """Contributions of input, disturbances and states, in the order of `Tables.weights`, to each limited voltage at
-    each look in an interval; shape (looks, 4 + disturbances + states)."""
-    most: Array
-    """Magnitude of these voltages up to which no limit is reached; shape (looks,)."""
-    safe: Array
-    """Weights of the magnitudes of the same; where the sum is below 1 no limit is reached at any look."""
-    steps: NDArray[np.int64]
-    """Coarse and fine steps in an interval that is followed closely; int64, shape (2,)."""
-    step: Array
-    """The vector's transition over one of each; shape (2, size, size), as `Tables.coarse`."""
+    most: Array  # magnitude of these voltages up to which no limit is reached; (looks,)
+    safe: Array  # weights of the magnitudes of the same; where the sum is below 1 no limit is reached at any look
+    steps: NDArray[np.int64]  # coarse and fine steps in an interval that is followed closely; int64; (2,)
+    step: Array  # the vector's transition over one of each; (2, size, size), as `Tables.coarse`
+    # Contribution of 1 V of each steady disturbance to the vector over a step, and zeros; (2, disturbances, width).
     held: Array
-    """Contribution of 1 V of each steady disturbance to the vector over a step, and zeros; shape (2, disturbances,
-    width)."""
+    # Contribution of 1 V of the other disturbances over an interval, in moments, not integrals; (disturbances, width).
     varying: Array
-    """Contribution of 1 V of the other disturbances over an interval, in moments, not integrals; shape (disturbances,
-    width)."""
-    limit: float
-    """Of the sensor's output, V."""
-    output: Array
-    """The sensor's output from the vector; shape (size,)."""
+    limit: float  # of the sensor's output, V
+    output: Array  # the sensor's output from the vector; (size,)
+    # Contribution of 1 V beyond the limit to the vector, at a step's start and at its end; (2, 2, width).
     lacking: Array
-    """Contribution of 1 V beyond the limit to the vector, at a step's start and at its end; shape (2, 2, width)."""
+    # What is beyond the limit at a step's end, as a share of what would be without its own effect on the shift; (2,).
     relief: Array
-    """What is beyond the limit at a step's end, as a share of what would be without its own effect on the shift; shape
-    (2,)."""
-    impulse: Array
-    """Remaining effect of a unit impulse beyond the limit; shape (width,)."""
-    least: float
-    """Smallest impulse that does, as `CubicInput` has them; none does behind a resonance."""
-    shift: int
-    """State that holds the shift of zero after an overload; -1: there is none."""
-    rails: Array
-    """Largest magnitude of each state, V; shape (states,)."""
+    impulse: Array  # remaining effect of a unit impulse beyond the limit; (width,)
+    least: float  # smallest impulse that does, as `CubicInput` has them; none does behind a resonance
+    shift: int  # state that holds the shift of zero after an overload; -1: there is none
+    rails: Array  # largest magnitude of each state, V; (states,)
+    # Contribution of an even input that adds 1 V to each state over a step to the vector; (2, states, width).
     holding: Array
-    """Contribution of an even input that adds 1 V to each state over a step to the vector; shape (2, states, width)."""
 
 
 def limits_of(

@@ -25,14 +25,11 @@ STRETCH = 128
 class CircuitWorkspace(NamedTuple):
     """Room to work in."""
 
+    # Input, disturbances and states through a stretch; (4 + disturbances + states, intervals of a stretch and more).
     parts: PartWorkspace
     course: Array
-    """Input, disturbances and states through a stretch; shape (4 + disturbances + states, intervals of a
-    stretch and more)."""
-    sizes: Array
-    """Magnitudes of these."""
-    sums: Array
-    """Contributions to the states of a section; shape (2, intervals of a stretch)."""
+    sizes: Array  # magnitudes of these
+    sums: Array  # contributions to the states of a section; (2, intervals of a stretch)
 
 
 def scratch_for(tables: Tables) -> CircuitWorkspace:

@@ -33,8 +33,8 @@ class Station:
     channels: Sequence[ChannelInfo]  # in the order of the rows of the readings
     inputs: Sequence[str]  # drive inputs of the bench, in the order of the rows of drives
     rate: float  # samples per second
+    # ``mark(kind, first, stop, **fields)`` marks the samples `first` to `stop` - 1 in the recording.
     mark: Callable[..., Any]
-    """``mark(kind, first, stop, **fields)`` marks the samples `first` to `stop` - 1 in the recording."""
     report: Callable[[float, str], None] = lambda fraction, message: None  # the progress of the test
     warn: Callable[[str], None] = lambda message: None  # a warning for the end of the test
     latency: int = 0  # samples by which the readings precede the drive of the window (removed filter delay)

@@ -114,5 +114,5 @@ def test_analysis_names_the_missing_force_channel(
 ) -> None:
     with pytest.warns(daq.RunWarning):
         path = daq.record(scene_of(STEPS, BODY), tmp_path / "a.mcap")
-    with daq.open(path) as recording, pytest.raises(RecordingError, match=r"Add \{name: force, at: shaker\}"):
+    with daq.open(path) as recording, pytest.raises(RecordingError, match=r"add \{name: force, at: shaker\}"):
         frequency_responses(recording)

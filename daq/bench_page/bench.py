@@ -37,11 +37,27 @@ def bench(
 ) -> None:
     """Serve a rig with a page in the browser until Ctrl-C.
 
-    `scene`: as `daq.connect` takes it; `host`, `port`: where the page is; 0 chooses a free port; `device_port`:
-    where NI clients of this machine find the device; 0 chooses a free port; `recording`: first recording of the
-    record switch; the next are numbered; `overwrite`: whether the first may replace a file; `browser`: whether to
-    open the page in the browser. Raises `RunError` if NiceGUI is missing. Raises `SceneError` if the scene cannot be
-    used or an address cannot be listened at.
+    Parameters
+    ----------
+    scene : Scene, str or None
+        As `daq.connect` takes it.
+    host, port : str and int
+        Where the page is; 0 chooses a free port.
+    device_port : int
+        Where NI clients of this machine find the device; 0 chooses a free port.
+    recording : str or Path
+        First recording of the record switch; the next are numbered.
+    overwrite : bool
+        Whether the first may replace a file.
+    browser : bool
+        Whether to open the page in the browser.
+
+    Raises
+    ------
+    RunError
+        If NiceGUI is missing.
+    SceneError
+        If the scene cannot be used or an address cannot be listened at.
     """
     try:
         import nicegui  # noqa: F401

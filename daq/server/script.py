@@ -33,13 +33,30 @@ def run_script(
 ) -> int:
     """Run a Python script in a separate process, with the rig as its hardware.
 
-    `path`: the script; `arguments`: arguments in `sys.argv` after the name of the script; `scene`: scene on the
-    bench, see `daq.connect`; `clock`: clock, see `daq.connect`. With the fast clock `time.sleep` lets bench time
-    pass, and so does `input`, which then returns an empty line; `seconds`: bench time after which the script
-    receives Ctrl-C; if it is waiting for Enter, it receives Enter instead. Returns exit code: the script's own; 1 if
-    it raised an exception, whose traceback is then on stderr; 128 + n if signal n ended it, possibly forwarded from
-    this process. Raises `SceneError` if the script does not exist, the scene cannot be used, or `seconds` is not a
-    valid time.
+    Parameters
+    ----------
+    path : str or Path
+        The script.
+    arguments : sequence of str
+        Arguments in `sys.argv` after the name of the script.
+    scene : Scene or str, optional
+        Scene on the bench, see `daq.connect`.
+    clock : str, optional
+        Clock, see `daq.connect`. With the fast clock `time.sleep` lets bench time pass, and so does `input`,
+        which then returns an empty line.
+    seconds : float, optional
+        Bench time after which the script receives Ctrl-C; if it is waiting for Enter, it receives Enter instead.
+
+    Returns
+    -------
+    int
+        Exit code: the script's own; 1 if it raised an exception, whose traceback is then on stderr; 128 + n if signal
+        n ended it, possibly forwarded from this process.
+
+    Raises
+    ------
+    SceneError
+        If the script does not exist, the scene cannot be used, or `seconds` is not a valid time.
     """
     path = Path(path)
     if seconds is not None and not 0 < seconds < math.inf:

@@ -54,7 +54,16 @@ class Result(ABC):
     def plot(self, ax: Axes | None = None, **style: Any) -> Axes:
         """Draw it.
 
-        `ax`: where to; omitted, new ones of pyplot; `**style`: for the curves, as `Axes.plot` takes it.
+        Parameters
+        ----------
+        ax : matplotlib Axes, optional
+            Where to; omitted, new ones of pyplot.
+        **style
+            For the curves, as `Axes.plot` takes it.
+
+        Returns
+        -------
+        matplotlib Axes
         """
         if ax is None:
             import matplotlib.pyplot as plt
@@ -71,7 +80,10 @@ class Result(ABC):
     def to_dataframe(self) -> pandas.DataFrame:
         """Give the columns as a pandas table, the first one as its index.
 
-        Raises `RunError` if pandas is not installed.
+        Raises
+        ------
+        RunError
+            If pandas is not installed.
         """
         try:
             import pandas
@@ -83,7 +95,10 @@ class Result(ABC):
     def to_xarray(self) -> xarray.Dataset:
         """Give the columns as an xarray data set over the first one.
 
-        Raises `RunError` if xarray is not installed.
+        Raises
+        ------
+        RunError
+            If xarray is not installed.
         """
         try:
             import xarray

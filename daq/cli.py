@@ -22,36 +22,29 @@ app = application("The instrument: record, look at, repair and replay tests.")
 
 # Endings of other formats.
 OTHER_FORMATS = (
-    ".csv",
-    ".txt",
-    ".npz",
-    ".mat",
-    ".uff",
-    ".wav",
-    ".tdms",
-    ".rrd",
-    ".yaml",
-    ".png",
-    ".svg",
-    ".html",
-)
+    ".csv", ".txt", ".npz", ".mat", ".uff", ".wav", ".tdms", ".rrd", ".yaml", ".png", ".svg", ".html",
+)  # fmt: skip
 # Help of the scene that scripts and clients drive.
 ON_THE_BENCH = "Scene on the bench (default: SHOTRIG_SCENE, or three particle dampers)."
-Replace = Annotated[bool, typer.Option("--overwrite", help="Replace the file if it exists.")]
-Start = Annotated[float | None, typer.Option("--from", metavar="S", help="Time at which to begin.")]
-Stop = Annotated[float | None, typer.Option("--to", metavar="S", help="Time at which to end.")]
-Web = Annotated[bool, typer.Option("--web", help="Show it in a browser on this machine.")]
-Clock = Annotated[
-    str | None,
-    typer.Option(
-        metavar="real|fast", help="Real time, or as fast as possible. Default: SHOTRIG_CLOCK, or real."
-    ),
-]
+
+
+def _option(metavar: str | None, text: str, *names: str) -> Any:
+    """Give an option with a placeholder for its value and its help."""
+    return typer.Option(*names, metavar=metavar, help=text)
 
 
 def _output(text: str, metavar: str = "FILE") -> Any:
     """Give the option -o for a file to write."""
-    return typer.Option("-o", "--output", metavar=metavar, help=text)
+    return _option(metavar, text, "-o", "--output")
+
+
+Replace = Annotated[bool, _option(None, "Replace the file if it exists.", "--overwrite")]
+Start = Annotated[float | None, _option("S", "Time at which to begin.", "--from")]
+Stop = Annotated[float | None, _option("S", "Time at which to end.", "--to")]
+Web = Annotated[bool, _option(None, "Show it in a browser on this machine.", "--web")]
+Clock = Annotated[
+    str | None, _option("real|fast", "Real time, or as fast as possible. Default: SHOTRIG_CLOCK, or real.")
+]
 
 
 @app.command(example="daq record fig8-three-dampers --set test.force=2N -o sweep.mcap")
@@ -71,11 +64,10 @@ def record(
         ),
     ] = None,
     dry_run: Annotated[
-        bool,
-        typer.Option("--dry-run", help="Record nothing; print the expected maxima, limits and duration."),
+        bool, _option(None, "Record nothing; print the expected maxima, limits and duration.", "--dry-run")
     ] = False,
     anyway: Annotated[
-        bool, typer.Option("--anyway", help="Start a test even if it is expected to abort.")
+        bool, _option(None, "Start a test even if it is expected to abort.", "--anyway")
     ] = False,
 ) -> None:
     """Run the tests of scenes and record them. Ctrl-C ends a test early (exit code 130) and keeps the recording."""
@@ -116,25 +108,16 @@ def import_recording(
         ),
     ],
     scene: Annotated[
-        str | None,
-        typer.Option(
-            metavar="SCENE",
-            help="The bench and its channels. Omitted, the contents of FILE are listed.",
-        ),
+        str | None, _option("SCENE", "The bench and its channels. Omitted, the contents of FILE are listed.")
     ] = None,
     changes: Changes = None,
     table: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE.yaml|csv", help="Table that assigns columns to channels. Default: by name."
-        ),
+        Path | None, _option("FILE.yaml|csv", "Table that assigns columns to channels. Default: by name.")
     ] = None,
     start: Start = None,
     stop: Stop = None,
     output: Annotated[Path | None, _output("Recording to write. Default: FILE.mcap.", "REC")] = None,
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Replace the recording if it exists.")
-    ] = False,
+    overwrite: Annotated[bool, _option(None, "Replace the recording if it exists.", "--overwrite")] = False,
 ) -> None:
     """Make a recording from files of another program.
 
@@ -162,20 +145,18 @@ def import_recording(
 def replay_recording(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="The recording.")],
     save: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE.rrd", help="Write a file for the viewer instead of opening a window."),
+        Path | None, _option("FILE.rrd", "Write a file for the viewer instead of opening a window.")
     ] = None,
     web: Web = False,
     screenshot: Annotated[
-        Path | None, typer.Option(metavar="FILE.png", help="Draw a picture instead; needs no display.")
+        Path | None, _option("FILE.png", "Draw a picture instead; needs no display.")
     ] = None,
     at: Annotated[
-        float | None,
-        typer.Option(metavar="S", help="Time of the picture. Default: where the dampers fly highest."),
+        float | None, _option("S", "Time of the picture. Default: where the dampers fly highest.")
     ] = None,
     start: Start = None,
     stop: Stop = None,
-    speed: Annotated[float, typer.Option(metavar="X", help="Playback speed; 0.1 is slow motion.")] = 1.0,
+    speed: Annotated[float, _option("X", "Playback speed; 0.1 is slow motion.")] = 1.0,
     overwrite: Overwrite = False,
 ) -> None:
     """Show a recording in the viewer, or draw a picture of it."""
@@ -183,25 +164,15 @@ def replay_recording(
 
     with progress(file.stem) as report_progress:
         replay(
-            file,
-            save=save,
-            screenshot=screenshot,
-            web=web,
-            at=at,
-            from_s=start,
-            to_s=stop,
-            speed=speed,
-            overwrite=overwrite,
-            progress=report_progress,
-        )
+            file, save=save, screenshot=screenshot, web=web, at=at, from_s=start, to_s=stop, speed=speed,
+            overwrite=overwrite, progress=report_progress,
+        )  # fmt: skip
 
 
 @app.command("info", example="daq info sweep.mcap --check")
 def describe_recordings(
     files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings.")],
-    check: Annotated[
-        bool, typer.Option("--check", help="Read the whole file and verify every record.")
-    ] = False,
+    check: Annotated[bool, _option(None, "Read the whole file and verify every record.", "--check")] = False,
 ) -> None:
     """Describe recordings, and name the commands that suit them."""
     from daq.viewing.description import info
@@ -215,8 +186,8 @@ def recover(
     file: Annotated[
         Path, typer.Argument(metavar="FILE", help="The incomplete or damaged recording; it is kept.")
     ],
-    output: Annotated[Path, typer.Option("-o", "--output", metavar="FIXED", help="Recording to write.")],
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace FIXED if it exists.")] = False,
+    output: Annotated[Path, _option("FIXED", "Recording to write.", "-o", "--output")],
+    overwrite: Annotated[bool, _option(None, "Replace FIXED if it exists.", "--overwrite")] = False,
 ) -> None:
     """Repair an incomplete or damaged recording.
 
@@ -237,12 +208,8 @@ def run_scope(
         Path | None, _output("Recording to write. Default: recordings/SCENE-scope.mcap.")
     ] = None,
     overwrite: Replace = False,
-    frequency: Annotated[
-        float | None, typer.Option("-f", "--frequency", metavar="HZ", help="Initial drive frequency.")
-    ] = None,
-    force: Annotated[
-        float, typer.Option("-F", "--force", metavar="N", help="Initial force amplitude.")
-    ] = 0.0,
+    frequency: Annotated[float | None, _option("HZ", "Initial drive frequency.", "-f", "--frequency")] = None,
+    force: Annotated[float, _option("N", "Initial force amplitude.", "-F", "--force")] = 0.0,
     web: Web = False,
 ) -> None:
     """Run a rig live: change frequency and force while you watch it. Everything is recorded."""
@@ -272,8 +239,7 @@ def run_a_script(
     changes: Changes = None,
     clock: Clock = None,
     seconds: Annotated[
-        float | None,
-        typer.Option(metavar="S", help="Send Ctrl-C, or Enter at a prompt, after this time on the bench."),
+        float | None, _option("S", "Send Ctrl-C, or Enter at a prompt, after this time on the bench.")
     ] = None,
 ) -> None:
     """Run an unchanged nidaqmx script against the rig."""
@@ -296,36 +262,23 @@ def serve_a_rig(
     clock: Clock = None,
     address: Annotated[
         str,
-        typer.Option(
-            metavar="HOST[:PORT]",
-            help="Address to listen on; other machines can connect only with certificates.",
-        ),
+        _option("HOST[:PORT]", "Address to listen on; other machines can connect only with certificates."),
     ] = "127.0.0.1",
-    port: Annotated[int, typer.Option(metavar="N", help="Port; 0 chooses a free one.")] = 31763,
-    certificate: Annotated[
-        Path | None, typer.Option(metavar="FILE.pem", help="The server's certificate, for TLS.")
-    ] = None,
-    key: Annotated[
-        Path | None, typer.Option(metavar="FILE.pem", help="The certificate's private key.")
-    ] = None,
+    port: Annotated[int, _option("N", "Port; 0 chooses a free one.")] = 31763,
+    certificate: Annotated[Path | None, _option("FILE.pem", "The server's certificate, for TLS.")] = None,
+    key: Annotated[Path | None, _option("FILE.pem", "The certificate's private key.")] = None,
     client_ca: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE.pem", help="Accept only clients whose certificate this one signed (mutual TLS)."
-        ),
+        _option("FILE.pem", "Accept only clients whose certificate this one signed (mutual TLS)."),
     ] = None,
     session_timeout: Annotated[
-        float,
-        typer.Option(metavar="S", help="Time after which the tasks of a lost client are closed."),
+        float, _option("S", "Time after which the tasks of a lost client are closed.")
     ] = 30.0,
     output: Annotated[Path | None, _output("Record all channels.")] = None,
     overwrite: Replace = False,
-    viewer: Annotated[bool, typer.Option("--viewer", help="Show all channels live in the viewer.")] = False,
+    viewer: Annotated[bool, _option(None, "Show all channels live in the viewer.", "--viewer")] = False,
     protocol: Annotated[
-        Path | None,
-        typer.Option(
-            "--proto", metavar="FOLDER", help="Write the .proto files for clients in other languages."
-        ),
+        Path | None, _option("FOLDER", "Write the .proto files for clients in other languages.", "--proto")
     ] = None,
 ) -> None:
     """Serve the instrument to any client of NI's gRPC protocol.
@@ -349,18 +302,8 @@ def serve_a_rig(
     path = None if output is None else _free(output, overwrite)
     limits = Limits(patience=session_timeout)
     with waiting():
-        serve(
-            _bench(scene, changes),
-            clock,
-            address,
-            port,
-            certificates,
-            limits,
-            path,
-            overwrite,
-            viewer,
-            protocol,
-        )
+        bench = _bench(scene, changes)
+        serve(bench, clock, address, port, certificates, limits, path, overwrite, viewer, protocol)
 
 
 @app.command("bench", example="daq bench fig9 --port 0")
@@ -372,16 +315,13 @@ def bench_in_the_browser(
     ] = None,
     overwrite: Replace = False,
     address: Annotated[
-        str,
-        typer.Option(metavar="HOST[:PORT]", help="Address of the page; a browser needs the printed token."),
+        str, _option("HOST[:PORT]", "Address of the page; a browser needs the printed token.")
     ] = "127.0.0.1",
-    port: Annotated[int, typer.Option(metavar="N", help="Port of the page; 0 chooses a free one.")] = 8031,
+    port: Annotated[int, _option("N", "Port of the page; 0 chooses a free one.")] = 8031,
     device_port: Annotated[
-        int, typer.Option(metavar="N", help="Port of the device for NI clients; 0 chooses a free one.")
+        int, _option("N", "Port of the device for NI clients; 0 chooses a free one.")
     ] = 31763,
-    browser: Annotated[
-        bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")
-    ] = True,
+    browser: Annotated[bool, _option(None, "Open the page in the browser.", "--browser/--no-browser")] = True,
 ) -> None:
     """Run a rig live in the browser.
 
@@ -390,9 +330,9 @@ def bench_in_the_browser(
     from daq.bench_page.bench import bench
 
     named = scene or os.environ.get("SHOTRIG_SCENE") or "default"
-    path = (
-        Path("recordings") / f"{Path(named).stem}-bench.mcap" if output is None else _free(output, overwrite)
-    )
+    path = Path("recordings") / f"{Path(named).stem}-bench.mcap"
+    if output is not None:
+        path = _free(output, overwrite)
     with waiting():
         bench(_bench(scene, changes), address, port, device_port, path, overwrite, browser)
 
@@ -415,7 +355,7 @@ def _recordings(scenes: Sequence[str], output: Path | None) -> list[Path]:
     paths = [folder / f"{Path(scene).stem}.mcap" for scene in scenes]
     if len(set(paths)) < len(paths):
         raise typer.BadParameter(
-            "two scenes have one name, and so would their recordings. Record them one by one."
+            "two scenes, and their recordings, have the same name. Record them one by one."
         )
     return paths
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +20,7 @@ from daq.signal_chain.oversampling import oversampling
 from daq.virtual_bench.bench import Bench
 from rig.effects.effect_cost import EffectStep, bench_drive
 from rig.effects.explanation import Effect, motion_effects
-from rig.scene.measurement_chain import Accelerometer, Channel, Converter, Hammer
+from rig.scene.measurement_chain import Channel, Converter
 from rig.scene.presets import filled_in
 from rig.scene.scene import Scene
 from rig.system.assembly import assemble
@@ -53,92 +52,74 @@ def measurement_effects(scene: Scene) -> Iterable[Effect]:
         yield Effect("recording", "truth", 0, "the true motion in addition to the channels")
 
 
-# Keys that are switched on together, in the order of the signal.
-_SENSOR: dict[str, tuple[str, ...]] = {
-    "sensitivity": ("sensitivity", "sensitivity_tolerance", "temperature_drift", "temperature_change"),
-    "sensor resonance": ("resonance", "q"),
-    "transverse sensitivity": ("transverse", "lateral"),
-    "sensor low cut-off": ("low_cutoff",),
-    "sensor saturation": ("saturation", "overload_recovery"),
-    "sensor bias": ("bias", "bias_settling"),
-    "sensor noise": ("noise", "noise_corner"),
-}
-_INTEGRATOR: dict[str, tuple[str, ...]] = {
-    "integrator": ("order", "corner", "gain", "low_cutoff"),
-    "integrator noise": ("noise",),
-    "integrator saturation": ("saturation",),
-}
-_CONVERTER: dict[str, tuple[str, ...]] = {
-    "coupling": ("coupling", "ac_corner", "excitation"),
-    "anti-alias filter": ("filter", "remove_delay"),
-    "skew": ("skew",),
-    "clock error": ("clock_error",),
-    "jitter": ("jitter",),
-    "converter noise": ("noise",),
-    "quantisation": ("bits", "range"),
-}
-
-
-@dataclass
-class _Active:
-    """Keys that are on so far."""
-
-    sensor: set[str] = field(default_factory=set)
-    integrator: set[str] = field(default_factory=set)
-    converter: set[str] = field(default_factory=lambda: {"rate"})
+# Keys of a device that are switched on together, in the order of the signal.
+_STEPS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
+    (
+        "sensor",
+        "sensitivity",
+        ("sensitivity", "sensitivity_tolerance", "temperature_drift", "temperature_change"),
+    ),
+    ("sensor", "sensor resonance", ("resonance", "q")),
+    ("sensor", "transverse sensitivity", ("transverse", "lateral")),
+    ("sensor", "sensor low cut-off", ("low_cutoff",)),
+    ("sensor", "sensor saturation", ("saturation", "overload_recovery")),
+    ("sensor", "sensor bias", ("bias", "bias_settling")),
+    ("sensor", "sensor noise", ("noise", "noise_corner")),
+    ("integrator", "integrator", ("order", "corner", "gain", "low_cutoff")),
+    ("integrator", "integrator noise", ("noise",)),
+    ("integrator", "integrator saturation", ("saturation",)),
+    ("converter", "coupling", ("coupling", "ac_corner", "excitation")),
+    ("converter", "anti-alias filter", ("filter", "remove_delay")),
+    ("converter", "skew", ("skew",)),
+    ("converter", "clock error", ("clock_error",)),
+    ("converter", "jitter", ("jitter",)),
+    ("converter", "converter noise", ("noise",)),
+    ("converter", "quantisation", ("bits", "range")),
+)
 
 
 def measurement_steps(scene: Scene) -> Iterator[EffectStep]:
     """Give the steps of the chain and of the recording, on top of the whole motion."""
-    on = _Active()
+    on: dict[str, set[str]] = {"sensor": set(), "integrator": set(), "converter": {"rate"}}
     before = _with(scene, on)
     yield _step("channels, ideal", before)
-    for keys, groups in ((on.sensor, _SENSOR), (on.integrator, _INTEGRATOR), (on.converter, _CONVERTER)):
-        for name, group in groups.items():
-            keys.update(group)
-            after = _with(scene, on)
-            if after != before:
-                yield _step(name, after)
-            before = after
-    yield _step("recording", scene.replace(recording=_recording(scene, display=False, truth=False)), True)
+    for device, name, keys in _STEPS:
+        on[device].update(keys)
+        after = _with(scene, on)
+        if after != before:
+            yield _step(name, after)
+        before = after
+    plain = scene.recording.replace(display=False, truth=False)
+    yield _step("recording", scene.replace(recording=plain), True)
     if scene.recording.display:
-        yield _step("display", scene.replace(recording=_recording(scene, display=True, truth=False)), True)
+        yield _step("display", scene.replace(recording=plain.replace(display=True)), True)
     if scene.recording.truth:
         yield _step("truth", scene, True)
 
 
-def _recording(scene: Scene, display: bool, truth: bool) -> Any:
-    return scene.recording.replace(display=display, truth=truth)
-
-
-def _with(scene: Scene, on: _Active) -> Scene:
+def _with(scene: Scene, on: dict[str, set[str]]) -> Scene:
     """Reduce channels and converter to the keys that are on."""
     converter = filled_in(scene.converter)
-    kept = {key: getattr(converter, key) for key in on.converter}
+    kept = {key: getattr(converter, key) for key in on["converter"]}
     if kept.get("bits") is None and scene.recording.samples == "counts":
         scene = scene.replace(recording=scene.recording.replace(samples=None))
-    channels = None if scene.channels is None else tuple(_channel(one, on) for one in scene.channels)
+    channels = None if scene.channels is None else tuple(_channel(channel, on) for channel in scene.channels)
     return scene.replace(channels=channels, converter=Converter(**kept))
 
 
-def _channel(channel: Channel, on: _Active) -> Channel:
-    accelerometer, hammer = channel.accelerometer, channel.hammer
-    if accelerometer is not None:
-        accelerometer = Accelerometer(**_given(filled_in(accelerometer), on.sensor))
-    if hammer is not None:
-        hammer = Hammer(**_given(filled_in(hammer), on.sensor))
-    integrator = channel.integrator
-    if integrator is not None:
-        off = {name: None for name in ("noise", "saturation") if name not in on.integrator}
-        integrator = integrator.replace(**off) if on.integrator else None
+def _channel(channel: Channel, on: dict[str, set[str]]) -> Channel:
     # Limits are in the unit that the channel reads with everything on.
-    return channel.replace(
-        accelerometer=accelerometer, hammer=hammer, integrator=integrator, alarm=None, abort=None
-    )
-
-
-def _given(device: Accelerometer | Hammer, names: set[str]) -> dict[str, Any]:
-    return {name: getattr(device, name) for name in names if getattr(device, name, None) is not None}
+    changes: dict[str, Any] = {"alarm": None, "abort": None}
+    for name in ("accelerometer", "hammer"):
+        device = getattr(channel, name)
+        if device is not None:
+            sheet = filled_in(device)
+            given = {key: value for key in on["sensor"] if (value := getattr(sheet, key, None)) is not None}
+            changes[name] = type(device)(**given)
+    if channel.integrator is not None:
+        off = {name: None for name in ("noise", "saturation") if name not in on["integrator"]}
+        changes["integrator"] = channel.integrator.replace(**off) if on["integrator"] else None
+    return channel.replace(**changes)
 
 
 def _step(name: str, scene: Scene, recorded: bool = False) -> EffectStep:

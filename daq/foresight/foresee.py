@@ -15,8 +15,7 @@ from daq.foresight.flights import flight_lines, onset_level, outside_band
 from daq.foresight.foresight import Expectation, Foresight, in_words
 from daq.foresight.linear import drive_needed
 from daq.foresight.noise import least_signals
-from daq.foresight.recording_size import recording_size
-from daq.foresight.rehearsal import Extreme, Rehearsal
+from daq.foresight.rehearsal import Extreme, Rehearsal, recording_size
 from daq.foresight.shortened import (
     Shortened,
     about_peaks,

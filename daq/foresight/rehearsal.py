@@ -1,9 +1,12 @@
-"""A rehearsal: the test on the scene's bench without a recording, with the extremes of every channel."""
+"""A rehearsal: the test on the bench without a recording, with the extremes of every channel; its recording's size."""
 
 from __future__ import annotations
 
+import tempfile
 from collections import deque
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
@@ -12,6 +15,8 @@ from numpy.typing import NDArray
 from daq.excitation import excitation
 from daq.excitation.swept_sine import sweep_frequency
 from daq.measurement.bench_loop import BenchLoop, LimitReached
+from daq.recording.recorder import Recorder
+from daq.virtual_bench.bench import Bench
 from daq.virtual_bench.stream import Block
 from rig.scene.excitation import SweptSine
 from rig.scene.scene import Scene
@@ -139,3 +144,22 @@ class Rehearsal(BenchLoop):
             settled = bool(fields.get("settled", True))
             self.steps.append(Step(first, stop, float(fields["frequency"]), settled))
             self._ahead -= kind == "measure" and self._ahead > 0
+
+
+def recording_size(scene: Scene, bench: Bench, blocks: Iterable[Block], seconds: float) -> float:
+    """Estimate the size of the recording of a test of a duration in s from some of its blocks, bytes."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "size.mcap"
+        written = 0
+        with Recorder(path, scene, bench.channels, bench.rate) as recorder:
+            empty = recorder.size
+            for block in blocks:
+                if not block.samples.shape[1]:
+                    continue
+                if scene.recording.truth:
+                    motion = replace(block.motion, first=written, events=block.motion.events[:0])
+                    recorder.write_truth(motion)
+                recorder.write(block.samples)
+                written += block.samples.shape[1]
+        whole = path.stat().st_size
+    return empty + (whole - empty) / max(written, 1) * seconds * bench.rate

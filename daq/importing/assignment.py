@@ -14,9 +14,9 @@ from daq.importing.units import meaning
 from daq.recording.truth import points_of
 from daq.signal_chain.chain import default_channels
 from daq.signal_chain.channel import ChannelInfo, Quantity
-from daq.signal_chain.channel_description import channel_info
 from daq.signal_chain.converter import volts_per_count
 from daq.signal_chain.devices import stages
+from daq.signal_chain.stage import channel_info
 from rig.errors import SceneError
 from rig.scene.measurement_chain import Channel, Integrator
 from rig.scene.presets import filled_in, input_settings

@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 import threading
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from itertools import pairwise
 from pathlib import Path
@@ -18,12 +18,13 @@ from numpy.typing import NDArray
 from daq.excitation import Excitation, Station, excitation
 from daq.measurement.bench_loop import BenchLoop
 from daq.measurement.estimate import estimate, refuse_too_much
-from daq.measurement.force_reference import missing_force_reference
 from daq.measurement.limits import Stretches
 from daq.recording.committed_file import DiskError
 from daq.recording.interrupts import answered
 from daq.recording.recorded_test import TestKind, kind_of_settings
 from daq.recording.recorder import Recorder
+from daq.recording.scene_outline import SceneOutline
+from daq.signal_chain.channel import ChannelInfo
 from daq.virtual_bench.stream import Block
 from rig.ending_signals import came
 from rig.errors import RecordingError, RunError, SceneError, ShotrigError
@@ -228,6 +229,32 @@ class MeasurementRun(BenchLoop):
 
     def _holds(self) -> str:
         return f"{self._path} holds the {self.station.now / self.bench.rate:.2f} s up to there"
+
+
+def missing_force_reference(scene: Scene, channels: Sequence[ChannelInfo]) -> str | None:
+    """Return a text with the channels that are missing for the shaker's force; None if they are complete.
+
+    >>> import rig
+    >>> from daq.virtual_bench.bench import Bench
+    >>> bench = Bench(rig.load("bare-structure"))
+    >>> missing_force_reference(bench.scene, bench.channels) is None
+    True
+    """
+    outline = SceneOutline.of(scene)
+    forces = any(info.quantity == "force" for info in channels)
+    places = outline.missing_force_places({info.at for info in channels}, forces)
+    if not places:
+        return None
+    shaker = scene.driven_shaker
+    assert shaker is not None
+    names = ["force" if shaker.kind == "force" else place.replace(" ", "") for place in places]
+    missing = " and ".join(
+        f"{{name: {name}, at: {place}}}" for name, place in zip(names, places, strict=True)
+    )
+    return (
+        "no channel measures the force on the structure, so `analysis frf` has no reference. "
+        f"Add {missing} to the scene's channels."
+    )
 
 
 def _make_folder(path: Path) -> None:

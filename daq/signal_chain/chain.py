@@ -12,10 +12,10 @@ from daq.dsp.interpolation import ForceInterpolator, MotionInterpolator
 from daq.dsp.noise import generator
 from daq.dsp.skew import delays
 from daq.signal_chain.channel import ChannelInfo
-from daq.signal_chain.channel_description import channel_effects, channel_info
 from daq.signal_chain.decimation_filter import DELAY
 from daq.signal_chain.devices import stages
 from daq.signal_chain.signal_path import SignalPath
+from daq.signal_chain.stage import channel_effects, channel_info
 from rig.errors import SceneError
 from rig.scene.excitation import Impulse
 from rig.scene.measurement_chain import Channel

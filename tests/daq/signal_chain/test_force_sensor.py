@@ -11,7 +11,7 @@ import daq
 import rig
 from analysis.chain_cost.variants import plain, quiet
 from analysis.responses.frequency_responses import frequency_responses
-from daq.measurement.force_reference import missing_force_reference
+from daq.measurement.run import missing_force_reference
 from daq.virtual_bench.bench import Bench
 from rig.errors import RecordingError
 from rig.system.structural_model import receptance

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from analysis.decays.modal_decay import ModalDecay, band_width, modal_decay, spectral_peaks
 from analysis.decays.sensor_correction import corrected
@@ -19,6 +18,7 @@ from analysis.recordings.names import takes_path
 from analysis.recordings.slices import hits
 from analysis.responses.measurands import motion_channel, responses
 from analysis.responses.systematic import clock_deviation
+from rig.arrays import Array
 from rig.errors import RecordingError, SceneError
 from rig.results import Result, styled
 from rig.scene.scene import STANDARD_GRAVITY
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from daq.recording.recording import Recording
     from daq.signal_chain.channel import ChannelInfo
 
-Array = NDArray[np.float64]
 # Frequency range that is searched for modes, Hz; the upper limit is raised if the scene's structure has higher modes.
 LOWEST_MODE = 2.0
 HIGHEST_MODE = 200.0

@@ -7,16 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 from scipy import fft
 
+from rig.arrays import Array, ComplexArray
 from rig.results import Result, bounded, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 # Relative frequency difference below which two spectral peaks are considered the same mode.
 _SAME_MODE = 0.1
 # Maximum relative standard uncertainty, due to noise, of a reported damping ratio.

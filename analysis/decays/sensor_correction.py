@@ -8,12 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
+from rig.arrays import Array
 from rig.results.response import MOTIONS
 
 if TYPE_CHECKING:
     from daq.signal_chain.channel import ChannelInfo
-
-Array = NDArray[np.float64]
 
 
 class CorrectedMotion:

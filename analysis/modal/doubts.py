@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.modal.modes import DETERMINED, Modes
 from analysis.modal.pole_errors import SMEAR
+from rig.arrays import Array
 from rig.results.response import Response
-
-Array = NDArray[np.float64]
 
 # A damping ratio with a larger relative uncertainty is reported.
 _OFF = 0.02

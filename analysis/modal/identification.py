@@ -19,11 +19,9 @@ from analysis.modal.pole_residue import Curves, Fit, fit, residual_terms
 from analysis.modal.refinement import Refined, refined
 from analysis.modal.several_references import separated
 from analysis.responses.systematic import ALIASING, ROUGH
+from rig.arrays import Array, ComplexArray
 from rig.errors import RecordingError, SceneError
 from rig.results.response import Response, stack
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 # Smallest relative error assigned to a point, so that a few points of very small error do not determine the result.
 LEAST_RELATIVE_ERROR = 1e-4

@@ -8,9 +8,8 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from rig.arrays import Array
 from rig.results.response import Response
-
-Array = NDArray[np.float64]
 
 # A larger number of lines is reduced, to about half of this number between peaks.
 MOST_LINES = 2000

@@ -6,10 +6,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from rig.arrays import Array, ComplexArray
 
 # Poles with a larger damping ratio are not resonances.
 MOST_DAMPING = 0.25
@@ -21,13 +19,10 @@ OFTEN = 4
 class ChartPole:
     """One pole of the stabilisation chart."""
 
-    order: int
-    """Number of modes of its model."""
+    order: int  # number of modes of its model
     frequency: float
-    damping: float
-    """Hz and damping ratio."""
-    stable: bool
-    """Whether the previous order has a pole within a quarter of the half-power width."""
+    damping: float  # hz and damping ratio
+    stable: bool  # whether the previous order has a pole within a quarter of the half-power width
 
     @property
     def pole(self) -> complex:

@@ -10,14 +10,13 @@ from numpy.typing import NDArray
 
 from analysis.modal.lscf import ChartPole
 from analysis.modal.pole_residue import residual_terms
+from rig.arrays import Array, ComplexArray
 from rig.errors import SceneError
 from rig.results import Result, bounded, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 # Largest relative standard uncertainty of a determined damping ratio. Above it the ratio is less than three standard
 # deviations from zero: only its upper limit is stated, and its pole is a mode only if it has a distinct peak.

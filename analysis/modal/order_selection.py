@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.modal.lscf import MOST_DAMPING
-from analysis.modal.pole_residue import ComplexArray, Curves, Fit, fit, misfits_with, misfits_without
-
-Array = NDArray[np.float64]
+from analysis.modal.pole_residue import Curves, Fit, fit, misfits_with, misfits_without
+from rig.arrays import Array, ComplexArray
 
 MOST_MODES = 12
 # Fewest residual degrees of freedom; with fewer, a model fits any data.

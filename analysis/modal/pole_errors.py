@@ -5,16 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.modal.order_selection import correlation, half_width
 from analysis.modal.pole_residue import Curves, Fit
 from analysis.responses.systematic import ALIASING, MODEL, REFERENCE_NOISE, RESOLUTION
+from rig.arrays import Array, ComplexArray
 from rig.results.response import Response
 from rig.results.uncertainty import CLOCK, SENSITIVITY
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 # Systematic parts that shift a pole like a stiffness error, those that shift it like a complex stiffness, because
 # aliases have an arbitrary phase, and those that may change its width. They are evaluated within this number of

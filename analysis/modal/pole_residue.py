@@ -9,8 +9,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from rig.arrays import Array, ComplexArray
 
 # Limit of evaluations: a fit from good initial values converges within it, and a fit from poor initial values is
 # stopped.

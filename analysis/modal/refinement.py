@@ -15,14 +15,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.modal.pole_residue import ABOVE, Curves, Fit, residual_terms
 from analysis.responses.systematic import MODEL, REFERENCE_NOISE
+from rig.arrays import Array, ComplexArray
 from rig.results.uncertainty import Covariance
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 # Limits of Gauss-Newton steps and of halvings of each step, and the final step in standard deviations.
 _STEPS, _HALVINGS, _SETTLED = 12, 6, 1e-3

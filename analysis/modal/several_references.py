@@ -15,12 +15,9 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.modal.modes import Modes
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from rig.arrays import ComplexArray
 
 # A further singular value of a residue is significant above this multiple of its uncertainty, and above this share of
 # the largest.

@@ -28,10 +28,9 @@ class Slice:
     recording: Recording
     channels: tuple[str, ...]
     start: int
-    stop: int
-    """First and one-past-last sample."""
+    stop: int  # first and one-past-last sample
+    # called with the number of samples read since the last call, summed over the channels
     on_read: Callable[[int], None] = field(default=lambda samples: None, compare=False)
-    """Called with the number of samples read since the last call, summed over the channels."""
 
     @classmethod
     def of(

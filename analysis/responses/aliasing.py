@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.responses.systematic import ALIASING, of_reading, off_by_gains
+from rig.arrays import Array, ComplexArray
 from rig.results.response import MOTIONS
 from rig.scene.shaker import ElectrodynamicShaker, TableShaker
 from rig.system.structural_model import structural_model
@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from daq.recording.recording import Recording
     from rig import Scene
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 # Multiples of the sample rate whose images are summed, and the largest factor by which all further images increase
 # the sum. The factor is exact for images that decrease as 1/k²; it is smaller for images that decrease faster.

@@ -8,20 +8,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 from scipy import fft
 
 from analysis.recordings.slices import read_slices
 from analysis.responses.clean_stretches import Flaw, flaws
 from analysis.responses.estimators import Averages, independent_blocks
+from rig.arrays import Array, ComplexArray
 from rig.errors import SceneError
 
 if TYPE_CHECKING:
     from analysis.responses.whole_stretches import WholeStretches
     from daq.recording.recording import Recording
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True)
@@ -30,19 +27,13 @@ class CrossSpectra:
 
     channels: tuple[str, ...]
     frequency: Array  # Hz; shape (n,)
-    cross: ComplexArray
-    """Mean of Y_i conj(Y_j), shape (n, channels, channels)."""
+    cross: ComplexArray  # mean of Y_i conj(Y_j), shape (n, channels, channels)
     window: Array
-    used: int
-    """Number of blocks."""
-    weight: float
-    """Equivalent number of equally weighted blocks, relative to `used`."""
-    flaws: Sequence[Flaw]
-    """Flaws of the blocks that were left out."""
-    left: float
-    """Largest residual motion of any channel at the end of a block, as a share of its motion."""
-    squares: Array
-    """Mean square of each channel within a block, less its mean; shape (channels,)."""
+    used: int  # number of blocks
+    weight: float  # equivalent number of equally weighted blocks, relative to `used`
+    flaws: Sequence[Flaw]  # flaws of the blocks that were left out
+    left: float  # largest residual motion of any channel at the end of a block, as a share of its motion
+    squares: Array  # mean square of each channel within a block, less its mean; shape (channels,)
 
     def averages(
         self,

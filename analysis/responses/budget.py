@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.responses.aliasing import aliasing_part
 from analysis.responses.systematic import (
@@ -16,13 +15,11 @@ from analysis.responses.systematic import (
     doubtful_reference_part,
     sensitivity_part,
 )
+from rig.arrays import Array, ComplexArray
 from rig.results.uncertainty import RandomErrors, UncertaintyBudget, radius
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.responses.budget import ReadingShares, assemble_budget
 from analysis.responses.measurands import driven, motion_of, reference_of
@@ -21,6 +20,7 @@ from analysis.responses.systematic import (
     rounding_part,
     shared_noise_part,
 )
+from rig.arrays import Array, ComplexArray
 from rig.errors import SceneError
 from rig.results.response import Response
 
@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from analysis.responses.whole_stretches import WholeStretches
     from daq.recording.recording import Recording
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 ESTIMATORS = ("H1", "H2", "Hv")
 
 
@@ -56,22 +54,20 @@ def estimate(estimator: str, sxx: Array, sff: Array, sxf: ComplexArray) -> Compl
 class Averages:
     """Spectral matrix of the recorded channels, averaged over blocks."""
 
-    channels: tuple[str, ...]
-    """Names, in the order of rows and columns."""
+    channels: tuple[str, ...]  # names, in the order of rows and columns
     frequency: Array  # Hz; shape (n,)
+    # mean of Y_i conj(Y_j) as recorded, without correction for the sensors; complex, shape (n, channels,
+    # channels)
     cross: ComplexArray
-    """Mean of Y_i conj(Y_j) as recorded, without correction for the sensors; complex, shape (n, channels,
-    channels)."""
-    averages: float
-    """Number of independent blocks; overlapping blocks count as fewer."""
-    resolution: float
-    """Bandwidth of the window in Hz; 0 without leakage (bursts that end inside their block)."""
+    averages: float  # number of independent blocks; overlapping blocks count as fewer
+    resolution: float  # bandwidth of the window in Hz; 0 without leakage (bursts that end inside their block)
     label: str = ""  # For legends
     warnings: tuple[str, ...] = ()  # In full sentences
+    # largest relative change of each channel's gain by rounding, as in `rounding_part`; shape (channels, n)
     gain: Array = field(default_factory=lambda: np.zeros((1, 1)))
-    """Largest relative change of each channel's gain by rounding, as in `rounding_part`; shape (channels, n)."""
+    # the same test without windows, where windows cause leakage: the difference of the two is stated as
+    # leakage
     unsmeared: WholeStretches | None = None
-    """The same test without windows, where windows cause leakage: the difference of the two is stated as leakage."""
 
     estimator: str = "H1"  # Or ``"H2"``, ``"Hv"``
 

@@ -6,13 +6,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
+
+from rig.arrays import Array, ComplexArray
 
 if TYPE_CHECKING:
     from daq.signal_chain.channel import ChannelInfo
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 # The force window stays open for this time, s, after the last sample of the hit, and tapers over an equal time.
 SLOPE = 2e-3

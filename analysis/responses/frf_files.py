@@ -16,13 +16,12 @@ from analysis.responses.passivity import reversed_force
 from daq.importing import uff
 from daq.importing.files import signals_of
 from daq.importing.units import meaning
+from rig.arrays import Array
 from rig.errors import RecordingError, SceneError
 from rig.input_files import path_of
 from rig.results.response import MOTIONS, Response, stack
 from rig.results.universal_file import DEVIATION_LINE, FRF, GENERAL, RESOLUTION_LINE
 from rig.scene.quantities import FREQUENCY
-
-Array = NDArray[np.float64]
 
 ENDINGS = (".uff", ".unv", ".csv", ".txt")
 _PART = re.compile(

@@ -18,13 +18,12 @@ from analysis.responses.force_pulse import pulse_alone
 from analysis.responses.local_models.local_rational import ORDER
 from analysis.responses.local_models.local_spectra import SIDE
 from analysis.responses.systematic import counts_of, scattered
+from rig.arrays import Array, ComplexArray
 from rig.errors import RecordingError
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 # Interval before a hit, s, for the detection of residual motion and for the channel's zero.
 REST = 0.2
@@ -51,14 +50,10 @@ _FEWEST_COUNTS, _SAME = 6.0, 0.007
 class Hits:
     """The hits of a recording."""
 
-    channel: str
-    """The force channel."""
-    arrivals: tuple[tuple[int, int], ...]
-    """First and last sample of each hit in the force channel."""
-    missed: tuple[Flaw, ...]
-    """Hits whose force is outside their marker."""
-    interval: int
-    """Smallest number of samples from a hit to the next hit, or from the last hit to the end."""
+    channel: str  # the force channel
+    arrivals: tuple[tuple[int, int], ...]  # first and last sample of each hit in the force channel
+    missed: tuple[Flaw, ...]  # hits whose force is outside their marker
+    interval: int  # smallest number of samples from a hit to the next hit, or from the last hit to the end
 
     @classmethod
     def of(cls, rec: Recording) -> Hits:

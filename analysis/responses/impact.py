@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft
 
 from analysis.responses.block_spectra import CrossSpectra, bins_of, cross_spectra, window_of
@@ -15,13 +14,12 @@ from analysis.responses.estimators import Averages
 from analysis.responses.hits import Hits
 from analysis.responses.local_models.local_spectra import SIDE
 from analysis.responses.whole_stretches import WholeStretches, dampers_move
+from rig.arrays import Array
 from rig.errors import RecordingError, SceneError
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
-
-Array = NDArray[np.float64]
 
 # The hit begins after this part (1/n) of a block.
 _LEAD = 50

@@ -7,13 +7,10 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
+from rig.arrays import Array, ComplexArray
 from rig.errors import RecordingError
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 # Samples per matrix product; they and the rows of the tones fit into the cache of a core.
 _CACHED = 2048
@@ -24,14 +21,13 @@ class ToneFit:
     """Tone, harmonics and residual of one window."""
 
     frequency: float  # Hz
+    # x(t) = offset + slope t + sum_k Re(amplitude[:, k-1] e^{i k w t}), t counted from the window's first
+    # sample; complex, shape (channels, harmonics)
     amplitude: ComplexArray
-    """x(t) = offset + slope t + sum_k Re(amplitude[:, k-1] e^{i k w t}), t counted from the window's first
-    sample; complex, shape (channels, harmonics)."""
+    # fundamental of each part of the window; the scatter of the parts determines the error of `amplitude`;
+    # complex, shape (parts, channels)
     parts: ComplexArray
-    """Fundamental of each part of the window; the scatter of the parts determines the error of `amplitude`; complex,
-    shape (parts, channels)."""
-    residual: Array
-    """Root mean square of the residual; shape (channels,)."""
+    residual: Array  # root mean square of the residual; shape (channels,)
 
     def scatter(self) -> ComplexArray:
         """Compute the square-root factor of the fundamentals' covariance from the parts, shape (parts, channels)."""
@@ -52,12 +48,9 @@ class _Part:
 
     first: int
     length: int
-    projection: Array
-    """Products of the fitted terms with the samples, shape (terms, channels)."""
-    own: Array
-    """Coefficients of the fit to this part, shape (terms, channels)."""
-    residual: Array
-    """Its sum of squares, shape (channels,)."""
+    projection: Array  # products of the fitted terms with the samples, shape (terms, channels)
+    own: Array  # coefficients of the fit to this part, shape (terms, channels)
+    residual: Array  # its sum of squares, shape (channels,)
 
 
 class LockIn:

@@ -74,10 +74,8 @@ class Measurand:
     """A mechanical quantity as a weighted sum of channels."""
 
     channels: tuple[str, ...]  # Channels that are summed
-    weights: tuple[float, ...]
-    """Factor of each channel's true quantity."""
-    motion: str
-    """Quantity of each channel: displacement, velocity, acceleration or force."""
+    weights: tuple[float, ...]  # factor of each channel's true quantity
+    motion: str  # quantity of each channel: displacement, velocity, acceleration or force
 
     def row(
         self, rec: Recording, names: Sequence[str], frequency: NDArray[np.float64]

@@ -17,6 +17,7 @@ from analysis.responses.measurands import located, reference_of
 from analysis.responses.scatter import Scatter
 from analysis.responses.spectral_lines import Lines, remainder
 from analysis.responses.systematic import counts_of, in_counts, scattered, tone_gain
+from rig.arrays import Array, ComplexArray
 from rig.errors import RecordingError
 from rig.results.response import Response
 
@@ -24,8 +25,6 @@ if TYPE_CHECKING:
     from daq.recording.markers import Marker
     from daq.recording.recording import Recording
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 NONLINEAR = (
     "The structure is not linear: the curve is the best linear approximation for this level and kind of excitation, "
@@ -51,10 +50,8 @@ _SHARE, _BEYOND, _SEEN = 0.2, 3.0, 2e-3
 class BestLinearApproximation:
     """Best linear approximation from the periods and realisations of a multisine."""
 
-    total: Lines
-    """Mean over realisations with their scatter: noise and nonlinear distortion together."""
-    noise: Lines
-    """The same mean with the scatter of the periods alone."""
+    total: Lines  # mean over realisations with their scatter: noise and nonlinear distortion together
+    noise: Lines  # the same mean with the scatter of the periods alone
     realisations: int
 
     def frf(
@@ -175,11 +172,9 @@ class _Realisation:
     periods: int
     notes: tuple[str, ...]
     mean: ComplexArray
-    noise: ComplexArray
-    """Rows of the mean's `Scatter`; shape (periods, channels, lines)."""
+    noise: ComplexArray  # rows of the mean's `Scatter`; shape (periods, channels, lines)
     remainder: Array
-    scatter: Array
-    """Variance of the samples from period to period; shape (channels,)."""
+    scatter: Array  # variance of the samples from period to period; shape (channels,)
 
 
 @dataclass(frozen=True)
@@ -187,10 +182,8 @@ class PeriodSpectra:
     """Amplitudes of each clean period of a multisine."""
 
     frequency: Array
-    spectra: ComplexArray
-    """Shape (periods, channels, lines)."""
-    samples: Array
-    """Shape (periods, channels, samples)."""
+    spectra: ComplexArray  # shape (periods, channels, lines)
+    samples: Array  # shape (periods, channels, samples)
     notes: tuple[str, ...]
 
 

@@ -20,10 +20,8 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from rig.arrays import Array, ComplexArray
 from rig.results.uncertainty import LineCovariance, Lines, RandomErrors
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 # Widths of a local fit over which the noise level is assumed constant.
 _EVEN_WIDTHS = 5
@@ -44,10 +42,8 @@ _AT_ONCE = 1 << 22
 class MeanErrors:
     """Errors of quotients of means, independent from line to line: `weights` times those of the channels."""
 
-    weights: ComplexArray
-    """Shape (lines, elements, channels)."""
-    means: ComplexArray
-    """Covariance of the channels' means; shape (lines, channels, channels)."""
+    weights: ComplexArray  # shape (lines, elements, channels)
+    means: ComplexArray  # covariance of the channels' means; shape (lines, channels, channels)
 
     def at(self, lines: Lines) -> MeanErrors:
         """Select some lines."""
@@ -80,8 +76,7 @@ class MeanErrors:
 class MatrixErrors:
     """Errors of all elements of a matrix, given by their covariance at each line."""
 
-    lines: ComplexArray
-    """Shape (lines, elements, elements)."""
+    lines: ComplexArray  # shape (lines, elements, elements)
 
     def at(self, lines: Lines) -> MatrixErrors:
         """Select some lines."""
@@ -107,27 +102,19 @@ class MatrixErrors:
 class LocalErrors:
     """Errors of local fits to spectra: sums over bins, of which neighbouring lines share most."""
 
+    # influence of the error at each bin of the reading on the response; shape (lines, elements, stretches,
+    # width)
     influence: ComplexArray
-    """Influence of the error at each bin of the reading on the response; shape (lines, elements, stretches,
-    width)."""
-    first: NDArray[np.int64]
-    """First bin of each line's fit; shape (lines,)."""
-    residual: ComplexArray
-    """Residual of the reading; shape (lines, elements, stretches, width)."""
-    curve: ComplexArray
-    """Reading per unit of the reference, as fitted; shape (lines, elements, width)."""
-    drive: Array
-    """Mean square of the reference over the bins of each fit; shape (lines,)."""
-    free: float
-    """Complex degrees of freedom of each fit."""
-    used: float
-    """Measured share of the samples of the spectra, as in `local_fit`."""
-    one_reference: bool
-    """Whether the reference is a single channel that is not part of the response."""
+    first: NDArray[np.int64]  # first bin of each line's fit; shape (lines,)
+    residual: ComplexArray  # residual of the reading; shape (lines, elements, stretches, width)
+    curve: ComplexArray  # reading per unit of the reference, as fitted; shape (lines, elements, width)
+    drive: Array  # mean square of the reference over the bins of each fit; shape (lines,)
+    free: float  # complex degrees of freedom of each fit
+    used: float  # measured share of the samples of the spectra, as in `local_fit`
+    one_reference: bool  # whether the reference is a single channel that is not part of the response
+    # error common to all lines, as a standard deviation of either quadrature; shape (lines, elements)
     common: ComplexArray
-    """Error common to all lines, as a standard deviation of either quadrature; shape (lines, elements)."""
-    shared: float = 1.0
-    """Number of neighbouring lines with a common error although their bins are different."""
+    shared: float = 1.0  # number of neighbouring lines with a common error although their bins are different
 
     def _change(self, change: Any, *names: str) -> LocalErrors:
         return replace(self, **{name: change(getattr(self, name)) for name in names})
@@ -208,10 +195,9 @@ class LocalCovariance:
     lines: ComplexArray
     shared: float
     errors: LocalErrors
-    noise: ComplexArray
-    """Covariance of the readings; shape (bins, elements, elements)."""
+    noise: ComplexArray  # covariance of the readings; shape (bins, elements, elements)
+    # noise in the reference as a share of its power, shape (lines,); None if it is not estimated
     reference: Array | None
-    """Noise in the reference as a share of its power, shape (lines,); None if it is not estimated."""
 
     def at(self, lines: Lines) -> LocalCovariance:
         """Select some lines."""

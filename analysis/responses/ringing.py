@@ -9,10 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.polynomial import polynomial
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from rig.arrays import Array, ComplexArray
 
 # Number of points of a local fit with two poles, and with a single pole.
 _POINTS, _FEWEST_POINTS = 7, 3

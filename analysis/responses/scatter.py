@@ -16,11 +16,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 from scipy import special
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from rig.arrays import Array, ComplexArray
 
 # Larger ratios of variances mean that one of the two has no noise.
 _LARGEST_RATIO = 1e30
@@ -32,11 +30,10 @@ _STEPS = 20
 class Scatter:
     """Random deviation of means at some lines."""
 
+    # factor S: the covariance of channels i and j is the sum over rows of ``S_i conj(S_j)``; complex, shape
+    # (rows, channels, lines)
     rows: ComplexArray
-    """Factor S: the covariance of channels i and j is the sum over rows of ``S_i conj(S_j)``; complex, shape (rows,
-    channels, lines)."""
-    degrees: Array
-    """Degrees of freedom, two for each complex average beyond the mean; shape (lines,)."""
+    degrees: Array  # degrees of freedom, two for each complex average beyond the mean; shape (lines,)
 
     def variance(self, weights: ComplexArray) -> Array:
         """Compute the variance of a weighted sum of the channels; weights of shape (channels, lines).

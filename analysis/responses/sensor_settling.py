@@ -6,15 +6,14 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.recordings.slices import read_slices
 from analysis.responses.clean_stretches import SETTLING, Flaw
+from rig.arrays import Array
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
-Array = NDArray[np.float64]
 
 # Blocks of the second half that determine the scatter of means after settling, and the fewest blocks for a result.
 _LATER, _FEWEST = 32, 16

@@ -19,7 +19,6 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.responses import random
 from analysis.responses.budget import ReadingShares, assemble_budget
@@ -41,6 +40,7 @@ from analysis.responses.systematic import (
     rounding_part,
 )
 from daq.recording.recorded_test import TestKind
+from rig.arrays import Array, ComplexArray
 from rig.errors import RecordingError, SceneError
 from rig.results.response import Point, Response
 from rig.results.uncertainty import UncertaintyBudget, stacked
@@ -49,8 +49,6 @@ if TYPE_CHECKING:
     from daq.recording.markers import Marker
     from daq.recording.recording import Recording
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 # Condition of the input spectra, scaled to unit power, beyond which inputs cannot be separated.
 WORST_CONDITION = 1e3
@@ -438,12 +436,9 @@ def _of_experiments(
 class Reciprocity:
     """Agreement of two responses that are equal by the Maxwell-Betti reciprocity theorem."""
 
-    pair: tuple[str, str]
-    """Positions of output and input, which are exchanged for the other response."""
-    within: float
-    """Share of lines at which the difference is within the bounds."""
-    deviation: float
-    """Median of their relative difference."""
+    pair: tuple[str, str]  # positions of output and input, which are exchanged for the other response
+    within: float  # share of lines at which the difference is within the bounds
+    deviation: float  # median of their relative difference
 
 
 def reciprocity(response: Response) -> tuple[Reciprocity, ...]:

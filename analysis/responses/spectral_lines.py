@@ -44,34 +44,30 @@ _AT_MOST = 1.05
 class Lines:
     """Amplitudes of the recorded channels at the frequencies of a periodic excitation."""
 
-    channels: tuple[str, ...]
-    """Names, in the order of the rows."""
-    frequency: NDArray[np.float64]
-    """Hz, in the order measured; shape (n,)."""
+    channels: tuple[str, ...]  # names, in the order of the rows
+    frequency: NDArray[np.float64]  # hz, in the order measured; shape (n,)
+    # amplitude as recorded, without correction for the sensors; complex, shape (channels, n)
     mean: NDArray[np.complex128]
-    """Amplitude as recorded, without correction for the sensors; complex, shape (channels, n)."""
-    scatter: Scatter
-    """Random deviation of the mean."""
+    scatter: Scatter  # random deviation of the mean
     label: str = ""  # Setting, for legends
     warnings: tuple[str, ...] = field(default=())  # In full sentences
+    # largest error of each mean by residual transients; shape (channels, n)
     remainder: NDArray[np.float64] | None = None
-    """Largest error of each mean by residual transients; shape (channels, n)."""
+    # lines without steady-state motion; shape (n,). None for tests without held tones
     unsteady: NDArray[np.bool_] | None = None
-    """Lines without steady-state motion; shape (n,). None for tests without held tones."""
+    # frequencies of discarded measurements, Hz
     left_out: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
-    """Frequencies of discarded measurements, Hz."""
+    # number of lines on either side with similar noise, for lines with too few averages of their own
     around: int = 0
-    """Number of lines on either side with similar noise, for lines with too few averages of their own."""
-    noise: Scatter | None = None
-    """Contribution of noise alone to `scatter`; None: all of it."""
+    noise: Scatter | None = None  # contribution of noise alone to `scatter`; None: all of it
+    # number of parts of the mean that were rotated by the phase of their own reference, which also aligns its
+    # noise
     turned: int = 1
-    """Number of parts of the mean that were rotated by the phase of their own reference, which also aligns its
-    noise."""
+    # largest error of each mean by rounding to counts; shape (channels, n)
     resolution: NDArray[np.float64] | None = None
-    """Largest error of each mean by rounding to counts; shape (channels, n)."""
     waited: NDArray[np.float64] | None = None
+    # arguments `waited` and `lasted` of `ringing` for successive tones, s; each of shape (n,)
     lasted: NDArray[np.float64] | None = None
-    """Arguments `waited` and `lasted` of `ringing` for successive tones, s; each of shape (n,)."""
 
     def frf(
         self, rec: Recording, response: str, reference: str = "force", motion: str = "displacement"

@@ -35,15 +35,11 @@ _LeftOut = tuple[float, str, str]
 class Sweep:
     """A pass through the frequencies at a constant level."""
 
-    lines: Lines
-    """Fundamental of every channel."""
-    tones: tuple[ToneFit, ...]
-    """Lock-in results, in the same order."""
-    level: float
-    """Nominal level: amplitude of the force, or of the drive."""
+    lines: Lines  # fundamental of every channel
+    tones: tuple[ToneFit, ...]  # lock-in results, in the same order
+    level: float  # nominal level: amplitude of the force, or of the drive
     direction: str  # ``"up"`` or ``"down"``
-    windows: NDArray[np.int64]
-    """First and one-past-last sample of each window; int, shape (n, 2)."""
+    windows: NDArray[np.int64]  # first and one-past-last sample of each window; int, shape (n, 2)
 
     def distortion(self) -> NDArray[np.float64]:
         """Compute the total harmonic distortion of the channels as recorded, shape (channels, n)."""

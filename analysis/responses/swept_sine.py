@@ -18,6 +18,7 @@ from analysis.responses.measurands import motion_of, reference_of
 from analysis.responses.random_errors import LocalErrors
 from analysis.responses.systematic import UNSETTLED, in_counts, scattered, tolerance, tone_gain
 from analysis.responses.whole_stretches import dampers_move
+from rig.arrays import Array, ComplexArray
 from rig.errors import RecordingError
 from rig.results.response import MOTIONS, Response
 
@@ -25,8 +26,6 @@ if TYPE_CHECKING:
     from daq.recording.markers import Marker
     from daq.recording.recording import Recording
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 # A stretch covers at least this frequency ratio of the sweep, which is small enough to exclude the harmonics of a
 # nonlinear structure. It is extended by this factor until enough of its lines are excited on either side.
@@ -49,14 +48,12 @@ class SweptTone:
     """A sweep: at each frequency, the spectra of the stretch in which the tone is near it."""
 
     spectra: LocalSpectra
-    speed: Array
-    """Sweep rate at each frequency, Hz/s; shape (lines,)."""
+    speed: Array  # sweep rate at each frequency, Hz/s; shape (lines,)
     label: str
     warnings: tuple[str, ...]
+    # frequencies at which no damper lifts, so that the structure is linear; shape (lines,)
     riding: NDArray[np.bool_]
-    """Frequencies at which no damper lifts, so that the structure is linear; shape (lines,)."""
-    shared: float = 1.0
-    """Number of neighbouring frequencies that use the same lines of their spectra."""
+    shared: float = 1.0  # number of neighbouring frequencies that use the same lines of their spectra
 
     def frf(
         self, rec: Recording, response: str, reference: str = "force", motion: str = "displacement"

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.arrays import Array, ComplexArray
 from rig.results.response import MOTIONS
 from rig.results.uncertainty import CLOCK, SENSITIVITY
 from rig.scene.quantities import PER_KELVIN, RATIO, TEMPERATURE, Kind, parse
@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from daq.recording.recording import Recording
     from daq.signal_chain.channel import ChannelInfo
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 REFERENCE_NOISE, LEAKAGE, UNSETTLED = "noise in the reference", "leakage", "not yet steady"
 ALIASING, RESOLUTION, MODEL = "aliasing", "converter's resolution", "local model"

@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     from analysis.responses.hits import Hits
     from daq.recording.recording import Recording
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 # Stretches shorter than this part of the longest are omitted, because their transients need too many parameters.
 _WORTH = 0.25
@@ -50,29 +48,21 @@ _MUCH = 0.01
 class WholeStretches:
     """Samples and band of a recording for local fits."""
 
+    # all channels concerned. A flaw of one channel excludes the samples of all, so that the curves have equal
+    # lines
     channels: tuple[str, ...]
-    """All channels concerned. A flaw of one channel excludes the samples of all, so that the curves have equal
-    lines."""
-    first: int
-    """Samples between which the test ran."""
-    stop: int
-    """Samples between which the test ran."""
-    low: float
-    """Band in Hz in which responses are estimated."""
-    high: float
-    """Band in Hz in which responses are estimated."""
-    missed: Sequence[Flaw] = ()
-    """Flaws of channels in addition to overloads and losses."""
-    hits: Hits | None = None
-    """Hits of a hammer, with the noise of the force before and after each hit."""
+    first: int  # samples between which the test ran
+    stop: int  # samples between which the test ran
+    low: float  # band in Hz in which responses are estimated
+    high: float  # band in Hz in which responses are estimated
+    missed: Sequence[Flaw] = ()  # flaws of channels in addition to overloads and losses
+    hits: Hits | None = None  # hits of a hammer, with the noise of the force before and after each hit
+    # period of bursts and duration of each burst in samples; None for tests without bursts
     bursts: tuple[int, int] | None = None
-    """Period of bursts and duration of each burst in samples; None for tests without bursts."""
-    label: str = ""
-    """For legends."""
-    warnings: tuple[str, ...] = ()
-    """In full sentences."""
+    label: str = ""  # for legends
+    warnings: tuple[str, ...] = ()  # in full sentences
+    # stored spectra by channels, and the motion before the hits of each stretch
     made: dict[tuple[str, ...], tuple[LocalSpectra, list[float]]] = field(default_factory=dict)
-    """Stored spectra by channels, and the motion before the hits of each stretch."""
 
     def frf(
         self, rec: Recording, response: str, reference: str = "force", motion: str = "displacement"

@@ -7,16 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from analysis.responses.local_models.local_rational import ORDER
 from analysis.responses.systematic import JITTER
+from rig.arrays import Array, ComplexArray
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 # A normal error exceeds this number of standard deviations with less than 5 % probability, an error with two
 # components with less than 2 %.

@@ -27,8 +27,8 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from rig.arrays import Array, ComplexArray
+
 Lines = NDArray[np.int64]
 
 # Order of the polynomials of the numerator, the denominator and the transients. A fit of the next higher order gives
@@ -45,46 +45,38 @@ _AT_ONCE = 1 << 20
 class Reading:
     """Reading of a channel in some stretches."""
 
+    # spectra of stretches brought to equal length, without a window; complex, shape (stretches, bins)
     spectra: ComplexArray
-    """Spectra of stretches brought to equal length, without a window; complex, shape (stretches, bins)."""
-    response: ComplexArray
-    """Response of the channel to the quantity that it measures; complex, shape (bins,)."""
+    response: ComplexArray  # response of the channel to the quantity that it measures; complex, shape (bins,)
+    # spectra of the transients of its high-pass filters, ``1 / (s - pole)``; complex, shape (poles, bins)
     slow: ComplexArray
-    """Spectra of the transients of its high-pass filters, ``1 / (s - pole)``; complex, shape (poles, bins)."""
 
 
 @dataclass(frozen=True)
 class LocalFit:
     """Result of the local fits, for each line."""
 
-    value: ComplexArray
-    """Response at each line; NaN at lines without excitation; complex, shape (lines,)."""
-    variance: Array
-    """Variance of either quadrature component; shape (lines,)."""
+    value: ComplexArray  # response at each line; NaN at lines without excitation; complex, shape (lines,)
+    variance: Array  # variance of either quadrature component; shape (lines,)
+    # share of the response power without transients that the fit assigns to the reference; shape (lines,)
     coherence: Array
-    """Share of the response power without transients that the fit assigns to the reference; shape (lines,)."""
-    degrees: Array
-    """Degrees of freedom of the variance; shape (lines,)."""
+    degrees: Array  # degrees of freedom of the variance; shape (lines,)
+    # model error of the polynomials at each line: the change by a fit of the next higher order, at the line
+    # or as root mean square around it, less the change that noise explains [2]_; shape (lines,)
     missed: Array
-    """Model error of the polynomials at each line: the change by a fit of the next higher order, at the line or as
-    root mean square around it, less the change that noise explains [2]_; shape (lines,)."""
+    # variance of either quadrature component for noise of unit power in the reference at each line. In a peak
+    # that is narrower than the range of a fit, the poles follow this noise and the residuals do not show it;
+    # shape (lines,)
     through: Array
-    """Variance of either quadrature component for noise of unit power in the reference at each line. In a peak that
-    is narrower than the range of a fit, the poles follow this noise and the residuals do not show it; shape
-    (lines,)."""
+    # share of the reference power that no other term of the fit can explain. The share is small for a tone
+    # that sweeps evenly, because its spectrum resembles a transient, and large for noise; shape (lines,)
     apart: Array
-    """Share of the reference power that no other term of the fit can explain. The share is small for a tone that
-    sweeps evenly, because its spectrum resembles a transient, and large for noise; shape (lines,)."""
-    noise: Array
-    """Power of the residual at each line, in the squared unit of the reading; shape (lines,)."""
+    noise: Array  # power of the residual at each line, in the squared unit of the reading; shape (lines,)
+    # error of the value per unit error of each bin of the reading; shape (lines, stretches, width)
     influence: ComplexArray
-    """Error of the value per unit error of each bin of the reading; shape (lines, stretches, width)."""
-    residual: ComplexArray
-    """Residual of the reading; shape (lines, stretches, width)."""
-    curve: ComplexArray
-    """Fitted reading per unit of the reference; shape (lines, 1, width)."""
-    first: Lines
-    """First bin of each fit; shape (lines,)."""
+    residual: ComplexArray  # residual of the reading; shape (lines, stretches, width)
+    curve: ComplexArray  # fitted reading per unit of the reference; shape (lines, 1, width)
+    first: Lines  # first bin of each fit; shape (lines,)
 
 
 def local_fit(
@@ -150,8 +142,7 @@ class _Fits(NamedTuple):
     through: Array
     apart: Array
     noise: Array
-    criterion: Array
-    """Schwarz's criterion, for the comparison of orders [3]_."""
+    criterion: Array  # Schwarz's criterion, for the comparison of orders [3]_
     influence: ComplexArray
     residual: ComplexArray
     curve: ComplexArray
@@ -206,20 +197,14 @@ class _Solution(NamedTuple):
     """Least-squares solution for readings and references scaled to unit mean square, at some lines."""
 
     value: ComplexArray
-    scale: Array
-    """Scale of the reading over that of the reference: the unit of the value."""
-    power: Array
-    """Square of the value without that scale."""
-    spread: Array
-    """Variance of the value without that scale, for unit noise."""
-    left: Array
-    """Sum of squares of the residual of the reading."""
+    scale: Array  # scale of the reading over that of the reference: the unit of the value
+    power: Array  # square of the value without that scale
+    spread: Array  # variance of the value without that scale, for unit noise
+    left: Array  # sum of squares of the residual of the reading
     through: Array
     apart: Array
-    size: Array
-    """Root mean square of the reading."""
-    influence: ComplexArray
-    """These three as in `LocalFit`, with all scales."""
+    size: Array  # root mean square of the reading
+    influence: ComplexArray  # these three as in `LocalFit`, with all scales
     residual: ComplexArray
     curve: ComplexArray
 
@@ -303,12 +288,9 @@ def _first(lines: Lines, side: int, bins: int) -> Lines:
 class _Unknown(NamedTuple):
     """Coefficients of the polynomials at each line."""
 
-    numerator: ComplexArray
-    """Shape (lines, order + 1)."""
-    denominator: ComplexArray
-    """Without its constant, which is 1; shape (lines, poles)."""
-    transients: ComplexArray
-    """Shape (lines, stretches, terms)."""
+    numerator: ComplexArray  # shape (lines, order + 1)
+    denominator: ComplexArray  # without its constant, which is 1; shape (lines, poles)
+    transients: ComplexArray  # shape (lines, stretches, terms)
 
     def where(self, lines: NDArray[np.bool_], other: _Unknown) -> _Unknown:
         """Replace the coefficients at some lines by those of another solution."""
@@ -323,13 +305,12 @@ class _Unknown(NamedTuple):
 class _Terms(NamedTuple):
     """Known columns of the linear system, at the lines around each line."""
 
+    # reference times powers of the frequency distance, for the common numerator of all stretches; shape
+    # (lines, stretches, width, order + 1)
     shared: ComplexArray | Array
-    """Reference times powers of the frequency distance, for the common numerator of all stretches; shape (lines,
-    stretches, width, order + 1)."""
+    # columns of each stretch's transients; shape (lines, stretches or 1, width, terms)
     own: ComplexArray | Array
-    """Columns of each stretch's transients; shape (lines, stretches or 1, width, terms)."""
-    powers: Array
-    """Columns of the denominator; shape (lines, 1, width, poles)."""
+    powers: Array  # columns of the denominator; shape (lines, 1, width, poles)
 
     def response(self, unknown: _Unknown) -> ComplexArray:
         """Compute the quotient of the two polynomials; shape (lines, stretches or 1, width)."""

@@ -26,13 +26,12 @@ from analysis.responses.systematic import (
     rounding_part,
     shared_noise_part,
 )
+from rig.arrays import Array, ComplexArray
 from rig.results.response import Response
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 # Resolved lines on either side that a local fit uses.
 SIDE = 12
@@ -43,28 +42,21 @@ class LocalSpectra:
     """Spectra of stretches, without windows."""
 
     channels: tuple[str, ...]
-    samples: ComplexArray
-    """complex, shape (stretches, channels, bins)."""
-    ends: ComplexArray
-    """As in `local_fit`; complex, shape (stretches, bins)."""
-    frequency: Array
-    """Hz; shape (bins,)."""
-    lines: NDArray[np.int64]
-    """Bins at which the response is estimated; shape (lines,)."""
-    side: int
-    """Lines on either side that a local fit uses."""
-    used: float
-    """Measured share of the samples of the spectra, as in `local_fit`."""
+    samples: ComplexArray  # complex, shape (stretches, channels, bins)
+    ends: ComplexArray  # as in `local_fit`; complex, shape (stretches, bins)
+    frequency: Array  # hz; shape (bins,)
+    lines: NDArray[np.int64]  # bins at which the response is estimated; shape (lines,)
+    side: int  # lines on either side that a local fit uses
+    used: float  # measured share of the samples of the spectra, as in `local_fit`
+    # largest relative change of each channel's gain by rounding, as in `rounding_part`; shape (channels,
+    # lines)
     gain: Array
-    """Largest relative change of each channel's gain by rounding, as in `rounding_part`; shape (channels, lines)."""
-    noise: Array
-    """Known noise power of each channel at each line; shape (channels, lines)."""
-    jitter: Array
-    """Jitter of hits, from `jitter_factor`; shape (rows, channels)."""
+    noise: Array  # known noise power of each channel at each line; shape (channels, lines)
+    jitter: Array  # jitter of hits, from `jitter_factor`; shape (rows, channels)
+    # stored fits of a channel to a reference, because responses share the channels of their reference
     fits: dict[tuple[str, Measurand], LocalFit] = field(default_factory=dict)
-    """Stored fits of a channel to a reference, because responses share the channels of their reference."""
+    # stored spectra of references; complex, shape (stretches, bins)
     spectra: dict[Measurand, ComplexArray] = field(default_factory=dict)
-    """Stored spectra of references; complex, shape (stretches, bins)."""
 
     def only(self, names: Sequence[str]) -> LocalSpectra:
         """Return the spectra of some channels only."""

@@ -12,16 +12,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 from scipy import fft
 
 from analysis.recordings.slices import PIECE
+from rig.arrays import Array, ComplexArray
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 # Highest bin as a share of the lower rate; length of the filter in samples of that rate; and parameter of its Kaiser
 # window, which attenuates aliasing in these bins by 240 dB.

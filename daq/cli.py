@@ -130,7 +130,7 @@ def import_recording(
     if scene is None:
         if changes or overwrite or any(each is not None for each in (table, start, stop, output)):
             raise typer.BadParameter(
-                "--set, --table, --from, --to, -o and --overwrite require --scene. Add --scene SCENE, or leave them out"
+                "--set, --table, --from, --to, -o and --overwrite require --scene. Add --scene, or leave them out."
             )
         for line in listing(files):
             print(line)
@@ -289,13 +289,17 @@ def serve_a_rig(
     from daq.server.served_instrument import Limits
 
     if (certificate is None) != (key is None) or (client_ca is not None and certificate is None):
-        raise typer.BadParameter("--certificate and --key go together, and --client-ca needs both")
+        raise typer.BadParameter(
+            "--certificate, --key: one is missing. Give both; --client-ca needs both, too."
+        )
     if overwrite and output is None:
-        raise typer.BadParameter("--overwrite replaces a recording: name it with -o FILE")
+        raise typer.BadParameter("--overwrite: no recording is named. Name it with -o FILE.")
     if not 0 <= port < 65536:
-        raise typer.BadParameter(f"port {port}: expected 0 to 65535")
+        raise typer.BadParameter(f"--port: {port} is out of range. Give 0 to 65535.")
     if session_timeout <= 0.0:
-        raise typer.BadParameter(f"--session-timeout {session_timeout:g}: expected a time above 0 s")
+        raise typer.BadParameter(
+            f"--session-timeout: {session_timeout:g} s is too short. Give a time above 0 s."
+        )
     certificates = None
     if certificate is not None and key is not None:
         certificates = Certificates(certificate, key, client_ca)
@@ -350,7 +354,7 @@ def _recordings(scenes: Sequence[str], output: Path | None) -> list[Path]:
     if output is not None and len(scenes) == 1 and (output.suffix == ".mcap" or not output.is_dir()):
         return [output]
     if output is not None and output.suffix == ".mcap":
-        raise typer.BadParameter(f"-o {output}: expected a folder for the recordings of {len(scenes)} scenes")
+        raise typer.BadParameter(f"-o {output}: one file for {len(scenes)} scenes. Give a folder.")
     folder = output if output is not None else Path("recordings")
     paths = [folder / f"{Path(scene).stem}.mcap" for scene in scenes]
     if len(set(paths)) < len(paths):
@@ -367,10 +371,10 @@ def _free(path: Path, overwrite: bool) -> Path:
         there = path.exists()
     except OSError as error:
         raise RecordingError(
-            f"cannot make {path}: {error.strerror}. Choose another name or place with -o FILE.mcap"
+            f"{path}: cannot be made ({error.strerror}). Choose another name or place with -o FILE.mcap."
         ) from None
     if there and not overwrite:
-        raise RecordingError(f"{path} exists. Give another name with -o, or --overwrite to replace it.")
+        raise RecordingError(f"{path}: exists. Give another name with -o, or --overwrite to replace it.")
     return path
 
 

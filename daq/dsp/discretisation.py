@@ -143,8 +143,8 @@ def discretise(
     if not norm <= MOST_NORM:
         fastest = np.abs(np.linalg.eigvals(circuit.a)).max(initial=0.0) / (2.0 * np.pi)
         raise SceneError(
-            f"a corner or resonance of {fastest:.3g} Hz in a channel is too fast to be followed at a sample rate of "
-            f"{rate:.6g} Hz; leave it out (an ideal part has none), or choose a higher rate"
+            f"channels: a corner or resonance of {fastest:.3g} Hz is too fast for a sample rate of {rate:.6g} Hz. "
+            "Leave it out (an ideal part has none), or choose a higher rate."
         )
     terms, remainder = 4, norm
     while remainder > 1e-18:

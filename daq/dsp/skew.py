@@ -29,8 +29,8 @@ def delays(skew: float | tuple[float, ...] | None, channels: int, rate: float) -
     latest = max(late)
     if latest - min(late) >= 1.0 / rate:
         raise SceneError(
-            f"converter.skew: the channels are sampled over {latest - min(late):g} s; expected less than one "
-            f"sample interval, {1.0 / rate:g} s"
+            f"converter.skew: the channels are sampled over {latest - min(late):g} s, a sample interval "
+            f"({1.0 / rate:g} s) or more. Give a smaller skew."
         )
     return tuple(latest - each for each in late)
 

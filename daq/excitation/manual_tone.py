@@ -49,21 +49,23 @@ class Knobs:
             try:
                 value = float(text)
             except ValueError:
-                raise SceneError(f"{text!r} is no number; expected  {self.HELP}") from None
+                raise SceneError(f"{text!r} is no number. Type  {self.HELP}") from None
             self.asked = (self._frequency(value), force) if key == "f" else (frequency, _force(value))
         elif key:
-            raise SceneError(f"{line.strip()!r}: expected  {self.HELP}")
+            raise SceneError(f"{line.strip()!r} is no command. Type  {self.HELP}")
         return bool(key)
 
     def _frequency(self, value: float) -> float:
         if not 0.0 < value <= self.highest:
-            raise SceneError(f"f {value:g}: expected a frequency above 0 and up to {self.highest:g} Hz")
+            raise SceneError(
+                f"f {value:g}: out of range. Give a frequency above 0 and up to {self.highest:g} Hz."
+            )
         return value
 
 
 def _force(value: float) -> float:
     if not 0.0 <= value < np.inf:
-        raise SceneError(f"F {value:g}: expected a force amplitude of 0 N or more")
+        raise SceneError(f"F {value:g}: out of range. Give a force amplitude of 0 N or more.")
     return value
 
 

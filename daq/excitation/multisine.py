@@ -65,9 +65,7 @@ def _run(station: Station, test: Multisine, lines: Lines, period: int) -> Excita
                 message += f", experiment {experiment + 1}"
             message += f" of {test.realisations}"
             if factor < 1.0:
-                station.warn(
-                    f"{message}: the amplifier's limit keeps the drive at {factor:.0%} of what was asked"
-                )
+                station.warn(f"{message}: the amplifier limits the drive to {factor:.0%}. Lower the level.")
             waves *= factor
             done = (realisation - 1 + experiment / len(shakers)) / test.realisations
             station.report(done, f"{message}, settling")
@@ -76,7 +74,10 @@ def _run(station: Station, test: Multisine, lines: Lines, period: int) -> Excita
             settled = yield from _settle(station, waves)
             station.mark("settle", first, station.now, realisation=realisation, settled=settled)
             if not settled:
-                station.warn(f"{message}: not periodic within {_longest(station, period) / station.rate:g} s")
+                longest = _longest(station, period) / station.rate
+                station.warn(
+                    f"{message}: not periodic within {longest:g} s. Its periods are marked as not settled."
+                )
             first, step = station.now, 1.0 / test.realisations / len(shakers)
             for turns in range(test.periods):
                 station.report(done + turns / test.periods * step, f"{message}, period {turns + 1}")

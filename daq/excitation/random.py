@@ -81,7 +81,7 @@ def _run(station: Station, test: Random, lines: Lines, period: int) -> Excitatio
         if done:
             station.mark("measure", first, first + done, level=level, **facts)
     if clipped:
-        station.warn(f"the amplifier's limit clipped {clipped} of {total} drive samples")
+        station.warn(f"the amplifier's limit clipped {clipped} of {total} drive samples. Lower the level.")
 
 
 def shaping_filter(lines: Lines, amplitudes: Array, gains: Array, level: float, period: int) -> Array:

@@ -49,7 +49,10 @@ def _controlled(station: Station, test: Sine, tone: SteadyTone) -> Excitation:
     station.report(0.0, f"{test.frequency:.2f} Hz, settling at {force:g} N")
     settled = yield from tone.settle_and_mark(test.frequency, drive, _TOLERANCE, _LONGEST, facts)
     if not settled:
-        station.warn(f"{test.frequency:.3f} Hz, {force:g} N: no steady state within {_LONGEST:g} s")
+        station.warn(
+            f"{test.frequency:.3f} Hz, {force:g} N: no steady state within {_LONGEST:g} s. "
+            "The measurement is marked as not settled."
+        )
     station.report(0.5, f"{test.frequency:.2f} Hz, measuring")
     yield from tone.measure(station.samples(test.duration), settled, facts)
     yield tone.end()

@@ -88,5 +88,7 @@ def equalise(
     reached = abs(rms / level - 1) < 5 * _LEVEL
     station.mark("settle", first, station.now, level=level, force=rms, settled=reached)
     if not reached:
-        station.warn(f"the spring force came to {rms:.3g} N rms instead of {level:g} N")
+        station.warn(
+            f"the spring force is {rms:.3g} N rms instead of {level:g} N. Choose a level that the amplifier reaches."
+        )
     return played, force / played, playing

@@ -71,8 +71,8 @@ class Station:
         if name not in self.inputs:
             there = f"only the {' and the '.join(self.inputs)}" if self.inputs else "no drive input"
             raise SceneError(
-                f"the test drives the {name}, but the scene has {there}: "
-                + ("add a shaker to the scene" if name != "hammer" else "choose another test")
+                f"test: drives the {name}, but the scene has {there}. "
+                + ("Add a shaker to the scene." if name != "hammer" else "Choose another test.")
             )
         rows = np.zeros((len(self.inputs), wave.size))
         rows[list(self.inputs).index(name)] = wave

@@ -53,8 +53,8 @@ def _run(station: Station, test: SteppedSine, tone: SteadyTone) -> Excitation:
     if unsettled:
         listed = ", ".join(unsettled[:_LISTED]) + (", ..." if len(unsettled) > _LISTED else "")
         station.warn(
-            f"{len(unsettled)} of {total} steps found no steady state at the level within "
-            f"{test.settle.longest:g} s: {listed}"
+            f"{len(unsettled)} of {total} steps did not reach the steady state at the level within "
+            f"{test.settle.longest:g} s ({listed}). Their points are marked; raise test.settle.longest to wait longer."
         )
     station.report(1.0, "done")
 

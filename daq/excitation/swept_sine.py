@@ -37,7 +37,7 @@ ALLOWED = 0.1
 # Intervals with a shorter gap are merged, s.
 _PAUSE = 0.5
 # Remedy if the channels do not measure the force.
-_READABLE = "take more sensitive sensors, a smaller converter: range, or more force"
+_READABLE = "Take more sensitive sensors, a smaller converter: range, or more force."
 
 
 def excite(station: Station, test: SweptSine) -> Excitation:
@@ -66,9 +66,9 @@ def _run(station: Station, test: SweptSine, tone: SteadyTone) -> Excitation:
     else:
         if law is not None:
             station.warn(
-                f"the spring force was not held at {level:g} N, and the drive kept its amplitude: the channel at the "
-                f"{station.scene.at_driven('table')} ({station.channels[station.spring_rows[0]].name}) read nothing "
-                f"of the pretest, less than one count of the converter; {_READABLE}"
+                f"the spring force was not controlled at {level:g} N: channel "
+                f"{station.channels[station.spring_rows[0]].name} at the {station.scene.at_driven('table')} "
+                f"read nothing of the pretest, less than one count of the converter. {_READABLE}"
             )
         yield from _sweep_open(station, test, start, amplitude)
     tone.amplitude, tone.frequency = abs(amplitude), test.to
@@ -155,15 +155,13 @@ class LevelWatch:
             self._note()
         if self._stretches:
             worst, at = self._worst
-            advice = "sweep more slowly, or step"
+            advice = "Sweep more slowly, or step."
             if self.lowest == 0.0:
-                advice = (
-                    f"in places the channels read no force, less than one count of the converter: {_READABLE}"
-                )
+                advice = f"In places the force is less than one count of the converter. {_READABLE}"
             self._station.warn(
-                f"the spring force was off its level of {self._level:g} N by more than {ALLOWED:.0%} in "
+                f"the spring force deviates from its level of {self._level:g} N by more than {ALLOWED:.0%} in "
                 f"{self._stretches} stretch{'es' if self._stretches > 1 else ''}, {self._samples / samples:.1%} of "
-                f"the sweep (marked as level): {worst:.3g} times the level at {at:.2f} Hz; {advice}"
+                f"the sweep (marked as level; {worst:.3g} times the level at {at:.2f} Hz). {advice}"
             )
 
     def _note(self) -> None:

@@ -39,8 +39,8 @@ class Trip:
     def __str__(self) -> str:
         name, unit = self.channel.name, self.channel.unit
         return (
-            f"channel {name} read {self.value:.4g} {unit} at {self.sample / self.channel.rate:.3f} s, "
-            f"beyond its abort limit of {self.limit:.4g} {unit}"
+            f"channel {name}: {self.value:.4g} {unit} at {self.sample / self.channel.rate:.3f} s "
+            f"exceeds its abort limit of {self.limit:.4g} {unit}"
         )
 
 
@@ -149,9 +149,8 @@ class ControlLoss:
             return None
         cause = bias_overload(self._scene, clipped[0], stop / info.rate)
         return (
-            f"input {info.name} has been overloaded since {self._since / info.rate:.2f} s, so that the spring force "
-            "cannot be read and held; "
-            + (cause or "expected a lower force, a larger converter range or a lower sensitivity")
+            f"input {info.name}: overloaded since {self._since / info.rate:.2f} s, so that the spring force cannot be "
+            f"controlled. {cause or 'Choose a lower force, a larger converter range or a lower sensitivity.'}"
         )
 
 
@@ -180,6 +179,6 @@ def bias_overload(scene: Scene, row: int, seconds: float) -> str | None:
     elif filled_in(scene.converter).coupling != "AC":
         cures.append("coupling: AC in the converter")
     return (
-        f"with the shaker at rest the bias of its sensor, {sensor.bias:g} V{settling}, overloads it{behind} as well; "
-        f"expected {', '.join(cures)}, or a larger converter range"
+        f"With the shaker at rest the bias of its sensor, {sensor.bias:g} V{settling}, overloads it{behind} as well. "
+        f"Set {', '.join(cures)}, or a larger converter range."
     )

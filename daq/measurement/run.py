@@ -93,7 +93,7 @@ def record(
     'hit'
     """
     if block is not None and block < 1:
-        raise SceneError(f"block: got {block}; expected a number of samples, 1 at least")
+        raise SceneError(f"block: {block} is no number of samples. Give 1 or more.")
     what = load(scene)
     target = path_of(path)
     refuse_too_much(estimate(what), target)
@@ -168,7 +168,7 @@ class MeasurementRun(BenchLoop):
         except ShotrigError as error:
             if self._recorder is None:
                 raise
-            raise type(error)(f"{error}; {self._holds()}") from error
+            raise type(error)(f"{str(error).rstrip('.')}. {self._holds()}") from error
         for message in dict.fromkeys(self.warnings):
             warnings.warn(message, RunWarning, stacklevel=4)
         return path
@@ -228,7 +228,7 @@ class MeasurementRun(BenchLoop):
         self._progress(fraction, message)
 
     def _holds(self) -> str:
-        return f"{self._path} holds the {self.station.now / self.bench.rate:.2f} s up to there"
+        return f"{self._path} holds the {self.station.now / self.bench.rate:.2f} s up to there."
 
 
 def missing_force_reference(scene: Scene, channels: Sequence[ChannelInfo]) -> str | None:

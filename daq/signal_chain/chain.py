@@ -50,8 +50,7 @@ class Chain:
         self._oversampling = round(rate / true_rate)
         if self._oversampling < 1 or abs(rate - self._oversampling * true_rate) > 1e-9 * rate:
             raise SceneError(
-                f"the motion comes at {rate!r} Hz; expected the converter's true rate, {true_rate!r} Hz, "
-                "or a whole multiple of it"
+                f"motion: {rate!r} Hz is no multiple of the converter's true rate. Give {true_rate!r} Hz or a multiple."
             )
         channels = default_channels(scene, points) if scene.channels is None else scene.channels
         self._late = delays(converter.skew, len(channels), true_rate)
@@ -139,5 +138,7 @@ def _cutter(channel: Channel, rate: float, points: Sequence[str]) -> MotionInter
     if channel.measures_force or channel.measures_voltage:
         return ForceInterpolator()
     if channel.at not in points:
-        raise SceneError(f"channel {channel.name!r} sits at {channel.at}: the rig has {', '.join(points)}")
+        raise SceneError(
+            f"channel {channel.name!r}: the rig has no {channel.at}. Choose {', '.join(points)}."
+        )
     return MotionInterpolator(list(points).index(channel.at), rate)

@@ -131,12 +131,13 @@ class ChannelInfo:
                 given[each.name] = text if each.name in strings else json.loads(text)
             except KeyError:
                 raise RecordingError(
-                    f"channel metadata lacks {each.name!r}; it has {', '.join(sorted(metadata)) or 'nothing'}"
+                    f"channel metadata: {each.name!r} is missing (there: {', '.join(sorted(metadata)) or 'nothing'}). "
+                    "The recording is damaged, or another program wrote it."
                 ) from None
             except (ValueError, RecursionError):
                 raise RecordingError(
-                    f"channel metadata: {each.name} = {text[:80]!r} is not JSON; the recording is damaged "
-                    "or another program wrote it"
+                    f"channel metadata: {each.name} = {text[:80]!r} is not JSON. The recording is damaged, "
+                    "or another program wrote it."
                 ) from None
         check(given, CHANNEL)
         for roots in ("zeros", "poles"):

@@ -86,7 +86,7 @@ def test_weak_amplifier_marks_the_stretch() -> None:
     assert min(fields["worst"] for _, _, fields in marked) < 0.8
     assert done.marked("measure")[0][2]["lowest"] < 0.8
     assert np.abs(done.drive).max() <= 2.0 * (1 + 1e-12)
-    assert len(done.warnings) == 1 and "off its level of 2.6 N by more than 10%" in done.warnings[0]
+    assert len(done.warnings) == 1 and "from its level of 2.6 N by more than 10%" in done.warnings[0]
 
 
 def test_table_law_is_its_displacement() -> None:

@@ -15,7 +15,7 @@ def test_clipped_control_channel_ends_test(
         test={"kind": "stepped_sine", "frequencies": [48.0, 49.0], "force": 3.3},
     )
 
-    with pytest.raises(RunError, match="input table has been overloaded since"):
+    with pytest.raises(RunError, match="input table: overloaded since"):
         daq.record(scene, tmp_path / "clipped.mcap")
 
     with daq.open(tmp_path / "clipped.mcap") as recording:
@@ -40,9 +40,9 @@ INTEGRATED = ", integrator: {order: 2, corner: 1 Hz, gain: 1000"
     [
         (
             f"{INTEGRATED}}}",
-            r"overloads it behind its integrator as well; expected bias: 0 V .* low_cutoff of",
+            r"overloads it behind its integrator as well. Set bias: 0 V .* low_cutoff of",
         ),
-        ("", r"overloads it as well; expected bias: 0 V .* coupling: AC in the converter, or a larger"),
+        ("", r"overloads it as well. Set bias: 0 V .* coupling: AC in the converter, or a larger"),
     ],
 )
 def test_bias_overload_is_named_with_remedies(more, cause, tmp_path) -> None:
@@ -71,5 +71,5 @@ def test_innocent_bias_is_not_named(tmp_path) -> None:
     scene = rig.loads(
         HELD.replace("range: 5 V", "range: 5 mV").replace("PCB 352C33}", "PCB 352C33, bias: 1 mV}")
     )
-    with pytest.raises(RunError, match="expected a lower force, a larger converter range"):
+    with pytest.raises(RunError, match="Choose a lower force, a larger converter range"):
         daq.record(scene, tmp_path / "clipped.mcap")

@@ -97,9 +97,8 @@ def test_first_reading_beyond_limit_trips(
         sample, row = beyond[0]
         assert (trip.sample, trip.channel, trip.value) == (1000 + sample, INFOS[row], readings[row, sample])
         assert trip.limit == (5.0, 4.0)[row]
-        assert (
-            f"channel {'ta'[row]} read {readings[row, sample]:.4g} m/s^2 at {125 + sample / 8:.3f} s"
-            in str(trip)
+        assert f"channel {'ta'[row]}: {readings[row, sample]:.4g} m/s^2 at {125 + sample / 8:.3f} s" in str(
+            trip
         )
     else:
         assert trip is None
@@ -138,7 +137,7 @@ def test_lasting_overload_ends_held_force(changes, rows, monkeypatch):
         assert said[:2] == [None, None]
         assert (said[2] is not None) == (row in rows)
         if row in rows:
-            assert f"input {info.name} has been overloaded since 2.00 s" in said[2]
+            assert f"input {info.name}: overloaded since 2.00 s" in said[2]
             assert asked.pop() == (held, row, 3.5)
             # If several channels are clipped, the first is reported.
             clipped[sorted(rows)] = True

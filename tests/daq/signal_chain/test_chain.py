@@ -216,7 +216,7 @@ def test_unused_hammer_reads_zero():
 
 
 def test_unknown_place_is_named():
-    with pytest.raises(SceneError, match=r"sits at body 2.*body 1"):
+    with pytest.raises(SceneError, match=r"has no body 2.*body 1"):
         Chain(scene_of("", ""), 5120.0, ["body 1"])
 
 

@@ -53,7 +53,7 @@ def test_design_matches_a_fine_clearance_grid(
 
 
 @pytest.mark.thorough
-@pytest.mark.filterwarnings("ignore:.*no steady state:daq.RunWarning")
+@pytest.mark.filterwarnings("ignore:.*steady state:daq.RunWarning")
 def test_recorded_design_moves_as_predicted(chosen: rig.Design, tmp_path: Path) -> None:
     daq.record(chosen.scene, tmp_path / "check.mcap")
     with daq.open(tmp_path / "check.mcap") as recording:

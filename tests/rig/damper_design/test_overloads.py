@@ -44,7 +44,7 @@ def _expected(scene: rig.Scene) -> Expected:
 
 
 @pytest.mark.thorough
-@pytest.mark.filterwarnings("ignore:.*no steady state:daq.RunWarning")
+@pytest.mark.filterwarnings("ignore:.*steady state:daq.RunWarning")
 @pytest.mark.parametrize("contact", [None, {"duration": "2 ms"}])
 def test_finite_landings_overload_a_small_sensor(contact: dict[str, Any] | None, tmp_path: Path) -> None:
     resonance = {"resonance": "5 kHz", "q": 30}

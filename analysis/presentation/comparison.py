@@ -24,7 +24,7 @@ from analysis.modal.identification import identify
 from analysis.modal.modes import Modes
 from analysis.presentation.expectations import expect, repeats
 from analysis.presentation.output_names import check_outputs, output_stem, with_ending
-from analysis.presentation.result import Progress, Result, aligned, noted
+from analysis.presentation.result import Progress, Result, noted
 from analysis.presentation.tables import write_table
 from analysis.recordings.names import opened, relabelled, scene_labels
 from analysis.responses.frequency_responses import frequency_responses
@@ -34,6 +34,7 @@ from rig.results import rounded
 from rig.results.response import Response
 from rig.results.result import Result as ResultBase
 from rig.results.result import styled
+from rig.results.text import aligned
 from rig.results.uncertainty import SENSITIVITY
 
 if TYPE_CHECKING:

@@ -13,10 +13,11 @@ from analysis.damper_motion.energy_balance import CycleEnergy
 from analysis.damper_motion.motion_types import DamperMotion
 from analysis.presentation.expectations import expect
 from analysis.presentation.output_names import check_outputs, output_stem, with_ending
-from analysis.presentation.result import Progress, Result, aligned, noted
+from analysis.presentation.result import Progress, Result, noted
 from analysis.presentation.tables import write_table
 from analysis.recordings.names import opened, scene_labels
 from rig.results import frequency_ranges, interval, plainly
+from rig.results.text import aligned
 
 # Number of frequencies printed; the CSV file contains all of them.
 _LISTED = 2

@@ -13,7 +13,7 @@ import numpy as np
 from analysis.presentation.expectations import expect_all
 from analysis.presentation.inputs import labels, read_curves
 from analysis.presentation.output_names import check_outputs, of_part, output_stem, with_ending
-from analysis.presentation.result import Progress, Result, aligned, noted
+from analysis.presentation.result import Progress, Result, noted
 from analysis.recordings.names import opened, relabelled
 from analysis.responses.branch_jumps import jumps
 from analysis.responses.frequency_responses import Blocks, frequency_responses
@@ -21,6 +21,7 @@ from analysis.responses.frf_files import is_frf_file
 from analysis.responses.systematic import tolerance
 from rig.results import interval
 from rig.results.response import Response
+from rig.results.text import aligned
 from rig.results.uncertainty import SENSITIVITY
 from rig.scene.presets import origin
 

@@ -15,11 +15,12 @@ from analysis.modal.modes import Modes, mac
 from analysis.presentation.expectations import expect_all
 from analysis.presentation.inputs import labels, read_curves
 from analysis.presentation.output_names import check_outputs, output_stem, with_ending
-from analysis.presentation.result import Progress, Result, aligned, noted
+from analysis.presentation.result import Progress, Result, noted
 from analysis.recordings.names import opened, relabelled
 from analysis.responses.frequency_responses import Blocks, frequency_responses
 from analysis.responses.frf_files import is_frf_file
 from rig.results import interval
+from rig.results.text import aligned
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from daq.foresight.noise import LeastSignal
 from rig.results import Result, plainly
+from rig.results.text import aligned
 from rig.scene.scene import STANDARD_GRAVITY
 
 if TYPE_CHECKING:
@@ -126,16 +127,13 @@ class Foresight(Result):
     def columns(self) -> dict[str, NDArray[Any]]:
         """Name, unit, largest value, where, limit, and largest value recorded."""
         rows = self.expectations
+        # None becomes NaN.
         return {
             "name": np.array([each.name for each in rows], dtype=np.str_),
             "unit": np.array([each.unit for each in rows], dtype=np.str_),
             "largest": np.array([each.largest for each in rows]),
-            "frequency_Hz": np.array(
-                [np.nan if each.frequency is None else each.frequency for each in rows], dtype=np.float64
-            ),
-            "time_s": np.array(
-                [np.nan if each.time is None else each.time for each in rows], dtype=np.float64
-            ),
+            "frequency_Hz": np.array([each.frequency for each in rows], dtype=np.float64),
+            "time_s": np.array([each.time for each in rows], dtype=np.float64),
             "limit": np.array([each.limit for each in rows]),
             "recorded": np.array([each.recorded for each in rows]),
         }
@@ -157,19 +155,12 @@ class Foresight(Result):
                 share = "over" if each.share >= 1.0 else _percent(each.share)
             signal = str(self.signals[each.name]) if each.name in self.signals else ""
             rows.append((each.name, in_words(each.largest, each.unit), each.place, limit, share, signal))
-        kept = [column for column in range(len(header)) if any(row[column] for row in rows[1:])]
-        widths = {column: max(len(row[column]) for row in rows) for column in kept}
-        table = ["  ".join(f"{row[column]:{widths[column]}}" for column in kept).rstrip() for row in rows]
-        return "\n".join([self.summary(), *self._facts(), "", *table])
-
-    def _facts(self) -> list[str]:
-        """Dampers, duration, size, modes outside the band."""
         about = "about " if self.rehearsed else ""
-        lines = [*self.unread, *self.flights, *self.outside]
-        lines.append(f"takes {about}{_duration(self.seconds)} on the bench, about {self.disk / 1e6:.3g} MB")
+        facts = [*self.unread, *self.flights, *self.outside]
+        facts.append(f"takes {about}{_duration(self.seconds)} on the bench, about {self.disk / 1e6:.3g} MB")
         if self.rehearsed:
-            lines.append(f"rehearsed: {self.rehearsed}")
-        return lines
+            facts.append(f"rehearsed: {self.rehearsed}")
+        return "\n".join([self.summary(), *facts, "", *aligned(rows, "<" * len(header))])
 
 
 def _against(each: Expectation) -> str:

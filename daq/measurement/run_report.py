@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,6 +14,7 @@ from daq.recording.recorded_test import TestKind
 from rig.console import progress
 from rig.errors import ShotrigError
 from rig.results import frequency_ranges
+from rig.results.text import aligned
 
 if TYPE_CHECKING:
     from daq.recording.markers import Marker
@@ -80,18 +81,23 @@ def summary(path: Path) -> str:
         lines = [
             f"{path}: {rec.samples} samples of {len(rec.channels)} channels, {rec.samples / rec.rate:.2f} s "
             f"at {rec.rate:g} Hz, {path.stat().st_size / 1e6:.1f} MB",
-            f"overloads: {_overloads(rec)}",
+            *_overloads(rec),
         ]
         measured = [mark for mark in rec.markers if mark.kind == "measure" and "settled" in mark.fields]
         if measured:
             unsettled = sum(not mark.fields["settled"] for mark in measured)
             tones = [mark.fields for mark in measured if "frequency" in mark.fields]
-            strayed = [not fields["settled"] for fields in tones]
+            moving = [not fields["settled"] for fields in tones]
             where = ""
-            if any(strayed):
-                where = f", at {frequency_ranges([fields['frequency'] for fields in tones], strayed)}"
+            if any(moving):
+                where = f", at {frequency_ranges([fields['frequency'] for fields in tones], moving)}"
             lines.append(f"not settled: {unsettled or 'none'} of {len(measured)} measurements{where}")
-        lines += _levels(rec)
+        strayed = [mark for mark in rec.markers if mark.kind == "level"]
+        if strayed:
+            seconds = sum(mark.stop - mark.first_sample for mark in strayed) / rec.rate
+            lines.append(
+                f"force off its level: {seconds:.2f} s in all (markers 'level' say where and by how much)"
+            )
         lines += [f"aborted: {mark.fields['reason']}" for mark in rec.markers if mark.kind == "abort"]
         lines.append(f"next: {'   or: '.join(next_steps(rec))}")
     return "\n".join(lines)
@@ -116,46 +122,32 @@ def next_steps(rec: Recording) -> list[str]:
     return [*(f"analysis {step} {path}" for step in steps), f"daq replay {path}"]
 
 
-def _levels(rec: Recording) -> list[str]:
-    """Return a line about deviations of a swept force from its level, or an empty list."""
-    off = [mark for mark in rec.markers if mark.kind == "level"]
-    if not off:
-        return []
-    seconds = sum(mark.stop - mark.first_sample for mark in off) / rec.rate
-    return [f"force off its level: {seconds:.2f} s in all (markers 'level' say where and by how much)"]
-
-
-def _overloads(rec: Recording) -> str:
-    """Describe overloads: channels, times, frequencies and limits."""
-    stretches = sorted(
+def _overloads(rec: Recording) -> list[str]:
+    """Describe the overloads: a line, and a table with times, frequencies and limits of each channel."""
+    by_channel: dict[str, list[Marker]] = {}
+    for mark in sorted(
         (mark for mark in rec.markers if mark.kind == "overload"), key=lambda mark: mark.first_sample
-    )
-    names = list(dict.fromkeys(str(mark.fields["channel"]) for mark in stretches))
-    listed = "; ".join(
-        _overload(rec, name, [mark for mark in stretches if mark.fields["channel"] == name]) for name in names
-    )
-    return f"{listed}{_sudden_landings(rec, names)}" if stretches else "none"
-
-
-def _overload(rec: Recording, name: str, stretches: Sequence[Marker]) -> str:
-    """Describe the overloads of one channel."""
-    seconds = sum(mark.stop - mark.first_sample for mark in stretches) / rec.rate
-    count = "one stretch" if len(stretches) == 1 else f"{len(stretches)} stretches"
-    tones = sorted(
-        {
+    ):
+        by_channel.setdefault(str(mark.fields["channel"]), []).append(mark)
+    if not by_channel:
+        return ["overloads: none"]
+    rows = [("channel", "intervals", "total / s", "first / s", "frequency / Hz", "limit")]
+    for name, marks in by_channel.items():
+        tones = sorted(
             float(tone.fields["frequency"])
             for tone in rec.markers
             if tone.kind in ("settle", "measure") and "frequency" in tone.fields
-            if any(tone.first_sample < mark.stop and mark.first_sample < tone.stop for mark in stretches)
-        }
-    )
-    at = f" at {tones[0]:.4g} Hz" if tones else ""
-    if len(tones) > 1:
-        at = f" between {tones[0]:.4g} and {tones[-1]:.4g} Hz"
-    return (
-        f"{name} in {count}{at}, {seconds:.3g} s in all, first at {stretches[0].first_sample / rec.rate:.2f} s "
-        f"({_limit(rec, name)})"
-    )
+            if any(tone.first_sample < mark.stop and mark.first_sample < tone.stop for mark in marks)
+        )
+        ends = dict.fromkeys(f"{tone:.4g}" for tone in (tones[:1] + tones[-1:]))
+        seconds = sum(mark.stop - mark.first_sample for mark in marks) / rec.rate
+        first = f"{marks[0].first_sample / rec.rate:.2f}"
+        rows.append((name, str(len(marks)), f"{seconds:.3g}", first, " to ".join(ends), _limit(rec, name)))
+    count = f"{len(by_channel)} channel{'s' if len(by_channel) > 1 else ''}"
+    return [
+        f"overloads: {count}{_sudden_landings(rec, by_channel)}",
+        *(f"  {line}" for line in aligned(rows, "<>>>><")),
+    ]
 
 
 def _limit(rec: Recording, name: str) -> str:
@@ -172,10 +164,10 @@ def _limit(rec: Recording, name: str) -> str:
     if info.range is not None:
         reach = info.range / abs(info.sensitivity)
         limits.append(f"input ±{info.range:g} V, {reach:.4g} {info.unit}")
-    return f"limits: {'; '.join(limits)}" if limits else "no limit known"
+    return "; ".join(limits)
 
 
-def _sudden_landings(rec: Recording, overloaded: Sequence[str]) -> str:
+def _sudden_landings(rec: Recording, overloaded: Iterable[str]) -> str:
     """Distinguish overloads by impacts of zero duration, which overload any real sensor, from too high a level."""
     from rig.scene.presets import filled_in
 
@@ -183,19 +175,11 @@ def _sudden_landings(rec: Recording, overloaded: Sequence[str]) -> str:
         scene = rec.scene
     except ShotrigError:
         return ""
-    sudden = [
-        number
-        for number, damper in enumerate(scene.dampers, 1)
-        if damper.contact is None and damper.grains is None
-    ]
-    limited = {
-        each.name
-        for each in scene.channels or ()
-        if each.accelerometer is not None and filled_in(each.accelerometer).saturation is not None
-    }
-    if not sudden or limited.isdisjoint(overloaded):
+    beds = [damper.contact is None and damper.grains is None for damper in scene.dampers]
+    sensors = {each.name: each.accelerometer for each in scene.channels or () if each.name in set(overloaded)}
+    if not any(beds) or all(each is None or filled_in(each).saturation is None for each in sensors.values()):
         return ""
     return (
-        f"; a landing of no duration overloads most real sensors: with dampers[{sudden[0]}].contact: "
-        "{duration: 2 ms} it lasts, as that of shot does"
+        f". An impact of zero duration overloads most real sensors. Set dampers[{beds.index(True) + 1}].contact: "
+        "{duration: 2 ms}, as for shot."
     )

@@ -73,3 +73,19 @@ def frequency_ranges(frequencies: Sequence[float], chosen: Sequence[bool]) -> st
         return f"{flags.sum()} of {flags.size} frequencies from {ends[0][0]} to {ends[-1][1]} Hz"
     *before, last = [low if low == high else f"{low} to {high}" for low, high in ends]
     return f"{', '.join(before)} and {last} Hz" if before else f"{last} Hz"
+
+
+def aligned(rows: Sequence[Sequence[str]], alignment: str) -> list[str]:
+    """Return the lines of a table with a header; `alignment` has ``<`` or ``>`` for each column.
+
+    Columns that are empty below the header are left out.
+
+    >>> aligned([("channel", "peak / Hz", "note"), ("body1", "12.54", "")], "<><")
+    ['channel  peak / Hz', 'body1        12.54']
+    """
+    columns = [
+        [f"{cell:{side}{max(map(len, column))}}" for cell in column]
+        for column, side in zip(zip(*rows, strict=True), alignment, strict=True)
+        if any(column[1:])
+    ]
+    return ["  ".join(row).rstrip() for row in zip(*columns, strict=True)]

@@ -471,4 +471,4 @@ channels:
   - {{name: force, at: shaker, hammer: {{sensitivity: 10 mV/N}}}}
 """)
     daq.record(scene, tmp_path / "r.mcap")
-    assert ("no duration" in summary(tmp_path / "r.mcap")) is told
+    assert ("zero duration" in summary(tmp_path / "r.mcap")) is told

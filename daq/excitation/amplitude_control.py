@@ -60,7 +60,13 @@ class AmplitudeControl:
         if self._before is not None and abs(here - self._before[0]) > 1e-3:
             slope = (self._before[1] - error) / (here - self._before[0])
         self._before = here, error
-        self._enclose(here, error)
+        # The drives nearest to the level, below and above it.
+        if error > 0.0:
+            self._low, self._high = here, self._high if self._high > here else math.inf
+        else:
+            self._low, self._high = self._low if self._low < here else -math.inf, here
+        if self._high - self._low < _CLOSEST:
+            self._low, self._high = -math.inf, math.inf
         longest = self._longest if slope >= _FLATTEST else 0.5 * self._longest
         step = error / (min(slope, _STEEPEST) if slope >= _FLATTEST else 1.0)
         there = here + max(-longest, min(longest, step))
@@ -68,16 +74,3 @@ class AmplitudeControl:
             margin = 0.1 * (self._high - self._low)
             there = max(self._low + margin, min(self._high - margin, there))
         return min(math.exp(there), self.limit)
-
-    def _enclose(self, here: float, error: float) -> None:
-        """Store the drives nearest to the level, below and above it."""
-        if error > 0.0:
-            self._low = here
-            if self._high <= here:
-                self._high = math.inf
-        else:
-            self._high = here
-            if self._low >= here:
-                self._low = -math.inf
-        if self._high - self._low < _CLOSEST:
-            self._low, self._high = -math.inf, math.inf

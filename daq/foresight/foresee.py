@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +28,7 @@ from daq.foresight.shortened import (
     shortened,
 )
 from daq.measurement.estimate import estimate
+from daq.measurement.limits import controlled_places
 from daq.virtual_bench.bench import Bench
 from rig.damper_design.overloads import shaken_by
 from rig.errors import SceneError
@@ -175,10 +177,10 @@ class _Assessment:
             # The second nearest limit must hold as well.
             following = ranked[-2].driven_share if len(ranked) > 1 else 0.0
             if following > 0.0:
-                largest_level = min(
-                    largest_level, max(self.level / following, self.level / limiting.driven_share)
-                )
+                others = max(self.level / following, self.level / limiting.driven_share)
+                largest_level = min(largest_level, others)
         seconds = self._seconds()
+        stored = chain.from_iterable(part.last_blocks for part in self.played.parts)
         return Foresight(
             scene=self.scene.name,
             expectations=rows,
@@ -193,12 +195,7 @@ class _Assessment:
             unread=tuple(self._unread(rows)),
             flights=flight_lines(self.scene, self.system, self.level, self.free.parts),
             seconds=seconds,
-            disk=recording_size(
-                self.scene,
-                self.bench,
-                (block for part in self.played.parts for block in part.last_blocks),
-                seconds,
-            ),
+            disk=recording_size(self.scene, self.bench, stored, seconds),
             rehearsed=self.played.left_out,
             outside=outside_band(self.scene),
         )
@@ -208,27 +205,20 @@ class _Assessment:
         for row, info in enumerate(self.bench.channels):
             largest, frequency, time = self.free.largest("readings", row)
             driven = None
-            limit = reading_limit(settings.get(info.name), info)
+            limit, part = reading_limit(settings.get(info.name), info)
             if _POWER_ON_SHARE * settling_time(info) > self.free.time("readings", row):
                 # The reading of a sensor while its bias settles is no response to the tone.
                 frequency, time = None, self.free.time("readings", row)
                 driven = max((part.readings[row].size for part in self.free.parts[1:]), default=largest)
-            recorded = min(
-                self.played.largest("readings", row)[0], limit.size if info.range is not None else np.inf
-            )
+            recorded = min(self.played.largest("readings", row)[0], np.inf if info.range is None else limit)
             yield Expectation(
-                info.name, info.unit, largest, frequency, time, limit.size, limit.part, largest > limit.size, recorded,
-                driven,
-            )  # fmt: skip
+                info.name, info.unit, largest, frequency, time, limit, part, largest > limit, recorded, driven
+            )
 
     def _unread(self, rows: Iterable[Expectation]) -> Iterable[str]:
         """Name channels whose signal is below the resolution of the converter."""
         sizes = {row.name: row.largest for row in rows}
-        held = getattr(self.scene.test, "force", None) is not None and self.scene.driven is not None
-        shaker = self.scene.driven_shaker
-        places: tuple[str, ...] = ()
-        if held and shaker is not None and shaker.spring is not None:
-            places = (self.scene.at_driven("table"), f"body {shaker.bodies[0]}")
+        places = controlled_places(self.scene)
         for info in self.bench.channels:
             count = info.unit_per_count
             if info.volts_per_count is not None and sizes[info.name] < 2.0 * count:

@@ -125,15 +125,19 @@ class Limits:
         self._alarms.close()
 
 
+def controlled_places(scene: Scene) -> tuple[str, ...]:
+    """Return the places whose channels measure a controlled spring force; none without such a force."""
+    shaker = scene.driven_shaker
+    if shaker is None or shaker.kind == "force" or getattr(scene.test, "force", None) is None:
+        return ()
+    return scene.at_driven("table"), f"body {shaker.bodies[0]}"
+
+
 class ControlLoss:
     """Monitors the channels of a controlled spring force: clipped channels do not measure the force."""
 
     def __init__(self, scene: Scene, channels: Sequence[ChannelInfo]) -> None:
-        shaker = scene.driven_shaker
-        places: tuple[str, ...] = ()
-        if shaker is not None and shaker.kind != "force" and getattr(scene.test, "force", None) is not None:
-            places = scene.at_driven("table"), f"body {shaker.bodies[0]}"
-        self._rows = [row for row, info in enumerate(channels) if info.at in places]
+        self._rows = [row for row, info in enumerate(channels) if info.at in controlled_places(scene)]
         self._scene, self._channels = scene, channels
         self._since: int | None = None
 

@@ -49,19 +49,10 @@ class MotionAtRate:
         displacement, velocity, acceleration, force, gap, contact = (each[:, :count] for each in found)
         number, offset, *broken = self._breaks_due(motion, earliest)
         given = replace(
-            motion,
-            first=first - self._first,
-            displacement=displacement,
-            velocity=velocity,
-            acceleration=acceleration,
-            gap=gap,
-            contact=contact,
-            break_sample=number - self._first,
-            break_offset=offset,
-            break_displacement=broken[0],
-            break_velocity=broken[1],
-            break_acceleration=broken[2],
-        )
+            motion, first=first - self._first, displacement=displacement, velocity=velocity, acceleration=acceleration,
+            gap=gap, contact=contact, break_sample=number - self._first, break_offset=offset,
+            break_displacement=broken[0], break_velocity=broken[1], break_acceleration=broken[2],
+        )  # fmt: skip
         return given, force
 
     def _resampled(self, motion: Motion, forces: Array) -> list[NDArray[Any]]:

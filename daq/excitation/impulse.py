@@ -37,10 +37,6 @@ def excite(station: Station, test: Impulse) -> Excitation:
         doubled[: clean.size] += clean
         doubled[after:] += second
         bounces = set(test.double_hit.hits or range(1, test.repeats + 1))
-    return _run(station, test, clean, doubled, bounces)
-
-
-def _run(station: Station, test: Impulse, clean: Array, doubled: Array, bounces: set[int]) -> Excitation:
     interval, window = (station.samples(time) for time in (test.interval, _WINDOW))
     yield station.quiet(station.samples(QUIET))
     yield from _wait_for_sensors(station)

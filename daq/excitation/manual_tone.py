@@ -98,9 +98,7 @@ class HandTone:
         """Play until the knobs are turned off; steady points are marked as in a stepped sine."""
         # Raises without a shaker, before the channels of the spring force are checked.
         station.drive(np.zeros(1))
-        return self._play(SteadyTone(station, self.knobs.asked[0], controlled=not station.force_is_drive))
-
-    def _play(self, tone: SteadyTone) -> Excitation:
+        tone = SteadyTone(station, self.knobs.asked[0], controlled=not station.force_is_drive)
         while not self.knobs.off:
             asked = self.knobs.asked
             # The held interval is marked at once, whether the knobs or the run ends it.

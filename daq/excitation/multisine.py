@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.excitation.spectrum_shaping import (
-    Lines,
     crossfade,
     equalise,
     flat,
@@ -38,10 +37,6 @@ def excite(station: Station, test: Multisine) -> Excitation:
     if station.controlled:
         # Raises where the channels of the spring force are missing.
         station.force_weights(1.0)
-    return _run(station, test, lines, period)
-
-
-def _run(station: Station, test: Multisine, lines: Lines, period: int) -> Excitation:
     random, shakers = station.generator("multisine"), station.shakers
     playing = np.zeros((len(shakers), period))
     amplitudes = flat(station.level, lines)

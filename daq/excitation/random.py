@@ -29,10 +29,6 @@ def excite(station: Station, test: Random) -> Excitation:
     if station.controlled:
         # Raises where the channels of the spring force are missing.
         station.force_weights(1.0)
-    return _run(station, test, lines, period)
-
-
-def _run(station: Station, test: Random, lines: Lines, period: int) -> Excitation:
     level = station.level
     random = station.generator("random")
     amplitudes, gains = flat(level, lines), np.ones(lines.size)

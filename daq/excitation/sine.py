@@ -21,7 +21,7 @@ def excite(station: Station, test: Sine) -> Excitation:
     With a controlled spring force, the duration of the test begins when the force is steady at its level.
     """
     tone = SteadyTone(station, test.frequency, station.controlled)
-    return _controlled(station, test, tone) if station.controlled else _open_loop(station, test, tone)
+    yield from _controlled(station, test, tone) if station.controlled else _open_loop(station, test, tone)
 
 
 def _open_loop(station: Station, test: Sine, tone: SteadyTone) -> Excitation:

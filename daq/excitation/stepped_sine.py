@@ -20,11 +20,7 @@ _LISTED = 8
 
 def excite(station: Station, test: SteppedSine) -> Excitation:
     """Run a stepped sine."""
-    return _run(station, test, SteadyTone(station, test.order[0], station.controlled))
-
-
-def _run(station: Station, test: SteppedSine, tone: SteadyTone) -> Excitation:
-    steps = list(test.order)
+    tone, steps = SteadyTone(station, test.order[0], station.controlled), list(test.order)
     turn = len(steps) // 2 if test.direction == "both" else len(steps)
     total, done = len(test.levels) * len(steps), 0
     unsettled: list[str] = []

@@ -42,10 +42,7 @@ _READABLE = "Take more sensitive sensors, a smaller converter: range, or more fo
 
 def excite(station: Station, test: SweptSine) -> Excitation:
     """Run a swept sine; with a controlled spring force after a pretest, and once the force is at its level."""
-    return _run(station, test, SteadyTone(station, test.from_, station.controlled))
-
-
-def _run(station: Station, test: SweptSine, tone: SteadyTone) -> Excitation:
+    tone = SteadyTone(station, test.from_, station.controlled)
     level, law = station.level, None
     if station.controlled:
         station.report(0.0, "measuring the shaker")

@@ -42,7 +42,12 @@ def oversampling(scene: Scene) -> int:
     1
     """
     system, rate = assemble(scene), scene.converter.true_rate
-    limited, filtered = _limited(scene), filled_in(scene.converter).filter is not None
+    filtered = filled_in(scene.converter).filter is not None
+    # A limit of a sensor on the rig, or of its amplifier, acts on the signal in front of any filter.
+    channels = scene.channels or ()
+    limits = [filled_in(each.accelerometer).saturation for each in channels if each.accelerometer is not None]
+    limits += [each.integrator.saturation for each in channels if each.integrator is not None]
+    limited = any(limit is not None for limit in limits)
     fastest = 0.0
     if filtered or limited:
         fastest = float(np.abs(system.poles.imag).max(initial=0.0)) / (2 * np.pi)
@@ -58,24 +63,9 @@ def oversampling(scene: Scene) -> int:
         band = max(fastest, BAND) / rate
         followed = max(seen, (band if limited else min(band, PASS)) / FOLLOWED)
         # The drive's straight lines end in corners, which a table follows as far as it can.
-        followed = max(followed, _quickest_table(scene) / rate / FOLLOWED)
+        tables = (each.bandwidth for each in scene.shakers if isinstance(each, TableShaker))
+        followed = max(followed, max(tables, default=0.0) / rate / FOLLOWED)
     return max(1, min(math.ceil(followed), int(FASTEST / rate)))
-
-
-def _quickest_table(scene: Scene) -> float:
-    """Largest bandwidth of a table's shaker, Hz."""
-    return max((one.bandwidth for one in scene.shakers if isinstance(one, TableShaker)), default=0.0)
-
-
-def _limited(scene: Scene) -> bool:
-    """Whether a sensor on the rig, or its amplifier, has a limit, so that it matters what is in front of any filter."""
-    for channel in scene.channels or ():
-        sensor, amplifier = channel.accelerometer, channel.integrator
-        if sensor is not None and filled_in(sensor).saturation is not None:
-            return True
-        if amplifier is not None and amplifier.saturation is not None:
-            return True
-    return False
 
 
 class DriveLine:

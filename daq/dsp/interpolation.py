@@ -125,12 +125,7 @@ def put(values: Array, place: Array) -> None:
 
 @unfused
 def _smooth(
-    acceleration: Array,
-    velocity: Array,
-    displacement: Array,
-    last: Array,
-    rate: float,
-    smooth: Array,
+    acceleration: Array, velocity: Array, displacement: Array, last: Array, rate: float, smooth: Array
 ) -> None:
     """Describe every interval as one piece; `last` holds the last sample, and is updated."""
     end = acceleration.size

@@ -8,14 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.excitation.spectrum_shaping import (
-    crossfade,
-    equalise,
-    flat,
-    lines_between,
-    wave_of,
-    within_limit,
-)
+from daq.excitation.spectrum_shaping import crossfade, equalise, flat, lines_between, wave_of, within_limit
 from daq.excitation.station import Excitation, Station
 
 if TYPE_CHECKING:

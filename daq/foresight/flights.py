@@ -49,33 +49,22 @@ def flight_lines(
     above = level * _at_dampers(scene, system, frequencies) > system.gravity
     by_place: dict[str, list[str]] = {}
     for row, number in enumerate(system.damper_number.tolist()):
-        name = f"damper {number} (body {scene.dampers[number - 1].body})"
-        struck = {
-            tone
-            for part in parts
-            for time in part.strikes[number - 1]
-            if (tone := part.frequency_at(round(time * part.rate))) is not None
-        }
-        times = [time for part in parts for time in part.strikes[number - 1]]
+        strikes = [(part, time) for part in parts for time in part.strikes[number - 1]]
         where = ""
         if above.size:
             # By the linear response, or by an impact in the rehearsal.
-            near = [bool(struck) and min(abs(f - tone) for tone in struck) < 1e-3 * f for f in frequencies]
+            tones = {part.frequency_at(round(time * part.rate)) for part, time in strikes} - {None}
+            near = [any(abs(f - tone) < 1e-3 * f for tone in tones if tone) for f in frequencies]
             flags = above[row] | np.array(near)
-            where = f"at {frequency_ranges(frequencies.tolist(), flags.tolist())}" if flags.any() else ""
-        elif times:
-            where = f"first at {min(times):.2f} s"
-        by_place.setdefault(where, []).append(name)
-    return tuple(
-        f"{' and '.join(names)} {_verb(names, where)}{' ' if where else ''}{where}"
-        for where, names in by_place.items()
-    )
-
-
-def _verb(names: Sequence[str], where: str) -> str:
-    if where:
-        return "flies" if len(names) == 1 else "fly"
-    return "stays on its floor" if len(names) == 1 else "stay on their floors"
+            where = f" at {frequency_ranges(frequencies.tolist(), flags.tolist())}" if flags.any() else ""
+        elif strikes:
+            where = f" first at {min(time for _, time in strikes):.2f} s"
+        by_place.setdefault(where, []).append(f"damper {number} (body {scene.dampers[number - 1].body})")
+    lines = []
+    for where, names in by_place.items():
+        one, several = ("flies", "fly") if where else ("stays on its floor", "stay on their floors")
+        lines.append(f"{' and '.join(names)} {one if len(names) == 1 else several}{where}")
+    return tuple(lines)
 
 
 def outside_band(scene: Scene) -> tuple[str, ...]:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from daq.foresight.linear import channel_readings, test_frequencies
 from daq.measurement.estimate import estimate
+from daq.measurement.limits import controlled_places
 from daq.signal_chain.channel import ChannelInfo
 from daq.signal_chain.oversampling import oversampling
 from rig.scene.excitation import Free, Impulse, Multisine, Random, Settle, Sine, SteppedSine, SweptSine
@@ -78,7 +79,7 @@ def shortened(scene: Scene, channels: tuple[ChannelInfo, ...]) -> Shortened:
     if isinstance(test, Random | Multisine):
         seconds *= _RANDOM_BUDGETS
     steered = 0.0
-    if isinstance(test, SweptSine) and _holds_spring_force(scene):
+    if isinstance(test, SweptSine) and controlled_places(scene):
         steered = _STEERED_PERIOD_S * (test.from_ + test.to) / 2 * test.duration
     if expected_seconds(scene) / seconds + steered / BUDGET_S <= 1.0:
         return Shortened((scene,), whole=True)
@@ -101,7 +102,7 @@ def expected_seconds(scene: Scene) -> float:
     least, test = estimate(scene).seconds, scene.test
     if isinstance(test, Multisine):
         # A crossfade, and at least two periods until they are equal; with a held force the iterations of its shape.
-        return least * (1.0 + 3.0 / test.periods) + (8.0 if _holds_spring_force(scene) else 0.0)
+        return least * (1.0 + 3.0 / test.periods) + (8.0 if controlled_places(scene) else 0.0)
     if not isinstance(test, SteppedSine):
         return least
     return least + len(test.levels) * len(test.order) * _wait(scene)
@@ -113,11 +114,6 @@ def _wait(scene: Scene) -> float:
     modes = structural_model(scene).modes
     slowest = float(1.0 / max(modes.decay_rate[modes.omega > 0.0].min(initial=np.inf), 1e-3))
     return _STEP_S + min(_TIME_CONSTANTS * slowest, scene.test.settle.longest)
-
-
-def _holds_spring_force(scene: Scene) -> bool:
-    shaker = scene.driven_shaker
-    return shaker is not None and shaker.spring is not None and getattr(scene.test, "force", None) is not None
 
 
 def _fewer_hits(test: Impulse, seconds: float) -> Impulse:

@@ -37,9 +37,7 @@ def test_filtered_sample_is_the_weighted_sum(oversampling, late):
 
 
 @pytest.mark.parametrize("oversampling", [1, 3])
-def test_weighed_polynomial_is_the_integral(
-    oversampling,
-):
+def test_weighed_polynomial_is_the_integral(oversampling):
     low_pass = Decimation.standard(1000.0)
     taps = low_pass.taps(oversampling)
     assert taps.shape == (oversampling, MOMENTS, 2 * DELAY)

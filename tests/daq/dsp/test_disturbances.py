@@ -93,9 +93,7 @@ def test_shaping_states_follow_their_design():
 
 
 @pytest.mark.parametrize("degree", [1, 2])
-def test_polynomial_noise_has_its_share_of_power(
-    degree,
-):
+def test_polynomial_noise_has_its_share_of_power(degree):
     density, samples = 2e-6, np.empty(200_000)
     for corner, rate, more in ((None, 1.0, 1.0), (100.0, 1000.0, 1.2)):
         FastNoise(density, corner, rate, generator(5, "c", "fast"), degree).fill(samples)

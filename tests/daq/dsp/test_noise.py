@@ -55,9 +55,7 @@ def test_noise_differs_by_seed_channel_and_stage():
 
 
 @pytest.mark.parametrize("order", [1, 2])
-def test_integrated_noise_has_density_of_each_stage(
-    order,
-):
+def test_integrated_noise_has_density_of_each_stage(order):
     rate, corner, gain = 5120.0, 5.0, 500.0
     integrator = f", integrator: {{order: {order}, corner: {corner} Hz, gain: {gain}"
     cases = {

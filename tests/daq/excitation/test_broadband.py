@@ -65,9 +65,7 @@ def test_bursts_end_in_silence() -> None:
 
 
 @pytest.mark.parametrize("kind", ["random", "multisine"])
-def test_seed_determines_random_signal(
-    kind: str,
-) -> None:
+def test_seed_determines_random_signal(kind: str) -> None:
     test = {"kind": kind, "from": "8 Hz", "to": "60 Hz", "force": "1 N"}
     test |= {"duration": "4 s"} if kind == "random" else {"period": "1 s", "periods": 2, "realisations": 1}
     drives = [run(scene_with(test, shaker=FORCE, seed=seed)).drive for seed in (1, 1, 2)]

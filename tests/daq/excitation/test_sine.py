@@ -167,11 +167,7 @@ def test_held_tone_lasts_for_duration() -> None:
 
 @pytest.mark.thorough
 @pytest.mark.parametrize(
-    "sweep",
-    [
-        {"from": 15.0, "to": 32.0, "spacing": "log"},
-        {"from": 32.0, "to": 15.0, "spacing": "linear"},
-    ],
+    "sweep", [{"from": 15.0, "to": 32.0, "spacing": "log"}, {"from": 32.0, "to": 15.0, "spacing": "linear"}]
 )
 def test_frequency_and_force_follow_sweep(sweep: dict[str, Any]) -> None:
     done = run(scene_with({"kind": "swept_sine", "force": "2.6 N", "duration": "20 s", **sweep}))
@@ -200,9 +196,7 @@ def test_lock_in_ignores_offset_and_drift() -> None:
 
 
 @pytest.mark.parametrize("frequency", [8.0, 13.037, 49.663, 333.3])
-def test_window_is_nearly_whole_periods(
-    frequency: float,
-) -> None:
+def test_window_is_nearly_whole_periods(frequency: float) -> None:
     samples = whole_periods(frequency, 5120.0, 0.1)
     periods = samples * frequency / 5120.0
     assert periods >= 2 - 1e-3 and samples >= 0.1 * 5120 - 1

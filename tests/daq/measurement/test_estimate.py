@@ -34,9 +34,7 @@ def test_memory_grows_with_channels(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     refuse_too_much(too_many, tmp_path / "a.mcap")
 
 
-def test_recorder_uses_estimated_memory(
-    tmp_path: Path,
-) -> None:
+def test_recorder_uses_estimated_memory(tmp_path: Path) -> None:
     count, group = 300, flush_length(RATE)
     infos = [ChannelInfo(f"c{i}", "body 1", "acceleration", 0.01, RATE) for i in range(count)]
     scene = rig.load("bare-structure").replace(recording={"display": True, "truth": False})

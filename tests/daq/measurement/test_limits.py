@@ -7,9 +7,7 @@ import rig
 from rig.errors import RunError
 
 
-def test_clipped_control_channel_ends_test(
-    tmp_path,
-) -> None:
+def test_clipped_control_channel_ends_test(tmp_path) -> None:
     scene = rig.load("fig9").replace(
         converter={"rate": "2048 Hz", "bits": 24, "range": "5 mV"},
         test={"kind": "stepped_sine", "frequencies": [48.0, 49.0], "force": 3.3},
@@ -38,10 +36,7 @@ INTEGRATED = ", integrator: {order: 2, corner: 1 Hz, gain: 1000"
 @pytest.mark.parametrize(
     ("more", "cause"),
     [
-        (
-            f"{INTEGRATED}}}",
-            r"overloads it behind its integrator as well. Set bias: 0 V .* low_cutoff of",
-        ),
+        (f"{INTEGRATED}}}", r"overloads it behind its integrator as well. Set bias: 0 V .* low_cutoff of"),
         ("", r"overloads it as well. Set bias: 0 V .* coupling: AC in the converter, or a larger"),
     ],
 )

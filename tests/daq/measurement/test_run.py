@@ -52,9 +52,7 @@ def test_block_size_does_not_change_bytes(scene: rig.Scene, tmp_path: Path) -> N
     assert files[0] == files[1] == files[2]
 
 
-def test_delayed_recording_starts_at_zero(
-    tmp_path: Path,
-) -> None:
+def test_delayed_recording_starts_at_zero(tmp_path: Path) -> None:
     scene = hit(converter={"rate": "250 Hz", "filter": "delta_sigma", "remove_delay": True})
     scene = scene.replace(test=scene.test.replace(width=0.02))
     with daq.open(daq.record(scene, tmp_path / "slow.mcap")) as recording:
@@ -117,9 +115,7 @@ def test_empty_block_is_rejected(tmp_path: Path) -> None:
         daq.record(hit(), tmp_path / "a.mcap", block=0)
 
 
-def test_exceeded_abort_limit_closes_recording(
-    tmp_path: Path,
-) -> None:
+def test_exceeded_abort_limit_closes_recording(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     with pytest.raises(RunError, match=r"channel b1: .* exceeds its abort limit of 20 m/s\^2\. .* holds the"):
         daq.record(limited(abort="20 m/s^2"), path)
@@ -135,13 +131,8 @@ def test_exceeded_abort_limit_closes_recording(
         assert (abort.first_sample, abort.last_sample) == (beyond[0], beyond[0])
 
 
-def test_abort_ramps_shaker_down(
-    tmp_path: Path,
-) -> None:
-    channels = [
-        {"name": "b1", "at": "body 1", "abort": "5 m/s^2"},
-        {"name": "t", "at": "table"},
-    ]
+def test_abort_ramps_shaker_down(tmp_path: Path) -> None:
+    channels = [{"name": "b1", "at": "body 1", "abort": "5 m/s^2"}, {"name": "t", "at": "table"}]
     scene = rig.load("bare-structure").replace(
         test={"kind": "stepped_sine", "frequencies": [13.0], "force": "2.6 N"}, channels=channels
     )
@@ -155,9 +146,7 @@ def test_abort_ramps_shaker_down(
         assert np.abs(table[-512:]).max() < 20.0
 
 
-def test_block_size_does_not_change_abort(
-    tmp_path: Path,
-) -> None:
+def test_block_size_does_not_change_abort(tmp_path: Path) -> None:
     files = []
     for block in (None, 61):
         with pytest.raises(RunError):
@@ -166,9 +155,7 @@ def test_block_size_does_not_change_abort(
     assert files[0] == files[1]
 
 
-def test_alarm_limit_marks_and_continues(
-    tmp_path: Path,
-) -> None:
+def test_alarm_limit_marks_and_continues(tmp_path: Path) -> None:
     path = daq.record(limited(alarm="20 m/s^2"), tmp_path / "a.mcap")
     with daq.open(path) as rec:
         alarms = [mark for mark in rec.markers if mark.kind == "alarm"]
@@ -208,9 +195,7 @@ def test_lost_blocks_leave_gap(tmp_path: Path) -> None:
         assert rec.gaps[1].first_sample == 3584
 
 
-def test_removed_delay_keeps_times(
-    tmp_path: Path,
-) -> None:
+def test_removed_delay_keeps_times(tmp_path: Path) -> None:
     plain = {"rate": "5120 Hz"}
     channels = [{"name": "b1", "at": "body 1", "integrator": {"order": 2}}]
     shape = {"test": {**HIT, "width": "8 ms"}, "channels": channels}

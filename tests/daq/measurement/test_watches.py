@@ -85,9 +85,7 @@ def test_adjacent_samples_form_one_stretch():
 
 
 @given(st.lists(st.lists(st.integers(-6, 6).map(float), min_size=12, max_size=12), min_size=3, max_size=3))
-def test_first_reading_beyond_limit_trips(
-    readings,
-):
+def test_first_reading_beyond_limit_trips(readings):
     readings, marked = np.array(readings), []
     limits = Limits(scene(), INFOS, lambda kind, *span, channel: marked.append((kind, channel, *span)))
     trip = limits.watch(1000, readings)

@@ -34,9 +34,7 @@ def test_low_cutoff_removes_bias():
 
 
 @pytest.mark.parametrize("order", [1, 2])
-def test_rails_limit_without_wind_up(
-    order,
-):
+def test_rails_limit_without_wind_up(order):
     keys = f", integrator: {{order: {order}, gain: 400, saturation: 2 V}}"
     chain, rate = chain_of(scene_of(keys))
     # Push for a quarter of a second, then pull for as long.

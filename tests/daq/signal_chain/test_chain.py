@@ -75,9 +75,7 @@ def test_integrator_follows_its_transfer_function(order, rate):
 
 
 @pytest.mark.parametrize("keys", ["sensor", "velocity", "displacement"])
-def test_fast_tones_deviate_as_stated(
-    keys,
-):
+def test_fast_tones_deviate_as_stated(keys):
     for frequency, bound in ((400.0, 1e-6), (1000.0, 1e-4), (2000.0, 1e-3)):
         measured, stated = reading_over_truth(CHANNELS[keys], 5120.0, frequency)
         assert measured == pytest.approx(stated, rel=bound)

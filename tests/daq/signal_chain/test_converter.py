@@ -40,9 +40,7 @@ def test_full_range_stays_in_32_bits():
 
 
 @pytest.mark.parametrize("bits", [8, 16, 24])
-def test_quantisation_noise_is_a_twelfth(
-    bits,
-):
+def test_quantisation_noise_is_a_twelfth(bits):
     volts = 3.0 * np.sin(np.arange(400_000) * 0.1234567)[None]
     converter = Quantiser(Settings(bits=bits, range=5.0), [])
     count = 10.0 / 2.0**bits

@@ -28,9 +28,7 @@ def averaged(volts: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("shaker", PER_VOLT)
-def test_drive_channel_reads_output_volts(
-    shaker: str,
-) -> None:
+def test_drive_channel_reads_output_volts(shaker: str) -> None:
     volts = np.random.default_rng(1).standard_normal(200)
     text = f"shaker: {shaker}\nchannels: [{{name: drive, at: drive}}]\n"
     found, channels = read(text, volts[None] * PER_VOLT[shaker])

@@ -32,9 +32,7 @@ def scene_of(test: str, *channels: str, shaker: str = "{kind: force, body: 1}") 
     return rig.loads(text + f"channels: [{', '.join(channels)}]\n")
 
 
-def test_measured_force_divides_the_responses(
-    tmp_path,
-) -> None:
+def test_measured_force_divides_the_responses(tmp_path) -> None:
     scene = scene_of(STEPS, BODY, FORCE)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -56,9 +54,7 @@ def test_force_noise_keeps_coherence(tmp_path) -> None:
     assert curve.value[near] == pytest.approx(exact[near], rel=0.1)
 
 
-def test_missing_force_channel_is_announced(
-    tmp_path,
-) -> None:
+def test_missing_force_channel_is_announced(tmp_path) -> None:
     scene = scene_of(STEPS, BODY)
     told: list[str] = []
 
@@ -109,9 +105,7 @@ def test_missing_force_settings_are_named(shaker, test, channels, missing) -> No
     assert said is None if missing is None else missing in said
 
 
-def test_analysis_names_the_missing_force_channel(
-    tmp_path,
-) -> None:
+def test_analysis_names_the_missing_force_channel(tmp_path) -> None:
     with pytest.warns(daq.RunWarning):
         path = daq.record(scene_of(STEPS, BODY), tmp_path / "a.mcap")
     with daq.open(path) as recording, pytest.raises(RecordingError, match=r"add \{name: force, at: shaker\}"):

@@ -14,9 +14,7 @@ from tests.daq.dsp.analytic_motion import Path, chain_of, motion_of, scene_of
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_point_samples_are_instant_voltages(
-    seed,
-):
+def test_point_samples_are_instant_voltages(seed):
     dice = np.random.default_rng([16, seed])
     rate, frequency = np.exp(dice.uniform(np.log([1e3, 2e3]), np.log([1e5, 6e4])))
     q, corner = dice.uniform(1.0, 40.0), dice.uniform(0.1, 20.0)

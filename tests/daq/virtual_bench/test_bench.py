@@ -61,9 +61,7 @@ def test_overload_is_flagged_where_it_is() -> None:
 
 
 @pytest.mark.parametrize("shape", [(2, 10), (0, 10), (10,)])
-def test_wrong_drive_shape_is_reported(
-    shape: tuple[int, ...],
-) -> None:
+def test_wrong_drive_shape_is_reported(shape: tuple[int, ...]) -> None:
     with pytest.raises(RunError, match=r"one of shape \(1, samples\)"):
         Bench(rig.load("bare-structure")).acquire(np.zeros(shape))
 

@@ -16,7 +16,7 @@ from daq.foresight.flights import flight_lines, onset_level, outside_band
 from daq.foresight.foresight import Expectation, Foresight, in_words
 from daq.foresight.linear import drive_needed
 from daq.foresight.noise import least_signals
-from daq.foresight.rehearsal import Extreme, Rehearsal, recording_size
+from daq.foresight.rehearsal import Rehearsal, recording_size
 from daq.foresight.shortened import (
     Shortened,
     about_peaks,
@@ -106,19 +106,17 @@ class Played:
         """Reason for which the test would abort."""
         return next((part.aborted for part in self.parts if part.aborted is not None), None)
 
-    def largest(self, what: str, key: int | str) -> tuple[float, float | None, float | None]:
-        """Largest extreme of all parts, by attribute and key, with its frequency or its time."""
-        tops: list[Extreme] = [getattr(part, what)[key] for part in self.parts]
-        place = int(np.argmax([top.size for top in tops]))
-        part, top = self.parts[place], tops[place]
-        frequency = part.frequency_at(top.sample)
-        time = top.sample / part.rate if frequency is None else None
-        return top.size * self.extension, frequency, time
+    def largest(self, what: str, row: int) -> tuple[float, float | None, float | None]:
+        """Largest extreme of all parts in a row of a quantity, with its frequency or its time."""
+        part = max(self.parts, key=lambda each: getattr(each, what).size[row])
+        size, sample = float(getattr(part, what).size[row]), int(getattr(part, what).sample[row])
+        frequency = part.frequency_at(sample)
+        return size * self.extension, frequency, sample / part.rate if frequency is None else None
 
-    def time(self, what: str, key: int | str) -> float:
-        """Time of that extreme, s from the start of the test; infinite in a part that begins later."""
-        part = max(self.parts, key=lambda each: getattr(each, what)[key].size)
-        return float(getattr(part, what)[key].sample / part.rate) if part is self.parts[0] else np.inf
+    def reading_time(self, row: int) -> float:
+        """Time of the largest reading, s from the start of the test; infinite in a part that begins later."""
+        part = max(self.parts, key=lambda each: float(each.readings.size[row]))
+        return float(part.readings.sample[row] / part.rate) if part is self.parts[0] else np.inf
 
 
 def play(scene: Scene, bench: Bench) -> Played:
@@ -206,10 +204,12 @@ class _Assessment:
             largest, frequency, time = self.free.largest("readings", row)
             driven = None
             limit, part = reading_limit(settings.get(info.name), info)
-            if _POWER_ON_SHARE * settling_time(info) > self.free.time("readings", row):
+            if _POWER_ON_SHARE * settling_time(info) > self.free.reading_time(row):
                 # The reading of a sensor while its bias settles is no response to the tone.
-                frequency, time = None, self.free.time("readings", row)
-                driven = max((part.readings[row].size for part in self.free.parts[1:]), default=largest)
+                frequency, time = None, self.free.reading_time(row)
+                driven = max(
+                    (float(part.readings.size[row]) for part in self.free.parts[1:]), default=largest
+                )
             recorded = min(self.played.largest("readings", row)[0], np.inf if info.range is None else limit)
             yield Expectation(
                 info.name, info.unit, largest, frequency, time, limit, part, largest > limit, recorded, driven
@@ -239,8 +239,8 @@ class _Assessment:
             sensor = None if channel.accelerometer is None else filled_in(channel.accelerometer)
             if sensor is None or sensor.saturation is None:
                 continue
-            smooth, frequency, time = self.free.largest("accelerations", channel.at)
             row = self.system.points.index(channel.at)
+            smooth, frequency, time = self.free.largest("accelerations", row)
             shaken = shaken_by(self.system, row, speeds.tolist(), sensor.resonance)
             reached = any(part.overloaded[names.index(channel.name)] for part in self.played.parts)
             largest = max(smooth, shaken)
@@ -277,9 +277,9 @@ class _Assessment:
                 yield Expectation("amplifier", unit, size, frequency, time, limit, "amplifier", drive > most)
 
     def _tables(self) -> Iterable[Expectation]:
-        for name in self.free.parts[0].tables:
-            size, frequency, time = self.free.largest("tables", name)
-            if size > 0.0:
+        for row, name in enumerate(self.bench.points):
+            size, frequency, time = self.free.largest("displacements", row)
+            if name.startswith("table") and size > 0.0:
                 yield Expectation(f"{name} travel", "m", size, frequency, time)
 
     def _largest_level(self, limiting: Expectation, nonlinear: bool) -> tuple[float, bool]:
@@ -296,7 +296,7 @@ class _Assessment:
 
     def _secant(self, limiting: Expectation, row: int, level: float) -> float:
         """Rehearse the part with the largest reading of a channel at other levels: secant method in logarithms."""
-        part = max(self.free.parts, key=lambda each: each.readings[row].size)
+        part = max(self.free.parts, key=lambda each: float(each.readings.size[row]))
         seconds = affordable_seconds(self.scene) / (2 * _TRIALS)
         scene, ahead = near_extreme(part.scene, limiting.frequency, seconds)
         if scene is None:
@@ -304,7 +304,7 @@ class _Assessment:
         free, tried = without_limits(scene), [(np.log(self.level), np.log(limiting.driven_share))]
         for _ in range(_TRIALS):
             run = Rehearsal(at_level(free, level), ahead).run(4.0 * seconds)
-            share = max(run.readings[row].size / limiting.limit, 1e-12)
+            share = max(float(run.readings.size[row]) / limiting.limit, 1e-12)
             tried.append((np.log(level), np.log(share)))
             if abs(share - 1.0) < _NEAR:
                 break

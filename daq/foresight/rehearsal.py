@@ -29,19 +29,20 @@ _PAUSE = 0.5
 _STORED_S = 4.0
 
 
-@dataclass
-class Extreme:
-    """Largest magnitude of a quantity so far, and its sample."""
+class Extremes:
+    """Largest magnitude of each row of a quantity so far, and its sample."""
 
-    size: float = 0.0
-    sample: int = 0
+    def __init__(self, rows: int) -> None:
+        self.size, self.sample = np.zeros(rows), np.zeros(rows, dtype=np.int64)
 
     def add(self, first: int, values: Array) -> None:
-        """Take the next values, the first with the number `first`."""
+        """Take the next values (rows, samples), from the sample with the number `first` on."""
         if values.size:
-            place = int(np.argmax(np.abs(values)))
-            if abs(values[place]) > self.size:
-                self.size, self.sample = float(abs(values[place])), first + place
+            sizes = np.abs(values)
+            places = sizes.argmax(axis=1)
+            largest = sizes[np.arange(len(sizes)), places]
+            rows = largest > self.size
+            self.size[rows], self.sample[rows] = largest[rows], first + places[rows]
 
 
 @dataclass(frozen=True)
@@ -64,12 +65,11 @@ class Rehearsal(BenchLoop):
         super().__init__(scene)
         bench = self.bench
         self.scene, self.rate, self._ahead = scene, bench.rate, ahead
-        self.readings = [Extreme() for _ in bench.channels]
+        self.readings = Extremes(len(bench.channels))
         self.overloaded = [False] * len(bench.channels)
         # Of each input of the rig, before the limits of output and amplifier.
-        self.drives = [Extreme() for _ in bench.inputs]
-        self.accelerations = {point: Extreme() for point in bench.points}
-        self.tables = {point: Extreme() for point in bench.points if point.startswith("table")}
+        self.drives = Extremes(len(bench.inputs))
+        self.accelerations, self.displacements = Extremes(len(bench.points)), Extremes(len(bench.points))
         self.closing_speed = np.zeros(len(scene.dampers))
         # Times of the impacts of each damper, s.
         self.strikes: list[list[float]] = [[] for _ in scene.dampers]
@@ -106,20 +106,17 @@ class Rehearsal(BenchLoop):
         return None if self._ahead else error
 
     def took(self, got: Block, readings: Array) -> None:
-        """Update the extremes of channels, tables and bodies, and the impacts of dampers."""
+        """Update the extremes of channels, bodies and tables, and the impacts of dampers."""
         self.last_blocks.append(got)
         self._stored += got.samples.shape[1]
         while self._stored - self.last_blocks[0].samples.shape[1] > _STORED_S * self.rate:
             self._stored -= self.last_blocks.popleft().samples.shape[1]
         if self._ahead:
             return
-        for extreme, values in zip(self.readings, readings, strict=True):
-            extreme.add(got.first, values)
         motion = got.motion
-        for row, point in enumerate(self.bench.points):
-            self.accelerations[point].add(motion.first, motion.acceleration[row])
-            if point in self.tables:
-                self.tables[point].add(motion.first, motion.displacement[row])
+        self.readings.add(got.first, readings)
+        self.accelerations.add(motion.first, motion.acceleration)
+        self.displacements.add(motion.first, motion.displacement)
         for event in motion.events[motion.events["speed"] > 0.0]:
             damper = int(event["damper"]) - 1
             self.closing_speed[damper] = max(self.closing_speed[damper], event["speed"])
@@ -131,8 +128,7 @@ class Rehearsal(BenchLoop):
         """Update the extremes of the drives, and the overloads."""
         if self._ahead:
             return
-        for extreme, wave in zip(self.drives, drive, strict=True):
-            extreme.add(first, wave)
+        self.drives.add(first, drive)
         for row in np.flatnonzero(overload.any(axis=1)):
             self.overloaded[row] = True
 

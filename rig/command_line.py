@@ -109,7 +109,7 @@ def _carry_out(module: str, words: Sequence[str]) -> int:
     try:
         Path.cwd()
     except OSError:
-        raise RunError("the working folder is not there any more; change to another one") from None
+        raise RunError("the working folder no longer exists. Change to another folder.") from None
     command, program = typer.main.get_command(import_module(module).app), module.partition(".")[0]
     if f"_{program.upper()}_COMPLETE" in os.environ:
         # The shell requests completions of the typed words.

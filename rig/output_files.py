@@ -24,7 +24,8 @@ def make_ready(folder: Path) -> None:
     """
     if folder.suffix.lower() in _OF_FILES and not folder.exists():
         raise SceneError(
-            f"{folder}: several files go there; expected the name of a folder, such as -o {folder.with_suffix('')}"
+            f"{folder}: several files are written there; expected the name of a folder, such as -o "
+            f"{folder.with_suffix('')}"
         )
     try:
         folder.mkdir(parents=True, exist_ok=True)

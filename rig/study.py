@@ -175,7 +175,7 @@ def _rows(path: Path, content: bytes, header: list[str], what: str) -> list[list
     lines = content[: _whole_lines(content)].decode("utf-8", errors="replace").splitlines()
     rows = [_cells(line) for line in lines]
     if rows[:1] != [header]:
-        raise RunError(f"{path}: is no table of {what}; move it, or choose another place with -o")
+        raise RunError(f"{path}: is not a table of {what}. Move it, or choose another name with -o.")
     return [row for row in rows[1:] if len(row) == len(header)]
 
 

@@ -107,8 +107,8 @@ class Workers:
                 for job in jobs:
                     job.cancel()
         raise RunError(
-            f"a process that computed one of {len(pieces) - len(done)} pieces has died {LIVES + 1} times, as when "
-            "memory runs out; close other programs, or make the study smaller"
+            f"a process that computed one of {len(pieces) - len(done)} pieces has died {LIVES + 1} "
+            "times, possibly because memory ran out. Close other programs, or make the study smaller."
         )
 
     def _next(self, finished: SimpleQueue[Future[Result]]) -> Future[Result]:

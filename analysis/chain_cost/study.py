@@ -172,8 +172,8 @@ def steady_frequencies(scene: Scene) -> tuple[float, ...]:
         good &= np.abs(up - down).max(axis=0) < SAME * np.abs(up).max(axis=0)
     if not good.any():
         raise RunError(
-            "the motion repeats every period at none of the frequencies tried: there is no compliance to compare "
-            "with; try others with --frequency, or another level"
+            "the motion is periodic at none of the frequencies tried, so that there is no reference "
+            "compliance. Choose others with --frequency, or another level."
         )
     kept = candidates[good]
     hardest = kept[int(np.argmax(_accelerations(motion, kept)))]
@@ -280,7 +280,7 @@ def _driven(scene: Scene, frequency: float, drive: float) -> Complex:
     scene = scene.replace(test=test.replace(**{name: drive * smaller}))
     response = frequency_response(scene, [frequency], tolerance=EXACT)
     if not response.converged[0]:
-        raise RunError(f"no steady motion at {frequency:g} Hz to compare with")
+        raise RunError(f"no steady state at {frequency:g} Hz as a reference")
     return response.compliance[:, 0]
 
 

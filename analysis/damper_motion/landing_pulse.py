@@ -86,7 +86,7 @@ def landing_pulse(scene: Scene, place: str, rate: float) -> Pulse | None:
     dampers = [scene.dampers[number - 1] for number in inside]
     if any(damper.grains is not None for damper in dampers):
         raise RecordingError(
-            f"{place}: a bed of grains is not one mass that lands, so its impacts cannot be detected in a channel"
+            f"{place}: a bed of grains is not one mass, so that its impacts cannot be detected in a channel"
         )
     if all(_instant(damper, rate) for damper in dampers):
         return None
@@ -105,8 +105,9 @@ def landing_pulse(scene: Scene, place: str, rate: float) -> Pulse | None:
     time = np.linspace(0.0, longest.duration, _INSTANTS)
     if any(abs(pulse.exchanged(time) - longest.exchanged(time)).max() > _EQUAL_SHARE for pulse in pulses):
         raise RecordingError(
-            f"{place}: floor and ceiling, or its dampers, differ in how landings last and rebound, and which of "
-            "them is met is not known beforehand: they can be detected in a channel only where all are equal"
+            f"{place}: contact durations or restitutions of floor, ceiling or dampers differ, and the "
+            "wall of an impact is not known beforehand. Impacts in a channel can be detected only if "
+            "all are equal."
         )
     return longest
 

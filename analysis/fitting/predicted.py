@@ -33,8 +33,8 @@ def on_the_bench(model: Scene, curves: Curves) -> Scene:
         mine = next((pair for pair in left if pair[1].body == damper.body), None)
         if mine is None:
             raise SceneError(
-                f"{curves.label} was recorded with a damper in body {damper.body} (number {number} in its scene), "
-                "where the scene to fit has none; add it there, with what is known of it"
+                f"{curves.label} was recorded with a damper in body {damper.body} (number {number} in "
+                "its scene), where the scene to fit has none. Add it there, with its known values."
             )
         left.remove(mine)
         dampers.append(mine[1].with_valid(locked=damper.locked))

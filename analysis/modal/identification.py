@@ -103,8 +103,8 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
     inside = in_band(weighted, model.poles)
     if not inside.any():
         raise RecordingError(
-            "the curves hold no resonance that their noise and resolution can show; measure more densely around "
-            "the resonances, longer, or over a band that holds some"
+            "no resonance of the curves exceeds their noise and resolution. Measure more densely "
+            "around the resonances, for longer, or in a band with resonances."
         )
     # The bound at a level of 95 % is two standard deviations.
     f_error, z_error = (
@@ -126,13 +126,13 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
     unseen: Array = np.asarray(abs(model.poles[holes]) / (2 * np.pi), dtype=float)
     if not inside.any() and unseen.size:
         raise RecordingError(
-            f"the curves hold poles ({', '.join(f'{f:.4g}' for f in unseen)} Hz) only in holes, where their lines were "
-            "left out; record again without what is said to be missing there"
+            f"the curves have poles ({', '.join(f'{f:.4g}' for f in unseen)} Hz) only in gaps, where "
+            "lines were omitted. Record again without the losses that are reported there."
         )
     if not inside.any():
         raise RecordingError(
-            f"the curves hold poles ({', '.join(f'{f:.4g}' for f in loose)} Hz) only where next to nothing bounds "
-            "them; see `analysis frf` for what their bounds are made of"
+            f"the curves have poles ({', '.join(f'{f:.4g}' for f in loose)} Hz) only where their "
+            "uncertainty is too large. See `analysis frf` for its contributions."
         )
     poles, f_error, z_error = model.poles[inside], f_error[inside], z_error[inside]
     # A clock error shifts all poles by the same relative amount; it is a common error of all lines.
@@ -190,9 +190,10 @@ def _bounded(curves: Sequence[Response]) -> list[Response]:
     found = [curve for curve in curves if np.isfinite(_sigma([curve])).any()]
     if not found:
         raise RecordingError(
-            f"nothing bounds the responses at {', '.join(curve.response for curve in curves)}, so that they hold no "
-            "modes: their readings are a few counts, or their reference may be nothing at all; record again with a "
-            "converter range and sensors that suit the level"
+            f"the uncertainty of the responses at {', '.join(curve.response for curve in curves)} is "
+            "unbounded, so that no modes can be identified: the readings are a few counts, or the "
+            "reference may be zero. Record again with a converter range and sensors that suit the "
+            "level."
         )
     return found
 

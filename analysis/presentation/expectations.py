@@ -30,7 +30,7 @@ def expect(rec: Recording, path: Path, command: str) -> None:
     if command == "decay" and not test.decays and test.kind is not TestKind.NONE:
         raise RecordingError(f"{held} and no free decay: `analysis frf {file}` shows its frequency responses")
     if command in ("frf", "modes", "dampers") and not test.drives:
-        raise RecordingError(f"{held}, which no force drives: `analysis decay {file}` shows how it dies away")
+        raise RecordingError(f"{held}, which no force drives: `analysis decay {file}` shows its decay")
     if command == "dampers":
         if not rec.scene.dampers:
             raise RecordingError(

@@ -195,7 +195,7 @@ def _ratio(where: str, unit: str) -> tuple[str, float]:
     (('acceleration', 1.0), ('acceleration', 9.80665), ('displacement', 1.0))
     """
     if not unit:
-        raise SceneError(f"{where}: the file does not say its unit; say it, such as --unit m/s^2/N")
+        raise SceneError(f"{where}: the file does not state its unit. Give it, such as --unit m/s^2/N")
     for pattern in (
         r"\(?1/\(?(?P<below>[^()*]+)\)?\)?\s*\*\s*\(?(?P<above>[^()]+)\)?",
         r"\((?P<above>.+)\)\s*/\s*\(?(?P<below>[^()/]+)\)?",
@@ -348,7 +348,7 @@ def _lines(where: str, frequency: Array, value: NDArray[Any]) -> NDArray[np.intp
     twice = np.flatnonzero(np.diff(frequency[lines]) <= _SAME * frequency[lines[1:]])
     if twice.size:
         raise RecordingError(
-            f"{where} stands twice at {frequency[lines[twice[0]]]:.9g} Hz; expected each frequency once, with digits "
-            "enough to distinguish it from the next"
+            f"{where}: two lines at {frequency[lines[twice[0]]]:.9g} Hz; expected each frequency once, "
+            "with enough digits"
         )
     return lines

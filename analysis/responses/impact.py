@@ -75,7 +75,7 @@ def averages(
     high = hits.highest_frequency(rec)
     summed = cross_spectra(rec, channels, starts, weights, 0.0, high)
     if not summed.used:
-        raise RecordingError(f"no hit is left: {describe_flaws(rec, summed.flaws)}")
+        raise RecordingError(f"no usable hit: {describe_flaws(rec, summed.flaws)}")
     notes = []
     if summed.used < len(begins):
         spoilt = describe_flaws(rec, summed.flaws) or "the recording ends"

@@ -187,8 +187,8 @@ def driven(reference: str, amplitude: NDArray[np.generic]) -> None:
     if not np.any(np.abs(amplitude) > 0):
         what = "force on the structure" if reference == "force" else "displacement of the table"
         raise RecordingError(
-            f"the {what} is zero throughout what was measured: nothing was driven, or its channels were off; "
-            "look at the channels with `daq info` and record again"
+            f"the {what} is zero throughout: nothing was driven, or its channels were not connected. "
+            "Check the channels with `daq info` and record again."
         )
 
 

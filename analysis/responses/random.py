@@ -83,8 +83,8 @@ def averages(
     if size < 16 or count < 2:
         raise RecordingError(
             f"{(stop - first) / rec.rate:.3g} s of random hold {max(count, 0)} blocks of "
-            f"{size / rec.rate:.3g} s: "
-            "too short to average; record longer or choose shorter blocks (--block)"
+            f"{size / rec.rate:.3g} s, too few to average. Record longer or choose shorter blocks "
+            "(--block)."
         )
     starts = [first + i * step for i in range(count)]
     summed = cross_spectra(rec, channels, starts, weights, low, high, forgetting, progress)
@@ -94,8 +94,8 @@ def averages(
         notes.append(f"{count - summed.used} of {count} blocks left out: {describe_flaws(rec, found)}.")
     if summed.used < 2:
         raise RecordingError(
-            f"all blocks but one are spoilt: {describe_flaws(rec, found)}; {cure(rec, found)}, or choose "
-            "shorter blocks (--block)"
+            f"only one block has no overloaded or lost samples: {describe_flaws(rec, found)}; "
+            f"{cure(rec, found)}, or choose shorter blocks (--block)"
         )
     width = bins_of(weights) * rec.rate / size
     leaks = burst is None or left > _LEFT_OVER

@@ -117,8 +117,8 @@ def tracked(
         notes.append(f"{clean.count(False)} of {_POINTS} frequencies left out: {describe_flaws(rec, found)}.")
     if not any(clean):
         raise RecordingError(
-            f"nothing is left of the sweep: {describe_flaws(rec, found) or 'it is too short'}; {cure(rec, found)}, or "
-            "sweep for longer"
+            f"no part of the sweep is usable: {describe_flaws(rec, found) or 'it is too short'}; "
+            f"{cure(rec, found)}, or sweep for longer"
         )
     if marker.fields.get("settled") is False:
         notes.append("The sweep began before its first frequency had become steady.")

@@ -100,7 +100,7 @@ class WholeStretches:
                 advice += f"; or take the others alone: --response {' --response '.join(others)}"
             if not found:
                 advice = "the test is too short to average; record longer"
-            raise RecordingError(f"{' '.join(notes)} Nothing is left to estimate a response from: {advice}")
+            raise RecordingError(f"{' '.join(notes)} No usable samples remain: {advice}")
         if names not in self.made:
             before = [] if self.hits is None else [self.hits.moving(rec, names, *each) for each in stretches]
             self.made[names] = self._spectra(rec, names, stretches, before), before
@@ -229,8 +229,8 @@ class WholeStretches:
         first, last = max(int(np.ceil(low - 1e-9)), 1), min(int(high + 1e-9), int(0.45 * size))
         if last <= first:
             raise RecordingError(
-                f"the recording resolves {rec.rate / size:.3g} Hz, and nothing between {self.low:.4g} and "
-                f"{self.high:.4g} Hz; record longer"
+                f"the frequency resolution is {rec.rate / size:.3g} Hz, without a line between "
+                f"{self.low:.4g} and {self.high:.4g} Hz. Record longer."
             )
         return np.arange(first, last + 1, -(-(last - first) // _MOST_LINES))
 

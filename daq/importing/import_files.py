@@ -249,8 +249,8 @@ def _as_measured(scene: Scene, assigned: Sequence[Assigned], rate: float) -> Sce
     converter = scene.converter.replace(rate=rate, remove_delay=True, dropped_blocks=(), skew=None)
     if abs(converter.sample_rate - rate) > _SAME_RATE * rate:
         raise SceneError(
-            f"the files state {rate:.10g} Hz, at which a {converter.preset} does not sample. Give the scene the "
-            "converter that was used, or none."
+            f"the files state {rate:.10g} Hz, a rate that {converter.preset} does not have. Give the "
+            "scene the converter that was used, or none."
         )
     samples = "float32" if scene.recording.samples == "float32" else "float64"
     return scene.replace(

@@ -138,7 +138,7 @@ class _Table:
             before, last = last[1], each
             self.rows += 1
         if self.rows > 1 and (reason := self._torn(*last)):
-            warn(f"{path}: its last line is cut off and is left out ({reason})")
+            warn(f"{path}: its last line is cut off and is omitted ({reason})")
             self.rows -= 1
             self._samples = self._samples[: self.rows]
             last = (0, before)

@@ -76,7 +76,7 @@ def functions(path: Path) -> list[dict[str, Any]]:
                 continue
             there, stated = np.asarray(content["data"]).size, int(content["num_pts"])
             if there != stated:
-                raise ValueError(f"{stated} values are stated, {there} are there")
+                raise ValueError(f"its header states {stated} values, it contains {there}")
         except Exception as error:
             raise RecordingError(
                 f"{path}: its data set {index + 1}, a {kind}, cannot be read: the file is cut off or damaged "

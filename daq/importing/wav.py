@@ -81,7 +81,8 @@ def _chunks(path: Path) -> tuple[bytes, int, int]:
                     raise RecordingError(f"{path}: no format in front of its samples; the file is damaged")
                 if size != _UNKNOWN and at + size > end:
                     raise RecordingError(
-                        f"{path} is cut off: its header states {size} bytes of samples, {end - at} are there"
+                        f"{path} is cut off: its header states {size} bytes of samples, it contains "
+                        f"{end - at}"
                     )
                 return form, at, min(size, end - at)
             file.seek(at + size + size % 2)

@@ -43,8 +43,8 @@ def check_timing(task: TaskSettings) -> None:
     timing = task.groups["timing"]
     if task.kind == "ai" and not task.clocked and not all(each.module.on_demand for each in task.channels):
         raise DaqError(
-            f"{task.channels[0].module.product_type} samples on its clock only, it cannot be read on demand: "
-            "call timing.cfg_samp_clk_timing first",
+            f"{task.channels[0].module.product_type} cannot be read on demand: call "
+            "timing.cfg_samp_clk_timing first",
             Code.SAMP_CLK_RATE_MUST_BE_SPECD,
         )
     if (
@@ -53,8 +53,8 @@ def check_timing(task: TaskSettings) -> None:
         and not all(each.module.output_on_demand for each in task.channels)
     ):
         raise DaqError(
-            f"{task.channels[0].module.product_type} puts out on its clock only, not on demand: "
-            "call timing.cfg_samp_clk_timing first",
+            f"{task.channels[0].module.product_type} has no on-demand output: call "
+            "timing.cfg_samp_clk_timing first",
             Code.SAMP_CLK_RATE_MUST_BE_SPECD,
         )
     if task.kind == "ai":

@@ -62,7 +62,7 @@ class Task:
     def check_idle(self, what: str, code: Code = Code.CAN_NOT_PERFORM_OP_WHILE_TASK_RUNNING) -> None:
         """Check that the task is not running."""
         if self.running:
-            raise DaqError(f"{what}: not while the task is running; call stop() first", code)
+            raise DaqError(f"{what}: not possible while the task is running; call stop() first", code)
 
     # States
 

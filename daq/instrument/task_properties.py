@@ -104,7 +104,7 @@ def time_of(task: Task, event: TimestampEvent, timeout: float) -> int:
     settings, key = task.settings.groups["trig"], f"{name}_trig_timestamp_enable"
     if name is not None and settings.was_set(key) and not settings[key]:
         raise DaqError(
-            "the time of that trigger is not kept: set timestamp_enable before starting the task",
+            "the time of that trigger is not stored: set timestamp_enable before starting the task",
             Code.TIMESTAMP_NOT_ENABLED,
         )
     if name is None:

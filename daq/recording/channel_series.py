@@ -173,8 +173,8 @@ class Series:
         most = int(np.minimum(self._container.summary.unpacked[chunks], 1 << 40).sum()) // 4
         if most * LEAST_SHARE < stop - start:
             raise self._error(
-                f"of the samples {start} to {stop - 1} it holds {most} at most: a void. Choose a stretch before or "
-                "after it (--from, --to)."
+                f"samples {start} to {stop - 1}: at most {most} of them are in the file. Choose a range "
+                "before or after them (--from, --to)."
             )
 
     def holes(self) -> Iterator[tuple[int, int]]:

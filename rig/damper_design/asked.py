@@ -74,7 +74,8 @@ def _under_force(scene: Scene, levels: Sequence[float | str] | None) -> Scene:
         return scene
     if levels is None:
         raise SceneError(
-            "levels: not given, and the test of the scene gives a drive; expected forces to do well at, such as 3 N"
+            "levels: not given, and the test of the scene states a drive, not a force. Give forces, "
+            "such as --levels 3N"
         )
     assert scene.test is not None
     return scene.replace(test=scene.test.replace(drive=None, force=levels[0]))
@@ -103,8 +104,8 @@ def asked(
     may_carry, count = _bodies(bodies, scene, "bodies"), tuple(sorted({*_bodies(watched, scene, "watched")}))
     if not 1 <= dampers <= len(may_carry):
         raise SceneError(
-            f"dampers: got {dampers}; expected 1 to {len(may_carry)}, one for each body that may carry one; one that "
-            "may carry two is named twice"
+            f"dampers: got {dampers}; expected 1 to {len(may_carry)}, one for each body that may carry "
+            "one. Name a body twice for two dampers in it."
         )
     shares = tuple(number(share, RATIO, "uncertain") for share in uncertain)
     if len(shares) != 2 or not all(0.0 <= share < 0.9 for share in shares):
@@ -112,10 +113,14 @@ def asked(
     total, most = total_mass(scene), mass_of(budget, scene)
     if not 0.0 < most < total:
         raise SceneError(
-            f"budget: got {most:g} kg; expected more than nothing and less than the structure's {total:g} kg"
+            f"budget: got {most:g} kg; expected more than 0 and less than the mass of the structure, "
+            f"{total:g} kg"
         )
     if scene.gravity == 0.0:
-        raise SceneError("gravity: got 0; expected more: beds that do not fall do not strike as these do")
+        raise SceneError(
+            "gravity: got 0; expected more than 0, because dampers without weight do not return to their "
+            "floor"
+        )
     landings = landings_of(scene.dampers)
     plain = with_ideal_force(_under_force(scene.replace(dampers=[], channels=None), levels))
     usual = [level_of(plain) * factor for factor in LEVELS]

@@ -201,7 +201,8 @@ class Question:
         natural = natural_frequencies(scene, low, high)
         if not len(natural):
             raise SceneError(
-                f"band: got {low:g} to {high:g} Hz, where nothing resonates; expected a band with a natural frequency"
+                f"band: got {low:g} to {high:g} Hz, without a natural frequency; expected a band with "
+                "at least one"
             )
         points = 8 + self.density * -(-len(natural) // 2)
         return np.unique(np.concatenate([columns(scene, low, high, points), natural]))

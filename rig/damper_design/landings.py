@@ -45,9 +45,9 @@ def landings_of(dampers: Sequence[Damper]) -> Landings:
     contact = first.contact
     if any(isinstance(wall, SpringDamper) for wall in walls_of(contact)):
         raise SceneError(
-            "dampers[1].contact: given by stiffness and damping, which are of its own mass of bed and say nothing of "
-            "another mass; expected contact: {duration: ...} and restitution, such as "
-            "--set 'dampers[1].contact={duration: 4 ms}'"
+            "dampers[1].contact: stiffness and damping belong to the mass of this bed and are not "
+            "known for another mass. Give contact: {duration: ...} and restitution, such as --set "
+            "'dampers[1].contact={duration: 4 ms}'"
         )
     alike = all(
         (each.restitution, each.contact, each.grains) == (first.restitution, contact, first.grains)

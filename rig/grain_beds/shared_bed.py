@@ -31,8 +31,8 @@ def new_bed(spheres: Spheres, positions: Array, ceiling: float, gravity: float, 
         return Bed(*given)
     if on_this_machine() > cores():
         warnings.warn(
-            f"{on_this_machine()} ranks on {cores()} cores wait for each other far longer than they work; expected "
-            "mpiexec -n with one rank for each free core at most",
+            f"{on_this_machine()} ranks on {cores()} cores spend most of their time waiting for each "
+            "other. Use mpiexec -n with at most one rank for each free core.",
             stacklevel=2,
         )
     return cast(Bed, Shared(PartOfBed, *given))

@@ -33,14 +33,13 @@ def vertical_axis(scene: Scene, over: str | None) -> tuple[str, str]:
     level_of(scene)
     if not assemble(scene).dampers:
         raise SceneError(
-            f"scene {scene.name!r} has no damper that moves: its response is linear everywhere (see: rig response)"
+            f"scene {scene.name!r} has no damper that moves, so that its response is linear. Use rig "
+            "response."
         )
     own = "force" if getattr(scene.test, "force", None) is not None else "drive"
     over = over if over is not None else own
     if over not in (own, "clearance"):
-        raise SceneError(
-            f"over: got {over!r}; expected {own}, which is what the scene's test gives, or clearance"
-        )
+        raise SceneError(f"over: got {over!r}; expected {own} (the level of the scene's test) or clearance")
     if over == "force":
         return over, "N"
     return over, "m" if over == "clearance" or isinstance(scene.driven_shaker, TableShaker) else "V"
@@ -57,8 +56,8 @@ def columns(scene: Scene, low: float | None = None, high: float | None = None, p
         low, high = usual[0] if low is None else low, usual[1] if high is None else high
     if not 0.0 < low < high or points < 2:
         raise SceneError(
-            f"frequencies: got {low:g} to {high:g} Hz in {points} points; expected the lower end first, above zero, "
-            "and 2 points at least"
+            f"frequencies: got {low:g} to {high:g} Hz in {points} points; expected a rising range above "
+            "0 and at least 2 points"
         )
     natural = natural_frequencies(scene, low, high)
     grid = np.linspace(low, high, 20_001)
@@ -131,8 +130,8 @@ def rows_of(
     low, high = usual[0] if least is None else least, usual[1] if most is None else most
     if not 0.0 < low < high or rows < 2:
         raise SceneError(
-            f"{over}: got {low:.4g} to {high:.4g} in {rows} rows; expected the lower end first, above zero, and 2 "
-            "rows at least (--least, --most, --rows)"
+            f"{over}: got {low:.4g} to {high:.4g} in {rows} rows; expected a rising range above 0 and "
+            "at least 2 rows (--least, --most, --rows)"
         )
     step = np.log(high / low) / (rows - 1)
     if least is not None and most is not None:

@@ -28,8 +28,8 @@ def need(size: float, what: str) -> None:
     allowed = most()
     if size > allowed:
         raise RunError(
-            f"{what} would take {size / 1e9:.4g} GB of memory; at most {allowed / 1e9:.3g} GB is taken unless the "
-            f"environment variable {ALLOWED} allows more, such as {ALLOWED}=8GB"
+            f"{what} would need {size / 1e9:.4g} GB of memory; the limit is {allowed / 1e9:.3g} GB. The "
+            f"environment variable {ALLOWED} raises it, such as {ALLOWED}=8GB."
         )
 
 

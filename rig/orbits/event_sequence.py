@@ -141,8 +141,8 @@ def plan_from(
         hit = [i for i in now if dampers[i] == damper and kinds[i] in (FLOOR, CEILING)]
         if system.coupled and any(dampers[i] != damper for i in now):
             raise UncoveredMotionError(
-                f"an impact of a damper is felt by another at once (dampers {damper + 1} and {dampers[now[-1]] + 1}, "
-                "coupled by their body or the mass matrix)"
+                f"an impact of damper {damper + 1} acts on damper {dampers[now[-1]] + 1} at the same "
+                "instant, through a common body or the mass matrix"
             )
         if system.lasting[damper]:
             kinds.append(_lasting_kind(trajectory, k, system))
@@ -155,7 +155,7 @@ def plan_from(
             continue
         elif system.restitution[damper] > 0:
             raise UncoveredMotionError(
-                f"damper {damper + 1} rebounds ever lower until it rests on a wall: impacts without end in every period"
+                f"damper {damper + 1} rebounds infinitely often in every period until it rests on a wall"
             )
         else:
             kinds.append(WITH_LAST if now else SEPARATION)

@@ -184,7 +184,7 @@ def solve(
     except np.linalg.LinAlgError:
         raise RunError(f"{where}: the equations are singular here") from None
     if count < 0:
-        raise RunError(f"{where}: the corrections do not settle (last one {last:.1e})")
+        raise RunError(f"{where}: Newton's method does not converge (last correction {last:.1e})")
     return curve.describe(setting, x, equations, shot)
 
 

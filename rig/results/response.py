@@ -483,7 +483,8 @@ class Response(Result, Sequence["Response"]):
         """
         if self.reference != "force":
             raise SceneError(
-                f"{self.response}: a response to the {self.reference}; UFF 58 is written of forces"
+                f"{self.response}: a response to the {self.reference}; UFF 58 files are written for "
+                "responses to a force only"
             )
         file = universal_file(Path(path))
         if nodes is None:

@@ -39,12 +39,15 @@ def find(scene: str | Path) -> Path:
     if folder:
         raise SceneError(f"{path} is a folder; expected a scene file or the name of a bundled scene")
     if there and not path.is_file():
-        raise SceneError(f"{path} is no ordinary file; expected a scene file or the name of a bundled scene")
+        raise SceneError(
+            f"{path} is not a regular file; expected a scene file or the name of a bundled scene"
+        )
     if there:
         return path
     if path.suffix in SUFFIXES or len(path.parts) > 1:
         raise SceneError(
-            f"no scene file {path}; expected a path, or the name of a bundled scene (see: rig scenes)"
+            f"{path}: there is no such scene file; expected a path, or the name of a bundled scene "
+            "(see: rig scenes)"
         )
     near = get_close_matches(str(scene), names, n=3, cutoff=0.5)
     hint = f"did you mean {' or '.join(near)}?" if near else "see: rig scenes"
@@ -63,7 +66,7 @@ def read_text(path: Path) -> str:
     except UnicodeDecodeError:
         text = "\0"
     if "\0" in text:
-        raise SceneError(f"{path} is no text file; expected a scene in YAML")
+        raise SceneError(f"{path} is not a text file; expected a scene in YAML")
     return text
 
 

@@ -62,13 +62,13 @@ def read(path: Path, asked: Mapping[str, Any]) -> Course | None:
     # A damaged file can cause an exception of almost any type in the reader.
     except Exception:
         raise RunError(
-            f"{path}: cannot be read as the beginning of a run with grains of this version; delete it to begin anew, "
-            "or choose another place with -o"
+            f"{path}: is not an interrupted run with grains of this version. Delete it to start again, "
+            "or choose another name with -o."
         ) from None
     if others:
         raise RunError(
-            f"{path}: is the beginning of a run with another {', '.join(others)}; ask for the same to go on, delete it "
-            "to begin anew, or choose another place with -o"
+            f"{path}: contains an interrupted run with another {', '.join(others)}. Use the same "
+            "settings to continue it, delete the file to start again, or choose another name with -o."
         )
     return course
 

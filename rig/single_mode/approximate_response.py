@@ -183,9 +183,9 @@ def follow_mode(mode: SingleMode, band: tuple[float, float], searches: int = 13)
     if not 0 < low < high:
         raise SceneError(f"band {band[0]:g} to {band[1]:g} Hz: expected two rising frequencies above 0")
     if not mode.mass_ratio > 0:
-        raise SceneError("the mode has no damper that could leave its floor")
+        raise SceneError("the mode has no damper that can leave its floor")
     if not mode.force > 0 or mode.participation == 0:
-        raise SceneError("no force acts on the mode, so nothing is periodic but rest")
+        raise SceneError("no force acts on the mode, so that it has no periodic motion")
     riding = leaving_band(mode, band)
     curves: dict[MotionType, list[continuation.Curve]] = {"I": [], "II": [], "III": []}
     kinds: list[MotionType] = ["I"] if np.isinf(mode.clearance) else ["I", "II", "III"]

@@ -105,9 +105,7 @@ def reduce_to_mode(
     if not 1 <= mode <= bodies:
         raise SceneError(f"mode {mode}: the structure has modes 1 to {bodies}")
     if not gravity > 0:
-        raise SceneError(
-            f"gravity {gravity} m/s^2: the approximate method needs a floor to rest on, so gravity > 0"
-        )
+        raise SceneError(f"gravity {gravity} m/s^2: the approximate method needs gravity above 0")
     if not clearance >= 0:
         raise SceneError(f"clearance {clearance} m: expected 0 or more")
     frequencies, shapes = natural_modes(mass, stiffness)
@@ -119,7 +117,7 @@ def reduce_to_mode(
     )
     if not frequencies[mode - 1] > 0:
         raise SceneError(
-            f"mode {mode} is a rigid-body motion: the approximate method needs one that vibrates"
+            f"mode {mode} is a rigid-body mode: the approximate method needs a mode with stiffness"
         )
     omega = float(np.sqrt(modal_stiffness / modal_mass))
     damping_ratio = modal_damping / (2 * modal_mass * omega)
@@ -129,9 +127,9 @@ def reduce_to_mode(
     ratio = sum(shape[body - 1] ** power * md for body, md in dampers.items()) / modal_mass
     if dampers and not ratio > 0:
         raise SceneError(
-            f"mode {mode}: Eq 13 as printed gives the mass ratio {ratio:.3g}, because dampers sit "
-            "on bodies that move against the largest one; use weighting='energy', or normalise the shape at "
-            "the damper's body (at=...)"
+            f"mode {mode}: Eq. 13 as printed gives the mass ratio {ratio:.3g}, because dampers are on "
+            "bodies that move against the largest one. Use weighting='energy', or normalise the shape "
+            "at the damper's body (at=...)."
         )
     participation = float(sum(shape[body - 1] for body in driven))
     return SingleMode(
@@ -163,29 +161,31 @@ def single_mode(
             continue
         if damper.grains is not None:
             raise SceneError(
-                f"scene {scene.name!r}: damper in body {damper.body} is a bed of grains; the approximate method knows "
-                "it as one mass: expected no grains: here"
+                f"scene {scene.name!r}: the damper in body {damper.body} is a bed of grains; the "
+                "approximate method treats a bed as one mass. Remove its grains:."
             )
         if damper.contact is not None:
             raise SceneError(
-                f"damper at body {damper.body}: its contact lasts; the method has only landings at once, expected no "
-                "contact: here (rig.orbit_response knows both)"
+                f"damper in body {damper.body}: its contact has a finite duration; the approximate "
+                "method assumes instantaneous contact. Remove its contact:, or use rig.orbit_response."
             )
         if damper.restitution != 0:
             raise SceneError(
-                f"damper at body {damper.body}: restitution {damper.restitution}; the method has only 0"
+                f"damper in body {damper.body}: restitution {damper.restitution}; the approximate "
+                "method assumes 0"
             )
         free[damper.body] = free.get(damper.body, 0.0) + float(md)
         clearances.add(damper.clearance)
     if len(clearances) > 1:
         listed = ", ".join(f"{1e3 * c:g} mm" for c in sorted(clearances))
         raise SceneError(
-            f"clearances {listed}: the approximate method makes one damper of all: use a common one"
+            f"clearances {listed}: the approximate method combines all dampers into one. Use a common "
+            "clearance."
         )
     if force is None:
         level = getattr(scene.test, "force", None)
         if not isinstance(level, int | float):
-            raise SceneError("the scene's test does not give one force: pass force=... in N")
+            raise SceneError("the test of the scene does not state a single force: pass force=... in N")
         force = float(level)
     return reduce_to_mode(
         (mass, model.damping, model.stiffness),

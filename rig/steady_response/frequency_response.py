@@ -223,9 +223,7 @@ def frequency_response(
     scene = scene_of(scene)
     asked = positives(frequencies, FREQUENCY, "frequencies")
     if direction not in ("up", "down", "both"):
-        raise SceneError(
-            f"Invalid value for direction. Allowed values are up, down and both, but got {direction!r}."
-        )
+        raise SceneError(f"direction: got {direction!r}; expected up, down or both")
     level_of(scene)
     rising = np.sort(asked)
     tasks = {"up": [rising], "down": [rising[::-1]], "both": [rising, rising[::-1]]}[direction]

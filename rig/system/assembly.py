@@ -252,8 +252,8 @@ def static_equilibrium(scene: Scene, system: HybridSystem) -> Array:
     stiffness = -(system.force_state + system.contact_forces(system.at_rest)[0])[:, :n]
     if not stiffness.any() or np.linalg.cond(stiffness) > 1e13:
         raise SceneError(
-            f"scene {scene.name!r}: the structure is not held, so there is no static equilibrium to start from "
-            "under the dampers' weight; expected springs to ground, gravity: 0, or test: {start: empty}"
+            f"scene {scene.name!r}: the structure is free, so that there is no static equilibrium under "
+            "the weight of the dampers. Add springs to ground, gravity: 0, or test: {start: empty}."
         )
     return np.linalg.solve(stiffness, load)
 

@@ -65,13 +65,11 @@ def level_of(scene: Scene) -> float:
     """
     if scene.driven_shaker is None and scene.shakers:
         raise SceneError(
-            f"scene {scene.name!r} has {len(scene.shakers)} shakers, and no test says which one to drive; expected "
-            "a test with shaker: and its number"
+            f"scene {scene.name!r} has {len(scene.shakers)} shakers; expected a test with shaker: and "
+            "the number of the one that it drives"
         )
     if scene.driven_shaker is None:
-        raise SceneError(
-            f"scene {scene.name!r} has no shaker to drive it with; expected shaker: {{kind: ...}}"
-        )
+        raise SceneError(f"scene {scene.name!r} has no shaker; expected shaker: {{kind: ...}}")
     test = scene.test
     force, drive = getattr(test, "force", None), getattr(test, "drive", None)
     level = force if force is not None else drive
@@ -159,8 +157,9 @@ def riding_response(system: HybridSystem, name: str, omega: float | Array) -> ND
         solved = np.linalg.solve(1j * at * np.eye(ns) - matrix, inflow).astype(np.complex128, copy=False)
     except np.linalg.LinAlgError:
         raise SceneError(
-            f"the undamped rig has no steady motion at {np.ravel(omega)[0] / (2 * np.pi):.6g} Hz, its resonance; "
-            "expected structure.damping, another frequency, or drive in place of force"
+            f"the undamped rig has no steady state at {np.ravel(omega)[0] / (2 * np.pi):.6g} Hz, its "
+            "resonance. Add structure.damping, choose another frequency, or give drive in place of "
+            "force."
         ) from None
     return np.moveaxis(solved[..., 0], -1, 0)
 
@@ -179,8 +178,8 @@ def sampled_drive(scene: Scene, system: HybridSystem, samples: int, rate: float)
         drive[system.inputs.index(scene.at_driven("shaker"))] = _sweep(scene, system, test, time)
     elif test is not None and test.kind != "free":
         raise SceneError(
-            f"a {test.kind} test is made up on the bench (daq.record); to simulate it open loop give frequency "
-            "for a tone at its level, or drive, an array of shape (inputs, samples)"
+            f"a {test.kind} test is generated during the recording (daq.record). To simulate open loop, "
+            "give frequency for a tone at its level, or drive, an array of shape (inputs, samples)."
         )
     return drive
 

@@ -133,8 +133,8 @@ class StructuralModel:
                 response[:, block] = np.linalg.solve(dynamic_stiffness, force[:, None])[:, :, 0].T
             except np.linalg.LinAlgError:
                 raise SceneError(
-                    "the response is infinite at one of the frequencies: undamped and exactly at "
-                    "resonance (or free at 0 Hz); expected structure.damping, or other frequencies"
+                    "the response is infinite at one of the frequencies: an undamped resonance, or 0 "
+                    "Hz of a free structure. Add structure.damping, or choose other frequencies."
                 ) from None
         return response
 
@@ -195,14 +195,17 @@ def driven_bodies(scene: Scene) -> list[int]:
     """List the positions (from 0) of the bodies on which the force acts."""
     if len(scene.shakers) > 1 and any(shaker.kind != "force" for shaker in scene.shakers):
         raise SceneError(
-            f"scene {scene.name!r} has several shakers, and those on coil springs load the structure as well; expected "
-            "one shaker, several of kind force, or rig.frequency_response, which knows them all"
+            f"scene {scene.name!r} has several shakers, and coil springs add stiffness to the "
+            "structure. Use one shaker, several of kind force, or rig.frequency_response, which "
+            "includes them."
         )
     if scene.driven_shaker is not None:
         return [body - 1 for body in scene.driven_shaker.bodies]
     if scene.test is not None and scene.test.kind == "impulse":
         return [scene.test.body - 1]
-    raise SceneError(f"scene {scene.name!r} has neither shaker nor hammer to say where the force acts")
+    raise SceneError(
+        f"scene {scene.name!r} has neither shaker nor hammer, so that the place of the force is not known"
+    )
 
 
 def coil_spring(scene: Scene) -> float:
@@ -252,8 +255,8 @@ def natural_modes(mass: Array, stiffness: Array) -> tuple[Array, Array]:
     rounding = 10 * len(squares) * np.finfo(float).eps * np.abs(squares).max(initial=0.0)
     if squares[0] < -rounding:
         raise SceneError(
-            f"structure: stiffness not positive semidefinite (squared frequency {squares[0]:.3g} 1/s^2), "
-            "so that there are no natural modes; expected springs that hold it"
+            f"structure: stiffness not positive semidefinite (squared frequency {squares[0]:.3g} "
+            "1/s^2), so that there are no natural modes. Add springs that stabilise it."
         )
     # A rigid-body motion comes out as a square of either sign at rounding level.
     frequencies = np.sqrt(np.where(np.abs(squares) <= rounding, 0.0, squares))

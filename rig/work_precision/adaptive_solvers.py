@@ -94,7 +94,7 @@ def follow(problem: FirstOrderForm, leg: Leg, blind: float, limit: float) -> Out
         contacts.change(state, now, *contacts.walls[which])
         contacts.release(state, now)
         if len(contacts.events) > LIVELOCK * problem.periods:
-            raise RunError("takes off and lands for ever at one instant")
+            raise RunError("infinitely many separations and landings at one instant")
         if time.process_time() - begun > limit:
             raise RunError(f"not done after {limit:.0f} s")
     return Outcome(np.array(samples).T, contacts.events)

@@ -99,7 +99,7 @@ class DormandPrince:
         if not _follow(
             self._tables, contacts, start, times, motion, rtol, blind, longest, steps, *self._work
         ):
-            raise RunError("takes off and lands for ever at one instant")
+            raise RunError("infinitely many separations and landings at one instant")
         events = slice(contacts.filled[0])
         log = zip(contacts.time[events], contacts.damper[events], contacts.kind[events], strict=True)
         return Outcome(motion.T, [(float(t), int(j), WALLS[k]) for t, j, k in log])
@@ -108,7 +108,9 @@ class DormandPrince:
 def _tables(problem: FirstOrderForm) -> Tables:
     system, dampers = problem.system, len(problem.rows)
     if dampers > MOST_DAMPERS:
-        raise RunError(f"{dampers} dampers have {2**dampers} configurations; it keeps a matrix for each")
+        raise RunError(
+            f"{dampers} dampers have {2**dampers} configurations; the method stores a matrix for each"
+        )
     return Tables(
         matrix=np.array(
             [problem.matrix([bits >> j & 1 for j in range(dampers)]) for bits in range(2**dampers)]

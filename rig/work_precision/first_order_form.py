@@ -54,7 +54,9 @@ class FirstOrderForm:
         pi: Any = math.pi, integrals: bool = False,
     ) -> None:  # fmt: skip
         if system.coupled:
-            raise SceneError("the alternatives decide contacts one by one; expected a diagonal mass matrix")
+            raise SceneError(
+                "the compared methods treat contacts one by one; expected a diagonal mass matrix"
+            )
         self.system, self.tone, self.periods = system, tone, periods
         n, ns, nd = system.coordinates, system.states, system.dampers
         self.first, self.one = ns, ns + 2 * nd

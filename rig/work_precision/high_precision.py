@@ -233,7 +233,7 @@ class DecimalMotion:
                 break
         if abs(self.now - guess) > SAME_EVENT:
             raise RunError(
-                f"event {kind} of damper {j + 1} at {guess:.9f} s is not found again; report the scene"
+                f"event {kind} of damper {j + 1} at {guess:.9f} s is not reproduced. Report the scene."
             )
 
     def carry(self, until: Decimal) -> None:
@@ -313,7 +313,7 @@ class _ClosedOrbit:
                     jacobian = ((np.array(moved) - miss) / steps[:, None]).T
                 values = values - solve(jacobian, miss[:, None])[:, 0]
             if residual > 10.0 ** (12 - digits):
-                raise RunError(f"the orbit in decimal arithmetic still misses its start by {residual:.0e}")
+                raise RunError(f"the orbit in decimal arithmetic does not close: residual {residual:.0e}")
             return list(values), residual
 
     def _miss(self, start: NDArray[Any]) -> NDArray[Any]:

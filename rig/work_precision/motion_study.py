@@ -132,7 +132,10 @@ def motion_study(
     best = min((p.error for p in points if p.error > 0.0), default=np.inf)
     margin = best / max(exact.agreement, 10.0 ** (-DIGITS))
     if margin < BETTER:
-        raise RunError("the reference is not a thousand times better than the best method; report the scene")
+        raise RunError(
+            "the reference is less than a thousand times more accurate than the best method. Report the "
+            "scene."
+        )
     reference = (
         f"decimal arithmetic of {DIGITS} digits, every event found again as a root of its own guard; the same with "
         f"fewer digits differs by {exact.agreement:.0e} of the motion"

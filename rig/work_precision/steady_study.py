@@ -87,7 +87,8 @@ def steady_study(
     margin = best / max(true.agreement, 10.0**-DIGITS)
     if margin < BETTER:
         raise RunError(
-            "the reference of the steady state is not a thousand times better than the best method; report the scene"
+            "the reference of the steady state is less than a thousand times more accurate than the best method. "
+            "Report the scene."
         )
     return SteadyStudy(
         tuple(points),

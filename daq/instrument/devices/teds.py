@@ -40,7 +40,7 @@ def basic_teds(data: bytes) -> dict[str, Any]:
     """
     if len(data) < _LEAST_BYTES:
         raise DaqError(
-            f"{len(data)} bytes are no electronic data sheet: its basic part alone has {_LEAST_BYTES}",
+            f"{len(data)} bytes are not an electronic data sheet: its basic part has {_LEAST_BYTES} bytes",
             Code.TEDS_SENSOR_DATA_ERROR,
         )
     bits = int.from_bytes(data, "little")

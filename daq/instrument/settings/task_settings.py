@@ -150,7 +150,7 @@ class TaskSettings:
             channel = make(virtual, port, module)
             if side == "ao" and channel.row in [each.row for each in (*self.channels, *added)]:
                 raise DaqError(
-                    f"{port.name} is in the task already: an output can be there once",
+                    f"{port.name} is in the task already; an output can be used once",
                     Code.CHAN_ALREADY_IN_TASK,
                 )
             self.scale_of(channel)

@@ -262,13 +262,13 @@ def highest_left_out(modes: Modes, bare: Sequence[Response]) -> list[str]:
         if near[top] or not size[top] or top in (0, f.size - 1):
             continue
         more = (
-            f", {size[top] / size[near].max():.2g} times as high as what is compared"
+            f", {size[top] / size[near].max():.2g} times as high as the compared peaks"
             if size[near].any()
             else ""
         )
         said.append(
-            f"{curve.response}: the curve is highest at {f[top]:.2f} Hz{more}, where nothing is compared: no mode "
-            "was identified there; see `analysis frf` for its height and its bounds"
+            f"{curve.response}: the curve is highest at {f[top]:.2f} Hz{more}, where no mode was "
+            "identified and no peak is compared; see `analysis frf` for its height and uncertainty"
         )
     return said
 
@@ -286,8 +286,9 @@ def unresolved(peaks: Sequence[tuple[float, str, Peak]]) -> list[str]:
         off = worst.between / worst.value
         # The error of interpolation falls at least with the square of the step.
         said.append(
-            f"{', '.join(here)}, near {worst.frequency:.2f} Hz: between points {worst.step:.2g} Hz apart the peak may "
-            f"be up to {plainly(float(f'{100 * off:.2g}'))} % off what they show, which its interval allows for; "
-            f"measure every {worst.step * sqrt(_RESOLVED / off):.1g} Hz there"
+            f"{', '.join(here)}, near {worst.frequency:.2f} Hz: the points are {worst.step:.2g} Hz "
+            "apart, and the peak between them may deviate by up to "
+            f"{plainly(float(f'{100 * off:.2g}'))} %, which the interval includes. Measure every "
+            f"{worst.step * sqrt(_RESOLVED / off):.1g} Hz there"
         )
     return said

@@ -130,7 +130,7 @@ def dampers_in(rec: Recording, label: str | None = None, progress: Progress | No
             info = located(rec, f"body {number}")
             if info is None:
                 name = rec.scene.structure.label(number)
-                missing.append(f"{name}: no channel on it, so its impacts are not detected")
+                missing.append(f"{name}: no channel, so that its impacts are not detected")
                 continue
             try:
                 bodies.append(damper_motion(rec, sweep, info.name, progress))

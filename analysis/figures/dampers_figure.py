@@ -118,5 +118,5 @@ def _caption(energy: CycleEnergy | None, lines: Lines) -> list[str]:
     if lines.unsteady is not None and lines.unsteady.any():
         out.append("Crosses: the motion was not steady.")
     if lines.left_out.size:
-        out.append("Crosses at the axis: frequencies left out, as the warnings say.")
+        out.append("Crosses at the axis: excluded frequencies (see the warnings).")
     return out

@@ -97,9 +97,7 @@ def _caption(frfs: Sequence[Response]) -> list[str]:
         out.append("Dark band: 95 % confidence interval of the random error.")
     parts = shown_parts(frfs)
     if parts:
-        out.append(
-            f"Light band: with systematic errors as well, each as large as it may be: {', '.join(parts)}."
-        )
+        out.append(f"Light band: systematic errors included, each at its limit: {', '.join(parts)}.")
     if any(np.any(_reaches_zero(frf)) for frf in frfs):
         out.append("A band down to the axis includes zero.")
     if not all(exceeds_noise(frf).all() for frf in frfs):
@@ -107,7 +105,7 @@ def _caption(frfs: Sequence[Response]) -> list[str]:
     if any(frf.unsteady is not None and frf.unsteady.any() for frf in frfs):
         out.append("Crosses: the motion was not steady.")
     if any(frf.omitted.size for frf in frfs):
-        out.append("Gaps with a mark at the axis: frequencies left out, as the warnings say.")
+        out.append("Gaps with a mark at the axis: excluded frequencies (see the warnings).")
     return out
 
 

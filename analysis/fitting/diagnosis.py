@@ -40,7 +40,7 @@ _FACTORS = {
     1.0 / 4.44822: "newtons for pounds",
 }
 _NEAR = 0.06
-_NO_UNIT = " (no unit is mistaken by that factor: the structure may as well be another one than the scene's)"
+_NO_UNIT = " (no usual mistake of units has this factor: the structure may differ from the scene)"
 # Delays of a channel that are tried, s, and the least that counts.
 _DELAYS, _LEAST_DELAY = np.arange(-1.2e-3, 1.21e-3, 2e-5), 5e-6
 # A first guess is not off by more, s.
@@ -84,8 +84,8 @@ def cause(problem: Problem) -> tuple[bool, str]:
     ]
     if len(alone) == 1:
         return True, (
-            f"{alone[0]} contradicts the others, by no factor: late, loose, elsewhere than the scene says, "
-            "or no measurement at all; left out, the rest fits."
+            f"{alone[0]} contradicts the other channels: it may be delayed, loose or at another place "
+            "than in the scene. Without it the scene fits."
         )
     return False, (
         "Tried without success: each channel's sign, unit and delay, two channels swapped, another form of damping. "
@@ -102,8 +102,9 @@ def scale_off(problem: Problem, x: Array) -> str:
     if 1.0 / _SCALE_OFF < factor < _SCALE_OFF:
         return ""
     return (
-        f"The curves fit with {factor:.4g} times the masses of the scene{_meaning(1.0 / factor)}: force or motion is "
-        "in another unit than the recording says, or the masses of the scene are far off; correct either."
+        f"The curves fit with {factor:.4g} times the masses of the scene{_meaning(1.0 / factor)}: the "
+        "unit of force or motion differs from that in the recording, or the masses of the scene are "
+        "wrong. Correct either."
     )
 
 
@@ -286,11 +287,11 @@ def left_out(curves: Curves, used: NDArray[np.bool_], uncovered: Mapping[int, st
     """
     why: dict[str, list[str]] = {}
     for k in np.flatnonzero(~used).tolist():
-        reason = "the rig had another kind of motion than the model, or an irregular one"
+        reason = "the motion of the rig is irregular, or of another type than that of the model"
         if k in uncovered:
             reason = (
-                f"{uncovered[k]}, which a fit cannot compute (restitution 0 or a finite duration of contact, "
-                "contact: {duration: ...}, avoids it)"
+                f"{uncovered[k]}, which a fit cannot compute (restitution 0 or contact: {{duration: "
+                "...} avoids this)"
             )
         why.setdefault(reason, []).append(f"{curves.frequency[k]:.4g}")
     return [f"{curves.label}: left out {', '.join(at)} Hz, where {reason}." for reason, at in why.items()]

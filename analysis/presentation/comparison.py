@@ -48,9 +48,9 @@ _HEADING = (
 )  # fmt: skip
 
 _JUMPS = (
-    "A peak that may be higher than measured has a jump of its curve, an end, or points that were left out beside its "
-    "highest point, or only three points: measure more densely there, upwards and downwards (test: direction: both), "
-    "without overloads."
+    "A peak may be higher than measured where its curve has a jump, an end or excluded points next to "
+    "the highest point, or only three points. Measure more densely there, upwards and downwards (test: "
+    "direction: both), without overloads."
 )
 
 
@@ -210,7 +210,7 @@ def _without_peaks(
             for (path, _), each in zip(measured, curves, strict=True)
             if not covers(each[name], float(mode))
         ]
-        why = "; ".join(bands) or "no peak of its own before, or too few points about it"
+        why = "; ".join(bands) or "no separate peak in the first recording, or too few points around it"
         lines.append(f"  {name}, mode at {mode:.2f} Hz: not compared: {why}")
     return lines
 

@@ -47,7 +47,7 @@ def expect(rec: Recording, path: Path, command: str) -> None:
 def repeats(paths: Sequence[Path]) -> list[str]:
     """Return a warning for each file that was given twice: equal files are not independent measurements."""
     return [
-        f"{again}: the same content as {first}. Give each measurement once; these are no two results."
+        f"{again}: the same content as {first}. Give each measurement once."
         for first, again in repeated(paths)
     ]
 

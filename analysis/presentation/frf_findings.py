@@ -160,8 +160,10 @@ def stated_tolerances(rec: Recording, frfs: Sequence[Response]) -> list[str]:
             groups.setdefault(f"{100 * tolerance(info):.2g} %{source}", []).append(name)
     stated = "; ".join(f"{', '.join(names)} {text}" for text, names in groups.items())
     return [
-        f"{rec.scene.name}: most of these bounds is the tolerance of the sensors ({stated}); "
-        "if they are calibrated, give it in the scene: sensitivity_tolerance: 1 %"
+        (
+            f"{rec.scene.name}: the tolerance of the sensors ({stated}) dominates the uncertainty. If they "
+            "are calibrated, state it in the scene: sensitivity_tolerance: 1 %"
+        )
     ]
 
 

@@ -111,9 +111,11 @@ def unlike_theory(modes: Modes, theory: np.ndarray | None) -> list[str]:
     pairs = zip(modes.frequency[off], nearest[off], strict=True)
     which = ", ".join(f"{f:.4g} Hz (MAC {m:.2f})" for f, m in pairs)
     return [
-        f"{which}: like no shape of the scene's structure, which takes a MAC above {SAME_SHAPE:g}: look whether "
-        "channels are swapped, or one has the wrong sign or place, whether the scene is that of this structure "
-        "(analysis fit finds its values), and where dampers fly, at a lower level."
+        (
+            f"{which}: the shape matches no mode of the scene's structure (MAC above {SAME_SHAPE:g}). Check "
+            "for swapped channels and wrong signs or places, check the scene (analysis fit estimates its "
+            "values), and measure at a lower level if dampers fly."
+        )
     ]
 
 

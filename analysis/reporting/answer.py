@@ -40,7 +40,7 @@ def _comparisons(changes: Sequence[tuple[Measured, Measured, PeakChange]]) -> li
         first, highest = max(here, key=lambda pair: pair[1].bare.value)
         if not bounded:
             sentences.append(
-                f"“{label}” against “{first.label}”: the measured points bound no change of a peak."
+                f"“{label}” against “{first.label}”: the measured points determine no change of a peak."
             )
             continue
         _, change = max(bounded, key=lambda pair: pair[1].bare.value)
@@ -56,7 +56,7 @@ def _comparisons(changes: Sequence[tuple[Measured, Measured, PeakChange]]) -> li
                 f"from {1e6 * change.bare.value:.4g} to {1e6 * change.damped.value:.4g} µm/N"
             )
         if highest.mode != change.mode:
-            text += f"; the points at the highest peak, {highest.mode:.2f} Hz, do not bound its change"
+            text += f"; the points at the highest peak, {highest.mode:.2f} Hz, do not determine its change"
         sentences.append(f"{text}.")
     return sentences
 

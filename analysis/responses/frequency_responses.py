@@ -165,10 +165,10 @@ BY_KIND = {
     TestKind.TONES: _TONES,
     TestKind.NONE: _TONES,
     TestKind.FREE: _TONES,
-    TestKind.SWEEP: Estimator(_sweep, "a sweep is taken whole, by the local rational method"),
+    TestKind.SWEEP: Estimator(_sweep, "a sweep is evaluated as a whole, by the local rational method"),
     TestKind.RANDOM: Estimator(
         _random,
-        "random is taken whole, by the local rational method",
+        "a random test is evaluated as a whole, by the local rational method",
         frozenset({"estimator", "block", "overlap", "window"}),
     ),
     TestKind.MULTISINE: Estimator(_multisine, "whole periods of a multisine are averaged"),
@@ -270,8 +270,8 @@ def _unfiltered(rec: Recording, channels: Sequence[str]) -> tuple[str, ...]:
     if not rec.source or not bare:
         return ()
     return (
-        f"{', '.join(bare)}: imported, and the scene names no filter of the converter (converter: preset, or filter): "
-        "what folds back from beyond half the sample rate is in no bound.",
+        f"{', '.join(bare)}: imported, and the scene states no filter of the converter (converter: "
+        "preset, or filter). The uncertainty does not include aliasing from above half the sample rate.",
     )
 
 

@@ -83,7 +83,7 @@ class Hits:
             there, raw = (float(np.nanmax(part, initial=0.0)) for part in (force[: end - begin + 1], force))
             if there < _MISSED * raw:
                 reason = (
-                    f"reads {there:.3g} N at most where the hit is marked, at {begin / rec.rate:.4g} s, and "
+                    f"reads {there:.3g} N at most at the marked hit, {begin / rec.rate:.4g} s, and "
                     f"{raw:.3g} N elsewhere: the marker or the channel's delay is wrong"
                 )
                 missed.append(Flaw(begin, stop, channel, reason))

@@ -81,12 +81,12 @@ def averages(
         spoilt = describe_flaws(rec, summed.flaws) or "the recording ends"
         notes.append(f"{len(begins) - summed.used} of {len(begins)} hits left out: {spoilt}.")
     if summed.used == 1:
-        notes.append("One block: its coherence is 1 whatever the noise, and the scatter is undetermined.")
+        notes.append("One block only: its coherence is 1 for any noise, and the scatter is undetermined.")
     leaks = summed.left > _LEFT_OVER
     if leaks:
         notes.append(
-            f"{summed.left:.0%} of the motion are left at the end of a block: the curve leaks, by what is stated as "
-            "leakage; take longer blocks or leave out --estimator, without which nothing leaks."
+            f"{summed.left:.0%} of the motion remain at the end of a block, which causes leakage "
+            "(stated in the uncertainty). Use longer blocks, or omit --estimator, which avoids leakage."
         )
     return summed.averages(
         size,

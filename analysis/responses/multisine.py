@@ -27,17 +27,18 @@ if TYPE_CHECKING:
 
 
 NONLINEAR = (
-    "The structure is not linear: the curve is the best linear approximation for this level and kind of excitation, "
-    "and its error bars hold for that; steady tones of another amplitude (stepped sine) give another curve."
+    "The structure is nonlinear: the curve and its uncertainty are those of the best linear "
+    "approximation for this level and kind of excitation. Steady tones of another amplitude (stepped "
+    "sine) give another curve."
 )
 ONE_REALISATION = (
-    "One realisation: distortion by dampers cannot be separated from the response, and is in no error bar; "
-    "run several (test: realisations)."
+    "One realisation only: distortion by dampers cannot be separated from the response and is not in "
+    "the uncertainty. Measure several (test: realisations)."
 )
 LIFTED = (
-    "Dampers may leave the floor at this level, though realisations scatter no more than noise: the curve is the best "
-    "linear approximation for it, and what they change alike in every realisation is in no error bar; steady tones of "
-    "another amplitude (stepped sine) give another curve."
+    "Dampers may leave the floor at this level, although the realisations scatter no more than noise: "
+    "the curve is the best linear approximation, and its uncertainty does not include distortion that "
+    "is equal in all realisations. Steady tones of another amplitude (stepped sine) give another curve."
 )
 # Assumed crest factor of a sum of tones, limited by the sum of their amplitudes.
 _CREST = 4.0
@@ -147,8 +148,8 @@ def _not_yet(rec: Recording, total: Lines, reference: str) -> str:
         "that move its body more" if np.isinf(force) else f"of more than {force:.2g} N at {frequency:.4g} Hz"
     )
     return (
-        f"No nonlinear distortion is seen at this level, but dampers can move: steady tones (stepped sine) {lifting} "
-        "lift one, and give another curve."
+        "No nonlinear distortion is detected at this level, but dampers can move: steady tones "
+        f"(stepped sine) {lifting} lift one, and give another curve."
     )
 
 

@@ -89,7 +89,7 @@ def averages(
     starts = [first + i * step for i in range(count)]
     summed = cross_spectra(rec, channels, starts, weights, low, high, forgetting, progress)
     found, left = summed.flaws, summed.left
-    notes = [f"The beginning left out: {describe_flaws(rec, spoilt)}."] if spoilt else []
+    notes = [f"The beginning is excluded: {describe_flaws(rec, spoilt)}."] if spoilt else []
     if summed.used < count:
         notes.append(f"{count - summed.used} of {count} blocks left out: {describe_flaws(rec, found)}.")
     if summed.used < 2:
@@ -101,14 +101,15 @@ def averages(
     leaks = burst is None or left > _LEFT_OVER
     if burst is None:
         notes.append(
-            f"Blocks of {size / rec.rate:.3g} s resolve {width:.3g} Hz: peaks narrower than that are smeared and too "
-            "low, by what is stated as leakage; without --block and --estimator nothing leaks."
+            f"Blocks of {size / rec.rate:.3g} s have a resolution of {width:.3g} Hz: narrower peaks are "
+            "widened and too low, as stated by the leakage in the uncertainty. Omit --block and "
+            "--estimator to avoid leakage."
         )
     if burst is not None and leaks:
         notes.append(
-            f"{left:.0%} of the response to a burst are left when the next begins: the curve leaks like "
-            "one with "
-            "continuous random; use longer blocks, a smaller burst share, multisine or stepped sine."
+            f"{left:.0%} of the response to a burst remain when the next begins, which causes leakage "
+            "as with continuous random. Use longer blocks, a smaller burst share, multisine or stepped "
+            "sine."
         )
     return summed.averages(
         step,

@@ -55,8 +55,9 @@ WORST_CONDITION = 1e3
 # A shaker is off if the mean square of its force is below this share of the largest.
 _OFF_SHARE = 1e-4
 COHERENT_INPUTS = (
-    "The inputs are coherent at {lines} of {all} lines, where their responses cannot be separated: no values there. "
-    "Drive the shakers with uncorrelated noise, or with a multisine of orthogonal phases."
+    "The inputs are coherent at {lines} of {all} lines, where their responses cannot be separated and "
+    "have no value. Drive the shakers with uncorrelated noise, or with a multisine of orthogonal "
+    "phases."
 )
 
 

@@ -127,7 +127,7 @@ def _notes(key: _Setting, found: list[_Point], left_out: list[_LeftOut], several
             which = f"{low:.4g} Hz left out {len(places)} times"
         out.append(f"{setting}{which}: {why} in their windows.")
     if not found:
-        out.append(f"{setting}no frequency of this sweep is left.")
+        out.append(f"{setting}no frequency of this sweep is usable.")
     unsteady = [not steady for _, _, steady in found]
     if any(unsteady):
         where = frequency_ranges([tone.frequency for tone, _, _ in found], unsteady)
@@ -152,7 +152,8 @@ def _why_nothing(rec: Recording, marked: bool, overloaded: int, short: int) -> s
     broken = next((str(marker.fields["reason"]) for marker in rec.markers if marker.kind == "abort"), None)
     if broken is not None:
         return (
-            f"nothing was measured in these {rec.samples / rec.rate:.3g} s, as the test ended early: {broken}"
+            f"nothing was measured in these {rec.samples / rec.rate:.3g} s, because the test ended "
+            f"early: {broken}"
         )
     if overloaded:
         return (
@@ -170,13 +171,13 @@ def _why_nothing(rec: Recording, marked: bool, overloaded: int, short: int) -> s
     duration = rec.samples / rec.rate
     if rec.source:
         return (
-            f"no step was found in these {duration:.3g} s when they were imported: nothing holds a tone of one "
-            "frequency for ten periods and more; import it with the test that it was (test: kind: swept_sine, random)"
+            f"no step was detected in these {duration:.3g} s during the import: there is no tone of "
+            "constant frequency for ten periods or more. Import the file with its kind of test (test: "
+            "kind: swept_sine, random)."
         )
     return (
-        f"no steady state was measured in this recording of {duration:.3g} s: it holds no window marked "
-        "'measure'; "
-        "let the test run to its first measurement (test: settle, measure)"
+        f"no steady state was measured in this recording of {duration:.3g} s: it has no marker "
+        "'measure'. Let the test run to its first measurement (test: settle, measure)."
     )
 
 

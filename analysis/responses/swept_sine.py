@@ -183,8 +183,8 @@ def _too_fast(found: Response, lag: Array) -> tuple[str, ...]:
         return ()
     ends = found.frequency[np.flatnonzero(fast)[[0, -1]]]
     return (
-        f"Too fast for dampers in flight: between {ends[0]:.4g} and {ends[1]:.4g} Hz the tone passes before the motion "
-        f"is steady, and the curve is that of the motion in passing; sweep over {_SLOWER} times as long, or step.",
+        f"Too fast for moving dampers: between {ends[0]:.4g} and {ends[1]:.4g} Hz the motion does not "
+        f"become steady. Sweep over {_SLOWER} times as long, or use a stepped sine.",
     )
 
 

@@ -126,7 +126,7 @@ class WholeStretches:
             if stop - start >= max(_WORTH * longest, least * rec.rate, 4 * SIDE)
         ]
         if clean and not worth:
-            return [], [f"No stretch longer than {longest / rec.rate:.3g} s is clean."]
+            return [], [f"No stretch longer than {longest / rec.rate:.3g} s is free of overloads and losses."]
         return worth, []
 
     def _in_memory(
@@ -153,8 +153,10 @@ class WholeStretches:
             return stretches, []
         taken, there = (sum(len(self.hits.inside(*each)) for each in some) for some in (kept, stretches))
         return kept, [
-            f"Only {taken} of {there} hits are taken, those before {kept[-1][1] / rate:.4g} s: all at once take more "
-            "than a gigabyte; a lower rate or a shorter interval between hits needs less."
+            (
+                f"Only {taken} of {there} hits are used, those before {kept[-1][1] / rate:.4g} s: all of "
+                "them would need more than a gigabyte. Use a lower rate or a shorter interval between hits."
+            )
         ]
 
     def _driven(self, start: int, stop: int) -> int:
@@ -242,8 +244,8 @@ def _with_motion_before(frf: Response, moving: Sequence[float]) -> Response:
         return frf
     most = max(known)
     warning = (
-        f"{frf.response}: motion or drift of {most:.1%} of the response came before a hit, and is in the curve; begin "
-        "at rest and earlier, or record several hits in a row."
+        f"{frf.response}: motion or drift of {most:.1%} of the response before a hit is part of the "
+        "curve. Begin earlier and at rest, or record several hits in a row."
     )
     # The spectrum of a free decay decreases with the distance from its resonance in proportion to the response to the
     # hit. Every line is therefore treated as a resonance with the magnitude and width of the curve at this line.
@@ -259,6 +261,7 @@ def dampers_move(rec: Recording) -> tuple[str, ...]:
     if not any(damper.moves for damper in rec.scene.dampers):
         return ()
     return (
-        "Moving dampers make the structure nonlinear: this curve is valid only for this level and kind of excitation, "
-        "and its error bars assume linearity. Use stepped sine for the response to steady tones.",
+        "Moving dampers make the structure nonlinear: the curve is valid only for this level and kind "
+        "of excitation, and its uncertainty assumes linearity. Use a stepped sine for the response to "
+        "steady tones.",
     )

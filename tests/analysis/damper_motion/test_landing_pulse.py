@@ -52,7 +52,7 @@ def test_short_contact_counts_as_jump():
 def test_mixed_contacts_are_reported():
     [damper] = with_damper(contact={"duration": 2e-3}).dampers
     scene = rig.load("fig9").replace(dampers=[damper, damper.replace(contact=None)])
-    with pytest.raises(RecordingError, match="differ in how landings last"):
+    with pytest.raises(RecordingError, match="restitutions of floor, ceiling or dampers differ"):
         landing_pulse(scene, "body 2", 5120.0)
 
 

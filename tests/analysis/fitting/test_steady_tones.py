@@ -55,7 +55,7 @@ def test_endless_rebounds_are_recorded():
     one = replace(curves, scene=bouncy, frequency=frequency, level=level)
     tones = SteadyTones(one)
     assert np.isnan(tones.at(on_the_bench(bouncy, one), level, frequency)).all()
-    assert "rebounds ever lower until it rests" in tones.uncovered[0]
+    assert "rebounds infinitely often" in tones.uncovered[0]
     [said] = left_out(one, np.array([False]), tones.uncovered)
     assert "another kind of motion" not in said and "which a fit cannot compute" in said
     assert "another kind of motion" in left_out(one, np.array([False]), {})[0]

@@ -104,7 +104,7 @@ def test_bursts_do_not_leak(tmp_path):
 
 
 def test_block_longer_than_recording_is_rejected(random_file):
-    with daq.open(random_file) as rec, pytest.raises(RecordingError, match="too short to average"):
+    with daq.open(random_file) as rec, pytest.raises(RecordingError, match="too few to average"):
         analysis.frequency_responses(rec, block=100.0)
 
 

@@ -138,7 +138,7 @@ def test_drive_test_uses_forces_as_levels() -> None:
     question, _ = asked(driven, *told)
     choice = Choice((2,), (0.1,), (1e-3,))
     assert question.worst(choice) == asked(rig.load("fig9"), *told)[0].worst(choice)
-    with pytest.raises(SceneError, match="levels: not given, and the test of the scene gives a drive"):
+    with pytest.raises(SceneError, match="levels: not given, and the test of the scene states a drive"):
         asked(driven, None, None, 1, None, None, None, None, (0.0, 0.0))
 
 

@@ -48,5 +48,5 @@ def test_first_of_different_landings_is_taken() -> None:
 
 def test_contact_by_stiffness_is_rejected() -> None:
     scene = with_dampers({"contact": {"stiffness": "100 kN/m", "damping": "5 N s/m"}})
-    with pytest.raises(SceneError, match=r"dampers\[1\]\.contact: .* expected contact: \{duration"):
+    with pytest.raises(SceneError, match=r"dampers\[1\]\.contact: .* Give contact: \{duration"):
         landings_of(scene.dampers)

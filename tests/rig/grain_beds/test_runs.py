@@ -144,7 +144,7 @@ def test_damaged_beginning_is_reported_and_kept(tmp_path: Path, damage: object) 
     kept.write_bytes(damage(kept.read_bytes()))  # type: ignore[operator]
     left = kept.read_bytes()
 
-    with pytest.raises(RunError, match="delete it to begin anew"):
+    with pytest.raises(RunError, match="Delete it to start again"):
         rig.simulate(with_grains(), 0.005, RATE, keep=kept)
 
     assert kept.read_bytes() == left

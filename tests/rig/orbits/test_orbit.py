@@ -339,12 +339,12 @@ def test_endless_rebounds_are_rejected_with_a_remedy() -> None:
     scene = rig.load("fig9")
     bouncy = scene.replace(dampers=[scene.dampers[0].replace(restitution=0.3)])
 
-    with pytest.raises(RunError, match="rebounds ever lower until it rests"):
+    with pytest.raises(RunError, match="rebounds infinitely often"):
         periodic_orbit(bouncy, 49.0)
 
 
 def test_impact_that_kicks_a_neighbour_is_rejected() -> None:
-    with pytest.raises(RunError, match="is felt by another at once"):
+    with pytest.raises(RunError, match="at the same instant"):
         periodic_orbit(coupled(0.05), 51.2)
 
 

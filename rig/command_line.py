@@ -43,7 +43,7 @@ def application(help_text: str) -> Application:
     from rig.command_help import Application
 
     app = Application(
-        help=f"{help_text} With --debug before the command an unexpected error shows where it comes from.",
+        help=f"{help_text} With --debug before the command, an unexpected error shows its traceback.",
         no_args_is_help=True,
         pretty_exceptions_enable=False,
         rich_markup_mode=None,
@@ -208,7 +208,7 @@ def unexpected(error: BaseException) -> str:
     import traceback
 
     what = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
-    begin = f"error: something unexpected happened ({what[:300]}); this is a fault of shotrig"
+    begin = f"error: unexpected error ({what[:300]}); this is a fault of shotrig"
     details = "\n".join(
         [
             f"shotrig {_version()}, Python {platform.python_version()}, {platform.platform()}",
@@ -221,7 +221,7 @@ def unexpected(error: BaseException) -> str:
         with open(number, "w", encoding="utf-8", errors="backslashreplace") as file:  # noqa: PTH123
             file.write(details)
     except OSError:
-        return f"{begin}: please report it, with what the command says with --debug before its first word"
+        return f"{begin}: please report it, with the output of the command with --debug before its first word"
     return f"{begin}: please report it, with the details in {name}"
 
 
@@ -286,7 +286,7 @@ def _passed_over(what: sys.UnraisableHookArgs) -> None:
         # Ctrl-C arrived at that moment; forward it to the command.
         threading.Timer(0.01, signal.raise_signal, [signal.SIGINT]).start()
     else:
-        print(f"warning: something unexpected was passed over ({what.exc_value!r})", file=sys.stderr)
+        print(f"warning: an unexpected error was ignored ({what.exc_value!r})", file=sys.stderr)
 
 
 def _thread_failed(what: threading.ExceptHookArgs) -> None:

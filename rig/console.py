@@ -191,7 +191,7 @@ def goes_on(kept: bool = True) -> Iterator[None]:
         yield
     except KeyboardInterrupt as interruption:
         if kept:
-            interruption.add_note("what was computed is kept: the same command goes on where it stopped")
+            interruption.add_note("completed results are stored: the same command continues from there")
         raise
 
 

@@ -49,7 +49,7 @@ def destination(path: Path, overwrite: bool, refusal: type[ShotrigError] = Scene
         there = file.stat() if os.path.lexists(file) else None
         if not file.parent.is_dir():
             if file.parent.exists():
-                raise refusal(f"cannot make {path}: {file.parent} is a file, no directory")
+                raise refusal(f"cannot make {path}: {file.parent} is a file, not a folder")
             raise refusal(f"cannot make {path}: there is no folder {file.parent}; make it first")
     except (OSError, ValueError, RuntimeError) as error:
         why = getattr(error, "strerror", None) or error
@@ -57,11 +57,11 @@ def destination(path: Path, overwrite: bool, refusal: type[ShotrigError] = Scene
     if there is None:
         return file
     if not stat.S_ISREG(there.st_mode):
-        raise refusal(f"{path} is no ordinary file and is left as it is; choose another name with -o")
+        raise refusal(f"{path} is not a regular file; choose another name with -o")
     if not overwrite:
-        raise refusal(f"{path} exists and is left as it is; choose another name with -o, or pass --overwrite")
+        raise refusal(f"{path} exists; choose another name with -o, or pass --overwrite")
     if not os.access(file, os.W_OK):
-        raise refusal(f"{path} is write-protected and is left as it is; choose another name with -o")
+        raise refusal(f"{path} is write-protected; choose another name with -o")
     return file
 
 

@@ -98,7 +98,10 @@ class Design(Result):
         """Summarize the best dampers and their reduction of the worst peak."""
         reduction = self.reduction(self.best.peak)
         if not self.serves:
-            return f"{self.scene.name}: no dampers serve at all levels ({self.best.choice}: {-reduction:+.1f} dB)"
+            return (
+                f"{self.scene.name}: no dampers reduce the peak at all levels ({self.best.choice}: "
+                f"{-reduction:+.1f} dB)"
+            )
         return f"{self.scene.name}: {self.best.choice}, worst peak reduced by {reduction:.1f} dB"
 
     @property
@@ -225,7 +228,7 @@ def design(
         (likely,) = answers.of(nominal, [best.choice])
     answers.put_in_order()
     if say is not None:
-        say("looking for what the check of the best is to measure")
+        say("preparing the test that checks the best design")
     checked = check(scene, likely, nominal)
     before = {channel.name for channel in scene.channels or ()}
     added = tuple(channel.name for channel in checked.channels or () if channel.name not in before)

@@ -52,7 +52,10 @@ def summary(design: Design) -> str:
     if best.peak.simulated > 0.0:
         lines += [
             "",
-            f"{best.peak.simulated:.0%} of that curve is irregular motion, averaged over periods: good to some percent",
+            (
+                f"{best.peak.simulated:.0%} of that curve is irregular motion, averaged over periods, "
+                "accurate to a few percent"
+            ),
         ]
     for bound, name in zip(space.clearance, ("smallest", "largest"), strict=True):
         if any(abs(np.log(clearance / bound)) < 0.02 for clearance in best.choice.clearances):
@@ -79,12 +82,12 @@ def _verdict(design: Design) -> list[str]:
     height = design.flight.height
     if 0.0 < height < max(design.best.choice.clearances):
         lines.append(
-            f"any clearance above {plainly(1e3 * height)} mm does the same as no ceiling: the dampers do not reach the "
-            "ceiling in the band"
+            f"any clearance above {plainly(1000.0 * height)} mm has the effect of no ceiling: the "
+            "dampers do not reach it in the band"
         )
     if min(design.best.choice.clearances) < MACHINABLE:
         lines.append(
-            f"no larger clearance does as well, and one below {1e3 * MACHINABLE:g} mm is hard to build"
+            f"no larger clearance is as good, and one below {1000.0 * MACHINABLE:g} mm is hard to build"
         )
     return lines
 
@@ -145,9 +148,11 @@ def next_step(design: Design, scene: Path) -> str:
     )
     return "\n".join(
         [
-            f"{scene}: the structure and shaker as given, these dampers, and a stepped sine from "
-            f"{test.frequencies[0]:.4g} to {test.frequencies[-1]:.4g} Hz at {levels} N, about the largest peaks with "
-            "and without dampers",
+            (
+                f"{scene}: the structure and shaker of the scene, these dampers, and a stepped sine from "
+                f"{test.frequencies[0]:.4g} to {test.frequencies[-1]:.4g} Hz at {levels} N around the "
+                "largest peaks with and without dampers"
+            ),
             *_added(design),
             "",
             "largest peaks expected, in µm/N: under a pure tone of force, as designed; and of that test, through its "
@@ -173,7 +178,7 @@ def _added(design: Design) -> list[str]:
         return []
     places = {channel.name: channel.at for channel in design.scene.channels or ()}
     added = ", ".join(f"{name} (at {places[name]})" for name in design.added_channels)
-    return [f"channels added to those of the scene, as this test needs them: {added}"]
+    return [f"channels added to those of the scene for this test: {added}"]
 
 
 def _expected(one: Expected) -> str:

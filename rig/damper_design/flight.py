@@ -100,8 +100,9 @@ def shortfall(
         reach = flight_.reach(level)
         does = "cannot fly" if reach <= 1.0 else "hardly fly"
         lines.append(
-            f"at {plainly(level)} N the dampers {does}: that needs more than 1 g, and body {flight_.body} reaches "
-            f"{plainly(reach)} g; they change the peak by {-reached[level]:+.1f} dB"
+            f"at {plainly(level)} N the dampers {does}: take-off needs more than 1 g, and body "
+            f"{flight_.body} reaches {plainly(reach)} g; they change the peak by {-reached[level]:+.1f} "
+            "dB"
         )
     most = {
         level: max(
@@ -120,7 +121,7 @@ def shortfall(
         forces = ",".join(f"{plainly(level)}N" for level in served)
         by = ", ".join(f"{most[level]:.1f} dB" for level in served)
         lines.append(
-            f"--levels {forces} gives levels at which dampers serve: each alone reduced by up to {by}"
+            f"use --levels {forces}: at each of these levels alone, dampers reduce the peak, by up to {by}"
         )
     elif later:
         lines.append(
@@ -129,7 +130,7 @@ def shortfall(
     else:
         lively = plainly(_LIVELY * flight_.take_off)
         lines.append(
-            f"dampers usually serve from {_LIVELY:g} g on: give levels from {lively} N on (--levels)"
+            f"dampers are usually effective from {_LIVELY:g} g: use levels from {lively} N (--levels)"
         )
     return lines
 

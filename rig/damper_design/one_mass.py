@@ -39,11 +39,18 @@ def rests_on(dampers: Sequence[Damper], expected: Sequence[Expected], scene: Pat
     (near, settings), (near_below, below) = WITHOUT_CEILING, BELOW_CEILING
     less, least = (-off for off in MIDDLE_HALF)
     return [
-        "all this is of beds that move as one mass. Compared with beds of grains (analysis beds) that gave",
-        f"the compliance within 10 % in {near} of {settings} settings without a ceiling, and in {near_below} of "
-        f"{below} below one,",
-        f"where the middle half of the grains left {least} to {less} % less. These dampers as shot of "
-        f"{plainly(1e3 * _SHOT)} mm, which may take hours:",
+        (
+            "these results are for beds that move as one mass. In a comparison with beds of grains "
+            "(analysis beds)"
+        ),
+        (
+            f"the compliance was within 10 % in {near} of {settings} settings without a ceiling, and in "
+            f"{near_below} of {below} with one,"
+        ),
+        (
+            f"where the middle half of the results with grains was {least} to {less} % lower. These dampers "
+            f"as shot of {plainly(1000.0 * _SHOT)} mm, which may take hours:"
+        ),
         f"rig grains {quote(str(scene))} --set {quote(f'dampers=[{beds}]')} --set test.force={plainly(peak.level)}N "
         f"--from {low} --to {high} --points {_POINTS} -o {quote(str(scene.with_name(f'{scene.stem}-grains.csv')))}",
     ]

@@ -67,8 +67,9 @@ def overloads(scene: Scene, expected: Sequence[Expected], bare: Peak) -> list[Ov
             levels = ", ".join(dict.fromkeys(plainly(motions[k][1]) for k in beyond))
             found.append(
                 Overload(
-                    f"{channel.name}: up to {_acceleration(max(largest))} at {levels} N, where its accelerometer "
-                    f"follows {_acceleration(sensor.saturation)}{_landings(expected, max(shaken), max(steady))}",
+                    f"{channel.name}: up to {_acceleration(max(largest))} at {levels} N, where its "
+                    "accelerometer saturates at "
+                    f"{_acceleration(sensor.saturation)}{_landings(expected, max(shaken), max(steady))}",
                     _unlimited(number, channel.accelerometer, max(largest)),
                 )
             )
@@ -77,7 +78,8 @@ def overloads(scene: Scene, expected: Sequence[Expected], bare: Peak) -> list[Ov
         volts = float(f"{1.5 * most_volts:.2g}")
         found.append(
             Overload(
-                f"{widest}: up to {plainly(most_volts)} V, where the converter takes {plainly(converter.range)} V",
+                f"{widest}: up to {plainly(most_volts)} V, where the range of the converter is "
+                f"{plainly(converter.range)} V",
                 (f"converter.range={plainly(volts)}V",),
             )
         )
@@ -91,15 +93,15 @@ def named(overloads: Sequence[Overload], lasting: bool) -> list[str]:
     cure = "a bench needs sensors of a larger range, or lower levels"
     if not lasting:
         cure += (
-            "; or landings that last, as those of shot do: contact: {duration: 2 ms} in the first damper of the scene, "
-            "and the design again"
+            "; or contact of finite duration, as shot has it: contact: {duration: 2 ms} in the first "
+            "damper of the scene, and repeat the design"
         )
     changes = " ".join(f"--set {quote(change)}" for each in overloads for change in each.changes)
     return [
         "",
         "overloaded by this test:",
         *(each.reason for each in overloads),
-        f"the commands below lift these limits ({changes}); {cure}",
+        f"the commands below remove these limits ({changes}); {cure}",
     ]
 
 

@@ -89,7 +89,7 @@ def text(costs: tuple[EffectCost, ...]) -> str:
             f"{cost.name:{width}}{cost.states or '-':>7}{1e3 * cost.total:20.3f}{1e3 * cost.added:9.3f}"
             f"{100 * cost.added / last:7.1f}%"
         )
-    lines.append(f"everything on runs at {1 / last:.0f} times real time on one core")
+    lines.append(f"with all effects: {1 / last:.0f} times real time on one core")
     return "\n".join(lines)
 
 

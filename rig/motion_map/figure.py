@@ -25,7 +25,7 @@ def summary(map_: MotionMap) -> str:
         f"{map_.scene.name}: {rows} x {points} steady motions, {map_.over} {map_.value[0]:.3g} to "
         f"{map_.value[-1]:.3g} {map_.unit}, {map_.frequency[0]:.4g} to {map_.frequency[-1]:.4g} Hz",
         "",
-        f"{'wildest damper':20}{'share':>7}{'impacts a period':>18}{'CPU us a period':>17}{'CPU ms a motion':>17}",
+        f"{'most active damper':20}{'share':>7}{'impacts a period':>18}{'CPU us a period':>17}{'CPU ms a motion':>17}",
     ]
     for number, kind in enumerate(KINDS):
         own = map_.kind == number
@@ -36,8 +36,10 @@ def summary(map_: MotionMap) -> str:
             )
     lines += [
         "",
-        "CPU us, ms: time to compute a period, and all that were followed until a motion was known to be steady within "
-        f"{TOLERANCE:.0e},\nor irregular, from the one at the frequency before; no time on a bench",
+        (
+            "CPU us, ms: time to compute one period, and all periods until the motion is steady within "
+            f"{TOLERANCE:.0e} or irregular,\nstarting from the previous frequency; not a time on a bench"
+        ),
         f"CPU time in all: {map_.cpu.sum():.3g} s",
     ]
     return "\n".join(lines)
@@ -84,7 +86,7 @@ def _draw(map_: MotionMap) -> Figure:
         map_.dress(right)
         right.set_ylabel("")
         left.set_title("What the damper does that moves most wildly")
-        right.set_title("What the motion takes to compute, not to test")
+        right.set_title("Computing time of the motion, not of a test")
         present = sorted(set(map_.kind.ravel()))
         handles: list[Patch | Line2D] = [Patch(color=COLOURS[k], label=LEGEND[k]) for k in present]
         if map_.over != "clearance":

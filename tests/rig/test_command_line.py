@@ -91,7 +91,7 @@ def test_interrupted_study_says_that_it_goes_on() -> None:
         raise KeyboardInterrupt
     with pytest.raises(KeyboardInterrupt) as lost, console.goes_on(kept=False):
         raise KeyboardInterrupt
-    assert "goes on where it stopped" in kept.value.__notes__[0] and not hasattr(lost.value, "__notes__")
+    assert "continues from there" in kept.value.__notes__[0] and not hasattr(lost.value, "__notes__")
 
 
 def test_interrupt_wrapped_by_a_module_interrupts_the_command(command, capsys):

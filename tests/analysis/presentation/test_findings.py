@@ -229,6 +229,6 @@ def test_swapped_channels_are_reported():
         theory = theoretical_shapes(rec, modes)
     assert not unlike_theory(modes, theory) and not unlike_theory(modes, None)
     (note,) = unlike_theory(modes, theory[[2, 1, 0]])
-    assert "49.66 Hz (MAC 0." in note and "channels are swapped" in note
+    assert "49.66 Hz (MAC 0." in note and "swapped channels" in note
     unknown = replace(modes, shape_error=np.full(modes.shape_error.shape, np.inf))
     assert not unlike_theory(unknown, theory[[2, 1, 0]])

@@ -126,7 +126,7 @@ def test_motion_before_hit_is_in_bound(interval, told, tmp_path):
         [curves] = analysis.frequency_responses(rec)
         share, wrong = coverage(rec, curves)
     assert share > 0.9 and wrong < 0.2
-    assert told == any("came before a hit" in text for text in curves[0].warnings)
+    assert told == any("of the response before a hit" in text for text in curves[0].warnings)
     np.testing.assert_array_equal(curves[0].frequency, curves[1].frequency)
 
 
@@ -225,7 +225,7 @@ def test_missed_hit_is_reported(tmp_path):
     where = synthetic.scene("{kind: impulse, body: 1, peak: 50 N, width: 6.25 ms}")
     rows = np.vstack([synthetic.simulate(force), force])
     path = synthetic.write(tmp_path / "a.mcap", where, infos, rows, [("hit", 640, 655, {})])
-    with daq.open(path) as rec, pytest.raises(RecordingError, match="0 N at most where the hit is marked"):
+    with daq.open(path) as rec, pytest.raises(RecordingError, match="0 N at most at the marked hit"):
         analysis.frequency_responses(rec)
 
 
@@ -242,7 +242,7 @@ def test_hits_beyond_memory_are_left_out(tmp_path, monkeypatch):
     with daq.open(tmp_path / "a.mcap") as recording:
         monkeypatch.setattr("analysis.responses.whole_stretches._MOST_VALUES", recording.samples)
         found = analysis.frfs(recording)["a"]
-    told = [warning for warning in found.warnings if "hits are taken" in warning]
+    told = [warning for warning in found.warnings if "hits are used" in warning]
     assert len(told) == 1
     assert told[0].startswith("Only 2 of 6 hits")
     near = (found.frequency > 15.0) & (found.frequency < 60.0)

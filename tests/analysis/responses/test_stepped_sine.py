@@ -179,7 +179,7 @@ def test_spoilt_sweeps_lose_no_frequency(
     assert frf.warnings == (
         "1 N up: 2 frequencies from 30 to 50 Hz left out: body3 overloaded in their windows.",
         "2 N up: 5 frequencies from 20 to 60 Hz left out: body3 overloaded in their windows.",
-        "2 N up: no frequency of this sweep is left.",
+        "2 N up: no frequency of this sweep is usable.",
     )
 
 

@@ -124,7 +124,7 @@ def test_signal_without_steps_has_none_detected(kind, tmp_path):
     recording, heard = imported(tmp_path / "a.npz", scene, tmp_path / "r.mcap")
     with recording:
         assert not marks(recording)
-        with pytest.raises(RecordingError, match="no step was found"):
+        with pytest.raises(RecordingError, match="no step was detected"):
             analysis.frequency_responses(recording)
     assert any("no step was detected" in each for each in heard)
 

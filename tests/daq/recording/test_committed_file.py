@@ -82,7 +82,7 @@ def test_failed_recovery_keeps_the_old_file(
 
 def test_device_is_rejected_as_target(path: Path) -> None:
     for act in (lambda: recorder(Path(os.devnull)), lambda: recover(path, os.devnull, overwrite=True)):
-        with pytest.raises(RecordingError, match="no ordinary file"):
+        with pytest.raises(RecordingError, match="not a regular file"):
             act()
     assert Path(os.devnull).is_char_device()
 

@@ -124,7 +124,7 @@ def test_missing_folder_is_named_by_the_recorder(tmp_path):
 
 def test_file_as_folder_is_rejected(tmp_path):
     (tmp_path / "file").touch()
-    with pytest.raises(RecordingError, match=r"cannot make .*directory"):
+    with pytest.raises(RecordingError, match=r"cannot make .*folder"):
         Recorder(tmp_path / "file" / "a.mcap", scene(), channels(), RATE)
 
 

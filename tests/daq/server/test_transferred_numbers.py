@@ -53,7 +53,7 @@ def code_of(error):
     """Give the driver's code of an error; fail if it is not the driver's."""
     codes = [int(value) for key, value in error.trailing_metadata() if key == "ni-error"]
     assert error.code() is grpc.StatusCode.UNKNOWN and codes and codes[0] < 0, error.details()
-    assert "something unexpected" not in error.details()
+    assert "unexpected error" not in error.details()
     return codes[0]
 
 

@@ -80,7 +80,7 @@ def test_cost_lists_each_effect_and_its_states() -> None:
     ]
     assert sum(cost.states for cost in costs) == sum(rig.explain(scene).states.values())
     assert all(cost.total > 0.0 for cost in costs)
-    assert text(costs).splitlines()[-1].startswith("everything on runs at")
+    assert text(costs).splitlines()[-1].startswith("with all effects:")
 
 
 def test_bare_scene_costs_structure_and_ideal_channels_only() -> None:

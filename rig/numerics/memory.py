@@ -16,14 +16,14 @@ _PREFIXES = {"": 1.0, "M": 1e6, "G": 1e9, "T": 1e12}
 
 
 def need(size: float, what: str) -> None:
-    """Refuse what would take more memory than is allowed.
+    """Refuse what would need more memory than is allowed.
 
     `size`: bytes; `what`: what takes them. Raises `RunError` if they are more than 1 GB, or than the environment
     variable `SHOTRIG_MEMORY` allows.
 
     >>> need(1e15, "a motion")  # doctest: +ELLIPSIS
     Traceback (most recent call last):
-    rig.errors.RunError: a motion would take 1e+06 GB of memory; at most 1 GB is taken unless ...
+    rig.errors.RunError: a motion would need 1e+06 GB of memory; the limit is 1 GB. ...
     """
     allowed = most()
     if size > allowed:
@@ -34,7 +34,7 @@ def need(size: float, what: str) -> None:
 
 
 def need_beside_program(size: float, what: str) -> None:
-    """Refuse what would take more memory than is allowed, the program's own memory included.
+    """Refuse what would need more memory than is allowed, the program's own memory included.
 
     Parameters and errors as `need`; 0 bytes are never refused.
     """

@@ -235,7 +235,7 @@ def test_missing_working_folder_is_reported(tmp_path: Path) -> None:
     gone = tmp_path / "gone"
     gone.mkdir()
     code, told = outcome("scenes", stdout=subprocess.DEVNULL, cwd=gone, preexec_fn=gone.rmdir)
-    assert code == 1 and "the working folder is not there any more" in told
+    assert code == 1 and "the working folder no longer exists" in told
 
 
 def test_help_and_version_are_plain_text(command, capsys, monkeypatch) -> None:

@@ -67,7 +67,7 @@ def test_foreign_table_is_rejected_and_kept(tmp_path: Path, content: bytes) -> N
     path.write_bytes(content)
 
     with pytest.raises(
-        RunError, match=r"mine.csv: is no table of gaps; move it, or choose another place with -o"
+        RunError, match=r"mine.csv: is not a table of gaps. Move it, or choose another name with -o"
     ):
         KeptTable(path, HEADER, "gaps")
 

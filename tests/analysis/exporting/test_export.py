@@ -219,7 +219,7 @@ def test_failing_disk_is_reported(recording, tmp_path):
 def test_long_void_is_reported_quickly(tmp_path):
     path = rewritten(write(tmp_path / "a.mcap", signal(SAMPLES)), shift=2**40)
     with daq.open(path) as recording:
-        with pytest.raises(RecordingError, match="a void"):
+        with pytest.raises(RecordingError, match="of them are in the file"):
             Slice.of(recording)
         assert Slice.of(recording, to_s=0.5).stop == round(0.5 * RATE)
 

@@ -150,7 +150,7 @@ def test_no_line_crosses_omitted_points():
     assert np.isnan(y[x == 14.5]).all() and np.isfinite(y[x != 14.5][:-1]).all()
     assert axes.get_xlim() == (10.0, 25.0)
     assert [line.get_xdata()[0] for line in axes.lines if line.get_marker() == "x"] == [14.5, 25.0]
-    assert caption.replace("\n", " ").endswith("frequencies left out, as the warnings say.")
+    assert caption.replace("\n", " ").endswith("excluded frequencies (see the warnings).")
 
 
 @pytest.mark.parametrize(("systematic", "to_the_axis"), [(0.8e-6, False), (2e-6, True), (np.inf, True)])

@@ -36,7 +36,7 @@ CASES = [
     ("short", IMPULSE, 3, np.ones(1000), [("hit", 900, 910, {})], "decay", "record at least 256"),
     (
         "short random", RANDOM, 4, np.ones(30), [("measure", 0, 29, {"from": 8.0, "to": 60.0})], "frf",
-        "too few to average; record longer",
+        "too short to average; record longer",
     ),
 ]  # fmt: skip
 

@@ -97,7 +97,7 @@ def test_foreign_file_is_left_alone(tmp_path: Path) -> None:
     path = tmp_path / "mine.csv"
     path.write_text("a,b\n1,2\n", encoding="utf-8")
 
-    with pytest.raises(RunError, match="no table of beds"):
+    with pytest.raises(RunError, match="not a table of beds"):
         follow(path, 1, print)
 
     assert path.read_text(encoding="utf-8") == "a,b\n1,2\n"

@@ -95,7 +95,7 @@ def test_foreign_files_give_modes_and_curves(tmp_path, monkeypatch):
 
 def test_incomplete_responses_name_missing_options(tmp_path):
     uff(tmp_path / "a.uff", accelerance())
-    with pytest.raises(SceneError, match=r"does not say its unit.*--unit m/s\^2/N"):
+    with pytest.raises(SceneError, match=r"does not state its unit.*--unit m/s\^2/N"):
         analysis.read_frfs(tmp_path / "a.uff")
     (first, _) = analysis.read_frfs(tmp_path / "a.uff", unit="mm/s^2/N")
     assert first.value[9] == pytest.approx(1e-3 * accelerance()[0, 10], rel=1e-9)

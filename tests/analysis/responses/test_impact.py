@@ -167,7 +167,7 @@ def test_coarse_channel_leaves_modes_to_others(
     modes = analysis.identify(both)
     assert modes.responses == ("a1",)
     assert any(note.startswith("a2 was left out") for note in modes.warnings)
-    with pytest.raises(RecordingError, match="nothing bounds the responses at a2"):
+    with pytest.raises(RecordingError, match="the responses at a2 is unbounded"):
         analysis.identify(both[1:])
 
 

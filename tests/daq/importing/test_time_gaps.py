@@ -120,7 +120,7 @@ def test_torn_last_line_is_left_out(cut, tmp_path):
     with recording:
         assert recording.samples == 3999
         np.testing.assert_allclose(recording.read("force"), ROWS[2, :3999], rtol=1e-9)
-    assert any("last line is cut off and is left out" in each for each in heard)
+    assert any("last line is cut off and is omitted" in each for each in heard)
 
 
 def test_torn_line_elsewhere_is_refused(tmp_path):

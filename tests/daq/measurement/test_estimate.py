@@ -28,7 +28,7 @@ def test_memory_grows_with_channels(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert few.memory < 0.4e9
     assert 0.25e6 < (many.memory - few.memory) / 1990 < 0.35e6
     refuse_too_much(many, tmp_path / "a.mcap")
-    with pytest.raises(RunError, match=r"all its channels.* would take 1\.\d+ GB of memory"):
+    with pytest.raises(RunError, match=r"all its channels.* would need 1\.\d+ GB of memory"):
         refuse_too_much(too_many, tmp_path / "a.mcap")
     monkeypatch.setenv("SHOTRIG_MEMORY", "4GB")
     refuse_too_much(too_many, tmp_path / "a.mcap")

@@ -62,7 +62,7 @@ def test_foreign_table_is_rejected(tmp_path: Path) -> None:
     other = tmp_path / "notes.csv"
     other.write_text("mine\n")
 
-    with pytest.raises(RunError, match="is no table of beds"):
+    with pytest.raises(RunError, match="is not a table of beds"):
         bed_response(with_grains(), [30.0], table=other)
 
     assert other.read_text(encoding="utf-8") == "mine\n"

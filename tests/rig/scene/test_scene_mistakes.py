@@ -537,7 +537,7 @@ sed: 4
 def test_binary_file_is_rejected(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "scene.yaml"
     path.write_bytes(content)
-    with pytest.raises(SceneError, match="no text file; expected a scene in YAML"):
+    with pytest.raises(SceneError, match="not a text file; expected a scene in YAML"):
         rig.load(path)
 
 

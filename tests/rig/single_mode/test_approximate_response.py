@@ -327,7 +327,7 @@ def test_lumping_requires_a_common_clearance() -> None:
     first, *others = scene.dampers
     mixed = scene.replace(dampers=[first.replace(clearance=2e-3), *others])
 
-    with pytest.raises(SceneError, match="common one"):
+    with pytest.raises(SceneError, match="common clearance"):
         single_mode(mixed, 3)
 
 

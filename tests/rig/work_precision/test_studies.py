@@ -197,7 +197,7 @@ def test_approximate_method_rejects_restitution() -> None:
     scene = rig.load("fig9", {"dampers[1].restitution": 0.2})
     # It raises the error before any comparison.
     point = _approximate(scene, 49.7, cast(ExactOrbit, None))
-    assert point.note.startswith("not applicable: damper at body 2: restitution 0.2")
+    assert point.note.startswith("not applicable: damper in body 2: restitution 0.2")
 
 
 def test_table_and_file_report_a_failure(tmp_path: Path) -> None:

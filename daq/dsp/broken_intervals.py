@@ -4,15 +4,11 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from daq.dsp.discretisation import CUBIC, PARTS, Tables
 from daq.dsp.interpolation import JUMP, LENGTH, CubicInput
+from rig.arrays import Array
 from rig.numerics.jit import unfused
 from rig.numerics.simd import copy, multiply, zeros
-
-Array = NDArray[np.float64]
 
 
 class PartWorkspace(NamedTuple):

@@ -10,9 +10,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from rig.arrays import Array
 
 # Names of sections with nonlinear effects: integrations, whose state an amplifier's supply limits, and the shift of
 # zero behind a sensor, which only an overload drives.

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.dsp.block_buffers import BlockBuffers
+from rig.arrays import Array
 from rig.numerics.fma import WEIGHED, spread
 from rig.numerics.jit import unfused
 from rig.numerics.simd import LANES, zeros
-
-Array = NDArray[np.float64]
 
 
 class Decimator:

@@ -18,10 +18,9 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from daq.dsp.circuit import Circuit
+from rig.arrays import Array
 from rig.errors import SceneError
 from rig.numerics.simd import LANES, padded, zeros
-
-Array = NDArray[np.float64]
 
 PARTS = 64
 # Size of the generator over the smallest part of a sample interval up to which its series is summed.

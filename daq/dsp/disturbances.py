@@ -8,10 +8,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.arrays import Array
 from rig.numerics.fma import fused
 from rig.numerics.jit import unfused
-
-Array = NDArray[np.float64]
 
 
 class Disturbance(Protocol):

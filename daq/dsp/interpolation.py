@@ -13,10 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.arrays import Array
 from rig.numerics.jit import unfused
 from rig.simulation.motion import Motion
-
-Array = NDArray[np.float64]
 
 # A piece shorter than this share of the sample interval is straight instead of cubic: the rounding of the
 # displacement, divided by the square of its length, would otherwise be taken for a violent acceleration.

@@ -20,11 +20,10 @@ from daq.dsp.broken_intervals import PartWorkspace, advance, begin_part, form_mo
 from daq.dsp.circuit import RECOVERY, Circuit, Section
 from daq.dsp.discretisation import Entry, Tables, input_first, laid_out, rate_of_change, with_disturbances
 from daq.dsp.interpolation import JUMP, LENGTH, CubicInput, put
+from rig.arrays import Array
 from rig.numerics.fma import weigh
 from rig.numerics.jit import unfused
 from rig.numerics.simd import copy, multiply, padded, zeros
-
-Array = NDArray[np.float64]
 
 # Looks per period of the circuit's fastest part, and at least per interval: a sine's peak is missed by 2 % between two.
 LOOKS, FEWEST_LOOKS = 16, 8

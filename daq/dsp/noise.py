@@ -7,13 +7,11 @@ from itertools import pairwise
 from zlib import crc32
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.arrays import Array
 from rig.numerics.fma import follow
 from rig.numerics.jit import unfused
 from rig.numerics.simd import padded, zeros
-
-Array = NDArray[np.float64]
 
 # Variance of the uniform numbers that represent noise faster than the average; a filter sums up so many of them that
 # the sum is normal.

@@ -4,18 +4,14 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from daq.dsp.broken_intervals import PartWorkspace, part_workspace, through_parts
 from daq.dsp.discretisation import Tables
 from daq.dsp.interpolation import CubicInput, put
 from daq.dsp.limiting import Limits, follow_closely, within
+from rig.arrays import Array
 from rig.numerics.fma import fused, spread, weigh
 from rig.numerics.jit import unfused
 from rig.numerics.simd import LANES, zeros
-
-Array = NDArray[np.float64]
 
 # Intervals processed at a time, a multiple of `WEIGHED` (`rig.numerics.fma`): enough to keep a processor busy, few
 # enough for its nearest cache.

@@ -6,11 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.dsp.interpolation import JUMP, LENGTH, CubicInput, no_parts, put
+from rig.arrays import Array
 from rig.errors import SceneError
 from rig.numerics.fma import fused
 from rig.numerics.jit import unfused
-
-Array = NDArray[np.float64]
 
 
 def delays(skew: float | tuple[float, ...] | None, channels: int, rate: float) -> tuple[float, ...]:

@@ -6,9 +6,9 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.excitation.station import Excitation, Station
+from rig.arrays import Array
 from rig.errors import SceneError
 from rig.scene.quantities import TIME, parse
 
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from daq.signal_chain.channel import ChannelInfo
     from rig.scene.excitation import Impulse
 
-Array = NDArray[np.float64]
 
 # Recording time before the first hit, s: it shows offsets and noise.
 QUIET = 0.25

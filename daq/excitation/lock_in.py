@@ -6,11 +6,8 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.polynomial.legendre import legvander
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
-
+from rig.arrays import Array, ComplexArray
 
 # Minimum window: two periods, and more samples than the number of fitted terms below the lowest harmonic.
 _READABLE_PERIODS, _READABLE = 2, 8

@@ -6,15 +6,14 @@ from collections.abc import Generator
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.excitation.spectrum_shaping import crossfade, equalise, flat, lines_between, wave_of, within_limit
 from daq.excitation.station import Excitation, Station
+from rig.arrays import Array
 
 if TYPE_CHECKING:
     from rig.scene.excitation import Multisine
 
-Array = NDArray[np.float64]
 
 # Relative difference of successive periods in the steady state; maximum wait in s and in periods.
 _TOLERANCE, _LONGEST, _MOST_PERIODS = 1e-4, 60.0, 8

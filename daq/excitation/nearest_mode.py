@@ -6,10 +6,8 @@ from cmath import exp
 from collections import deque
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from rig.arrays import Array, ComplexArray
 
 # Minimum number of observations for the estimate of a mode.
 _FEWEST = 6

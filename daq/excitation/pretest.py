@@ -12,9 +12,7 @@ from numpy.typing import NDArray
 
 from daq.excitation.spectrum_shaping import lines_between, wave_of
 from daq.excitation.station import Station
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from rig.arrays import Array, ComplexArray
 
 # Minimum length of the analyzed burst, in s and in periods of the lowest tone; its edges, s; silence after it, s.
 _SPAN, _PERIODS, _EDGE, _QUIET = 4.0, 12.0, 0.25, 1.0

@@ -5,17 +5,16 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.signal.windows import hann
 
 from daq.excitation.spectrum_shaping import Lines, equalise, flat, lines_between
 from daq.excitation.station import Excitation, Station
+from rig.arrays import Array
 
 if TYPE_CHECKING:
     from rig.scene.excitation import Random
 
-Array = NDArray[np.float64]
 
 # Length of the shaping filter and of a burst's block, s: the resolution of the filter is 0.25 Hz.
 _FILTER, _BLOCK = 4.0, 8.0

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-ComplexArray = NDArray[np.complex128]
+from rig.arrays import ComplexArray
 
 # Number of differences for the estimate of the transient's decay; at least two pairs are necessary.
 _DIFFERENCES = 6

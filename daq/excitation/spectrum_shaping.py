@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.excitation.station import Station
+from rig.arrays import Array
 from rig.errors import SceneError
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 Lines = NDArray[np.int64]
 
 _ROUNDS = 8

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 from zlib import crc32
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.arrays import Array, ComplexArray
 from rig.errors import SceneError
 from rig.scene.shaker import at_shaker
 
@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from daq.signal_chain.channel import ChannelInfo
     from rig import Scene
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 # A test as a coroutine: it yields the drive of the next window, shape (inputs, samples), and receives the readings of
 # the channels in that window, shape (channels, samples), in physical units.

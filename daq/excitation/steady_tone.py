@@ -6,15 +6,12 @@ from collections.abc import Generator
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.excitation.amplitude_control import AmplitudeControl
 from daq.excitation.lock_in import fewest_samples, lock_in, whole_periods
 from daq.excitation.settling import FEWEST_LOOKS, Settling
 from daq.excitation.station import Station
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from rig.arrays import Array, ComplexArray
 
 # A glide of this length does not excite modes more than a few hertz away: only the nearest modes must decay, s.
 GLIDE = 0.4

@@ -8,13 +8,10 @@ from dataclasses import dataclass
 from math import ceil
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.excitation.nearest_mode import NearestMode, integral
 from daq.excitation.pretest import ShakerLaw
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from rig.arrays import Array, ComplexArray
 
 # Minimum length of an observation: in periods; in samples, for six terms; and in beats, for a tone near half the
 # sampling rate. Shorter observations amplify the noise.

@@ -14,18 +14,16 @@ from collections.abc import Generator
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.excitation.pretest import pretest
 from daq.excitation.station import Excitation, Station
 from daq.excitation.steady_tone import SteadyTone
 from daq.excitation.sweep_control import Look, SweepControl, look_at, look_samples
+from rig.arrays import Array, ComplexArray
 
 if TYPE_CHECKING:
     from rig.scene.excitation import SweptSine
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 # Update interval of the drive of a controlled force, in periods; length of the windows otherwise, s.
 _WINDOW_PERIODS, _FEWEST = 0.5, 4

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.foresight.linear import test_band, test_frequencies
 from daq.foresight.rehearsal import Rehearsal
+from rig.arrays import Array
 from rig.errors import SceneError
 from rig.results import frequency_ranges, plainly
 from rig.scene.excitation import Sine, SteppedSine, SweptSine
@@ -16,8 +16,6 @@ from rig.scene.scene import Scene
 from rig.system.hybrid_system import HybridSystem
 from rig.system.open_loop_drive import accelerations_per_level
 from rig.system.structural_model import structural_model
-
-Array = NDArray[np.float64]
 
 # Frequencies of a sweep at which the acceleration is compared with gravity.
 _POINTS = 400

@@ -8,7 +8,6 @@ from itertools import chain
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.excitation.impulse import settling_time
 from daq.foresight.chain_limits import reading_limit, without_limits
@@ -38,8 +37,6 @@ from rig.scene.presets import filled_in
 from rig.scene.scene import Scene
 from rig.scene.shaker import DRIVE_PER_VOLT, ElectrodynamicShaker
 from rig.system.assembly import assemble
-
-Array = NDArray[np.float64]
 
 # Multiple of the affordable time after which a rehearsal that takes longer than expected is ended.
 _LONGEST = 1.5

@@ -5,17 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.signal_chain.channel import ChannelInfo
+from rig.arrays import Array, ComplexArray
 from rig.scene.excitation import Impulse, Multisine, Random, Sine, SteppedSine, SweptSine, Test, spaced
 from rig.scene.scene import Scene
 from rig.system.assembly import assemble
 from rig.system.hybrid_system import HybridSystem
 from rig.system.open_loop_drive import drive_per_level, riding_response
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 # Frequencies of a band at which the required drive is computed.
 _POINTS = 400

@@ -5,18 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.foresight.linear import channel_readings, test_frequencies
 from daq.signal_chain.channel import ChannelInfo
+from rig.arrays import Array
 from rig.errors import SceneError
 from rig.scene.excitation import Multisine, Random, Sine, SteppedSine, SweptSine
 from rig.scene.measurement_chain import Channel
 from rig.scene.presets import filled_in
 from rig.scene.scene import Scene
 from rig.system.open_loop_drive import level_of
-
-Array = NDArray[np.float64]
 
 # Frequencies of a band at which signal and noise are compared.
 _POINTS = 400

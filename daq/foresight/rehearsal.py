@@ -18,10 +18,9 @@ from daq.measurement.bench_loop import BenchLoop, LimitReached
 from daq.recording.recorder import Recorder
 from daq.virtual_bench.bench import Bench
 from daq.virtual_bench.stream import Block
+from rig.arrays import Array
 from rig.scene.excitation import SweptSine
 from rig.scene.scene import Scene
-
-Array = NDArray[np.float64]
 
 # Impacts of a damper within this time after another are not stored, s.
 _PAUSE = 0.5

@@ -18,14 +18,13 @@ from daq.measurement.estimate import estimate
 from daq.measurement.limits import controlled_places
 from daq.signal_chain.channel import ChannelInfo
 from daq.signal_chain.oversampling import oversampling
+from rig.arrays import Array
 from rig.scene.excitation import Free, Impulse, Multisine, Random, Settle, Sine, SteppedSine, SweptSine
 from rig.scene.presets import filled_in, input_settings
 from rig.scene.scene import Scene
 from rig.scene.shaker import ElectrodynamicShaker
 from rig.system.assembly import assemble
 from rig.system.structural_model import structural_model
-
-Array = NDArray[np.float64]
 
 #: CPU time of a rehearsal, approximately, s.
 BUDGET_S = 0.7

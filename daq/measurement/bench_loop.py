@@ -12,10 +12,9 @@ from daq.excitation.station import Excitation, Station
 from daq.measurement.limits import ControlLoss, Limits
 from daq.virtual_bench.bench import Bench
 from daq.virtual_bench.stream import Block
+from rig.arrays import Array
 from rig.errors import RunError
 from rig.scene.scene import Scene
-
-Array = NDArray[np.float64]
 
 #: Duration of the drive's ramp to zero after an early end of a test, s.
 RAMP_S = 0.05

@@ -26,6 +26,7 @@ from daq.recording.recorder import Recorder
 from daq.recording.scene_outline import SceneOutline
 from daq.signal_chain.channel import ChannelInfo
 from daq.virtual_bench.stream import Block
+from rig.arrays import Array
 from rig.ending_signals import came
 from rig.errors import RecordingError, RunError, SceneError, ShotrigError
 from rig.errors import RunWarning as RunWarning  # public as daq.RunWarning
@@ -33,7 +34,6 @@ from rig.input_files import path_of
 from rig.scene.loading import SceneLike, load
 from rig.scene.scene import Scene
 
-Array = NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
 # Fraction of a test after which the size of its recording can be extrapolated.

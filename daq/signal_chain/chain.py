@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.dsp.block_buffers import BlockBuffers
 from daq.dsp.interpolation import ForceInterpolator, MotionInterpolator
@@ -16,6 +15,7 @@ from daq.signal_chain.decimation_filter import DELAY
 from daq.signal_chain.devices import stages
 from daq.signal_chain.signal_path import SignalPath
 from daq.signal_chain.stage import channel_effects, channel_info
+from rig.arrays import Array
 from rig.errors import SceneError
 from rig.scene.excitation import Impulse
 from rig.scene.measurement_chain import Channel
@@ -23,8 +23,6 @@ from rig.scene.presets import filled_in, input_settings
 from rig.scene.scene import Scene
 from rig.scene.shaker import DRIVE_PER_VOLT, at_shaker
 from rig.simulation.motion import Motion
-
-Array = NDArray[np.float64]
 
 
 class Chain:

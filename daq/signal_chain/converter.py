@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.signal_chain.channel import ChannelInfo
+from rig.arrays import Array
 from rig.scene.measurement_chain import Converter as Settings
 from rig.scene.presets import filled_in
-
-Array = NDArray[np.float64]
 
 
 def volts_per_count(settings: Settings) -> float | None:

@@ -15,9 +15,9 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.polynomial import chebyshev, legendre
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from rig.arrays import Array
 
 # Eight moments follow any signal through a piece one sample long to 3e-6 of what the filter lets through.
 MOMENTS = 8

@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.arrays import Array
 from rig.scene.presets import filled_in
 from rig.scene.scene import Scene
 from rig.scene.shaker import DRIVE_PER_VOLT, ElectrodynamicShaker, ForceShaker, at_shaker
-
-Array = NDArray[np.float64]
 
 
 class Outputs:

@@ -5,16 +5,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.signal_chain.decimation_filter import PASS, STOP
+from rig.arrays import Array
 from rig.grain_beds.spheres import contact_time, spheres_of
 from rig.scene.presets import filled_in
 from rig.scene.scene import Scene
 from rig.scene.shaker import TableShaker
 from rig.system.assembly import assemble
-
-Array = NDArray[np.float64]
 
 #: Up to here, Hz, every rig is followed, however slowly it oscillates by itself.
 BAND = 1000.0

@@ -5,16 +5,14 @@ from __future__ import annotations
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.dsp.block_buffers import BlockBuffers, History
 from daq.dsp.circuit import Circuit
 from daq.dsp.decimator import Decimator
 from daq.signal_chain.decimation_filter import MOMENTS, Decimation
+from rig.arrays import Array
 from rig.numerics.fma import TOGETHER
 from rig.numerics.simd import LANES
-
-Array = NDArray[np.float64]
 
 
 class Sampler(Protocol):

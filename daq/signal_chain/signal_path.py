@@ -19,9 +19,8 @@ from daq.dsp.skew import Delay
 from daq.signal_chain.decimation_filter import DELAY, Decimation
 from daq.signal_chain.sampling import AverageSampler, FilteredSampler, Jitter, PointSampler, Sampler
 from daq.signal_chain.stage import Stage, is_averaged
+from rig.arrays import Array
 from rig.scene.measurement_chain import Converter
-
-Array = NDArray[np.float64]
 
 # Polynomials per sample that noise behind a filter is made of: see `FastNoise`.
 NOISE_TERMS = 3

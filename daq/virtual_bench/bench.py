@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from daq.signal_chain.outputs import Outputs
 from daq.signal_chain.oversampling import DriveLine, oversampling
 from daq.virtual_bench.stream import Block, Stream, samples_per_tick
+from rig.arrays import Array
 from rig.simulation.drive import checked_drive
 from rig.simulation.plant import Plant
 
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
     from rig.scene.scene import Scene
     from rig.simulation.motion import Motion
 
-Array = NDArray[np.float64]
 
 # The filters of a rate that begins while the rig moves settle on this much of the past motion, s.
 _SETTLING = 2.0

@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.dsp.interpolation import STRAIGHT
+from rig.arrays import Array
 from rig.simulation.motion import Motion
-
-Array = NDArray[np.float64]
 
 
 class MotionAtRate:

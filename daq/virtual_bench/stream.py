@@ -15,6 +15,7 @@ from daq.signal_chain.chain import Chain
 from daq.signal_chain.converter import Quantiser
 from daq.signal_chain.oversampling import oversampling
 from daq.virtual_bench.motion_rate import MotionAtRate
+from rig.arrays import Array
 from rig.errors import SceneError
 
 if TYPE_CHECKING:
@@ -23,8 +24,6 @@ if TYPE_CHECKING:
     from rig.scene.scene import Scene
     from rig.simulation.motion import Motion
     from rig.simulation.plant import Plant
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

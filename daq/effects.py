@@ -8,24 +8,19 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from daq.recording.recorder import Recorder
 from daq.recording.sample_block import stored_as
 from daq.signal_chain.chain import Chain
-from daq.signal_chain.converter import Quantiser
 from daq.signal_chain.outputs import volt_effect
 from daq.signal_chain.oversampling import oversampling
 from daq.virtual_bench.bench import Bench
+from rig.arrays import Array
 from rig.effects.effect_cost import EffectStep, bench_drive
 from rig.effects.explanation import Effect, motion_effects
 from rig.scene.measurement_chain import Channel, Converter
 from rig.scene.presets import filled_in
 from rig.scene.scene import Scene
 from rig.system.assembly import assemble
-
-Array = NDArray[np.float64]
 
 
 def measurement_effects(scene: Scene) -> Iterable[Effect]:
@@ -44,8 +39,7 @@ def measurement_effects(scene: Scene) -> Iterable[Effect]:
     if intervals > 1:
         yield Effect("converter", "oversampling", 0, f"{intervals} intervals a sample, for fast parts")
     recording = scene.recording
-    converted = Quantiser(scene.converter, chain.channels).channels
-    yield Effect("recording", "samples", 0, stored_as(scene, converted))
+    yield Effect("recording", "samples", 0, stored_as(scene, chain.channels))
     if recording.display:
         yield Effect("recording", "display", 0, "channels thinned out for plots")
     if recording.truth:

@@ -14,7 +14,6 @@ from daq.importing.units import meaning
 from daq.recording.truth import points_of
 from daq.signal_chain.chain import default_channels
 from daq.signal_chain.channel import ChannelInfo, Quantity
-from daq.signal_chain.converter import volts_per_count
 from daq.signal_chain.devices import stages
 from daq.signal_chain.stage import channel_info
 from rig.errors import SceneError
@@ -177,12 +176,7 @@ def described(scene: Scene, channel: Channel, rate: float, delay: float) -> Chan
     settings = input_settings(scene.converter, channel).replace(excitation=None, remove_delay=True)
     line = stages(channel, settings, scene.seed)
     info = channel_info(channel.name, channel.at, line, settings, rate, delay)
-    return replace(
-        info,
-        average=settings.sampling == "average",
-        range=settings.range,
-        volts_per_count=volts_per_count(settings),
-    )
+    return replace(info, average=settings.sampling == "average")
 
 
 def _sensitivity(channel: Channel, info: ChannelInfo, column: Column) -> float:

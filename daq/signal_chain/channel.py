@@ -75,18 +75,9 @@ class ChannelInfo:
         return (1.0 if self.volts_per_count is None else self.volts_per_count) / self.sensitivity
 
     def response(self, frequency: ArrayLike) -> NDArray[np.complex128]:
-        """Ratio of the value read to the true quantity.
+        """Return the ratio of the value read to the true quantity at frequencies in Hz; a lag has a negative phase.
 
-        Parameters
-        ----------
-        frequency : array_like
-            Frequencies in Hz, any shape. Below half the sample rate it is what a tone reads; above, what its
-            alias reads.
-
-        Returns
-        -------
-        ndarray of complex
-            Response of the same shape; a lag has a negative phase.
+        Below half the sample rate it is the reading of a tone; above, that of its alias.
         """
         f = np.asarray(frequency, dtype=float)
         s = 2j * np.pi * f

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.signal_chain.channel import ChannelInfo
 from rig.arrays import Array
 from rig.scene.measurement_chain import Converter as Settings
 from rig.scene.presets import filled_in
@@ -28,18 +26,15 @@ def volts_per_count(settings: Settings) -> float | None:
 class Quantiser:
     """Quantises and clips; the most positive code is a count less than the range, as in two's complement.
 
-    >>> quantiser = Quantiser(Settings(bits=8, range="1 V"), [])
+    >>> quantiser = Quantiser(Settings(bits=8, range="1 V"))
     >>> quantiser.convert(np.array([[0.5, -0.004, 1.5]]))
     (array([[ 64,  -1, 127]], dtype=int32), array([[False, False,  True]]))
     """
 
-    def __init__(self, settings: Settings, channels: Sequence[ChannelInfo]) -> None:
+    def __init__(self, settings: Settings) -> None:
         settings = filled_in(settings)
         self._bits, self._range = settings.bits, settings.range
         self._count = volts_per_count(settings)
-        self.channels = tuple(
-            replace(channel, volts_per_count=self._count, range=self._range) for channel in channels
-        )
         starts = [
             (round(block.at * settings.sample_rate), block.samples) for block in settings.dropped_blocks
         ]

@@ -46,10 +46,8 @@ class Outputs:
 
 
 def volt_effect(scene: Scene, number: int) -> str:
-    """Say what one volt of the output of a shaker does, by the shaker's number from 1.
+    """Describe the effect of one volt of the output of a shaker, by the shaker's number from 1.
 
-    Examples
-    --------
     >>> import rig
     >>> volt_effect(rig.load("bare-structure"), 1), volt_effect(rig.load("fig8-no-damper"), 1)
     ('table position, 1 mm/V', 'voltage at the coil, 1 V/V')

@@ -9,6 +9,7 @@ import numpy as np
 
 from daq.dsp.circuit import INTEGRATION, Section
 from daq.signal_chain.channel import ChannelInfo, Quantity
+from daq.signal_chain.converter import volts_per_count
 from daq.signal_chain.decimation_filter import DELAY, Decimation
 from rig.scene.measurement_chain import Converter
 from rig.scene.quantities import text
@@ -109,6 +110,8 @@ def channel_info(
         average=is_averaged(stages, converter),
         delay=filter_delay + delay,
         filter={} if low_pass is None else low_pass.design,
+        volts_per_count=volts_per_count(converter),
+        range=converter.range,
         sensor={key: text for stage in stages for key, text in stage.data.items()}
         | data_sheet("converter", converter),
     )

@@ -90,31 +90,16 @@ class Bench:
                 stream.rewire(wiring)
 
     def acquire(self, drive: Array) -> Block:
-        """Drive the rig and return the samples at `rate`.
-
-        Parameters
-        ----------
-        drive : ndarray, shape (inputs, samples)
-            Drive in `drive_units`; straight lines join its samples.
-
-        Raises
-        ------
-        RunError
-            If the drive has another shape or is not finite.
-        """
+        """Drive the rig, (inputs, samples) in `drive_units`, and return the samples at `rate`; lines join the drive."""
         drive = checked_drive(drive, self.inputs)
         line = self._line.through(self._outputs.put_out(drive))
         return self._own.take(self._plant.advance(line), line)
 
     def advance(self, drive: Array, rates: Collection[float] = ()) -> dict[float, Block]:
-        """Drive the rig for some ticks and return the samples at `rate` and at each of `rates`.
+        """Drive the rig, (inputs, ticks), and return the samples at `rate` and at each of `rates`.
 
-        A rate that was not among those of the last call begins with filters that have settled on the past motion.
-
-        Parameters
-        ----------
-        drive : ndarray, shape (inputs, ticks)
-            Drive in `drive_units`; straight lines join its ticks.
+        Lines join the drive. A rate that was not among those of the last call begins with filters that have settled
+        on the past motion.
         """
         rates = {self.rate, *rates}
         self._streams = {rate: self._streams.get(rate) or self._begin(rate) for rate in sorted(rates)}

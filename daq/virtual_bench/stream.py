@@ -19,7 +19,6 @@ from rig.arrays import Array
 from rig.errors import SceneError
 
 if TYPE_CHECKING:
-    from daq.signal_chain.channel import ChannelInfo
     from rig.scene.measurement_chain import Channel
     from rig.scene.scene import Scene
     from rig.simulation.motion import Motion
@@ -67,7 +66,8 @@ class Stream:
         self._motion = MotionAtRate(
             per_tick * self._intervals, self._intervals, 1.0 / plant.rate, self._first * self._intervals
         )
-        self.latency: int = self._chain.latency
+        self._converter = Quantiser(self._scene.converter)
+        self.lost, self.latency = self._converter.lost, self._chain.latency
         self.rewire(self._chain.wiring if wiring is None else wiring)
         for motion, drive in past:
             self.take(motion, drive)
@@ -80,9 +80,7 @@ class Stream:
     def rewire(self, wiring: Sequence[Channel]) -> None:
         """Set couplings and supplies of the channels; see `daq.signal_chain.chain.Chain.rewire`."""
         self._chain.rewire(wiring)
-        self._converter = Quantiser(self._scene.converter, self._chain.channels)
-        self.channels: tuple[ChannelInfo, ...] = self._converter.channels
-        self.lost: tuple[tuple[int, int], ...] = self._converter.lost
+        self.channels = self._chain.channels
         self._scale = np.array([[channel.unit_per_count] for channel in self.channels])
 
     def take(self, motion: Motion, drive: Array) -> Block:

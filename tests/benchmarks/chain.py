@@ -91,7 +91,7 @@ def measure() -> Iterator[str]:
         for _ in range(4):
             plant = Plant(step, rate)
             chain = Chain(step, rate, plant.points, plant.inputs)
-            converter = Quantiser(step.converter, chain.channels)
+            converter = Quantiser(step.converter)
             took, breaks = 0.0, 0
             for first in range(0, round(SECONDS * RATE), BLOCK):
                 drive = 3.0 * np.sin(2 * np.pi * 34.8 / RATE * np.arange(first, first + BLOCK))[None]

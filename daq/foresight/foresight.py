@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.foresight.noise import LeastSignal
+from daq.measurement.estimate import duration_text
 from rig.results import Result, plainly
 from rig.results.text import aligned
 from rig.scene.scene import STANDARD_GRAVITY
@@ -157,7 +158,9 @@ class Foresight(Result):
             rows.append((each.name, in_words(each.largest, each.unit), each.place, limit, share, signal))
         about = "about " if self.rehearsed else ""
         facts = [*self.unread, *self.flights, *self.outside]
-        facts.append(f"takes {about}{_duration(self.seconds)} on the bench, about {self.disk / 1e6:.3g} MB")
+        facts.append(
+            f"takes {about}{duration_text(self.seconds)} on the bench, about {self.disk / 1e6:.3g} MB"
+        )
         if self.rehearsed:
             facts.append(f"rehearsed: {self.rehearsed}")
         return "\n".join([self.summary(), *facts, "", *aligned(rows, "<" * len(header))])
@@ -186,15 +189,3 @@ def _floored(level: float) -> float:
     """
     size = 10.0 ** (np.floor(np.log10(level)) - 1)
     return float(f"{np.floor(level / size * (1.0 + 1e-9)) * size:.10g}")
-
-
-def _duration(seconds: float) -> str:
-    """Write a time: seconds, minutes or hours.
-
-    >>> _duration(18.25), _duration(390.0), _duration(7200.0)
-    ('18 s', '6.5 min', '2.0 h')
-    """
-    for unit, size in (("h", 3600.0), ("min", 60.0)):
-        if seconds >= 2 * size:
-            return f"{seconds / size:.1f} {unit}"
-    return f"{seconds:.3g} s" if seconds < 10.0 else f"{seconds:.0f} s"

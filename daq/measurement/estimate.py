@@ -45,8 +45,8 @@ class Estimate:
             "; waiting for steady motion comes on top, which may be many times as long" if self.waits else ""
         )
         return (
-            f"the test takes at least {_duration(self.seconds)} on the bench: {self.samples:.3g} samples a channel, "
-            f"about {_size(self.disk)}{more}"
+            f"the test takes at least {duration_text(self.seconds)} on the bench: {self.samples:.3g} samples a "
+            f"channel, about {_size(self.disk)}{more}"
         )
 
 
@@ -80,7 +80,7 @@ def refuse_too_much(what: Estimate, path: Path) -> None:
     """Reject a test that exceeds the samples, the free disk space or the memory permitted."""
     if not what.samples <= MOST_SAMPLES:
         raise SceneError(
-            f"test: {_duration(what.seconds)} and {what.samples:.3g} samples of each channel are too many (at most "
+            f"test: {duration_text(what.seconds)} and {what.samples:.3g} samples of each channel are too many (at most "
             f"{MOST_SAMPLES:.0e}). Choose a shorter test or a lower rate."
         )
     need(what.memory, "the test with half a second of all its channels, as held before it is written,")
@@ -107,16 +107,16 @@ def _shortest(scene: Scene) -> float:
     return test.duration
 
 
-def _duration(seconds: float) -> str:
-    """Return a duration in a readable unit.
+def duration_text(seconds: float) -> str:
+    """Write a time in a readable unit.
 
-    >>> _duration(30.0), _duration(7200.0), _duration(1e9)
-    ('30.0 s', '2.0 h', '31.7 years')
+    >>> duration_text(1.234), duration_text(18.25), duration_text(390.0), duration_text(7200.0), duration_text(1e9)
+    ('1.23 s', '18 s', '6.5 min', '2.0 h', '31.7 years')
     """
     for unit, size in (("years", 3.156e7), ("days", 86400.0), ("h", 3600.0), ("min", 60.0)):
         if seconds >= 2 * size:
             return f"{seconds / size:.1f} {unit}"
-    return f"{seconds:.1f} s"
+    return f"{seconds:.3g} s" if seconds < 10.0 else f"{seconds:.0f} s"
 
 
 def _size(count: float) -> str:

@@ -92,7 +92,7 @@ class SignalPath:
             random = generator(seed, name, "converter noise")
             self._noise = Noise(converter.noise, None, sample_rate, random)
 
-    def measure(self, pieces: CubicInput, late: Array | None) -> tuple[Array, NDArray[np.bool_]]:
+    def measure(self, pieces: CubicInput, late: Array | None) -> tuple[Array, NDArray[np.bool_] | bool]:
         """Return the volts at the samples that end intervals of a block, and where a limit has affected them.
 
         `late` is the lateness of each sample, in standard deviations of the jitter.
@@ -117,7 +117,7 @@ class SignalPath:
             noise = np.empty(volts.size)
             self._noise.fill(noise)
             volts += noise
-        return volts, self._overloads.flags(ends)
+        return volts, False if self._limits is None else self._overloads.flags(ends)
 
 
 class Overloads:

@@ -7,6 +7,8 @@ STAMP  := $(VENV)/.installed
 # Python compiles a module when it is first imported and keeps the result: compiling all of them here would take a third
 # of the time. Where the environment forbids keeping it, as some container images do, every process would compile again.
 unexport PYTHONDONTWRITEBYTECODE
+# As the commands do: our matrices are small, and idle threads of a linear algebra library wait by computing.
+export OPENBLAS_NUM_THREADS ?= 1
 PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile
 
 .PHONY: demo test lint types layers quick gauntlet fits matrix soak mutants bench peers docs clean

@@ -18,7 +18,7 @@ from rig.errors import RecordingError, SceneError
         ("replay r.mcap --save x.rrd --at 1", "requires --screenshot"),
         ("replay r.mcap --at 1", "requires --screenshot"),
         ("replay r.mcap --screenshot x.png --speed 2", "combined with --screenshot"),
-        ("serve fig9 --overwrite", "name it with -o"),
+        ("serve fig9 --overwrite", "Name it with -o"),
         ("serve --set seed=1", "Name the scene too"),
     ],
 )

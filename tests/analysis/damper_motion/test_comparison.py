@@ -105,8 +105,8 @@ def test_coarse_points_name_the_needed_spacing() -> None:
     close, wide = (Peak(1e-3, 1e-4, 18.5, 18.4, 18.6, 0.0, share * 1e-3, 0.33) for share in (0.005, 0.09))
     told = unresolved([(19.0, "a3", close), (19.0, "a4", wide), (44.0, "a4", close)])
     assert told == [
-        "a4, near 18.50 Hz: between points 0.33 Hz apart the peak may be up to 9 % off what they show, which its "
-        "interval allows for; measure every 0.1 Hz there"
+        "a4, near 18.50 Hz: the points are 0.33 Hz apart, and the peak between them may deviate by up to 9 %, "
+        "which the interval includes. Measure every 0.1 Hz there"
     ]
     three = np.linspace(17.0, 20.0, 3)
     found = peak(measured(three, beneath_dampers(three)), 17.0, 20.0)
@@ -192,4 +192,4 @@ def test_dominant_peak_without_mode_is_mentioned() -> None:
     assert highest_left_out(modes, [curve]) == []
     one = replace(modes, frequency=modes.frequency[1:])
     [said] = highest_left_out(one, [curve])
-    assert said.startswith("body1: the curve is highest at 10.00 Hz, 1 times as high as what is compared")
+    assert said.startswith("body1: the curve is highest at 10.00 Hz, 1 times as high as the compared peaks")

@@ -121,7 +121,7 @@ def test_g_read_as_metres_is_named(tmp_path):
     ("wrong", "told"),
     [
         ({"gain": -1.0}, "The sign of body2 is reversed: corrected, the rest fits"),
-        ({"delay": 4e-3}, "body2 contradicts the others, by no factor"),
+        ({"delay": 4e-3}, "body2 contradicts the other channels"),
     ],
 )
 def test_reversed_or_late_sensor_is_named(wrong, told, tmp_path):
@@ -167,7 +167,7 @@ def test_strongly_deviating_sensor_is_named(
         recording.channels["body2"] = replace(read, gain=read.gain / 1.3)
         found = analysis.fit(recording, guess())
     assert "would need an error of" in found.misfit and "its data sheet allows 1 %" in found.misfit
-    assert "body2 reads 1.29" in found.misfit and "may as well be another one" in found.misfit
+    assert "body2 reads 1.29" in found.misfit and "may differ from the scene" in found.misfit
 
 
 def test_dampers_with_hits_are_rejected(tmp_path):

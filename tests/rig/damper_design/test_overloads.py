@@ -66,7 +66,8 @@ def test_instant_landings_without_resonance_are_skipped() -> None:
     scene = _scene(None, {"saturation": "5000 g"})
     (found,) = overloads(scene, [_expected(scene)], SMALL)
     assert (
-        found.reason.startswith("struck: up to") and "follows 5000 g, from landings of up to" in found.reason
+        found.reason.startswith("struck: up to")
+        and "saturates at 5000 g, from landings of up to" in found.reason
     )
     assert found.changes == ("channels[2].accelerometer.saturation=null",)
     lines = named([found], lasting=False)

@@ -136,7 +136,7 @@ def test_levels_too_weak_for_flight_are_named() -> None:
     charted = {level: Peak(size, 61.0, level, 2, 1.0, 0.0) for level, size in ((1.0, 9.5e-5), (1.41, 8e-5))}
     lines = shortfall(trial, bare, Flight(0.8, 1, np.nan), charted, [trial])
     assert "at 0.5 N the dampers cannot fly" in lines[0] and "body 1 reaches 0.625 g" in lines[0]
-    assert lines[1].startswith("--levels 4N ")
+    assert lines[1].startswith("use --levels 4N:")
     weak = Trial(trial.choice, peaks[:1])
     assert "from 1.41 N on" in shortfall(weak, bare, Flight(0.8, 1, np.nan), charted, [weak])[1]
     assert not shortfall(Trial(trial.choice, peaks[1:]), bare, Flight(0.8, 1, np.nan), charted, [])

@@ -11,7 +11,7 @@ from scipy import special
 
 from analysis.responses.aliasing import folded_shares
 from analysis.responses.measurands import motion_of, reference_of, responses
-from analysis.responses.systematic import tolerance
+from analysis.responses.systematic import ReadingShares, tolerance
 from rig.errors import RecordingError
 
 if TYPE_CHECKING:
@@ -116,7 +116,9 @@ def _bound(
     parts = [np.sqrt(np.nan_to_num(scatter)) * special.stdtrit(np.maximum(lines.scatter.degrees, 1.0), 0.975)]
     tolerances = np.array([tolerance(rec.channels[name]) for name in lines.channels])
     parts.append(abs(np.array(gains)) @ (tolerances / np.maximum(1.0 - tolerances, 1e-300)))
-    _, folded = folded_shares(rec, lines.channels, lines.frequency, compliance, of_force, "displacement")
+    _, folded = folded_shares(
+        rec, ReadingShares(lines.channels, lines.frequency, "displacement", compliance, of_force, of_force)
+    )
     for each, share in ((turns, folded), (along, lines.remainder), (along, lines.resolution)):
         if share is not None:
             parts.append(np.sum(np.transpose(each) * share, axis=0))

@@ -174,7 +174,7 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
     """
     names = responses(rec)
     if not names:
-        raise RecordingError("no channel on a body: a decay needs at least one motion channel")
+        raise RecordingError(f"{rec.path}: no motion channel on a body. Add one to the scene's channels.")
     info = motion_channel(rec, channel if channel is not None else names[-1])
     before, begin, stop, end = _stretch(rec, info, hit)
     notes: list[str] = []
@@ -183,27 +183,33 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
     if lost.any():
         if lost.mean() > 0.01:
             raise RecordingError(
-                f"{lost.mean():.0%} of hit {hit}'s samples are lost: choose another hit or record again"
+                f"{rec.path}: {lost.mean():.0%} of the samples of hit {hit} are lost. Choose another hit, or record "
+                "again."
             )
         samples = np.interp(np.arange(samples.size), np.flatnonzero(~lost), samples[~lost])
-        notes.append(f"{int(lost.sum())} lost samples were bridged by straight lines.")
+        notes.append(f"{int(lost.sum())} lost samples were interpolated linearly.")
     if not np.any(abs(samples - samples[0]) > 0):
         raise RecordingError(
-            f"{info.name} reads the same value throughout hit {hit}'s decay: the channel is dead, or the hit "
-            "did not reach it; choose another channel or record again"
+            f"{rec.path}: {info.name} is constant throughout the decay of hit {hit}. Choose another channel, or check "
+            "the sensor and record again."
         )
-    clipped = _clipped(rec, info.name, arrival(info, begin, begin)[0], end)
+    first = arrival(info, begin, begin)[0]
+    spans = [(m.first_sample, m.end) for m in rec.overloads if m.fields.get("channel") == info.name]
+    overloaded = sum(max(min(last + 1, end) - max(start, first), 0) for start, last in spans)
+    clipped = overloaded / max(end - first, 1)
     if clipped > _MOST_CLIPPED:
         raise RecordingError(
-            f"{info.name} was overloaded for {clipped:.0%} of hit {hit}'s decay: hit more softly, or widen the "
-            "converter's range or lower the sensitivity in the scene"
+            f"{rec.path}: {info.name} was overloaded for {clipped:.0%} of hit {hit}'s decay. Hit more softly, widen "
+            "the converter's range, or lower the sensitivity in the scene."
         )
     if clipped:
         notes.append(
             f"{info.name} was overloaded for {clipped:.2%} of the decay; amplitudes at its beginning are too low."
         )
     most = modes if modes is not None else rec.scene.structure.bodies
-    lowest, highest = max(LOWEST_MODE, rec.rate / (stop - begin)), _highest_mode(rec)
+    # At least an octave above the highest mode of the scene.
+    highest = max(HIGHEST_MODE, 2.0 * float(structural_model(rec.scene).modes.frequency.max()))
+    lowest = max(LOWEST_MODE, rec.rate / (stop - begin))
     high = min(0.4 * rec.rate, 4.0 * highest)
     acceleration = corrected(info, samples, "acceleration", lowest, high)[: stop - before]
     free = begin - before
@@ -215,7 +221,7 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
     )
     if len(parts) < most:
         notes.append(
-            f"Only {len(parts)} of {most} modes stand out in the decay of {info.name} between {lowest:.3g} and "
+            f"Only {len(parts)} of {most} modes have a peak in the decay of {info.name} between {lowest:.3g} and "
             f"{min(highest, high):.4g} Hz."
         )
     cycle = int(rec.rate / found[0]) if found.size else int(rec.rate / 10.0)
@@ -252,11 +258,6 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
     )
 
 
-def _highest_mode(rec: Recording) -> float:
-    """Upper limit of the mode search, Hz: at least an octave above the highest mode of the scene."""
-    return max(HIGHEST_MODE, 2.0 * float(structural_model(rec.scene).modes.frequency.max()))
-
-
 def _energy_after(shown: Array) -> float:
     """Energy after the end of the record, extrapolated exponentially from its last two tenths.
 
@@ -269,18 +270,11 @@ def _energy_after(shown: Array) -> float:
     return np.inf if last > _STILL_MUCH * float(np.sum(shown**2)) else 0.0
 
 
-def _clipped(rec: Recording, channel: str, begin: int, stop: int) -> float:
-    """Share of a stretch in which a channel was overloaded."""
-    spans = [(m.first_sample, m.end) for m in rec.overloads if m.fields.get("channel") == channel]
-    inside = sum(max(min(last + 1, stop) - max(first, begin), 0) for first, last in spans)
-    return inside / max(stop - begin, 1)
-
-
 def _stretch(rec: Recording, info: ChannelInfo, hit: int) -> tuple[int, int, int, int]:
     """Return the first sample to read, the beginning and end of the decay, and the end of the samples to read."""
     marked = hits(rec)
     if not 1 <= hit <= len(marked):
-        raise SceneError(f"hit {hit} of {len(marked)}: the recording holds hits 1 to {len(marked)}")
+        raise SceneError(f"{rec.path}: no hit {hit}. Choose one of hits 1 to {len(marked)}.")
     first, last = marked[hit - 1]
     # The correction removes the delay of the filter. The end of the decay is therefore in later samples, and the
     # response to the next hit begins in earlier ones because the filter is not causal.
@@ -291,7 +285,7 @@ def _stretch(rec: Recording, info: ChannelInfo, hit: int) -> tuple[int, int, int
     before = max(first - int(0.5 * rec.rate), marked[hit - 2][1] + 1 if hit > 1 else 0, 0)
     if stop - begin < _FEWEST:
         raise RecordingError(
-            f"only {max(stop - begin, 0)} samples follow hit {hit}: too short for a decay; record at least {_FEWEST} "
-            "after a hit (test: interval)"
+            f"{rec.path}: only {max(stop - begin, 0)} samples follow hit {hit}. Record at least {_FEWEST} after a hit "
+            "(test: interval)."
         )
     return before, begin, stop, end

@@ -40,29 +40,22 @@ _POINTS = 64
 class ModalDecay(Result):
     """Decay of one mode after a band-pass filter.
 
-    `frequency`, `frequency_error`: natural frequency at the amplitude with the smallest uncertainty, Hz, and its
-    standard uncertainty (noise, bias of band-pass and fall, clock). If no amplitude determines it, the frequency is
-    `centre` and the uncertainty is NaN; `time`, `envelope`, shape (n,): time after the hit, s, and amplitude of the
-    acceleration, m/s²; `damping`, `damping_error`, shape (levels,): damping ratio at those amplitudes, and its
-    standard uncertainty: noise, and half of `damping_smear`; `natural`, `natural_error`, shape (levels,): natural
-    frequency at those amplitudes, Hz, and its standard uncertainty (noise, bias, clock).
-
-    `amplitude`: acceleration amplitudes in descending order, m/s²; only amplitudes at which the relative uncertainty
-    due to noise is below `WORST`, shape (levels,); `damping_smear`: bound of the bias of the damping ratio, because
-    band-pass and fall average over neighbouring amplitudes, shape (levels,).
+    Uncertainties are standard uncertainties due to noise, the bias of band-pass and fall, and the clock.
     """
 
+    # Hz, at the amplitude with the smallest uncertainty; if no amplitude determines it, `centre`, and NaN
     frequency: float
     frequency_error: float
     centre: float  # centre frequency of the band-pass, Hz: the peak of the spectrum
-    time: Array
-    envelope: Array
+    time: Array  # after the hit, s
+    envelope: Array  # amplitude of the acceleration, m/s²
     noise: float  # noise of the band-passed acceleration, rms, m/s²
+    # acceleration amplitudes in descending order, m/s², at which noise causes a relative uncertainty below `WORST`
     amplitude: Array
-    damping: Array
+    damping: Array  # damping ratio at those amplitudes
     damping_error: Array
-    damping_smear: Array
-    natural: Array
+    damping_smear: Array  # bound of its bias, because band-pass and fall average over neighbouring amplitudes
+    natural: Array  # natural frequency at those amplitudes, Hz
     natural_error: Array
 
     def summary(self) -> str:
@@ -92,12 +85,10 @@ class ModalDecay(Result):
     def draw(self, ax: Axes, **style: Any) -> None:
         """Draw the damping ratio against amplitude with its 95 % bound."""
         percent, half = 100.0 * self.damping, 200.0 * self.damping_error
-        (line,) = ax.semilogx(
-            self.amplitude, percent, "o-", **styled(style, ms=3, label=self.frequency_text())
-        )
-        ax.fill_between(
-            self.amplitude, percent - half, percent + half, color=line.get_color(), alpha=0.2, lw=0
-        )
+        style = styled(style, ms=3, label=self.frequency_text())
+        (line,) = ax.semilogx(self.amplitude, percent, "o-", **style)
+        bounds = percent - half, percent + half
+        ax.fill_between(self.amplitude, *bounds, color=line.get_color(), alpha=0.2, lw=0)
         ax.set(xlabel="amplitude / (m/s²)", ylabel="damping ratio / %")
 
     @property
@@ -107,18 +98,16 @@ class ModalDecay(Result):
 
     def small_damping(self) -> float:
         """Return the damping ratio at small amplitudes: median over the lowest third of the levels."""
-        return (
-            float(np.median(self.damping[-max(1, self.damping.size // 3) :])) if self.damping.size else np.nan
-        )
+        few = max(1, self.damping.size // 3)
+        return float(np.median(self.damping[-few:])) if self.damping.size else np.nan
 
     def at(self, amplitude: float) -> float:
         """Interpolate the damping ratio at an amplitude; NaN outside the measured range."""
         if not self.damping.size:
             return float("nan")
-        order = np.argsort(self.amplitude)
-        return float(
-            np.interp(amplitude, self.amplitude[order], self.damping[order], left=np.nan, right=np.nan)
-        )
+        # The amplitudes are in descending order.
+        rising, damping = self.amplitude[::-1], self.damping[::-1]
+        return float(np.interp(amplitude, rising, damping, left=np.nan, right=np.nan))
 
 
 def spectral_peaks(acceleration: Array, rate: float, most: int, low: float, high: float) -> Array:
@@ -157,26 +146,20 @@ def band_width(frequencies: Array, index: int) -> float:
 
 
 def modal_decay(
-    acceleration: Array,
+    acceleration: Array,  # m/s², from before the hit
     rate: float,
-    frequency: float,
-    width: float,
-    begin: int,
-    amplitudes: Array | None = None,
-    clock: float = 0.0,
+    frequency: float,  # centre of the band-pass, Hz
+    width: float,  # standard deviation of the band-pass, Hz
+    begin: int,  # sample at which the free decay begins
+    amplitudes: Array | None = None,  # m/s²; omitted: every 1.5 dB down to the noise
+    clock: float = 0.0,  # bound of the relative error of the sample rate
 ) -> ModalDecay:
     """Estimate the envelope of one mode, and its damping ratio against amplitude.
 
     A Gaussian band-pass over positive frequencies yields the analytic signal directly. It changes an exponential
     decay only by a constant factor, so that the slope of the envelope is unbiased once three standard deviations of
     its impulse response have passed after the hit. The damping ratio at an amplitude is the slope of the logarithm
-    of the envelope while it falls by 6 dB around that amplitude: from the last time above the upper level to the
-    last time above the lower level.
-
-    `acceleration`, shape (n,): acceleration that begins before the hit, m/s²; `rate`: sample rate, Hz; `frequency`,
-    `width`: centre and standard deviation of the band-pass, Hz; `begin`: sample at which the free decay begins;
-    `amplitudes`: amplitudes at which to estimate the damping ratio, m/s²; the result is NaN outside the decay.
-    Default: every 1.5 dB down to the noise; `clock`: bound of the relative error of the sample rate.
+    of the envelope while it falls by 6 dB around that amplitude.
     """
     analytic, edge = _band_passed(acceleration, rate, frequency, width)
     envelope = np.abs(analytic)
@@ -207,23 +190,16 @@ def modal_decay(
         good = np.isfinite(damping) & (damping > 0) & (relative < WORST)
     turns = rate / (2.0 * np.pi)
     natural, natural_error = turns * natural[good], turns * natural_error[good]
+    # An unresolved neighbour that decays more slowly dominates at small amplitudes; it is far from the peak.
+    own = np.flatnonzero(np.isfinite(natural_error) & (abs(natural / frequency - 1.0) < _SAME_MODE))
+    best = frequency, float("nan")
+    if own.size:
+        k = own[np.argmin(natural_error[own])]
+        best = float(natural[k]), float(natural_error[k])
     return ModalDecay(
-        *_best(natural, natural_error, frequency), frequency, time[begin:], envelope[begin:], noise,
+        *best, frequency, time[begin:], envelope[begin:], noise,
         amplitude[good], damping[good], error[good], smear[good], natural, natural_error,
     )  # fmt: skip
-
-
-def _best(natural: Array, error: Array, peak: float) -> tuple[float, float]:
-    """Choose the natural frequency with the smallest error, or the spectral peak if none is determined.
-
-    Frequencies far from the peak are excluded: an unresolved neighbour that decays more slowly dominates at small
-    amplitudes.
-    """
-    own = np.flatnonzero(np.isfinite(error) & (abs(natural / peak - 1.0) < _SAME_MODE))
-    if not own.size:
-        return peak, float("nan")
-    best = own[np.argmin(error[own])]
-    return float(natural[best]), float(error[best])
 
 
 def _band_passed(

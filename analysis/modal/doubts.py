@@ -21,18 +21,12 @@ def doubts(
     modes: Modes,
     curves: Sequence[Response],
     count: int | None,
-    dropped: Sequence[float],
-    loose: Array,
-    unseen: Array,
-    left_out: Sequence[str],
+    dropped: Sequence[float],  # Hz: poles of undetermined damping or peak height
+    uncertain_poles: Array,  # Hz: poles where the uncertainty of the curves is too large
+    unseen: Array,  # Hz: poles around which no line was measured
+    left_out: Sequence[str],  # responses that were not used
 ) -> Iterator[str]:
-    """Describe what limits some modes.
-
-    `curves`: curves from which the modes were identified; `count`: requested number of modes; `dropped`: Hz: poles
-    rejected because their damping or peak height is undetermined; `loose`: Hz: poles rejected because the
-    uncertainty of the curves is too large there; `unseen`: Hz: poles rejected because no line was measured around
-    them; `left_out`: responses that were not used.
-    """
+    """Describe what limits some modes; `count` of them were requested."""
     yield from (f"{name} was left out: its uncertainty is unbounded." for name in left_out)
     if modes.model_error:
         stated = any(np.isfinite(curve.error).any() for curve in curves)
@@ -46,10 +40,9 @@ def doubts(
             f"Rejected the stable poles at {_listed(np.sort(dropped))} Hz: their damping or height is below the "
             "uncertainty of these curves. Impacts of dampers make peaks without poles."
         )
-    if loose.size:
-        yield (
-            f"Rejected the stable poles at {_listed(loose)} Hz: the uncertainty of the curves there is too large."
-        )
+    if uncertain_poles.size:
+        listed = _listed(uncertain_poles)
+        yield f"Rejected the stable poles at {listed} Hz: the uncertainty of the curves there is too large."
     if unseen.size:
         yield (
             f"Rejected the stable poles at {_listed(unseen)} Hz: the lines around them were left out, so there may be "

@@ -66,12 +66,9 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
         If `count` is below 1, if `frfs` contains no responses, or if their frequencies differ.
     """
     if count is not None and not (isinstance(count, int) and count >= 1):
-        raise SceneError(f"{count} modes asked for: expected at least 1")
-    if (
-        not isinstance(frfs, Sequence | Response)
-        or not len(frfs)
-        or not all(isinstance(frf, Response) for frf in frfs)
-    ):
+        raise SceneError(f"identify: count {count}; expected at least 1 mode")
+    known = isinstance(frfs, Sequence | Response) and all(isinstance(frf, Response) for frf in frfs)
+    if not known or not len(frfs):
         raise SceneError(
             f"identify: got {frfs!r:.60}; expected several curves, as analysis.frfs or read_frfs gives them"
         )
@@ -85,13 +82,9 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
         )
     curves = _bounded(thinned([frf.to("displacement").sorted() for frf in frfs]))
     measured, sigma = _measured(curves)
-    charts = [
-        chart(measured.frequency, measured.value, weight)
-        for weight in (
-            np.ones(sigma.shape) / abs(measured.value).max(axis=1, keepdims=True),
-            1.0 / np.hypot(sigma, _EVEN * abs(measured.value)),
-        )
-    ]
+    size = abs(measured.value)
+    weights = np.ones(sigma.shape) / size.max(axis=1, keepdims=True), 1.0 / np.hypot(sigma, _EVEN * size)
+    charts = [chart(measured.frequency, measured.value, weight) for weight in weights]
     stable, every = columns(measured.frequency, charts)
     weighted, model, error = _explained(
         measured, sigma, stable[:_STARTS], every[:_TRIED], MOST_MODES if count is None else count
@@ -103,45 +96,46 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
     inside = in_band(weighted, model.poles)
     if not inside.any():
         raise RecordingError(
-            "no resonance of the curves exceeds their noise and resolution. Measure more densely "
-            "around the resonances, for longer, or in a band with resonances."
+            f"{curves[0].label}: no resonance exceeds the noise and the resolution of the curves. Measure for longer, "
+            "more densely around the resonances, or in another band."
         )
     # The bound at a level of 95 % is two standard deviations.
+    included: tuple[str, ...] = () if joint is None else joint.parts
+    random = (
+        pole_errors(weighted, model) if joint is None else refined_pole_errors(model.poles, joint.covariance)
+    )
+    systematic = systematic_pole_errors(curves, model.poles, included)
     f_error, z_error = (
-        np.hypot(error, 0.5 * part)
-        for error, part in zip(
-            pole_errors(weighted, model)
-            if joint is None
-            else refined_pole_errors(model.poles, joint.covariance),
-            systematic_pole_errors(curves, model.poles, () if joint is None else joint.parts),
-            strict=True,
-        )
+        np.hypot(*each) for each in zip(random, (0.5 * part for part in systematic), strict=True)
     )
     # If the uncertainty of the curves is unbounded, the position of the poles is unknown.
-    anywhere = inside & (2.0 * f_error >= abs(model.poles) / (2 * np.pi))
-    inside &= ~anywhere
-    loose: Array = np.asarray(abs(model.poles[anywhere]) / (2 * np.pi), dtype=float)
-    holes = inside & in_holes(weighted.frequency, model.poles)
-    inside &= ~holes
-    unseen: Array = np.asarray(abs(model.poles[holes]) / (2 * np.pi), dtype=float)
+    frequency: Array = np.asarray(abs(model.poles) / (2 * np.pi), dtype=float)
+    anywhere = inside & (2.0 * f_error >= frequency)
+    holes = inside & ~anywhere & in_holes(weighted.frequency, model.poles)
+    inside &= ~(anywhere | holes)
+    uncertain, unseen = frequency[anywhere], frequency[holes]
     if not inside.any() and unseen.size:
         raise RecordingError(
-            f"the curves have poles ({', '.join(f'{f:.4g}' for f in unseen)} Hz) only in gaps, where "
-            "lines were omitted. Record again without the losses that are reported there."
+            f"{curves[0].label}: poles ({', '.join(f'{f:.4g}' for f in unseen)} Hz) only in gaps, where lines were "
+            "left out. Record again without the flaws that the warnings name."
         )
     if not inside.any():
         raise RecordingError(
-            f"the curves have poles ({', '.join(f'{f:.4g}' for f in loose)} Hz) only where their "
-            "uncertainty is too large. See `analysis frf` for its contributions."
+            f"{curves[0].label}: poles ({', '.join(f'{f:.4g}' for f in uncertain)} Hz) only where the uncertainty of "
+            "the curves is too large. Reduce the largest parts of the uncertainty that `analysis frf` lists."
         )
-    poles, f_error, z_error = model.poles[inside], f_error[inside], z_error[inside]
-    # A clock error shifts all poles by the same relative amount; it is a common error of all lines.
-    f_error = np.hypot(
-        f_error, max(curve.uncertainty.clock for curve in frfs) * abs(poles) / (2 * np.pi * _LARGEST)
+    poles, f_error, z_error, frequency = (
+        model.poles[inside],
+        f_error[inside],
+        z_error[inside],
+        frequency[inside],
     )
+    # A clock error shifts all poles by the same relative amount; it is a common error of all lines.
+    clock = max(curve.uncertainty.clock for curve in frfs)
+    f_error = np.hypot(f_error, clock * abs(poles) / (2 * np.pi * _LARGEST))
     lower, upper = _residuals(model, inside, measured.frequency)
     result = Modes(
-        frequency=np.asarray(abs(poles) / (2 * np.pi), dtype=float),
+        frequency=frequency,
         frequency_error=f_error,
         damping=-poles.real / abs(poles),
         damping_error=z_error,
@@ -158,7 +152,7 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
         places=tuple(curve.output_at for curve in curves),
     )
     left_out = [frf.response for frf in frfs if frf.response not in result.responses]
-    notes = doubts(result, curves, count, dropped, loose, unseen, left_out)
+    notes = doubts(result, curves, count, dropped, uncertain, unseen, left_out)
     return replace(result, warnings=(*curves[0].warnings, *notes))
 
 
@@ -190,10 +184,9 @@ def _bounded(curves: Sequence[Response]) -> list[Response]:
     found = [curve for curve in curves if np.isfinite(_sigma([curve])).any()]
     if not found:
         raise RecordingError(
-            f"the uncertainty of the responses at {', '.join(curve.response for curve in curves)} is "
-            "unbounded, so that no modes can be identified: the readings are a few counts, or the "
-            "reference may be zero. Record again with a converter range and sensors that suit the "
-            "level."
+            f"{curves[0].label}: the uncertainty of the responses at {', '.join(curve.response for curve in curves)} "
+            "is unbounded, because the readings are a few counts or the reference may be zero. Record again with a "
+            "converter range and sensors that suit the level."
         )
     return found
 
@@ -205,19 +198,21 @@ def _measured(curves: Sequence[Response]) -> tuple[Curves, Array]:
         curve.frequency.shape != frequency.shape or np.any(curve.frequency != frequency) for curve in curves
     ):
         raise SceneError(
-            "the responses were measured at different frequencies: identify one recording at a time"
+            f"identify: {curves[0].label}: the responses have different frequencies. Identify one recording at a time."
         )
     value, sigma = np.stack([curve.value for curve in curves]), _sigma(curves)
     # A line with unbounded uncertainty in every response has zero weight.
     known = np.isfinite(value).all(axis=0) & (frequency > 0) & np.isfinite(sigma).any(axis=0)
     if known.sum() < 8:
         raise RecordingError(
-            f"{known.sum()} frequencies are too few for modes: measure at least 8, with several in each "
-            "resonance"
+            f"{curves[0].label}: {known.sum()} frequencies are too few for modes. Measure at least 8, with several in "
+            "each resonance."
         )
     for curve, row in zip(curves, value[:, known], strict=True):
         if not np.any(abs(row) > 0):
-            raise RecordingError(f"{curve.response} does not respond at all: choose other channels")
+            raise RecordingError(
+                f"{curve.label}: {curve.response} is zero throughout. Choose other channels."
+            )
     sigma = sigma[:, known]
     shared = max(curve.uncertainty.shared for curve in curves)
     resolution = max(curve.resolution for curve in curves)
@@ -228,7 +223,10 @@ def _explained(
     measured: Curves, sigma: Array, stable: ComplexArray, every: ComplexArray, most: int
 ) -> tuple[Curves, Fit, float]:
     """Return the best model, the curves with the weights of its fit, and its relative error beyond noise."""
-    size = _neighbourhood(measured)
+    # Largest value around each point; nonlinear errors scale with the peaks, not with the curve between them.
+    f, value = measured.frequency, np.abs(measured.value)
+    low, high = np.searchsorted(f, f / _AROUND), np.searchsorted(f, f * _AROUND, side="right")
+    size = np.stack([value[:, a:b].max(axis=1) for a, b in zip(low, high, strict=True)], axis=1)
     tried: list[tuple[Curves, Fit]] = []
     for error in _DISTRUST:
         curves = replace(measured, weight=1.0 / np.hypot(sigma, error * size))
@@ -253,13 +251,6 @@ def _explained(
     # Modes far outside the band deviate slightly from their residual terms, which does not indicate a nonlinear
     # structure.
     return curves, model, float(missed) if len(tried) > 1 and missed > LEAST_RELATIVE_ERROR else 0.0
-
-
-def _neighbourhood(measured: Curves) -> Array:
-    """Largest value around each point; nonlinear errors scale with the peaks, not with the curve between them."""
-    f, size = measured.frequency, np.abs(measured.value)
-    low, high = np.searchsorted(f, f / _AROUND), np.searchsorted(f, f * _AROUND, side="right")
-    return np.stack([size[:, a:b].max(axis=1) for a, b in zip(low, high, strict=True)], axis=1)
 
 
 def _without_doubtful_poles(

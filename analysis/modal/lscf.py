@@ -21,7 +21,7 @@ class ChartPole:
 
     order: int  # number of modes of its model
     frequency: float
-    damping: float  # hz and damping ratio
+    damping: float  # Hz and damping ratio
     stable: bool  # whether the previous order has a pole within a quarter of the half-power width
 
     @property
@@ -39,22 +39,16 @@ def poles_by_order(
     The model is H_o = B_o(z) / A(z) with z = exp(-i pi (f - f_min) / (f_max - f_min)), complex coefficients, and the
     highest coefficient of A set to 1. With this constraint the poles due to noise are unstable, and the chart is
     clear (P. Guillaume et al., A poly-reference implementation of the least-squares complex frequency-domain
-    estimator, IMAC XXI, 2003). The frequencies need not be evenly spaced.
-
-    `frequency`, shape (n,): Hz; `value`, shape (outputs, n): frequency responses; `weight`, shape (outputs, n):
-    inverse standard deviations. Yields `poles`, poles in rad/s with a positive frequency inside the band and a
-    negative real part.
+    estimator, IMAC XXI, 2003). The frequencies need not be evenly spaced. `weight`: inverse standard deviations of
+    `value`, shape (outputs, n). Yields stable poles inside the band, rad/s.
     """
     low, high = float(frequency.min()), float(frequency.max())
-    most = max(orders)
     phase = np.pi * (frequency - low) / (high - low)
-    basis = np.exp(-1j * phase[:, None] * np.arange(most + 1))
-    reduced = np.zeros((most + 1, most + 1), dtype=complex)
-    pieces = []
-    for row, scale in zip(value, weight, strict=True):
-        numerator = basis * scale[:, None]
-        denominator = -basis * (row * scale)[:, None]
-        pieces.append((numerator, denominator))
+    basis = np.exp(-1j * phase[:, None] * np.arange(max(orders) + 1))
+    pieces = [
+        (basis * scale[:, None], -basis * (row * scale)[:, None])
+        for row, scale in zip(value, weight, strict=True)
+    ]
     for order in orders:
         reduced = np.zeros((order + 1, order + 1), dtype=complex)
         for numerator, denominator in pieces:
@@ -78,7 +72,7 @@ def chart(frequency: Array, value: ComplexArray, weight: Array, most: int = 24) 
     """Compute the stabilisation chart of models with 2 to `most` poles."""
     out: list[ChartPole] = []
     before: list[complex] = []
-    spacing = _spacing(frequency)
+    spacing = float(np.median(np.diff(frequency)))
     for order, poles in poles_by_order(frequency, value, weight, range(2, most + 1)):
         here = sorted((p for p in poles if -p.real < MOST_DAMPING * abs(p)), key=lambda p: p.imag)
         for p in here:
@@ -89,12 +83,8 @@ def chart(frequency: Array, value: ComplexArray, weight: Array, most: int = 24) 
 
 
 def columns(frequency: Array, charts: Sequence[list[ChartPole]]) -> tuple[ComplexArray, ComplexArray]:
-    """Merge the poles of charts into columns.
-
-    Returns `stable`, poles that are stable from order to order, the most frequent first, rad/s; `every`, all poles,
-    including less frequent poles.
-    """
-    spacing = _spacing(frequency)
+    """Merge the poles of charts, rad/s; return the stable poles, the most frequent first, and all poles."""
+    spacing = float(np.median(np.diff(frequency)))
     seen: list[tuple[complex, int]] = []
     for one in charts:
         for pole in one:
@@ -113,10 +103,6 @@ def columns(frequency: Array, charts: Sequence[list[ChartPole]]) -> tuple[Comple
         np.array([p for p, times in seen if times >= OFTEN], dtype=complex),
         np.array([p for p, _ in seen], dtype=complex),
     )
-
-
-def _spacing(frequency: Array) -> float:
-    return float(np.median(np.diff(frequency)))
 
 
 def _same(p: complex, q: complex, spacing: float) -> bool:

@@ -1,4 +1,9 @@
-"""Selection of the model order: poles are added while they reduce the misfit by more than noise and model error."""
+"""Selection of the model order: poles are added while they reduce the misfit by more than noise and model error.
+
+References
+----------
+.. [1] G. Schwarz, Estimating the dimension of a model, Annals of Statistics 6 (1978) 461-464.
+"""
 
 from __future__ import annotations
 
@@ -45,15 +50,17 @@ def hidden(curves: Curves, poles: ComplexArray) -> NDArray[np.bool_]:
 
 
 def select(curves: Curves, stable: ComplexArray, candidates: ComplexArray, most: int = MOST_MODES) -> Fit:
-    """Select the best model with all significant poles of the curves.
-
-    `curves`: curves to be fitted, with error bars; `stable`: initial poles, rad/s; `candidates`: further poles to
-    try, rad/s; `most`: largest number of poles inside the band.
-
-    G. Schwarz, Estimating the dimension of a model, Annals of Statistics 6 (1978) 461-464.
-    """
-    current = _pruned(curves, _sensible_part(curves, fit(curves, stable)))
-    outside = _outside(curves)
+    """Select the best model with all significant poles [1]_, at most `most` of them inside the band; poles in rad/s."""
+    model = fit(curves, stable)
+    # Spurious poles are removed, the least significant first.
+    while (among := doubtful(curves, model)).size:
+        least = among[int(np.argmin(misfits_without(curves, model.poles)[among]))]
+        model = fit(curves, np.delete(model.poles, least))
+    current = _pruned(curves, model)
+    # Poles below and above the band represent curvature that residual terms cannot represent.
+    low, high = curves.frequency[0], curves.frequency[-1]
+    places = np.array([0.5 * low, 0.8 * low, 0.95 * low, 1.05 * high, 1.25 * high, 2.0 * high])
+    outside = np.asarray(2 * np.pi * places * (-0.01 + 1j), dtype=complex)
     while in_band(curves, current.poles).sum() < most:
         if curves.degrees(current.poles.size + 1) < _FEWEST_DEGREES:
             break
@@ -63,18 +70,6 @@ def select(curves: Curves, stable: ComplexArray, candidates: ComplexArray, most:
             break
         current = better
     return _pruned(curves, current)
-
-
-def _sensible_part(curves: Curves, model: Fit) -> Fit:
-    """Remove spurious poles, the least significant first, until none remains."""
-    while (among := doubtful(curves, model)).size:
-        model = fit(curves, np.delete(model.poles, _least_missed(curves, model.poles, among)))
-    return model
-
-
-def _least_missed(curves: Curves, poles: ComplexArray, among: NDArray[np.intp]) -> int:
-    """Return the index of the pole whose removal increases the misfit least."""
-    return int(among[int(np.argmin(misfits_without(curves, poles)[among]))])
 
 
 def _best_addition(curves: Curves, current: Fit, pool: ComplexArray) -> Fit | None:
@@ -194,10 +189,3 @@ def _at_largest_rest(curves: Curves, model: Fit) -> ComplexArray:
         for width in (0.5 * spacing, 2.0 * spacing, 0.003 * frequency[index], 0.02 * frequency[index]):
             out.append(2 * np.pi * (-width + 1j * frequency[index]))
     return np.array(out, dtype=complex)
-
-
-def _outside(curves: Curves) -> ComplexArray:
-    """Return poles below and above the band, for curvature that residual terms cannot represent."""
-    low, high = curves.frequency[0], curves.frequency[-1]
-    places = np.array([0.5 * low, 0.8 * low, 0.95 * low, 1.05 * high, 1.25 * high, 2.0 * high])
-    return np.asarray(2 * np.pi * places * (-0.01 + 1j), dtype=complex)

@@ -89,12 +89,10 @@ def systematic_pole_errors(
 ) -> tuple[Array, Array]:
     """Return limits of the systematic errors of natural frequencies [Hz] and damping ratios, shape (modes,).
 
-    A reference that is the difference of two readings with gain errors contains a part of the response. To first
-    order this is a stiffness error: a relative error d of the curve at s shifts the pole p by ``d |s - p|`` (no shift
-    if d is constant). An error at the peak alone may also change its width, and so does the leakage of a window.
-
-    `frfs`: the curves, by rising frequency; `poles`, shape (modes,): rad/s; `without`: parts that the random errors
-    of the poles already include.
+    A reference that is the difference of two readings with gain errors contains a part of the response. To first order
+    this is a stiffness error: a relative error d of the curve at s shifts the pole p by ``d |s - p|`` (no shift if d is
+    constant). An error at the peak alone may also change its width, and so does the leakage of a window. The parts
+    `without` are those that the random errors already include.
     """
     widening = tuple(name for name in _WIDENS if name not in without)
     half = half_width(poles)

@@ -16,8 +16,6 @@ from rig.arrays import Array, ComplexArray
 _EVALUATIONS = 25
 # Terms of the series that represents modes above the band: fewer lines determine only the first term.
 ABOVE, _LINES = 3, 20
-
-
 # Rounding error of the squared norm of a unit column.
 _DEPENDENT = 1e-20
 
@@ -53,33 +51,16 @@ class Curves:
 
 @dataclass(frozen=True)
 class Fit:
-    """Best modal model of some curves for a number of poles.
+    """Best modal model of some curves for a number of poles."""
 
-    Attributes
-    ----------
-    poles : ndarray of complex, shape (modes,)
-        rad/s, by rising frequency.
-    residue : ndarray of complex, shape (responses, modes)
-        m/(N s).
-    lower : ndarray, shape (responses,)
-        lower / s² represents modes below the band.
-    upper : ndarray, shape (responses, 3)
-        upper[0] + upper[1] s + upper[2] s² represents modes above the band.
-    misfit : float
-        Sum of squared weighted differences.
-    rest : ndarray of complex, shape (responses, n)
-        Weighted differences, measured less model.
-    slope : ndarray of complex, shape (2 modes, responses, n)
-        Derivative of `rest` by the parameters: logarithms of the decay rates, then damped frequencies in units of the
-        decay rates.
-    """
-
-    poles: ComplexArray
-    residue: ComplexArray
-    lower: Array
-    upper: Array
-    misfit: float
-    rest: ComplexArray
+    poles: ComplexArray  # rad/s, by rising frequency; shape (modes,)
+    residue: ComplexArray  # m/(N s), shape (responses, modes)
+    lower: Array  # lower / s² represents modes below the band; shape (responses,)
+    upper: Array  # upper[0] + upper[1] s + upper[2] s² represents modes above the band; shape (responses, 3)
+    misfit: float  # sum of squared weighted differences
+    rest: ComplexArray  # weighted differences, measured less model; shape (responses, n)
+    # derivative of `rest` by the logarithms of the decay rates, then by the damped frequencies in units of the
+    # decay rates; shape (2 modes, responses, n)
     slope: ComplexArray
 
 
@@ -89,14 +70,9 @@ def fit(curves: Curves, start: ComplexArray) -> Fit:
     x = np.zeros(2 * start.size)
     if start.size:
         x = scipy.optimize.least_squares(
-            lambda x: problem.reduced(x)[:, -1],
-            x,
-            lambda x: problem.reduced(x)[:, :-1],
-            xtol=1e-9,
-            ftol=1e-9,
-            gtol=1e-12,
-            max_nfev=_EVALUATIONS,
-        ).x
+            lambda x: problem.reduced(x)[:, -1], x, lambda x: problem.reduced(x)[:, :-1],
+            xtol=1e-9, ftol=1e-9, gtol=1e-12, max_nfev=_EVALUATIONS,
+        ).x  # fmt: skip
     poles = problem.poles(x)
     unknown, rest = problem.unknowns(x), problem.misfit(x)
     order = np.argsort(poles.imag)
@@ -148,10 +124,8 @@ def misfits_with(curves: Curves, poles: ComplexArray, added: ComplexArray) -> Ar
     )
     u, v = scores[:, ::2], scores[:, 1::2]
     along = np.where(a > _DEPENDENT, u**2 / np.maximum(a, _DEPENDENT), 0.0)
-    left, across = (
-        c - np.where(a > _DEPENDENT, b**2 / np.maximum(a, _DEPENDENT), 0.0),
-        v - b * u / np.maximum(a, _DEPENDENT),
-    )
+    left = c - np.where(a > _DEPENDENT, b**2 / np.maximum(a, _DEPENDENT), 0.0)
+    across = v - b * u / np.maximum(a, _DEPENDENT)
     along += np.where(left > _DEPENDENT, across**2 / np.maximum(left, _DEPENDENT), 0.0)
     return np.asarray(np.sum(rest**2) - np.sum(along, axis=0))
 
@@ -174,20 +148,13 @@ def misfits_without(curves: Curves, poles: ComplexArray) -> Array:
 
 
 class _Factors(NamedTuple):
-    """QR factors of the weighted basis of each response, columns scaled to unit length.
+    """QR factors of the weighted basis of each response, columns scaled to unit length."""
 
-    basis : shape (responses, 2 n, unknowns), orthonormal columns
-    triangle : shape (responses, unknowns, unknowns)
-    size : shape (responses, 1, unknowns), lengths of the columns
-    projection : shape (responses, unknowns, 1), of the target on the basis
-    target : shape (responses, 2 n, 1), weighted readings
-    """
-
-    basis: Array
-    triangle: Array
-    size: Array
-    projection: Array
-    target: Array
+    basis: Array  # shape (responses, 2 n, unknowns), orthonormal columns
+    triangle: Array  # shape (responses, unknowns, unknowns)
+    size: Array  # shape (responses, 1, unknowns), lengths of the columns
+    projection: Array  # shape (responses, unknowns, 1), of the target on the basis
+    target: Array  # shape (responses, 2 n, 1), weighted readings
 
 
 class Projection:

@@ -44,9 +44,8 @@ class Refined:
 def refined(curves: Curves, model: Fit, errors: Covariance, rough: Array) -> Refined | None:
     """Refine a model; None if the problem is too large, or if the iteration does not converge.
 
-    `curves`: curves at the lines of `errors`; `model`: initial model; `errors`: covariance of the random errors;
-    `rough`, shape (responses, n): standard deviation of either quadrature of other errors that differ from line to
-    line.
+    `errors`: covariance of the random errors; `rough`, shape (responses, n): standard deviation of either quadrature of
+    other errors that differ from line to line.
     """
     problem = Likelihood(curves, errors, rough)
     count = 2 * model.poles.size

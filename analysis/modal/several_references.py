@@ -12,7 +12,6 @@ References
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -25,37 +24,28 @@ _SURE = 5.0
 _LEAST_SHARE = 0.02
 
 
-class _Part(NamedTuple):
-    """A mode of a pole."""
-
-    pole: int
-    shape: ComplexArray
-    participation: ComplexArray
-
-
 def separated(
     modes: Modes, outputs: tuple[str, ...], inputs: tuple[str, ...], places: tuple[str, ...]
 ) -> Modes:
     """Separate the modes of each pole by the singular values of its residues.
 
-    `modes`: modes identified from all elements of a matrix, in the order of the outputs; `outputs`, `inputs`:
-    channels and inputs of the matrix; `places`: positions of the outputs. Returns modes with the residues of the
-    input of largest participation.
+    `modes`: identified from all elements of a matrix, in the order of the outputs; `places`: positions of the
+    outputs. Returns modes with the residues of the input of largest participation.
     """
     o, i = len(outputs), len(inputs)
-    parts: list[_Part] = []
+    poles: list[int] = []
+    parts: list[tuple[ComplexArray, ComplexArray]] = []  # shape and participation of each mode
     for k in range(modes.frequency.size):
         residue = modes.residue[:, k].reshape(o, i)
         noise = float(np.linalg.norm(modes.shape_error[:, k])) * float(abs(residue).max())
         left, size, right = np.linalg.svd(residue, full_matrices=False)
         for r in range(size.size):
             if r == 0 or size[r] > max(_SURE * noise, _LEAST_SHARE * size[0]):
-                parts.append(_Part(k, left[:, r] * size[r], right[r]))
-    poles = [part.pole for part in parts]
-    participation = np.stack([part.participation for part in parts], axis=1)
+                poles.append(k)
+                parts.append((left[:, r] * size[r], right[r]))
+    shapes, participation = (np.stack(each, axis=1) for each in zip(*parts, strict=True))
     reference = int(np.argmax(np.min(abs(participation), axis=1)))
     rows = np.arange(o) * i + reference
-    shapes = np.stack([part.shape for part in parts], axis=1)
     error = np.sqrt(np.mean(np.square(modes.shape_error[:, poles].reshape(o, i, -1)), axis=1))
     top = np.argmax(abs(shapes), axis=0)
     error[top, np.arange(len(parts))] = 0.0

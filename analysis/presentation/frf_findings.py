@@ -15,7 +15,7 @@ from analysis.presentation.inputs import labels, read_curves
 from analysis.presentation.output_names import check_outputs, of_part, output_stem, with_ending
 from analysis.presentation.result import Progress, Result, noted
 from analysis.recordings.names import opened, relabelled
-from analysis.responses.branch_jumps import jumps
+from analysis.responses.curve_checks import jumps
 from analysis.responses.frequency_responses import Blocks, frequency_responses
 from analysis.responses.frf_files import is_frf_file
 from analysis.responses.systematic import tolerance

@@ -32,10 +32,12 @@ def opened(path: Path) -> Recording:
 
     if not path.exists():
         where_made = "recordings" / Path(path.name)
-        hint = f"`daq record SCENE -o {path}` would make one"
-        raise RecordingError(
-            f"{path}: no such file; {f'did you mean {where_made}?' if where_made.exists() else hint}"
+        hint = (
+            f"; did you mean {where_made}?"
+            if where_made.exists()
+            else f". Make one: `daq record SCENE -o {path}`."
         )
+        raise RecordingError(f"{path}: no such file{hint}")
     return daq.open(path)
 
 
@@ -70,13 +72,11 @@ def distinct_names(names: Sequence[str], paths: Sequence[Path]) -> list[str]:
         # A common name of all recordings does not distinguish them.
         stems = [path.stem for path in paths]
         return stems if len(set(stems)) == len(paths) else [path.as_posix() for path in paths]
-    by_stem = [
-        f"{name} ({path.stem})" if names.count(name) > 1 else name
-        for name, path in zip(names, paths, strict=True)
-    ]
+    pairs = list(zip(names, paths, strict=True))
+    by_stem = [f"{name} ({path.stem})" if names.count(name) > 1 else name for name, path in pairs]
+    by_path = [f"{name} ({path.as_posix()})" for name, path in pairs]
     return [
-        f"{name} ({path.as_posix()})" if by_stem.count(label) > 1 else label
-        for name, path, label in zip(names, paths, by_stem, strict=True)
+        longer if by_stem.count(label) > 1 else label for label, longer in zip(by_stem, by_path, strict=True)
     ]
 
 

@@ -40,22 +40,18 @@ class Slice:
         from_s: float | None = None,
         to_s: float | None = None,
     ) -> Slice:
-        """Select channels (default: all) between two times in s (default: the whole recording).
-
-        Raises `SceneError` if a channel does not exist, or if there is no sample between the times. Raises
-        `RecordingError` if the recording contains too few samples between the times for an interval of this length.
-        """
+        """Select channels (default: all) between two times in s (default: the whole recording)."""
         names = tuple(recording.channels if channels is None else channels)
         for name in names:
             if name not in recording.channels:
                 known = ", ".join(recording.channels)
-                raise SceneError(f"{recording.path} has no channel {name!r}; its channels are {known}")
+                raise SceneError(f"{recording.path}: no channel {name!r}. Choose one of {known}.")
         refuse_reversed(from_s, to_s)
         start = 0 if from_s is None else max(0, math.ceil(from_s * recording.rate))
         stop = recording.samples if to_s is None else min(recording.samples, math.ceil(to_s * recording.rate))
         if start >= stop:
             end = recording.samples / recording.rate
-            raise SceneError(f"nothing to export: {recording.path} lasts from 0 s to {end:.6g} s")
+            raise SceneError(f"{recording.path}: no samples to export. Choose times from 0 s to {end:.6g} s.")
         recording.refuse_void(start, stop)
         return cls(recording, names, start, stop)
 
@@ -87,9 +83,9 @@ class Slice:
             ):
                 first, last = (at / self.recording.rate for at in (gap.first_sample, gap.last_sample + 1))
                 raise RecordingError(
-                    f"{self.recording.path} lacks {first:.6g} s to {last:.6g} s of "
-                    f"{', '.join(gap.channels)}, which "
-                    f"{form} cannot express; export a stretch without (--from, --to), or to .csv or .npz"
+                    f"{self.recording.path}: the samples of {', '.join(gap.channels)} from {first:.6g} to "
+                    f"{last:.6g} s are lost, which {form} cannot represent. Export another part (--from, --to), or "
+                    "use .csv or .npz."
                 )
 
 
@@ -98,9 +94,8 @@ def read_slices(
 ) -> Iterator[NDArray[np.float64]]:
     """Yield the samples of each stretch ``[start, stop)``.
 
-    `channels`: names of the channels, in the order of the rows; `bounds`: sample numbers with non-decreasing starts;
-    stretches may overlap. Yields shape (channels, stop - start), physical units, NaN where samples are lost or the
-    recording has ended.
+    The starts do not decrease; stretches may overlap. Yields shape (channels, stop - start), NaN where samples are lost
+    or the recording has ended.
     """
     held: dict[int, NDArray[np.float64]] = {}
     for start, stop in bounds:
@@ -130,6 +125,6 @@ def hits(rec: Recording) -> list[tuple[int, int]]:
     if not rec.test.drives:
         return [(0, 0)]
     raise RecordingError(
-        f"no free decay in this recording: it holds {rec.test.name} and no hit is marked; "
-        "record a scene with test: {kind: impulse, ...} or {kind: free, ...}"
+        f"{rec.path}: no free decay, and no hit is marked ({rec.test.name}). Record a scene with "
+        "test: {kind: impulse, ...} or {kind: free, ...}."
     )

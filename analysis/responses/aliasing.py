@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.responses.systematic import ALIASING, of_reading, off_by_gains
+from analysis.responses.systematic import ALIASING, ReadingShares, of_reading, off_by_gains
 from rig.arrays import Array, ComplexArray
 from rig.results.response import MOTIONS
 from rig.scene.shaker import ElectrodynamicShaker, TableShaker
@@ -28,51 +27,34 @@ _IMAGES = 0.1
 _TOP = 0.8
 
 
-def aliasing_part(
-    rec: Recording,
-    names: Sequence[str],
-    frequency: Array,
-    value: ComplexArray,
-    upper: ComplexArray,
-    lower: ComplexArray,
-    motion: str,
-) -> dict[str, Array]:
+def aliasing_part(rec: Recording, shares: ReadingShares) -> dict[str, Array]:
     """Largest deviation of a response by aliasing of components above half the sample rate.
 
     The drive is interpolated linearly between samples. Its images about the multiples of the sample rate are smaller
     by the square of the frequency ratio. A channel without a decimation filter records them, attenuated by its sensor
     and amplifier. The table's acceleration contains the images that the shaker reproduces, a body's acceleration
     those that the structure transmits above its modes.
-
-    `frequency`, shape (lines,): Hz; `motion`: quantity of the response `value`: displacement, velocity or
-    acceleration.
     """
-    share, far = folded_shares(rec, names, frequency, value, lower, motion)
-    return {ALIASING: off_by_gains(share, far, value, upper, lower)} if far.any() else {}
+    share, far = folded_shares(rec, shares)
+    return {ALIASING: off_by_gains(share, far, shares)} if far.any() else {}
 
 
-def folded_shares(
-    rec: Recording,
-    names: Sequence[str],
-    frequency: Array,
-    value: ComplexArray,
-    lower: ComplexArray,
-    motion: str,
-) -> tuple[Array, Array]:
+def folded_shares(rec: Recording, shares: ReadingShares) -> tuple[Array, Array]:
     """Compute the largest aliased component of each channel, relative to the true and to the recorded amplitude.
 
     Both have shape (channels, lines). They are zero for recordings of other instruments, because the scene does not
     describe how those generate the drive and filter their inputs.
     """
+    frequency, value, lower = shares.frequency, shares.value, shares.lower
     share, far = np.zeros(lower.shape), np.zeros(lower.shape)
     if rec.source:
         return share, far
     # Above the modes the acceleration of a body is at most that at the top of the band. The driven body is the
     # exception: its acceleration is force over mass, which does not show in a band below further modes.
-    acceleration = abs(value) * (2.0 * np.pi * frequency) ** (2 - MOTIONS.index(motion))
+    acceleration = abs(value) * (2.0 * np.pi * frequency) ** (2 - MOTIONS.index(shares.motion))
     top = np.median(acceleration[frequency >= _TOP * frequency.max()])
     beyond = np.minimum(top / np.maximum(acceleration, 1e-300), 1.0)
-    for row, name in enumerate(names):
+    for row, name in enumerate(shares.names):
         info = rec.channels[name]
         if info.filter:
             continue
@@ -136,9 +118,8 @@ def _moved(
 
     A table motion X0 against a force F requires the drive P X0 + Q F. At an image frequency the structure is
     practically at rest, and the full spring force acts on the table. The image is smaller by the square of the
-    frequency ratio; its acceleration per displacement is larger by the same factor.
-
-    `share`, shape (lines,): spring stiffness times X0 / F: the table's share of the force.
+    frequency ratio; its acceleration per displacement is larger by the same factor. `share`: spring stiffness times X0
+    / F.
     """
     motion, pull = _drive_taken(shaker, frequency)
     there, pull_there = _drive_taken(shaker, images)

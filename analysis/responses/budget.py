@@ -3,39 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from analysis.responses.aliasing import aliasing_part
 from analysis.responses.systematic import (
+    ReadingShares,
     clock_deviation,
     clock_part,
+    common_scale,
     doubtful_reference_part,
     sensitivity_part,
 )
-from rig.arrays import Array, ComplexArray
+from rig.arrays import Array
+from rig.results.response import Response
 from rig.results.uncertainty import RandomErrors, UncertaintyBudget, radius
 
 if TYPE_CHECKING:
+    from analysis.responses.measurands import Measurand
     from daq.recording.recording import Recording
-
-
-@dataclass(frozen=True)
-class ReadingShares:
-    """Shares of the channels in a response and in its reference.
-
-    `upper`, `lower`, shape (channels, lines): share of each channel in the response and in the reference; their sums
-    are `value` and 1.
-    """
-
-    names: Sequence[str]  # channels, in the order of the rows
-    frequency: Array  # Hz, shape (lines,)
-    motion: str  # quantity of the response
-    value: ComplexArray  # shape (lines,)
-    upper: ComplexArray
-    lower: ComplexArray
 
 
 def assemble_budget(
@@ -51,20 +38,38 @@ def assemble_budget(
 ) -> UncertaintyBudget:
     """Assemble the uncertainty budget of a response; the same for every estimator.
 
-    The parts for aliasing, sensor tolerances and clock error follow from the shares of the channels. A reference that
-    may be smaller than recorded increases the uncertainty beyond first-order propagation.
-
-    `error`, `degrees`, shape (lines,): type A standard uncertainty of either quadrature component, and its degrees
-    of freedom; `causes`: limits of error that the estimator provides, by cause; `doubts`, shape (lines,): largest
-    relative deviations of the reference.
+    `error`: type A standard uncertainty of either quadrature component, shape (lines,); `causes`: limits of error that
+    the estimator provides; `doubts`: largest relative deviations of the reference, which may be smaller than recorded
+    and then increases the uncertainty beyond first-order propagation.
     """
-    parts = shares.value, shares.upper, shares.lower
-    limits = {**aliasing_part(rec, shares.names, shares.frequency, *parts, shares.motion), **causes}
+    limits = {**aliasing_part(rec, shares), **causes}
     if len(doubts):
         bound = np.sqrt(np.sum(np.square([error * radius(0.95, degrees), *limits.values()]), axis=0))
         limits |= doubtful_reference_part(bound, np.sqrt(np.sum(np.square(doubts), axis=0)))
-    limits |= sensitivity_part(rec, shares.names, *parts)
-    limits |= clock_part(rec, shares.names, shares.frequency, *parts, shares.motion)
+    limits |= sensitivity_part(rec, shares) | clock_part(rec, shares)
     return UncertaintyBudget.of(
         error, degrees, limits, errors=errors, shared=shared, clock=clock_deviation(rec), scale=scale
     )
+
+
+def measured_curve(
+    rec: Recording,
+    shares: ReadingShares,
+    above: Measurand,
+    below: Measurand,
+    reference: str,
+    error: Array,
+    degrees: Array,
+    causes: Mapping[str, Array],
+    doubts: Sequence[Array],
+    errors: RandomErrors,
+    shared: float = 1.0,
+    **fields: Any,
+) -> Response:
+    """Return the response of a measurand to a reference with its budget; `fields` as in `Response.curve`."""
+    scale = common_scale(rec, above.channels, below.channels)
+    budget = assemble_budget(rec, shares, error, degrees, causes, doubts, errors, shared, scale)
+    return Response.curve(
+        shares.frequency, shares.value, above.channels[0], reference=reference, motion=shares.motion,
+        uncertainty=budget, **fields,
+    )  # fmt: skip

@@ -1,20 +1,24 @@
-"""Frequency responses from averaged spectra: H1, H2 and Hv with coherence and error bars."""
+"""Estimators H1, H2 and Hv from windowed and averaged spectra of blocks of a recording (Welch)."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+import scipy
+from scipy import fft
 
-from analysis.responses.budget import ReadingShares, assemble_budget
+from analysis.recordings.slices import read_slices
+from analysis.responses.budget import measured_curve
+from analysis.responses.clean_stretches import Flaw, flaws
 from analysis.responses.measurands import driven, motion_of, reference_of
 from analysis.responses.random_errors import MeanErrors
 from analysis.responses.systematic import (
     LEAKAGE,
     REFERENCE_NOISE,
-    common_scale,
+    ReadingShares,
     nothing_times,
     reference_noise_part,
     rounding_part,
@@ -71,16 +75,8 @@ class Averages:
 
     estimator: str = "H1"  # Or ``"H2"``, ``"Hv"``
 
-    def by(self, estimator: str | None) -> Averages:
-        """Return these averages with another estimator; None selects H1."""
-        return replace(self, estimator=estimator or "H1")
-
     def frf(
-        self,
-        rec: Recording,
-        response: str,
-        reference: str = "force",
-        motion: str = "displacement",
+        self, rec: Recording, response: str, reference: str = "force", motion: str = "displacement"
     ) -> Response:
         """Estimate a frequency response with coherence; error bars after Bendat and Piersol, eq. 9.90."""
         above = motion_of(rec, response, motion)
@@ -99,11 +95,9 @@ class Averages:
         coherence = 1.0 / (1.0 + other)
         # Reading of each channel per unit of the reference.
         reads = np.einsum("nij,jn->in", self.cross, lower.conj()) / sff
-        if self.averages > 1.0:
-            # Coherence from few blocks is biased towards 1; the scatter has averages - 1 degrees of freedom.
-            error = abs(value) * np.sqrt(other / (2.0 * (self.averages - 1.0)))
-        else:
-            error = np.full(value.shape, np.nan)
+        # Coherence from few blocks is biased towards 1; the scatter has averages - 1 degrees of freedom.
+        free = self.averages - 1.0
+        error = abs(value) * np.sqrt(other / (2.0 * free)) if free > 0.0 else np.full(value.shape, np.nan)
         causes: dict[str, Array] = {}
         if self.unsmeared is not None:
             sharp = self.unsmeared.frf(rec, response, reference, motion)
@@ -114,25 +108,14 @@ class Averages:
             noise = self._noise_of_two(below.channels)
             incoherent = np.maximum(incoherent, shared_noise_part(noise, upper - value * lower, lower, sff))
         causes[REFERENCE_NOISE] = incoherent
-        causes |= rounding_part(self.gain, value, shares.upper, shares.lower)
+        causes |= rounding_part(self.gain, shares)
         # Part that is not coherent with the reference, relative to its power (Bendat and Piersol, chapter 7).
-        off = (upper - value * lower).T / np.sqrt(sff * max(self.averages - 1.0, 1e-300))[:, None]
-        return Response.curve(
-            self.frequency,
-            value,
-            above.channels[0],
-            reference=reference,
-            motion=motion,
-            uncertainty=assemble_budget(
-                rec, shares, error, np.full(value.shape, max(2.0 * (self.averages - 1.0), 0.0)), causes,
-                doubts=[np.sum(nothing_times(np.abs(shares.lower), self.gain), axis=0)],
-                errors=MeanErrors(off[:, None], self.cross),
-                scale=common_scale(rec, above.channels, below.channels),
-            ),
-            coherence=coherence,
-            label=self.label,
-            resolution=self.resolution,
-            warnings=self.warnings,
+        off = (upper - value * lower).T / np.sqrt(sff * max(free, 1e-300))[:, None]
+        degrees = np.full(value.shape, max(2.0 * free, 0.0))
+        doubts = [np.sum(nothing_times(np.abs(shares.lower), self.gain), axis=0)]
+        return measured_curve(
+            rec, shares, above, below, reference, error, degrees, causes, doubts, MeanErrors(off[:, None], self.cross),
+            coherence=coherence, label=self.label, resolution=self.resolution, warnings=self.warnings,
         )  # fmt: skip
 
     def _noise_of_two(self, names: Sequence[str]) -> Array:
@@ -152,9 +135,8 @@ class Averages:
 def leakage(frequency: Array, value: ComplexArray, error: Array, sharp: Response) -> Array:
     """Estimate the leakage of block averages by their difference from a curve without leakage.
 
-    The random errors of both, of known variance, are subtracted from its mean square over three lines, the bandwidth
-    of a Hann window: a single line's difference contains the random error of that line. `value` and `error`, the
-    standard uncertainty of either quadrature component, belong to one curve, as `sharp` does.
+    The random errors of both, of known variance, are subtracted from its mean square over three lines, the bandwidth of
+    a Hann window: a single line's difference contains the random error of that line.
     """
     difference = value - np.interp(frequency, sharp.frequency, sharp.value)
     scatter = sharp.uncertainty.scatter
@@ -166,10 +148,7 @@ def leakage(frequency: Array, value: ComplexArray, error: Array, sharp: Response
 def square_root(matrices: ComplexArray) -> ComplexArray:
     """Factor F of positive semidefinite matrices ``F F^H``, to the rounding of each of their diagonal elements.
 
-    Eigenvalues that are negative by rounding are set to zero, which gives the nearest semidefinite matrix (Higham
-    1988).
-
-    `matrices` has the shape (n, size, size).
+    Eigenvalues that are negative by rounding are set to zero: the nearest semidefinite matrix (Higham 1988).
 
     >>> factor = square_root(np.array([[[1.0, 2e9j], [-2e9j, 4e18]]]))
     >>> np.allclose(factor @ factor.conj().swapaxes(1, 2), [[[1.0, 2e9j], [-2e9j, 4e18]]])
@@ -194,3 +173,73 @@ def independent_blocks(window: Array, step: int, blocks: int) -> float:
         overlap = float(window[k * step :] @ window[: window.size - k * step]) / power
         variance += 2.0 * (1.0 - k / blocks) * overlap**2
     return blocks / variance
+
+
+class BlockSpectra(NamedTuple):
+    """Averages over the blocks without flaws."""
+
+    averages: Averages
+    used: int  # number of blocks
+    flaws: Sequence[Flaw]  # flaws of the blocks that were left out
+    left: float  # largest residual motion of any channel at the end of a block, as a share of its motion
+    squares: Array  # mean square of each channel within a block, less its mean; shape (channels,)
+
+
+def block_spectra(
+    rec: Recording,
+    channels: Sequence[str],
+    starts: Sequence[int],
+    step: int,
+    window: Array,
+    low: float,
+    high: float,
+    progress: Callable[[int, int], None] | None = None,
+) -> BlockSpectra:
+    """Average the spectra of blocks after removal of each block's mean, from `low` to `high`, Hz.
+
+    `starts`: first samples of the blocks, in rising order, every `step` samples; `window`, shape (samples of a block,).
+    """
+    names, size = list(channels), window.size
+    found = flaws(rec, names, starts[0], starts[-1] + size)
+    edges = np.array([[flaw.first, flaw.stop] for flaw in found]).reshape(-1, 2)
+    frequency = fft.rfftfreq(size, 1.0 / rec.rate)
+    keep = (frequency >= low) & (frequency <= min(high, 0.45 * rec.rate)) & (frequency > 0)
+    cross: ComplexArray = np.zeros((int(keep.sum()), len(names), len(names)), dtype=complex)
+    left, used, power = 0.0, 0, np.zeros(len(names))
+    blocks = read_slices(rec, names, ((begin, begin + size) for begin in starts))
+    for done, (begin, samples) in enumerate(zip(starts, blocks, strict=True), 1):
+        if progress is not None:
+            progress(done, len(starts))
+        if np.any((edges[:, 0] < begin + size) & (edges[:, 1] > begin)):
+            continue
+        samples = samples - samples.mean(axis=1, keepdims=True)
+        spectra = fft.rfft(samples * window, axis=1)[:, keep]
+        cross = cross + np.einsum("in,jn->nij", spectra, spectra.conj())
+        used += 1
+        power += np.mean(np.square(samples), axis=1)
+        largest = np.maximum(abs(samples).max(axis=1), 1e-300)
+        left = max(left, float(np.max(abs(samples[:, -max(1, size // 50) :]).max(axis=1) / largest)))
+    averages = Averages(
+        tuple(names), frequency[keep], np.asarray(cross / max(used, 1e-300), dtype=complex),
+        independent_blocks(window, step, used) if used else 0.0, 0.0, rec.scene.name,
+    )  # fmt: skip
+    return BlockSpectra(averages, used, found, left, power / max(used, 1))
+
+
+def window_of(name: str, size: int) -> Array:
+    """Return a periodic window by its scipy name; ``none`` is a rectangular window."""
+    try:
+        return np.asarray(scipy.signal.get_window("boxcar" if name == "none" else name, size), dtype=float)
+    except ValueError:
+        raise SceneError(
+            f"unknown window {name!r}: expected none, hann, hamming, flattop, blackmanharris or another of scipy's"
+        ) from None
+
+
+def bins_of(window: Array) -> float:
+    """Effective noise bandwidth of a window in bins (Harris 1978, eq. 11).
+
+    >>> round(bins_of(window_of("hann", 1000)), 6), bins_of(window_of("none", 10))
+    (1.5, 1.0)
+    """
+    return float(window.size * np.sum(window**2) / np.sum(window) ** 2)

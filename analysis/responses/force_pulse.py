@@ -20,15 +20,11 @@ _TIME_CONSTANTS = 7.0
 
 
 def pulse_alone(info: ChannelInfo, force: Array, first: int, last: int) -> Array:
-    """Remove everything but the hit from the samples of a force channel.
+    """Remove everything but the hit, samples `first` to `last`, from a force channel; N, without its high-pass filters.
 
-    Sensor discharge and AC coupling of amplifier and converter add a long, small tail of opposite sign to a pulse.
-    The tail is part of the signal and may be longer than the recording. The high-pass filters are therefore inverted
-    first, and the window then removes the noise. `high_passes` returns their effect on the spectrum of the result.
-
-    `info`: the force channel; `force`, shape (n,): its samples, N, beginning before the hit, without residuals of
-    earlier hits; `first`, `last`: first and last sample of the hit itself. Returns shape (n,), force, N, as recorded
-    by the same channel without its high-pass filters.
+    Sensor discharge and AC coupling of amplifier and converter add a long, small tail of opposite sign to a pulse. The
+    tail is part of the signal and may be longer than the recording. The high-pass filters are therefore inverted first,
+    and the window then removes the noise. `high_passes` returns their effect on the spectrum of the result.
     """
     slow, fast = slow_and_fast(info)
     ringing = _TIME_CONSTANTS / min((abs(pole.real) for pole in fast), default=np.inf)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol
 
 from analysis.recordings.names import takes_path
+from analysis.responses.curve_checks import reversed_force
 from analysis.responses.estimators import ESTIMATORS
 from analysis.responses.measurands import chosen, concerned, input_place, place
-from analysis.responses.passivity import reversed_force
 from analysis.responses.several_inputs import driven_forces, response_matrix
 from daq.recording.recorded_test import TestKind
 from rig.errors import RecordingError, SceneError
@@ -38,13 +38,8 @@ class Blocks:
     window: str | None = None
 
     def __post_init__(self) -> None:
-        if self.estimator is not None and self.estimator not in ESTIMATORS:
+        if self.estimator not in (None, *ESTIMATORS):
             raise SceneError(f"unknown estimator {self.estimator!r}: expected {', '.join(ESTIMATORS)}")
-
-    @property
-    def wanted(self) -> bool:
-        """Whether block averaging is requested."""
-        return self != Blocks()
 
     def acting_on(self, kind: TestKind) -> Blocks:
         """Remove the options that have no effect on a kind of test."""
@@ -62,15 +57,8 @@ class Request:
     blocks: Blocks
     progress: Progress | None
 
-    @property
-    def channels(self) -> list[str]:
-        """List the channels of the responses and their reference."""
-        return concerned(self.rec, self.names, self.reference)
-
-    @property
-    def measured(self) -> list[Marker]:
-        """List the markers of measured intervals."""
-        return [marker for marker in self.rec.markers if marker.kind == "measure"]
+    channels: Sequence[str]  # of the responses and their reference
+    measured: Sequence[Marker]  # markers of the measured intervals
 
     def of(self, sources: Iterable[Source]) -> list[Response]:
         """Compute the response of each pass, with all outputs."""
@@ -102,11 +90,6 @@ class Estimator:
     method: str  # description of the method
     options: frozenset[str] = frozenset()  # fields of `Blocks` that have an effect
 
-    def takes(self, blocks: Blocks) -> bool:
-        """Whether all requested options have an effect."""
-        wanted = {name for name, value in vars(blocks).items() if value is not None}
-        return wanted <= self.options
-
 
 def _tones(request: Request) -> list[Response]:
     from analysis.responses.stepped_sine import sweeps
@@ -126,12 +109,13 @@ def _random(request: Request) -> list[Response]:
     from analysis.responses import random
 
     blocks, rec, channels = request.blocks, request.rec, request.channels
-    if not blocks.wanted:
+    if blocks == Blocks():
         return request.of(random.whole(rec, marker, channels) for marker in request.measured)
     overlap, window = 0.5 if blocks.overlap is None else blocks.overlap, blocks.window or "hann"
     return request.of(
-        random.averages(rec, marker, channels, blocks.block, overlap, None, request.progress, window).by(
-            blocks.estimator
+        replace(
+            random.averages(rec, marker, channels, blocks.block, overlap, request.progress, window),
+            estimator=blocks.estimator or "H1",
         )
         for marker in request.measured
     )
@@ -140,12 +124,9 @@ def _random(request: Request) -> list[Response]:
 def _multisine(request: Request) -> list[Response]:
     from analysis.responses.multisine import best_linear_approximation
 
+    rec, measured, progress = request.rec, request.measured, request.progress
     return request.of(
-        [
-            best_linear_approximation(
-                request.rec, request.measured, request.channels, request.reference, request.progress
-            )
-        ]
+        [best_linear_approximation(rec, measured, request.channels, request.reference, progress)]
     )
 
 
@@ -153,22 +134,22 @@ def _hits(request: Request) -> list[Response]:
     from analysis.responses import impact
 
     blocks = request.blocks
-    if not blocks.wanted:
+    if blocks == Blocks():
         return request.of([impact.whole(request.rec, request.channels)])
     averages = impact.averages(request.rec, request.channels, blocks.block, blocks.window or "none")
-    return request.of([averages.by(blocks.estimator)])
+    return request.of([replace(averages, estimator=blocks.estimator or "H1")])
 
 
-_TONES = Estimator(_tones, "held tones are averaged over whole periods")
+_TONES = Estimator(_tones, "steady tones are averaged over whole periods")
 #: The estimator of each kind of test.
 BY_KIND = {
     TestKind.TONES: _TONES,
     TestKind.NONE: _TONES,
     TestKind.FREE: _TONES,
-    TestKind.SWEEP: Estimator(_sweep, "a sweep is evaluated as a whole, by the local rational method"),
+    TestKind.SWEEP: Estimator(_sweep, "a sweep is processed as a whole, by the local rational method"),
     TestKind.RANDOM: Estimator(
         _random,
-        "a random test is evaluated as a whole, by the local rational method",
+        "a random test is processed as a whole, by the local rational method",
         frozenset({"estimator", "block", "overlap", "window"}),
     ),
     TestKind.MULTISINE: Estimator(_multisine, "whole periods of a multisine are averaged"),
@@ -229,50 +210,45 @@ def frequency_responses(
     blocks = Blocks(estimator, block, overlap, window)
     if motion not in MOTIONS:
         raise SceneError(f"unknown motion {motion!r}: expected {', '.join(MOTIONS)}")
-    names = chosen(rec, channels)
+    names, kind = chosen(rec, channels), rec.test.kind
     if not names:
-        raise RecordingError("no channel on a body: there is no response to divide")
-    kind = rec.test.kind
-    if not BY_KIND[kind].takes(blocks):
-        method = BY_KIND[kind].method if kind in TestKind and kind not in _UNTESTED else rec.test.name
-        raise SceneError(f"blocks, H1, H2 and Hv are for random and hits; {rec.path}: {method}")
-    request = Request(rec, names, reference, motion, blocks, progress)
-    if kind in _MARKED and not request.measured:
-        raise RecordingError(
-            f"{rec.path}: {rec.test.name} that ended before anything was measured. Record it again."
+        raise RecordingError(f"{rec.path}: no channel on a body. Add one to the scene's channels.")
+    if not {name for name, value in vars(blocks).items() if value is not None} <= BY_KIND[kind].options:
+        method = rec.test.name if kind in _UNTESTED else BY_KIND[kind].method
+        raise SceneError(
+            f"{rec.path}: {method}. Blocks, H1, H2 and Hv are for random tests and hits; leave them out."
         )
+    measured = [marker for marker in rec.markers if marker.kind == "measure"]
+    if kind in _MARKED and not measured:
+        raise RecordingError(f"{rec.path}: {rec.test.name} ended before a measurement. Record it again.")
     inputs = driven_forces(rec) if reference == "force" else ()
     if len(inputs) > 1:
+        used = [*names, *(point.name for point in inputs)]
         found = [
             response_matrix(rec, names, inputs, motion, estimator, block, overlap or 0.5, window or "hann")
         ]
-        channels = [*names, *(point.name for point in inputs)]
     else:
-        found, channels = BY_KIND[kind].estimate(request), request.channels
-    return [response.warn(*_unfiltered(rec, channels)) for response in found]
+        used = concerned(rec, names, reference)
+        found = BY_KIND[kind].estimate(
+            Request(rec, names, reference, motion, blocks, progress, used, measured)
+        )
+    bare = [name for name in used if not rec.channels[name].filter]
+    if not rec.source or not bare:
+        return found
+    warning = (
+        f"{', '.join(bare)}: imported, and the scene names no filter of the converter. The bounds exclude aliasing "
+        "from above half the sample rate. Name the filter in the scene (converter: preset, or filter)."
+    )
+    return [response.warn(warning) for response in found]
 
 
 def checked(rec: Recording, curves: Sequence[Response]) -> list[Response]:
     """Add positions to the curves of one sweep, and a warning to all of them if the force has the wrong sign."""
-    located = [_located(rec, curve) for curve in curves]
+    located = [
+        curve.placed(place(rec, curve.response), input_place(rec, curve.reference)) for curve in curves
+    ]
     warning = reversed_force(located)
     return [curve.warn(warning) for curve in located] if warning else located
-
-
-def _located(rec: Recording, curve: Response) -> Response:
-    """Add the positions of response and reference to a curve."""
-    return curve.placed(place(rec, curve.response), input_place(rec, curve.reference))
-
-
-def _unfiltered(rec: Recording, channels: Sequence[str]) -> tuple[str, ...]:
-    """Warn of channels of other instruments for which the scene names no anti-aliasing filter."""
-    bare = [name for name in channels if not rec.channels[name].filter]
-    if not rec.source or not bare:
-        return ()
-    return (
-        f"{', '.join(bare)}: imported, and the scene states no filter of the converter (converter: "
-        "preset, or filter). The uncertainty does not include aliasing from above half the sample rate.",
-    )
 
 
 @takes_path
@@ -319,7 +295,9 @@ def frfs(
     names = chosen(rec, channels)
     if rec.test.kind not in (TestKind.TONES, TestKind.NONE):
         if level is not None or direction is not None:
-            raise SceneError(f"level and direction choose among sweeps of held tones; {rec.path} holds none")
+            raise SceneError(
+                f"{rec.path}: no sweeps of steady tones to choose from. Leave out level and direction."
+            )
         (group,) = frequency_responses(rec, names, reference, motion)
         return group
     wanted = number(level, FORCE, "level")
@@ -332,8 +310,10 @@ def frfs(
     ]
     if len(fitting) != 1:
         have = "; ".join(f"level={sweep.level:g}, direction={sweep.direction!r}" for sweep in found)
-        what = "several sweeps fit" if fitting else "no sweep fits"
-        raise SceneError(f"{what}: choose one of {have}, or take them all with analysis.frequency_responses")
+        what = "several sweeps match" if fitting else "no sweep matches"
+        raise SceneError(
+            f"{rec.path}: {what}. Choose one of {have}, or use all of them with analysis.frequency_responses."
+        )
     return stack(checked(rec, [fitting[0].lines.frf(rec, name, reference, motion) for name in names]))
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.responses.passivity import reversed_force
+from analysis.responses.curve_checks import reversed_force
 from daq.importing import uff
 from daq.importing.files import signals_of
 from daq.importing.units import meaning
@@ -86,8 +86,12 @@ def read_frfs(path: str | Path, reference: str | None = None, unit: str | None =
         return stack(_from_uff(file, reference, unit))
     if file.suffix.lower() in ENDINGS:
         if reference is not None:
-            raise SceneError(f"{file}: a table names no references to choose among; leave out {reference!r}")
-        return stack(_from_long_table(file, unit) or _from_table(file, unit))
+            raise SceneError(f"{file}: a table has no references to choose from. Leave out {reference!r}.")
+        try:
+            curves = _long_curves(file, unit)
+        except csv.Error as error:
+            raise RecordingError(f"{file}: invalid or damaged table: {error}. Export it again.") from None
+        return stack(curves or _from_table(file, unit))
     raise RecordingError(f"{file}: expected a file whose name ends in one of {', '.join(ENDINGS)}")
 
 
@@ -101,50 +105,46 @@ def _from_uff(path: Path, reference: str | None, unit: str | None) -> list[Respo
     found = [each for each in sets if int(each["func_type"]) == FRF]
     if not found:
         timed = any(uff.is_time(each) for each in sets)
-        other = "; it holds time responses: `daq import` makes a recording of them" if timed else ""
-        raise RecordingError(f"{path} holds no frequency response (data set 58, function type 4){other}")
+        other = " It contains time responses: make a recording of them with `daq import`." if timed else ""
+        raise RecordingError(f"{path}: no frequency response (data set 58, function type 4).{other}")
     driven = list(dict.fromkeys(uff.point(each, "ref") for each in found))
     if reference is None and len(driven) > 1:
-        raise SceneError(f"{path} has {len(driven)} references, {', '.join(driven)[:300]}: choose one")
+        raise SceneError(f"{path}: {len(driven)} references. Choose one of {', '.join(driven)[:300]}.")
     chosen = [each for each in found if reference in (None, uff.point(each, "ref"))]
     if not chosen:
-        raise SceneError(f"{path} has no reference {reference!r}; it has {', '.join(driven)[:300]}")
-    coherence = {
-        _place(each): np.asarray(each["data"]).real
-        for each in sets
-        if int(each["func_type"]) == uff.COHERENCE
-    }
-    deviation = {
-        (_place(each), uff.title(each)): np.asarray(each["data"]).real
-        for each in sets
-        if int(each["func_type"]) == GENERAL and uff.title(each).startswith(DEVIATION_LINE)
-    }
+        raise SceneError(f"{path}: no reference {reference!r}. Choose one of {', '.join(driven)[:300]}.")
+    coherence, deviation = {}, {}
+    for each in sets:
+        kind, at = int(each["func_type"]), (uff.point(each, "rsp"), uff.point(each, "ref"))
+        if kind == uff.COHERENCE:
+            coherence[at] = np.asarray(each["data"]).real
+        elif kind == GENERAL and uff.title(each).startswith(DEVIATION_LINE):
+            deviation[at, uff.title(each)] = np.asarray(each["data"]).real
     curves = []
     for name, each in zip(_names(chosen), chosen, strict=True):
-        frequency = _frequencies(path, name, each)
-        motion, size = _ratio(f"{path}: {name}", unit or _stated(each))
-        given = deviation.get((_place(each), f"{DEVIATION_LINE} {uff.title(each)}"))
-        curve = _curve(
-            path,
-            name,
-            frequency,
-            size * np.asarray(each["data"]),
-            motion,
-            coherence=coherence.get(_place(each)),
-            error=None if given is None else size * given,
-            resolution=_stated_resolution(str(each.get("id4") or "")),
+        data, frequency = np.asarray(each["data"]), np.asarray(each["x"], dtype=float)
+        if not np.iscomplexobj(data) or data.size != frequency.size:
+            raise RecordingError(
+                f"{path}: {name} is no row of complex numbers over frequency. Export the file again."
+            )
+        # The unit of the ratio, from the axis labels.
+        above, below = uff.label(each, "ordinate"), uff.label(each, "orddenom")
+        motion, size = _ratio(
+            f"{path}: {name}", unit or (f"({above})/({below})" if above and below else above)
         )
-        output, force = (_node(each, which) for which in ("rsp", "ref"))
-        curves.append(curve.placed(output, force))
+        at, line = (uff.point(each, "rsp"), uff.point(each, "ref")), str(each.get("id4") or "")
+        given = deviation.get((at, f"{DEVIATION_LINE} {uff.title(each)}"))
+        error = None if given is None else size * given
+        curve = _curve(
+            path, name, frequency, size * data, motion, coherence.get(at), error, _stated_resolution(line)
+        )
+        # In files written by this program a node is a body.
+        places = [f"node {point}" for point in at]
+        if line.startswith(RESOLUTION_LINE):
+            places = [f"body {int(each[f'{which}_node'])}" for which in ("rsp", "ref")]
+        curves.append(curve.placed(*places))
     warning = reversed_force(curves)
     return [curve.warn(warning) for curve in curves] if warning else curves
-
-
-def _node(each: Mapping[str, Any], which: str) -> str:
-    """Name the node of a response or reference; in files written by this program it is a body."""
-    if str(each.get("id4") or "").startswith(RESOLUTION_LINE):
-        return f"body {int(each[f'{which}_node'])}"
-    return f"node {uff.point(each, which)}"
 
 
 def _stated_resolution(line: str) -> float | None:
@@ -169,25 +169,6 @@ def _names(sets: Sequence[Mapping[str, Any]]) -> list[str]:
     return [f"{uff.point(each, 'rsp')} #{number}" for number, each in enumerate(sets, 1)]
 
 
-def _place(each: Mapping[str, Any]) -> tuple[str, str]:
-    return uff.point(each, "rsp"), uff.point(each, "ref")
-
-
-def _frequencies(path: Path, name: str, each: Mapping[str, Any]) -> Array:
-    data, frequency = np.asarray(each["data"]), np.asarray(each["x"], dtype=float)
-    if not np.iscomplexobj(data) or data.size != frequency.size:
-        raise RecordingError(
-            f"{path}: {name} is no row of complex numbers over frequency; the file is damaged"
-        )
-    return frequency
-
-
-def _stated(each: Mapping[str, Any]) -> str:
-    """Assemble the unit of a ratio from the axis labels."""
-    above, below = uff.label(each, "ordinate"), uff.label(each, "orddenom")
-    return f"({above})/({below})" if above and below else above
-
-
 def _ratio(where: str, unit: str) -> tuple[str, float]:
     """Return the motion quantity of a ratio to force, and the SI value of its unit.
 
@@ -195,7 +176,7 @@ def _ratio(where: str, unit: str) -> tuple[str, float]:
     (('acceleration', 1.0), ('acceleration', 9.80665), ('displacement', 1.0))
     """
     if not unit:
-        raise SceneError(f"{where}: the file does not state its unit. Give it, such as --unit m/s^2/N")
+        raise SceneError(f"{where}: the file states no unit. Give it, such as --unit m/s^2/N.")
     for pattern in (
         r"\(?1/\(?(?P<below>[^()*]+)\)?\)?\s*\*\s*\(?(?P<above>[^()]+)\)?",
         r"\((?P<above>.+)\)\s*/\s*\(?(?P<below>[^()/]+)\)?",
@@ -217,15 +198,8 @@ def _ratio(where: str, unit: str) -> tuple[str, float]:
     raise SceneError(f"{where}: unit {unit!r}; expected motion per force, such as m/N, m/s/N, m/s^2/N or g/N")
 
 
-def _from_long_table(path: Path, unit: str | None) -> list[Response]:
-    """Read a table of `analysis frf`, with a row for each response and frequency; empty for other tables."""
-    try:
-        return _long_curves(path, unit)
-    except csv.Error as error:
-        raise RecordingError(f"{path} is no table of responses, or it is damaged: {error}") from None
-
-
 def _long_curves(path: Path, unit: str | None) -> list[Response]:
+    """Read a table of `analysis frf`, with a row for each response and frequency; empty for other tables."""
     with path.open(newline="", encoding="utf-8-sig", errors="replace") as stream:
         reader = csv.DictReader(stream)
         heading = reader.fieldnames or []
@@ -243,22 +217,22 @@ def _long_curves(path: Path, unit: str | None) -> list[Response]:
                 error, coherence, resolution = given
                 point = float(line["frequency_Hz"]), value, size * error, coherence, resolution
             except (TypeError, ValueError):
-                raise RecordingError(f"{path}, line {reader.line_num}: a cell is no number") from None
+                raise RecordingError(
+                    f"{path}:{reader.line_num}: a cell is not a number. Correct it."
+                ) from None
             name = f"{line.get('scene') or ''}\0{line['response']}"
             rows.setdefault(name, []).append(point)
             inputs[name] = (line.get("reference") or "").removeprefix("force at ")
     scenes = {name.partition("\0")[0] for name in rows}
     if len(scenes) > 1:
         raise SceneError(
-            f"{path} holds curves of several tests, {', '.join(sorted(scenes))[:200]}; expected one"
+            f"{path}: curves of several tests ({', '.join(sorted(scenes))[:200]}). Write one file for each."
         )
     curves = []
     for name, points in rows.items():
         lines, values, errors, coherences, widths = (np.array(one) for one in zip(*points, strict=True))
         said = float(widths[0]) if 0.0 <= widths[0] < np.inf else None
-        curve = _curve(
-            path, name.partition("\0")[2], lines, values, motion, coherences, errors, resolution=said
-        )
+        curve = _curve(path, name.partition("\0")[2], lines, values, motion, coherences, errors, said)
         curves.append(curve.placed("", inputs[name] if inputs[name] != "force" else ""))
     return curves
 
@@ -309,33 +283,34 @@ def _curve(
 ) -> Response:
     """Build a curve from its valid lines in order of frequency; the displacement at zero frequency is undefined."""
     keep = _lines(f"{path}: {name}", frequency, value)
-    steps = np.diff(frequency[keep])
-    evenly = steps.size > 0 and np.ptp(steps) < _EVEN * steps.mean()
-    usual = _HANN * float(steps.mean()) if evenly else 0.0
+    if resolution is None:
+        steps = np.diff(frequency[keep])
+        evenly = steps.size > 0 and np.ptp(steps) < _EVEN * steps.mean()
+        resolution = _HANN * float(steps.mean()) if evenly else 0.0
+
+    def column(values: Array | None) -> Array:
+        """Select the valid lines; NaN where the file has no value or an impossible value."""
+        if values is None or values.size != frequency.size:
+            return np.full(keep.size, np.nan)
+        return np.where(np.isfinite(values[keep]) & (values[keep] >= 0.0), values[keep], np.nan)
+
     return Response.curve(
         frequency[keep],
         np.asarray(value, dtype=complex)[keep],
         name,
         motion=motion,
-        error=_at_kept_lines(error, frequency, keep),
-        coherence=_at_kept_lines(coherence, frequency, keep),
+        error=column(error),
+        coherence=column(coherence),
         label=path.stem,
-        resolution=usual if resolution is None else resolution,
+        resolution=resolution,
     )
-
-
-def _at_kept_lines(column: Array | None, frequency: Array, keep: NDArray[np.intp]) -> Array:
-    """Return a column of the file at the valid lines; NaN where the file has no value or an impossible value."""
-    if column is None or column.size != frequency.size:
-        return np.full(keep.size, np.nan)
-    return np.where(np.isfinite(column[keep]) & (column[keep] >= 0.0), column[keep], np.nan)
 
 
 def _lines(where: str, frequency: Array, value: NDArray[Any]) -> NDArray[np.intp]:
     """Select the valid lines in order of frequency; reject magnitudes that no structure can have."""
     there = np.flatnonzero((frequency > 0) & np.isfinite(frequency) & np.isfinite(value))
     if not there.size:
-        raise RecordingError(f"{where} has no number at a frequency above 0")
+        raise RecordingError(f"{where} has no number at a frequency above 0 Hz. Export the file again.")
     lines = there[np.argsort(frequency[there])]
     for hertz in frequency[lines[[0, -1]]]:
         if not FREQUENCY.carries(hertz):
@@ -343,12 +318,13 @@ def _lines(where: str, frequency: Array, value: NDArray[Any]) -> NDArray[np.intp
     largest = abs(value[lines]).max()
     if largest and not _SMALLEST <= largest <= _LARGEST:
         raise RecordingError(
-            f"{where} reaches {largest:.3g} in SI; expected {_SMALLEST:g} to {_LARGEST:g}: a wrong unit, or damage"
+            f"{where} reaches {largest:.3g} in SI units; expected {_SMALLEST:g} to {_LARGEST:g}. Correct the unit, or "
+            "export the file again."
         )
     twice = np.flatnonzero(np.diff(frequency[lines]) <= _SAME * frequency[lines[1:]])
     if twice.size:
         raise RecordingError(
-            f"{where}: two lines at {frequency[lines[twice[0]]]:.9g} Hz; expected each frequency once, "
-            "with enough digits"
+            f"{where} has the frequency {frequency[lines[twice[0]]]:.9g} Hz twice. Export it with enough digits to "
+            "distinguish the lines."
         )
     return lines

@@ -61,8 +61,8 @@ class Hits:
         channel = next((name for name, info in rec.channels.items() if info.quantity == "force"), None)
         if channel is None:
             raise RecordingError(
-                "no force channel: an impact test gives a frequency response only with the hammer recorded; "
-                "add {name: hammer, at: hammer} to the scene's channels, or use `analysis decay`"
+                f"{rec.path}: no force channel for the responses of an impact test. "
+                "Add {name: hammer, at: hammer} to the scene's channels, or use `analysis decay`."
             )
         info = rec.channels[channel]
         arrivals = []
@@ -73,7 +73,7 @@ class Hits:
         interval = int(min(np.diff([*starts, rec.samples])))
         if interval < 0.2 * rec.rate:
             raise RecordingError(
-                f"blocks of {interval / rec.rate:.3g} s between hits are too short: test: interval"
+                f"{rec.path}: {interval / rec.rate:.3g} s between hits are too short. Increase test: interval."
             )
         missed, windows = [], []
         for (begin, end), stop in zip(arrivals, [*starts[1:], rec.samples], strict=True):
@@ -83,7 +83,7 @@ class Hits:
             there, raw = (float(np.nanmax(part, initial=0.0)) for part in (force[: end - begin + 1], force))
             if there < _MISSED * raw:
                 reason = (
-                    f"reads {there:.3g} N at most at the marked hit, {begin / rec.rate:.4g} s, and "
+                    f"reads at most {there:.3g} N at the marker of the hit, {begin / rec.rate:.4g} s, and "
                     f"{raw:.3g} N elsewhere: the marker or the channel's delay is wrong"
                 )
                 missed.append(Flaw(begin, stop, channel, reason))
@@ -98,18 +98,10 @@ class Hits:
         """List the hits that lie completely within a stretch."""
         return [(begin, end) for begin, end in self.arrivals if begin >= start and end < stop]
 
-    def lead(self) -> int:
-        """Count the samples of rest to insert before a stretch that begins at rest.
-
-        The hit is then far from both ends of the record, so that the residual vibration at the end can be separated
-        from the response to the hit.
-        """
-        return self.interval
-
     def moving(self, rec: Recording, names: Sequence[str], start: int, stop: int) -> float:
-        """Estimate motion or drift before the first hit of a stretch, relative to the response that follows.
+        """Estimate the largest motion or drift before the first hit of a stretch, relative to the response after it.
 
-        The largest value of all channels; infinite if the record before the hit is too short.
+        Infinite if the record before the hit is too short.
         """
         begin = self.inside(start, stop)[0][0]
         first = max(start, begin - int(REST * rec.rate))
@@ -127,8 +119,8 @@ class Hits:
     def at_rest(self, moving: float, start: int, stop: int, samples: int) -> bool:
         """Whether a stretch, zero-padded to `samples`, is treated as the response to its hits alone.
 
-        This is so if there was hardly any motion before the hits. It is also so if a hit is so close to the beginning
-        that the earlier motion cannot be separated from the response by their change from line to line.
+        There was hardly any motion before the hits, or a hit is so close to the beginning that the earlier motion
+        cannot be separated from the response by their change from line to line.
         """
         if moving < _STILL:
             return True
@@ -150,7 +142,12 @@ class Hits:
             force[first:] += pulse_alone(rec.channels[self.channel], piece, 0, end - begin)
         out[row] = force
         if rest:
-            out = _faded_in(out[:, quiet.start :], quiet.stop - quiet.start)
+            # A sudden onset of integrator drift is a step, whose spectrum decreases more slowly than that of a
+            # displacement and is as smooth. The readings fade in over the first half of the samples before the hit;
+            # the hit may already appear in the second half through a filter.
+            out, rise = out[:, quiet.start :], (quiet.stop - quiet.start) // 2
+            slope = 0.5 - 0.5 * np.cos(np.pi * (np.arange(rise) + 0.5) / max(rise, 1))
+            out = np.concatenate([out[:, :rise] * slope, out[:, rise:]], axis=1)
         return out
 
     def force_noise(self, rec: Recording, stretches: Sequence[tuple[int, int]], frequency: Array) -> Array:
@@ -185,15 +182,10 @@ class Hits:
     ) -> Array:
         """Largest relative change of each channel's gain by rounding to counts, shape (channels, lines).
 
-        Equal hits give equal counts, so averaging does not reduce the rounding error, and the error shortly after a
-        hit looks like a response. Decays below half a count are lost, and tones of few counts have harmonics. The
-        error is estimated by coarser converters: from the change of the readings when they are rounded again, to
-        every second and every third count. Noise of s counts reduces it by ``exp(-2 pi^2 s^2)`` (Widrow and Kollár,
-        as in `noise_gain`). The result is infinite for readings of too few counts to be rounded again.
-
-        `blocks`, `spectra`: samples of the stretches, shape (channels, samples), and their zero-padded spectra,
-        shape (channels, bins); `lines`: bins at which the response is estimated; `side`: lines on either side that a
-        local fit uses.
+        Equal hits give equal counts, so averaging does not reduce the rounding error, and the error shortly after a hit
+        looks like a response. It is estimated by coarser converters: from the change of the readings when they are
+        rounded again, to every second and every third count. Noise of s counts reduces it by ``exp(-2 pi^2 s^2)`` (as
+        in `noise_gain`). Infinite for readings of too few counts to be rounded again.
         """
         count = counts_of(rec, names)[:, None]
         step = np.where(count > 0.0, count, 1.0)
@@ -226,10 +218,6 @@ class Hits:
             np.where(count > 0.0, through * np.nan_to_num(gain, nan=np.inf, posinf=np.inf), 0.0)
         )
 
-    def lowest_frequency(self, rec: Recording) -> float:
-        """Lowest frequency in Hz that the time between hits resolves."""
-        return 4.0 * rec.rate / self.interval
-
     def highest_frequency(self, rec: Recording) -> float:
         """Highest frequency in Hz that the hits excite."""
         size = fft.next_fast_len(int(0.2 * rec.rate) + 64, real=True)
@@ -241,18 +229,6 @@ class Hits:
         highest = int(np.argmax(power))
         reach = np.flatnonzero(power[highest:] < _FAINT * power[highest])
         return float(min(highest + int(reach[0]) if reach.size else power.size, 0.4 * size) * rec.rate / size)
-
-
-def _faded_in(readings: Array, quiet: int) -> Array:
-    """Fade readings in over the first half of the quiet samples before a hit.
-
-    A sudden onset of integrator drift is a step, whose spectrum decreases more slowly than that of a displacement.
-    Far above the resonances the step would exceed the response and look equally smooth. The second half is not
-    changed, because the hit may already appear there through a filter.
-    """
-    rise = quiet // 2
-    slope = 0.5 - 0.5 * np.cos(np.pi * (np.arange(rise) + 0.5) / max(rise, 1))
-    return np.concatenate([readings[:, :rise] * slope, readings[:, rise:]], axis=1)
 
 
 def _amplitude(reading: Array) -> float:

@@ -36,11 +36,6 @@ class ToneFit:
             return np.full(self.parts.shape, np.nan, dtype=complex)
         return np.asarray((self.parts - self.parts.mean(axis=0)) / np.sqrt((count - 1.0) * count))
 
-    def distortion(self) -> Array:
-        """Total harmonic distortion of each channel: root sum of squares of the harmonics over the fundamental."""
-        size = abs(self.amplitude)
-        return np.sqrt((size[:, 1:] ** 2).sum(axis=1)) / size[:, 0]
-
 
 @dataclass(frozen=True)
 class _Part:
@@ -54,12 +49,10 @@ class _Part:
 
 
 class LockIn:
-    """Lock-in detection at one frequency, with samples added part by part.
+    """Lock-in detection of a tone and its harmonics, with samples added part by part.
 
     All parts have a common fit; the deviation of each part from it determines the scatter. Only the normal equations
     are stored, so the memory does not depend on the length of the window.
-
-    `frequency`, `rate`: Hz; `harmonics`: highest harmonic of the fit, the fundamental included.
 
     >>> t = np.arange(4000) / 5120.0
     >>> lockin = LockIn(10.0, 5120.0, harmonics=3)
@@ -73,8 +66,8 @@ class LockIn:
     def __init__(self, frequency: float, rate: float, harmonics: int) -> None:
         if 2.0 * frequency >= rate:
             raise RecordingError(
-                f"a tone of {frequency:.6g} Hz is not resolved by {rate:.6g} samples a second; expected "
-                f"a recording made with converter: {{rate: ...}} well above {2.0 * frequency:.6g} Hz"
+                f"a tone of {frequency:.6g} Hz is not resolved by {rate:.6g} samples a second. Record with "
+                f"converter: {{rate: ...}} well above {2.0 * frequency:.6g} Hz."
             )
         # The fit excludes higher harmonics that would alias onto lower harmonics.
         harmonics = max(1, min(harmonics, int(np.ceil(rate / (2.0 * frequency))) - 1))
@@ -93,7 +86,11 @@ class LockIn:
         for start, turn, basis in self._pieces(length):
             projection += turn @ (basis @ samples[:, start : start + basis.shape[1]].T)
         own: Array = np.asarray(np.linalg.solve(self._gram(length)[0], projection), dtype=float)
-        self._parts.append(_Part(self._samples, length, projection, own, self._residual(samples, own)))
+        squares = np.zeros(len(samples))
+        for start, turn, basis in self._pieces(length):
+            residual = samples[:, start : start + basis.shape[1]] - (own.T @ turn) @ basis
+            squares += np.einsum("ij,ij->i", residual, residual)
+        self._parts.append(_Part(self._samples, length, projection, own, squares))
         self._samples += length
 
     def tone(self) -> ToneFit:
@@ -121,14 +118,6 @@ class LockIn:
             squares += part.residual + np.sum(np.square(factor.T @ (part.own - common)), axis=0)
         return ToneFit(self.frequency, amplitude, parts, np.sqrt(squares / max(self._samples - size, 1)))
 
-    def _residual(self, samples: Array, own: Array) -> Array:
-        """Sum of squares of the residual of a part's own fit, shape (channels,)."""
-        squares = np.zeros(len(samples))
-        for start, turn, basis in self._pieces(samples.shape[1]):
-            residual = samples[:, start : start + basis.shape[1]] - (own.T @ turn) @ basis
-            squares += np.einsum("ij,ij->i", residual, residual)
-        return squares
-
     def _gram(self, length: int) -> tuple[Array, Array]:
         """Gram matrix of a part's rows 1, slope, cos k, -sin k, and its Cholesky factor; stored by length."""
         if length not in self._grams:
@@ -149,22 +138,13 @@ class LockIn:
             step = 2.0 / max(length - 1, 1)
             turn[1, :2] = start * step - 1.0, step
             self._rotate(turn, start)
-            yield start, turn, self._rows(size)
-
-    def _rows(self, size: int) -> Array:
-        """Rows 1, sample number, cos k, -sin k of a piece."""
-        if size not in self._basis:
-            at = np.arange(size)
-            phase = (
-                2j
-                * np.pi
-                * np.fmod(np.outer(np.arange(1, self.harmonics + 1), self.frequency / self.rate * at), 1.0)
-            )
-            tones = np.exp(phase)
-            basis = np.empty((2 * self.harmonics + 2, size))
-            basis[0], basis[1], basis[2::2], basis[3::2] = 1.0, at, tones.real, -tones.imag
-            self._basis[size] = basis
-        return self._basis[size]
+            if size not in self._basis:
+                at, order = np.arange(size), np.arange(1, self.harmonics + 1)
+                tones = np.exp(2j * np.pi * np.fmod(np.outer(order, self.frequency / self.rate * at), 1.0))
+                basis = np.empty((2 * self.harmonics + 2, size))
+                basis[0], basis[1], basis[2::2], basis[3::2] = 1.0, at, tones.real, -tones.imag
+                self._basis[size] = basis
+            yield start, turn, self._basis[size]
 
     def _rotate(self, matrix: Array, first: int) -> None:
         """Set the rotation blocks of the tones, from their rows at the first sample to those at another sample."""

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 def named(rec: Recording, name: str) -> ChannelInfo:
     """Return the channel called `name`, or the channel at that position (``"body 3"``, ``"arm"``, ``"table"``)."""
-    channels, places = rec.channels, [info.at for info in rec.channels.values()]
+    channels = rec.channels
     if name in channels:
         return channels[name]
     bodies = body_names(rec)
@@ -30,10 +30,12 @@ def named(rec: Recording, name: str) -> ChannelInfo:
         if info.at == at:
             return info
     if number is not None:
-        raise RecordingError(f"no channel at {name} in the recording: it has {', '.join(channels)}")
-    near = difflib.get_close_matches(str(name), [*channels, *places, *bodies], n=1)
-    hint = f"; did you mean {near[0]!r}?" if near else ""
-    raise RecordingError(f"no channel {name!r} in the recording: it has {', '.join(channels)}{hint}")
+        raise RecordingError(f"{rec.path}: no channel at {name}. Choose one of {', '.join(channels)}.")
+    near = difflib.get_close_matches(
+        str(name), [*channels, *(info.at for info in channels.values()), *bodies], n=1
+    )
+    hint = f"; did you mean {near[0]!r}?" if near else "."
+    raise RecordingError(f"{rec.path}: no channel {name!r}{hint} The channels are {', '.join(channels)}.")
 
 
 def body_names(rec: Recording) -> tuple[str, ...]:
@@ -56,10 +58,9 @@ def chosen(rec: Recording, channels: Sequence[str] | str | None) -> list[str]:
 
 def located(rec: Recording, place: str) -> ChannelInfo | None:
     """Return the first motion channel at a position (``"body 1"``, ``"table"``), or None."""
-    for info in rec.channels.values():
-        if info.at == place and info.quantity in MOTIONS:
-            return info
-    return None
+    return next(
+        (info for info in rec.channels.values() if info.at == place and info.quantity in MOTIONS), None
+    )
 
 
 def responses(rec: Recording) -> list[str]:
@@ -73,7 +74,7 @@ def responses(rec: Recording) -> list[str]:
 class Measurand:
     """A mechanical quantity as a weighted sum of channels."""
 
-    channels: tuple[str, ...]  # Channels that are summed
+    channels: tuple[str, ...]  # channels that are summed
     weights: tuple[float, ...]  # factor of each channel's true quantity
     motion: str  # quantity of each channel: displacement, velocity, acceleration or force
 
@@ -82,8 +83,7 @@ class Measurand:
     ) -> NDArray[np.complex128]:
         """Compute the weights of the recorded amplitudes of `names`, shape (channels, frequencies).
 
-        Each channel is divided by the response of its sensor, amplifier and converter at that frequency, and
-        converted to the requested derivative.
+        They contain the inverse response of sensor, amplifier and converter, and the conversion between derivatives.
         """
         out = np.zeros((len(names), frequency.size), dtype=complex)
         for name, weight in zip(self.channels, self.weights, strict=True):
@@ -101,8 +101,8 @@ def motion_channel(rec: Recording, name: str) -> ChannelInfo:
     info = named(rec, name)
     if info.quantity not in MOTIONS:
         raise RecordingError(
-            f"channel {info.name!r} measures {info.quantity}, not motion: choose one of "
-            f"{', '.join(responses(rec))}"
+            f"{rec.path}: channel {info.name!r} measures {info.quantity}, not motion. Choose one of "
+            f"{', '.join(responses(rec))}."
         )
     return info
 
@@ -123,8 +123,8 @@ def reference_of(rec: Recording, reference: str) -> Measurand:
         table = located(rec, place)
         if table is None:
             raise RecordingError(
-                f"no channel on the table: the recording has {_places(rec)}; "
-                f"add {{name: table, at: {place}}} to the scene's channels"
+                f"{rec.path}: no channel on the table ({_places(rec)}). "
+                f"Add {{name: table, at: {place}}} to the scene's channels."
             )
         return Measurand((table.name,), (1.0,), "displacement")
     if reference != "force":
@@ -136,50 +136,45 @@ def reference_of(rec: Recording, reference: str) -> Measurand:
         return Measurand((forces[0].name,), (1.0,), "force")
     if rec.scene.test is not None and rec.scene.test.kind == "impulse":
         raise RecordingError(
-            f"no channel measures the force of the hammer: the recording has {_places(rec)}; "
-            "add {name: hammer, at: hammer} to the scene's channels, or use `analysis decay`"
+            f"{rec.path}: no channel measures the force of the hammer ({_places(rec)}). "
+            "Add {name: hammer, at: hammer} to the scene's channels, or use `analysis decay`."
         )
     shaker = rec.scene.driven_shaker
     if shaker is None or shaker.spring is None:
-        hint = "drive the structure through a coil spring, shaker: {kind: table, body: 1, spring: 6.6 kN/m}"
+        hint = "Drive the structure through a coil spring, shaker: {kind: table, body: 1, spring: 6.6 kN/m}."
         if shaker is not None:
-            hint = f"add {{name: force, at: {rec.scene.at_driven('shaker')}}} to the scene's channels"
+            hint = f"Add {{name: force, at: {rec.scene.at_driven('shaker')}}} to the scene's channels."
         raise RecordingError(
-            f"no channel measures the force: the recording has {_places(rec)} and no coil spring; {hint}"
+            f"{rec.path}: no channel measures the force ({_places(rec)}; no coil spring). {hint}"
         )
-    driven = f"body {shaker.body}"
-    below = rec.scene.at_driven("table")
-    ends = [located(rec, below), located(rec, driven)]
-    if ends[0] is None or ends[1] is None:
-        missing = below if ends[0] is None else driven
-        raise RecordingError(
-            f"the spring force k0 (x0 - x{shaker.body}) needs a channel at the {missing}: "
-            f"the recording has {_places(rec)}; add one to the scene's channels"
-        )
-    return Measurand((ends[0].name, ends[1].name), (shaker.spring, -shaker.spring), "displacement")
+    ends = []
+    for at in (rec.scene.at_driven("table"), f"body {shaker.body}"):
+        info = located(rec, at)
+        if info is None:
+            raise RecordingError(
+                f"{rec.path}: the spring force k0 (x0 - x{shaker.body}) needs a channel at the {at} ({_places(rec)}). "
+                "Add one to the scene's channels."
+            )
+        ends.append(info.name)
+    return Measurand(tuple(ends), (shaker.spring, -shaker.spring), "displacement")
 
 
 def input_place(rec: Recording, reference: str) -> str:
     """Name the driven body or bodies of a reference; empty for the table."""
-    return " and ".join(_body(rec, number) for number in rec.scene.force_on) if reference == "force" else ""
+    label = rec.scene.structure.label
+    return " and ".join(label(number) for number in rec.scene.force_on) if reference == "force" else ""
 
 
 def place(rec: Recording, channel: str) -> str:
     """Name the body on which a channel is mounted."""
     at = rec.channels[channel].at
-    return _body(rec, int(at.removeprefix("body "))) if at.startswith("body ") else at
-
-
-def _body(rec: Recording, number: int) -> str:
-    return rec.scene.structure.label(number)
+    return rec.scene.structure.label(int(at.removeprefix("body "))) if at.startswith("body ") else at
 
 
 def concerned(rec: Recording, responses: Sequence[str], reference: str) -> list[str]:
     """Name the channels of some responses and of their reference."""
-    made_of = [motion_of(rec, name).channels for name in responses]
-    return list(
-        dict.fromkeys(name for names in (*made_of, reference_of(rec, reference).channels) for name in names)
-    )
+    measurands = [*(motion_of(rec, name) for name in responses), reference_of(rec, reference)]
+    return list(dict.fromkeys(name for measurand in measurands for name in measurand.channels))
 
 
 def driven(reference: str, amplitude: NDArray[np.generic]) -> None:
@@ -187,13 +182,11 @@ def driven(reference: str, amplitude: NDArray[np.generic]) -> None:
     if not np.any(np.abs(amplitude) > 0):
         what = "force on the structure" if reference == "force" else "displacement of the table"
         raise RecordingError(
-            f"the {what} is zero throughout: nothing was driven, or its channels were not connected. "
+            f"the {what} is zero throughout the measurement: nothing was driven, or its channels were off. "
             "Check the channels with `daq info` and record again."
         )
 
 
 def _places(rec: Recording) -> str:
-    return (
-        ", ".join(f"{name} ({info.quantity} at {info.at})" for name, info in rec.channels.items())
-        or "no channels"
-    )
+    channels = [f"{name}: {info.quantity} at {info.at}" for name, info in rec.channels.items()]
+    return f"it has {', '.join(channels) or 'no channels'}"

@@ -19,7 +19,6 @@ from analysis.responses.spectral_lines import Lines, remainder
 from analysis.responses.systematic import counts_of, in_counts, scattered, tone_gain
 from rig.arrays import Array, ComplexArray
 from rig.errors import RecordingError
-from rig.results.response import Response
 
 if TYPE_CHECKING:
     from daq.recording.markers import Marker
@@ -27,18 +26,16 @@ if TYPE_CHECKING:
 
 
 NONLINEAR = (
-    "The structure is nonlinear: the curve and its uncertainty are those of the best linear "
-    "approximation for this level and kind of excitation. Steady tones of another amplitude (stepped "
-    "sine) give another curve."
+    "The structure is nonlinear: the curve is the best linear approximation for this level and kind of excitation, and "
+    "its error bars are valid only for them. Use stepped sine for the response to steady tones."
 )
 ONE_REALISATION = (
-    "One realisation only: distortion by dampers cannot be separated from the response and is not in "
-    "the uncertainty. Measure several (test: realisations)."
+    "One realisation: the distortion by dampers cannot be separated from the response, and the error bars exclude it. "
+    "Measure several (test: realisations)."
 )
 LIFTED = (
-    "Dampers may leave the floor at this level, although the realisations scatter no more than noise: "
-    "the curve is the best linear approximation, and its uncertainty does not include distortion that "
-    "is equal in all realisations. Steady tones of another amplitude (stepped sine) give another curve."
+    "Dampers may leave the floor at this level, although the realisations scatter no more than noise: the error bars "
+    "exclude distortion that is equal in every realisation. Use stepped sine for the response to steady tones."
 )
 # Assumed crest factor of a sum of tones, limited by the sum of their amplitudes.
 _CREST = 4.0
@@ -47,68 +44,50 @@ _CREST = 4.0
 _SHARE, _BEYOND, _SEEN = 0.2, 3.0, 2e-3
 
 
-@dataclass(frozen=True)
-class BestLinearApproximation:
-    """Best linear approximation from the periods and realisations of a multisine."""
-
-    total: Lines  # mean over realisations with their scatter: noise and nonlinear distortion together
-    noise: Lines  # the same mean with the scatter of the periods alone
-    realisations: int
-
-    def frf(
-        self, rec: Recording, response: str, reference: str = "force", motion: str = "displacement"
-    ) -> Response:
-        """Estimate the best linear approximation; the error bars contain noise and nonlinear distortion."""
-        return self.total.frf(rec, response, reference, motion)
-
-    def distortion(self, rec: Recording, response: str, reference: str = "force") -> Array:
-        """Estimate the nonlinear distortion in one realisation, as a standard deviation of the receptance.
-
-        Zero where noise explains the scatter of the realisations. Requires several realisations (R. Pintelon, J.
-        Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., section 4.3).
-        """
-        total = self.total.frf(rec, response, reference).error ** 2
-        noise = self.noise.frf(rec, response, reference).error ** 2
-        return np.sqrt(2.0 * self.realisations * np.maximum(total - noise, 0.0))
-
-
 def best_linear_approximation(
     rec: Recording,
     markers: Sequence[Marker],
     names: Sequence[str],
     reference: str = "force",
     progress: Callable[[int, int], None] | None = None,
-) -> BestLinearApproximation:
-    """Average over periods, then over realisations.
+) -> Lines:
+    """Average over periods, then over realisations (one marker each), each rotated by the phase of its own reference.
 
-    The spectra of each realisation are rotated by the phase of its own reference before averaging. The remaining
-    scatter between realisations, beyond the noise between periods, is the nonlinear distortion.
-
-    `markers`: the ``measure`` markers of the test, one for each realisation; `names`: names of the channels to
-    average; `reference`: 'force' or 'table'. Reference whose phases are used.
+    The scatter contains noise and nonlinear distortion, which is the scatter of the realisations beyond the noise
+    between periods (R. Pintelon, J. Schoukens, System Identification, 2nd ed., Wiley 2012, section 4.3).
     """
-    found = [_realisation(rec, names, marker, reference) for marker in markers]
+    found = [period_spectra(rec, names, marker) for marker in markers]
     if progress is not None:
         progress(len(markers), len(markers))
-    notes = [note for one in found for note in one.notes]
-    kept = [one for one in found if one.periods]
-    if not kept:
-        raise RecordingError("no realisation of the multisine holds two whole periods: " + " ".join(notes))
-    count, frequency = len(kept), kept[0].frequency
-    stack = np.stack([one.mean for one in kept])
+    notes = [note for each in found for note in each.notes]
+    whole = [each for each in found if len(each.spectra)]
+    if not whole:
+        raise RecordingError(
+            f"{rec.path}: no realisation of the multisine has two whole periods. {' '.join(notes)}"
+        )
+    count, frequency = len(whole), whole[0].frequency
+    row = reference_of(rec, reference).row(rec, names, frequency)
+    means, noises = [], []
+    for each in whole:
+        mean, periods = each.spectra.mean(axis=0), len(each.spectra)
+        turn = np.sum(row * mean, axis=0)
+        turn = turn.conj() / np.maximum(abs(turn), 1e-300)
+        means.append(mean * turn)
+        noises.append((each.spectra - mean) * turn / np.sqrt(periods * (periods - 1.0)))
+    stack = np.stack(means)
     centre = stack.mean(axis=0)
     noise = Scatter(
-        np.asarray(np.concatenate([one.noise for one in kept]) / count, dtype=complex),
-        np.full(frequency.size, 2.0 * sum(one.periods - 1 for one in kept)),
+        np.asarray(np.concatenate(noises) / count, dtype=complex),
+        np.full(frequency.size, 2.0 * sum(len(each.spectra) - 1 for each in whole)),
     )
-    unsettled = np.mean([one.remainder for one in kept], axis=0)
+    unsettled = np.mean([remainder(each.spectra) for each in whole], axis=0)
     counts = counts_of(rec, names)
     samples = rec.rate / (frequency[1] - frequency[0]) if frequency.size > 1 else rec.rate / frequency[0]
     # Rounding to counts resembles noise of 1/12 count², of which 95 % of the amplitudes at a line are below this
     # limit. With additional noise of s counts, only a part of it is equal in every period and therefore absent from
     # the scatter.
-    scatter = np.mean([one.scatter for one in kept], axis=0) / np.where(counts > 0.0, counts, 1.0) ** 2
-    same = scattered(scatter)
+    varies = np.mean([each.samples.var(axis=0, ddof=1).mean(axis=1) for each in whole], axis=0)
+    same = scattered(varies / np.where(counts > 0.0, counts, 1.0) ** 2)
     amplitude: Array = np.abs(centre)
     # From the amplitudes at all lines; in the worst case a resonance reduces the reading to a single tone.
     gain = np.minimum(tone_gain(in_counts(rec, names, np.sum(amplitude**2, axis=1) / 2.0)), 0.5)
@@ -119,63 +98,41 @@ def best_linear_approximation(
     )  # fmt: skip
     free = any(damper.moves for damper in rec.scene.dampers)
     if count == 1:
-        if free:
-            base = replace(base, warnings=(*notes, ONE_REALISATION))
-        return BestLinearApproximation(base, base, 1)
+        return replace(base, warnings=(*notes, ONE_REALISATION)) if free else base
     rows = (stack - centre) / np.sqrt(count * (count - 1.0))
     realisations = Scatter(rows, np.full(frequency.size, 2.0 * (count - 1.0)))
     total = replace(base, scatter=realisations, noise=noise)
     if _distorted(total, base):
-        total = replace(total, warnings=(*notes, NONLINEAR))
-    elif free:
-        total = replace(total, warnings=(*notes, _not_yet(rec, total, reference)))
-    return BestLinearApproximation(total, base, count)
+        return replace(total, warnings=(*notes, NONLINEAR))
+    return replace(total, warnings=(*notes, _not_yet(rec, total, reference))) if free else total
 
 
 def _not_yet(rec: Recording, total: Lines, reference: str) -> str:
     """Report if no damper moved, and the force at which a steady tone lifts a damper (body at 1 g)."""
     least = [(np.inf, np.nan)]
+    row = (
+        reference_of(rec, "force").row(rec, total.channels, total.frequency) if reference == "force" else 0.0
+    )
+    force: Array = np.asarray(abs(np.sum(row * total.mean, axis=0)))
     for body in {damper.body for damper in rec.scene.dampers if not damper.locked}:
         info = located(rec, f"body {body}")
         if info is not None and reference == "force":
             size = np.nan_to_num(abs(total.frf(rec, info.name, motion="acceleration").value))
-            if _largest(size * _force(rec, total)) > rec.scene.gravity:
+            amplitudes = size * force
+            # Peak value of a sum of tones with random phases.
+            largest = min(_CREST * np.sqrt(np.sum(np.square(amplitudes)) / 2.0), amplitudes.sum())
+            if largest > rec.scene.gravity:
                 return LIFTED
             top = int(np.argmax(size))
             least.append((rec.scene.gravity / size[top], total.frequency[top]))
-    force, frequency = min(least)
-    lifting = (
-        "that move its body more" if np.isinf(force) else f"of more than {force:.2g} N at {frequency:.4g} Hz"
-    )
+    least_force, frequency = min(least)
+    lifting = f"of more than {least_force:.2g} N at {frequency:.4g} Hz"
+    if np.isinf(least_force):
+        lifting = "that move its body more"
     return (
-        "No nonlinear distortion is detected at this level, but dampers can move: steady tones "
-        f"(stepped sine) {lifting} lift one, and give another curve."
+        f"No nonlinear distortion is detected at this level, but dampers can move: steady tones {lifting} lift one. "
+        "Use stepped sine for the response to such tones."
     )
-
-
-def _force(rec: Recording, total: Lines) -> Array:
-    """Return the amplitudes of the force, N; shape (lines,)."""
-    row = reference_of(rec, "force").row(rec, total.channels, total.frequency)
-    return np.asarray(abs(np.sum(row * total.mean, axis=0)))
-
-
-def _largest(amplitudes: Array) -> float:
-    """Estimate the peak value of a sum of tones with random phases."""
-    rms = np.sqrt(np.sum(np.square(amplitudes)) / 2.0)
-    return float(min(_CREST * rms, amplitudes.sum()))
-
-
-@dataclass(frozen=True)
-class _Realisation:
-    """Averages of the periods of one realisation; without periods if too few are complete."""
-
-    frequency: Array
-    periods: int
-    notes: tuple[str, ...]
-    mean: ComplexArray
-    noise: ComplexArray  # rows of the mean's `Scatter`; shape (periods, channels, lines)
-    remainder: Array
-    scatter: Array  # variance of the samples from period to period; shape (channels,)
 
 
 @dataclass(frozen=True)
@@ -202,7 +159,7 @@ def period_spectra(rec: Recording, names: Sequence[str], marker: Marker) -> Peri
     ]
     notes = []
     if marker.fields.get("settled") is False:
-        notes.append(f"Realisation {number} was measured before the motion had become periodic.")
+        notes.append(f"Realisation {number} was measured before steady state. Increase test: settle.")
     if len(clean) < periods:
         why = describe_flaws(rec, [flaw for found in spoilt for flaw in found])
         notes.append(f"{periods - len(clean)} of {periods} periods of realisation {number} left out: {why}.")
@@ -216,29 +173,11 @@ def period_spectra(rec: Recording, names: Sequence[str], marker: Marker) -> Peri
     return PeriodSpectra(frequency, spectra, whole, tuple(notes))
 
 
-def _realisation(rec: Recording, names: Sequence[str], marker: Marker, reference: str) -> _Realisation:
-    """Average the clean periods of a realisation."""
-    found = period_spectra(rec, names, marker)
-    spectra, periods = found.spectra, len(found.spectra)
-    if not periods:
-        empty = np.zeros(0, dtype=complex)
-        return _Realisation(found.frequency, 0, found.notes, empty, empty, empty.real, empty.real)
-    mean = spectra.mean(axis=0)
-    turn = np.sum(reference_of(rec, reference).row(rec, names, found.frequency) * mean, axis=0)
-    turn = turn.conj() / np.maximum(abs(turn), 1e-300)
-    noise = (spectra - mean) * turn / np.sqrt(periods * (periods - 1.0))
-    varies = found.samples.var(axis=0, ddof=1).mean(axis=1)
-    return _Realisation(found.frequency, periods, found.notes, mean * turn, noise, remainder(spectra), varies)
-
-
 def _without_drift(periods: Array, numbers: NDArray[np.int64]) -> Array:
-    """Subtract the linear drift of the mean from each period.
+    """Subtract the linear drift of the mean from each period; shape (periods, channels, samples).
 
     A slowly settling bias changes each line from period to period. Noise may hide these changes although their sum is
-    a significant error of the line.
-
-    `periods` has the shape (periods, channels, samples); `numbers`, shape (periods,): numbers of these periods
-    within the realisation.
+    a significant error of the line. `numbers`: of the periods within the realisation.
     """
     slopes = np.gradient(periods.mean(axis=2), numbers, axis=0, edge_order=2 if len(numbers) > 2 else 1)
     return np.asarray(periods - slopes[:, :, None] * np.linspace(-0.5, 0.5, periods.shape[2]))

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.responses.block_spectra import bins_of, cross_spectra, window_of
-from analysis.responses.clean_stretches import cure, describe_flaws
-from analysis.responses.estimators import Averages
-from analysis.responses.sensor_settling import settling
+from analysis.responses.clean_stretches import cure, describe_flaws, settling
+from analysis.responses.estimators import Averages, bins_of, block_spectra, window_of
 from analysis.responses.systematic import in_counts, noise_gain
 from analysis.responses.whole_stretches import WholeStretches, dampers_move
 from rig.errors import RecordingError, SceneError
@@ -28,7 +27,7 @@ _LEFT_OVER = 0.02
 def whole(rec: Recording, marker: Marker, channels: Sequence[str]) -> WholeStretches:
     """Process a random test as a whole, bursts included."""
     low, high = float(marker.fields["from"]), float(marker.fields["to"])
-    stop = min(rec.samples, rec.samples if marker.last_sample is None else marker.stop)
+    stop = rec.samples if marker.last_sample is None else min(rec.samples, marker.stop)
     bursts = None
     if "block" in marker.fields:
         block = int(marker.fields["block"])
@@ -46,27 +45,20 @@ def averages(
     channels: Sequence[str],
     block: float | None = None,
     overlap: float = 0.5,
-    forgetting: float | None = None,
     progress: Callable[[int, int], None] | None = None,
     window: str = "hann",
 ) -> Averages:
     """Average the spectra of a random test.
 
-    `marker`: the ``measure`` marker of the test; `channels`: names of the channels to average; `block`: length of a
-    block in s. If omitted, the length for about 30 averages, or the block of the bursts; `overlap`: overlap of
-    successive blocks, from 0 to below 1, as a fraction of the block. Bursts do not overlap; `forgetting`: weight of
-    each block relative to the next block, between 0 and 1: exponential averaging, for a structure that changes.
-    Linear averaging if omitted; `window`: window of each block, by its name in `scipy.signal.get_window`; bursts
-    have no window.
+    `block`: length of a block in s, for about 30 averages if omitted; `overlap`: as a fraction of the block. Bursts
+    are blocks without overlap and window.
     """
     if not 0.0 <= overlap < 1.0:
         raise SceneError(f"overlap of {overlap:g}: expected 0 or more, below 1")
-    if forgetting is not None and not 0.0 < forgetting < 1.0:
-        raise SceneError(f"forgetting of {forgetting:g}: expected above 0 and below 1")
     if block is not None and not 0.0 < block < np.inf:
         raise SceneError(f"block of {block:g} s: expected a length above 0 s")
     first = marker.first_sample
-    stop = min(rec.samples, rec.samples if marker.last_sample is None else marker.last_sample + 1)
+    stop = rec.samples if marker.last_sample is None else min(rec.samples, marker.stop)
     burst = marker.fields.get("block")
     if burst is not None:
         size, step = int(burst), int(burst)
@@ -82,42 +74,37 @@ def averages(
     count = (stop - first - size) // step + 1
     if size < 16 or count < 2:
         raise RecordingError(
-            f"{(stop - first) / rec.rate:.3g} s of random hold {max(count, 0)} blocks of "
-            f"{size / rec.rate:.3g} s, too few to average. Record longer or choose shorter blocks "
-            "(--block)."
+            f"{rec.path}: {max(count, 0)} blocks of {size / rec.rate:.3g} s in {(stop - first) / rec.rate:.3g} s of "
+            "random excitation are too few to average. Record longer or choose shorter blocks (--block)."
         )
     starts = [first + i * step for i in range(count)]
-    summed = cross_spectra(rec, channels, starts, weights, low, high, forgetting, progress)
-    found, left = summed.flaws, summed.left
-    notes = [f"The beginning is excluded: {describe_flaws(rec, spoilt)}."] if spoilt else []
+    summed = block_spectra(rec, channels, starts, step, weights, low, high, progress)
+    spoilt_blocks = describe_flaws(rec, summed.flaws)
+    notes = [f"The beginning left out: {describe_flaws(rec, spoilt)}."] if spoilt else []
     if summed.used < count:
-        notes.append(f"{count - summed.used} of {count} blocks left out: {describe_flaws(rec, found)}.")
+        notes.append(f"{count - summed.used} of {count} blocks left out: {spoilt_blocks}.")
     if summed.used < 2:
         raise RecordingError(
-            f"only one block has no overloaded or lost samples: {describe_flaws(rec, found)}; "
-            f"{cure(rec, found)}, or choose shorter blocks (--block)"
+            f"{rec.path}: fewer than two blocks are complete ({spoilt_blocks}). {cure(rec, summed.flaws)}, or choose "
+            "shorter blocks (--block)."
         )
     width = bins_of(weights) * rec.rate / size
-    leaks = burst is None or left > _LEFT_OVER
+    leaks = burst is None or summed.left > _LEFT_OVER
     if burst is None:
         notes.append(
-            f"Blocks of {size / rec.rate:.3g} s have a resolution of {width:.3g} Hz: narrower peaks are "
-            "widened and too low, as stated by the leakage in the uncertainty. Omit --block and "
-            "--estimator to avoid leakage."
+            f"Blocks of {size / rec.rate:.3g} s resolve {width:.3g} Hz: peaks narrower than that are smeared and too "
+            "low, by the stated leakage. Leave out --block and --estimator for a response without leakage."
         )
-    if burst is not None and leaks:
+    elif leaks:
         notes.append(
-            f"{left:.0%} of the response to a burst remain when the next begins, which causes leakage "
-            "as with continuous random. Use longer blocks, a smaller burst share, multisine or stepped "
-            "sine."
+            f"{summed.left:.0%} of the response to a burst remain when the next begins, so the curve has leakage. Use "
+            "longer blocks, a smaller burst share, multisine or stepped sine."
         )
-    return summed.averages(
-        step,
+    gain = noise_gain(in_counts(rec, channels, summed.squares))
+    return replace(
+        summed.averages,
         resolution=width if leaks else 0.0,
-        label=rec.scene.name,
         warnings=tuple(notes),
-        gain=np.repeat(
-            noise_gain(in_counts(rec, channels, summed.squares))[:, None], summed.frequency.size, axis=1
-        ),
+        gain=np.repeat(gain[:, None], summed.averages.frequency.size, axis=1),
         unsmeared=whole(rec, marker, channels) if leaks else None,
     )

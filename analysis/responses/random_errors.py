@@ -116,38 +116,33 @@ class LocalErrors:
     common: ComplexArray
     shared: float = 1.0  # number of neighbouring lines with a common error although their bins are different
 
-    def _change(self, change: Any, *names: str) -> LocalErrors:
-        return replace(self, **{name: change(getattr(self, name)) for name in names})
-
     def at(self, lines: Lines) -> LocalErrors:
         """Select some lines."""
-        return self._change(
-            lambda each: each[lines], "influence", "first", "residual", "curve", "drive", "common"
-        )
+        names = ("influence", "first", "residual", "curve", "drive", "common")
+        return replace(self, **{name: getattr(self, name)[lines] for name in names})
 
     def select(self, elements: Sequence[int]) -> LocalErrors:
         """Select some elements."""
-        return self._change(lambda each: each[:, elements], "influence", "residual", "curve", "common")
+        names = ("influence", "residual", "curve", "common")
+        return replace(self, **{name: getattr(self, name)[:, elements] for name in names})
 
     def scaled(self, factor: ComplexArray) -> LocalErrors:
         """Multiply by a factor at each line."""
         return replace(
-            self,
-            influence=self.influence * factor[:, None, None, None],
-            common=self.common * factor[:, None],
+            self, influence=self.influence * factor[:, None, None, None], common=self.common * factor[:, None]
         )
 
     def joined(self, others: Sequence[RandomErrors]) -> LocalErrors | None:
         """Join the errors of these and other elements."""
-        same = [self]
-        for each in others:
-            if not (
-                isinstance(each, LocalErrors)
-                and np.array_equal(each.first, self.first)
-                and each.residual.shape == self.residual.shape
-            ):
-                return None
-            same.append(each)
+        same = [
+            each
+            for each in (self, *others)
+            if isinstance(each, LocalErrors)
+            and np.array_equal(each.first, self.first)
+            and each.residual.shape == self.residual.shape
+        ]
+        if len(same) <= len(others):
+            return None
         names = ("influence", "residual", "curve", "common")
         parts: dict[str, Any] = {
             name: np.concatenate([getattr(each, name) for each in same], axis=1) for name in names
@@ -263,9 +258,7 @@ def _kinds_of_noise(
 
     Weighted least squares on the residuals of local fits, over the lines around each line. The cross-powers of the
     residuals are those of the curves times the noise of the reference, plus the noise of each response.
-
-    Returns `reference`, shape (lines,); `own`, shape (lines, responses); `share`, shape (lines,), noise share of the
-    reference power.
+    Returns the noise of the reference, of each response, and the share of the former in the power of the reference.
     """
     lines, _, width = curve.shape
     step = float(np.median(np.diff(centre))) if lines > 1 else 1.0

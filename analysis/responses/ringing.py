@@ -30,13 +30,8 @@ def ringing(value: ComplexArray, frequency: Array, waited: Array, lasted: Array,
     """Compute the largest deviation of each point of a response by residual free vibration of the previous step.
 
     The initial value of a free vibration at the pole s is the difference c of the pole's contributions to the two
-    steady responses. It shifts the mean over a window of length L by ``c exp(Re(s) t) |exp(l L) - 1| / |l L|`` after
-    a wait t, with l = s - i w.
-
-    `value`, shape (n,): response at the points, in the order of measurement; `frequency`, shape (n,): Hz; `waited`,
-    `lasted`, shape (n,): time from the end of the previous window to the beginning of each window, and length of
-    each window; s; `error`, shape (n,): standard deviation of `value`. Returns shape (n,), 0 where there is no
-    resonance, or where the spacing of the points is too large to resolve it.
+    steady responses. It shifts the mean over a window of length L (`lasted`, s) by ``c exp(Re(s) t) |exp(l L) - 1| / |l
+    L|`` after a wait t (`waited`, s), with l = s - i w. The points are in the order of measurement.
 
     >>> frequency = np.linspace(18.5, 19.5, 25)
     >>> value = 1.0 / (2j * np.pi * frequency - (-1.0 + 2j * np.pi * 19.0))

@@ -65,14 +65,10 @@ def stacked(parts: list[ComplexArray]) -> ComplexArray:
 
 
 def moderated(variance: Array, degrees: Array, expected: Array, side: int) -> tuple[Array, Array]:
-    """Moderate variances by those of neighbouring lines; return them with their new degrees of freedom.
+    """Moderate variances by those of `side` lines on either side; return them with their new degrees of freedom.
 
-    The logarithms of ``variance / expected`` scatter between lines because of the finite degrees of freedom and
-    because the true ratios differ. The weight of neighbouring lines increases as the true ratios become more similar.
-
-    `variance`, `degrees`, shape (lines,): values of each line alone, with equal degrees of freedom at all lines;
-    `expected`, shape (lines,): expected variance from the noise of neighbouring lines; `side`: number of lines on
-    either side.
+    The logarithms of ``variance / expected`` scatter between lines because of the finite degrees of freedom and because
+    the true ratios differ. The weight of neighbouring lines increases as the true ratios become more similar.
 
     >>> random = np.random.default_rng(1)
     >>> alone = random.chisquare(2.0, 400) / 2.0

@@ -21,10 +21,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from analysis.responses import random
-from analysis.responses.budget import ReadingShares, assemble_budget
+from analysis.responses.budget import assemble_budget
 from analysis.responses.estimators import Averages, leakage
-from analysis.responses.local_models.local_rational import LocalFit, local_fit
-from analysis.responses.local_models.local_spectra import SIDE, LocalSpectra
+from analysis.responses.local_models.local_rational import local_fit
+from analysis.responses.local_models.local_spectra import SIDE
 from analysis.responses.measurands import Measurand, motion_of, place
 from analysis.responses.multisine import period_spectra
 from analysis.responses.random_errors import MatrixErrors
@@ -36,6 +36,7 @@ from analysis.responses.systematic import (
     REFERENCE_NOISE,
     RESOLUTION,
     UNSETTLED,
+    ReadingShares,
     common_scale,
     rounding_part,
 )
@@ -62,10 +63,7 @@ COHERENT_INPUTS = (
 
 
 def driven_forces(rec: Recording) -> tuple[Point, ...]:
-    """Return the force channels of all shakers that were driven simultaneously; at most one for a single-input test.
-
-    A shaker whose force is below 1 % of the largest (root mean square) counts as off.
-    """
+    """Return the force channels of all shakers that were driven simultaneously; at most one for a single input."""
     marker = next((each for each in rec.markers if "shakers" in each.fields and each.kind == "measure"), None)
     if marker is None:
         return ()
@@ -75,13 +73,11 @@ def driven_forces(rec: Recording) -> tuple[Point, ...]:
         name = next((info.name for info in rec.channels.values() if info.at == at), None)
         if name is None:
             raise RecordingError(
-                f"no channel measures the force of shaker {number}; several inputs need one for each: add "
-                f"{{name: force{number}, at: {at}}} to the scene's channels"
+                f"{rec.path}: no channel measures the force of shaker {number}. Add "
+                f"{{name: force{number}, at: {at}}} to the scene's channels."
             )
-        bodies = " and ".join(
-            rec.scene.structure.label(body) for body in rec.scene.shakers[number - 1].bodies
-        )
-        forces.append(Point(name, "force", bodies))
+        bodies = (rec.scene.structure.label(body) for body in rec.scene.shakers[number - 1].bodies)
+        forces.append(Point(name, "force", " and ".join(bodies)))
     stop = min(marker.stop, rec.samples)
     power = [float(np.nanvar(rec.read(point.name, marker.first_sample, stop))) for point in forces]
     return tuple(p for p, square in zip(forces, power, strict=True) if square > _OFF_SHARE * max(power))
@@ -97,11 +93,7 @@ def response_matrix(
     overlap: float = 0.5,
     window: str = "hann",
 ) -> Response:
-    """Estimate the response of some channels to several forces.
-
-    `inputs`: from `driven_forces`; `estimator`: 'H1' or 'Hv'. Average blocks, for random tests. If omitted, the
-    local rational method is used.
-    """
+    """Estimate the response of some channels to several forces; `estimator` H1 or Hv averages blocks."""
     markers = [each for each in rec.markers if each.kind == "measure"]
     if rec.test.kind is TestKind.MULTISINE:
         return _of_experiments(rec, markers, names, inputs, motion)
@@ -194,10 +186,9 @@ class SpectralMatrix:
         n, o, i = value.shape
         covariance = np.einsum("nab,nlk->nakbl", residual, inverse).reshape(n, o * i, o * i) / count
         variance = np.maximum(np.einsum("npp->np", covariance).real, 0.0).reshape(n, o, i)
+        own = np.einsum("naa->na", residual).real[:, :, None]
         noise = np.minimum(
-            np.min(
-                np.einsum("naa->na", residual).real[:, :, None] / np.maximum(abs(value) ** 2, 1e-300), axis=1
-            ),
+            np.min(own / np.maximum(abs(value) ** 2, 1e-300), axis=1),
             np.einsum("nkk->nk", self._parts()[2]).real,
         )
         bias = np.einsum("nam,nm,nmk->nak", abs(value), noise, abs(inverse))
@@ -207,12 +198,13 @@ class SpectralMatrix:
             for k, force in enumerate(self.inputs):
                 sharp = self.sharp[output.name, force.name]
                 smeared[:, a, k] = leakage(self.frequency, value[:, a, k], error[:, a, k], sharp)
+        points, degrees = (self.outputs, self.inputs), np.full(value.shape, 2.0 * count)
+        causes = {REFERENCE_NOISE: bias, LEAKAGE: smeared}
         budget = _matrix_budget(
-            rec, self.frequency, value, (self.outputs, self.inputs), error,
-            np.full(value.shape, 2.0 * count), {REFERENCE_NOISE: bias, LEAKAGE: smeared}, MatrixErrors(covariance),
-        )  # fmt: skip
+            rec, self.frequency, value, points, error, degrees, causes, MatrixErrors(covariance)
+        )
         found = Response(
-            self.frequency, value, self.outputs, self.inputs, budget, self.multiple_coherence(),
+            self.frequency, value, *points, budget, self.multiple_coherence(),
             label=averages.label, resolution=averages.resolution, warnings=averages.warnings,
         )  # fmt: skip
         return _checked(found)
@@ -264,24 +256,22 @@ def _matrix_budget(
     budgets = []
     for a, output in enumerate(points[0]):
         for k, force in enumerate(points[1]):
-            one, zero = np.ones(frequency.size, dtype=complex), np.zeros(frequency.size, dtype=complex)
-            element = value[:, a, k]
-            shares = ReadingShares(
-                [output.name, force.name], frequency, output.quantity, element,
-                np.stack([element, zero]), np.stack([zero, one]),
-            )  # fmt: skip
+            shares = _element(output.name, force.name, frequency, output.quantity, value[:, a, k])
+            limits = {name: size[:, a, k] for name, size in causes.items()}
+            scale = common_scale(rec, [output.name], [force.name])
             budgets.append(
                 assemble_budget(
-                    rec,
-                    shares,
-                    error[:, a, k],
-                    degrees[:, a, k],
-                    {name: size[:, a, k] for name, size in causes.items()},
-                    shared=shared,
-                    scale=common_scale(rec, [output.name], [force.name]),
+                    rec, shares, error[:, a, k], degrees[:, a, k], limits, shared=shared, scale=scale
                 )
             )
     return replace(stacked(budgets, value.shape), errors=errors)
+
+
+def _element(output: str, force: str, frequency: Array, motion: str, value: ComplexArray) -> ReadingShares:
+    """Return the shares of the two channels of an element of the matrix."""
+    zero = np.zeros(frequency.size, dtype=complex)
+    shares = np.stack([value, zero]), np.stack([zero, zero + 1.0])
+    return ReadingShares([output, force], frequency, motion, value, *shares)
 
 
 def _of_stretches(
@@ -295,70 +285,53 @@ def _of_stretches(
     forces = np.stack([spectra.spectrum(rec, Measurand((point.name,), (1.0,), "force")) for point in inputs])
     shape = at.size, len(names), len(inputs)
     value = np.empty(shape, dtype=complex)
-    error, degrees, missed, rounding = np.empty(shape), np.empty(shape), np.empty(shape), np.empty(shape)
+    error, degrees, missed, rounding = (np.empty(shape) for _ in range(4))
     coherence, noise = np.empty(shape[:2]), np.empty(shape[:2])
+    side = min(spectra.side, (spectra.frequency.size - 1) // 2)
     residuals, influences = [], []
     for a, name in enumerate(names):
         upper = motion_of(rec, name, motion).row(rec, [name], at)[0]
         turned = upper * rec.channels[name].response(at)
+        reading = spectra.reading(rec, name)
         for k in range(len(inputs)):
-            fit = _local(rec, spectra, name, forces, k)
+            others = np.delete(forces, k, axis=0)
+            fit = local_fit(reading, forces[k], spectra.ends, spectra.lines, side, spectra.used, others)
             value[:, a, k] = fit.value * turned
             error[:, a, k] = np.sqrt(fit.variance) * abs(turned)
             missed[:, a, k] = fit.missed * abs(turned)
             degrees[:, a, k] = fit.degrees
             rows = [spectra.channels.index(each) for each in (name, inputs[k].name)]
-            zero = np.zeros(at.size)
-            shares = np.stack([value[:, a, k], zero]), np.stack([zero, zero + 1.0])
-            part = rounding_part(spectra.gain[rows], value[:, a, k], *shares)
-            rounding[:, a, k] = next(iter(part.values()), zero)
+            shares = _element(name, inputs[k].name, at, motion, value[:, a, k])
+            rounding[:, a, k] = rounding_part(spectra.gain[rows], shares).get(RESOLUTION, 0.0)
             influences.append(fit.influence.reshape(at.size, -1) * turned[:, None])
         residuals.append(fit.residual.reshape(at.size, -1))
         noise[:, a] = fit.noise * abs(upper) ** 2
-        power = np.mean(abs(spectra.samples[:, spectra.channels.index(name)]) ** 2, axis=0)
-        near = np.convolve(power, np.full(2 * spectra.side + 1, 1.0 / (2 * spectra.side + 1)), "same")
-        coherence[:, a] = np.clip(1.0 - fit.noise / np.maximum(near[spectra.lines], 1e-300), 0.0, 1.0)
+        near = _mean_square(reading.spectra, spectra.side)[spectra.lines]
+        coherence[:, a] = np.clip(1.0 - fit.noise / np.maximum(near, 1e-300), 0.0, 1.0)
     # Upper limit of the noise power of each force: the power that outputs and inputs do not share.
-    n_lines = np.stack([_mean_square(spectra, each) for each in forces], axis=1)
+    n_lines = np.stack([_mean_square(each, spectra.side)[spectra.lines] for each in forces], axis=1)
     most = np.minimum(np.min(noise[:, :, None] / np.maximum(abs(value) ** 2, 1e-300), axis=1), n_lines)
     bias = abs(value) * (most / np.maximum(n_lines, 1e-300))[:, None]
-    covariance = _local_covariance(
-        np.stack(residuals, axis=1), np.stack(influences, axis=1), len(inputs), degrees
-    )
-    budget = _matrix_budget(
-        rec, at, value, (_outputs(rec, names, motion), inputs), error, degrees,
-        {MODEL: missed, REFERENCE_NOISE: bias, RESOLUTION: rounding}, MatrixErrors(covariance),
-        spectra.shared,
-    )  # fmt: skip
-    found = Response(
-        at, value, _outputs(rec, names, motion), tuple(inputs), budget, coherence, label=rec.scene.name,
-        warnings=(*whole.warnings, *notes),
-    )  # fmt: skip
-    return _checked(found)
-
-
-def _local(rec: Recording, spectra: LocalSpectra, name: str, forces: ComplexArray, k: int) -> LocalFit:
-    """Fit a channel to all forces locally; the value is the response to force `k`."""
-    reading = spectra.reading(rec, name)
-    side = min(spectra.side, (spectra.frequency.size - 1) // 2)
-    others = np.delete(forces, k, axis=0)
-    return local_fit(reading, forces[k], spectra.ends, spectra.lines, side, spectra.used, others)
-
-
-def _mean_square(spectra: LocalSpectra, force: ComplexArray) -> Array:
-    width = 2 * spectra.side + 1
-    return np.convolve(np.mean(abs(force) ** 2, axis=0), np.full(width, 1.0 / width), "same")[spectra.lines]
-
-
-def _local_covariance(
-    residual: ComplexArray, influence: ComplexArray, inputs: int, degrees: Array
-) -> ComplexArray:
-    """Propagate the covariance of the output residuals through the local fits, to elements at each line."""
+    # Covariance of the residuals of the outputs, propagated through the fits to the elements at each line.
+    residual, influence = np.stack(residuals, axis=1), np.stack(influences, axis=1)
     free = np.maximum(degrees[:, 0, 0] / 2.0, 0.5)
-    power = np.einsum("naw,nbw->nab", residual, residual.conj()) / free[:, None, None]
-    elements = np.repeat(np.arange(residual.shape[1]), inputs)
+    cross = np.einsum("naw,nbw->nab", residual, residual.conj()) / free[:, None, None]
+    elements = np.repeat(np.arange(len(names)), len(inputs))
     through = np.einsum("npw,nqw->npq", influence, influence.conj())
-    return np.asarray(through * power[:, elements][:, :, elements])
+    covariance = np.asarray(through * cross[:, elements][:, :, elements])
+    points = _outputs(rec, names, motion), tuple(inputs)
+    causes = {MODEL: missed, REFERENCE_NOISE: bias, RESOLUTION: rounding}
+    budget = _matrix_budget(
+        rec, at, value, points, error, degrees, causes, MatrixErrors(covariance), spectra.shared
+    )
+    warnings = (*whole.warnings, *notes)
+    return _checked(Response(at, value, *points, budget, coherence, label=rec.scene.name, warnings=warnings))
+
+
+def _mean_square(spectra: ComplexArray, side: int) -> Array:
+    """Average the power of spectra over stretches, and over `side` bins on either side; shape (bins,)."""
+    width = 2 * side + 1
+    return np.convolve(np.mean(abs(spectra) ** 2, axis=0), np.full(width, 1.0 / width), "same")
 
 
 def _of_experiments(
@@ -374,10 +347,11 @@ def _of_experiments(
         if len(group) < len(inputs):
             notes.append(f"Realisation {number} left out: {len(group)} of {len(inputs)} experiments.")
             continue
-        found = [period_spectra(rec, channels, marker) for marker in group]
-        if any(len(each.spectra) < 2 for each in found):
-            notes += [note for each in found for note in each.notes]
+        experiments = [period_spectra(rec, channels, marker) for marker in group]
+        if any(len(each.spectra) < 2 for each in experiments):
+            notes += [note for each in experiments for note in each.notes]
             continue
+        found = experiments
         frequency = found[0].frequency
         rows = np.stack(
             [each.row(rec, channels, frequency) for each in _measurands(rec, names, inputs, motion)]
@@ -408,7 +382,7 @@ def _of_experiments(
         unsettled.append(moving)
         coherences.append(powers / np.maximum(powers + rests, 1e-300))
     if not values:
-        raise RecordingError(f"{rec.path}: no realisation of the multisine is whole. {' '.join(notes)}")
+        raise RecordingError(f"{rec.path}: no realisation of the multisine is complete. {' '.join(notes)}")
     count = len(values)
     value = np.mean(values, axis=0)
     covariance = np.sum(noises, axis=0) / count**2
@@ -423,10 +397,8 @@ def _of_experiments(
             moderate, freedom = moderated(variance, np.full(own.size, known), np.maximum(side, 1e-300), SIDE)
             error[:, a, k], degrees[:, a, k] = np.sqrt(moderate / 2.0), freedom
     points = _outputs(rec, names, motion), tuple(inputs)
-    budget = _matrix_budget(
-        rec, frequency, value, points, error, degrees, {UNSETTLED: np.mean(unsettled, axis=0)},
-        MatrixErrors(covariance),
-    )  # fmt: skip
+    causes = {UNSETTLED: np.mean(unsettled, axis=0)}
+    budget = _matrix_budget(rec, frequency, value, points, error, degrees, causes, MatrixErrors(covariance))
     coherence = np.mean(coherences, axis=0)
     return _checked(
         Response(frequency, value, *points, budget, coherence, label=rec.scene.name, warnings=tuple(notes))
@@ -455,11 +427,8 @@ def reciprocity(response: Response) -> tuple[Reciprocity, ...]:
             known = np.isfinite(first) & np.isfinite(second)
             away, allowed = abs(first - second)[known], (bound[:, a, m] + bound[:, b, k])[known]
             size = np.maximum(0.5 * abs(first + second)[known], 1e-300)
-            found.append(
-                Reciprocity(
-                    (one.place, two.place), float(np.mean(away <= allowed)), float(np.median(away / size))
-                )
-            )
+            within, deviation = float(np.mean(away <= allowed)), float(np.median(away / size))
+            found.append(Reciprocity((one.place, two.place), within, deviation))
     return tuple(found)
 
 

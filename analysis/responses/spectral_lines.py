@@ -10,16 +10,13 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from analysis.responses.budget import ReadingShares, assemble_budget
+from analysis.responses.budget import measured_curve
 from analysis.responses.measurands import driven, motion_of, reference_of
 from analysis.responses.random_errors import MeanErrors
 from analysis.responses.ringing import ringing
 from analysis.responses.scatter import Scatter, moderated
-from analysis.responses.systematic import (
-    RESOLUTION,
-    UNSETTLED,
-    common_scale,
-)
+from analysis.responses.systematic import RESOLUTION, UNSETTLED, ReadingShares
+from rig.arrays import Array, ComplexArray
 from rig.results.response import Response
 from rig.results.uncertainty import radius
 
@@ -45,18 +42,18 @@ class Lines:
     """Amplitudes of the recorded channels at the frequencies of a periodic excitation."""
 
     channels: tuple[str, ...]  # names, in the order of the rows
-    frequency: NDArray[np.float64]  # hz, in the order measured; shape (n,)
+    frequency: Array  # Hz, in the order measured; shape (n,)
     # amplitude as recorded, without correction for the sensors; complex, shape (channels, n)
-    mean: NDArray[np.complex128]
+    mean: ComplexArray
     scatter: Scatter  # random deviation of the mean
     label: str = ""  # Setting, for legends
     warnings: tuple[str, ...] = field(default=())  # In full sentences
     # largest error of each mean by residual transients; shape (channels, n)
-    remainder: NDArray[np.float64] | None = None
+    remainder: Array | None = None
     # lines without steady-state motion; shape (n,). None for tests without held tones
     unsteady: NDArray[np.bool_] | None = None
     # frequencies of discarded measurements, Hz
-    left_out: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
+    left_out: Array = field(default_factory=lambda: np.empty(0))
     # number of lines on either side with similar noise, for lines with too few averages of their own
     around: int = 0
     noise: Scatter | None = None  # contribution of noise alone to `scatter`; None: all of it
@@ -64,10 +61,10 @@ class Lines:
     # noise
     turned: int = 1
     # largest error of each mean by rounding to counts; shape (channels, n)
-    resolution: NDArray[np.float64] | None = None
-    waited: NDArray[np.float64] | None = None
+    resolution: Array | None = None
+    waited: Array | None = None
     # arguments `waited` and `lasted` of `ringing` for successive tones, s; each of shape (n,)
-    lasted: NDArray[np.float64] | None = None
+    lasted: Array | None = None
 
     def frf(
         self, rec: Recording, response: str, reference: str = "force", motion: str = "displacement"
@@ -89,7 +86,7 @@ class Lines:
             expected = noise.nearby(off, self.around)
             variance, degrees = moderated(variance, degrees, expected, self.around)
         error = np.sqrt(variance / 2.0)
-        causes: dict[str, NDArray[np.float64]] = {}
+        causes: dict[str, Array] = {}
         doubts = [self._reference_noise(lower, noise) / abs(f)]
         # Residual transients and rounding add up in the worst case.
         unsettled = None if self.remainder is None else _AT_MOST * self.remainder
@@ -107,26 +104,14 @@ class Lines:
         shares = ReadingShares(
             names, self.frequency, motion, value, upper * self.mean / f, lower * self.mean / f
         )
-        return Response.curve(
-            self.frequency,
-            value,
-            above.channels[0],
-            reference=reference,
-            motion=motion,
-            uncertainty=assemble_budget(
-                rec, shares, error, degrees, causes, doubts,
-                errors=MeanErrors(off.T[:, None], means),
-                scale=common_scale(rec, above.channels, below.channels),
-            ),
-            coherence=coherence,
-            label=self.label,
-            warnings=self.warnings,
-            unsteady=self.unsteady,
-            amplitude=None if self.unsteady is None else abs(f),
-            omitted=self.left_out,
+        amplitude = None if self.unsteady is None else abs(f)
+        return measured_curve(
+            rec, shares, above, below, reference, error, degrees, causes, doubts, MeanErrors(off.T[:, None], means),
+            coherence=coherence, label=self.label, warnings=self.warnings, unsteady=self.unsteady,
+            amplitude=amplitude, omitted=self.left_out,
         )  # fmt: skip
 
-    def _reference_noise(self, lower: NDArray[np.complex128], noise: Scatter) -> NDArray[np.float64]:
+    def _reference_noise(self, lower: ComplexArray, noise: Scatter) -> Array:
         """Compute the largest amplitude of noise in the reference at each line; shape (n,).
 
         The limit is exceeded at one line in a thousand, so that lines without excitation are discarded and noise is
@@ -138,7 +123,7 @@ class Lines:
         return np.asarray(np.sqrt(self.turned * variance / 2.0) * radius(_SURE, degrees))
 
 
-def _noise(changes: NDArray[np.complex128]) -> NDArray[np.float64]:
+def _noise(changes: ComplexArray) -> Array:
     """Estimate the noise power in the changes between parts, from differences between lines; transients are smooth.
 
     `changes` has the shape (changes, channels, lines). Returns shape (channels, lines), sum over the changes. The
@@ -160,16 +145,13 @@ def _sum_of_neighbors(values: NDArray[Any]) -> NDArray[Any]:
     return np.asarray(np.lib.stride_tricks.sliding_window_view(padded, _TOGETHER, axis=1).sum(axis=-1))
 
 
-def remainder(successive: NDArray[np.complex128]) -> NDArray[np.float64]:
-    """Estimate the largest error of the mean of successive parts by a decaying transient.
+def remainder(successive: ComplexArray) -> Array:
+    """Estimate the largest error of the mean of successive parts by a decaying transient, shape (channels, lines).
 
-    Between successive parts, a transient is multiplied by a constant complex factor r, because it decays and its
-    frequency differs from that of the line. With the initial value c it shifts the mean of P parts by ``c (1 - r^P) /
-    (P (1 - r))``. The change from part k to the next is ``c r^k (r - 1)``, which determines r and c. Many parts are
-    first averaged to a few, because noise would otherwise hide r.
-
-    `successive`, shape (parts, channels, lines): amplitudes of successive parts of equal length. Returns shape
-    (channels, lines).
+    Between successive parts, shape (parts, channels, lines), a transient is multiplied by a constant complex factor r.
+    With the initial value c it shifts the mean of P parts by ``c (1 - r^P) / (P (1 - r))``. The change from part k to
+    the next is ``c r^k (r - 1)``, which determines r and c. Many parts are first averaged to a few, because noise would
+    otherwise hide r.
 
     >>> amplitudes = 1.0 + 0.1 * 0.8 ** np.arange(5.0)[:, None, None] + 0j
     >>> float(round(remainder(amplitudes)[0, 0] / (abs(amplitudes.mean()) - 1.0), 6))

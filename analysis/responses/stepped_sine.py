@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,7 @@ _Point = tuple[ToneFit, tuple[int, int], bool]
 # Level and direction of a sweep; a frequency without a point, with the reason and its details.
 _Setting = tuple[float, str]
 _LeftOut = tuple[float, str, str]
+_TOO_SHORT = "shorter than a period"
 
 
 @dataclass(frozen=True)
@@ -41,63 +42,54 @@ class Sweep:
     direction: str  # ``"up"`` or ``"down"``
     windows: NDArray[np.int64]  # first and one-past-last sample of each window; int, shape (n, 2)
 
-    def distortion(self) -> NDArray[np.float64]:
-        """Compute the total harmonic distortion of the channels as recorded, shape (channels, n)."""
-        return np.stack([tone.distortion() for tone in self.tones], axis=1)
-
 
 def sweeps(
-    rec: Recording,
-    channels: Sequence[str] | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    rec: Recording, channels: Sequence[str] | None = None, progress: Callable[[int, int], None] | None = None
 ) -> list[Sweep]:
-    """Apply lock-in detection to every window marked ``measure``; group the results by level and direction.
-
-    `rec`: a stepped-sine or sine recording; `channels`: names of the channels; all if omitted. Returns in the order
-    of the test.
-    """
+    """Apply lock-in detection to every window marked ``measure``; group the results by level and direction."""
     markers = sorted(
         (m for m in rec.markers if m.kind == "measure" and "frequency" in m.fields),
         key=lambda m: m.first_sample,
     )
     names = list(rec.channels if channels is None else channels)
-    overloaded = short = 0
     runs: dict[_Setting, list[_Point]] = {}
     left_out: dict[_Setting, list[_LeftOut]] = {}
-    windows = [_window(rec, marker) for marker in markers]
+    windows = []
+    for marker in markers:
+        stop = rec.samples if marker.last_sample is None else marker.stop
+        windows.append((int(marker.first_sample), min(stop, rec.samples)))
     parts = [
-        parts_of_whole_periods(first, stop, frequency, rec.rate, PARTS) for frequency, first, stop in windows
+        parts_of_whole_periods(*window, float(marker.fields["frequency"]), rec.rate, PARTS)
+        for marker, window in zip(markers, windows, strict=True)
     ]
     source = read_slices(rec, names, (part for group in parts for part in group))
-    for index, (marker, (frequency, first, stop), group) in enumerate(
-        zip(markers, windows, parts, strict=True)
-    ):
-        key = _setting(marker)
-        if (stop - first) * frequency < 0.99 * rec.rate:
-            short += 1
-            for _ in group:
-                next(source)
-            left_out.setdefault(key, []).append((frequency, "shorter than a period", "shorter than a period"))
-            continue
-        shortest = min(end - begin for begin, end in group)
-        harmonics = int(max(1, min(HARMONICS, 0.45 * rec.rate / frequency, (shortest - 2) // 4)))
-        lockin = LockIn(frequency, rec.rate, harmonics)
+    for done, (marker, (first, stop), group) in enumerate(zip(markers, windows, parts, strict=True), 1):
+        samples = (next(source) for _ in group)
+        frequency = float(marker.fields["frequency"])
+        key = float(marker.fields.get("level", np.nan)), str(marker.fields.get("direction", "up"))
         spoilt = flaws(rec, names, first, stop)
-        for _ in group:
-            samples = next(source)
-            if not spoilt:
-                lockin.add(samples)
-        if progress is not None:
-            progress(index + 1, len(markers))
-        if spoilt:
-            overloaded += any(flaw.what == "overloaded" for flaw in spoilt)
+        if (stop - first) * frequency < 0.99 * rec.rate:
+            left_out.setdefault(key, []).append((frequency, _TOO_SHORT, _TOO_SHORT))
+        elif spoilt:
             why = ", ".join(dict.fromkeys(f"{flaw.channel} {flaw.what}" for flaw in spoilt))
             left_out.setdefault(key, []).append((frequency, why, describe_flaws(rec, spoilt)))
-            continue
-        steady = marker.fields.get("settled") is not False
-        runs.setdefault(key, []).append((lockin.tone(), (first, stop), steady))
+        else:
+            shortest = min(end - begin for begin, end in group)
+            harmonics = int(max(1, min(HARMONICS, 0.45 * rec.rate / frequency, (shortest - 2) // 4)))
+            lockin = LockIn(frequency, rec.rate, harmonics)
+            for part in samples:
+                lockin.add(part)
+            steady = marker.fields.get("settled") is not False
+            runs.setdefault(key, []).append((lockin.tone(), (first, stop), steady))
+        # The samples of a window that is left out are skipped.
+        for _ in samples:
+            pass
+        if progress is not None:
+            progress(done, len(markers))
     if not runs:
-        raise RecordingError(_why_nothing(rec, bool(markers), overloaded, short))
+        raise RecordingError(
+            f"{rec.path}: {_why_nothing(rec, [each for some in left_out.values() for each in some])}"
+        )
     several = len(runs.keys() | left_out.keys()) > 1
     notes = {
         key: _notes(key, runs.get(key, []), left_out.get(key, []), several) for key in {**runs, **left_out}
@@ -106,9 +98,9 @@ def sweeps(
     notes[next(iter(runs))] += [note for key, lost in notes.items() if key not in runs for note in lost]
     return [
         _sweep(
-            rec, key, found, notes[key], [each[0] for each in left_out.get(key, [])], several, tuple(names)
+            rec, key, points, notes[key], [each[0] for each in left_out.get(key, [])], several, tuple(names)
         )
-        for key, found in runs.items()
+        for key, points in runs.items()
     ]
 
 
@@ -118,14 +110,13 @@ def _notes(key: _Setting, found: list[_Point], left_out: list[_LeftOut], several
     out = []
     for why in dict.fromkeys(each[1] for each in left_out):
         places = [each for each in left_out if each[1] == why]
-        if len(places) == 1:
-            out.append(f"{setting}{places[0][0]:.4g} Hz left out: {places[0][2]} in its window.")
-            continue
         low, high = min(each[0] for each in places), max(each[0] for each in places)
         which = f"{len(places)} frequencies from {low:.4g} to {high:.4g} Hz left out"
-        if low == high:
+        if len(places) == 1:
+            which, why = f"{low:.4g} Hz left out", places[0][2]
+        elif low == high:
             which = f"{low:.4g} Hz left out {len(places)} times"
-        out.append(f"{setting}{which}: {why} in their windows.")
+        out.append(f"{setting}{which}: {why} in {'its window' if len(places) == 1 else 'their windows'}.")
     if not found:
         out.append(f"{setting}no frequency of this sweep is usable.")
     unsteady = [not steady for _, _, steady in found]
@@ -138,65 +129,47 @@ def _notes(key: _Setting, found: list[_Point], left_out: list[_LeftOut], several
     return out
 
 
-def _window(rec: Recording, marker: Any) -> tuple[float, int, int]:
-    frequency = float(marker.fields["frequency"])
-    stop = rec.samples if marker.last_sample is None else marker.stop
-    return frequency, int(marker.first_sample), min(stop, rec.samples)
-
-
-def _setting(marker: Any) -> _Setting:
-    return float(marker.fields.get("level", np.nan)), str(marker.fields.get("direction", "up"))
-
-
-def _why_nothing(rec: Recording, marked: bool, overloaded: int, short: int) -> str:
-    broken = next((str(marker.fields["reason"]) for marker in rec.markers if marker.kind == "abort"), None)
-    if broken is not None:
+def _why_nothing(rec: Recording, left_out: list[_LeftOut]) -> str:
+    duration = f"{rec.samples / rec.rate:.3g} s"
+    for marker in rec.markers:
+        if marker.kind == "abort":
+            return f"nothing was measured in these {duration}, as the test ended early: {marker.fields['reason']}"
+    reasons = [why for _, why, _ in left_out]
+    if any("overloaded" in why for why in reasons):
         return (
-            f"nothing was measured in these {rec.samples / rec.rate:.3g} s, because the test ended "
-            f"early: {broken}"
+            "the channels were overloaded in every measured window. Lower the level, widen the converter's range, or "
+            "lower the sensitivity in the scene."
         )
-    if overloaded:
-        return (
-            "the channels were overloaded in every measured window: lower the level, or widen the "
-            "converter's range "
-            "or lower the sensitivity in the scene"
-        )
-    if short:
-        return (
-            "every measured window is too short: it holds less than a period of its tone; measure longer "
-            "(test: measure: periods)"
-        )
-    if marked:
-        return "every measured window has lost samples: record again, or repair the file with `daq recover`"
-    duration = rec.samples / rec.rate
+    if _TOO_SHORT in reasons:
+        return "every measured window is shorter than a period of its tone. Measure longer (test: measure: periods)."
+    if reasons:
+        return "every measured window has lost samples. Record again, or repair the file with `daq recover`."
     if rec.source:
         return (
-            f"no step was detected in these {duration:.3g} s during the import: there is no tone of "
-            "constant frequency for ten periods or more. Import the file with its kind of test (test: "
-            "kind: swept_sine, random)."
+            f"no step was detected in these {duration} when they were imported: no tone lasts for ten periods. Import "
+            "it with the kind of its test (test: kind: swept_sine, random)."
         )
     return (
-        f"no steady state was measured in this recording of {duration:.3g} s: it has no marker "
-        "'measure'. Let the test run to its first measurement (test: settle, measure)."
+        f"no steady state was measured in these {duration}: no window is marked 'measure'. Let the test run to its "
+        "first measurement (test: settle, measure)."
     )
 
 
 def _sweep(
     rec: Recording,
     key: _Setting,
-    found: list[_Point],
+    points: list[_Point],
     notes: list[str],
     left_out: list[float],
     several: bool,
     names: tuple[str, ...],
 ) -> Sweep:
     level, direction = key
-    tones = tuple(tone for tone, _, _ in found)
-    windows = np.array([window for _, window, _ in found])
+    tones = tuple(tone for tone, _, _ in points)
+    windows = np.array([window for _, window, _ in points])
     # Where dampers move, the transient decays differently from what steady responses predict.
     alone = not any(damper.moves for damper in rec.scene.dampers)
     waited = (windows[:, 0] - np.concatenate([[0], windows[:-1, 1]])) / rec.rate
-    setting = f", {plainly(level)} N {direction}" if several else ""
     lines = Lines(
         channels=names,
         frequency=np.array([tone.frequency for tone in tones]),
@@ -205,11 +178,11 @@ def _sweep(
             stacked([tone.scatter() for tone in tones]),
             np.array([2.0 * (len(tone.parts) - 1.0) for tone in tones]),
         ),
-        label=f"{rec.scene.name}{setting}",
+        label=f"{rec.scene.name}{f', {plainly(level)} N {direction}' if several else ''}",
         warnings=tuple(notes),
         remainder=np.stack([remainder(tone.parts[:, :, None])[:, 0] for tone in tones], axis=1),
         resolution=np.stack([_resolution(rec, names, tone) for tone in tones], axis=1),
-        unsteady=np.array([not steady for _, _, steady in found]),
+        unsteady=np.array([not steady for _, _, steady in points]),
         left_out=np.array(left_out),
         waited=waited if alone else None,
         lasted=np.diff(windows)[:, 0] / rec.rate if alone else None,

@@ -69,7 +69,15 @@ class SweptTone:
         if not dampers_move(rec):
             return found
         lag = np.where(self.riding, 0.0, self._lag(found))
-        return found.with_limits({UNSETTLED: lag}).warn(*_too_fast(found, lag))
+        found = found.with_limits({UNSETTLED: lag})
+        fast = lag / abs(found.value) > _FAST
+        if not np.sum(fast) > _FAST_SHARE * np.sum(lag > 0.0):
+            return found
+        ends = found.frequency[np.flatnonzero(fast)[[0, -1]]]
+        return found.warn(
+            f"Between {ends[0]:.4g} and {ends[1]:.4g} Hz this sweep is too fast to reach steady state with dampers in "
+            f"flight, so the curve is a transient response there. Sweep {_SLOWER} times slower, or use stepped sine."
+        )
 
     def _lag(self, found: Response) -> Array:
         """Estimate the error of a nonlinear response by the finite sweep rate.
@@ -94,15 +102,10 @@ def tracked(
     """Compute the spectra of a sweep around each frequency, over the stretch in which the tone is near it.
 
     The transients at the beginning and end of a stretch are part of the fit, so that neither the sweep rate nor the
-    length of the stretch limits the resolution.
-
-    `marker`: the ``measure`` marker of the sweep: from, to, duration, spacing; `channels`: names of the channels to
-    track.
+    length of the stretch limits the resolution. `marker`: the ``measure`` marker of the sweep.
     """
-    first, stop = (
-        marker.first_sample,
-        min(rec.samples, rec.samples if marker.last_sample is None else marker.stop),
-    )
+    first = marker.first_sample
+    stop = rec.samples if marker.last_sample is None else min(rec.samples, marker.stop)
     names = tuple(channels)
     low, high = sorted(float(marker.fields[key]) for key in ("from", "to"))
     frequency = np.geomspace(low, high, _POINTS)
@@ -117,11 +120,11 @@ def tracked(
         notes.append(f"{clean.count(False)} of {_POINTS} frequencies left out: {describe_flaws(rec, found)}.")
     if not any(clean):
         raise RecordingError(
-            f"no part of the sweep is usable: {describe_flaws(rec, found) or 'it is too short'}; "
-            f"{cure(rec, found)}, or sweep for longer"
+            f"{rec.path}: no part of the sweep can be used ({describe_flaws(rec, found) or 'it is too short'}). "
+            f"{cure(rec, found)}, or sweep for longer."
         )
     if marker.fields.get("settled") is False:
-        notes.append("The sweep began before its first frequency had become steady.")
+        notes.append("The sweep began before steady state at its first frequency. Increase test: settle.")
     order = sorted(np.flatnonzero(clean), key=lambda index: bounds[index])
     around = np.arange(-SIDE, SIDE + 1)
     samples = np.empty((_POINTS, len(names), around.size), dtype=complex)
@@ -137,7 +140,8 @@ def tracked(
         line = max(int(frequency[index] * size / rec.rate), SIDE + 1)
         # Frequency shift that places the frequency exactly on a line.
         shift = frequency[index] * size / rec.rate - line
-        place = line + ahead * _beyond(line)
+        # The noise is read beyond the range and leakage of the tone.
+        place = line + ahead * (int(_GROWTH * max((_RATIO**0.5 - 1.0) * line, SIDE)) + 2 * SIDE)
         seen = SIDE < place < size // 2 - SIDE
         beside = np.arange(place - SIDE - 1, place + SIDE + 2) if seen else np.zeros(0, dtype=np.int64)
         lines = np.concatenate([line + around, beside])
@@ -175,36 +179,18 @@ def tracked(
     return SweptTone(spectra, speed[kept], rec.scene.name, tuple(notes), riding, shared)
 
 
-def _too_fast(found: Response, lag: Array) -> tuple[str, ...]:
-    """Warn of a sweep that is too fast for steady-state motion with dampers in flight."""
-    share = lag / abs(found.value)
-    fast = share > _FAST
-    if not np.sum(fast) > _FAST_SHARE * np.sum(lag > 0.0):
-        return ()
-    ends = found.frequency[np.flatnonzero(fast)[[0, -1]]]
-    return (
-        f"Too fast for moving dampers: between {ends[0]:.4g} and {ends[1]:.4g} Hz the motion does not "
-        f"become steady. Sweep over {_SLOWER} times as long, or use a stepped sine.",
-    )
-
-
 def _riding(rec: Recording, names: Sequence[str], frequency: Array, squares: Array) -> NDArray[np.bool_]:
     """Frequencies at which no damper lifts, from the mean squares of the channels on their bodies."""
     riding = np.ones(frequency.size, dtype=bool)
+    infos = [rec.channels[name] for name in names]
     for damper in rec.scene.dampers:
-        infos = [rec.channels[name] for name in names]
-        seen = [
-            k for k, info in enumerate(infos) if info.at == f"body {damper.body}" and info.quantity in MOTIONS
-        ]
         largest = np.full(frequency.size, np.inf)
-        for k in seen:
-            order = 2 - MOTIONS.index(infos[k].quantity)
-            size = (
-                (2.0 * squares[k]) ** 0.5
-                / abs(infos[k].response(frequency))
-                * (2 * np.pi * frequency) ** order
-            )
-            largest = np.minimum(largest, size * (1.0 + tolerance(infos[k])))
+        for info, square in zip(infos, squares, strict=True):
+            if info.at != f"body {damper.body}" or info.quantity not in MOTIONS:
+                continue
+            order = 2 - MOTIONS.index(info.quantity)
+            size = (2.0 * square) ** 0.5 / abs(info.response(frequency)) * (2 * np.pi * frequency) ** order
+            largest = np.minimum(largest, size * (1.0 + tolerance(info)))
         riding &= damper.locked | (largest < _RIDES * rec.scene.gravity)
     return riding
 
@@ -213,9 +199,8 @@ def _stretch(marker: Marker, frequency: float, rate: float, first: int, stop: in
     """Return the first and one-past-last sample of the stretch around a frequency."""
     ratio = _RATIO
     while True:
-        ends = sorted(
-            first + _passes(marker, f, rate) for f in (frequency / ratio**0.5, frequency * ratio**0.5)
-        )
+        edges = frequency / ratio**0.5, frequency * ratio**0.5
+        ends = sorted(first + _passes(marker, edge, rate) for edge in edges)
         begin, end = max(first, int(ends[0])), min(stop, int(ends[1]))
         driven = (ratio**0.5 - 1.0) * frequency * (end - begin) / rate
         if driven >= SIDE or (begin == first and end == stop):
@@ -223,19 +208,11 @@ def _stretch(marker: Marker, frequency: float, rate: float, first: int, stop: in
         ratio *= _GROWTH
 
 
-def _beyond(line: int) -> int:
-    """Count the lines from a stretch's frequency to the end of the tone's range and leakage."""
-    return int(_GROWTH * max((_RATIO**0.5 - 1.0) * line, SIDE)) + 2 * SIDE
-
-
 def at_lines(block: Array, lines: NDArray[np.int64], shift: float) -> ComplexArray:
     """Compute a few lines of the frequency-shifted spectrum of a long stretch.
 
-    The stretch is folded into rows and multiplied by a small matrix of phases, which takes a fraction of the time of
-    a complete transform.
-
-    `block` has the shape (channels, samples); `lines` has the shape (lines,); `shift`: frequency shift above each
-    line, in lines. Returns shape (channels, lines).
+    The stretch is folded into rows and multiplied by a small matrix of phases, much faster than a whole transform.
+    `block` has the shape (channels, samples); `shift`: frequency shift above each line, in lines.
 
     >>> block = np.random.default_rng(1).standard_normal((1, 1000))
     >>> moved = np.fft.fft(block * np.exp(-2j * np.pi * 0.3 / 1000 * np.arange(1000)))

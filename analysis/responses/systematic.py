@@ -6,6 +6,7 @@ Each part is a largest deviation, like a tolerance in a data sheet, and has a na
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -37,6 +38,23 @@ _SHARPEST = 10.0
 _QUARTER = 1.0 / 16.0
 
 
+@dataclass(frozen=True)
+class ReadingShares:
+    """Shares of the channels in a response and in its reference."""
+
+    names: Sequence[str]  # channels, in the order of the rows
+    frequency: Array  # Hz, shape (lines,)
+    motion: str  # quantity of the response
+    value: ComplexArray  # response, the sum of `upper`; shape (lines,)
+    upper: ComplexArray  # share of each channel in the response, shape (channels, lines)
+    lower: ComplexArray  # share of each channel in the reference, whose sum is 1; shape (channels, lines)
+
+    @property
+    def difference(self) -> ComplexArray:
+        """Return the change of the response per relative change of each channel, shape (channels, lines)."""
+        return self.upper - self.value * self.lower
+
+
 def tolerance(info: ChannelInfo) -> float:
     """Compute the largest relative deviation of a channel's sensitivity by its data sheet.
 
@@ -59,25 +77,14 @@ def tolerance(info: ChannelInfo) -> float:
     return given("sensitivity_tolerance", RATIO) + warmth + sideways
 
 
-def sensitivity_part(
-    rec: Recording, names: Sequence[str], value: ComplexArray, upper: ComplexArray, lower: ComplexArray
-) -> dict[str, Array]:
-    """Compute the largest deviation of a response by the tolerances of its channels.
-
-    `names`: channels, in the order of the rows; `value` has the shape (lines,); `upper`, `lower`, shape (channels,
-    lines): share of each channel in the response and in the reference; their sums are `value` and 1. Returns shape
-    (lines,), empty if no data sheet states a tolerance. Infinite if the true reference may be zero, as a small
-    difference of two large readings.
-    """
-    share = np.array([[tolerance(rec.channels[name])] for name in names])
-    return {SENSITIVITY: off_by_gains(share, of_reading(share), value, upper, lower)} if share.any() else {}
+def sensitivity_part(rec: Recording, shares: ReadingShares) -> dict[str, Array]:
+    """Compute the largest deviation of a response by the tolerances of its channels; empty without tolerances."""
+    share = np.array([[tolerance(rec.channels[name])] for name in shares.names])
+    return {SENSITIVITY: off_by_gains(share, of_reading(share), shares)} if share.any() else {}
 
 
 def common_scale(rec: Recording, above: Sequence[str], below: Sequence[str]) -> float:
-    """Return the largest relative error of a reference common to all responses; zero for a two-channel reference.
-
-    `above`, `below`: channels of the response and of the reference.
-    """
+    """Return the largest relative error of a single reference channel, which is common to all responses; or 0."""
     alone = len(below) == 1 and below[0] not in above
     return tolerance(rec.channels[below[0]]) if alone else 0.0
 
@@ -94,44 +101,36 @@ def of_reading(share: Array) -> Array:
     return np.divide(share, 1.0 - share, out=np.full(share.shape, np.inf), where=share < 1.0)
 
 
-def off_by_gains(
-    share: Array, far: Array, value: ComplexArray, upper: ComplexArray, lower: ComplexArray
-) -> Array:
-    """Compute the largest error of a quotient of readings, each of which is 1 + e times its true value.
+def off_by_gains(share: Array, far: Array, shares: ReadingShares) -> Array:
+    """Compute the largest error of a quotient of readings, each of which is 1 + e times its true value, shape (lines,).
 
     For readings with the sums u and l, the quotient has the error ``sum (u - l u/l) e/(1+e)`` over ``sum l/(1+e)``.
-    This is bounded directly, and after division of both sums by the gain of any single channel, which reduces the
-    error to e for a channel that is the entire denominator. The smallest of these bounds is valid.
-
-    `share`, `far`, shape (channels, lines) or (channels, 1): upper limits of ``abs(e)`` and ``abs(e / (1 + e))``.
-    Returns shape (lines,), infinite if the true denominator may be zero, as a small difference of two large
-    readings.
+    This is bounded directly, and after division of both sums by the gain of any single channel, which reduces the error
+    to e for a channel that is the entire denominator. The smallest of these bounds is valid. `share` and `far` are
+    upper limits of ``abs(e)`` and ``abs(e / (1 + e))``, shape (channels, lines) or (channels, 1). Infinite if the true
+    denominator may be zero.
     """
-    parts: Array = np.asarray(abs(upper - value * lower), dtype=float)
-    in_reference: Array = np.asarray(abs(lower), dtype=float)
+    parts: Array = np.asarray(abs(shares.difference), dtype=float)
+    in_reference: Array = np.asarray(abs(shares.lower), dtype=float)
+    # Numerator and relative uncertainty of the denominator of each bound.
+    quotients = [[np.sum(nothing_times(each, far), axis=0) for each in (parts, in_reference)]]
     with np.errstate(divide="ignore", invalid="ignore"):
-        bounds = [
-            _quotient(
-                np.sum(nothing_times(parts, far), axis=0), np.sum(nothing_times(in_reference, far), axis=0)
-            )
-        ]
         for one, own in enumerate(share):
             others = np.arange(len(share)) != one
             more = far[others] * (1.0 + own)
             apart = (own + share[others]) * (1.0 + far[others])
             deviation = parts[one] * own + np.sum(nothing_times(parts[others], more), axis=0)
-            bounds.append(_quotient(deviation, np.sum(nothing_times(in_reference[others], apart), axis=0)))
+            quotients.append([deviation, np.sum(nothing_times(in_reference[others], apart), axis=0)])
+        bounds = [
+            np.where(doubt < 1.0, deviation / np.maximum(1.0 - doubt, 1e-300), np.inf)
+            for deviation, doubt in quotients
+        ]
     return np.asarray(np.nanmin(bounds, axis=0))
 
 
 def nothing_times(part: Array, far: Array) -> Array:
     """Multiply, with zero times infinity defined as zero."""
     return np.asarray(np.where(part > 0.0, part * far, 0.0))
-
-
-def _quotient(deviation: Array, doubt: Array) -> Array:
-    """Deviation over a denominator with a relative uncertainty; infinite (unbounded) from 1 on."""
-    return np.asarray(np.where(doubt < 1.0, deviation / np.maximum(1.0 - doubt, 1e-300), np.inf))
 
 
 def reference_noise_part(value: ComplexArray, coherence: Array) -> Array:
@@ -147,10 +146,8 @@ def shared_noise_part(noise: Array, off: ComplexArray, lower: ComplexArray, powe
 
     Noise of power N in a channel with the weights u in the response and l in the reference adds ``u l* N`` to their
     cross-spectrum and ``|l|^2 N`` to the reference's power: H1 has the error ``(u - H1 l) l* N`` over the noise-free
-    part of that power. The coherence does not show this error, because noise common to both looks like a response.
-
-    `noise`, shape (channels, lines): upper limit of the noise power; `off`, shape (channels, lines): ``u - H1 l``;
-    `lower`, shape (channels, lines): ``l``; `power`, shape (lines,): power of the reference.
+    part of that power. The coherence does not show it, because noise common to both looks like a response. `off`: ``u -
+    H1 l``.
     """
     left = power - np.sum(abs(lower) ** 2 * noise, axis=0)
     bias = np.sum(abs(off * lower) * noise, axis=0)
@@ -159,22 +156,17 @@ def shared_noise_part(noise: Array, off: ComplexArray, lower: ComplexArray, powe
 
 
 def doubtful_reference_part(bound: Array, doubt: Array) -> dict[str, Array]:
-    """Compute the additional error of a quotient whose denominator may be smaller than its reading.
+    """Compute the additional error of a quotient whose denominator may be smaller by a share of its reading.
 
     With errors dx of a response x = H f and df of its reference, x / f has the error ``(dx - H df) / (f - df)``: the
-    first-order error over ``1 - df / f``.
-
-    `bound`, shape (lines,): first-order bound; `doubt`, shape (lines,): bound of the reference, relative to its
-    reading. From 1 on the true reference may be zero and the error is unbounded.
+    first-order error over ``1 - df / f``, unbounded from a share of 1 on.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         more = np.sqrt(1.0 / np.maximum(1.0 - doubt, 0.0) ** 2 - 1.0)
         return {REFERENCE: np.where(doubt < 1.0, np.where(more > 0.0, bound * more, 0.0), np.inf)}
 
 
-def rounding_part(
-    gain: Array, value: ComplexArray, upper: ComplexArray, lower: ComplexArray
-) -> dict[str, Array]:
+def rounding_part(gain: Array, shares: ReadingShares) -> dict[str, Array]:
     """Compute the largest deviation of a response by rounding, for readings of a few counts.
 
     `gain`, shape (channels, lines): largest relative change of a channel's gain by rounding: `noise_gain` or
@@ -182,17 +174,15 @@ def rounding_part(
     """
     if not gain.any():
         return {}
-    return {RESOLUTION: np.sum(gain * np.maximum(abs(upper - value * lower), 1e-300), axis=0)}
+    return {RESOLUTION: np.sum(gain * np.maximum(abs(shares.difference), 1e-300), axis=0)}
 
 
 def noise_gain(power: Array) -> Array:
-    """Compute the largest relative change of the gain by rounding to counts, for a noise signal.
+    """Compute the largest relative change of the gain by rounding to counts, for a noise signal of a power in counts².
 
-    The rounding error is random noise except for a part proportional to the signal, at most ``2 exp(-2 pi^2 s^2)``
-    for Gaussian noise of s counts (B. Widrow, I. Kollár, Quantization Noise, Cambridge University Press 2008,
-    sections 4 and 11). Below a quarter of a count it is unbounded (infinite).
-
-    `power`: mean square of a reading in counts², of which rounding contributes 1/12; infinite without a converter.
+    The rounding error is random noise except for a part proportional to the signal, at most ``2 exp(-2 pi^2 s^2)`` for
+    Gaussian noise of s counts (B. Widrow, I. Kollár, Quantization Noise, Cambridge University Press 2008, sections 4
+    and 11). The power includes 1/12 of the rounding. Below a quarter of a count the gain is unbounded (infinite).
     """
     power = power - 1.0 / 12.0
     return np.asarray(np.where(power > _QUARTER, 2.0 * np.exp(-2.0 * np.pi**2 * power), np.inf))
@@ -210,12 +200,10 @@ def tone_gain(power: Array) -> Array:
 
 
 def scattered(power: Array) -> Array:
-    """Compute the share of a tone's rounding error that additional noise leaves equal in every period.
+    """Compute the share of a tone's rounding error that noise of a power in counts² leaves equal in every period.
 
     Noise of s counts reduces the first term of the quantizer's series by ``exp(-2 pi^2 s^2)``, and all others more
-    (B. Widrow, I. Kollár, Quantization Noise, Cambridge University Press 2008, sections 4 and 11).
-
-    `power`: mean square of the noise in counts², of which rounding contributes 1/12.
+    (Widrow and Kollár, as in `noise_gain`). The power includes 1/12 of the rounding.
     """
     return np.asarray(np.exp(-2.0 * np.pi**2 * np.maximum(power - 1.0 / 12.0, 0.0)))
 
@@ -233,33 +221,25 @@ def counts_of(rec: Recording, names: Sequence[str]) -> Array:
     return np.array([0.0 if info.volts_per_count is None else info.unit_per_count for info in infos])
 
 
-def clock_part(
-    rec: Recording,
-    names: Sequence[str],
-    frequency: Array,
-    value: ComplexArray,
-    upper: ComplexArray,
-    lower: ComplexArray,
-    motion: str,
-) -> dict[str, Array]:
+def clock_part(rec: Recording, shares: ReadingShares) -> dict[str, Array]:
     """Compute the largest deviation of a response by the error of the sample clock.
 
     The frequency error acts through the slope of the curve, and through the powers of frequency that convert an
     acceleration to a displacement.
-
-    `frequency`, shape (lines,): Hz; `motion`: quantity of the response `value`.
     """
     off = clock_deviation(rec)
     if not off:
         return {}
+    frequency, value = shares.frequency, shares.value
     order = np.argsort(frequency, kind="stable")
     moved = np.empty(frequency.size)
     moved[order] = _moved(frequency[order], value[order], off * frequency[order])
     if frequency.size < _SLOPE_LINES:
         moved = np.maximum(moved, off * _STEEP * abs(value))
-    measured = [rec.channels[name].quantity for name in names]
+    measured = [rec.channels[name].quantity for name in shares.names]
     powers = np.array([[MOTIONS.index(each) if each in MOTIONS else 0.0] for each in measured])
-    made = np.sum((powers - MOTIONS.index(motion)) * upper, axis=0) - value * np.sum(powers * lower, axis=0)
+    made = np.sum((powers - MOTIONS.index(shares.motion)) * shares.upper, axis=0)
+    made = made - value * np.sum(powers * shares.lower, axis=0)
     return {CLOCK: moved + off * abs(made)}
 
 

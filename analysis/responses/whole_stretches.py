@@ -48,13 +48,13 @@ _MUCH = 0.01
 class WholeStretches:
     """Samples and band of a recording for local fits."""
 
-    # all channels concerned. A flaw of one channel excludes the samples of all, so that the curves have equal
-    # lines
-    channels: tuple[str, ...]
+    channels: tuple[
+        str, ...
+    ]  # a flaw of one excludes the samples of all, so that the curves have equal lines
     first: int  # samples between which the test ran
-    stop: int  # samples between which the test ran
+    stop: int
     low: float  # band in Hz in which responses are estimated
-    high: float  # band in Hz in which responses are estimated
+    high: float
     missed: Sequence[Flaw] = ()  # flaws of channels in addition to overloads and losses
     hits: Hits | None = None  # hits of a hammer, with the noise of the force before and after each hit
     # period of bursts and duration of each burst in samples; None for tests without bursts
@@ -69,12 +69,11 @@ class WholeStretches:
     ) -> Response:
         """Estimate the frequency response with coherence, random and systematic errors."""
         above, below = motion_of(rec, response, motion), reference_of(rec, reference)
-        # The channels of each response determine whether the rig was at rest before its hits.
-        names = (
-            self.channels if self.hits is None else tuple(dict.fromkeys([*above.channels, *below.channels]))
-        )
+        names, noise = self.channels, None
+        if self.hits is not None:
+            # The channels of each response determine whether the rig was at rest before its hits.
+            names = tuple(dict.fromkeys([*above.channels, *below.channels]))
         spectra, moving, stretches, notes = self.prepared(rec, names, below.channels)
-        noise = None
         if self.hits is not None:
             noise = self.hits.force_noise(rec, stretches, spectra.frequency[spectra.lines])
         frf = spectra.frf(rec, above, below, reference, motion, self.label, (*self.warnings, *notes), noise)
@@ -93,14 +92,16 @@ class WholeStretches:
             kept = sum(stop - start for start, stop in stretches) / (self.stop - self.first)
             notes.insert(0, f"{1 - kept:.0%} of the test left out: {describe_flaws(rec, found)}.")
         if not stretches:
-            advice = f"{cure(rec, found)}, and record again"
             spoilt = {flaw.channel for flaw in found}
             others = [name for name in responses(rec) if name in self.channels and name not in spoilt]
-            if others and not spoilt & set(references):
-                advice += f"; or take the others alone: --response {' --response '.join(others)}"
+            advice = f"the test is flawed. {cure(rec, found)}, and record again"
             if not found:
-                advice = "the test is too short to average; record longer"
-            raise RecordingError(f"{' '.join(notes)} No usable samples remain: {advice}")
+                advice = "the test is too short to average. Record longer"
+            elif others and not spoilt & set(references):
+                advice += f", or use only the other channels: --response {' --response '.join(others)}"
+            raise RecordingError(
+                f"{rec.path}: {' '.join([*notes, f'No response can be estimated: {advice}.'])}"
+            )
         if names not in self.made:
             before = [] if self.hits is None else [self.hits.moving(rec, names, *each) for each in stretches]
             self.made[names] = self._spectra(rec, names, stretches, before), before
@@ -115,8 +116,12 @@ class WholeStretches:
         if self.bursts is not None:
             # Samples at rest between bursts carry no information: undriven, a spring's force follows its response.
             # After the end of a burst, most of the vibration was excited before the stretch began.
-            least = max(4 * SIDE, _BURST * self.bursts[1])
-            clean = [stretch for stretch in clean if self._driven(*stretch) > least]
+            size, on = self.bursts
+            clean = [
+                (start, stop)
+                for start, stop in clean
+                if np.sum((np.arange(start, stop) - self.first) % size < on) > max(4 * SIDE, _BURST * on)
+            ]
         # The range of a fit must be smaller than the band.
         least = 2 * SIDE / (self.high - self.low) if self.hits is None else 0.2
         longest = max((stop - start for start, stop in clean), default=0)
@@ -126,7 +131,7 @@ class WholeStretches:
             if stop - start >= max(_WORTH * longest, least * rec.rate, 4 * SIDE)
         ]
         if clean and not worth:
-            return [], [f"No stretch longer than {longest / rec.rate:.3g} s is free of overloads and losses."]
+            return [], [f"No stretch longer than {longest / rec.rate:.3g} s is clean."]
         return worth, []
 
     def _in_memory(
@@ -153,16 +158,9 @@ class WholeStretches:
             return stretches, []
         taken, there = (sum(len(self.hits.inside(*each)) for each in some) for some in (kept, stretches))
         return kept, [
-            (
-                f"Only {taken} of {there} hits are used, those before {kept[-1][1] / rate:.4g} s: all of "
-                "them would need more than a gigabyte. Use a lower rate or a shorter interval between hits."
-            )
+            f"Only {taken} of {there} hits are used, those before {kept[-1][1] / rate:.4g} s, because all of them need "
+            "more than a gigabyte of memory. Record at a lower rate or with a shorter interval between hits."
         ]
-
-    def _driven(self, start: int, stop: int) -> int:
-        """Count the samples of a stretch in which bursts were on."""
-        size, on = self.bursts or (1, 1)
-        return int(np.sum((np.arange(start, stop) - self.first) % size < on))
 
     def _spectra(
         self,
@@ -172,7 +170,8 @@ class WholeStretches:
         moving: Sequence[float],
     ) -> LocalSpectra:
         """Compute the spectra of all stretches, zero-padded at the beginning to the length of the longest."""
-        lead = 0 if self.hits is None else self.hits.lead()
+        # Rest before each stretch separates the residual vibration at its end from the response to its hit.
+        lead = 0 if self.hits is None else self.hits.interval
         # The length does not depend on motion before the hits, so that all responses have the same lines.
         size = fft.next_fast_len(max(stop - start for start, stop in stretches) + lead, real=True)
         # The spectrum of periodic hits is a comb of lines, without excitation between its teeth.
@@ -231,21 +230,20 @@ class WholeStretches:
         first, last = max(int(np.ceil(low - 1e-9)), 1), min(int(high + 1e-9), int(0.45 * size))
         if last <= first:
             raise RecordingError(
-                f"the frequency resolution is {rec.rate / size:.3g} Hz, without a line between "
-                f"{self.low:.4g} and {self.high:.4g} Hz. Record longer."
+                f"{rec.path}: the resolution of {rec.rate / size:.3g} Hz leaves no lines between {self.low:.4g} and "
+                f"{self.high:.4g} Hz. Record longer."
             )
         return np.arange(first, last + 1, -(-(last - first) // _MOST_LINES))
 
 
 def _with_motion_before(frf: Response, moving: Sequence[float]) -> Response:
     """Add the effect of motion before the hits to a curve's bound, and warn if it is large."""
-    known = [part for part in moving if np.isfinite(part)]
-    if not known:
+    most = max((part for part in moving if np.isfinite(part)), default=None)
+    if most is None:
         return frf
-    most = max(known)
     warning = (
-        f"{frf.response}: motion or drift of {most:.1%} of the response before a hit is part of the "
-        "curve. Begin earlier and at rest, or record several hits in a row."
+        f"{frf.response}: motion or drift of {most:.1%} of the response before a hit, which affects the curve. Begin "
+        "at rest and earlier, or record several hits in a row."
     )
     # The spectrum of a free decay decreases with the distance from its resonance in proportion to the response to the
     # hit. Every line is therefore treated as a resonance with the magnitude and width of the curve at this line.
@@ -261,7 +259,6 @@ def dampers_move(rec: Recording) -> tuple[str, ...]:
     if not any(damper.moves for damper in rec.scene.dampers):
         return ()
     return (
-        "Moving dampers make the structure nonlinear: the curve is valid only for this level and kind "
-        "of excitation, and its uncertainty assumes linearity. Use a stepped sine for the response to "
-        "steady tones.",
+        "Moving dampers make the structure nonlinear: this curve is valid only for this level and kind of excitation, "
+        "and its error bars assume linearity. Use stepped sine for the response to steady tones.",
     )

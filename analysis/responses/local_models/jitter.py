@@ -29,12 +29,9 @@ def jitter_factor(
     """Square-root factor of the covariance of jitter errors that look like a response to a hit, (rows, channels).
 
     A sample with a delay t has an error of t times the slope of its signal. Slopes are steepest during a hit and
-    shortly after it. The errors there are as smooth over the lines as the response, so that the scatter does not show
-    them. Each sample is weighted by its effect on a local fit. All channels have the same clock and therefore the
+    shortly after it, where the errors are as smooth over the lines as the response, so that the scatter does not show
+    them. Each sample is weighted by its effect on a local fit to `side` lines on either side. All channels have the
     same delay.
-
-    `hits`: first and last sample of each hit; the covariance is the mean over the hits; `size`: number of samples of
-    a spectrum; `side`: lines on either side that a local fit uses.
     """
     deviation = (rec.scene.converter.jitter or 0.0) * rec.rate
     factor = np.zeros((0, len(names)))
@@ -57,9 +54,8 @@ def jitter_factor(
 def jitter_part(factor: Array, off: ComplexArray, power: Array) -> dict[str, Array]:
     """Largest deviation of a response by jitter during and shortly after the hits.
 
-    `factor`, shape (rows, channels): from `jitter_factor`; `off`, shape (channels, lines): ``u - H l``, where u and
-    l are the weights of the readings in the response and in the reference; `power`, shape (lines,): power of the
-    reference, summed over all hits.
+    `off`, shape (channels, lines): change of the response per unit of each reading and of the reference; `power`: of
+    the reference, summed over all hits.
 
     >>> part = jitter_part(np.array([[2.0, 1.0]]), np.array([[1.0], [-2.0]]) + 0j, np.ones(1))
     >>> {name: size.tolist() for name, size in part.items()}  # what both read is off by the same

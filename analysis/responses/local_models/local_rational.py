@@ -21,7 +21,7 @@ References
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 import scipy
@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 from rig.arrays import Array, ComplexArray
 
 Lines = NDArray[np.int64]
+Result = TypeVar("Result", "LocalFit", "_Unknown")
 
 # Order of the polynomials of the numerator, the denominator and the transients. A fit of the next higher order gives
 # the model error.
@@ -52,18 +53,14 @@ class Reading:
     slow: ComplexArray
 
 
-@dataclass(frozen=True)
-class LocalFit:
-    """Result of the local fits, for each line."""
+class LocalFit(NamedTuple):
+    """Result of the local fits, each at all lines."""
 
-    value: ComplexArray  # response at each line; NaN at lines without excitation; complex, shape (lines,)
+    value: ComplexArray  # response; NaN at lines without excitation; complex, shape (lines,)
     variance: Array  # variance of either quadrature component; shape (lines,)
     # share of the response power without transients that the fit assigns to the reference; shape (lines,)
     coherence: Array
     degrees: Array  # degrees of freedom of the variance; shape (lines,)
-    # model error of the polynomials at each line: the change by a fit of the next higher order, at the line
-    # or as root mean square around it, less the change that noise explains [2]_; shape (lines,)
-    missed: Array
     # variance of either quadrature component for noise of unit power in the reference at each line. In a peak
     # that is narrower than the range of a fit, the poles follow this noise and the residuals do not show it;
     # shape (lines,)
@@ -71,12 +68,16 @@ class LocalFit:
     # share of the reference power that no other term of the fit can explain. The share is small for a tone
     # that sweeps evenly, because its spectrum resembles a transient, and large for noise; shape (lines,)
     apart: Array
-    noise: Array  # power of the residual at each line, in the squared unit of the reading; shape (lines,)
+    noise: Array  # power of the residual, in the squared unit of the reading; shape (lines,)
     # error of the value per unit error of each bin of the reading; shape (lines, stretches, width)
     influence: ComplexArray
     residual: ComplexArray  # residual of the reading; shape (lines, stretches, width)
     curve: ComplexArray  # fitted reading per unit of the reference; shape (lines, 1, width)
     first: Lines  # first bin of each fit; shape (lines,)
+    criterion: Array  # Schwarz's criterion, for the comparison of orders [3]_; shape (lines,)
+    # model error of the polynomials: the change by a fit of the next higher order, at the line or as root mean
+    # square around it, less the change that noise explains [2]_; shape (lines,)
+    missed: Array
 
 
 def local_fit(
@@ -88,15 +89,12 @@ def local_fit(
     used: float = 1.0,
     others: ComplexArray | None = None,
 ) -> LocalFit:
-    """Fit the response at some lines.
+    """Fit the response at some lines, with `side` lines on either side.
 
-    `reading`: reading of the response channel; `reference`, shape (stretches, bins): True spectra of the reference;
-    `ends`, shape (stretches, bins): phase of the first sample of each stretch, if the transients at beginning and
-    end are separate terms. It is 1 at all bins if they are a single term, and 0 if the rig was at rest; `lines`,
-    shape (lines,): bins at which to fit; `side`: lines on either side that a fit uses; `used`: measured share of the
-    samples of the spectra; the remainder is zero padding, which correlates neighbouring lines and reduces the
-    degrees of freedom; `others`, shape (inputs, stretches, bins): True spectra of other inputs, each with its own
-    numerator and the common denominator.
+    `ends`: phase of the first sample of each stretch, if the transients at beginning and end are separate terms; 1 at
+    all bins if they are a single term, and 0 if the rig was at rest. `used`: measured share of the samples; the
+    remainder is zero padding, which correlates neighbouring lines. `others`, shape (inputs, stretches, bins): true
+    spectra of other inputs, each with its own numerator and the common denominator.
 
     >>> random = np.random.default_rng(1)
     >>> bins = np.arange(200)
@@ -107,17 +105,19 @@ def local_fit(
     >>> np.allclose(fit.value, 1.0 / pole[[100, 103]])
     True
     """
-    plain, rational, more = (
-        _fits(reading, reference, ends, lines, side, used, order, poles, others)
-        for order, poles in ((ORDER, 0), (ORDER, ORDER), (ORDER + 1, ORDER + 1))
-    )
+    fits = []
+    for order, poles in ((ORDER, 0), (ORDER, ORDER), (ORDER + 1, ORDER + 1)):
+        inputs = 1 if others is None else 1 + len(others)
+        unknowns = inputs * (order + 1) + poles + 2 * len(reference) * (order + 1 + len(reading.slow))
+        step = max(1, _AT_ONCE // ((2 * side + 1) * unknowns))
+        parts = [
+            _fit(reading, reference, ends, lines[at : at + step], side, used, order, poles, others)
+            for at in range(0, lines.size, step)
+        ]
+        fits.append(LocalFit(*(np.concatenate(each) for each in zip(*parts, strict=True))))
+    plain, rational, more = fits
     simple = plain.criterion < rational.criterion
-    best = _Fits(
-        *(
-            np.where(simple.reshape(-1, *[1] * (each[0].ndim - 1)), *each)
-            for each in zip(plain, rational, strict=True)
-        )
-    )
+    best = _selected(simple, plain, rational)
     # The lower order is contained in the higher, so the variance of the difference is the difference of the
     # variances.
     change, noise = abs(more.value - best.value) ** 2, 2.0 * np.maximum(more.variance - best.variance, 0.0)
@@ -126,29 +126,10 @@ def local_fit(
     # The model error at a peak of one or two lines is limited to these lines; noise exceeds this limit in 5 % of
     # lines.
     missed = np.sqrt(np.maximum(np.maximum(around, change - LARGEST * noise), 0.0))
-    return LocalFit(
-        best.value, best.variance, best.coherence, best.degrees, missed, best.through, best.apart, best.noise,
-        best.influence, best.residual, best.curve, _first(lines, side, reference.shape[1]),
-    )  # fmt: skip
+    return best._replace(missed=missed)
 
 
-class _Fits(NamedTuple):
-    """Fits of one order, each of shape (lines,)."""
-
-    value: ComplexArray
-    variance: Array
-    coherence: Array
-    degrees: Array
-    through: Array
-    apart: Array
-    noise: Array
-    criterion: Array  # Schwarz's criterion, for the comparison of orders [3]_
-    influence: ComplexArray
-    residual: ComplexArray
-    curve: ComplexArray
-
-
-def _fits(
+def _fit(
     reading: Reading,
     reference: ComplexArray,
     ends: ComplexArray,
@@ -158,70 +139,12 @@ def _fits(
     order: int,
     poles: int,
     others: ComplexArray | None,
-) -> _Fits:
-    count = len(reference)
-    begins = [s for s in range(count) if np.any(ends[s]) and not np.all(ends[s] == 1.0)]
-    inputs = 1 if others is None else 1 + len(others)
-    unknowns = inputs * (order + 1) + poles + (count + len(begins)) * (order + 1 + len(reading.slow))
-    equations = count * (2 * side + 1)
-    step = max(1, _AT_ONCE // (equations * (unknowns // count)))
-    parts = [
-        _fit(reading, reference, ends, begins, lines[first : first + step], side, order, poles, others)
-        for first in range(0, lines.size, step)
-    ]
-    found = _Solution(*(np.concatenate(each) for each in zip(*parts, strict=True)))
-    # Zero padding correlates neighbouring lines and reduces the degrees of freedom.
-    free = max(used * equations - unknowns, 0.5)
-    noise = found.left / free
-    # Noise contributes to the magnitude of the estimate even if the true response is zero.
-    explained = np.maximum(found.power - noise * found.spread, 0.0) * found.apart * equations
-    criterion = used * equations * np.log(np.maximum(found.left, _NOTHING)) + unknowns * np.log(
-        2 * used * equations
-    )
-    return _Fits(
-        value=found.value,
-        variance=0.5 * noise * found.spread * found.scale**2,
-        coherence=explained / np.maximum(explained + found.left, _NOTHING),
-        degrees=np.full(lines.size, 2.0 * free),
-        through=found.through,
-        apart=found.apart,
-        noise=noise * found.size**2,
-        criterion=criterion,
-        influence=found.influence,
-        residual=found.residual,
-        curve=found.curve,
-    )
-
-
-class _Solution(NamedTuple):
-    """Least-squares solution for readings and references scaled to unit mean square, at some lines."""
-
-    value: ComplexArray
-    scale: Array  # scale of the reading over that of the reference: the unit of the value
-    power: Array  # square of the value without that scale
-    spread: Array  # variance of the value without that scale, for unit noise
-    left: Array  # sum of squares of the residual of the reading
-    through: Array
-    apart: Array
-    size: Array  # root mean square of the reading
-    influence: ComplexArray  # these three as in `LocalFit`, with all scales
-    residual: ComplexArray
-    curve: ComplexArray
-
-
-def _fit(
-    reading: Reading,
-    reference: ComplexArray,
-    ends: ComplexArray,
-    begins: list[int],
-    lines: Lines,
-    side: int,
-    order: int,
-    poles: int,
-    others: ComplexArray | None,
-) -> _Solution:
+) -> LocalFit:
+    """Fit polynomials of one order, without the model error."""
     stretches, width = len(reference), 2 * side + 1
-    near = _first(lines, side, reference.shape[1])[:, None] + np.arange(width)
+    begins = [s for s in range(stretches) if np.any(ends[s]) and not np.all(ends[s] == 1.0)]
+    first = np.clip(lines - side, 0, reference.shape[1] - width)
+    near = first[:, None] + np.arange(width)
     at = ((near - lines[:, None]) / side)[:, None, :]
     x, f, e = (np.moveaxis(each[:, near], 1, 0) for each in (reading.spectra, reference, ends))
     response_near = reading.response[near][:, None, :]
@@ -252,37 +175,45 @@ def _fit(
         stepped = _Unknown(*(np.add(*each) for each in zip(unknown, change, strict=True)))
         changed = x - terms.quotient(stepped)[0]
         better = _power(changed) < _power(left)
-        unknown = unknown.where(better, stepped)
+        unknown = _selected(better, stepped, unknown)
         left = np.where(better[:, None, None], changed, left)
     # Response at all lines of the fit: the model for a unit reference.
-    first = unknown._replace(numerator=unknown.numerator[:, : order + 1])
-    curve = terms._replace(shared=powers).response(first)
+    of_reference = unknown._replace(numerator=unknown.numerator[:, : order + 1])
+    curve = terms._replace(shared=powers).response(of_reference)
     through = _power(influence * curve * response_near) / 2.0
     # Share of the unit reference power that is independent of all other columns. With the columns of the numerator
     # alone, the constant would have the variance of a polynomial fit.
     scatter = np.linalg.inv(np.swapaxes(powers[:, 0], 1, 2) @ powers[:, 0])[:, 0, 0] / stretches
-    spread = _power(influence)
+    spread, rest = _power(influence), _power(left)
+    apart = np.minimum(scatter / np.maximum(spread, _NOTHING), 1.0)
     driven = np.where(drive > _NOTHING, drive, np.nan)[:, 0, 0]
     scale = size[:, 0, 0] / driven
     constant = unknown.numerator[:, 0]
-    return _Solution(
+    # Zero padding correlates neighbouring lines and reduces the degrees of freedom.
+    equations = stretches * width
+    unknowns = terms.shared.shape[-1] + poles + (stretches + len(begins)) * (order + 1 + len(reading.slow))
+    free = max(used * equations - unknowns, 0.5)
+    noise = rest / free
+    # Noise contributes to the magnitude of the estimate even if the true response is zero.
+    explained = np.maximum(np.square(abs(constant)) - noise * spread, 0.0) * apart * equations
+    criterion = used * equations * np.log(np.maximum(rest, _NOTHING)) + unknowns * np.log(
+        2 * used * equations
+    )
+    return LocalFit(
         value=constant * scale,
-        scale=scale,
-        power=np.square(abs(constant)),
-        spread=spread,
-        left=_power(left),
+        variance=0.5 * noise * spread * scale**2,
+        coherence=explained / np.maximum(explained + rest, _NOTHING),
+        degrees=np.full(lines.size, 2.0 * free),
         through=through * (scale / driven) ** 2,
-        apart=np.minimum(scatter / np.maximum(spread, _NOTHING), 1.0),
-        size=size[:, 0, 0],
+        apart=apart,
+        noise=noise * size[:, 0, 0] ** 2,
         influence=influence / np.where(drive > _NOTHING, drive, np.inf),
         residual=left * size,
         curve=curve * response_near * (size / drive),
+        first=np.asarray(first),
+        criterion=criterion,
+        missed=np.zeros(lines.size),
     )
-
-
-def _first(lines: Lines, side: int, bins: int) -> Lines:
-    """First bins of the fits at some lines."""
-    return np.asarray(np.clip(lines - side, 0, bins - 2 * side - 1))
 
 
 class _Unknown(NamedTuple):
@@ -291,15 +222,6 @@ class _Unknown(NamedTuple):
     numerator: ComplexArray  # shape (lines, order + 1)
     denominator: ComplexArray  # without its constant, which is 1; shape (lines, poles)
     transients: ComplexArray  # shape (lines, stretches, terms)
-
-    def where(self, lines: NDArray[np.bool_], other: _Unknown) -> _Unknown:
-        """Replace the coefficients at some lines by those of another solution."""
-        return _Unknown(
-            *(
-                np.where(lines.reshape(-1, *[1] * (mine.ndim - 1)), theirs, mine)
-                for mine, theirs in zip(self, other, strict=True)
-            )
-        )
 
 
 class _Terms(NamedTuple):
@@ -340,9 +262,7 @@ def _solved(terms: _Terms, model: ComplexArray, right: ComplexArray) -> tuple[_U
 
     If a lower order suffices, denominator, numerator and transient have an arbitrary common factor. A weak
     regularization towards small coefficients determines it without effect on the response at the line.
-
-    `model`, shape (lines, stretches, width): model that is multiplied by the denominator; `right` has the shape
-    (lines, stretches, width).
+    `model`, multiplied by the denominator, and `right` have the shape (lines, stretches, width).
     """
     lines, stretches, width = right.shape
     count = terms.own.shape[-1]
@@ -364,6 +284,12 @@ def _solved(terms: _Terms, model: ComplexArray, right: ComplexArray) -> tuple[_U
     influence = (row @ adjoint).reshape(lines, stretches, width + count)[..., :width]
     numerators = terms.shared.shape[-1]
     return _Unknown(found[:, :numerators, 0], found[:, numerators:, 0], transients), influence
+
+
+def _selected(lines: NDArray[np.bool_], one: Result, other: Result) -> Result:
+    """Take the arrays of one result at some lines, and those of another elsewhere."""
+    pairs = zip(one, other, strict=True)
+    return type(one)(*(np.where(lines.reshape(-1, *[1] * (pair[0].ndim - 1)), *pair) for pair in pairs))
 
 
 def _wishing(system: ComplexArray | Array) -> ComplexArray:

@@ -12,7 +12,7 @@ import scipy
 from numpy.typing import NDArray
 from scipy import special
 
-from analysis.responses.budget import ReadingShares, assemble_budget
+from analysis.responses.budget import measured_curve
 from analysis.responses.force_pulse import slow_and_fast
 from analysis.responses.local_models.jitter import jitter_part
 from analysis.responses.local_models.local_rational import LARGEST, ORDER, LocalFit, Reading, local_fit
@@ -21,7 +21,7 @@ from analysis.responses.random_errors import LocalErrors
 from analysis.responses.systematic import (
     MODEL,
     REFERENCE_NOISE,
-    common_scale,
+    ReadingShares,
     reference_noise_part,
     rounding_part,
     shared_noise_part,
@@ -44,7 +44,7 @@ class LocalSpectra:
     channels: tuple[str, ...]
     samples: ComplexArray  # complex, shape (stretches, channels, bins)
     ends: ComplexArray  # as in `local_fit`; complex, shape (stretches, bins)
-    frequency: Array  # hz; shape (bins,)
+    frequency: Array  # Hz; shape (bins,)
     lines: NDArray[np.int64]  # bins at which the response is estimated; shape (lines,)
     side: int  # lines on either side that a local fit uses
     used: float  # measured share of the samples of the spectra, as in `local_fit`
@@ -57,18 +57,6 @@ class LocalSpectra:
     fits: dict[tuple[str, Measurand], LocalFit] = field(default_factory=dict)
     # stored spectra of references; complex, shape (stretches, bins)
     spectra: dict[Measurand, ComplexArray] = field(default_factory=dict)
-
-    def only(self, names: Sequence[str]) -> LocalSpectra:
-        """Return the spectra of some channels only."""
-        rows = [self.channels.index(name) for name in names]
-        return replace(
-            self,
-            channels=tuple(names),
-            samples=self.samples[:, rows],
-            gain=self.gain[rows],
-            noise=self.noise[rows],
-            jitter=self.jitter[:, rows],
-        )
 
     def frf(
         self,
@@ -83,19 +71,21 @@ class LocalSpectra:
     ) -> Response:
         """Estimate the response of one measurand to another.
 
-        Parameters
-        ----------
-        above, below : Measurand
-            Response and reference.
-        reference_noise : ndarray, shape (lines,), optional
-            Relative variance of either quadrature component of the reference, if known. If omitted, the coherence
-            bounds it.
+        `reference_noise`, shape (lines,): relative variance of either quadrature component of the reference. If it is
+        unknown, the coherence bounds it.
         """
         names = list(dict.fromkeys([*above.channels, *below.channels]))
         if names != list(self.channels):
-            return self.only(names).frf(
-                rec, above, below, reference, motion, label, warnings, reference_noise
+            rows = [self.channels.index(name) for name in names]
+            only = replace(
+                self,
+                channels=tuple(names),
+                samples=self.samples[:, rows],
+                gain=self.gain[rows],
+                noise=self.noise[rows],
+                jitter=self.jitter[:, rows],
             )
+            return only.frf(rec, above, below, reference, motion, label, warnings, reference_noise)
         at = self.frequency[self.lines]
         force = self.spectrum(rec, below)
         driven(reference, force)
@@ -118,7 +108,7 @@ class LocalSpectra:
         shares = ReadingShares(names, at, motion, value, upper * reads, lower * reads)
         off = upper - value * lower
         causes = (
-            rounding_part(self.gain, value, shares.upper, shares.lower)
+            rounding_part(self.gain, shares)
             | jitter_part(self.jitter, off, len(force) * self._power(force, self.side))
             | {MODEL: of_response.missed * scale}
         )
@@ -154,19 +144,9 @@ class LocalSpectra:
             one_reference=below.channels[1:] == () and not noise.any(),
             common=common[:, None],
         )
-        return Response.curve(
-            at,
-            value,
-            above.channels[0],
-            reference=reference,
-            motion=motion,
-            uncertainty=assemble_budget(
-                rec, shares, np.sqrt(variance), of_response.degrees, causes, doubts,
-                errors=errors, shared=self.shared, scale=common_scale(rec, above.channels, below.channels),
-            ),
-            coherence=of_response.coherence,
-            label=label,
-            warnings=tuple(warnings),
+        return measured_curve(
+            rec, shares, above, below, reference, np.sqrt(variance), of_response.degrees, causes, doubts, errors,
+            self.shared, coherence=of_response.coherence, label=label, warnings=tuple(warnings),
         )  # fmt: skip
 
     @property
@@ -208,11 +188,7 @@ class LocalSpectra:
         return self.fits[name, to]
 
     def _reference_noise(self, rec: Recording, below: Measurand) -> Array:
-        """Upper limit of the noise power of the channels of a spring force at each line.
-
-        The noise of either of two readings of the same motion is at most the power that it does not share with the
-        other.
-        """
+        """Upper limit of the noise power of the two channels of a spring force: the power that they do not share."""
         most = self.noise.copy()
         for name, other in permutations(below.channels):
             row = self.channels.index(name)

@@ -31,12 +31,9 @@ _SMALL = 1 << 18
 def low_spectra(
     rec: Recording, names: Sequence[str], start: int, stop: int, size: int, bins: int
 ) -> tuple[ComplexArray, Array]:
-    """Compute the spectra of a clean stretch after leading zeros, with its mean removed.
+    """Compute spectra and mean square of a clean stretch without its mean, after zeros that extend it to `size`.
 
-    `start`, `stop`: first sample of the stretch, and the one after the last; `size`: number of samples with the
-    zeros; `bins`: number of bins from zero frequency, with a spacing of the sample rate / size. Returns `spectra`,
-    shape (channels, bins), as returned by `numpy.fft.rfft`; `squares`, shape (channels,), mean square of the stretch
-    without its mean.
+    The spectra are those of `numpy.fft.rfft`, shape (channels, bins); the mean squares have the shape (channels,).
     """
     step = max(each for each in range(1, max(1, int(_REACH * size / bins)) + 1) if size % each == 0)
     taps = (

@@ -17,7 +17,7 @@ from analysis.damper_motion import energy_balance
 from analysis.damper_motion.energy_balance import energy_per_cycle, impact_energy_per_cycle
 from analysis.damper_motion.motion_types import DamperMotion, damper_motion
 from analysis.presentation.damper_findings import describe_motions, present_dampers
-from analysis.responses.branch_jumps import jumps
+from analysis.responses.curve_checks import jumps
 from analysis.responses.stepped_sine import sweeps
 from daq.signal_chain.channel import ChannelInfo
 from rig.errors import RecordingError

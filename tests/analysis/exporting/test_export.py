@@ -154,7 +154,9 @@ def test_lost_samples_are_kept_or_rejected(with_gap, tmp_path):
         assert np.array_equal(arrays["body1"], table[:, 1], equal_nan=True)
     assert np.flatnonzero(np.isnan(table[:, 1])).tolist() == list(range(1000, 1500))
     for name in ("a.wav", "a.uff"):
-        with pytest.raises(RecordingError, match=r"lacks 0.390625 s to 0.585938 s of body1, body2"):
+        with pytest.raises(
+            RecordingError, match=r"the samples of body1, body2 from 0.390625 to 0.585938 s are lost"
+        ):
             export(Slice.of(with_gap), tmp_path / name)
         export(Slice.of(with_gap, to_s=0.390625), tmp_path / name)
     assert not [path for path in tmp_path.iterdir() if path.name.startswith(".")]
@@ -173,8 +175,8 @@ def test_pieces_give_same_file(recording, tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("wanted", "message"),
     [
-        ({"channels": ["body9"]}, "no channel 'body9'; its channels are body1, body2"),
-        ({"from_s": 5.0}, "lasts from 0 s to 1.95312 s"),
+        ({"channels": ["body9"]}, "no channel 'body9'. Choose one of body1, body2"),
+        ({"from_s": 5.0}, "times from 0 s to 1.95312 s"),
         ({"from_s": 1.0, "to_s": 0.5}, "--from 1 s is after --to 0.5 s"),
     ],
 )

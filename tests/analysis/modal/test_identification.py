@@ -136,9 +136,7 @@ def test_clock_error_limits_frequencies():
     modes = analysis.identify(
         [
             replace(
-                frf,
-                uncertainty=replace(frf.uncertainty, clock=off),
-                frequency=frf.frequency / (1.0 + off),
+                frf, uncertainty=replace(frf.uncertainty, clock=off), frequency=frf.frequency / (1.0 + off)
             )
             for frf in frfs
         ]
@@ -283,9 +281,7 @@ def test_omitted_peak_gives_no_mode():
         analysis.identify(in_a_gap([]))
 
 
-def test_sensor_tolerance_is_in_its_shape(
-    tmp_path,
-):
+def test_sensor_tolerance_is_in_its_shape(tmp_path):
     with daq.open(synthetic.stepped_sine(tmp_path / "a.mcap", np.linspace(8.0, 60.0, 105))) as rec:
         [curves] = analysis.frequency_responses(rec)
     poor = limited(curves[1], {SENSITIVITY: 0.2 * abs(curves[1].value)})
@@ -299,9 +295,7 @@ def test_sensor_tolerance_is_in_its_shape(
             assert (0.09 < share[response, mode] < 0.15) if wide else share[response, mode] < 0.01
 
 
-def test_force_tolerance_is_in_no_shape(
-    tmp_path,
-) -> None:
+def test_force_tolerance_is_in_no_shape(tmp_path) -> None:
     with daq.open(synthetic.stepped_sine(tmp_path / "a.mcap", np.linspace(8.0, 60.0, 105))) as rec:
         [curves] = analysis.frequency_responses(rec)
     wide = [

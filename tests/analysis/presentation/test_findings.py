@@ -90,7 +90,7 @@ def test_force_channel_offers_motion_channels(folder):
     arguments = ["decay", str(folder / "hit.mcap"), "--channel", "hammer"]
     run = CliRunner().invoke(app, arguments)
     assert isinstance(run.exception, RecordingError)
-    assert "measures force, not motion: choose one of body1, body2, body3" in str(run.exception)
+    assert "measures force, not motion. Choose one of body1, body2, body3" in str(run.exception)
 
 
 @pytest.mark.thorough
@@ -111,7 +111,7 @@ def test_command_names_its_outputs(folder, tmp_path):
 
 
 def test_missing_recording_names_its_command(tmp_path):
-    with pytest.raises(RecordingError, match=r"no such file; `daq record SCENE -o"):
+    with pytest.raises(RecordingError, match=r"no such file. Make one: `daq record SCENE -o"):
         present_frf([tmp_path / "none.mcap"])
 
 

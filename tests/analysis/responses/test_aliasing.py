@@ -11,7 +11,7 @@ import analysis
 import daq
 import rig
 from analysis.responses.aliasing import _blows, _free_acceleration, aliasing_part
-from analysis.responses.systematic import ALIASING
+from analysis.responses.systematic import ALIASING, ReadingShares
 from daq.signal_chain.channel import ChannelInfo
 from rig.results.response import MOTIONS
 
@@ -39,7 +39,8 @@ def part(info, value, motion="acceleration", scene=SCENE, lower=0.0):
         source="", channels={info.name: info, "b": other}, scene=rig.loads(scene, where="a test")
     )
     share = np.array([[1.0 - lower], [lower]]) * np.ones(value.size)
-    return aliasing_part(rec, [info.name, "b"], FREQUENCY, value, value * share, share[::-1], motion)
+    shares = ReadingShares([info.name, "b"], FREQUENCY, motion, value, value * share, share[::-1])
+    return aliasing_part(rec, shares)
 
 
 def missing(share):
@@ -182,8 +183,8 @@ def test_foreign_instruments_have_no_images():
     value, share = np.ones(4, dtype=complex), np.ones((1, 4), dtype=complex)
     for source, parts in (("other.uff", {}), ("", {ALIASING})):
         rec = SimpleNamespace(source=source, channels={"a": info}, scene=scene)
-        told = aliasing_part(rec, ["a"], FREQUENCY, value, share, 0.0 * share, "acceleration")
-        assert set(told) == set(parts)
+        shares = ReadingShares(["a"], FREQUENCY, "acceleration", value, share, 0.0 * share)
+        assert set(aliasing_part(rec, shares)) == set(parts)
 
 
 BLOWS = """
@@ -196,9 +197,7 @@ converter: {rate: 1024 Hz, sampling: point}
 """
 
 
-def test_impacts_between_points_are_bounded(
-    tmp_path,
-):
+def test_impacts_between_points_are_bounded(tmp_path):
     scene = rig.loads(BLOWS, where="a test")
     exact = rig.orbit_response(scene, [14.0, 21.0]).compliance[0]
     for sampling, share in (("point", 0.09), ("average", 0.002)):

@@ -83,13 +83,11 @@ def test_overload_is_cut_out_and_reported(tmp_path):
     assert share > 0.9 and cut_share > 0.9 and wrong < 0.01
 
 
-def test_overloaded_channel_leaves_the_others(
-    tmp_path,
-):
+def test_overloaded_channel_leaves_the_others(tmp_path):
     path = hit(tmp_path / "a.mcap", {"cutoff": "", "converter": "{rate: 2560 Hz, range: 5 V}"})
     with daq.open(path) as rec:
         rec.markers.append(Marker("overload", 0, rec.samples - 1, {"channel": "a1"}))
-        with pytest.raises(RecordingError, match=r"or take the others alone: --response a2$"):
+        with pytest.raises(RecordingError, match=r"or use only the other channels: --response a2\.$"):
             analysis.frequency_responses(rec)
         [[frf]] = analysis.frequency_responses(rec, ["a2"])
     assert not frf.warnings
@@ -126,13 +124,11 @@ def test_motion_before_hit_is_in_bound(interval, told, tmp_path):
         [curves] = analysis.frequency_responses(rec)
         share, wrong = coverage(rec, curves)
     assert share > 0.9 and wrong < 0.2
-    assert told == any("of the response before a hit" in text for text in curves[0].warnings)
+    assert told == any("before a hit" in text for text in curves[0].warnings)
     np.testing.assert_array_equal(curves[0].frequency, curves[1].frequency)
 
 
-def test_integrator_drift_causes_no_step(
-    tmp_path,
-):
+def test_integrator_drift_causes_no_step(tmp_path):
     scene = rig.loads("""
 structure: {masses: [1 kg], springs: [2.4 kN/m], damping: {modal: 1 %}}
 test: {kind: impulse, body: 1, peak: 15 N, width: 4 ms, repeats: 1, interval: 12 s}
@@ -152,9 +148,7 @@ seed: 2
     assert share > 0.95 and wrong < 0.05
 
 
-def test_coarse_channel_leaves_modes_to_others(
-    tmp_path,
-):
+def test_coarse_channel_leaves_modes_to_others(tmp_path):
     scene = rig.loads(HIT.format(cutoff="", converter="{rate: 2 kHz, bits: 12, range: 5 V}"))
     channels = [
         scene.channels[0].model_dump(),
@@ -167,13 +161,13 @@ def test_coarse_channel_leaves_modes_to_others(
     modes = analysis.identify(both)
     assert modes.responses == ("a1",)
     assert any(note.startswith("a2 was left out") for note in modes.warnings)
-    with pytest.raises(RecordingError, match="the responses at a2 is unbounded"):
+    with pytest.raises(RecordingError, match="uncertainty of the responses at a2"):
         analysis.identify(both[1:])
 
 
 def test_missing_force_channel_is_explained(tmp_path):
     path = synthetic.impulses(tmp_path / "a.mcap", hammer=False, interval=1.0)
-    with daq.open(path) as rec, pytest.raises(RecordingError, match=r"add \{name: hammer, at: hammer\}"):
+    with daq.open(path) as rec, pytest.raises(RecordingError, match=r"Add \{name: hammer, at: hammer\}"):
         analysis.frequency_responses(rec)
 
 
@@ -225,7 +219,7 @@ def test_missed_hit_is_reported(tmp_path):
     where = synthetic.scene("{kind: impulse, body: 1, peak: 50 N, width: 6.25 ms}")
     rows = np.vstack([synthetic.simulate(force), force])
     path = synthetic.write(tmp_path / "a.mcap", where, infos, rows, [("hit", 640, 655, {})])
-    with daq.open(path) as rec, pytest.raises(RecordingError, match="0 N at most at the marked hit"):
+    with daq.open(path) as rec, pytest.raises(RecordingError, match="at most 0 N at the marker of the hit"):
         analysis.frequency_responses(rec)
 
 
@@ -250,9 +244,7 @@ def test_hits_beyond_memory_are_left_out(tmp_path, monkeypatch):
     assert (missed[near] < 1.0).mean() > 0.9
 
 
-def test_hammer_tolerance_is_in_no_shape(
-    tmp_path,
-):
+def test_hammer_tolerance_is_in_no_shape(tmp_path):
     text = HIT.format(cutoff="", converter="{rate: 2560 Hz}").replace(", low_cutoff: 0.3 Hz", "")
     scene = rig.loads(text.replace("hammer: {", "hammer: {sensitivity_tolerance: 15 %, "))
     with daq.open(daq.record(scene, tmp_path / "a.mcap")) as rec:

@@ -10,7 +10,7 @@ import pytest
 import analysis
 import daq
 import rig
-from analysis.responses.sensor_settling import settling
+from analysis.responses.clean_stretches import settling
 from rig.system.structural_model import receptance
 
 RATE, SECONDS, LOWEST = 200.0, 60.0, 5.0

@@ -9,6 +9,7 @@ import analysis
 import daq
 import rig
 from analysis.responses.several_inputs import driven_forces, input_output_spectra, reciprocity
+from daq.recording.markers import Marker
 from rig.errors import SceneError
 from rig.system.structural_model import structure_matrices
 
@@ -70,6 +71,14 @@ def test_bounds_hold_for_two_random_shakers(random_path, estimator):
 def test_bounds_hold_for_orthogonal_multisines(tmp_path):
     response, share = share_within(recorded(tmp_path / "a.mcap", MULTISINE))
     assert 0.9 < share < 0.995 and np.nanmedian(response.coherence) > 0.9
+
+
+def test_overloaded_realisation_leaves_error_bars(tmp_path):
+    with daq.open(recorded(tmp_path / "a.mcap", MULTISINE)) as rec:
+        last = [each for each in rec.markers if each.kind == "measure"][-1]
+        rec.markers.append(Marker("overload", last.first_sample, last.stop - 1, {"channel": "a1"}))
+        (response,) = analysis.frequency_responses(rec)
+    assert np.isfinite(response.error).all() and "Realisation 2 left out" in " ".join(response.warnings)
 
 
 @pytest.mark.thorough

@@ -22,9 +22,7 @@ def test_noise_alone_has_no_transient(seed):
 
 
 @pytest.mark.parametrize("decays", [0.3, 2.0, 8.0])
-def test_transient_remainder_bounds_the_mean(
-    decays,
-):
+def test_transient_remainder_bounds_the_mean(decays):
     # A mode between two lines with this decay in a period; its transient covers few or many lines.
     pole = (-decays + 2j * np.pi * 60.3) / (2j * np.pi)
     first = 40.0 / (np.arange(LINES) - pole)

@@ -158,9 +158,7 @@ def test_unsettled_neighbours_form_ranges(tmp_path):
     assert "not settled: 22 of 40 measurements, at 23 and 30 to 50 Hz" in summary(path)
 
 
-def test_spoilt_sweeps_lose_no_frequency(
-    tmp_path,
-):
+def test_spoilt_sweeps_lose_no_frequency(tmp_path):
     marks = [
         (
             "measure",

@@ -25,4 +25,4 @@ def test_fast_sweep_with_flight_warns(tmp_path, end, said):
     daq.record(scene.replace(test=scene.test.replace(to=end)), path)
     with daq.open(path) as rec:
         [[found]] = analysis.frequency_responses(rec)
-    assert any("Too fast for moving dampers" in text for text in found.warnings) == said
+    assert any("too fast to reach steady state" in text for text in found.warnings) == said

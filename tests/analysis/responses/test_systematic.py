@@ -11,6 +11,7 @@ from scipy.stats import norm
 
 import rig
 from analysis.responses.systematic import (
+    ReadingShares,
     clock_part,
     counts_of,
     doubtful_reference_part,
@@ -64,10 +65,18 @@ def test_data_sheet_tolerances_count_by_exposure():
     assert tolerance(channel()) == 0.0
 
 
+def two_shares(value, upper, lower, frequency=None, motion="acceleration", names="ab"):
+    return ReadingShares(names, frequency, motion, value, upper, lower)
+
+
+def of_quotient(frequency, value, motion="acceleration", names="ab"):
+    """Shares of a quotient of two channels."""
+    share = np.array([[1.0], [0.0]])
+    return two_shares(value, value * share, share[::-1] + 0 * value, frequency, motion, names)
+
+
 @pytest.mark.parametrize("shares", [(0.05, 0.1, 0.02), (0.0, 0.2, 0.0), (0.1, 0.0, 0.3)])
-def test_sensor_tolerances_bound_quotient(
-    shares,
-):
+def test_sensor_tolerances_bound_quotient(shares):
     random = np.random.default_rng(3)
     reads = random.standard_normal((3, 40)) + 1j * random.standard_normal((3, 40))
     above, below = np.array([1.0, 0.5, 0.0]), np.array([0.0, 0.3, 1.5])
@@ -75,7 +84,7 @@ def test_sensor_tolerances_bound_quotient(
     value = (above @ reads) / reference
     upper, lower = (each[:, None] * reads / reference for each in (above, below))
     rec = recording(*toleranced(*shares))
-    bound = only(sensitivity_part(rec, "abc", value, upper, lower))
+    bound = only(sensitivity_part(rec, two_shares(value, upper, lower, names="abc")))
     worst = np.zeros(40)
     for corner in product(*((-share, share) for share in shares)):
         there = reads / (1.0 + np.array(corner))[:, None]
@@ -89,14 +98,14 @@ def test_bound_of_one_sensor_is_reached():
     rec = recording(*toleranced(0.2, 0.0))
 
     def bound(upper, lower):
-        return only(sensitivity_part(rec, "ab", value, value * upper, lower))
+        return only(sensitivity_part(rec, two_shares(value, value * upper, lower)))
 
     assert bound(first, second) == pytest.approx(abs(value / 0.8 - value))
     # If the reference may read 20 % too much, the quotient may be 20 % larger; at 100 % it is unbounded.
     assert bound(second, first) == pytest.approx(abs(value) * 0.2)
     assert bound(second, 4.0 * first - 3.0 * second) == pytest.approx(abs(value) * 2.0)
     assert bound(second, 6.0 * first - 5.0 * second) == np.inf
-    assert sensitivity_part(recording(channel("a"), channel("b")), "ab", value, first, second) == {}
+    assert sensitivity_part(recording(channel("a"), channel("b")), two_shares(value, first, second)) == {}
 
 
 def test_h1_bias_reaches_its_bound():
@@ -145,11 +154,11 @@ def test_every_rounded_channel_adds_its_share():
     assert in_counts(rec, "ab", np.array([[4e-6, 16e-6], [1.0, 1.0]])).tolist() == [[1.0, 4.0], [np.inf] * 2]
     value = np.array([2.0 + 0j])
     upper, lower = np.array([[2.0], [0.0]]), np.array([[0.0], [1.0]])
-    part = only(rounding_part(np.array([[0.1], [0.02]]), value, upper, lower))
+    part = only(rounding_part(np.array([[0.1], [0.02]]), two_shares(value, upper, lower)))
     assert part == pytest.approx([2.0 * (0.1 + 0.02)])
-    assert rounding_part(np.zeros((2, 1)), value, upper, lower) == {}
+    assert rounding_part(np.zeros((2, 1)), two_shares(value, upper, lower)) == {}
     # A zero reading has no bound, even if its share is zero.
-    assert only(rounding_part(np.array([[np.inf], [0.0]]), value, 0 * upper, 0 * lower)) == np.inf
+    assert only(rounding_part(np.array([[np.inf], [0.0]]), two_shares(value, 0 * upper, 0 * lower))) == np.inf
 
 
 @pytest.mark.parametrize(("motion", "more"), [("acceleration", 0), ("velocity", 1), ("displacement", 2)])
@@ -159,9 +168,8 @@ def test_clock_error_shifts_and_scales_curve(motion, more):
     force = ChannelInfo("f", "shaker", "force", sensitivity=0.5, rate=RATE)
 
     def part(points, converter="rate: 5120 Hz, clock_error: -50 ppm"):
-        rec, share = recording(channel(), force, converter=converter), np.array([[1.0], [0.0]])
-        v = value[:points]
-        return clock_part(rec, ["a1", "f"], frequency[:points], v, v * share, share[::-1] + 0 * v, motion)
+        rec = recording(channel(), force, converter=converter)
+        return clock_part(rec, of_quotient(frequency[:points], value[:points], motion, ["a1", "f"]))
 
     assert only(part(4)) == pytest.approx(abs(value) * 50e-6 * (1 + more))
     # Two lines may lie on the flank of a peak: their bound is larger than their difference suggests.
@@ -173,12 +181,10 @@ def test_steeper_side_counts_between_points():
     frequency, value = np.array([10.0, 12.0, 12.0, 13.0]), np.array([1.0, 5.0, 4.0j, 8.0])
     force = ChannelInfo("b", "shaker", "force", sensitivity=0.5, rate=RATE)
     rec = recording(channel("a"), force, converter="rate: 5120 Hz, clock_error: 50 ppm")
-    share = np.array([[1.0], [0.0]])
 
     def slope(points):
-        v, f = value[:points], frequency[:points]
-        told = only(clock_part(rec, "ab", f, v, v * share, share[::-1] + 0 * v, "acceleration"))
-        return told / (50e-6 * f)
+        f = frequency[:points]
+        return only(clock_part(rec, of_quotient(f, value[:points]))) / (50e-6 * f)
 
     last = abs(8.0 - 4.0j)
     # Two points at one frequency have no slope between them.
@@ -196,9 +202,8 @@ def test_shifted_peak_lies_in_clock_part(ppm):
         return 1.0 / (half_width + 1j * (f - 10.0)) + 3.0
 
     rec = recording(channel("a"), channel("b"), converter=f"rate: 5120 Hz, clock_error: {ppm} ppm")
-    value, share = curve(frequency), np.array([[1.0], [0.0]])
-    shares = value, value * share, share[::-1] + 0 * value
-    told = only(clock_part(rec, "ab", frequency, *shares, "displacement"))[1:-1]
+    value = curve(frequency)
+    told = only(clock_part(rec, of_quotient(frequency, value, "displacement")))[1:-1]
     ends = [abs(curve(frequency * (1.0 + sign * ppm * 1e-6)) - value)[1:-1] for sign in (1.0, -1.0)]
     ratio = told / np.maximum(*ends)
     # On the flanks the steeper chord exceeds the slope.
@@ -208,9 +213,8 @@ def test_shifted_peak_lies_in_clock_part(ppm):
 def test_clock_error_cancels_in_quotient():
     value = np.full(4, 0.3 - 0.4j)
     rec = recording(channel("a"), channel("b"), converter="rate: 5120 Hz, clock_error: 50 ppm")
-    share = np.array([[1.0], [0.0]])
-    shares = value, value * share, share[::-1] + 0 * value
-    assert only(clock_part(rec, "ab", np.arange(1.0, 5.0), *shares, "displacement")).max() < 1e-18
+    shares = of_quotient(np.arange(1.0, 5.0), value, "displacement")
+    assert only(clock_part(rec, shares)).max() < 1e-18
 
 
 def test_shared_noise_biases_h1_as_stated():

@@ -40,8 +40,8 @@ _NOT_TONES = (
     LIFTED,
     NONLINEAR,
     ONE_REALISATION,
-    "before the motion had become periodic",
-    "before the motion is steady",
+    "was measured before steady state",
+    "too fast to reach steady state",
 )
 # Relative rounding error of curves without noise.
 _ROUNDING = 1e-9

@@ -108,5 +108,5 @@ def test_missing_force_settings_are_named(shaker, test, channels, missing) -> No
 def test_analysis_names_the_missing_force_channel(tmp_path) -> None:
     with pytest.warns(daq.RunWarning):
         path = daq.record(scene_of(STEPS, BODY), tmp_path / "a.mcap")
-    with daq.open(path) as recording, pytest.raises(RecordingError, match=r"add \{name: force, at: shaker\}"):
+    with daq.open(path) as recording, pytest.raises(RecordingError, match=r"Add \{name: force, at: shaker\}"):
         frequency_responses(recording)

@@ -21,6 +21,7 @@ from analysis.chain_cost.variants import Variant, plain, quiet, variants
 from analysis.responses.frequency_responses import frequency_responses
 from daq.measurement.run import record
 from daq.recording.recording import open as open_recording
+from rig.arrays import ComplexArray
 from rig.errors import RunError, ShotrigError
 from rig.motion_map.grid import columns
 from rig.scene.excitation import Measure, Settle, SteppedSine
@@ -52,8 +53,6 @@ REPEATS = 2
 EXACT = 1e-10
 #: Largest relative difference of two motions that agree, for the choice of frequencies.
 SAME = 1e-4
-
-Complex = NDArray[np.complex128]
 
 
 @dataclass(frozen=True)
@@ -252,7 +251,7 @@ class _Bench:
     def _record(self, scene: Scene) -> Path:
         return record(scene, self._folder / "chain.mcap", overwrite=True)
 
-    def _truth(self, rec: Recording) -> Complex:
+    def _truth(self, rec: Recording) -> ComplexArray:
         """Compute the exact compliance of the measured bodies, in the order of the recording's channels."""
         scene = rec.scene
         marks = [marker.fields for marker in rec.markers if marker.kind == "measure"]
@@ -268,7 +267,7 @@ class _Bench:
         return bodies[[int(place.removeprefix("body ")) - 1 for place in places]]
 
 
-def _driven(scene: Scene, frequency: float, drive: float) -> Complex:
+def _driven(scene: Scene, frequency: float, drive: float) -> ComplexArray:
     """Compute the compliance of all bodies under a drive of given amplitude."""
     name = "force" if scene.driven_shaker is not None and scene.driven_shaker.kind == "force" else "drive"
     test = SteppedSine(**{name: drive}, frequencies=(frequency,))
@@ -290,6 +289,6 @@ def _correction(rec: Recording) -> float:
     return max(float(np.abs(info.response(frequencies) - 1.0).max()) for info in rec.channels.values())
 
 
-def _miss(value: Complex, true: Complex) -> float:
+def _miss(value: ComplexArray, true: ComplexArray) -> float:
     """Compute the largest error of any body, relative to the largest compliance at that frequency."""
     return float((np.abs(value - true).max(axis=0) / np.abs(true).max(axis=0)).max())

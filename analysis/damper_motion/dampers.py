@@ -14,6 +14,7 @@ from analysis.damper_motion.motion_types import DamperMotion, damper_motion
 from analysis.recordings.names import relabelled
 from analysis.responses.measurands import located
 from analysis.responses.stepped_sine import Sweep, sweeps
+from rig.arrays import Array
 from rig.errors import RecordingError
 from rig.results import Result, styled
 
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
 
     from daq.recording.recording import Recording
 
-Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
 
 

@@ -6,20 +6,17 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special
 
 from analysis.responses.aliasing import folded_shares
 from analysis.responses.measurands import motion_of, reference_of, responses
 from analysis.responses.systematic import ReadingShares, tolerance
+from rig.arrays import Array, ComplexArray
 from rig.errors import RecordingError
 
 if TYPE_CHECKING:
     from analysis.responses.stepped_sine import Sweep
     from daq.recording.recording import Recording
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True)

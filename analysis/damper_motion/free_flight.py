@@ -8,13 +8,13 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.damper_motion.impact_detection import Impacts, band, impacts
 from analysis.damper_motion.landing_pulse import landing_pulse
 from analysis.damper_motion.matching_pursuit import RESIDUAL_SHARE
 from analysis.decays.sensor_correction import CorrectedMotion
 from analysis.responses.systematic import tolerance
+from rig.arrays import Array
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from rig.scene.damper import Damper
     from rig.scene.scene import Scene
 
-Array = NDArray[np.float64]
 
 # Share of the stretch that is excluded at each end, because the correction mirrors the samples there.
 _ENDS_SHARE = 0.05

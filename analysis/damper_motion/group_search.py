@@ -10,12 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.damper_motion.impact_model import ImpactModel
 from analysis.damper_motion.joint_fit import Jump, Noise, fit_within
-
-Array = NDArray[np.float64]
+from rig.arrays import Array
 
 # Number of sets that are kept at each size, of times that are tried for the next jump, and of jumps in a set.
 _BEAM_WIDTH = 3

@@ -21,6 +21,7 @@ from analysis.damper_motion.matching_pursuit import (
 )
 from analysis.decays.sensor_correction import corrected
 from analysis.responses.measurands import named
+from rig.arrays import Array
 from rig.errors import RecordingError
 from rig.numerics.runs import runs_of
 from rig.results.response import MOTIONS
@@ -29,7 +30,6 @@ if TYPE_CHECKING:
     from daq.recording.recording import Recording
     from daq.signal_chain.channel import ChannelInfo
 
-Array = NDArray[np.float64]
 
 # A stretch is rejected if less than this share of it can be searched.
 _MIN_SEARCHED = 0.5

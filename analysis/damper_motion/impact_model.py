@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.arrays import Array
 from rig.results.response import MOTIONS
 
 if TYPE_CHECKING:
     from analysis.damper_motion.landing_pulse import Pulse
     from daq.signal_chain.channel import ChannelInfo, Quantity
 
-Array = NDArray[np.float64]
 
 # Maximum distance of a jump from the middle of its window, samples.
 SHIFT = 4

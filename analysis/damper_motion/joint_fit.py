@@ -11,11 +11,9 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.damper_motion.impact_model import SHIFT, ImpactModel
-
-Array = NDArray[np.float64]
+from rig.arrays import Array
 
 # Gauss-Newton iterations, and the largest change of a time in one iteration, samples.
 _ITERATIONS = 4

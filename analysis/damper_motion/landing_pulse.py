@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.arrays import Array
 from rig.errors import RecordingError
 from rig.scene.damper import Landing, walls_of
 
@@ -16,7 +17,6 @@ if TYPE_CHECKING:
     from rig.scene.damper import Damper
     from rig.scene.scene import Scene
 
-Array = NDArray[np.float64]
 
 # An impact shorter than this share of a sample interval is treated as instant.
 _INSTANT_SHARE = 0.25

@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 from analysis.damper_motion.group_search import Stretch, cost
 from analysis.damper_motion.impact_model import SHIFT, ImpactModel, legendre_basis
 from analysis.damper_motion.joint_fit import Jump, Noise, add, fit_group, jump_error, with_errors
+from rig.arrays import Array
 from rig.numerics.runs import runs_of
-
-Array = NDArray[np.float64]
 
 # Detection threshold in standard deviations: about two false alarms in 1e9 samples of Gaussian noise.
 DETECTION_SIGMAS = 6.0

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.damper_motion.free_flight import (
     BodyMotion,
@@ -21,6 +20,7 @@ from analysis.damper_motion.free_flight import (
 )
 from analysis.damper_motion.impact_detection import Impacts
 from analysis.damper_motion.landing_pulse import transmissibility
+from rig.arrays import Array
 from rig.results.response import MOTIONS
 
 if TYPE_CHECKING:
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from daq.recording.recording import Recording
     from rig.scene.damper import Damper
 
-Array = NDArray[np.float64]
 
 # Tolerance of "one impact per period": of about twenty impacts, one or two may be at the edge of a window or too
 # close to another impact.

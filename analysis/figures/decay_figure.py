@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.decays.free_decay import Decay
 from rig.escaping import drawn
@@ -18,7 +17,6 @@ if TYPE_CHECKING:
 
     from analysis.decays.modal_decay import ModalDecay
 
-Array = NDArray[np.float64]
 
 # Modes of different recordings are considered the same if their frequencies differ by less than this relative amount.
 _SAME_MODE = 0.15

@@ -9,11 +9,10 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from rig.arrays import Array
 from rig.escaping import drawn
 from rig.figure_style import colour, decades, drawing, frequency_axis, heading, legend_below
 from rig.results.response import DOTS, Response
-
-Array = NDArray[np.float64]
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -15,13 +15,11 @@ from analysis.fitting.measured import Curves, Sensor, inverse_root
 from analysis.fitting.parameters import free_parameters
 from analysis.fitting.problem import Problem
 from analysis.fitting.start import start
+from rig.arrays import Array, ComplexArray
 from rig.results import plainly
 from rig.scene.scene import Scene
 from rig.scene.structure import Dashpots, ModalDamping
 from rig.system.structural_model import structural_model
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 # A cause explains a misfit if it leaves less than this share of it, and fully if it leaves no more than this multiple
 # of the stated variance.

@@ -7,13 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from analysis.fitting.problem import Group, Problem
 from analysis.fitting.start import start
+from rig.arrays import Array, ComplexArray
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 Report = Callable[[str], None]
 
 # Half width of a 95 % interval in standard deviations.

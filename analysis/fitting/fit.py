@@ -19,6 +19,7 @@ from analysis.fitting.parameters import Parameter, free_parameters, spelt_out
 from analysis.fitting.problem import Problem, slope
 from analysis.fitting.separation import LevelDamping, damping_by_level
 from analysis.recordings.names import opened
+from rig.arrays import Array, ComplexArray
 from rig.errors import RecordingError, SceneError
 from rig.input_files import repeated
 from rig.results import Result, plainly, styled
@@ -31,8 +32,6 @@ if TYPE_CHECKING:
 
     from daq.recording.recording import Recording
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 Progress = Callable[[str], None]
 
 # Largest relative half width of the 95 % interval of a value that is determined at all.

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.responses.frequency_responses import checked, frequency_responses
 from analysis.responses.measurands import concerned, reference_of, responses
 from analysis.responses.stepped_sine import sweeps
 from analysis.responses.systematic import REFERENCE_NOISE, ROUGH, tolerance
 from daq.recording.recorded_test import TestKind
+from rig.arrays import Array, ComplexArray
 from rig.errors import RecordingError
 from rig.results import plainly
 from rig.results.response import Response, stack
@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from daq.recording.recording import Recording
     from rig.scene.scene import Scene
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 Progress = Callable[[int, int], None]
 
 # No point is credited with a smaller error, relative to its value and to the largest of its curve.

@@ -5,16 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.fitting.measured import Curves
+from rig.arrays import Array, ComplexArray
 from rig.errors import SceneError
 from rig.scene.scene import Scene
 from rig.system.assembly import assemble
 from rig.system.open_loop_drive import riding_equations, riding_response
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 
 def on_the_bench(model: Scene, curves: Curves) -> Scene:

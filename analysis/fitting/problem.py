@@ -12,10 +12,8 @@ from analysis.fitting.measured import Curves, Sensor
 from analysis.fitting.parameters import Parameter, with_values
 from analysis.fitting.predicted import linear, linear_slopes, on_the_bench
 from analysis.fitting.steady_tones import Known, SteadyTones
+from rig.arrays import Array, ComplexArray
 from rig.scene.scene import Scene
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 # Prior standard deviation of a value's logarithm: so wide that it matters only where the data determine nothing.
 VAGUE = 1.0

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.fitting.estimate import CONFIDENCE, Estimate, solved
 from analysis.fitting.problem import Problem
-
-Array = NDArray[np.float64]
+from rig.arrays import Array
 
 
 @dataclass(frozen=True)

@@ -8,18 +8,16 @@ from itertools import combinations
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from analysis.fitting.predicted import on_the_bench
 from analysis.fitting.problem import Group, Problem
 from analysis.modal.identification import identify
 from analysis.modal.modes import Modes, mac
+from rig.arrays import Array
 from rig.errors import RecordingError, SceneError
 from rig.results.response import Response
 from rig.scene.scene import Scene
 from rig.system.structural_model import driven_bodies, structural_model
-
-Array = NDArray[np.float64]
 
 # Standard deviations of the identified modes as targets: frequency and damping relative, shapes relative to the
 # largest.

@@ -6,10 +6,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.fitting.measured import Curves
 from analysis.fitting.predicted import riding
+from rig.arrays import Array, ComplexArray
 from rig.errors import RunError, SceneError, UncoveredMotionError
 from rig.orbits.admissibility import survey
 from rig.orbits.event_sequence import Plan
@@ -23,9 +23,6 @@ from rig.scene.shaker import ForceShaker
 from rig.scene.structure import Structure
 from rig.system.open_loop_drive import riding_response
 from rig.system.structural_model import driven_bodies, structural_model
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 # Newton corrections from a nearby motion, and periods of simulation where they fail.
 _CORRECTIONS, _LONGEST = 8, 1500

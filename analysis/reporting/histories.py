@@ -5,15 +5,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.reporting.charts import Chart, Curve, EvenlySpaced, Image, Panel
+from rig.arrays import Array
 from rig.system.structural_model import structural_model
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
-Array = NDArray[np.float64]
 
 # A recording with at most this number of samples (all channels) is drawn completely; a longer recording is drawn as
 # the envelope of each interval.

@@ -17,18 +17,16 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.reproduction.kept_study import Row, Table, complete
 from analysis.reproduction.store import Arrays
+from rig.arrays import Array
 from rig.bed_response.steady_bed import SteadyBed, steady_grains, steady_mass
 from rig.grain_beds.packing import highest, settled
 from rig.grain_beds.spheres import rayleigh_time, spheres_of
 from rig.scene.damper import Grains
 from rig.scene.excitation import Sine
 from rig.scene.scene import STANDARD_GRAVITY, Scene
-
-Values = NDArray[np.float64]
 
 #: Acceleration in g, and clearances in m. Clearances that one mass does not cross are equivalent to no ceiling and
 #: are omitted.
@@ -241,7 +239,7 @@ def summary_row(scene: Scene, motion: SteadyBed) -> list[str]:
     return [*(f"{value:.5g}" for value in values), str(motion.motion_type[0])]
 
 
-def compliance_at_peak(level: Values, energy: Values) -> Values:
+def compliance_at_peak(level: Array, energy: Array) -> Array:
     """Compute the compliance as in `summary_row` from dissipated energy and level in g; any shape."""
     speed = level * STANDARD_GRAVITY / (2.0 * math.pi * FREQUENCY)
     stored = math.pi / MASS_RATIO * speed**2

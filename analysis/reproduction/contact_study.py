@@ -27,12 +27,11 @@ from analysis.reproduction.bed_study import (
 )
 from analysis.reproduction.kept_study import Row, Table, complete
 from analysis.reproduction.store import Arrays
+from rig.arrays import Array
 from rig.bed_response.steady_bed import as_one_mass
 from rig.scene.scene import Scene
 from rig.simulation.simulate import Run, simulate
 from rig.system.assembly import assemble
-
-Values = NDArray[np.float64]
 
 #: Restitutions of the contacts.
 RESTITUTIONS = (0.0, 0.05, 0.1, 0.2, 0.35, 0.5)
@@ -148,14 +147,14 @@ def fit_contact(beds: Mapping[str, np.ndarray], contacts: Mapping[str, np.ndarra
 
 def deviation_on_contact(
     one: FittedContact, beds: Mapping[str, np.ndarray], contacts: Mapping[str, np.ndarray]
-) -> Values:
+) -> Array:
     """Compute the deviation of the compliance with grains from one mass on a contact, shape (settings,)."""
     return np.asarray(beds["grains_compliance"] / compliance_on_contact(one, beds, contacts) - 1.0)
 
 
 def compliance_on_contact(
     one: FittedContact, beds: Mapping[str, np.ndarray], contacts: Mapping[str, np.ndarray]
-) -> Values:
+) -> Array:
     """Compute the peak compliance of the body with one mass on a contact, shape (settings,)."""
     energy = one.share * _of_setting("energy", one, beds, contacts)
     return compliance_at_peak(beds["level"], energy)
@@ -163,12 +162,12 @@ def compliance_on_contact(
 
 def ceiling_impulse_on_contact(
     one: FittedContact, beds: Mapping[str, np.ndarray], contacts: Mapping[str, np.ndarray]
-) -> Values:
+) -> Array:
     """Compute the ceiling impulse per period, relative to the bed's weight times a period, shape (settings,)."""
     return one.share * _of_setting("ceiling_impulse", one, beds, contacts)
 
 
-def cross_validated_deviation(beds: Mapping[str, np.ndarray], contacts: Mapping[str, np.ndarray]) -> Values:
+def cross_validated_deviation(beds: Mapping[str, np.ndarray], contacts: Mapping[str, np.ndarray]) -> Array:
     """Compute `deviation_on_contact` with the contact fitted to the other accelerations, shape (settings,)."""
     found = np.empty(len(beds["level"]))
     for level in np.unique(beds["level"]):
@@ -195,7 +194,7 @@ def select(beds: Mapping[str, np.ndarray], chosen: NDArray[np.bool_]) -> Arrays:
 
 def _of_setting(
     name: str, one: FittedContact, beds: Mapping[str, np.ndarray], contacts: Mapping[str, np.ndarray]
-) -> Values:
+) -> Array:
     same = (contacts["restitution"] == one.restitution) & (contacts["duration_s"] == one.duration)
     found = {
         (level, clearance): value

@@ -8,16 +8,14 @@ from __future__ import annotations
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from analysis.reproduction.store import Arrays
+from rig.arrays import Array
 from rig.damper_design.worst_peak import curve, resonance
 from rig.orbits.problem import OrbitProblem
 from rig.scene.scene import Scene
 from rig.steady_response.motion_type import overall
 from rig.system.structural_model import receptance
-
-Floats = NDArray[np.float64]
 
 BODY = 2
 # Force levels of the robust optimum, relative to the nominal force.
@@ -31,7 +29,7 @@ def with_dampers(scene: Scene, clearance: float, mass_ratio: float) -> OrbitProb
 
 
 def scan(
-    scene: Scene, forces: Floats, clearances: Floats, frequencies: Floats, mass_ratio: float, body: int = BODY
+    scene: Scene, forces: Array, clearances: Array, frequencies: Array, mass_ratio: float, body: int = BODY
 ) -> Arrays:
     """Compute peak compliance and motion type around a resonance, over force (rows) and clearance (columns).
 
@@ -66,7 +64,7 @@ def scan(
 
 
 def stays_over_damping(
-    scene: Scene, dampings: Floats, clearances: Floats, frequencies: Floats, body: int = BODY
+    scene: Scene, dampings: Array, clearances: Array, frequencies: Array, body: int = BODY
 ) -> Arrays:
     """Compute whether Type III occurs near the resonance, over damping ratio (rows) and clearance (columns).
 
@@ -87,9 +85,9 @@ def stays_over_damping(
 
 def least_affected(
     scene: Scene,
-    dampings: Floats,
-    mass_ratios: Floats,
-    forces: Floats,
+    dampings: Array,
+    mass_ratios: Array,
+    forces: Array,
     bands: dict[int, tuple[float, float]],
     body: int = 3,
     points: int = 40,
@@ -117,7 +115,7 @@ def least_affected(
 class _Worst:
     """Worst peak over the force levels, for any clearance and mass ratio; results are cached."""
 
-    def __init__(self, scene: Scene, force: float, frequencies: Floats, body: int) -> None:
+    def __init__(self, scene: Scene, force: float, frequencies: Array, body: int) -> None:
         self.scene, self.force, self.frequencies, self.body = scene, force, frequencies, body
         self.trials: dict[tuple[float, float], float] = {}
         self.orbits: list[float] = []
@@ -149,7 +147,7 @@ class _Worst:
 
 
 def best_clearance(
-    scene: Scene, force: float, mass_ratio: float, clearances: Floats, frequencies: Floats, body: int = BODY
+    scene: Scene, force: float, mass_ratio: float, clearances: Array, frequencies: Array, body: int = BODY
 ) -> Arrays:
     """Compute the clearance with the smallest peak compliance over a range of forces.
 
@@ -175,9 +173,9 @@ def best_clearance(
 def best_damper(
     scene: Scene,
     force: float,
-    mass_ratios: Floats,
-    clearances: Floats,
-    frequencies: Floats,
+    mass_ratios: Array,
+    clearances: Array,
+    frequencies: Array,
     body: int = BODY,
     trials: int = 30,
 ) -> Arrays:

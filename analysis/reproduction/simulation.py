@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.reproduction.scan import BODY
 from analysis.reproduction.store import Arrays
+from rig.arrays import Array
 from rig.damper_design.worst_peak import curve, resonance
 from rig.errors import SceneError
 from rig.orbits.branches import follow_orbits
@@ -22,10 +22,8 @@ from rig.steady_response.frequency_response import frequency_response
 from rig.system.open_loop_drive import with_ideal_force
 from rig.system.structural_model import receptance, structural_model
 
-Floats = NDArray[np.float64]
 
-
-def structure_numbers(scene: Scene, frequencies: Floats) -> Arrays:
+def structure_numbers(scene: Scene, frequencies: Array) -> Arrays:
     """Compute natural frequencies [rad/s], mode shapes (bodies, modes), and the exact compliance over frequency."""
     modes = structural_model(scene).modes
     bare = scene.replace(dampers=[])
@@ -38,7 +36,7 @@ def structure_numbers(scene: Scene, frequencies: Floats) -> Arrays:
     }
 
 
-def simulated(scene: Scene, frequencies: Floats, direction: str = "up", tolerance: float = 1e-6) -> Arrays:
+def simulated(scene: Scene, frequencies: Array, direction: str = "up", tolerance: float = 1e-6) -> Arrays:
     """Compute the steady response to a purely sinusoidal force, frequency by frequency."""
     found = frequency_response(
         with_ideal_force(scene), frequencies, direction, tolerance=tolerance, longest=4000
@@ -208,7 +206,7 @@ def weightings(scene: Scene, bands: dict[int, tuple[float, float]]) -> Arrays:
 
 
 def approximate_peaks(
-    scene: Scene, forces: Floats, clearances: Floats, band: tuple[float, float], body: int = BODY
+    scene: Scene, forces: Array, clearances: Array, band: tuple[float, float], body: int = BODY
 ) -> Arrays:
     """Compute peak compliance by the approximate method, over force (rows) and clearance (columns)."""
     peak = np.full((len(forces), len(clearances)), np.nan)

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.excitation import Station
+from rig.arrays import Array, ComplexArray
 from rig.errors import SceneError
 
 if TYPE_CHECKING:
@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from daq.signal_chain.channel import ChannelInfo
     from rig.scene.scene import Scene
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 # Frequencies with less than this share of the largest force spectrum have not been excited.
 EXCITED_SHARE = 1e-3

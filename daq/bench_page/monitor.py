@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.drawing.rig_view import RigPose
+from rig.arrays import Array
 
 if TYPE_CHECKING:
     from daq.bench_page.hits import HitJudge
     from daq.bench_page.live_frf import LiveFrf
     from daq.instrument.chassis import Chassis
 
-Array = NDArray[np.float64]
 
 # Blocks that may wait to be shown.
 WAITING_BLOCKS = 256

@@ -7,15 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from nicegui import ui
-from numpy.typing import NDArray
 
 from daq.bench_page.rig_svg import RigDrawing
 from daq.drawing.palette import channel_colour
+from rig.arrays import Array
 
 if TYPE_CHECKING:
     from daq.bench_page.live_bench import LiveBench
 
-Array = NDArray[np.float64]
 
 # Intervals of the views, s. The rig is shown in slow motion: POSES_S of motion take RIG_S.
 CHARTS_S = 0.25

@@ -9,13 +9,14 @@ from dataclasses import dataclass, replace
 
 from daq.dsp.skew import delays
 from daq.importing.channel_table import EXAMPLE, Column
-from daq.importing.signal import Array, Signal
+from daq.importing.signal import Signal
 from daq.importing.units import meaning
 from daq.recording.truth import points_of
 from daq.signal_chain.chain import default_channels
 from daq.signal_chain.channel import ChannelInfo, Quantity
 from daq.signal_chain.devices import stages
 from daq.signal_chain.stage import channel_info
+from rig.arrays import Array
 from rig.errors import SceneError
 from rig.scene.measurement_chain import Channel, Integrator
 from rig.scene.presets import filled_in, input_settings

@@ -12,9 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.arrays import Array
 from rig.errors import RecordingError, RunWarning
-
-Array = NDArray[np.float64]
 
 # Names of a column of times.
 TIME_NAMES = re.compile(r"(time|zeit|t|x_value)(stamp)?", re.IGNORECASE)

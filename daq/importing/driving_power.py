@@ -11,8 +11,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.importing.signal import Array
 from daq.signal_chain.channel import ChannelInfo, Quantity
+from rig.arrays import Array
 
 # Lines with a smaller real part, as a share of their magnitude, are left out.
 _CLEAR_SHARE = 0.3

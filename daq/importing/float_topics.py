@@ -16,7 +16,7 @@ from typing import IO, Any
 import numpy as np
 
 from daq.importing.clock import Clock, clock_of_times, rate_of_interval
-from daq.importing.signal import Array, Signal
+from daq.importing.signal import Signal
 from daq.mcap_file.chunk import (
     CHUNK_HEAD,
     RECORD_HEAD,
@@ -30,6 +30,7 @@ from daq.mcap_file.chunk import (
 from daq.mcap_file.reader import MAGIC
 from daq.mcap_file.summary import CHANNEL, CHUNK, DATA_END, MESSAGE, SCHEMA, parse
 from daq.recording import layout
+from rig.arrays import Array
 from rig.errors import RecordingError, ShotrigError
 from rig.numerics.memory import need_beside_program
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from daq.importing.overloads import joined
-from daq.importing.signal import Array
+from rig.arrays import Array
 from rig.numerics.runs import runs_of
 
 # Shares of the largest force that a pulse and a hit exceed.

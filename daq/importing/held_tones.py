@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.importing.signal import Array
-from daq.importing.tone_track import HOPS, ComplexArray, Track
+from daq.importing.tone_track import HOPS, Track
+from rig.arrays import Array, ComplexArray
 from rig.numerics.runs import runs_of
 
 # Fewest blocks of a held tone: ten periods.

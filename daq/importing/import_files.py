@@ -17,12 +17,13 @@ from daq.importing.driving_power import MOTIONS, DrivingPower
 from daq.importing.files import signals_of
 from daq.importing.force_pulses import ForcePulses
 from daq.importing.overloads import Overloads, joined
-from daq.importing.signal import Array, Signal
+from daq.importing.signal import Signal
 from daq.importing.steps import StepFinder, mark_steps
 from daq.recording.recorder import Recorder
 from daq.recording.recording import open as open_recording
 from daq.recording.timebase import refuse_reversed
 from daq.signal_chain.channel import ChannelInfo
+from rig.arrays import Array
 from rig.errors import RecordingError, RunWarning, SceneError, ShotrigError
 from rig.input_files import path_of, repeated
 from rig.numerics.runs import runs_of

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from daq.importing.signal import Array
+from rig.arrays import Array
 from rig.numerics.runs import runs_of
 
 # Equal samples in a row at the largest value that no smooth peak has.

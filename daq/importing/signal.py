@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.importing.clock import Clock, sample_numbers
+from rig.arrays import Array
 from rig.errors import RecordingError, RunWarning
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

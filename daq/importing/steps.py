@@ -11,10 +11,10 @@ import numpy as np
 from daq.excitation.lock_in import fewest_samples, lock_in, whole_periods
 from daq.importing.assignment import Assigned
 from daq.importing.held_tones import HeldTone, held_tones
-from daq.importing.signal import Array
 from daq.importing.tone_track import ToneTracker
 from daq.recording.recorder import Recorder
 from daq.signal_chain.channel import ChannelInfo
+from rig.arrays import Array
 from rig.scene.excitation import Sine, SteppedSine
 from rig.scene.scene import Scene
 

@@ -23,7 +23,7 @@ from daq.importing.clock import (
     warn_of_times,
 )
 from daq.importing.labview_text import LabviewHeading
-from daq.importing.signal import Array, Signal, warn
+from daq.importing.signal import Signal, warn
 from daq.importing.text_layout import (
     UNNAMED,
     Layout,
@@ -35,6 +35,7 @@ from daq.importing.text_layout import (
     seconds_of_stamp,
     significant_digits,
 )
+from rig.arrays import Array
 from rig.errors import RecordingError
 from rig.numerics.memory import need_beside_program
 from rig.scene.quantities import TIME, parse

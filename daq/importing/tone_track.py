@@ -7,9 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.importing.signal import Array
-
-ComplexArray = NDArray[np.complex128]
+from rig.arrays import Array, ComplexArray
 
 # Hops of a block; a hop is about one period of the lowest tone that the block resolves.
 HOPS = 4

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.importing.signal import Array, Signal
+from daq.importing.signal import Signal
+from rig.arrays import Array
 from rig.errors import RecordingError
 
 # Format tags of the `fmt ` chunk.

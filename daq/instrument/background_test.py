@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from daq.excitation import Excitation, Station, excitation
 from daq.measurement.bench_loop import RAMP_S, ramp_down
 from daq.signal_chain.oversampling import DriveLine
+from rig.arrays import Array
 from rig.errors import ShotrigError
-
-Array = NDArray[np.float64]
 
 
 class BackgroundTest:

@@ -7,7 +7,6 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.instrument.chassis import Chassis
 from daq.instrument.clock import seconds
@@ -22,8 +21,7 @@ from daq.instrument.settings.task_settings import TaskSettings
 from daq.instrument.task_input import Reading, TaskInput
 from daq.instrument.task_output import TaskOutput, check_volts
 from daq.instrument.values import TaskMode
-
-Array = NDArray[np.float64]
+from rig.arrays import Array
 
 
 class Task:

@@ -5,21 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
-
 from daq.instrument.chassis import Chassis, Runner
 from daq.instrument.engines.generation import Generation, OutputBuffer, OutputPlan
 from daq.instrument.errors import Code, DaqError
 from daq.instrument.plans import output_plan
 from daq.virtual_bench.stream import samples_per_tick
+from rig.arrays import Array
 
 if TYPE_CHECKING:
     from daq.instrument.engines.triggers import Source
     from daq.instrument.settings.channels import Channel
     from daq.instrument.settings.task_settings import TaskSettings
 
-Array = NDArray[np.float64]
 
 _FOR_EVER = 1 << 62
 

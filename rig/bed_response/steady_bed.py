@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.arrays import Array, ComplexArray
 from rig.grain_beds.bed import CEILING, FLOOR
 from rig.grain_beds.coupling import CoupledPropagator
 from rig.scene.scene import Scene
@@ -15,9 +16,6 @@ from rig.steady_response.frequency_response import frequency_response
 from rig.system.assembly import assemble, spring_force_row
 from rig.system.hybrid_system import HybridSystem
 from rig.system.open_loop_drive import tone_drive, with_ideal_force
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 #: Sample intervals in a period.
 _MARKS = 50
@@ -39,7 +37,9 @@ class SteadyBed:
     force's rising zero, shape (beds,).
     """
 
-    compliance: Complex  # first harmonic of each displacement over that of the force, m/N, shape (bodies,)
+    compliance: (
+        ComplexArray  # first harmonic of each displacement over that of the force, m/N, shape (bodies,)
+    )
     floor_impulse: Array  # of the wall on the bed, N s, shape (beds,)
     ceiling_impulse: Array  # of the wall on the bed, N s, shape (beds,)
     energy: Array  # taken from the structure, J, shape (beds,)
@@ -73,7 +73,7 @@ def steady_grains(scene: Scene, frequency: float, block: int, most: int, least: 
     assert tone is not None
     steps = block * _MARKS * coupled.substeps
     turns = np.arange(steps + 1) / (_MARKS * coupled.substeps)
-    turn: Complex = np.exp(2j * np.pi * turns)
+    turn: ComplexArray = np.exp(2j * np.pi * turns)
     drive = np.real(tone.amplitudes[:, None] * turn)
     coupled.place(_near_steady(scene, system, frequency, tone.state), drive[:, 0])
     found: list[SteadyBed] = []
@@ -163,13 +163,13 @@ def _near_steady(scene: Scene, system: HybridSystem, frequency: float, state: Ar
     return state
 
 
-def _force(scene: Scene, system: HybridSystem, harmonics: Complex, amplitudes: Complex) -> complex:
+def _force(scene: Scene, system: HybridSystem, harmonics: ComplexArray, amplitudes: ComplexArray) -> complex:
     """First harmonic of the force on the driven body: of its coil spring, or the drive itself."""
     row = spring_force_row(scene, system)
     return complex(row @ harmonics) if row.any() else complex(amplitudes[np.argmax(np.abs(amplitudes))])
 
 
-def _phase(moment: Complex, amplitudes: Complex) -> Array:
+def _phase(moment: ComplexArray, amplitudes: ComplexArray) -> Array:
     """Degrees after the rising zero of a drive A e^{i w t} at which something with such a moment e^{i w t} is."""
     zero = amplitudes[np.argmax(np.abs(amplitudes))] * 1j
     return np.asarray(np.degrees(np.angle(moment * zero)) % 360.0)
@@ -182,7 +182,7 @@ def _types(force: Array, weight: Array) -> NDArray[np.str_]:
     return np.where(ceiling, "II/III", np.where(resting, "riding", "I"))
 
 
-def _change(before: Complex | None, now: Complex) -> float:
+def _change(before: ComplexArray | None, now: ComplexArray) -> float:
     if before is None:
         return float("inf")
     return float(np.abs(now - before).max() / np.abs(now).max())

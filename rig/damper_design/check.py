@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.arrays import Array
 from rig.damper_design.choice import Question, Trial
 from rig.damper_design.worst_peak import Peak
 from rig.scene.excitation import FORCE_HELD, SteppedSine
@@ -16,8 +16,6 @@ from rig.scene.presets import filled_in
 from rig.scene.scene import Scene
 from rig.scene.shaker import ForceShaker
 from rig.steady_response.frequency_response import frequency_response
-
-Array = NDArray[np.float64]
 
 #: Number of test frequencies through which the motion is continued up to a peak.
 APPROACH = 3

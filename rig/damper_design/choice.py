@@ -8,8 +8,8 @@ from functools import cached_property
 from itertools import combinations, product
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.arrays import Array
 from rig.damper_design.landings import INSTANT, Landings
 from rig.damper_design.worst_peak import Peak, linear_peak, peak_at
 from rig.errors import SceneError
@@ -20,8 +20,6 @@ from rig.scene.damper import Damper
 from rig.scene.scene import Scene
 from rig.study import digest
 from rig.system.structural_model import structural_model
-
-Array = NDArray[np.float64]
 
 #: Frequencies per natural frequency during the search.
 COARSE = 20

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.arrays import Array
 from rig.damper_design.answers import Answers
 from rig.damper_design.asked import asked
 from rig.damper_design.check import Expected, check, expected
@@ -30,7 +30,6 @@ from rig.workers import Workers
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-Array = NDArray[np.float64]
 
 #: Clearances of the chart, relative to the best design.
 CHART_CLEARANCES = np.geomspace(0.25, 4.0, 7)

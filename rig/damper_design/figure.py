@@ -7,7 +7,6 @@ from shlex import quote
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rig.damper_design.check import Expected
 from rig.damper_design.choice import Choice, mass_unit
@@ -26,7 +25,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 BLUE, RED, GREY = *COLOURS[:2], "#a0a0a0"
 
 

@@ -8,7 +8,6 @@ from shlex import quote
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rig.results import plainly
 from rig.scene.measurement_chain import Accelerometer, Integrator
@@ -21,7 +20,6 @@ if TYPE_CHECKING:
     from rig.damper_design.check import Expected
     from rig.damper_design.worst_peak import Peak
 
-Array = NDArray[np.float64]
 
 #: Peak response of an undamped sensor to a step, relative to the step.
 _SWING = 2.0

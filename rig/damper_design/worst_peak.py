@@ -6,17 +6,15 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
+from rig.arrays import Array
 from rig.errors import RunError
 from rig.orbits.orbit import solve
 from rig.orbits.problem import OperatingPoint, OrbitProblem
 from rig.orbits.sweep import OrbitResponse, sweep
 from rig.scene.scene import Scene
 from rig.system.structural_model import receptance
-
-Array = NDArray[np.float64]
 
 #: Peaks are refined for bodies whose largest compliance on the grid exceeds this share of the largest peak.
 RIVAL = 0.7

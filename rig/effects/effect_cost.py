@@ -10,8 +10,8 @@ from importlib.metadata import entry_points
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.arrays import Array
 from rig.effects.explanation import motion_effects
 from rig.scene.excitation import Impulse, Test
 from rig.scene.scene import Scene
@@ -20,8 +20,6 @@ from rig.simulation.plant import Plant
 from rig.system.assembly import assemble
 from rig.system.open_loop_drive import drive_per_level, level_of, sampled_drive
 from rig.system.structural_model import structural_model
-
-Array = NDArray[np.float64]
 
 #: Entry points for costs of packages that build on the rig.
 GROUP = "shotrig.effect_costs"

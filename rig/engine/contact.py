@@ -13,17 +13,13 @@ laws on acceleration and on impulse level).
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from rig.arrays import Array
 from rig.engine.flow import Flow, Model
 from rig.engine.lasting import push
 from rig.engine.state import CEILING, FLIGHT, FLOOR, SEPARATION, Log, State, note, toggle
 from rig.numerics.complementarity import ROUNDING, ContactWork, close_active, complementarity, contact_matrix
 from rig.numerics.jit import compiled, inlined
 from rig.numerics.simd import combine
-
-Array = NDArray[np.float64]
 
 
 @inlined

@@ -7,8 +7,8 @@ goes through `rig.numerics.bernstein.first_crossing`.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.arrays import Array
 from rig.engine.flow import Flow, Model
 from rig.engine.lasting import crossing, examine_lasting
 from rig.engine.screening import CEILING_GAP, CONTACT_FORCE, FLOOR_GAP
@@ -17,8 +17,6 @@ from rig.engine.workspace import Workspace
 from rig.numerics.bernstein import LENGTH, NONE
 from rig.numerics.jit import compiled, inlined
 from rig.numerics.simd import combine
-
-Array = NDArray[np.float64]
 
 
 @inlined

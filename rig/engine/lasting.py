@@ -16,8 +16,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.arrays import Array
 from rig.engine.flow import Flow, Model
 from rig.engine.state import (
     CEILING,
@@ -35,8 +35,6 @@ from rig.engine.workspace import Workspace
 from rig.numerics.bernstein import LENGTH, first_crossing
 from rig.numerics.complementarity import ROUNDING
 from rig.numerics.jit import compiled, inlined
-
-Array = NDArray[np.float64]
 
 #: What a guard's crossing means, beside the walls `FLOOR` and `CEILING` that a bed touches.
 RELEASED, FREE = 0, 3

@@ -5,16 +5,12 @@ From the tables of `rig.engine.flow`; a system too large for them has its series
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from rig.arrays import Array
 from rig.engine.flow import Flow, Model
 from rig.engine.workspace import Workspace
 from rig.numerics.bernstein import LENGTH
 from rig.numerics.jit import inlined
 from rig.numerics.simd import combine, combine_many
-
-Array = NDArray[np.float64]
 
 #: What is known of the present state: not even that its contacts push; nothing more; the accelerations, which are
 #: behind it, and the margins of its configuration; and also that every guard lies above its margin.

@@ -12,13 +12,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.arrays import Array
 from rig.engine.flow_tables import REACH, tables_for
 from rig.engine.kernel import DONE, LOG_FULL, NEED_TABLE, STUCK, advance
 from rig.engine.power_series import STALE, UNSETTLED, differentiate
 from rig.engine.samples import MotionSamples, StateSamples, keep_state, show_motion
 from rig.engine.screening import fold_envelope
 from rig.engine.state import CONFIGURATION, SLOT, empty_log, state_at_rest
-from rig.engine.trajectory import Array, Trajectory
+from rig.engine.trajectory import Trajectory
 from rig.engine.workspace import Workspace, workspace_for
 from rig.errors import RunError, SceneError
 from rig.numerics.bernstein import LENGTH as TERMS

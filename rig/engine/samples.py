@@ -10,10 +10,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.arrays import Array
 from rig.engine.flow import Flow, Model
 from rig.engine.lasting import gap_of
 from rig.engine.state import FLIGHT, FLOOR, SLOT, State
-from rig.engine.trajectory import Array
 from rig.numerics.jit import inlined
 from rig.numerics.simd import LANES, transpose
 

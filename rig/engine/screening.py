@@ -8,8 +8,8 @@ while the state stays inside, margins that were computed once prove every guard 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.arrays import Array
 from rig.engine.flow import TERMS, Flow, Model
 from rig.engine.lasting import gap_of, lowest_guard, opening, overlap, push, push_rate
 from rig.engine.state import FLIGHT, FLOOR, State
@@ -17,8 +17,6 @@ from rig.engine.workspace import Workspace
 from rig.numerics.complementarity import ROUNDING
 from rig.numerics.jit import inlined
 from rig.numerics.simd import combine
-
-Array = NDArray[np.float64]
 
 #: Guards of a damper.
 FLOOR_GAP, CEILING_GAP, CONTACT_FORCE = 1, 2, 0

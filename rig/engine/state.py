@@ -5,13 +5,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.arrays import Array
 from rig.engine.flow import Flow, Model
 from rig.numerics.jit import inlined
 from rig.numerics.simd import zeros
-
-Array = NDArray[np.float64]
 
 #: What a damper does.
 FLIGHT, FLOOR, CEILING = 0, 1, 2

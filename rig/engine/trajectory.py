@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.arrays import Array
 from rig.engine.state import CEILING_IMPACT, CEILING_TOUCH, FLIGHT, FLOOR, FLOOR_IMPACT, FLOOR_TOUCH
 from rig.system.hybrid_system import HybridSystem
-
-Array = NDArray[np.float64]
 
 EVENT = np.dtype([("time", "f8"), ("damper", "i4"), ("kind", "U10"), ("speed", "f8")])
 #: Kinds of events in which a damper comes to a wall.

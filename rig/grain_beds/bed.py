@@ -14,15 +14,13 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.arrays import Array
 from rig.errors import RunError
 from rig.grain_beds.lammps_library import new_lammps
 from rig.grain_beds.rebound import restitution_at_step
 from rig.grain_beds.spheres import Spheres
 from rig.scene.damper import Grains
-
-Array = NDArray[np.float64]
 
 #: Walls of a cavity, in the order in which forces are given.
 WALLS = ("floor", "ceiling", "side")

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.arrays import Array
 from rig.engine.propagator import sampled_propagator
 from rig.engine.samples import MotionSamples, StateSamples
 from rig.engine.state import CEILING, FLIGHT, FLOOR
@@ -26,8 +27,6 @@ from rig.grain_beds.spheres import Spheres, spheres_of
 from rig.scene.scene import Scene
 from rig.system.assembly import assemble
 from rig.system.hybrid_system import FORCE_OF_BED, HybridSystem
-
-Array = NDArray[np.float64]
 
 
 class BedStates(NamedTuple):

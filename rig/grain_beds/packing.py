@@ -15,15 +15,13 @@ from pathlib import Path
 
 import numpy as np
 from numba.misc.appdirs import AppDirs
-from numpy.typing import NDArray
 
+from rig.arrays import Array
 from rig.errors import RunError
 from rig.grain_beds.bed import CEILING, FLOOR, Bed
 from rig.grain_beds.lammps_library import lammps_version
 from rig.grain_beds.spheres import Spheres, rayleigh_time
 from rig.scene.scene import STANDARD_GRAVITY
-
-Array = NDArray[np.float64]
 
 #: Rayleigh's times in a step while grains are packed.
 _STEP = 0.1

@@ -10,12 +10,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 
+from rig.arrays import Array
 from rig.scene.damper import Grains
-
-Array = NDArray[np.float64]
 
 #: Speed of approach at which the restitution is met, m/s: impacts of a bed come at 0.05 to 1.
 _SPEED = 0.3

@@ -7,16 +7,14 @@ from collections.abc import Callable
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.arrays import Array
 from rig.errors import RunError
 from rig.grain_beds.bed import Bed
 from rig.grain_beds.lammps_library import new_lammps
 from rig.grain_beds.spheres import Spheres
 from rig.ranks import OneRankError, Shared, communicators, on_this_machine, size, total
 from rig.workers import cores
-
-Array = NDArray[np.float64]
 
 #: Steps between checks of how evenly the grains are distributed over the ranks.
 _EVENED = 10_000

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rig.engine.trajectory import Array
+from rig.arrays import Array
 from rig.errors import SceneError
 from rig.scene.excitation import Multisine, Random, Sine, SteppedSine, SweptSine
 from rig.scene.quantities import FORCE, LENGTH, VOLTAGE

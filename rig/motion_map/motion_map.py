@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rig.engine.trajectory import Array
+from rig.arrays import Array
 from rig.figure_style import cell_edges, plain_logarithmic
 from rig.motion_map.grid import KIND_OF_UNIT, columns, rows_of, take_off, vertical_axis
 from rig.results import Result

@@ -15,12 +15,10 @@ from __future__ import annotations
 from math import comb
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.arrays import Array
 from rig.numerics.jit import compiled, inlined
 from rig.numerics.simd import combine, lowest, negatives
-
-Array = NDArray[np.float64]
 
 DEGREE = 15
 LENGTH = DEGREE + 1

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.arrays import Array
 from rig.numerics.jit import stored
 from rig.orbits.orbit_equations import (
     CEILING,
@@ -26,7 +27,6 @@ from rig.orbits.orbit_equations import (
     RIDES_FLOOR,
     SEPARATION,
     WITH_LAST,
-    Array,
     Equations,
     Sequence,
 )

@@ -13,6 +13,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.arrays import Array
 from rig.errors import RunError, SceneError
 from rig.numerics import continuation
 from rig.orbits.orbit import Following, Orbit
@@ -27,8 +28,6 @@ from rig.orbits.problem import (
     vary,
 )
 from rig.scene.loading import SceneLike, scene_of
-
-Array = NDArray[np.float64]
 
 STEPS = continuation.Steps(first=5e-3, longest=0.25, turn=0.12, shortest=1e-7, points=1500)
 # Distance past a border, relative to the parameter, at which Newton's iteration for the next orbit starts.

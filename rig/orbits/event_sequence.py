@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.arrays import Array
 from rig.engine.state import CEILING_IMPACT, CEILING_TOUCH, FLOOR_IMPACT, FLOOR_TOUCH
 from rig.engine.state import RELEASE as RELEASED
 from rig.engine.trajectory import Trajectory
@@ -34,7 +35,6 @@ from rig.orbits.orbit_equations import (
 )
 from rig.system.hybrid_system import HybridSystem
 
-Array = NDArray[np.float64]
 BOUNCE = {FLOOR: FLOOR_BOUNCE, CEILING: CEILING_BOUNCE}
 #: Wall of a damper after an event, or flight.
 AFTER = {

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.arrays import Array
 from rig.numerics.jit import stored
-
-Array = NDArray[np.float64]
 
 
 @stored

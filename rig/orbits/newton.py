@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.arrays import Array
 from rig.numerics.jit import stored
 from rig.orbits.orbit_equations import Change, Equations, Sequence
 from rig.orbits.shooting import Shot, shoot
-
-Array = NDArray[np.float64]
 
 # A solution is accepted when its next correction and its residuals, relative to the motion, are below this.
 SETTLED = 3e-13

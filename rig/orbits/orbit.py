@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dgeev
 
+from rig.arrays import Array
 from rig.engine.state import CEILING_IMPACT, CEILING_TOUCH, FLOOR_IMPACT, FLOOR_TOUCH
 from rig.engine.state import RELEASE as RELEASED
 from rig.engine.state import SEPARATION as SEPARATED
@@ -45,7 +46,6 @@ from rig.system.assembly import spring_force_row
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-Array = NDArray[np.float64]
 
 # Absolute margin up to which a negative value is rounding; below it an orbit is impossible as a motion.
 ROUNDING = 1e-9

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.arrays import Array
 from rig.numerics import continuation
 from rig.orbits.event_sequence import Plan
 from rig.orbits.orbit import Orbit
@@ -16,8 +17,6 @@ from rig.results import Result, joined, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, repr=False)

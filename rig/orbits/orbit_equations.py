@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from rig.arrays import Array
+
 Whole = NDArray[np.int64]
 
 # Kinds of events. In a bounce, a damper separates at the instant of impact, with the common velocity (osculating

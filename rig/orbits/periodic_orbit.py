@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.arrays import Array
 from rig.engine.propagator import Propagator, tone_propagator
 from rig.engine.state import CEILING, CONFIGURATION, FLIGHT, FLOOR
 from rig.engine.trajectory import STRIKES, Trajectory
@@ -16,8 +16,6 @@ from rig.orbits.problem import OperatingPoint, OrbitProblem
 from rig.scene.loading import SceneLike, scene_of
 from rig.scene.quantities import FREQUENCY, positives
 from rig.steady_response.steady_state import LONGEST_REPETITION, settle
-
-Array = NDArray[np.float64]
 
 # Largest number of simulated periods before a search classifies the motion as irregular.
 LONGEST = 4000

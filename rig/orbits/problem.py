@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import matrix_balance
 
+from rig.arrays import Array
 from rig.errors import SceneError
 from rig.orbits.event_sequence import Plan
 from rig.orbits.orbit_equations import Change, Equations
@@ -20,7 +21,6 @@ from rig.system.assembly import assemble
 from rig.system.hybrid_system import HybridSystem
 from rig.system.open_loop_drive import drive_per_level, level_of, with_ideal_force
 
-Array = NDArray[np.float64]
 Parameter = Literal["frequency", "force", "clearance", "mass_ratio"]
 #: Continuation parameters, with their kinds of quantity.
 PARAMETERS: dict[str, Kind] = {

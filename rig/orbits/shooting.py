@@ -14,8 +14,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.arrays import Array
 from rig.numerics.jit import stored
 from rig.orbits.matrix_exponential import drift, exponential
 from rig.orbits.orbit_equations import (
@@ -33,8 +33,6 @@ from rig.orbits.orbit_equations import (
     Equations,
     Sequence,
 )
-
-Array = NDArray[np.float64]
 
 
 class Shot(NamedTuple):

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rig.arrays import Array
 from rig.engine.propagator import Propagator
 from rig.errors import RunError, SceneError
 from rig.numerics.jit import stored
@@ -44,7 +45,6 @@ if TYPE_CHECKING:
 
     from rig.results.response import Response
 
-Array = NDArray[np.float64]
 
 # Largest number of halvings of the step before the branch is considered to end.
 HALVINGS = 6

@@ -7,9 +7,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.arrays import Array
 from rig.numerics.jit import stored
 from rig.orbits.matrix_exponential import exponential
-from rig.orbits.orbit_equations import FLYING, FORCELESS, ON_FLOOR, Array, Equations, Sequence
+from rig.orbits.orbit_equations import FLYING, FORCELESS, ON_FLOOR, Equations, Sequence
 
 # Product of an interval with the fastest rate. The relative error of the extremes of quintics is then 1e-9, and the
 # harmonic is exact to rounding.

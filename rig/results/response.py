@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
+from rig.arrays import Array, ComplexArray
 from rig.errors import SceneError
 from rig.results.result import Result, missing, styled
 from rig.results.text import bounded
@@ -32,8 +33,6 @@ if TYPE_CHECKING:
     import xarray
     from matplotlib.axes import Axes
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 # Curves with more points than this are drawn without a dot at each.
 DOTS = 120

@@ -16,10 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
+from rig.arrays import Array, ComplexArray
 from rig.results.text import rounded
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 Lines = NDArray[np.bool_] | NDArray[np.intp]
 
 SCATTER = "scatter"

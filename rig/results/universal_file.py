@@ -6,13 +6,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.arrays import Array, ComplexArray
 from rig.errors import RunError
 from rig.escaping import shown
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 #: Function types of data set 58.
 FRF, GENERAL = 4, 0

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.arrays import Array
 from rig.engine.flow_tables import FlowTables
 from rig.engine.propagator import Propagator
 from rig.engine.state import CEILING, FLIGHT, FLOOR
@@ -22,8 +23,6 @@ from rig.numerics.bernstein import LENGTH
 from rig.scene.scene import Scene
 from rig.scene.shaker import ElectrodynamicShaker, TableShaker, at_shaker
 from rig.system.hybrid_system import FORCE_OF_BED, HybridSystem
-
-Array = NDArray[np.float64]
 
 #: Gauss-Legendre nodes and weights on [0, 1]; within a step 8 of them integrate a product of two solutions to
 #: rounding.

@@ -13,7 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rig.engine.trajectory import EVENT, Array, event_table
+from rig.arrays import Array
+from rig.engine.trajectory import EVENT, event_table
 from rig.grain_beds.coupling import CoupledPropagator, CoupledState, interpolated
 from rig.scene.scene import Scene
 from rig.simulation.energy import Energy, ends_of, ledger

@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rig.arrays import Array
 from rig.engine.propagator import Propagator, sampled_propagator
 from rig.engine.samples import MotionSamples
 from rig.engine.state import FLOOR
-from rig.engine.trajectory import Array, Trajectory, event_table
+from rig.engine.trajectory import Trajectory, event_table
 from rig.errors import SceneError
 from rig.scene.scene import Scene
 from rig.scene.shaker import at_shaker

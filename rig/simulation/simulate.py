@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rig.arrays import Array
 from rig.engine.propagator import Propagator, sampled_propagator, tone_propagator
-from rig.engine.trajectory import EVENT, Array, Trajectory, event_table, gaps_and_contacts
+from rig.engine.trajectory import EVENT, Trajectory, event_table, gaps_and_contacts
 from rig.errors import RunError, SceneError
 from rig.numerics.memory import need
 from rig.ranks import size

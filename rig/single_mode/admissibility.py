@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.arrays import Array
 from rig.single_mode.periodic_motion import (
     TURN,
     ModeState,
@@ -17,8 +18,6 @@ from rig.single_mode.periodic_motion import (
     MotionType,
     PeriodicMotion,
 )
-
-Floats = NDArray[np.float64]
 
 # Largest rounding error of a gap in units of g/w^2, and of an acceleration in g.
 ROUNDING = 1e-9
@@ -30,7 +29,7 @@ class Batch:
 
     kind: MotionType
     """Motion type; {'I', 'II', 'III'}."""
-    unknowns: Floats  # shape (4 + instants, solutions)
+    unknowns: Array  # shape (4 + instants, solutions)
     setting: MotionParameters
     """Fields of shape (solutions,)."""
 
@@ -46,32 +45,32 @@ class Batch:
         )
 
 
-def _fractions(batch: Batch) -> Floats:
+def _fractions(batch: Batch) -> Array:
     """Sample a phase at fractions of its length, at least 24 per cycle of the faster oscillation."""
     fastest = max(1.0, float(np.max(1 / batch.setting.ratio)))
     return np.linspace(0.0, 1.0, 48 + int(24 * fastest))[:, None]
 
 
-Quantity = Callable[[PeriodicMotion, MotionPhase, Floats], tuple[Floats, Floats]]
+Quantity = Callable[[PeriodicMotion, MotionPhase, Array], tuple[Array, Array]]
 
 
-def _gap(motion: PeriodicMotion, phase: MotionPhase, t: Floats) -> tuple[Floats, Floats]:
+def _gap(motion: PeriodicMotion, phase: MotionPhase, t: Array) -> tuple[Array, Array]:
     state = motion.advance(phase, t)
     return state.y - state.q, state.v - state.u
 
 
-def _coordinate(motion: PeriodicMotion, phase: MotionPhase, t: Floats) -> tuple[Floats, Floats]:
+def _coordinate(motion: PeriodicMotion, phase: MotionPhase, t: Array) -> tuple[Array, Array]:
     state = motion.advance(phase, t)
     return state.q, state.u
 
 
-def _contact(motion: PeriodicMotion, phase: MotionPhase, t: Floats) -> tuple[Floats, Floats]:
+def _contact(motion: PeriodicMotion, phase: MotionPhase, t: Array) -> tuple[Array, Array]:
     """Contact force over mu, q'' + 1 (positive on the floor, negative at the ceiling), and its time derivative."""
     state = motion.advance(phase, t)
     return motion.acceleration(phase, t, state) + 1, motion.jerk(phase, t, state)
 
 
-def extremes(batch: Batch, index: int, quantity: Quantity) -> tuple[Floats, Floats]:
+def extremes(batch: Batch, index: int, quantity: Quantity) -> tuple[Array, Array]:
     """Compute the smallest and largest value of a quantity in a phase, shape (solutions,) each.
 
     The quantity is sampled densely; extrema between samples are located by bisection of its derivative.
@@ -129,7 +128,7 @@ def flaws(batch: Batch) -> NDArray[np.str_]:
     return found
 
 
-def _slope_at_start(motion: PeriodicMotion, index: int) -> Floats:
+def _slope_at_start(motion: PeriodicMotion, index: int) -> Array:
     phase = motion.phases[index]
     return motion.jerk(phase, np.zeros_like(phase.length), phase.start)
 
@@ -150,7 +149,7 @@ def first_harmonic(batch: Batch) -> NDArray[np.complex128]:
     return np.asarray(total / np.pi, dtype=np.complex128)
 
 
-def peak_to_peak(batch: Batch) -> Floats:
+def peak_to_peak(batch: Batch) -> Array:
     """Compute the peak-to-peak value of the coordinate over the period, shape (solutions,)."""
     pairs = [extremes(batch, index, _coordinate) for index in range(len(batch.motion.phases))]
     return np.max([high for _, high in pairs], axis=0) - np.min([low for low, _ in pairs], axis=0)
@@ -184,7 +183,7 @@ def multipliers(batch: Batch) -> NDArray[np.complex128]:
     return np.asarray(np.linalg.eigvals(total).T, dtype=np.complex128)
 
 
-def _saltation(motion: PeriodicMotion, before: MotionPhase, end: ModeState, after: MotionPhase) -> Floats:
+def _saltation(motion: PeriodicMotion, before: MotionPhase, end: ModeState, after: MotionPhase) -> Array:
     """Saltation matrix of the impact between two phases, (solutions, 2 if riding follows, else 4, 4)."""
     mu = motion.setting.mass_ratio
     share, one, zero = mu / (1 + mu), np.ones_like(end.q), np.zeros_like(end.q)

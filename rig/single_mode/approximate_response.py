@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.arrays import Array
 from rig.errors import SceneError
 from rig.numerics import continuation
 from rig.results import Result, joined, styled
@@ -29,7 +30,6 @@ from rig.single_mode.reduction import SingleMode, Weighting, single_mode
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-Floats = NDArray[np.float64]
 
 _NEAR = continuation.Steps(iterations=25)
 _STEPS = continuation.Steps(first=3e-3, longest=0.1, turn=0.15)
@@ -49,19 +49,19 @@ class Branch:
     """
 
     motion_type: MotionType  # 'I', 'II' or 'III'
-    frequency: Floats  # driving frequency [Hz]; not monotonic where the curve folds, shape (points,)
+    frequency: Array  # driving frequency [Hz]; not monotonic where the curve folds, shape (points,)
     compliance: NDArray[np.complex128]
-    peak: Floats  # half the peak-to-peak of the coordinate over the force's amplitude [m/N], shape (points,)
-    phi: Floats
-    tau_0: Floats
-    tau_1: Floats
-    tau_2: Floats
+    peak: Array  # half the peak-to-peak of the coordinate over the force's amplitude [m/N], shape (points,)
+    phi: Array
+    tau_0: Array
+    tau_1: Array
+    tau_2: Array
     multipliers: NDArray[np.complex128]  # Floquet multipliers, shape (2, points)
     stable: NDArray[np.bool_]  # both multipliers inside the unit circle, shape (points,)
     flaw: NDArray[np.str_]  # reason why the motion is inadmissible; "" if it is admissible, shape (points,)
-    unknowns: Floats
+    unknowns: Array
     ends: tuple[str, str]  # why the curve ends before its first and after its last point
-    folds: Floats  # frequencies [Hz] of the fold bifurcations, shape (folds,)
+    folds: Array  # frequencies [Hz] of the fold bifurcations, shape (folds,)
 
     @property
     def valid(self) -> NDArray[np.bool_]:
@@ -213,7 +213,7 @@ def follow_mode(mode: SingleMode, band: tuple[float, float], searches: int = 13)
     return Approximation(mode, tuple(branches), riding, tuple(failures))
 
 
-def dimensionless(mode: SingleMode, ratio: float | Floats) -> MotionParameters:
+def dimensionless(mode: SingleMode, ratio: float | Array) -> MotionParameters:
     """Return the dimensionless parameters at a ratio of driving to natural frequency."""
     return MotionParameters(
         ratio=ratio,
@@ -233,13 +233,13 @@ def leaving_band(mode: SingleMode, band: tuple[float, float]) -> tuple[float, fl
 
 
 def _equations(mode: SingleMode, kind: MotionType) -> continuation.Equations:
-    def equations(x: Floats) -> tuple[Floats, Floats]:
+    def equations(x: Array) -> tuple[Array, Array]:
         return jacobian(kind, x[:-1], dimensionless(mode, float(x[-1])), "ratio")
 
     return equations
 
 
-def _short_stays(mode: SingleMode, curves: list[continuation.Curve]) -> list[Floats]:
+def _short_stays(mode: SingleMode, curves: list[continuation.Curve]) -> list[Array]:
     """Locate Type III motions with short stays at the ceiling, starting from Type II; a grid may miss them."""
     found = []
     for curve in curves:
@@ -265,7 +265,7 @@ def _short_stays(mode: SingleMode, curves: list[continuation.Curve]) -> list[Flo
     return found
 
 
-def _scale(mode: SingleMode, kind: MotionType) -> Floats:
+def _scale(mode: SingleMode, kind: MotionType) -> Array:
     """Scale of the unknowns and of the frequency ratio, for the arclength."""
     setting = dimensionless(mode, 1.0)
     size = max(1.0, setting.force)
@@ -273,7 +273,7 @@ def _scale(mode: SingleMode, kind: MotionType) -> Floats:
     return np.array([size, size, setting.force, setting.force, *[1.0] * INSTANTS[kind], 5 * width])
 
 
-def _search_ratios(mode: SingleMode, low: float, high: float, count: int) -> Floats:
+def _search_ratios(mode: SingleMode, low: float, high: float, count: int) -> Array:
     """Distribute the searches over the take-off band, and half as many over the rest of the range."""
     leaving = leaving_band(mode, (low * mode.frequency, high * mode.frequency))
     if leaving is None:
@@ -285,15 +285,15 @@ def _search_ratios(mode: SingleMode, low: float, high: float, count: int) -> Flo
 
 
 def _follow(
-    mode: SingleMode, kind: MotionType, start: Floats, bounds: tuple[float, float]
+    mode: SingleMode, kind: MotionType, start: Array, bounds: tuple[float, float]
 ) -> continuation.Curve:
-    def margins(x: Floats) -> tuple[Floats, tuple[str, ...]]:
+    def margins(x: Array) -> tuple[Array, tuple[str, ...]]:
         return order(kind, x[4:-1]), ENDS
 
     return continuation.trace(_equations(mode, kind), start, bounds, _scale(mode, kind), _STEPS, margins)
 
 
-def _passes_through(mode: SingleMode, kind: MotionType, curve: continuation.Curve, solution: Floats) -> bool:
+def _passes_through(mode: SingleMode, kind: MotionType, curve: continuation.Curve, solution: Array) -> bool:
     """Whether a curve already contains a solution."""
     ratio = curve.points[:, -1] - solution[-1]
     for i in np.flatnonzero(ratio[:-1] * ratio[1:] <= 0):

@@ -9,20 +9,19 @@ whole range; cells in which every equation changes sign are refined by Newton's 
 from __future__ import annotations
 
 from itertools import product
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.arrays import Array
 from rig.single_mode.periodic_motion import (
     INSTANTS,
     TURN,
-    Array,
     MotionParameters,
     MotionType,
     PeriodicMotion,
 )
-
-Floats = NDArray[np.float64]
 
 # Points per instant. The equations are smooth in the instants, so two solutions in one cell occur only near a fold.
 # Continuation from the other side of the fold, or from another frequency, then reaches both.
@@ -36,7 +35,7 @@ SHORTEST_FLIGHT = 0.01
 ENDS = ("the ride on the floor vanishes", "the flight vanishes", "the stay at the ceiling vanishes")
 
 
-def order(kind: MotionType, instants: Floats) -> Floats:
+def order(kind: MotionType, instants: Array) -> Array:
     """Compute the margins to a vanishing ride, flight or (Type III) stay; negative if instants are out of order."""
     lengths = np.diff([0.0, *instants, TURN])
     flights = np.delete(lengths, [0, 2] if kind == "III" else [0])
@@ -68,7 +67,7 @@ def eliminate(kind: MotionType, instants: Array, setting: MotionParameters) -> t
     return unknowns, np.array(left)
 
 
-def solutions(kind: MotionType, setting: MotionParameters) -> Floats:
+def solutions(kind: MotionType, setting: MotionParameters) -> Array:
     """Compute all solutions of one type at one frequency, including inadmissible motions.
 
     `kind`: 'I', 'II' or 'III'. Motion type. Returns shape (solutions, 4 + instants), unknowns as in
@@ -87,7 +86,7 @@ def solutions(kind: MotionType, setting: MotionParameters) -> Floats:
         values = [equation[corner] for corner in corners]
         cells &= (np.min(values, axis=0) < 0) & (np.max(values, axis=0) > 0)
     starts = np.array([grid[index] for index in np.nonzero(cells)]) + grid[0]
-    found: list[Floats] = []
+    found: list[Array] = []
     for candidate in _refine(kind, starts, setting).T:
         if (order(kind, candidate) > 0).all() and not any(
             np.allclose(candidate, f, rtol=0, atol=1e-6) for f in found
@@ -98,7 +97,7 @@ def solutions(kind: MotionType, setting: MotionParameters) -> Floats:
     return eliminate(kind, np.array(found).T, setting)[0].T
 
 
-def _refine(kind: MotionType, instants: Floats, setting: MotionParameters) -> Floats:
+def _refine(kind: MotionType, instants: Array, setting: MotionParameters) -> Array:
     """Solve the remaining equations from many starts at once; return the converged instants."""
     count = instants.shape[0]
     longest = TURN / _GRID[kind]
@@ -119,7 +118,7 @@ def _refine(kind: MotionType, instants: Floats, setting: MotionParameters) -> Fl
     return instants[:, size < 1e-9] if instants.size else instants
 
 
-def _solve(matrices: Array, right: Array) -> Array:
+def _solve(matrices: Array, right: Array) -> NDArray[Any]:
     """Solve many small linear systems; NaN where one is singular."""
     try:
         return np.linalg.solve(matrices, right[:, :, None])[:, :, 0]

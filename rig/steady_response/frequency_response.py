@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rig.arrays import Array
 from rig.engine.propagator import Propagator, tone_propagator
-from rig.engine.trajectory import STRIKES, Array
+from rig.engine.trajectory import STRIKES
 from rig.errors import SceneError
 from rig.results import Result, styled
 from rig.scene.loading import SceneLike, scene_of

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.arrays import Array
 from rig.engine.state import CEILING, CEILING_IMPACT, CEILING_TOUCH, FLOOR_IMPACT, FLOOR_TOUCH, SEPARATION
 from rig.engine.trajectory import Trajectory
 from rig.system.hybrid_system import HybridSystem
-
-Array = NDArray[np.float64]
 
 #: Shortest stay on a wall in finite-duration contact, relative to the duration of a landing.
 STAY = 2.0

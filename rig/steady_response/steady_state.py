@@ -15,9 +15,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.arrays import Array
 from rig.engine.propagator import Propagator
 from rig.engine.state import FLIGHT
-from rig.engine.trajectory import Array, Trajectory
+from rig.engine.trajectory import Trajectory
 from rig.errors import RunError
 from rig.numerics.jit import stored
 

@@ -7,13 +7,14 @@ from typing import NamedTuple, assert_never
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.arrays import Array
 from rig.errors import SceneError
 from rig.scene.damper import Damper, Landing, Wall, Walls
 from rig.scene.scene import Scene
 from rig.scene.shaker import Coil, ElectrodynamicShaker, ForceShaker, Shaker, TableShaker, at_shaker
 from rig.system.hybrid_system import HybridSystem
 from rig.system.landing import spring_damper
-from rig.system.structural_model import Array, StructuralModel, structural_model
+from rig.system.structural_model import StructuralModel, structural_model
 
 #: Configurations are bits of a 64-bit integer.
 MOST_DAMPERS = 62

@@ -8,14 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.arrays import Array
 from rig.errors import SceneError
 from rig.scene.excitation import Impulse, Sine, SteppedSine, SweptSine
 from rig.scene.scene import Scene
 from rig.scene.shaker import ForceShaker, TableShaker
 from rig.system.assembly import spring_force_row
 from rig.system.hybrid_system import HybridSystem
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

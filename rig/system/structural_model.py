@@ -13,12 +13,10 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
+from rig.arrays import Array, ComplexArray
 from rig.errors import SceneError
 from rig.scene.scene import Scene
 from rig.scene.structure import Dashpots, ModalDamping, RayleighDamping, Structure
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 # Dynamic stiffnesses solved at once: enough to keep LAPACK busy, little enough for any machine's memory.
 _ELEMENTS_AT_ONCE = 1_000_000

@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from rig.arrays import Array
 from rig.errors import RunError
-from rig.work_precision.first_order_form import CEILING, FLIGHT, FLOOR, WALLS, Array, FirstOrderForm, Outcome
+from rig.work_precision.first_order_form import CEILING, FLIGHT, FLOOR, WALLS, FirstOrderForm, Outcome
 
 #: Time for which a guard is disabled after its separation, s. Its value is then at rounding level.
 BLIND = 2e-5

@@ -15,10 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import RK45
 
+from rig.arrays import Array
 from rig.errors import RunError
 from rig.numerics.jit import compiled, inlined
 from rig.work_precision.adaptive_solvers import LIVELOCK
-from rig.work_precision.first_order_form import CEILING, FLIGHT, FLOOR, WALLS, Array, FirstOrderForm, Outcome
+from rig.work_precision.first_order_form import CEILING, FLIGHT, FLOOR, WALLS, FirstOrderForm, Outcome
 
 #: Weights of the stages, of the error and of the dense output, from scipy.
 STAGES = np.vstack([np.hstack([RK45.A, np.zeros((6, 1))]), RK45.B])

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.arrays import Array
 from rig.errors import SceneError
 from rig.system.hybrid_system import HybridSystem
 from rig.system.open_loop_drive import ToneDrive
 
-Array = NDArray[np.float64]
 #: Contact state of each damper: `FLIGHT`, `FLOOR` or `CEILING`.
 Mode = Sequence[int]
 

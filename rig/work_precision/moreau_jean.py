@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.arrays import Array
 from rig.errors import RunError
 from rig.numerics.jit import stored
 from rig.work_precision.first_order_form import (
@@ -17,7 +18,6 @@ from rig.work_precision.first_order_form import (
     FLOOR,
     PER_PERIOD,
     WALLS,
-    Array,
     FirstOrderForm,
     Outcome,
 )

@@ -13,8 +13,8 @@ from typing import TypeVar
 
 import numpy as np
 
+from rig.arrays import Array
 from rig.engine.propagator import tone_propagator
-from rig.engine.trajectory import Array
 from rig.errors import RunError, SceneError, ShotrigError
 from rig.scene.excitation import Sine, SteppedSine, SweptSine
 from rig.scene.scene import Scene

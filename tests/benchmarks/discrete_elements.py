@@ -17,13 +17,12 @@ from numba import njit
 from numpy.typing import NDArray
 
 from analysis.reproduction.bed_study import BEDS, FREQUENCY, Setting, scene_of_bed, summary_row
+from rig.arrays import Array
 from rig.bed_response.steady_bed import steady_grains
 from rig.grain_beds.packing import highest, settled
 from rig.grain_beds.spheres import Spheres, rayleigh_time, spheres_of
 from rig.scene.excitation import Sine
 from rig.scene.scene import STANDARD_GRAVITY
-
-Array = NDArray[np.float64]
 
 #: Acceleration in g, clearance in m, layers, and periods of a block; there are three, of which the last two are
 #: averaged. Deep beds that seldom meet a high ceiling wander for long.

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
 import rig
+from rig.arrays import Array
 from rig.results.response import Response
 from rig.system.structural_model import receptance
 from tests.gauntlet.scenes import INSTRUMENTS, Draw, Settings, instrumented
-
-Array = NDArray[np.float64]
 
 CURVES, MULTISINE, STEPPED = "curves_pairs", "multisine_pairs", "stepped_sine_pairs"
 # Smallest relative distance of the two modes, and the damping ratio of all modes: without noise, and with noise.

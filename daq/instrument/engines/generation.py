@@ -7,14 +7,12 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.instrument.engines.acquisition import Moment
 from daq.instrument.engines.ring_buffer import memory
 from daq.instrument.engines.triggers import AtTime, OtherTask, SyncPulse
 from daq.instrument.errors import Code, DaqError
-
-Array = NDArray[np.float64]
+from rig.arrays import Array
 
 
 class OutputBuffer:

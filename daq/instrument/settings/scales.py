@@ -6,12 +6,10 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.instrument.errors import Code, DaqError, bad
 from daq.instrument.settings.properties import alike
-
-Array = NDArray[np.float64]
+from rig.arrays import Array
 
 # Maximum number of points and order: they limit the time of the least-squares fit.
 _MOST_POINTS, _HIGHEST_ORDER = 100_000, 50

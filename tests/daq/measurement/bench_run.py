@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 import rig
 from daq.excitation import Excitation, Station, excitation
 from daq.virtual_bench.bench import Bench
-
-Array = NDArray[np.float64]
+from rig.arrays import Array
 
 BODIES = (0.74, 0.71, 0.64), (24.3e3, 21.8e3, 19.8e3)
 

@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 
 import analysis
 import rig
+from rig.arrays import Array
 from tests.gauntlet.cavities import DECAY, GRAVITY
 from tests.gauntlet.verdict import Case, Verdict
-
-Array = NDArray[np.float64]
 
 # Sample rate of the exact motion, Hz: the error of a maximum is then 1e-7.
 _RATE = 20480.0

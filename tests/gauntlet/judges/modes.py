@@ -6,18 +6,16 @@ Both modes of a close pair must be identified. Elsewhere a mode may be missing, 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
 import analysis
 import rig
 from analysis.modal.modes import Modes
+from rig.arrays import Array
 from rig.results.response import Response
 from rig.system.structural_model import structure_matrices
 from tests.gauntlet.pairs import CURVES, MULTISINE, STEPPED
 from tests.gauntlet.verdict import Case, Outcome, Verdict
-
-Array = NDArray[np.float64]
 
 # Factor of the 95 % interval, and the largest plausible error, standard deviations.
 BOUND, FAR = 1.96, 4.5

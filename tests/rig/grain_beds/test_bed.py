@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from rig.arrays import Array
 from rig.errors import RunError
 from rig.grain_beds import packing
 from rig.grain_beds.bed import Bed
@@ -16,8 +16,6 @@ from rig.grain_beds.packing import settled
 from rig.grain_beds.spheres import Spheres, spheres_of
 from rig.scene.damper import Grains
 from tests.rig.grain_beds.scenes import with_grains
-
-Array = NDArray[np.float64]
 
 
 @pytest.mark.parametrize("restitution", [0.2, 0.5, 0.9])

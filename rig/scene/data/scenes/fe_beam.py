@@ -8,9 +8,8 @@ and dampers are, saved with numpy.save and named in the scene as ``matrices: {ma
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from rig.arrays import Array
 
 LENGTH, WIDTH, THICKNESS = 0.4, 0.04, 0.005  # m
 YOUNG, DENSITY = 210e9, 7850.0  # steel: Pa, kg/m^3

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from typing import Any
 
 import numpy as np
@@ -30,7 +31,7 @@ class LimitReached(RunError):
     """A channel exceeded its abort limit, or the controlled force could no longer be read."""
 
 
-class BenchLoop:
+class BenchLoop(ABC):
     """A test on the bench of its scene; `took` and `acquired` receive the blocks and windows, `mark` the markers."""
 
     def __init__(self, scene: Scene, block: int | None = None) -> None:
@@ -53,16 +54,19 @@ class BenchLoop:
         self._control_lost: str | None = None
         self._last = np.zeros((len(bench.inputs), 2))
 
+    @abstractmethod
     def mark(self, kind: str, first: int, stop: int, **fields: Any) -> None:
         """Receive a marker of the samples first to stop - 1."""
-        raise NotImplementedError
 
+    @abstractmethod
     def report(self, fraction: float, message: str) -> None:
         """Receive the progress of the test."""
 
+    @abstractmethod
     def took(self, got: Block, readings: Array) -> None:
         """Receive a block, and its readings in the unit of each channel."""
 
+    @abstractmethod
     def acquired(self, first: int, drive: Array, overload: NDArray[np.bool_]) -> None:
         """Receive the drive and the overloads of a window from the sample `first` on."""
 

@@ -7,7 +7,6 @@ import threading
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
-from itertools import pairwise
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -31,6 +30,7 @@ from rig.ending_signals import came
 from rig.errors import RecordingError, RunError, SceneError, ShotrigError
 from rig.errors import RunWarning as RunWarning  # public as daq.RunWarning
 from rig.input_files import path_of
+from rig.numerics.runs import runs_of
 from rig.scene.loading import SceneLike, load
 from rig.scene.scene import Scene
 
@@ -192,7 +192,7 @@ class MeasurementRun(BenchLoop):
             kept = np.ones(got.samples.shape[1], dtype=bool)
             for begin, end in self.bench.lost:
                 kept[max(0, begin - got.first) : max(0, end + 1 - got.first)] = False
-            for start, stop in stretches_of_equals(kept):
+            for start, stop in sorted(runs_of(kept) + runs_of(~kept)):
                 if not kept[start]:
                     self._lost += stop - start
                     continue
@@ -270,16 +270,6 @@ def _make_folder(path: Path) -> None:
 
 class _Stopped(KeyboardInterrupt):
     """The user pressed Ctrl-C, and the drive has been ramped to zero."""
-
-
-def stretches_of_equals(values: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Return the intervals of equal values, as (start, stop).
-
-    >>> stretches_of_equals(np.array([True, True, False, True]))
-    [(0, 2), (2, 3), (3, 4)]
-    """
-    edges = [0, *(np.flatnonzero(np.diff(values)) + 1).tolist(), len(values)]
-    return list(pairwise(edges))
 
 
 @contextmanager

@@ -75,8 +75,8 @@ def caused(error: Exception, cause: BaseException) -> Exception:
 )
 def test_error_ends_a_command_with_one_line(command, capsys, error, code, said):
     assert command(raising(error)) == code
-    told = capsys.readouterr().err
-    assert said in told and told.count("\n") == bool(said) and "Traceback" not in told
+    reported = capsys.readouterr().err
+    assert said in reported and reported.count("\n") == bool(said) and "Traceback" not in reported
 
 
 def test_interrupt_prints_its_note(command, capsys) -> None:
@@ -107,13 +107,13 @@ def test_interrupt_wrapped_by_a_module_interrupts_the_command(command, capsys):
 def test_unexpected_error_writes_its_details_to_a_file(command, capsys, monkeypatch, tmp_path):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     assert command(raising(ZeroDivisionError("by \x1b[31m zero"))) == 1
-    told = capsys.readouterr().err
+    reported = capsys.readouterr().err
     (details,) = tmp_path.iterdir()
     assert (
-        "ZeroDivisionError" in told
-        and str(details) in told
-        and "\x1b" not in told
-        and "Traceback" not in told
+        "ZeroDivisionError" in reported
+        and str(details) in reported
+        and "\x1b" not in reported
+        and "Traceback" not in reported
     )
     assert "Traceback" in details.read_text(encoding="utf-8") and "'act'" in details.read_text(
         encoding="utf-8"
@@ -127,8 +127,8 @@ def test_bad_number_of_an_option_is_rejected(command, capsys, monkeypatch, words
 
     monkeypatch.setattr(sys, "argv", ["rig", "act", *words.split()])
     assert command(act) == 2
-    told = capsys.readouterr().err
-    assert words[:4] in told and "expected a number, at most 1e+12" in told
+    reported = capsys.readouterr().err
+    assert words[:4] in reported and "expected a number, at most 1e+12" in reported
 
 
 @pytest.mark.parametrize("words", [["--name", ""], ["--each", "x", "--each", " "], [""]])
@@ -187,16 +187,16 @@ command_line.run("rig.cli")
 
 def test_long_silence_prints_a_notice(command, capsys, monkeypatch):
     monkeypatch.setattr(console, "SILENCE", -1.0)
-    told = []
+    reported = []
 
     def wait_for_a_word() -> None:
         with console.progress("a long test") as tell:
             tell(0.5, "20 Hz")
-            while "running for" not in "".join(told):
-                told.append(capsys.readouterr().err)
+            while "running for" not in "".join(reported):
+                reported.append(capsys.readouterr().err)
 
     assert command(wait_for_a_word) == 0
-    assert "a long test, 50 %, 20 Hz" in "".join(told)
+    assert "a long test, 50 %, 20 Hz" in "".join(reported)
 
 
 def test_compilation_is_reported_until_it_ends(command, capsys, monkeypatch):
@@ -205,16 +205,16 @@ def test_compilation_is_reported_until_it_ends(command, capsys, monkeypatch):
     import rig.numerics.jit  # noqa: F401 - listens
 
     monkeypatch.setattr(console, "SILENCE", -1.0)
-    told = []
+    reported = []
 
     def wait_for_a_word() -> None:
         with console.handed_over(), suppress(ValueError), trigger_event("numba:compile"):
-            while "s: compiling machine code" not in "".join(told):
-                told.append(capsys.readouterr().err)
+            while "s: compiling machine code" not in "".join(reported):
+                reported.append(capsys.readouterr().err)
             raise ValueError
 
     assert command(wait_for_a_word) == 0
-    assert "once" in "".join(told) and not console._Work.held_up
+    assert "once" in "".join(reported) and not console._Work.held_up
 
 
 def outcome(code: str, **how: object) -> tuple[int, str]:
@@ -227,15 +227,15 @@ def outcome(code: str, **how: object) -> tuple[int, str]:
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="a device of Linux")
 def test_full_disk_while_printing_is_reported() -> None:
     with Path("/dev/full").open("w") as full:
-        code, told = outcome("schema", stdout=full)
-    assert code == 1 and "standard output cannot be written: No space left on device" in told
+        code, reported = outcome("schema", stdout=full)
+    assert code == 1 and "standard output cannot be written: No space left on device" in reported
 
 
 def test_missing_working_folder_is_reported(tmp_path: Path) -> None:
     gone = tmp_path / "gone"
     gone.mkdir()
-    code, told = outcome("scenes", stdout=subprocess.DEVNULL, cwd=gone, preexec_fn=gone.rmdir)
-    assert code == 1 and "the working folder no longer exists" in told
+    code, reported = outcome("scenes", stdout=subprocess.DEVNULL, cwd=gone, preexec_fn=gone.rmdir)
+    assert code == 1 and "the working folder no longer exists" in reported
 
 
 def test_help_and_version_are_plain_text(command, capsys, monkeypatch) -> None:

@@ -103,8 +103,8 @@ def test_narrow_peak_lies_within_bound(step, offset) -> None:
 
 def test_coarse_points_name_the_needed_spacing() -> None:
     close, wide = (Peak(1e-3, 1e-4, 18.5, 18.4, 18.6, 0.0, share * 1e-3, 0.33) for share in (0.005, 0.09))
-    told = unresolved([(19.0, "a3", close), (19.0, "a4", wide), (44.0, "a4", close)])
-    assert told == [
+    reported = unresolved([(19.0, "a3", close), (19.0, "a4", wide), (44.0, "a4", close)])
+    assert reported == [
         "a4, near 18.50 Hz: the points are 0.33 Hz apart, and the peak between them may deviate by up to 9 %, "
         "which the interval includes. Measure every 0.1 Hz there"
     ]

@@ -273,9 +273,11 @@ def test_command_names_written_file(recording, tmp_path):
 
 
 def test_exported_matlab_file_imports_equal(recording, tmp_path):
-    told = []
-    export(Slice.of(recording), tmp_path / "a.mat", progress=lambda done, total: told.append((done, total)))
-    assert told[-1] == (2 * SAMPLES, 2 * SAMPLES)
+    reported = []
+    export(
+        Slice.of(recording), tmp_path / "a.mat", progress=lambda done, total: reported.append((done, total))
+    )
+    assert reported[-1] == (2 * SAMPLES, 2 * SAMPLES)
     plain = recording.scene.replace(converter={"rate": RATE}, recording={}, test=None)
     with pytest.warns(daq.RunWarning, match="no signal for the channels body3, table"):
         path = daq.import_files(tmp_path / "a.mat", plain, tmp_path / "again.mcap")
@@ -288,8 +290,8 @@ def test_exported_matlab_file_imports_equal(recording, tmp_path):
 @pytest.mark.parametrize("form", ["csv", "npz", "mat", "wav", "uff"])
 def test_size_is_estimated_before_export(form, recording, tmp_path):
     export(Slice.of(recording), tmp_path / f"a.{form}")
-    told = expected_bytes(Slice.of(recording), f".{form}")
-    assert told == pytest.approx((tmp_path / f"a.{form}").stat().st_size, rel=0.3)
+    reported = expected_bytes(Slice.of(recording), f".{form}")
+    assert reported == pytest.approx((tmp_path / f"a.{form}").stat().st_size, rel=0.3)
 
 
 def test_exported_responses_and_modes_read_equal(tmp_path):

@@ -118,20 +118,20 @@ def test_g_read_as_metres_is_named(tmp_path):
 
 @pytest.mark.thorough
 @pytest.mark.parametrize(
-    ("wrong", "told"),
+    ("wrong", "reported"),
     [
         ({"gain": -1.0}, "The sign of body2 is reversed: corrected, the rest fits"),
         ({"delay": 4e-3}, "body2 contradicts the other channels"),
     ],
 )
-def test_reversed_or_late_sensor_is_named(wrong, told, tmp_path):
+def test_reversed_or_late_sensor_is_named(wrong, reported, tmp_path):
     sheet = {"accelerometer.sensitivity_tolerance": "0.02"}
     infos = [replace(info, sensor=sheet) for info in synthetic.channels()]
     path = synthetic.stepped_sine(tmp_path / "a.mcap", FREQUENCIES, noise=2e-7, infos=infos)
     with daq.open(path) as recording:
         recording.channels["body2"] = replace(recording.channels["body2"], **wrong)
         found = analysis.fit(recording, guess())
-    assert told in found.misfit
+    assert reported in found.misfit
 
 
 def test_dead_channel_is_left_out(tmp_path):

@@ -206,7 +206,7 @@ def test_impacts_between_points_are_bounded(tmp_path):
         with daq.open(path) as rec:
             [[found]] = analysis.frequency_responses(rec)
         off = abs(found.value - exact) / abs(exact)
-        told = found.limits[ALIASING] / abs(found.value)
+        reported = found.limits[ALIASING] / abs(found.value)
         assert (off > 0.03).all() == (sampling == "point")
         assert (off <= found.bound(0.95) / abs(found.value)).all()
-        assert (told < 1.2 * share).all()
+        assert (reported < 1.2 * share).all()

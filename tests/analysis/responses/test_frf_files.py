@@ -138,9 +138,9 @@ BAD = {
 @pytest.mark.parametrize(("kind", "way"), [(1, True), (2, False)])
 def test_time_functions_suggest_import(kind, way, tmp_path):
     uff(tmp_path / "a.uff", abs(accelerance()), func_type=kind)
-    with pytest.raises(RecordingError, match="no frequency response") as told:
+    with pytest.raises(RecordingError, match="no frequency response") as reported:
         analysis.read_frfs(tmp_path / "a.uff")
-    assert ("`daq import`" in str(told.value)) == way
+    assert ("`daq import`" in str(reported.value)) == way
 
 
 @pytest.mark.parametrize("name", BAD)

@@ -108,8 +108,8 @@ def test_settling_bias_keeps_bounds(tmp_path):
     assert set(curves[0].limits) >= {SENSITIVITY}
 
 
-@pytest.mark.parametrize(("interval", "told"), [(6.0, False), (2.0, True)])
-def test_motion_before_hit_is_in_bound(interval, told, tmp_path):
+@pytest.mark.parametrize(("interval", "reported"), [(6.0, False), (2.0, True)])
+def test_motion_before_hit_is_in_bound(interval, reported, tmp_path):
     where = {"cutoff": "", "converter": "{rate: 2560 Hz, range: 5 V, remove_delay: true}"}
     scene = rig.loads(HIT.format(**where).replace("6 s", f"{interval} s"))
     with daq.open(daq.record(scene, tmp_path / "a.mcap")) as rec:
@@ -124,7 +124,7 @@ def test_motion_before_hit_is_in_bound(interval, told, tmp_path):
         [curves] = analysis.frequency_responses(rec)
         share, wrong = coverage(rec, curves)
     assert share > 0.9 and wrong < 0.2
-    assert told == any("before a hit" in text for text in curves[0].warnings)
+    assert reported == any("before a hit" in text for text in curves[0].warnings)
     np.testing.assert_array_equal(curves[0].frequency, curves[1].frequency)
 
 
@@ -236,9 +236,9 @@ def test_hits_beyond_memory_are_left_out(tmp_path, monkeypatch):
     with daq.open(tmp_path / "a.mcap") as recording:
         monkeypatch.setattr("analysis.responses.whole_stretches._MOST_VALUES", recording.samples)
         found = analysis.frfs(recording)["a"]
-    told = [warning for warning in found.warnings if "hits are used" in warning]
-    assert len(told) == 1
-    assert told[0].startswith("Only 2 of 6 hits")
+    reported = [warning for warning in found.warnings if "hits are used" in warning]
+    assert len(reported) == 1
+    assert reported[0].startswith("Only 2 of 6 hits")
     near = (found.frequency > 15.0) & (found.frequency < 60.0)
     missed = abs(found.value - receptance(scene, found.frequency)[0]) / found.bound()
     assert (missed[near] < 1.0).mean() > 0.9

@@ -27,7 +27,7 @@ def test_transient_remainder_bounds_the_mean(decays):
     pole = (-decays + 2j * np.pi * 60.3) / (2j * np.pi)
     first = 40.0 / (np.arange(LINES) - pole)
     transient = first * np.exp(2j * np.pi * pole * np.arange(PARTS))[:, None, None]
-    told = remainder(transient + 0.05 * noise(1, (PARTS, 1, LINES)))[0]
+    reported = remainder(transient + 0.05 * noise(1, (PARTS, 1, LINES)))[0]
     off = abs(transient.mean(axis=0)[0])
     near = off > 0.2
-    assert np.mean(told[near] > 0.8 * off[near]) > 0.9
+    assert np.mean(reported[near] > 0.8 * off[near]) > 0.9

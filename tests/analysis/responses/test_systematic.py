@@ -203,9 +203,9 @@ def test_shifted_peak_lies_in_clock_part(ppm):
 
     rec = recording(channel("a"), channel("b"), converter=f"rate: 5120 Hz, clock_error: {ppm} ppm")
     value = curve(frequency)
-    told = only(clock_part(rec, of_quotient(frequency, value, "displacement")))[1:-1]
+    reported = only(clock_part(rec, of_quotient(frequency, value, "displacement")))[1:-1]
     ends = [abs(curve(frequency * (1.0 + sign * ppm * 1e-6)) - value)[1:-1] for sign in (1.0, -1.0)]
-    ratio = told / np.maximum(*ends)
+    ratio = reported / np.maximum(*ends)
     # On the flanks the steeper chord exceeds the slope.
     assert 1.0 - 1e-6 < ratio.min() < ratio.max() < 1.6
 

@@ -80,9 +80,9 @@ def test_levels_and_directions_run_in_order() -> None:
         "measure": {"periods": 5},
     }  # fmt: skip
     done = run(scene_with(test))
-    told = [(f["level"], f["direction"], f["frequency"]) for _, _, f in done.marked("measure")]
+    reported = [(f["level"], f["direction"], f["frequency"]) for _, _, f in done.marked("measure")]
     one = [("up", 25.0), ("up", 26.0), ("down", 26.0), ("down", 25.0)]
-    assert told == [(1.0, *step) for step in one] + [(2.0, *step) for step in one]
+    assert reported == [(1.0, *step) for step in one] + [(2.0, *step) for step in one]
     assert [fraction for fraction, _ in done.reports] == [k / 8 for k in range(9)]
 
 
@@ -206,13 +206,13 @@ def test_window_is_nearly_whole_periods(frequency: float) -> None:
 def test_short_window_survives_impacts_and_drift() -> None:
     rate, frequency = 8192.0, 22.67
     window = whole_periods(frequency, rate, 0.1)
-    told = []
+    reported = []
     for begin in range(0, 400, 37):
         time = (begin + np.arange(window)) / rate
         turn = 2.0 * np.pi * frequency * time
         samples = np.cos(turn) + 0.7 * np.cos(3.0 * turn + 1.0) + 0.2 * np.sin(5.0 * turn) + 3.0 * time**2
-        told.append(complex(lock_in(samples[None], frequency, rate, float(turn[0]))[0]))
-    np.testing.assert_allclose(told, 1.0, atol=1e-3)
+        reported.append(complex(lock_in(samples[None], frequency, rate, float(turn[0]))[0]))
+    np.testing.assert_allclose(reported, 1.0, atol=1e-3)
 
 
 @pytest.mark.parametrize("ratio", [2.02, 2.1, 2.3, 2.5, 3.0])

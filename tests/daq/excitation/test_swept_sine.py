@@ -120,12 +120,12 @@ def test_next_mode_is_known_in_time() -> None:
 
 
 @pytest.mark.parametrize(
-    ("volts", "told"), [(10.0, "read nothing of the pretest"), (0.2, "less than one count")]
+    ("volts", "reported"), [(10.0, "read nothing of the pretest"), (0.2, "less than one count")]
 )
-def test_readings_below_one_count_end_sweep(volts: float, told: str) -> None:
+def test_readings_below_one_count_end_sweep(volts: float, reported: str) -> None:
     scene = rig.loads(BELOW_COUNT).replace(converter={"rate": 2048.0, "bits": 16, "range": volts})
     done = run(scene)
     first, stop, _ = done.marked("measure")[0]
     assert stop - first == 2048
     assert np.isfinite(done.drive).all()
-    assert told in done.warnings[-1]
+    assert reported in done.warnings[-1]

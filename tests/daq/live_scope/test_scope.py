@@ -35,7 +35,7 @@ shaker: {kind: table, body: 1, spring: 5 kN/m}
 
 def run_scope(scene, folder, plan, **options):
     """Run a scope as fast as it goes and turn its knobs as planned: {seconds: line}."""
-    knobs, told, due = knobs_for(scene, None, 0.0), [], sorted(plan.items())
+    knobs, reported, due = knobs_for(scene, None, 0.0), [], sorted(plan.items())
     rate = float(scene.converter.rate)
 
     def keep(position):
@@ -44,21 +44,21 @@ def run_scope(scene, folder, plan, **options):
 
     with recording_stream() as stream:
         stream.save(folder / "scope.rrd")
-        path = record_live(scene, folder / "scope.mcap", stream, knobs, told.append, keep, **options)
+        path = record_live(scene, folder / "scope.mcap", stream, knobs, reported.append, keep, **options)
         stream.flush()
-    return path, told
+    return path, reported
 
 
 @pytest.fixture(scope="module")
 def turned(tmp_path_factory):
     folder = tmp_path_factory.mktemp("scope")
     plan = {0.3: "f 12", 0.5: "F 1.5", 12.0: "F 3", 18.0: "f 20.5", 25.0: "q"}
-    path, told = run_scope(SCENE, folder, plan)
-    return folder, path, told
+    path, reported = run_scope(SCENE, folder, plan)
+    return folder, path, reported
 
 
 def test_turned_knobs_are_reached_held_and_marked(turned):
-    _, path, told = turned
+    _, path, reported = turned
     k0 = SCENE.shaker.spring
     with daq.open(path) as recording:
         held = [mark for mark in recording.markers if mark.kind == "measure" and mark.fields["settled"]]
@@ -74,7 +74,7 @@ def test_turned_knobs_are_reached_held_and_marked(turned):
             table, body = (2 * np.mean(v[kept] * tone[kept]) for v in volts)
             force = k0 * (table - body) / (2j * np.pi * frequency) ** 2
             assert abs(force) == pytest.approx(level, rel=0.03)
-    assert [line.split(" held")[0].split(" Hz")[0] for line in told] == ["12", "12", "20.5"]
+    assert [line.split(" held")[0].split(" Hz")[0] for line in reported] == ["12", "12", "20.5"]
 
 
 def test_shown_curves_and_rig_match_the_recording(turned):
@@ -217,7 +217,7 @@ def test_end_of_input_closes_the_scope_recording(tmp_path):
 def test_force_behind_a_filter_has_receptance_phases(tmp_path, remove_delay):
     converter = {"rate": "5.12 kHz", "filter": "delta_sigma", "remove_delay": remove_delay}
     scene = SCENE.replace(shaker={"kind": "force", "body": 1}, dampers=[], converter=converter)
-    _, told = run_scope(scene, tmp_path, {0.3: "f 20", 0.5: "F 1.5", 12.0: "q"})
+    _, reported = run_scope(scene, tmp_path, {0.3: "f 20", 0.5: "F 1.5", 12.0: "q"})
     exact = np.degrees(np.angle(receptance(scene, [20.0])[:, 0]))
-    shown = [float(part) for part in re.findall(r"\((-?\d+)°\)", told[-1])]
+    shown = [float(part) for part in re.findall(r"\((-?\d+)°\)", reported[-1])]
     np.testing.assert_allclose(shown, exact, atol=1.0)

@@ -67,9 +67,9 @@ def test_other_seed_gives_other_noise(tmp_path: Path) -> None:
 
 
 def test_markers_state_every_point(tmp_path: Path) -> None:
-    told: list[tuple[float, str]] = []
+    reported: list[tuple[float, str]] = []
     path = daq.record(
-        steps(), tmp_path / "new" / "s.mcap", progress=lambda part, text: told.append((part, text))
+        steps(), tmp_path / "new" / "s.mcap", progress=lambda part, text: reported.append((part, text))
     )
     with daq.open(path) as rec:
         points = [mark for mark in rec.markers if mark.kind == "measure"]
@@ -81,7 +81,7 @@ def test_markers_state_every_point(tmp_path: Path) -> None:
             assert mark.fields["drive"] > 0
         assert rec.samples > points[-1].last_sample
         assert rec.scene == steps()
-    assert [part for part, _ in told] == [0.0, 0.5, 1.0]
+    assert [part for part, _ in reported] == [0.0, 0.5, 1.0]
 
 
 def test_existing_file_needs_overwrite(tmp_path: Path) -> None:
@@ -410,9 +410,9 @@ def test_ctrl_c_exits_with_130(
     monkeypatch.setattr(daq.measurement.run_report, "progress", pressing)
     output = scene_file.with_suffix(".mcap")
     assert run_command(monkeypatch, "record", str(scene_file), "-o", str(output)) == 130
-    told = capsys.readouterr()
-    assert "interrupted" in told.err
-    assert f"{output}: " in told.out and "aborted: interrupted" in told.out
+    reported = capsys.readouterr()
+    assert "interrupted" in reported.err
+    assert f"{output}: " in reported.out and "aborted: interrupted" in reported.out
 
 
 def test_unsettled_steps_are_counted(
@@ -423,9 +423,9 @@ def test_unsettled_steps_are_counted(
     )
     (tmp_path / "a.yaml").write_text(scene.to_yaml())
     assert run_command(monkeypatch, "record", str(tmp_path / "a.yaml"), "-o", str(tmp_path / "a.mcap")) == 0
-    told = capsys.readouterr()
-    assert "warning: 1 of 1 steps did not reach the steady state" in told.err
-    assert "not settled: 1 of 1 measurements" in told.out
+    reported = capsys.readouterr()
+    assert "warning: 1 of 1 steps did not reach the steady state" in reported.err
+    assert "not settled: 1 of 1 measurements" in reported.out
 
 
 @pytest.mark.parametrize("size", [1, 3, 50])
@@ -444,8 +444,8 @@ def test_block_size_does_not_change_stretches(size: int) -> None:
 
 
 @pytest.mark.filterwarnings("ignore::daq.RunWarning")
-@pytest.mark.parametrize(("contact", "told"), [("", True), (", contact: {duration: 2 ms}", False)])
-def test_instant_contact_overload_names_remedy(contact: str, told: bool, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("contact", "reported"), [("", True), (", contact: {duration: 2 ms}", False)])
+def test_instant_contact_overload_names_remedy(contact: str, reported: bool, tmp_path: Path) -> None:
     scene = rig.loads(f"""
 structure: {{masses: [1 kg], springs: [40 kN/m], damping: {{modal: 1 %}}}}
 dampers: [{{body: 1, mass_ratio: 10 %, clearance: 1 mm{contact}}}]
@@ -456,4 +456,4 @@ channels:
   - {{name: force, at: shaker, hammer: {{sensitivity: 10 mV/N}}}}
 """)
     daq.record(scene, tmp_path / "r.mcap")
-    assert ("zero duration" in summary(tmp_path / "r.mcap")) is told
+    assert ("zero duration" in summary(tmp_path / "r.mcap")) is reported

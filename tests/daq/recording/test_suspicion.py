@@ -173,6 +173,6 @@ def test_chunk_that_packs_too_well_is_rejected() -> None:
 @pytest.mark.parametrize("said", ["a message is no marker", "r.mcap is damaged"])
 def test_nested_error_names_the_file_once(said: str) -> None:
     path = Path("r.mcap")
-    with pytest.raises(RecordingError) as told, naming(path), naming(path):
+    with pytest.raises(RecordingError) as reported, naming(path), naming(path):
         raise RecordingError(said)
-    assert str(told.value).count("r.mcap") == 1 and str(told.value).endswith(said)
+    assert str(reported.value).count("r.mcap") == 1 and str(reported.value).endswith(said)

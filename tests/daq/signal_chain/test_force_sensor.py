@@ -56,11 +56,11 @@ def test_force_noise_keeps_coherence(tmp_path) -> None:
 
 def test_missing_force_channel_is_announced(tmp_path) -> None:
     scene = scene_of(STEPS, BODY)
-    told: list[str] = []
+    reported: list[str] = []
 
     def progress(fraction: float, message: str) -> None:
-        told.append(message)
-        if len(told) == 2:
+        reported.append(message)
+        if len(reported) == 2:
             raise RecordingError("seen enough")
 
     with (
@@ -68,7 +68,7 @@ def test_missing_force_channel_is_announced(tmp_path) -> None:
         pytest.raises(RecordingError, match="seen enough"),
     ):
         daq.record(scene, tmp_path / "a.mcap", progress=progress)
-    assert len(told) == 2
+    assert len(reported) == 2
 
 
 def test_chain_study_corrects_force_sensor_preset() -> None:

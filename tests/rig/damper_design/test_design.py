@@ -98,8 +98,8 @@ def test_written_scene_loads_and_summary_matches(chosen: rig.Design, tmp_path: P
 def test_every_level_has_its_column(chosen: rig.Design) -> None:
     two = replace(chosen.question, levels=(3.3, 6.6))
     trials = tuple(replace(each, peaks=(each.peak, replace(each.peak, size=1e-5))) for each in chosen.trials)
-    told = summary(replace(chosen, question=two, trials=trials, best=trials[0])).splitlines()
-    heading = next(line for line in told if "added mass" in line)
+    lines = summary(replace(chosen, question=two, trials=trials, best=trials[0])).splitlines()
+    heading = next(line for line in lines if "added mass" in line)
     assert heading.split()[3:7] == ["3.3", "N", "6.6", "N"]
 
 
@@ -134,10 +134,10 @@ def test_charted_levels_are_closely_spaced(
 def test_drive_test_uses_forces_as_levels() -> None:
     drive = {"kind": "stepped_sine", "from": "46 Hz", "to": "54 Hz", "points": 9, "drive": "1 mm"}
     changes = {"shaker": {"kind": "table", "body": 1, "spring": "6.6 kN/m"}, "test": drive}
-    driven, told = rig.load("fig9", changes), (None, [2], 1, None, ["3.3 N"], None, None, (0.0, 0.0))
-    question, _ = asked(driven, *told)
+    driven, requested = rig.load("fig9", changes), (None, [2], 1, None, ["3.3 N"], None, None, (0.0, 0.0))
+    question, _ = asked(driven, *requested)
     choice = Choice((2,), (0.1,), (1e-3,))
-    assert question.worst(choice) == asked(rig.load("fig9"), *told)[0].worst(choice)
+    assert question.worst(choice) == asked(rig.load("fig9"), *requested)[0].worst(choice)
     with pytest.raises(SceneError, match="levels: not given, and the test of the scene states a drive"):
         asked(driven, None, None, 1, None, None, None, None, (0.0, 0.0))
 
@@ -171,7 +171,7 @@ def test_two_dampers_give_their_settled_peak() -> None:
 
 
 @pytest.mark.parametrize(
-    ("told", "message"),
+    ("requested", "message"),
     [
         ({"budget": 5.0}, "expected more than 0 and less than the mass of the structure, 2.09 kg"),
         ({"budget": "0.12"}, "expected a mass such as .50 g., or a share"),
@@ -184,9 +184,9 @@ def test_two_dampers_give_their_settled_peak() -> None:
         ({"cluster": "nonsense://"}, "no Dask scheduler answers"),
     ],
 )
-def test_nonsensical_requests_are_rejected(told: dict, message: str) -> None:
+def test_nonsensical_requests_are_rejected(requested: dict, message: str) -> None:
     with pytest.raises(SceneError, match=message):
-        rig.design("fig9", **told)
+        rig.design("fig9", **requested)
 
 
 def test_quantities_with_units_are_accepted() -> None:

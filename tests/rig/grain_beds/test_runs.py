@@ -112,11 +112,13 @@ def test_stopped_run_continues_and_keeps_its_output(
         simulate_into(tmp_path / "run.npz", scene, DURATION, RATE, None, Stop(2))
     assert "run.npz.kept holds what has been computed; the same command goes on" in stopped.value.__notes__[0]
     assert [file.name for file in tmp_path.glob("run*")] == ["run.npz.kept"]
-    told: list[int] = []
+    reported: list[int] = []
 
-    simulate_into(tmp_path / "run.npz", scene, DURATION, RATE, None, lambda done, total: told.append(done))
+    simulate_into(
+        tmp_path / "run.npz", scene, DURATION, RATE, None, lambda done, total: reported.append(done)
+    )
 
-    assert min(told) > 30, "what was done was done again"
+    assert min(reported) > 30, "what was done was done again"
     assert [file.name for file in tmp_path.glob("run*")] == ["run.npz"]
     assert (tmp_path / "run.npz").read_bytes() == (tmp_path / "whole.npz").read_bytes()
 

@@ -52,9 +52,8 @@ class Estimate:
 
     x: Array  # shape (unknowns,)
     factor: Array
-    variance: (
-        float  # mean square of the misses, in standard deviations: 1 where the stated errors explain them
-    )
+    # mean square of the misses, in standard deviations: 1 where the stated errors explain them
+    variance: float
 
     @property
     def deviation(self) -> Array:

@@ -69,9 +69,8 @@ class Curves:
     reference_sensor: Sensor
     bodies: tuple[int, ...]  # bodies of the responses, from 0
     reference: str  # 'force' or 'table'
-    level: (
-        Array | None
-    )  # amplitude of the reference for tones, on which the motion of dampers depends, shape (n,)
+    # amplitude of the reference for tones, on which the motion of dampers depends, shape (n,)
+    level: Array | None
     clock: float  # largest relative deviation of the sample clock
     frfs: tuple[Response, ...]
     warnings: tuple[str, ...]  # warnings of the estimation

@@ -48,9 +48,8 @@ _MUCH = 0.01
 class WholeStretches:
     """Samples and band of a recording for local fits."""
 
-    channels: tuple[
-        str, ...
-    ]  # a flaw of one excludes the samples of all, so that the curves have equal lines
+    # a flaw of one excludes the samples of all, so that the curves have equal lines
+    channels: tuple[str, ...]
     first: int  # samples between which the test ran
     stop: int
     low: float  # band in Hz in which responses are estimated

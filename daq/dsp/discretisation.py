@@ -45,9 +45,8 @@ class Entry(NamedTuple):
     """How a disturbance enters a circuit."""
 
     section: int  # in front of which section
-    degree: (
-        int  # its course over an interval: the Legendre polynomial of this degree, up to 2, times its voltage
-    )
+    # its course over an interval: the Legendre polynomial of this degree, up to 2, times its voltage
+    degree: int
     filtered: bool  # whether its direct feedthrough enters the moments
 
 
@@ -62,9 +61,8 @@ class Tables(NamedTuple):
     states: int
     integrals: int
     width: int
-    sections: NDArray[
-        np.int64
-    ]  # first state of each section, and the number of states; int64; (sections + 1,)
+    # first state of each section, and the number of states; int64; (sections + 1,)
+    sections: NDArray[np.int64]
     # Contributions of the input's start, end, mean and moment, then of 1 V of each disturbance, then of the states of
     # the sections before its own to each state over an interval; (states, 4 + disturbances + states).
     weights: Array

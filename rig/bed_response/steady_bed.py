@@ -37,9 +37,8 @@ class SteadyBed:
     force's rising zero, shape (beds,).
     """
 
-    compliance: (
-        ComplexArray  # first harmonic of each displacement over that of the force, m/N, shape (bodies,)
-    )
+    # first harmonic of each displacement over that of the force, m/N, shape (bodies,)
+    compliance: ComplexArray
     floor_impulse: Array  # of the wall on the bed, N s, shape (beds,)
     ceiling_impulse: Array  # of the wall on the bed, N s, shape (beds,)
     energy: Array  # taken from the structure, J, shape (beds,)

@@ -33,9 +33,8 @@ class HybridSystem:
     its motion.
     """
 
-    points: tuple[
-        str, ...
-    ]  # names of the coordinates: "body 1" ... "body n", then "table" if the scene has one
+    # names of the coordinates: "body 1" ... "body n", then "table" if the scene has one
+    points: tuple[str, ...]
     inputs: tuple[str, ...]
     drive_units: tuple[str, ...]
     gravity: float

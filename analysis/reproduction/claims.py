@@ -144,10 +144,7 @@ def _ridge(cells: np.ndarray, data: Arrays) -> str:
 def _cell(data: Arrays, setting: tuple[float, float]) -> list[int]:
     """Return row and column of the cell nearest to a force and a clearance."""
     force, clearance = setting
-    return [
-        int(np.abs(data["force"] - force).argmin()),
-        int(np.abs(data["clearance"] - clearance).argmin()),
-    ]
+    return [int(np.abs(data["force"] - force).argmin()), int(np.abs(data["clearance"] - clearance).argmin())]
 
 
 def _cells(cells: np.ndarray, data: Arrays) -> list[tuple[float, float]]:

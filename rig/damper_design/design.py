@@ -257,11 +257,7 @@ def chart_levels(asked: Sequence[float]) -> Array:
     [0.5, 0.71, 1.0, 1.41, 2.0, 2.83, 4.0, 5.66, 8.0]
     """
     middle = (asked[0] * asked[-1]) ** 0.5
-    corners = [
-        min(asked[0] / BEYOND, middle / AT_LEAST),
-        *asked,
-        max(asked[-1] * BEYOND, middle * AT_LEAST),
-    ]
+    corners = [min(asked[0] / BEYOND, middle / AT_LEAST), *asked, max(asked[-1] * BEYOND, middle * AT_LEAST)]
     steps = [max(round(np.log(high / low) / np.log(APART)), 1) for low, high in pairwise(corners)]
     rows = [np.geomspace(*ends, n + 1)[1:-1] for ends, n in zip(pairwise(corners), steps, strict=True)]
     return np.unique(np.concatenate([corners, *rows]))

@@ -38,12 +38,7 @@ class Bed:
     """
 
     def __init__(
-        self,
-        spheres: Spheres,
-        positions: Array,
-        ceiling: float,
-        gravity: float,
-        step: float,
+        self, spheres: Spheres, positions: Array, ceiling: float, gravity: float, step: float
     ) -> None:
         self.mass, self.gravity, self.step = spheres.mass, gravity, step
         self.walls = tuple(name for name in WALLS if name != "ceiling" or math.isfinite(ceiling))

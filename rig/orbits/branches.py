@@ -19,14 +19,7 @@ from rig.numerics import continuation
 from rig.orbits.orbit import Following, Orbit
 from rig.orbits.orbit_curve import OrbitBranch, OrbitCurve
 from rig.orbits.periodic_orbit import enter, refine, search, start_march
-from rig.orbits.problem import (
-    OperatingPoint,
-    OrbitProblem,
-    Parameter,
-    base_frequency,
-    parameter_values,
-    vary,
-)
+from rig.orbits.problem import OperatingPoint, OrbitProblem, Parameter, base_frequency, parameter_values, vary
 from rig.scene.loading import SceneLike, scene_of
 
 STEPS = continuation.Steps(first=5e-3, longest=0.25, turn=0.12, shortest=1e-7, points=1500)

@@ -194,12 +194,7 @@ def _checked_drive(drive: ArrayLike, system: HybridSystem) -> Array:
 
 
 def _tone_run(
-    scene: Scene,
-    system: HybridSystem,
-    tone: ToneDrive,
-    duration: float,
-    samples: int,
-    rate: float,
+    scene: Scene, system: HybridSystem, tone: ToneDrive, duration: float, samples: int, rate: float
 ) -> Run:
     is_dense = rate > DENSE * tone.frequency
     propagator, steps = tone_propagator(system, tone.amplitudes, tone.omega, 1.0 / rate if is_dense else None)

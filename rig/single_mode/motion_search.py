@@ -15,13 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.arrays import Array
-from rig.single_mode.periodic_motion import (
-    INSTANTS,
-    TURN,
-    MotionParameters,
-    MotionType,
-    PeriodicMotion,
-)
+from rig.single_mode.periodic_motion import INSTANTS, TURN, MotionParameters, MotionType, PeriodicMotion
 
 # Points per instant. The equations are smooth in the instants, so two solutions in one cell occur only near a fold.
 # Continuation from the other side of the fold, or from another frequency, then reaches both.

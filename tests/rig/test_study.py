@@ -50,9 +50,7 @@ def test_spoilt_line_costs_no_other_row(tmp_path: Path, line: str) -> None:
     assert KeptTable(path, HEADER, "gaps").rows == [["1", "2", "3"], ["4", "5", "6"]]
 
 
-def test_empty_file_becomes_a_table(
-    tmp_path: Path,
-) -> None:
+def test_empty_file_becomes_a_table(tmp_path: Path) -> None:
     path = tmp_path / "table.csv"
     path.touch()
 

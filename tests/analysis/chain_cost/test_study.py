@@ -45,25 +45,19 @@ def error(study: ChainStudy, group: str, setting: str) -> float:
     return next(p.error for p in study.points if (p.group, p.setting) == (group, setting))
 
 
-def test_quiet_chain_approaches_exact_solution(
-    study: ChainStudy,
-) -> None:
+def test_quiet_chain_approaches_exact_solution(study: ChainStudy) -> None:
     assert study.quiet.error < 1e-4
     assert error(study, "sample rate", "8000 Hz") < 1e-6
     assert "linear equations" in study.reference
 
 
-def test_noise_error_grows_with_quantisation(
-    study: ChainStudy,
-) -> None:
+def test_noise_error_grows_with_quantisation(study: ChainStudy) -> None:
     ratio = error(study, "noise", "ten times") / error(study, "noise", "the scene's")
     assert 3.0 < ratio < 30.0
     assert error(study, "bits", "12") > 10.0 * error(study, "bits", "24")
 
 
-def test_filtered_drive_samples_exclude_images(
-    study: ChainStudy,
-) -> None:
+def test_filtered_drive_samples_exclude_images(study: ChainStudy) -> None:
     # The table is driven by linearly interpolated samples, whose image near the sample rate aliases to the tone.
     assert error(study, "anti-alias filter", "off") > 100.0 * study.quiet.error
     assert error(study, "sample rate", "250 Hz") < 1e-5
@@ -74,9 +68,7 @@ def test_every_group_has_timed_points(study: ChainStudy) -> None:
     assert all(point.cpu > 0.0 and point.duration > 1.0 for point in (study.own, *study.points))
 
 
-def test_low_sensor_resonance_distorts_displacement(
-    study: ChainStudy,
-) -> None:
+def test_low_sensor_resonance_distorts_displacement(study: ChainStudy) -> None:
     low = next(p for p in study.points if p.setting == "resonance 200 Hz")
     # 1 / (1 - (24/200)^2) is 1.5 % above 1; averaging over the sample interval adds a delay of half a sample.
     assert low.corrected > 0.014

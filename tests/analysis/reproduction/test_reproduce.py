@@ -64,16 +64,12 @@ def test_parts_are_unique_and_repeatable(tmp_path: Path) -> None:
     assert len({p.digest for p in first}) == len(first)
 
 
-def test_unknown_part_lists_the_parts(
-    tmp_path: Path,
-) -> None:
+def test_unknown_part_lists_the_parts(tmp_path: Path) -> None:
     with pytest.raises(SceneError, match="no part nonsense; there are rec-bare"):
         reproduce(tmp_path, lambda line: None, ["nonsense"])
 
 
-def test_recorded_solved_and_approximated_fig_9_agree(
-    tmp_path: Path,
-) -> None:
+def test_recorded_solved_and_approximated_fig_9_agree(tmp_path: Path) -> None:
     scene = rig.load("fig9")
     test = {"kind": "stepped_sine", "frequencies": [49.8, 50.0], "force": 3.3}
 
@@ -209,9 +205,7 @@ def test_heavier_damping_lowers_the_dampers_share() -> None:
     assert 0.0 < found["share"][0, 0, 0, 0] < 0.8 < found["share"][1, 0, 0, 0] < 1.02
 
 
-def test_page_shows_verdicts_evidence_and_figures(
-    tmp_path: Path,
-) -> None:
+def test_page_shows_verdicts_evidence_and_figures(tmp_path: Path) -> None:
     judged = [
         Claim(
             "C9",
@@ -270,9 +264,7 @@ def test_workers_store_all_parts_longest_first(tmp_path: Path) -> None:
     assert [float(arrays["frequency"][0]) for arrays in stored if arrays is not None] == [20.0, 30.0, 40.0]
 
 
-def test_failing_part_raises_and_leaves_nothing(
-    tmp_path: Path,
-) -> None:
+def test_failing_part_raises_and_leaves_nothing(tmp_path: Path) -> None:
     wrong = PaperPart(
         "wrong", "wrong", exact_orbits, {"scene": rig.load("fig9"), "band": (50.0, 40.0)}, "a part"
     )
@@ -300,18 +292,14 @@ def test_each_figure_has_a_caption() -> None:
 
 
 @pytest.mark.parametrize("name", ["fig5-single-damper", "fig5-three-dampers"])
-def test_fig_5_scenes_match_the_claim(
-    name: str,
-) -> None:
+def test_fig_5_scenes_match_the_claim(name: str) -> None:
     scene = rig.load(name)
     assert scene.test.force == FIGURE_5[0]
     assert {damper.clearance for damper in scene.dampers} == {FIGURE_5[1]}
 
 
 @pytest.mark.parametrize("kind", TYPES)
-def test_fig_3_settings_show_their_type(
-    kind: str,
-) -> None:
+def test_fig_3_settings_show_their_type(kind: str) -> None:
     (part,) = (part for part in all_parts(Path()) if part.name == f"type-{kind}")
     assert part.computed()["type"] == kind
 

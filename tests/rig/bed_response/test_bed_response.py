@@ -40,9 +40,7 @@ def test_bed_at_ceiling_takes_energy() -> None:
 
 
 @pytest.mark.thorough
-def test_torn_table_continues_with_missing_frequencies(
-    tmp_path: Path,
-) -> None:
+def test_torn_table_continues_with_missing_frequencies(tmp_path: Path) -> None:
     table, steps = tmp_path / "beds.csv", []
     scene = with_grains(test={"kind": "sine", "frequency": 30.0, "force": 0.003})
     first = bed_response(scene, [25.0, 30.0], periods=1, table=table)

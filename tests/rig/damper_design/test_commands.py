@@ -50,10 +50,7 @@ def test_printed_commands_run(shaker: str, tmp_path: Path) -> None:
         assert ran.returncode == 0, ran.stderr
 
 
-@pytest.mark.parametrize(
-    ("shaker", "added"),
-    [(FORCE, ["body 1", "shaker"]), (TABLE, ["body 1", "table"])],
-)
+@pytest.mark.parametrize(("shaker", "added"), [(FORCE, ["body 1", "shaker"]), (TABLE, ["body 1", "table"])])
 def test_channels_that_a_check_needs_are_added(shaker: str, added: list[str]) -> None:
     scene = _bracket(shaker)
     question, _ = asked(scene, None, None, 1, None, None, None, None, (0.0, 0.0))

@@ -43,9 +43,7 @@ def chosen(table: Path) -> rig.Design:
 
 
 @pytest.mark.thorough
-def test_design_matches_a_fine_clearance_grid(
-    chosen: rig.Design,
-) -> None:
+def test_design_matches_a_fine_clearance_grid(chosen: rig.Design) -> None:
     question = replace(chosen.question, density=FINE)
     clearances = np.geomspace(0.5, 2.0, 25) * chosen.best.choice.clearances[0]
     others = [question.worst(replace(chosen.best.choice, clearances=(c,))).size for c in clearances]
@@ -122,9 +120,7 @@ def test_drawn_clearance_is_the_heaviest_dampers() -> None:
 
 
 @given(levels=st.lists(st.floats(0.1, 50.0), min_size=1, max_size=5, unique=True).map(sorted))
-def test_charted_levels_are_closely_spaced(
-    levels: list[float],
-) -> None:
+def test_charted_levels_are_closely_spaced(levels: list[float]) -> None:
     charted = chart_levels(levels)
     assert set(levels) <= set(charted.tolist())
     assert charted[0] <= levels[0] / 2 * (1 + 1e-12) and charted[-1] >= levels[-1] * 2 * (1 - 1e-12)

@@ -22,12 +22,7 @@ def _scene(contact: dict[str, Any] | None, sensor: dict[str, Any]) -> rig.Scene:
     changes = {
         "dampers": [{"body": 2, "mass_ratio": 0.06, "clearance": 0.98e-3, "contact": contact}],
         "shaker": {"kind": "force", "body": 1},
-        "test": {
-            "kind": "stepped_sine",
-            "frequencies": [HZ],
-            "force": FORCE,
-            "settle": {"longest": "2 s"},
-        },
+        "test": {"kind": "stepped_sine", "frequencies": [HZ], "force": FORCE, "settle": {"longest": "2 s"}},
         "channels": [
             {"name": "force", "at": "shaker"},
             {"name": "struck", "at": "body 2", "accelerometer": sensor},

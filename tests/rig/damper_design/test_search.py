@@ -132,9 +132,7 @@ def test_killed_search_continues_in_order(dampers: int, seed: int, until: int, t
     assert other.read_bytes() == one.read_bytes()
 
 
-def test_larger_budget_table_respects_the_smaller(
-    tmp_path: Path,
-) -> None:
+def test_larger_budget_table_respects_the_smaller(tmp_path: Path) -> None:
     question = Bowl((rig.load("fig9"),), (1.0, 2.0), (40.0, 60.0), (1,))
     for mass in (0.06, 0.03):
         answers = Answers(Shuffled(0), tmp_path / "table.csv", None, 1)  # type: ignore[arg-type]

@@ -61,9 +61,7 @@ def thrown(grains: Grains, count: int, speed: float) -> tuple[Bed, Array]:
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_any_grain_material_rebounds_with_its_restitution(
-    seed: int,
-) -> None:
+def test_any_grain_material_rebounds_with_its_restitution(seed: int) -> None:
     grains, speed = drawn(seed)
     bed, _ = thrown(grains, 1, speed)
 
@@ -74,9 +72,7 @@ def test_any_grain_material_rebounds_with_its_restitution(
 
 
 @pytest.mark.parametrize("seed", range(10, 20))
-def test_grains_part_with_their_restitution(
-    seed: int,
-) -> None:
+def test_grains_part_with_their_restitution(seed: int) -> None:
     grains, speed = drawn(seed)
     bed, heights = thrown(grains, 2, speed)
     apart = [float(np.diff(heights)[0])]
@@ -120,9 +116,7 @@ def test_layered_bed_rests_from_the_first_step(count: int, cavity: float, seed: 
         bed.advance()
 
 
-def test_creeping_bed_ends_with_a_remedy(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_creeping_bed_ends_with_a_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(packing, "_AT_REST", (0.0, 0.0))
     monkeypatch.setattr(packing, "_MOST_REST_CHECKS", 30)
     spheres = Spheres(Grains(diameter=2e-3, cavity=3e-3), 3 * 4.75e-5, np.inf, 3, 71)

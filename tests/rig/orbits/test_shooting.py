@@ -54,9 +54,7 @@ def test_drive_of_a_table_changes_with_frequency() -> None:
 
 
 @pytest.mark.parametrize("time", [1e-9, 1e-3, 0.02, 0.3])
-def test_unbalanced_matrix_exponential_equals_another_method(
-    time: float,
-) -> None:
+def test_unbalanced_matrix_exponential_equals_another_method(time: float) -> None:
     stiff, soft = 6.1e4, 1.0e3
     matrix = np.array([[0, 0, 1, 0], [0, 0, 0, 1], [-stiff, soft, -2.0, 0.5], [soft, -stiff, 0.5, -3.0]])
 

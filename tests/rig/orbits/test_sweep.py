@@ -66,11 +66,7 @@ def test_irregular_motion_is_averaged_with_the_reason() -> None:
 
 @pytest.mark.parametrize(
     ("parameter", "values"),
-    [
-        ("force", [3.0, 3.3, 3.6]),
-        ("clearance", [1.02e-3, 0.98e-3, 0.94e-3]),
-        ("mass_ratio", [0.9, 1.0, 1.1]),
-    ],
+    [("force", [3.0, 3.3, 3.6]), ("clearance", [1.02e-3, 0.98e-3, 0.94e-3]), ("mass_ratio", [0.9, 1.0, 1.1])],
 )
 def test_swept_parameter_orbits_are_those_of_changed_scenes(parameter: str, values: list[float]) -> None:
     scene = with_ideal_force(rig.load("fig9"))

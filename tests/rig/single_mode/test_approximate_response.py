@@ -139,9 +139,7 @@ def test_type_ii_ends_where_type_iii_begins() -> None:
 
 
 @pytest.mark.parametrize("kind", ["I", "II", "III"])
-def test_condition_derivatives_equal_finite_differences(
-    kind: MotionType,
-) -> None:
+def test_condition_derivatives_equal_finite_differences(kind: MotionType) -> None:
     setting = dimensionless(single_damper().mode, 0.97)
     unknowns = np.array([0.3, -1.2, 0.1, 0.25, 0.8, 2.9, 3.6])[: 4 + INSTANTS[kind]]
 
@@ -224,9 +222,7 @@ def test_disturbed_motion_responds_by_floquet_multipliers(kind: str) -> None:
 
 
 @pytest.mark.parametrize("acceleration", [1.2, 2.0, 3.0])
-def test_vanishing_damper_is_the_inelastic_bouncing_ball(
-    acceleration: float,
-) -> None:
+def test_vanishing_damper_is_the_inelastic_bouncing_ball(acceleration: float) -> None:
     mode = single_mode(rig.load("fig8-one-damper"), 3, force=1.0, at=1)
     light = SingleMode(**{**vars(mode), "mass_ratio": 1e-9})
     band = (0.9 * mode.frequency, 0.901 * mode.frequency)
@@ -275,9 +271,7 @@ def test_small_clearance_tends_to_the_riding_damper() -> None:
 
 
 @pytest.mark.parametrize("kind", ["I", "II", "III"])
-def test_input_energy_equals_damping_and_impact_losses(
-    kind: str,
-) -> None:
+def test_input_energy_equals_damping_and_impact_losses(kind: str) -> None:
     mode = single_damper().mode
     branch = branches(single_damper(), kind)[0]
     (i,) = pick(branch, 1)

@@ -20,9 +20,7 @@ def short_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.thorough
-def test_all_but_soft_contacts_agree_at_rest(
-    tmp_path: Path,
-) -> None:
+def test_all_but_soft_contacts_agree_at_rest(tmp_path: Path) -> None:
     scene = with_grains(test={"kind": "sine", "frequency": 30.0, "force": 0.003})
 
     result = cost(scene, None, 2)

@@ -46,9 +46,7 @@ def error(outcome: object, exact: np.ndarray) -> float:
     return float(np.abs(outcome.displacement - true).max() / np.abs(true).max())
 
 
-def test_reference_agrees_to_thirty_digits(
-    case: tuple[FirstOrderForm, np.ndarray, rig.Run],
-) -> None:
+def test_reference_agrees_to_thirty_digits(case: tuple[FirstOrderForm, np.ndarray, rig.Run]) -> None:
     _, exact, run = case
     scene = run.scene
     riding = Segment(scene, (0,))
@@ -62,9 +60,7 @@ def test_reference_agrees_to_thirty_digits(
         assert abs(mpf(str(exact[body, sample])) / state[body] - 1) < mpf("1e-30")
 
 
-def test_engine_is_right_to_rounding(
-    case: tuple[FirstOrderForm, np.ndarray, rig.Run],
-) -> None:
+def test_engine_is_right_to_rounding(case: tuple[FirstOrderForm, np.ndarray, rig.Run]) -> None:
     _, exact, run = case
     values = np.vectorize(Decimal, otypes=[object])(run.displacement)
     assert np.abs(values - exact).max() / np.abs(exact).max() < 1e-13
@@ -80,9 +76,7 @@ def test_error_shrinks_with_the_step(
     assert fine < 2e-3
 
 
-def test_scipy_finds_events_at_its_tolerance(
-    case: tuple[FirstOrderForm, np.ndarray, rig.Run],
-) -> None:
+def test_scipy_finds_events_at_its_tolerance(case: tuple[FirstOrderForm, np.ndarray, rig.Run]) -> None:
     problem, exact, run = case
     outcome = follow(problem, scipy_leg("DOP853", 1e-9, np.inf), BLIND, 60.0)
     assert [kind for _, _, kind in outcome.events] == list(run.events["kind"])
@@ -125,9 +119,7 @@ def test_exact_orbit_confirms_shooting(name: str, force: float, frequency: float
 
 
 @pytest.mark.parametrize("contact", [{"duration": 4e-3}, {"stiffness": 1.8e3, "damping": 17.0}])
-def test_exact_orbit_confirms_finite_contact(
-    contact: dict[str, float],
-) -> None:
+def test_exact_orbit_confirms_finite_contact(contact: dict[str, float]) -> None:
     scene = rig.load("fig9")
     scene = scene.replace(dampers=[d.replace(contact=contact) for d in scene.dampers])
     orbit = rig.periodic_orbit(scene, 49.7)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from textwrap import wrap
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.escaping import drawn
-from rig.output_files import make_ready, replacing
+from rig.output_files import csv_text, make_ready, replacing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -207,13 +207,13 @@ def _wrapped(figure: Figure, sentences: Sequence[str]) -> str:
     return "\n".join(wrap(" ".join(sentences), int(_NOTE_LINE * figure.get_figwidth() / WIDTH_INCH)))
 
 
-def save_with_table(figure: Figure, stem: Path, write_table: Callable[[Path], None]) -> list[Path]:
-    """Write a figure as `save`, and its table by a function of the path; return the three paths.
+def save_with_table(figure: Figure, stem: Path, rows: Iterable[Sequence[object]]) -> list[Path]:
+    """Write a figure as `save`, and its table from rows of which the first is the header; return the three paths.
 
     Raises `SceneError`, `RunError` if a file cannot be written.
     """
     table = stem.with_name(stem.name + ".csv")
     make_ready(stem.parent)
     with replacing(table) as part:
-        write_table(part)
+        part.write_text(csv_text(rows), encoding="utf-8", newline="")
     return [*save(figure, stem), table]

@@ -3,21 +3,43 @@
 from __future__ import annotations
 
 import csv
+import functools
 import hashlib
-import io
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
+import numpy as np
+
 from rig.errors import RunError
-from rig.output_files import replacing
+from rig.output_files import csv_text, replacing
 from rig.workers import Workers
 
 Piece = TypeVar("Piece")
 Value = TypeVar("Value")
 #: Called with the number of pieces done and the total.
 Progress = Callable[[int, int], None]
+
+
+@functools.cache
+def code_digest(*packages: str) -> str:
+    """Digest the version and all sources of packages of shotrig: what identifies the code of a stored result."""
+    digest = hashlib.sha256(version("shotrig").encode())
+    for package in packages:
+        spec = find_spec(package)
+        assert spec is not None and spec.origin is not None
+        for file in sorted(Path(spec.origin).parent.rglob("*.py")):
+            digest.update(file.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def digest(inputs: object) -> str:
+    """Compute a short digest of the inputs of a result, by their `repr` or array bytes, and of the code of `rig`."""
+    content = inputs.tobytes() if isinstance(inputs, np.ndarray) else repr(inputs).encode()
+    return hashlib.sha256(code_digest("rig").encode() + content).hexdigest()[:16]
 
 
 @dataclass(frozen=True)
@@ -55,24 +77,47 @@ class Study(Generic[Piece, Value]):
         RunError
             If the table cannot be read or written, or a worker process ends unexpectedly.
         """
-        kept, report = Kept(self, table), progress or (lambda done, total: None)
-        done = sum(piece in kept for piece in pieces)
+        stored, report = StoredValues(self, table), progress or (lambda done, total: None)
+        done = sum(piece in stored for piece in pieces)
         if done:
             report(done, len(pieces))
         if done < len(pieces):
             prepare()
-        for number, _ in enumerate(kept.complete(pieces, cluster), done + 1):
+        for number, _ in enumerate(stored.complete(pieces, cluster), done + 1):
             report(number, len(pieces))
-        return [kept[piece] for piece in pieces]
+        return [stored[piece] for piece in pieces]
 
 
-class Kept(Generic[Piece, Value]):
-    """Values of a study's pieces, in memory and in an optional table."""
+class StoredValues(Generic[Piece, Value]):
+    """Values of a study's pieces, in memory and in an optional table that is written to disk row by row.
+
+    `path`: CSV file; created with its folder if it does not exist. An incomplete last line is removed. Raises
+    `RunError` if the file is not a table of this study, or cannot be written.
+    """
 
     def __init__(self, study: Study[Piece, Value], path: Path | None) -> None:
-        self.study = study
-        self._table = None if path is None else KeptTable(path, study.columns, study.name)
-        self.values = dict(decoded(study, self._table.rows)) if self._table is not None else {}
+        self.study, self._path = study, path
+        self.values: dict[Any, Value] = {}
+        if path is None:
+            return
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            content = path.read_bytes() if path.exists() else b""
+            rows = _rows(path, content, study.columns, study.name) if content else []
+            with path.open("ab") as file:
+                file.truncate(_whole_lines(content))
+        except OSError as error:
+            raise RunError(
+                f"{path}: cannot write this table ({error.strerror}). Choose another place with -o."
+            ) from None
+        if not content:
+            self._append(study.columns)
+        for row in rows:
+            try:
+                key, value = study.decode(row)
+            except (ValueError, KeyError, TypeError):
+                continue
+            self.values[key] = value
 
     def __contains__(self, piece: Piece) -> bool:
         return self.study.key(piece) in self.values
@@ -84,8 +129,7 @@ class Kept(Generic[Piece, Value]):
         """Store the value of a piece."""
         key = self.study.key(piece)
         self.values[key] = value
-        if self._table is not None:
-            self._table.append(self.study.encode(key, value))
+        self._append(self.study.encode(key, value))
 
     def complete(self, pieces: Sequence[Piece], cluster: str | None = None) -> Iterator[Value]:
         """Compute missing pieces; yield each value after it is stored."""
@@ -96,62 +140,19 @@ class Kept(Generic[Piece, Value]):
                     self.add(missing[number], value)
                     yield value
 
-    def put_in_order(self, order: Callable[[Any], Any] | None = None) -> None:
+    def sort(self, order: Callable[[Any], Any] | None = None) -> None:
         """Sort the table by its keys, so that the file does not depend on the order of computation."""
-        if self._table is not None:
-            keys = sorted(self.values, key=order)
-            self._table.replace(self.study.encode(key, self.values[key]) for key in keys)
-
-
-def digest(text: str) -> str:
-    """Compute a short digest of the inputs of a piece.
-
-    >>> digest("('scene', 50.0)")
-    '4fc6f88757844cf7'
-    """
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
-
-
-def decoded(study: Study[Piece, Value], rows: Iterable[list[str]]) -> Iterator[tuple[Any, Value]]:
-    """Yield keys and values of valid rows."""
-    for row in rows:
-        try:
-            yield study.decode(row)
-        except (ValueError, KeyError, TypeError):
-            continue
-
-
-class KeptTable:
-    """A CSV table that is written to disk row by row.
-
-    `path`: CSV file; created with its folder if it does not exist. An incomplete last line is removed; `header`:
-    names of the columns; `what`: content of the table, for messages; `rows`: content of the file when it was opened.
-    Raises `RunError` if the file is not such a table, or cannot be written.
-    """
-
-    def __init__(self, path: Path, header: Sequence[str], what: str) -> None:
-        self._path, self._header = path, list(header)
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            content = path.read_bytes() if path.exists() else b""
-            self.rows = _rows(path, content, self._header, what) if content else []
-            with path.open("ab") as file:
-                file.truncate(_whole_lines(content))
-        except OSError as error:
-            raise RunError(f"cannot write {path}: {error.strerror}; choose another place with -o") from None
-        if not content:
-            self.append(self._header)
-
-    def append(self, row: Sequence[object]) -> None:
-        """Add a row."""
-        # A single write: an interruption leaves a complete line or nothing, unless the disk is full.
-        with self._path.open("a", newline="", encoding="utf-8") as file:
-            file.write(_csv([row]))
-
-    def replace(self, rows: Iterable[Sequence[object]]) -> None:
-        """Replace all rows."""
+        if self._path is None:
+            return
+        rows = [self.study.encode(key, self.values[key]) for key in sorted(self.values, key=order)]
         with replacing(self._path, overwrite=True) as part:
-            part.write_text(_csv([self._header, *rows]), encoding="utf-8", newline="")
+            part.write_text(csv_text([self.study.columns, *rows]), encoding="utf-8", newline="")
+
+    def _append(self, row: Sequence[object]) -> None:
+        # A single write: an interruption leaves a complete line or nothing, unless the disk is full.
+        if self._path is not None:
+            with self._path.open("a", newline="", encoding="utf-8") as file:
+                file.write(csv_text([row]))
 
 
 def rows_of(path: Path, header: Sequence[str], what: str) -> list[list[str]]:
@@ -162,8 +163,10 @@ def rows_of(path: Path, header: Sequence[str], what: str) -> list[list[str]]:
     try:
         content = path.read_bytes()
     except OSError as error:
-        raise RunError(f"cannot read {path}: {error.strerror}") from None
-    return _rows(path, content, list(header), what)
+        raise RunError(
+            f"{path}: cannot read this table ({error.strerror}). Name a file that can be read."
+        ) from None
+    return _rows(path, content, header, what)
 
 
 def _whole_lines(content: bytes) -> int:
@@ -171,10 +174,10 @@ def _whole_lines(content: bytes) -> int:
     return content.rfind(b"\n") + 1
 
 
-def _rows(path: Path, content: bytes, header: list[str], what: str) -> list[list[str]]:
+def _rows(path: Path, content: bytes, header: Sequence[str], what: str) -> list[list[str]]:
     lines = content[: _whole_lines(content)].decode("utf-8", errors="replace").splitlines()
     rows = [_cells(line) for line in lines]
-    if rows[:1] != [header]:
+    if rows[:1] != [list(header)]:
         raise RunError(f"{path}: is not a table of {what}. Move it, or choose another name with -o.")
     return [row for row in rows[1:] if len(row) == len(header)]
 
@@ -190,9 +193,3 @@ def _cells(line: str) -> list[str]:
     except csv.Error:
         # The line exceeds the field size limit of the csv module.
         return []
-
-
-def _csv(rows: Iterable[Sequence[object]]) -> str:
-    text = io.StringIO(newline="")
-    csv.writer(text, lineterminator="\n").writerows(rows)
-    return text.getvalue()

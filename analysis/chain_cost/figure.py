@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -56,7 +55,11 @@ def write(study: ChainStudy, folder: Path) -> list[Path]:
     `folder`: created if it does not exist. Raises `SceneError`, `RunError` if a file cannot be written.
     """
     name = folder / stem("chain-cost", study.scene.name)
-    return save_with_table(_draw(study), name, lambda path: _write_csv(study, path))
+    rows = [["changed", "to", "cpu_s", "test_s", "error", "corrected_for", "note"]]
+    for p in (study.own, study.quiet, *study.points):
+        numbers = [f"{value:.6g}" for value in (p.cpu, p.duration, p.error, p.corrected)]
+        rows.append([p.group or "the scene", p.setting, *numbers, p.note])
+    return save_with_table(_draw(study), name, rows)
 
 
 def output_files(scene: Scene, folder: Path) -> list[Path]:
@@ -103,13 +106,3 @@ def _draw(study: ChainStudy) -> Figure:
         figure.legend(loc="outside lower center", ncols=3)
         figure.suptitle(drawn(study.scene.name))
         return figure
-
-
-def _write_csv(study: ChainStudy, path: Path) -> None:
-    header = ["changed", "to", "cpu_s", "test_s", "error", "corrected_for", "note"]
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(header)
-        for p in (study.own, study.quiet, *study.points):
-            numbers = [f"{value:.6g}" for value in (p.cpu, p.duration, p.error, p.corrected)]
-            writer.writerow([p.group or "the scene", p.setting, *numbers, p.note])

@@ -18,8 +18,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from analysis.reproduction.kept_study import Row, Table, complete
 from analysis.reproduction.store import Arrays
+from analysis.reproduction.stored_table import Row, Table, complete
 from rig.arrays import Array
 from rig.bed_response.steady_bed import SteadyBed, steady_grains, steady_mass
 from rig.grain_beds.packing import highest, settled

@@ -25,8 +25,8 @@ from analysis.reproduction.bed_study import (
     compliance_at_peak,
     scene_of_bed,
 )
-from analysis.reproduction.kept_study import Row, Table, complete
 from analysis.reproduction.store import Arrays
+from analysis.reproduction.stored_table import Row, Table, complete
 from rig.arrays import Array
 from rig.bed_response.steady_bed import as_one_mass
 from rig.scene.scene import Scene
@@ -46,7 +46,7 @@ _WATCHED = 40
 _MARKS = 128
 TABLE = Table(
     ("level", "clearance_m", "restitution", "duration_s", "energy", "ceiling_impulse"),
-    "one mass on contacts that last",
+    "one mass on finite-duration contacts",
     "contacts.csv",
 )
 
@@ -80,7 +80,7 @@ def contacts() -> list[Contact]:
 
 
 def follow(path: Path, say: Callable[[str], None], cluster: str | None = None) -> None:
-    """Simulate one mass on every contact at every setting; see `kept_study.complete`."""
+    """Simulate one mass on every contact at every setting; see `stored_table.complete`."""
     complete(path, TABLE.study(followed, _contact_of), contacts(), _words, say, cluster)
 
 

@@ -79,8 +79,8 @@ def bare_sweep(scene: Scene, path: Path) -> Arrays:
         return arrays
 
 
-def damper_sweep(scene: Scene, path: Path, body: int) -> Arrays:
-    """Estimate compliances as `sweep`, and the impact phases of the damper in one body."""
+def damper_sweep(scene: Scene, path: Path, body: int = 2) -> Arrays:
+    """Estimate compliances as `sweep`, and the impact phases of the damper in a body."""
     arrays = sweep(scene, path)
     phases = impact_phases(scene, path, body)
     return {**arrays, **{f"impact_{key}": values for key, values in phases.items()}}

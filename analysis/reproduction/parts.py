@@ -8,10 +8,7 @@ from typing import Any
 import numpy as np
 
 import rig
-from analysis.reproduction import bed_study, contact_study
-from analysis.reproduction import experiment as paper_experiment
-from analysis.reproduction import scan as paper_scan
-from analysis.reproduction import simulation as paper_simulation
+from analysis.reproduction import bed_study, contact_study, experiment, scan, simulation
 from analysis.reproduction.store import PaperPart
 from rig.scene.scene import Scene
 
@@ -73,125 +70,86 @@ WAVES = {
 
 def all_parts(folder: Path) -> list[PaperPart]:
     """List the parts."""
-    parts = [_recording(folder, name, scene, extra) for name, scene, extra in _experiments()]
     single, three = rig.load("fig5-single-damper"), rig.load("fig5-three-dampers")
+    fig9, fig10a = rig.load("fig9"), rig.load("fig10a")
     grid = {"forces": FORCES, "clearances": CLEARANCES, "frequencies": RESONANCE, "mass_ratio": 0.10}
-    parts.append(
-        _part("scan-three", "scan of force and clearance, three dampers", paper_scan.scan, three, **grid)
-    )
-    parts.append(
-        _part("scan-single", "scan of force and clearance, one damper", paper_scan.scan, single, **grid)
-    )
-    for ratio in MASS_RATIOS:
-        parts.append(
-            _part(
+    robust: dict[str, Any] = {"force": 3.3, "frequencies": RESONANCE}
+    wide, dense = {"band": (46.0, 54.0)}, {"frequencies": np.linspace(*BAND, 109)}
+    jobs: list[tuple[str, str, Any, Scene, dict[str, Any]]] = [
+        ("scan-three", "scan of force and clearance, three dampers", scan.scan, three, grid),
+        ("scan-single", "scan of force and clearance, one damper", scan.scan, single, grid),
+        *(
+            (
                 f"best-{round(100 * ratio):02d}", f"best clearance, mass ratio {100 * ratio:.0f} %",
-                paper_scan.best_clearance, rig.load("fig9"), force=3.3, mass_ratio=ratio, clearances=CLEARANCES,
-                frequencies=RESONANCE,
+                scan.best_clearance, fig9, robust | {"mass_ratio": ratio, "clearances": CLEARANCES},
             )
-        )  # fmt: skip
-    parts.append(
-        _part(
-            "optimum", "best clearance and mass ratio", paper_scan.best_damper, rig.load("fig9"), force=3.3,
-            mass_ratios=WIDE_MASS_RATIOS, clearances=CLEARANCES[1:-1], frequencies=RESONANCE,
-        )
-    )  # fmt: skip
-    parts.append(
-        _part(
-            "approx-peaks", "approximate method over force and clearance", paper_simulation.approximate_peaks, single,
-            forces=FORCES, clearances=CLEARANCES, band=BAND,
-        )
-    )  # fmt: skip
-    parts.append(
-        _part(
-            "orbit-fig9",
-            "exact orbits of Fig 9",
-            paper_simulation.exact_orbits,
-            rig.load("fig9"),
-            band=(46.0, 54.0),
-        )
-    )
-    parts.append(
-        _part(
-            "approx-fig9", "approximate method, Fig 9", paper_simulation.approximated, rig.load("fig9"), mode=3,
-            band=(46.0, 54.0), weighting="printed",
-        )
-    )  # fmt: skip
-    parts.append(
-        _part(
-            "sim-three",
-            "simulation of Fig 10a",
-            paper_simulation.simulated,
-            rig.load("fig10a"),
-            frequencies=SWEEP,
-        )
-    )
-    parts.append(
-        _part(
-            "fig9-damping", "Fig 9 over damping and clearance", paper_scan.stays_over_damping, rig.load("fig9"),
-            dampings=DAMPINGS, clearances=NEAR_PAPER, frequencies=RESONANCE,
-        )
-    )  # fmt: skip
-    for kind, clearance in TYPES.items():
-        parts.append(
-            _part(
-                f"type-{kind}", f"motion of Type {kind}", paper_simulation.waveforms, _one_body(clearance),
-                frequency=49.67,
+            for ratio in MASS_RATIOS
+        ),
+        (
+            "optimum", "best clearance and mass ratio", scan.best_damper, fig9,
+            robust | {"mass_ratios": WIDE_MASS_RATIOS, "clearances": CLEARANCES[1:-1]},
+        ),
+        (
+            "approx-peaks", "approximate method over force and clearance", simulation.approximate_peaks, single,
+            {"forces": FORCES, "clearances": CLEARANCES, "band": BAND},
+        ),
+        ("orbit-fig9", "exact orbits of Fig 9", simulation.exact_orbits, fig9, wide),
+        (
+            "approx-fig9", "approximate method, Fig 9", simulation.approximated, fig9,
+            wide | {"mode": 3, "weighting": "printed"},
+        ),
+        ("sim-three", "simulation of Fig 10a", simulation.simulated, fig10a, {"frequencies": SWEEP}),
+        (
+            "fig9-damping", "Fig 9 over damping and clearance", scan.stays_over_damping, fig9,
+            {"dampings": DAMPINGS, "clearances": NEAR_PAPER, "frequencies": RESONANCE},
+        ),
+        *(
+            (
+                f"type-{kind}", f"motion of Type {kind}", simulation.waveforms, _one_body(clearance),
+                {"frequency": 49.67},
             )
-        )  # fmt: skip
-    for count in ("one-damper", "two-dampers", "three-dampers"):
-        parts.append(
-            _part(
+            for kind, clearance in TYPES.items()
+        ),
+        *(
+            (
                 f"weights-{count}", f"both weights of the mass ratio, {count.replace('-', ' ')}",
-                paper_simulation.weightings, rig.load(f"fig8-{count}"), bands=MODE_BANDS,
+                simulation.weightings, rig.load(f"fig8-{count}"), {"bands": MODE_BANDS},
             )
-        )  # fmt: skip
-    parts.append(
-        _part(
-            "least-affected", "Fig 8 over damping, mass ratio and force", paper_scan.least_affected,
-            rig.load("fig8-three-dampers"), dampings=OPEN_DAMPINGS, mass_ratios=OPEN_MASS_RATIOS, forces=OPEN_FORCES,
-            bands=MODE_BANDS,
-        )
-    )  # fmt: skip
-    parts.append(
-        _part(
-            "sim-noise", "Fig 10a where noise matters", paper_simulation.simulated, rig.load("fig10a"),
-            frequencies=np.sort(NOISE_GRID),
-        )
-    )  # fmt: skip
-    dense = np.linspace(*BAND, 109)
-    for name, scene in (("sim-fig5-single", single), ("sim-fig5-three", three)):
-        parts.append(_part(name, "simulation of Fig 5", paper_simulation.simulated, scene, frequencies=dense))
-    for letter, (name, frequency) in WAVES.items():
-        parts.append(
-            _part(
-                f"wave-{letter}",
-                f"waveform {letter} of Fig 6",
-                paper_simulation.waveforms,
-                rig.load(name),
-                frequency=frequency,
+            for count in ("one-damper", "two-dampers", "three-dampers")
+        ),
+        (
+            "least-affected", "Fig 8 over damping, mass ratio and force", scan.least_affected,
+            rig.load("fig8-three-dampers"),
+            {"dampings": OPEN_DAMPINGS, "mass_ratios": OPEN_MASS_RATIOS, "forces": OPEN_FORCES, "bands": MODE_BANDS},
+        ),
+        (
+            "sim-noise", "Fig 10a where noise matters", simulation.simulated, fig10a,
+            {"frequencies": np.sort(NOISE_GRID)},
+        ),
+        ("sim-fig5-single", "simulation of Fig 5", simulation.simulated, single, dense),
+        ("sim-fig5-three", "simulation of Fig 5", simulation.simulated, three, dense),
+        *(
+            (
+                f"wave-{letter}", f"waveform {letter} of Fig 6", simulation.waveforms, rig.load(name),
+                {"frequency": frequency},
             )
-        )
-    parts.append(
-        _part(
-            "structure", "the structure", paper_simulation.structure_numbers, rig.load("fig10a"),
-            frequencies=np.linspace(8.0, 60.0, 2001),
-        )
-    )  # fmt: skip
-    return [*parts, *_kept_studies()]
-
-
-def _kept_studies() -> list[PaperPart]:
-    """Parts for beds of grains and one mass on contacts, from the bundled tables."""
-    return [
+            for letter, (name, frequency) in WAVES.items()
+        ),
+        (
+            "structure", "the structure", simulation.structure_numbers, fig10a,
+            {"frequencies": np.linspace(8.0, 60.0, 2001)},
+        ),
+    ]  # fmt: skip
+    bundled = [
         PaperPart(
-            name, f"{name}\n{study.TABLE.kept.read_text(encoding='utf-8')}", study.table, {}, title, 0.1
+            name, f"{name}\n{study.TABLE.bundled.read_text(encoding='utf-8')}", study.table, {}, title, 0.1
         )
         for name, study, title in (
-            ("beds", bed_study, "beds of grains against one mass, kept"),
-            ("contacts", contact_study, "one mass on contacts that last, kept"),
+            ("beds", bed_study, "beds of grains against one mass, stored"),
+            ("contacts", contact_study, "one mass on finite-duration contacts, stored"),
         )
     ]
+    return [*_experiments(folder), *(_part(*job) for job in jobs), *bundled]
 
 
 def _one_body(clearance: float) -> Scene:
@@ -203,33 +161,32 @@ def _one_body(clearance: float) -> Scene:
     )
 
 
-def _experiments() -> list[tuple[str, Scene, dict[str, Any]]]:
-    bare = rig.load("fig4-structure")
-    sweeps = [
-        ("rec-bare", bare),
-        ("rec-one", rig.load("fig8-one-damper")),
-        ("rec-two", rig.load("fig8-two-dampers")),
-    ]
-    sweeps.append(("rec-three", rig.load("fig10a")))
+def _experiments(folder: Path) -> list[PaperPart]:
+    fig10a, quick = rig.load("fig10a"), {"display": False}
     test = {"kind": "stepped_sine", "frequencies": SWEEP.tolist(), "force": 2.6, "settle": {"longest": 20.0}}
-    jobs: list[tuple[str, Scene, dict[str, Any]]] = [
-        (
-            name,
-            scene.replace(test=test, recording={"display": False}),
-            {"compute": paper_experiment.bare_sweep if name == "rec-bare" else paper_experiment.sweep},
+    few = test | {"frequencies": np.sort(NOISE_GRID).tolist()}
+    jobs: list[tuple[str, Scene, Any]] = [
+        (name, scene.replace(test=test, recording=quick), compute)
+        for name, scene, compute in (
+            ("rec-bare", rig.load("fig4-structure"), experiment.bare_sweep),
+            ("rec-one", rig.load("fig8-one-damper"), experiment.sweep),
+            ("rec-two", rig.load("fig8-two-dampers"), experiment.sweep),
+            ("rec-three", fig10a, experiment.sweep),
         )
-        for name, scene in sweeps
     ]
     for noise in NOISES:
-        few = {**test, "frequencies": np.sort(NOISE_GRID).tolist()}
-        noisy = _with_noise(rig.load("fig10a"), noise).replace(test=few, recording={"display": False})
-        jobs.append((f"rec-noise-{noise}", noisy, {"compute": paper_experiment.sweep}))
-    for name, direction in (("rec-fig9", "up"), ("rec-fig9-down", "down")):
-        scene = rig.load("fig9", {"test.direction": direction})
-        jobs.append((name, scene, {"compute": paper_experiment.damper_sweep, "body": 2}))
-    jobs.append(("rec-hit-none", rig.load("fig10b-no-damper"), {"compute": paper_experiment.ring_down}))
-    jobs.append(("rec-hit-three", rig.load("fig10b-three-dampers"), {"compute": paper_experiment.ring_down}))
-    return jobs
+        noisy = _with_noise(fig10a, noise).replace(test=few, recording=quick)
+        jobs.append((f"rec-noise-{noise}", noisy, experiment.sweep))
+    jobs += [
+        ("rec-fig9", rig.load("fig9", {"test.direction": "up"}), experiment.damper_sweep),
+        ("rec-fig9-down", rig.load("fig9", {"test.direction": "down"}), experiment.damper_sweep),
+        ("rec-hit-none", rig.load("fig10b-no-damper"), experiment.ring_down),
+        ("rec-hit-three", rig.load("fig10b-three-dampers"), experiment.ring_down),
+    ]
+    return [
+        _part(name, f"virtual experiment: {scene.name}", compute, scene, {}, folder)
+        for name, scene, compute in jobs
+    ]
 
 
 def _with_noise(scene: Scene, density: float) -> Scene:
@@ -244,24 +201,16 @@ def _with_noise(scene: Scene, density: float) -> Scene:
     return scene.replace(channels=tuple(channels))
 
 
-def _recording(folder: Path, name: str, scene: Scene, extra: dict[str, Any]) -> PaperPart:
-    arguments = {key: value for key, value in extra.items() if key != "compute"}
-    path = folder / "recordings" / f"{name.removeprefix('rec-')}.mcap"
-    depends = f"{name}\n{scene.to_si_yaml()}\n{arguments}"
-    return PaperPart(
-        name,
-        depends,
-        extra["compute"],
-        {"scene": scene, "path": path, **arguments},
-        f"virtual experiment: {scene.name}",
-        EFFORT.get(name, 1.0),
-    )
-
-
-def _part(name: str, title: str, compute: Any, scene: Scene, **arguments: Any) -> PaperPart:
+def _part(
+    name: str, title: str, compute: Any, scene: Scene, arguments: dict[str, Any], folder: Path | None = None
+) -> PaperPart:
+    """Return a part; `folder`: of the recording that the part makes, on which its results do not depend."""
     written = {
         key: value if isinstance(value, dict) else np.asarray(value).tolist()
         for key, value in arguments.items()
     }
     depends = f"{name}\n{scene.to_si_yaml()}\n{written}"
-    return PaperPart(name, depends, compute, {"scene": scene, **arguments}, title, EFFORT.get(name, 1.0))
+    given = {"scene": scene, **arguments}
+    if folder is not None:
+        given["path"] = folder / "recordings" / f"{name.removeprefix('rec-')}.mcap"
+    return PaperPart(name, depends, compute, given, title, EFFORT.get(name, 1.0))

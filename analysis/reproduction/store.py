@@ -10,13 +10,13 @@ import hashlib
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from rig.errors import RunError
+from rig.study import code_digest
 
 Arrays = dict[str, np.ndarray]
 
@@ -51,7 +51,8 @@ class PaperPart:
     @property
     def digest(self) -> str:
         """Compute the digest of the inputs."""
-        return hashlib.sha256(f"{version('shotrig')}\n{self.depends}".encode()).hexdigest()
+        code = code_digest("rig", "daq", "analysis")
+        return hashlib.sha256(f"{code}\n{self.depends}".encode()).hexdigest()
 
     def path(self, folder: Path) -> Path:
         """Return the file of the results."""
@@ -82,5 +83,5 @@ class PaperPart:
             partial.replace(target)
         except OSError as error:
             raise RunError(
-                f"cannot write {target}: {error.strerror}; choose another place with --output"
+                f"{target}: cannot write these results ({error.strerror}). Choose another place with --output."
             ) from None

@@ -151,8 +151,9 @@ def _followed(piece: _Piece) -> tuple[SteadyBed, SteadyBed]:
     return steady_grains(scene, frequency, periods, MOST_BLOCKS), steady_mass(scene, frequency)
 
 
-def _digest(piece: _Piece) -> str:
-    return digest(repr((piece.scene.to_si_yaml(), piece.frequency, piece.periods, lammps_version())))
+def _key(piece: _Piece) -> tuple[str, float]:
+    inputs = piece.scene.to_si_yaml(), piece.frequency, piece.periods, lammps_version()
+    return digest(inputs), piece.frequency
 
 
 def _stored(motion: SteadyBed) -> dict[str, Any]:
@@ -172,7 +173,7 @@ _STUDY: Study[_Piece, tuple[SteadyBed, SteadyBed]] = Study(
     "beds",
     ("question", "frequency_hz", "grains", "mass"),
     _followed,
-    lambda piece: (_digest(piece), piece.frequency),
+    _key,
     lambda key, both: [key[0], repr(key[1]), *(json.dumps(_stored(each)) for each in both)],
     lambda row: ((row[0], float(row[1])), (_motion(row[2]), _motion(row[3]))),
 )

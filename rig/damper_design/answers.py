@@ -11,7 +11,7 @@ from typing import Any
 
 from rig.damper_design.choice import Choice, Question, Trial
 from rig.damper_design.worst_peak import Peak
-from rig.study import Kept, Study
+from rig.study import StoredValues, Study
 from rig.workers import Workers
 
 #: Returns the result of a candidate design if it has been computed.
@@ -33,11 +33,11 @@ class Answers:
     ) -> None:
         self._workers, self._progress = workers, progress
         self._done, self._total = 0, total
-        self._kept = Kept(STUDY, table)
+        self._stored = StoredValues(STUDY, table)
 
     def trial(self, question: Question, choice: Choice) -> Trial | None:
         """Return the worst peaks of a design if they are known."""
-        peaks = [self._kept.values.get((part.digest, choice)) for part in question.parts]
+        peaks = [self._stored.values.get((part.digest, choice)) for part in question.parts]
         known, levels = [peak for peak in peaks if peak is not None], len(question.levels)
         if len(known) < len(peaks):
             return None
@@ -64,13 +64,15 @@ class Answers:
             for choice in chain.from_iterable(search(partial(self.trial, question)) for search in searches):
                 if choice not in asked:
                     asked.add(choice)
-                    missing = [(part, choice) for part in question.parts if (part, choice) not in self._kept]
+                    missing = [
+                        (part, choice) for part in question.parts if (part, choice) not in self._stored
+                    ]
                     self._done += len(question.parts) - len(missing)
                     pieces.extend(missing)
 
         ask()
         for number, peak in self._workers.compute(_worst, pieces):
-            self._kept.add(pieces[number], peak)
+            self._stored.add(pieces[number], peak)
             self._done += 1
             if self._progress is not None:
                 self._progress(self._done, max(self._total, self._done + 1))
@@ -79,18 +81,14 @@ class Answers:
         trials = [self.trial(question, choice) for choice in sorted(asked)]
         return {trial.choice: trial for trial in trials if trial is not None}
 
-    def put_in_order(self) -> None:
+    def sort(self) -> None:
         """Sort the table, so that the file does not depend on the order in which results arrived."""
-        self._kept.put_in_order()
+        self._stored.sort()
 
 
 def _worst(piece: Piece) -> Peak:
     question, choice = piece
     return question.worst(choice)
-
-
-def _key(piece: Piece) -> tuple[str, Choice]:
-    return piece[0].digest, piece[1]
 
 
 def _row(key: tuple[str, Choice], peak: Peak) -> list[Any]:
@@ -111,7 +109,7 @@ STUDY: Study[Piece, Peak] = Study(
     "designs",
     ("question", "bodies", "masses_kg", "clearances_m", "mass_kg", *(field.name for field in fields(Peak))),
     _worst,
-    _key,
+    lambda piece: (piece[0].digest, piece[1]),
     _row,
     _answer,
 )

@@ -179,10 +179,8 @@ class Question:
     def digest(self) -> str:
         """Digest of everything that the results depend on."""
         scenes = [scene.to_si_yaml() for scene in self.scenes]
-        asked = scenes, self.levels, self.band, self.bodies, self.landings.restitution, self.density
-        contact = self.landings.contact
-        lasting = "" if contact is None else repr(contact)
-        return digest(f"{asked}{lasting}")
+        landings = self.landings.restitution, self.landings.contact
+        return digest((scenes, self.levels, self.band, self.bodies, landings, self.density))
 
     def worst(self, choice: Choice) -> Peak:
         """Compute the worst peak of a design over levels and structures."""

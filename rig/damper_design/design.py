@@ -225,7 +225,7 @@ def design(
         found = chart(question, charted, CHART_CLEARANCES.tolist(), forces.tolist(), answers)
         nominal = replace(question, scenes=question.scenes[:1], density=FINE)
         (likely,) = answers.of(nominal, [best.choice])
-    answers.put_in_order()
+    answers.sort()
     if say is not None:
         say("preparing the test that checks the best design")
     checked = check(scene, likely, nominal)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -50,23 +49,16 @@ def write(map_: MotionMap, folder: Path) -> list[Path]:
 
     `folder`: created if it does not exist. Raises `SceneError` if a file cannot be written.
     """
-    return save_with_table(
-        _draw(map_), place(map_.scene, map_.over, folder), lambda path: _write_csv(map_, path)
-    )
+    table = map_.columns()
+    rows: list[list[object]] = [[name.lower() for name in table]]
+    for row in zip(*table.values(), strict=True):
+        rows.append([f"{cell:.9g}" if isinstance(cell, float) else cell for cell in row])
+    return save_with_table(_draw(map_), place(map_.scene, map_.over, folder), rows)
 
 
 def place(scene: Scene, over: str, folder: Path) -> Path:
     """Return the path of a map's files without their suffix."""
     return folder / stem("map-clearance" if over == "clearance" else "map", scene.name)
-
-
-def _write_csv(map_: MotionMap, path: Path) -> None:
-    table = map_.columns()
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(name.lower() for name in table)
-        for row in zip(*table.values(), strict=True):
-            writer.writerow(f"{one:.9g}" if isinstance(one, float) else one for one in row)
 
 
 def _draw(map_: MotionMap) -> Figure:

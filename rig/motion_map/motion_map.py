@@ -278,15 +278,11 @@ def _followed(row: _Row) -> list[_Point]:
     return found
 
 
-def _digest(row: _Row) -> str:
-    return digest(repr((row.scene.to_yaml(), row.frequency.tolist(), row.longest)))
-
-
 _STUDY: Study[_Row, list[_Point]] = Study(
     "rows of a map",
     ("row", "points"),
     _followed,
-    _digest,
+    lambda row: digest((row.scene.to_yaml(), row.frequency.tolist(), row.longest)),
     lambda key, points: [key, json.dumps(points)],
     lambda row: (row[0], [_Point(*point) for point in json.loads(row[1])]),
 )

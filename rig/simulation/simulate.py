@@ -268,8 +268,8 @@ def _grains_run(
 ) -> Run:
     """Simulate beds of grains, starting from the checkpoint if it exists."""
     from rig.grain_beds.lammps_library import lammps_version
+    from rig.simulation.checkpoint import read, write
     from rig.simulation.grains_run import GrainsRun
-    from rig.simulation.kept_course import read, write
 
     tone = (drive.frequency, drive.amplitudes.tolist()) if isinstance(drive, ToneDrive) else None
     asked = {
@@ -280,9 +280,9 @@ def _grains_run(
         "version of LAMMPS": lammps_version(),
         "number of ranks": size(),
     }
-    kept = None if keep is None else read(keep, asked)
+    stored = None if keep is None else read(keep, asked)
     run = GrainsRun(scene, samples, rate, drive)
-    course = run.begun() if kept is None else run.resumed(kept)
+    course = run.begun() if stored is None else run.resumed(stored)
     while course.samples < samples:
         course = run.longer(course)
         if keep is not None:

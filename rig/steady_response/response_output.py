@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rig.errors import SceneError
-from rig.output_files import replacing
+from rig.output_files import csv_text, replacing
 from rig.results.text import frequency_ranges
 from rig.scene.excitation import Sine, SteppedSine, spaced
 from rig.scene.scene import Scene
@@ -81,10 +80,8 @@ def write(response: SteadyResponse, path: Path) -> None:
     Raises `SceneError` if the file cannot be written.
     """
     header, table = rows(response)
-    with replacing(path) as part, part.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(header)
-        writer.writerows(table)
+    with replacing(path) as part:
+        part.write_text(csv_text([header, *table]), encoding="utf-8", newline="")
 
 
 def text(response: SteadyResponse, every_frequency: bool = False) -> str:

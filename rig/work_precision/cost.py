@@ -14,7 +14,7 @@ from rig.grain_beds.spheres import spheres_of
 from rig.results import Result
 from rig.scene.scene import Scene
 from rig.system.assembly import assemble
-from rig.work_precision.motion_study import Point, Study, hardest_frequency, motion_study
+from rig.work_precision.motion_study import MotionStudy, Point, hardest_frequency, motion_study
 from rig.work_precision.steady_study import SteadyStudy, steady_study
 
 if TYPE_CHECKING:
@@ -28,14 +28,14 @@ class Cost(Result):
     Attributes
     ----------
     scene : Scene
-    motion : Study or None
+    motion : MotionStudy or None
         Methods for the motion; None for models of beds of grains, which are compared in steady motion only.
     steady : SteadyStudy
         Methods for the steady state, or models of the beds.
     """
 
     scene: Scene
-    motion: Study | None
+    motion: MotionStudy | None
     steady: SteadyStudy
 
     @property

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,7 +12,7 @@ from rig.escaping import drawn
 from rig.figure_style import drawing, save_with_table
 from rig.output_files import stem
 from rig.scene.scene import Scene
-from rig.work_precision.motion_study import Point, Study
+from rig.work_precision.motion_study import MotionStudy, Point
 from rig.work_precision.steady_study import OTHER_PACKING, SteadyStudy
 
 if TYPE_CHECKING:
@@ -40,9 +39,10 @@ LOOK = {
     "grains, softer": ("#4f87bd", "D"),
     OTHER_PACKING: ("#8fb4d9", "v"),
 }
+_HEADER = ("quantity", "method", "setting", "cpu_s", "error", "event_time_error_s", "right", "note")
 
 
-def table(study: Study, steady: SteadyStudy) -> str:
+def table(study: MotionStudy, steady: SteadyStudy) -> str:
     """Write both studies as text."""
     lines = [
         f"{study.scene.name}: first {study.periods} periods at {study.frequency:.6g} Hz, {study.events} events",
@@ -84,36 +84,33 @@ def _line(point: Point, milliseconds: float, events: str) -> str:
     return f"{start}{milliseconds:12.4g}{point.error:9.0e}{times}  {events}  {point.note}"
 
 
-def write(study: Study, steady: SteadyStudy, folder: Path) -> list[Path]:
-    """Write cost-<scene>.png, .svg and .csv into a folder.
+def write(study: MotionStudy, steady: SteadyStudy, folder: Path) -> list[Path]:
+    """Write cost-<scene>.png, .svg and .csv into a folder, which is created if it does not exist.
 
-    `study`, `steady`: results of both studies; `folder`: created if it does not exist. Raises `SceneError` if a file
-    cannot be written.
+    Raises `SceneError` if a file cannot be written.
     """
     name = folder / stem("cost", study.scene.name)
-    found = (("motion, a period", study.points), ("steady state", steady.points))
-    return save_with_table(_draw(study, steady), name, lambda path: _write_csv(found, path))
+    rows = [*_rows("motion, a period", study.points), *_rows("steady state", steady.points)]
+    return save_with_table(_draw(study, steady), name, [_HEADER, *rows])
 
 
 def write_models(scene: Scene, models: SteadyStudy, folder: Path) -> list[Path]:
     """Write figure and table for models of a scene's beds of grains, as `write`."""
-    name = folder / stem("cost", scene.name)
-    found = (("steady state", models.points),)
-    return save_with_table(_draw_models(scene, models), name, lambda path: _write_csv(found, path))
+    rows = [_HEADER, *_rows("steady state", models.points)]
+    return save_with_table(_draw_models(scene, models), folder / stem("cost", scene.name), rows)
 
 
-def _write_csv(found: Iterable[tuple[str, tuple[Point, ...]]], path: Path) -> None:
-    header = ["quantity", "method", "setting", "cpu_s", "error", "event_time_error_s", "right", "note"]
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(header)
-        for quantity, points in found:
-            for p in points:
-                numbers = [f"{value:.6g}" for value in (p.cpu, p.error, p.event_error)]
-                writer.writerow([quantity, p.method, p.setting, *numbers, str(p.right).lower(), p.note])
+def _rows(quantity: str, points: Iterable[Point]) -> list[list[str]]:
+    return [
+        [
+            quantity, p.method, p.setting, *(f"{value:.6g}" for value in (p.cpu, p.error, p.event_error)),
+            str(p.right).lower(), p.note,
+        ]
+        for p in points
+    ]  # fmt: skip
 
 
-def _draw(study: Study, steady: SteadyStudy) -> Figure:
+def _draw(study: MotionStudy, steady: SteadyStudy) -> Figure:
     count = 1 + bool(steady.points)
     with drawing(5.2, 10.0 if steady.points else 6.8) as figure:
         panels = figure.subplots(1, count, squeeze=False, width_ratios=(1.5, 1.0)[:count])[0]

@@ -70,7 +70,7 @@ def refused(problem: ShotrigError) -> str:
 
 
 @dataclass(frozen=True)
-class Study:
+class MotionStudy:
     """Result of `motion_study`."""
 
     scene: Scene
@@ -109,7 +109,7 @@ def motion_study(
     frequency: float | None = None,
     periods: int = PERIODS,
     progress: Callable[[str], None] | None = None,
-) -> Study:
+) -> MotionStudy:
     """Measure all methods for the first periods of a scene's motion under a sinusoidal drive.
 
     `frequency`: drive frequency, Hz; None: `hardest_frequency`. Raises `SceneError` if nothing drives the scene, or
@@ -140,7 +140,7 @@ def motion_study(
         f"decimal arithmetic of {DIGITS} digits, every event found again as a root of its own guard; the same with "
         f"fewer digits differs by {exact.agreement:.0e} of the motion"
     )
-    return Study(scene, frequency, periods, len(run.events), tuple(points), reference, margin)
+    return MotionStudy(scene, frequency, periods, len(run.events), tuple(points), reference, margin)
 
 
 Methods = Iterator[tuple[str, str, Callable[[], Outcome]]]

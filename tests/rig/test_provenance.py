@@ -79,8 +79,7 @@ def test_marked_figures_and_archives_can_be_read(tmp_path: Path) -> None:
     for value in (1.0, 2.0):
         with made_from("test"), drawing(1.0) as figure:
             figure.subplots().plot([value])
-            table = f"a\n{value}\n"
-            files = save_with_table(figure, tmp_path / "out", lambda path, text=table: path.write_text(text))
+            files = save_with_table(figure, tmp_path / "out", [["a"], [value]])
             with replacing(tmp_path / "out.npz") as part:
                 np.savez(part, value=value)
     assert imread(files[0]).ndim == 3 and float(np.load(tmp_path / "out.npz")["value"]) == 2.0

@@ -1,60 +1,61 @@
-"""The table of a study: recovery after a kill, rejection of foreign files, and order."""
+"""The table of a study: recovery after a kill, rejection of foreign files, order, and identity of the code."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from rig.errors import RunError
-from rig.study import KeptTable, rows_of
+from rig.study import StoredValues, Study, code_digest, digest, rows_of
 
-HEADER = ["level", "gap, m", "found"]
+HEADER = ("level", "gap, m", "found")
 
 
-def test_kept_rows_are_read_again(tmp_path: Path) -> None:
+def stored(path: Path, *added: object) -> list[list[str]]:
+    """Open a table, add rows to it, and return all that it contains."""
+    study: Study[Any, Any] = Study(
+        "gaps", HEADER, str, tuple, lambda key, _: key, lambda row: (tuple(row), row)
+    )
+    values = StoredValues(study, path)
+    for row in added:
+        values.add(row, row)
+    return [list(key) for key in values.values]
+
+
+def test_stored_rows_are_read_again(tmp_path: Path) -> None:
     path = tmp_path / "new" / "table.csv"
-    first = KeptTable(path, HEADER, "gaps")
-    first.append([1, "0.5, about", "[1.5, 2]"])
+    stored(path, ["1", "0.5, about", "[1.5, 2]"])
 
-    again = KeptTable(path, HEADER, "gaps")
-
-    assert first.rows == []
-    assert again.rows == [["1", "0.5, about", "[1.5, 2]"]]
-    assert rows_of(path, HEADER, "gaps") == again.rows
+    assert stored(path) == rows_of(path, HEADER, "gaps") == [["1", "0.5, about", "[1.5, 2]"]]
 
 
 @pytest.mark.parametrize("cut", range(1, 6))
 def test_torn_line_is_never_a_row(tmp_path: Path, cut: int) -> None:
     path = tmp_path / "table.csv"
-    table = KeptTable(path, HEADER, "gaps")
-    table.append([1, 2, 3])
-    table.append([4, 5, 678])
+    stored(path, "123", ["4", "5", "678"])
     path.write_bytes(path.read_bytes()[:-cut])
 
-    torn = rows_of(path, HEADER, "gaps")
-    opened = KeptTable(path, HEADER, "gaps")
-    opened.append([7, 8, 9])
-
-    assert torn == opened.rows == [["1", "2", "3"]]
-    assert KeptTable(path, HEADER, "gaps").rows == [["1", "2", "3"], ["7", "8", "9"]]
+    assert rows_of(path, HEADER, "gaps") == [["1", "2", "3"]]
+    assert stored(path, "789") == stored(path) == [["1", "2", "3"], ["7", "8", "9"]]
 
 
 @pytest.mark.parametrize("line", ['"', "x" * 200_000, "1,2", "\0"])
 def test_spoilt_line_costs_no_other_row(tmp_path: Path, line: str) -> None:
     path = tmp_path / "table.csv"
-    KeptTable(path, HEADER, "gaps").append([1, 2, 3])
+    stored(path, "123")
     with path.open("a", encoding="utf-8") as file:
         file.write(f"{line}\n4,5,6\n")
 
-    assert KeptTable(path, HEADER, "gaps").rows == [["1", "2", "3"], ["4", "5", "6"]]
+    assert stored(path) == [["1", "2", "3"], ["4", "5", "6"]]
 
 
 def test_empty_file_becomes_a_table(tmp_path: Path) -> None:
     path = tmp_path / "table.csv"
     path.touch()
-
-    KeptTable(path, HEADER, "gaps").append([1, 2, 3])
+    stored(path, "123")
 
     assert rows_of(path, HEADER, "gaps") == [["1", "2", "3"]]
 
@@ -64,32 +65,50 @@ def test_foreign_table_is_rejected_and_kept(tmp_path: Path, content: bytes) -> N
     path = tmp_path / "mine.csv"
     path.write_bytes(content)
 
-    with pytest.raises(
-        RunError, match=r"mine.csv: is not a table of gaps. Move it, or choose another name with -o"
-    ):
-        KeptTable(path, HEADER, "gaps")
+    with pytest.raises(RunError, match=r"mine.csv: .* table of gaps.*-o"):
+        stored(path)
 
     assert path.read_bytes() == content
 
 
-def test_unwritable_place_is_reported(tmp_path: Path) -> None:
+def test_unusable_place_is_reported(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
 
-    with pytest.raises(RunError, match=r"cannot write .*table.csv.*choose another place with -o"):
-        KeptTable(tmp_path / "file" / "table.csv", HEADER, "gaps")
-
-
-def test_missing_table_is_reported(tmp_path: Path) -> None:
-    with pytest.raises(RunError, match=r"cannot read .*table.csv"):
+    with pytest.raises(RunError, match=r"table.csv: cannot write .*-o"):
+        stored(tmp_path / "file" / "table.csv")
+    with pytest.raises(RunError, match=r"table.csv: cannot read"):
         rows_of(tmp_path / "table.csv", HEADER, "gaps")
 
 
-def test_ordered_rows_replace_the_table(tmp_path: Path) -> None:
+def test_sorted_rows_replace_the_table(tmp_path: Path) -> None:
     path = tmp_path / "table.csv"
-    table = KeptTable(path, HEADER, "gaps")
-    table.append([4, 5, 6])
-    table.append([1, 2, 3])
+    study: Study[str, int] = Study(
+        "gaps", HEADER, int, str, lambda key, value: [key, value, value], lambda row: (row[0], int(row[1]))
+    )
+    values = StoredValues(study, path)
+    values.add("4", 5)
+    values.add("1", 2)
 
-    table.replace([[1, 2, 3], [4, 5, 6]])
+    values.sort()
 
-    assert path.read_text() == 'level,"gap, m",found\n1,2,3\n4,5,6\n'
+    assert path.read_text() == 'level,"gap, m",found\n1,2,2\n4,5,5\n'
+
+
+def test_other_code_gives_another_digest(monkeypatch: pytest.MonkeyPatch) -> None:
+    rows = [digest(("scene", 50.0)), digest(np.arange(3.0))]
+    monkeypatch.setattr("rig.study.code_digest", lambda *packages: "another state of the sources")
+
+    assert not set(rows) & {digest(("scene", 50.0)), digest(np.arange(3.0))}
+
+
+def test_code_digest_follows_every_source(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(tmp_path)
+    inner = tmp_path / "some_code" / "room" / "inner.py"
+    inner.parent.mkdir(parents=True)
+    (tmp_path / "some_code" / "__init__.py").touch()
+    digests = set()
+    for text in ("a = 1\n", "a = 2\n"):
+        inner.write_text(text)
+        digests.add(code_digest.__wrapped__("some_code"))
+
+    assert len(digests) == 2

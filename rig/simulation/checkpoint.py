@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping
 from dataclasses import astuple
 from pathlib import Path
@@ -15,9 +14,8 @@ from rig.grain_beds.coupling import CoupledState
 from rig.output_files import replacing
 from rig.simulation.energy import Energy
 from rig.simulation.grains_run import Course
+from rig.study import code_digest, digest
 
-#: Format identifier of checkpoint files; change it whenever the simulation method changes.
-_METHOD = "course of grains 1"
 #: Arrays of a course that are stored unchanged.
 _AS_THEY_ARE = ("rows", "contact", "events")
 
@@ -30,13 +28,13 @@ def write(path: Path, asked: Mapping[str, Any], course: Course) -> None:
     """
     state = course.state
     arrays = {name: getattr(course, name) for name in _AS_THEY_ARE}
-    arrays |= {f"asked_{name}": _digest(value) for name, value in asked.items()}
+    arrays |= {f"asked_{name}": digest(value) for name, value in asked.items()}
     arrays |= {f"structure_{number}": part for number, part in enumerate(state.structure)}
     arrays |= {f"bed_{number}": np.frombuffer(bed, dtype=np.uint8) for number, bed in enumerate(state.beds)}
     with replacing(path, overwrite=True) as part, part.open("wb") as file:
         np.savez(
             file,
-            method=_METHOD,
+            code=code_digest("rig"),
             begin=state.begin,
             impulse=state.impulse,
             counts=(state.fallen, course.ambiguous),
@@ -52,11 +50,11 @@ def read(path: Path, asked: Mapping[str, Any]) -> Course | None:
     """
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
-            kept = dict(arrays)
-        if str(kept["method"]) != _METHOD:
-            raise ValueError(kept["method"])
-        others = [name for name, value in asked.items() if str(kept[f"asked_{name}"]) != _digest(value)]
-        course = _course(kept)
+            stored = dict(arrays)
+        if str(stored["code"]) != code_digest("rig"):
+            raise ValueError(stored["code"])
+        others = [name for name, value in asked.items() if str(stored[f"asked_{name}"]) != digest(value)]
+        course = _course(stored)
     except FileNotFoundError:
         return None
     # A damaged file can cause an exception of almost any type in the reader.
@@ -73,28 +71,22 @@ def read(path: Path, asked: Mapping[str, Any]) -> Course | None:
     return course
 
 
-def _course(kept: Mapping[str, Any]) -> Course:
-    fallen, ambiguous = kept["counts"].tolist()
+def _course(stored: Mapping[str, Any]) -> Course:
+    fallen, ambiguous = stored["counts"].tolist()
     state = CoupledState(
-        _numbered(kept, "structure"),
-        tuple(bed.tobytes() for bed in _numbered(kept, "bed")),
-        kept["begin"],
-        kept["impulse"],
+        _numbered(stored, "structure"),
+        tuple(bed.tobytes() for bed in _numbered(stored, "bed")),
+        stored["begin"],
+        stored["impulse"],
         fallen,
     )
-    energy = tuple(Energy(*each) for each in kept["energy"].tolist())
+    energy = tuple(Energy(*each) for each in stored["energy"].tolist())
     return Course(
-        state=state, energy=energy, ambiguous=ambiguous, **{name: kept[name] for name in _AS_THEY_ARE}
+        state=state, energy=energy, ambiguous=ambiguous, **{name: stored[name] for name in _AS_THEY_ARE}
     )
 
 
-def _numbered(kept: Mapping[str, Any], name: str) -> tuple[Any, ...]:
+def _numbered(stored: Mapping[str, Any], name: str) -> tuple[Any, ...]:
     return tuple(
-        kept[f"{name}_{number}"] for number in range(sum(key.startswith(f"{name}_") for key in kept))
+        stored[f"{name}_{number}"] for number in range(sum(key.startswith(f"{name}_") for key in stored))
     )
-
-
-def _digest(value: Any) -> str:
-    """Return a digest of the text or array of a value."""
-    content = value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode()
-    return hashlib.sha256(content).hexdigest()[:16]

@@ -8,7 +8,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
-from rig.study import Kept, Study, rows_of
+from rig.study import StoredValues, Study, rows_of
 
 Row = dict[str, str]
 Piece = TypeVar("Piece", bound=tuple[object, ...])
@@ -27,7 +27,7 @@ class Table(NamedTuple):
     words: tuple[str, ...] = ()
 
     @property
-    def kept(self) -> Path:
+    def bundled(self) -> Path:
         """Path of the bundled table."""
         return Path(str(files("analysis.reproduction") / "data" / self.file))
 
@@ -54,7 +54,7 @@ class Table(NamedTuple):
     def read(self, path: Path | None = None) -> list[Row]:
         """Read the rows of a table, by default the bundled table; damaged rows are skipped."""
         rows = []
-        for line in rows_of(path or self.kept, self.header, self.what):
+        for line in rows_of(path or self.bundled, self.header, self.what):
             with suppress(ValueError):
                 rows.append(self.row(line))
         return rows
@@ -69,9 +69,9 @@ def complete(
     `path`: CSV file; `words`: returns a description of a row; `say`: called with a line for each new row; `cluster`:
     see `rig.workers.Workers`. Raises `RunError` if the file is not such a table, or cannot be written.
     """
-    kept = Kept(study, path)
-    missing = sum(piece not in kept for piece in pieces)
-    for done, row in enumerate(kept.complete(pieces, cluster), 1):
+    stored = StoredValues(study, path)
+    missing = sum(piece not in stored for piece in pieces)
+    for done, row in enumerate(stored.complete(pieces, cluster), 1):
         say(f"[{done}/{missing}] {words(row)}")
     place = {piece: number for number, piece in enumerate(pieces)}
-    kept.put_in_order(lambda piece: (place.get(piece, len(place)), piece))
+    stored.sort(lambda piece: (place.get(piece, len(place)), piece))

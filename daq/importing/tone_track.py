@@ -115,7 +115,7 @@ class _OneLength:
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio = spectra / alone
         self._found.append(
-            (self._done + resolved, line[resolved] / HOPS, np.angle(alone), at[resolved] / gain, ratio),
+            (self._done + resolved, line[resolved] / HOPS, np.angle(alone), at[resolved] / gain, ratio)
         )
 
     def track(self) -> Track:

@@ -82,9 +82,7 @@ getattr(threading, "_register_atexit", atexit.register)(_close_left_open)
 
 
 def connect(
-    scene: Scene | str | Path | None = None,
-    clock: str | Clock | None = None,
-    limits: Limits | None = None,
+    scene: Scene | str | Path | None = None, clock: str | Clock | None = None, limits: Limits | None = None
 ) -> Connection:
     """Connect an instrument to the bench of a scene, for NI's client `nidaqmx`.
 

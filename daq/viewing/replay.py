@@ -190,7 +190,5 @@ class Replay:
         changes |= {span.start: state for span, state in zip(spans, states, strict=True)}
         at = np.array(sorted(changes))
         stream.send_columns(
-            path,
-            [traces.times(at)],
-            rr.StateChange.columns(state=[changes[int(sample)] for sample in at]),
+            path, [traces.times(at)], rr.StateChange.columns(state=[changes[int(sample)] for sample in at])
         )

@@ -335,9 +335,7 @@ def _wiring(channel: Channel) -> int:
     return int(channel.module.wirings[-1] if wiring == Wiring.DEFAULT else wiring)
 
 
-_COMMON: dict[str, Any] = {
-    "physical_chan_name": lambda channel: channel.port.name,
-}
+_COMMON: dict[str, Any] = {"physical_chan_name": lambda channel: channel.port.name}
 _INPUT_COMPUTED: dict[str, Any] = _COMMON | {
     "chan_type": lambda channel: _ANALOG_INPUT,
     "ai_meas_type": lambda channel: channel.kind.type,

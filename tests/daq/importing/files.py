@@ -127,10 +127,7 @@ def mat_hdf5(path: Path, rows: np.ndarray) -> None:
         run.attrs["MATLAB_class"] = np.bytes_("struct")
         for name, values in {**dict(zip(NAMES, rows, strict=True)), "fs": np.array([RATE])}.items():
             run.create_dataset(name, data=values[None]).attrs["MATLAB_class"] = np.bytes_("double")
-        for key, texts in {
-            "channels": [f"run.{name}" for name in NAMES],
-            "units": UNITS,
-        }.items():
+        for key, texts in {"channels": [f"run.{name}" for name in NAMES], "units": UNITS}.items():
             cell = file.create_dataset(key, (1, len(texts)), h5py.ref_dtype)
             cell.attrs["MATLAB_class"] = np.bytes_("cell")
             for k, text in enumerate(texts):

@@ -23,9 +23,7 @@ def acquiring(task):
     task.start()
 
 
-def test_overrun_is_counted_and_reading_continues(
-    chassis,
-):
+def test_overrun_is_counted_and_reading_continues(chassis):
     with Task() as task:
         acquiring(task)
         pass_samples(chassis, 1300)

@@ -156,9 +156,7 @@ def test_shakers_follow_their_own_outputs():
     assert spectra[0, 11] < 1e-3 > spectra[1, 4]
 
 
-def test_changed_input_starts_new_file(
-    tmp_path,
-):
+def test_changed_input_starts_new_file(tmp_path):
     chassis = connected()
     recording = LiveRecording(chassis, tmp_path / "run.mcap")
     with Task() as task:

@@ -71,8 +71,7 @@ def test_drivers_name_selects_all_inputs(shared, name):
 
 
 @pytest.mark.parametrize(
-    "name, expected",
-    [("acc", ["acc0", "acc1", "acc2"]), ("acc09", ["acc09", "acc10", "acc11"])],
+    "name, expected", [("acc", ["acc0", "acc1", "acc2"]), ("acc09", ["acc09", "acc10", "acc11"])]
 )
 def test_names_of_channels_are_counted(shared, name, expected):
     with nidaqmx.Task(grpc_options=shared) as task:

@@ -69,9 +69,7 @@ def test_starter_script_reads_sensors(channels, converter, read, capsys):
     assert err == ""
 
 
-def test_unfed_sensors_are_reported_once(
-    capsys,
-):
+def test_unfed_sensors_are_reported_once(capsys):
     with daq.connect(scene(FED, "preset: NI 9234"), clock="fast") as connection:
         report_unfed_sensors(connection.chassis)
 

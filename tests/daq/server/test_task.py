@@ -192,9 +192,7 @@ def test_regeneration_repeats_buffer(chassis):
     assert chassis.held[0] == 0.9
 
 
-def test_short_buffer_repeats_until_number(
-    chassis,
-):
+def test_short_buffer_repeats_until_number(chassis):
     with Task() as driving:
         output(driving, [0.1, 0.2, 0.3], samps_per_chan=7)
         driving.start()

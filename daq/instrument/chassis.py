@@ -22,16 +22,15 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
+from daq.instrument.clock import Clock, Sleepers
 from daq.instrument.devices.device_list import DeviceList
 from daq.instrument.devices.modules import Module
 from daq.instrument.engines.acquisition import Acquisition, InputPlan
 from daq.instrument.engines.generation import Generation, OutputBuffer, OutputPlan
 from daq.instrument.engines.triggers import OtherTask
 from daq.instrument.errors import Code, DaqError
-from daq.instrument.sleepers import Sleepers
 
 if TYPE_CHECKING:
-    from daq.instrument.clock import Clock
     from daq.instrument.settings.channels import Channel
     from daq.instrument.terminals import Terminals
     from daq.virtual_bench.bench import Bench

@@ -16,18 +16,62 @@ from __future__ import annotations
 
 import logging
 import math
+import os
+import sys
 import threading
 import time
 import weakref
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Protocol
 
 from daq.instrument.errors import bad
-from daq.instrument.priority import raise_priority
-from daq.instrument.sleepers import Sleepers
 from rig.errors import SceneError
 
 _LOG = logging.getLogger("shotrig.clock")
+# Maximum sleep before a condition is checked again, s: it may have become impossible.
+_NAP = 1.0
+# Linux nice value: before ordinary programs (0), after the most urgent system programs (-20).
+_NICE = -10
+
+
+def raise_priority() -> None:
+    """Raise the priority of this thread if the operating system supports and permits it.
+
+    Threads that run a bench in real time, or serve its clients, need it.
+    """
+    if sys.platform == "linux":
+        with suppress(OSError):
+            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICE)
+
+
+class Sleepers:
+    """Threads that wait for positions of a bench.
+
+    A bench that advances every 4 ms would wake ten readers that each wait for 100 ms unnecessarily 25 times. This
+    would delay the reader whose samples are available.
+
+    `lock`: lock of the bench; the calling thread holds it, and releases it while it sleeps.
+    """
+
+    def __init__(self, lock: threading.RLock) -> None:
+        self._lock = lock
+        self._waiting: dict[threading.Condition, int] = {}
+
+    def sleep(self, until: int) -> None:
+        """Sleep until the bench has reached a position, or until all threads are woken."""
+        mine = threading.Condition(self._lock)
+        self._waiting[mine] = until
+        try:
+            mine.wait(_NAP)
+        finally:
+            del self._waiting[mine]
+
+    def wake(self, position: int | None = None) -> None:
+        """Wake the threads whose position has been reached; without a position, wake all."""
+        for each, until in self._waiting.items():
+            if position is None or until <= position:
+                each.notify()
 
 
 def seconds(timeout: float) -> float:
@@ -46,21 +90,15 @@ def seconds(timeout: float) -> float:
 class Timeline(Protocol):
     """The interface of a bench that a clock advances; it counts samples."""
 
-    @property
-    def position(self) -> int:
-        """Samples that have passed."""
+    position: int  # samples that have passed
+    # Notified whenever samples have passed; its lock protects the bench.
+    changed: threading.Condition
+    # Threads that wait for samples; woken when enough samples have passed, and whenever a task ends.
+    sleepers: Sleepers
 
     @property
     def rate(self) -> float:
         """Samples per second."""
-
-    @property
-    def changed(self) -> threading.Condition:
-        """Condition notified whenever samples have passed; its lock protects the bench."""
-
-    @property
-    def sleepers(self) -> Sleepers:
-        """Threads that wait for samples; woken when enough samples have passed, and whenever a task ends."""
 
     @property
     def live(self) -> bool:
@@ -79,17 +117,18 @@ class Timeline(Protocol):
         """Process the delay relative to the clock, s; return whether to skip the delayed time."""
 
 
-class Clock(Protocol):
-    """The interface of all clocks."""
+class Clock:
+    """Base of all clocks; on this clock no time passes."""
 
     # Whether time passes without waiting calls.
-    runs_free: bool
+    runs_free = False
 
     def start(self, bench: Timeline) -> None:
         """Start to advance a bench; called whenever a task starts."""
 
     def now(self, bench: Timeline) -> float:
         """Seconds on this clock, for timeouts."""
+        return bench.position / bench.rate
 
     def glance(self, bench: Timeline) -> None:
         """Let a short time pass for a query, on a clock that advances only while a call waits."""
@@ -104,21 +143,14 @@ class Clock(Protocol):
         `timeout`: bench time, s; 0 checks once, a negative timeout is infinite. Returns whether the condition was
         met before the timeout.
         """
+        return ready()
 
 
-class FastClock:
+class FastClock(Clock):
     """Time passes during waiting calls, as fast as the computer simulates."""
 
-    runs_free = False
     # Interval and duration of the pauses in which a long wait lets other threads take the lock, s of the wall clock.
     TURN, PAUSE = 0.05, 0.002
-
-    def start(self, bench: Timeline) -> None:
-        """Do nothing: time passes during waiting calls."""
-
-    def now(self, bench: Timeline) -> float:
-        """See `Clock.now`."""
-        return bench.position / bench.rate
 
     def glance(self, bench: Timeline) -> None:
         """Let 10 ms pass, so that a loop which only queries the progress terminates."""
@@ -142,14 +174,12 @@ class FastClock:
         return True
 
 
-class ManualClock:
+class ManualClock(Clock):
     """Time passes on request.
 
     >>> clock = ManualClock()
     >>> clock.advance(0.25)  # moves every bench that runs on this clock by a quarter of a second
     """
-
-    runs_free = False
 
     def __init__(self) -> None:
         self._benches: weakref.WeakSet[Timeline] = weakref.WeakSet()
@@ -158,27 +188,14 @@ class ManualClock:
         """Add a bench to those that `advance` moves."""
         self._benches.add(bench)
 
-    def now(self, bench: Timeline) -> float:
-        """See `Clock.now`."""
-        return bench.position / bench.rate
-
-    def glance(self, bench: Timeline) -> None:
-        """Do nothing: time passes on request."""
-
     def advance(self, seconds: float) -> None:
         """Advance every bench of this clock, to the nearest sample."""
         for bench in list(self._benches):
             with bench.changed:
                 bench.advance(round(seconds * bench.rate))
 
-    def wait(
-        self, bench: Timeline, ready: Callable[[], bool], wanted: Callable[[], int], timeout: float
-    ) -> bool:
-        """See `Clock.wait`; no samples pass while waiting."""
-        return ready()
 
-
-class RealClock:
+class RealClock(Clock):
     """Bench time follows the wall clock, in a thread of the bench.
 
     The thread ends when no task needs the bench and restarts with the next task; bench time stops in between.
@@ -207,13 +224,6 @@ class RealClock:
             target=_follow, args=(weakref.ref(bench), self._moving), name="bench", daemon=True
         ).start()
 
-    def now(self, bench: Timeline) -> float:
-        """See `Clock.now`."""
-        return bench.position / bench.rate
-
-    def glance(self, bench: Timeline) -> None:
-        """Do nothing: time passes by itself."""
-
     def wait(
         self, bench: Timeline, ready: Callable[[], bool], wanted: Callable[[], int], timeout: float
     ) -> bool:
@@ -230,8 +240,6 @@ class RealClock:
 
 # Steps of the bench longer than this time (s) are attributed to the compiler, up to this number of steps.
 _COMPILING, _COMPILATIONS = 1.0, 20
-
-
 # Shorter delays are not reported, s.
 _REPORTED_DELAY = 0.25
 # Minimum interval between two reports, s.

@@ -51,7 +51,8 @@ class Events:
             )
         if self._every is not None:
             raise DaqError(
-                "such an event is registered already: unregister it first by passing None", _ALREADY[chosen]
+                "an every-N-samples event is registered already: unregister it first by passing None",
+                _ALREADY[chosen],
             )
         if samples < 1:
             raise DaqError(

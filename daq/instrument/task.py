@@ -14,7 +14,7 @@ from daq.instrument.engines.acquisition import Acquisition
 from daq.instrument.engines.generation import Generation
 from daq.instrument.engines.ring_buffer import memory
 from daq.instrument.errors import STOPPED_BEFORE_DONE, Code, DaqError, bad
-from daq.instrument.events import Events, Listener
+from daq.instrument.events import Events
 from daq.instrument.plans import check_timing, sources
 from daq.instrument.settings.scales import Scale
 from daq.instrument.settings.task_settings import TaskSettings
@@ -237,28 +237,6 @@ class Task:
                 + ". Wait longer, or check that it is triggered",
                 Code.WAIT_UNTIL_DONE_DOES_NOT_INDICATE_DONE,
             )
-
-    # Events
-
-    def listen_every(self, kind: int, samples: int, listener: Listener | None) -> None:
-        """Listen for every `samples` samples; see `Events.listen_every`. With -200960 while the task runs."""
-        self._check_listener(listener)
-        self.events.listen_every(kind, samples, listener, outputs=self.settings.kind == "ao")
-
-    def listen_done(self, listener: Listener | None) -> None:
-        """Listen for the end of the task."""
-        self._check_listener(listener)
-        self.events.listen_done(listener)
-
-    def listen_signal(self, signal: int, listener: Listener | None) -> None:
-        """Listen for a signal."""
-        self._check_listener(listener)
-        self.events.listen_signal(signal, listener)
-
-    def _check_listener(self, listener: Listener | None) -> None:
-        if listener is not None:
-            code = Code.CANNOT_REGISTER_DA_QMX_SOFTWARE_EVENT_WHILE_TASK_IS_RUNNING
-            self.check_idle("registering an event", code)
 
     # Interface for the chassis (`Runner`)
 

@@ -21,25 +21,9 @@ def named(kind: type[Named], value: int, what: str) -> Named:
     return kind(value)
 
 
-class SampleMode(IntEnum):
-    """Number of samples: finite, continuous or on demand."""
-
-    FINITE = 10178
-    CONTINUOUS = 10123
-
-
-class TimingType(IntEnum):
-    """Type of timing of a task."""
-
-    SAMPLE_CLOCK = 10388
-    ON_DEMAND = 10390
-
-
-class Slope(IntEnum):
-    """Direction of an edge."""
-
-    RISING = 10280
-    FALLING = 10171
+SampleMode = IntEnum("SampleMode", {"FINITE": 10178, "CONTINUOUS": 10123})
+TimingType = IntEnum("TimingType", {"SAMPLE_CLOCK": 10388, "ON_DEMAND": 10390})
+Slope = IntEnum("Slope", {"RISING": 10280, "FALLING": 10171})
 
 
 class TriggerType(IntEnum):
@@ -54,18 +38,10 @@ class TriggerType(IntEnum):
     TIME = 15996
 
 
-class WindowCondition(IntEnum):
-    """Condition of a window trigger."""
-
-    ENTERING = 10163
-    LEAVING = 10208
-
-
-class Overwrite(IntEnum):
-    """Whether unread samples may be overwritten."""
-
-    ALLOWED = 10252
-    NOT_ALLOWED = 10159
+WindowCondition = IntEnum("WindowCondition", {"ENTERING": 10163, "LEAVING": 10208})
+# Whether unread samples may be overwritten, and whether an output repeats its buffer.
+Overwrite = IntEnum("Overwrite", {"ALLOWED": 10252, "NOT_ALLOWED": 10159})
+Regeneration = IntEnum("Regeneration", {"ALLOWED": 10097, "NOT_ALLOWED": 10158})
 
 
 class RelativeTo(IntEnum):
@@ -79,28 +55,11 @@ class RelativeTo(IntEnum):
     CURRENT_WRITE_POSITION = 10430
 
 
-class Regeneration(IntEnum):
-    """Whether an output repeats its buffer."""
-
-    ALLOWED = 10097
-    NOT_ALLOWED = 10158
-
-
-class LoggingMode(IntEnum):
-    """Whether a task logs, and whether it can be read at the same time."""
-
-    OFF = 10231
-    LOG = 15844
-    LOG_AND_READ = 15842
-
-
-class LoggingOperation(IntEnum):
-    """Handling of an existing log file."""
-
-    OPEN = 10437
-    OPEN_OR_CREATE = 15846
-    CREATE_OR_REPLACE = 15847
-    CREATE = 15848
+LoggingMode = IntEnum("LoggingMode", {"OFF": 10231, "LOG": 15844, "LOG_AND_READ": 15842})
+# Handling of an existing log file.
+LoggingOperation = IntEnum(
+    "LoggingOperation", {"OPEN": 10437, "OPEN_OR_CREATE": 15846, "CREATE_OR_REPLACE": 15847, "CREATE": 15848}
+)
 
 
 class TaskMode(IntEnum):
@@ -115,54 +74,24 @@ class TaskMode(IntEnum):
     ABORT = 6
 
 
-class Coupling(IntEnum):
-    """Coupling of an input."""
-
-    AC = 10045
-    DC = 10050
-    GND = 10066
-
-
-class Excitation(IntEnum):
-    """Source of a sensor's supply."""
-
-    INTERNAL = 10200
-    EXTERNAL = 10167
-    NONE = 10230
-
-
-class Wiring(IntEnum):
-    """Terminal configuration of an input."""
-
-    DEFAULT = -1
-    RSE = 10083
-    NRSE = 10078
-    DIFFERENTIAL = 10106
-    PSEUDO_DIFFERENTIAL = 12529
-
-
-class Signal(IntEnum):
-    """Signals that can be exported or registered for as events."""
-
-    SAMPLE_CLOCK = 12487
-    REFERENCE_TRIGGER = 12490
-    START_TRIGGER = 12491
-    SAMPLE_COMPLETE = 12530
-
-
-class TimestampEvent(IntEnum):
-    """Events whose time can be queried."""
-
-    START_TRIGGER = 12491
-    REFERENCE_TRIGGER = 12490
-    FIRST_SAMPLE = 16130
-
-
-class EverySamples(IntEnum):
-    """Samples that an event counts: acquired or generated."""
-
-    ACQUIRED = 1
-    TRANSFERRED = 2
-
+Coupling = IntEnum("Coupling", {"AC": 10045, "DC": 10050, "GND": 10066})
+# Source of a sensor's supply.
+Excitation = IntEnum("Excitation", {"INTERNAL": 10200, "EXTERNAL": 10167, "NONE": 10230})
+# Terminal configuration of an input.
+Wiring = IntEnum(
+    "Wiring",
+    {"DEFAULT": -1, "RSE": 10083, "NRSE": 10078, "DIFFERENTIAL": 10106, "PSEUDO_DIFFERENTIAL": 12529},
+)
+# Signals that can be exported or registered for as events.
+Signal = IntEnum(
+    "Signal",
+    {"SAMPLE_CLOCK": 12487, "REFERENCE_TRIGGER": 12490, "START_TRIGGER": 12491, "SAMPLE_COMPLETE": 12530},
+)
+# Events whose time can be queried.
+TimestampEvent = IntEnum(
+    "TimestampEvent", {"START_TRIGGER": 12491, "REFERENCE_TRIGGER": 12490, "FIRST_SAMPLE": 16130}
+)
+# Samples that an event counts: acquired or generated.
+EverySamples = IntEnum("EverySamples", {"ACQUIRED": 1, "TRANSFERRED": 2})
 
 FROM_CUSTOM_SCALE, FROM_TEDS = 10065, 12516

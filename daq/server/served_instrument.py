@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 
 from daq.instrument.devices.names import Port
 from daq.instrument.devices.teds import TedsMemory
-from daq.instrument.driver_texts import DRIVER_TEXTS
-from daq.instrument.errors import DaqError, bad, meaning
+from daq.instrument.errors import DRIVER_TEXTS, DaqError, bad, meaning
 from daq.instrument.settings.storage import Storage
 from daq.server.reservations import Reservations
 from daq.server.sessions import Sessions

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 import grpc
 from google.protobuf.message import DecodeError
 
+from daq.instrument.clock import raise_priority
 from daq.instrument.errors import Code, DaqError
-from daq.instrument.priority import raise_priority
 from daq.instrument.task import Task
 from daq.server.calls.answers import answer_to
 from daq.server.calls.call import Call
@@ -102,9 +102,6 @@ class Server:
         # Requests are decoded here: for an invalid request, gRPC would print a traceback on the terminal.
         if method.streams:
             return grpc.unary_stream_rpc_method_handler(self._stream(method))
-        return grpc.unary_unary_rpc_method_handler(self._unary(method))
-
-    def _unary(self, method: Method) -> Callable[[Any, grpc.ServicerContext], Any]:
         act = answer_to(method.name) or refusal(method.name)
 
         def respond(request: bytes, context: grpc.ServicerContext) -> Any:
@@ -114,7 +111,7 @@ class Server:
                     self.sessions.check_memory(call.fields["task"], self.limits.memory)
                 return encode(method.response(), answer)
 
-        return respond
+        return grpc.unary_unary_rpc_method_handler(respond)
 
     @contextlib.contextmanager
     def _reporting(self, method: Method, request: bytes, context: grpc.ServicerContext) -> Iterator[Call]:
@@ -129,22 +126,27 @@ class Server:
             yield call
         except DecodeError:
             context.abort(
-                grpc.StatusCode.INVALID_ARGUMENT, f"{name}: what was sent is no request of that call"
+                grpc.StatusCode.INVALID_ARGUMENT, f"{name}: the message is not a request of this call"
             )
         except DaqError as error:
             task = self.sessions.task_name(call.fields.get("task", ""))
             message = error_text(error, task)
-            kind = "written" if "Write" in name else "read"
+            done = "written" if "Write" in name else "read"
             metadata = [("ni-error", str(error.code))]
             if error.done is not None or name.startswith(("Read", "Write")):
-                metadata.append((f"ni-samps-per-chan-{kind}", str(error.done or 0)))
+                metadata.append((f"ni-samps-per-chan-{done}", str(error.done or 0)))
             context.set_trailing_metadata(tuple(metadata))
             context.abort(grpc.StatusCode.UNKNOWN, message)
         except SessionExists as error:
             context.abort(grpc.StatusCode.ALREADY_EXISTS, cut(str(error)))
         except Exception as error:
+            # Details of equal errors are printed only once.
+            kind = name, type(error)
+            if kind not in self._faults:
+                self._faults[kind] = unexpected(error)
+                print(self._faults[kind], file=sys.stderr, flush=True)
             context.set_trailing_metadata((("ni-error", str(int(Code.INVALID_ATTRIBUTE_VALUE))),))
-            context.abort(grpc.StatusCode.INVALID_ARGUMENT, cut(f"{name}: {self._fault(name, error)}"))
+            context.abort(grpc.StatusCode.INVALID_ARGUMENT, cut(f"{name}: {self._faults[kind]}"))
 
     def _answer_one_more(self, peer: str, context: grpc.ServicerContext) -> None:
         """Count a running call of a client; with -50103, if the client has reached its maximum."""
@@ -163,14 +165,6 @@ class Server:
         if not context.add_callback(answered):
             answered()
 
-    def _fault(self, name: str, error: Exception) -> str:
-        """Return the message for an internal error in a call; details of equal errors are printed only once."""
-        kind = name, type(error)
-        if kind not in self._faults:
-            self._faults[kind] = unexpected(error)
-            print(self._faults[kind], file=sys.stderr, flush=True)
-        return self._faults[kind]
-
     def _stream(self, method: Method) -> Callable[[Any, grpc.ServicerContext], Iterator[Any]]:
         register, fields = _EVENTS[method.name]
 
@@ -179,6 +173,10 @@ class Server:
             with self._reporting(method, request, context) as call:
                 task, given = call.task, call.fields
                 with task.chassis.changed:
+                    task.check_idle(
+                        "registering an event",
+                        Code.CANNOT_REGISTER_DA_QMX_SOFTWARE_EVENT_WHILE_TASK_IS_RUNNING,
+                    )
                     register(task, given, values.put)
             task.events.at_end(values.put)
             context.add_callback(lambda: values.put(None))
@@ -205,8 +203,8 @@ class Server:
 
 _EVENTS: dict[str, tuple[Callable[[Task, dict[str, Any], Any], None], Callable[..., dict[str, Any]]]] = {
     "RegisterEveryNSamplesEvent": (
-        lambda task, given, put: task.listen_every(
-            given["every_n_samples_event_type"], given["n_samples"], put
+        lambda task, given, put: task.events.listen_every(
+            given["every_n_samples_event_type"], given["n_samples"], put, outputs=task.settings.kind == "ao"
         ),
         lambda given, value: {
             "n_samples": value,
@@ -214,11 +212,11 @@ _EVENTS: dict[str, tuple[Callable[[Task, dict[str, Any], Any], None], Callable[.
         },
     ),
     "RegisterDoneEvent": (
-        lambda task, given, put: task.listen_done(put),
+        lambda task, given, put: task.events.listen_done(put),
         lambda given, value: {"status": value},
     ),
     "RegisterSignalEvent": (
-        lambda task, given, put: task.listen_signal(given["signal_id"], put),
+        lambda task, given, put: task.events.listen_signal(given["signal_id"], put),
         lambda given, value: {"signal_id": value},
     ),
 }

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,25 +26,6 @@ if TYPE_CHECKING:
     from rig.scene.scene import Scene
 
 
-class _File(Protocol):
-    """The interface of a log file."""
-
-    def write(self, samples: NDArray[Any], overload: NDArray[np.bool_]) -> None:
-        """Append converter samples and their overload flags, shape (channels, n)."""
-
-    def gap(self, samples: int) -> None:
-        """Mark lost samples as a gap."""
-
-    def trigger(self, sample: int) -> None:
-        """Store the sample at which the reference trigger was detected."""
-
-    def abort(self, reason: str) -> None:
-        """Store that the acquisition ended early at this position."""
-
-    def close(self) -> None:
-        """Complete the file."""
-
-
 class _Recording:
     """A recording in the format of `daq record`."""
 
@@ -61,13 +43,15 @@ class _Recording:
         # The truth of a scene belongs to a complete test; a task logs only its channels.
         scene = scene.replace(recording=scene.recording.replace(truth=False))
         self._recorder = Recorder(path, scene, channels, rate, start_ns, overwrite)
-        self._overloads = Stretches("overload", channels, self._mark)
+        self._overloads = Stretches(
+            "overload",
+            channels,
+            lambda kind, first, stop, **fields: self._recorder.mark(kind, first, stop - 1, **fields),
+        )
         self._outcome = "complete", ""
 
-    def _mark(self, kind: str, first: int, stop: int, **fields: Any) -> None:
-        self._recorder.mark(kind, first, stop - 1, **fields)
-
     def write(self, samples: NDArray[Any], overload: NDArray[np.bool_]) -> None:
+        """Append converter samples and their overload flags, shape (channels, n)."""
         first = self._recorder.position
         self._recorder.write(samples)
         self._overloads.add(first, overload)
@@ -79,6 +63,7 @@ class _Recording:
         self._recorder.mark("trigger", sample)
 
     def abort(self, reason: str) -> None:
+        """Store that the acquisition ended early at this position."""
         self._recorder.mark("abort", self._recorder.position, reason=reason)
         self._outcome = "failed", reason
 
@@ -104,8 +89,7 @@ class _Tdms:
             import nptdms
         except ImportError:
             raise DaqError(
-                f"logging to {path} needs the package nptdms (pip install nptdms); or log to a recording: "
-                "name the "
+                f"logging to {path} needs the package nptdms (pip install nptdms); or log to a recording: name the "
                 "file .mcap",
                 Code.UNKNOWN,
             ) from None
@@ -157,6 +141,9 @@ class _Tdms:
         )
 
 
+_File = _Recording | _Tdms
+
+
 class TaskLog:
     """The log of one run of a task.
 
@@ -171,9 +158,8 @@ class TaskLog:
     def __init__(self, open_file: Callable[[Path, int], _File], settings: Properties) -> None:
         self._open, self._settings = open_file, settings
         self.by_itself = self._settings["logging_mode"] == LoggingMode.LOG
-        self._path = Path(self._settings["logging_file_path"])
-        self._base, self._number = self._path, 0
-        self._file = open_file(self._path, 0)
+        self._base, self._number = Path(self._settings["logging_file_path"]), 0
+        self._file = open_file(self._base, 0)
         self._logged: int | None = None
         self._in_file = 0
 
@@ -181,8 +167,7 @@ class TaskLog:
         """Complete the file and continue in another file."""
         self.follow(acquisition)
         self._file.close()
-        self._path, self._in_file = path, 0
-        self._file = self._open(path, self._logged or 0)
+        self._file, self._in_file = self._open(path, self._logged or 0), 0
 
     def follow(self, acquisition: Acquisition) -> None:
         """Log the samples acquired since the last call."""
@@ -199,16 +184,14 @@ class TaskLog:
             self._logged = oldest
         if self._settings["logging_pause"]:
             self._logged = max(self._logged, stop)
-        most = self._settings["logging_samps_per_file"]
+        most = self._settings["logging_samps_per_file"] or math.inf
         while self._logged < stop:
-            if most and self._in_file >= most:
+            if self._in_file >= most:
                 self._number += 1
                 self._file.close()
                 name = f"{self._base.stem}_{self._number:04d}{self._base.suffix}"
                 self._file, self._in_file = self._open(self._base.with_name(name), self._logged), 0
-            first, count = self._logged, stop - self._logged
-            if most:
-                count = min(count, most - self._in_file)
+            first, count = self._logged, int(min(stop - self._logged, most - self._in_file))
             self._file.write(acquisition.ring.read(first, count), acquisition.overloads.read(first, count))
             self._logged += count
             self._in_file += count
@@ -237,9 +220,23 @@ def open_log(
     names = [each.name for each in task.channels]
 
     def open_file(path: Path, first: int) -> _File:
-        start_ns = time_ns(first)
+        start_ns, operation = time_ns(first), settings["logging_tdms_operation"]
         suffix, exists = path.suffix.lower(), path.exists()
-        append = _appends(path, suffix, exists, settings["logging_tdms_operation"])
+        append = operation in (LoggingOperation.OPEN, LoggingOperation.OPEN_OR_CREATE) and exists
+        refused = ""
+        if suffix not in (".mcap", ".tdms"):
+            refused = f"cannot log to {path}: expected a name that ends in .mcap (a recording) or .tdms"
+        elif operation == LoggingOperation.CREATE and exists:
+            refused = f"{path} exists: choose another name, or LoggingOperation.CREATE_OR_REPLACE"
+        elif operation == LoggingOperation.OPEN and not exists:
+            refused = f"{path} does not exist: LoggingOperation.OPEN appends to a file; use CREATE"
+        elif suffix == ".mcap" and append:
+            refused = (
+                f"{path} exists, and a recording cannot be appended to: use LoggingOperation.CREATE_OR_REPLACE or "
+                "another name"
+            )
+        if refused:
+            raise DaqError(refused, Code.UNKNOWN)
         try:
             if suffix == ".tdms":
                 group = settings["logging_tdms_group_name"] or name
@@ -249,26 +246,9 @@ def open_log(
         except DaqError:
             raise
         except (ShotrigError, OSError) as error:
-            raise _refuse(f"cannot log to {path}: {error}") from error
+            raise DaqError(f"cannot log to {path}: {error}", Code.UNKNOWN) from error
 
     return TaskLog(open_file, settings)
-
-
-def _appends(path: Path, suffix: str, exists: bool, operation: int) -> bool:
-    """Return whether a log is appended to an existing file; reject a file that must not be written."""
-    if suffix not in (".mcap", ".tdms"):
-        raise _refuse(f"cannot log to {path}: expected a name that ends in .mcap (a recording) or .tdms")
-    if operation == LoggingOperation.CREATE and exists:
-        raise _refuse(f"{path} exists: choose another name, or LoggingOperation.CREATE_OR_REPLACE")
-    if operation == LoggingOperation.OPEN and not exists:
-        raise _refuse(f"{path} does not exist: LoggingOperation.OPEN appends to a file; use CREATE")
-    append = operation in (LoggingOperation.OPEN, LoggingOperation.OPEN_OR_CREATE) and exists
-    if suffix == ".mcap" and append:
-        raise _refuse(
-            f"{path} exists, and a recording cannot be appended to: use LoggingOperation.CREATE_OR_REPLACE or "
-            "another name"
-        )
-    return append
 
 
 def _named(channels: Sequence[ChannelInfo], names: Sequence[str]) -> list[ChannelInfo]:
@@ -285,7 +265,3 @@ def _named(channels: Sequence[ChannelInfo], names: Sequence[str]) -> list[Channe
             name = info.name if info.name not in taken else f"{info.name} on {device}"
         named.append(replace(info, name=name))
     return named
-
-
-def _refuse(message: str) -> DaqError:
-    return DaqError(message, Code.UNKNOWN)

@@ -67,8 +67,8 @@ CALLS: dict[str, Callable[[Call], Answer]] = {
     ),
     "GetErrorString": _error_string,
     "UnregisterEveryNSamplesEvent": does(
-        lambda task, given: task.listen_every(given["every_n_samples_event_type"], 0, None)
+        lambda task, given: task.events.listen_every(given["every_n_samples_event_type"], 0, None)
     ),
-    "UnregisterDoneEvent": does(lambda task, given: task.listen_done(None)),
-    "UnregisterSignalEvent": does(lambda task, given: task.listen_signal(given["signal_id"], None)),
+    "UnregisterDoneEvent": does(lambda task, given: task.events.listen_done(None)),
+    "UnregisterSignalEvent": does(lambda task, given: task.events.listen_signal(given["signal_id"], None)),
 }

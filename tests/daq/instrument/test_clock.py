@@ -5,8 +5,7 @@ import pytest
 from nidaqmx.constants import AcquisitionType
 from nidaqmx.errors import DaqError, DaqReadError
 
-from daq.instrument.clock import FastClock, ManualClock, RealClock, _Delays, clock, longest_step
-from daq.instrument.sleepers import Sleepers
+from daq.instrument.clock import FastClock, ManualClock, RealClock, Sleepers, _Delays, clock, longest_step
 from rig.errors import SceneError
 from tests.daq.client import Task, connect
 

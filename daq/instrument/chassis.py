@@ -23,8 +23,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from daq.instrument.clock import Clock, Sleepers
-from daq.instrument.devices.device_list import DeviceList
-from daq.instrument.devices.modules import Module
+from daq.instrument.devices.modules import DeviceList, Module
 from daq.instrument.engines.acquisition import Acquisition, InputPlan
 from daq.instrument.engines.generation import Generation, OutputBuffer, OutputPlan
 from daq.instrument.engines.triggers import OtherTask

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -41,22 +41,19 @@ def check_timing(task: TaskSettings) -> None:
     -200077 for invalid rates and numbers, -89121 for a signal exported to an invalid terminal.
     """
     timing = task.groups["timing"]
-    if task.kind == "ai" and not task.clocked and not all(each.module.on_demand for each in task.channels):
-        raise DaqError(
-            f"{task.channels[0].module.product_type} cannot be read on demand: call "
-            "timing.cfg_samp_clk_timing first",
-            Code.SAMP_CLK_RATE_MUST_BE_SPECD,
-        )
-    if (
-        task.kind == "ao"
-        and not task.clocked
-        and not all(each.module.output_on_demand for each in task.channels)
+    for side, has, lacks in (
+        ("ai", "on_demand", "cannot be read on demand"),
+        ("ao", "output_on_demand", "has no on-demand output"),
     ):
-        raise DaqError(
-            f"{task.channels[0].module.product_type} has no on-demand output: call "
-            "timing.cfg_samp_clk_timing first",
-            Code.SAMP_CLK_RATE_MUST_BE_SPECD,
-        )
+        if (
+            task.kind == side
+            and not task.clocked
+            and not all(getattr(each.module, has) for each in task.channels)
+        ):
+            raise DaqError(
+                f"{task.channels[0].module.product_type} {lacks}: call timing.cfg_samp_clk_timing first",
+                Code.SAMP_CLK_RATE_MUST_BE_SPECD,
+            )
     if task.kind == "ai":
         for each in task.channels:
             each.check_complete()
@@ -124,58 +121,50 @@ def _source(task: TaskSettings, name: str, chassis: Chassis) -> Source | None:
     settings = task.groups["trig"]
     kind = settings[f"{name}_trig_type"]
 
-    def own(key: str) -> str:
-        return f"{key.rpartition(':')[0]}_{name}_trig_{key.rpartition(':')[2]}"
+    def own(key: str) -> Any:
+        return settings[f"{prefix}_{name}_trig_{key}"]
+
+    def on_channel(source: str, condition: Condition) -> tuple[int, Condition]:
+        wanted = source.lower().lstrip("/")
+        for row, each in enumerate(task.channels):
+            if wanted in (each.name.lower(), each.port.name.lower()):
+                return row, condition
+        raise DaqError(
+            f"analog trigger source {source!r}: expected one of the task's input channels, "
+            + (", ".join(each.name for each in task.channels) or "of which there are none"),
+            Code.INVALID_ANALOG_TRIG_SRC,
+        )
 
     if kind == TriggerType.NONE:
         return None
-    if kind == TriggerType.DIGITAL_EDGE:
-        return digital_source(settings[own("dig_edge:src")], Slope(settings[own("dig_edge:edge")]))
     if kind == TriggerType.TIME:
         late = settings["start_trig_trig_when"] - chassis.time_ns(chassis.position) * 1e-9
         return AtTime(chassis.elapsed + max(0.0, late))
+    if kind == TriggerType.DIGITAL_EDGE:
+        prefix = "dig_edge"
+        return digital_source(own("src"), Slope(own("edge")))
     if kind == TriggerType.ANALOG_EDGE:
-        crossing = edge(
-            Slope(settings[own("anlg_edge:slope")]),
-            settings[own("anlg_edge:lvl")],
-            settings[own("anlg_edge:hyst")],
-        )
-        return AnalogSource((_on_channel(task, settings[own("anlg_edge:src")], crossing),))
+        prefix = "anlg_edge"
+        return AnalogSource((on_channel(own("src"), edge(Slope(own("slope")), own("lvl"), own("hyst"))),))
     if kind == TriggerType.ANALOG_WINDOW:
-        inside = window(
-            WindowCondition(settings[own("anlg_win:when")]),
-            settings[own("anlg_win:btm")],
-            settings[own("anlg_win:top")],
-        )
-        return AnalogSource((_on_channel(task, settings[own("anlg_win:src")], inside),))
+        prefix = "anlg_win"
+        inside = window(WindowCondition(own("when")), own("btm"), own("top"))
+        return AnalogSource((on_channel(own("src"), inside),))
     if kind == TriggerType.ANALOG_MULTI_EDGE:
-        names = unflatten(settings[own("anlg_multi_edge:srcs")])
-        slopes, levels = settings[own("anlg_multi_edge:slopes")], settings[own("anlg_multi_edge:lvls")]
+        prefix = "anlg_multi_edge"
+        names, slopes, levels = unflatten(own("srcs")), own("slopes"), own("lvls")
         if not len(names) == len(slopes) == len(levels):
             raise DaqError(
                 f"{len(names)} trigger sources, {len(slopes)} slopes and {len(levels)} levels: give as many of "
                 "each",
                 Code.MISMATCHED_INPUT_ARRAY_SIZES,
             )
-        return AnalogSource(
-            tuple(
-                _on_channel(task, each, edge(named(Slope, slope, "trigger_slope"), level))
-                for each, slope, level in zip(names, slopes, levels, strict=True)
-            )
-        )
+        conditions = [
+            edge(named(Slope, slope, "trigger_slope"), level)
+            for slope, level in zip(slopes, levels, strict=True)
+        ]
+        return AnalogSource(tuple(map(on_channel, names, conditions)))
     raise unsupported(f"a {name} trigger of type {kind}")
-
-
-def _on_channel(task: TaskSettings, source: str, condition: Condition) -> tuple[int, Condition]:
-    wanted = source.lower().lstrip("/")
-    for row, each in enumerate(task.channels):
-        if wanted in (each.name.lower(), each.port.name.lower()):
-            return row, condition
-    raise DaqError(
-        f"analog trigger source {source!r}: expected one of the task's input channels, "
-        + (", ".join(each.name for each in task.channels) or "of which there are none"),
-        Code.INVALID_ANALOG_TRIG_SRC,
-    )
 
 
 def input_plan(

@@ -55,10 +55,19 @@ def attribute_call(name: str) -> Callable[[Call], dict[str, Any]] | None:
             )
         if action == "Get":
             return {"value": _plain(_get(call, owner, named), kind)}
-        if action == "Set":
-            _set(call, owner, named, call.fields["value"])
+        sets = action == "Set"
+        if owner in _GROUPS:
+            change: Callable[..., None] = set_value if sets else reset_value
+            place = _GROUPS[owner]
+        elif owner == "Chan":
+            change, place = (set_channel if sets else reset_channel), call.fields["channel"]
+        elif owner == "Scale" and sets:
+            storage, scale = call.instrument.storage, call.fields["scale_name"]
+            storage.scales[scale] = storage.scale(scale).changed(named, call.fields["value"])
+            return {}
         else:
-            _reset(call, owner, named)
+            raise unsupported(f"{'setting' if sets else 'resetting'} {named}")
+        change(call.task, place, named, *([call.fields["value"]] if sets else []))
         return {}
 
     return answer
@@ -81,27 +90,6 @@ def _get(call: Call, owner: str, name: str) -> Any:
     if owner == "Chan":
         return get_channel(call.task, call.fields["channel"], name)
     return _OWNERS[owner](call, name)
-
-
-def _set(call: Call, owner: str, name: str, value: Any) -> None:
-    if owner in _GROUPS:
-        set_value(call.task, _GROUPS[owner], name, value)
-    elif owner == "Chan":
-        set_channel(call.task, call.fields["channel"], name, value)
-    elif owner == "Scale":
-        storage, scale = call.instrument.storage, call.fields["scale_name"]
-        storage.scales[scale] = storage.scale(scale).changed(name, value)
-    else:
-        raise unsupported(f"setting {name}")
-
-
-def _reset(call: Call, owner: str, name: str) -> None:
-    if owner in _GROUPS:
-        reset_value(call.task, _GROUPS[owner], name)
-    elif owner == "Chan":
-        reset_channel(call.task, call.fields["channel"], name)
-    else:
-        raise unsupported(f"resetting {name}")
 
 
 def _of_device(call: Call, name: str) -> Any:
@@ -170,24 +158,16 @@ def _of_scale(call: Call, name: str) -> Any:
 
 def _of_saved(call: Call, name: str) -> Any:
     storage: Storage = call.instrument.storage
-    kept, key = next(
-        (kept, call.fields[key])
-        for kept, key in (
-            (storage.tasks, "task_name"),
-            (storage.channels, "channel"),
-            (storage.scales, "scale_name"),
-        )
-        if key in call.fields
+    found: tuple[tuple[str, dict[str, Any], Code], ...] = (
+        ("task_name", storage.tasks, Code.TASK_NOT_IN_DATA_NEIGHBORHOOD),
+        ("channel", storage.channels, Code.INVALID_GLOBAL_CHAN),
+        ("scale_name", storage.scales, Code.CUSTOM_SCALE_DOES_NOT_EXIST),
     )
-    if key not in kept:
-        code = (
-            Code.CUSTOM_SCALE_DOES_NOT_EXIST if kept is storage.scales else Code.TASK_NOT_IN_DATA_NEIGHBORHOOD
-        )
-        code = Code.INVALID_GLOBAL_CHAN if kept is storage.channels else code
+    field, saved, code = next(each for each in found if each[0] in call.fields)
+    key = call.fields[field]
+    if key not in saved:
         raise DaqError(f"nothing is saved under the name {key!r}", code)
-    if name == "author":
-        return storage.authors.get(key, "")
-    return True
+    return storage.authors.get(key, "") if name == "author" else True
 
 
 # Values of the driver's simulated devices, which are never calibrated: temperatures in °C, an interval in months.

@@ -70,35 +70,23 @@ def install() -> None:
         owner = getattr(module, name, None)
         if owner is not None:
             owner.__init__ = _with_options(owner.__init__)
-    for name in ("calculate_reverse_poly_coeff", "create_lin_scale", "create_map_scale"):
-        _default_static(nidaqmx.Scale, name)
-    for name in ("create_polynomial_scale", "create_table_scale"):
-        _default_static(nidaqmx.Scale, name)
+    kinds = ("lin", "map", "polynomial", "table")
+    for name in ("calculate_reverse_poly_coeff", *(f"create_{kind}_scale" for kind in kinds)):
+        made = getattr(nidaqmx.Scale, name, None)
+        if made is not None:
+            setattr(nidaqmx.Scale, name, staticmethod(_with_options(made)))
     remote = system.System.remote
     system.System.local = staticmethod(lambda: remote(_options()))
 
 
-def _with_options(make: Callable[..., None]) -> Callable[..., None]:
+def _with_options(make: Callable[..., Any]) -> Callable[..., Any]:
     @functools.wraps(make)
-    def initialize(self: Any, *given: Any, **named: Any) -> None:
+    def call(*given: Any, **named: Any) -> Any:
         if named.get("grpc_options") is None:
             named["grpc_options"] = _options()
-        make(self, *given, **named)
+        return make(*given, **named)
 
-    return initialize
-
-
-def _default_static(owner: Any, name: str) -> None:
-    made = getattr(owner, name, None)
-    if made is not None:
-
-        @functools.wraps(made)
-        def create(*given: Any, **named: Any) -> Any:
-            if named.get("grpc_options") is None:
-                named["grpc_options"] = _options()
-            return made(*given, **named)
-
-        setattr(owner, name, staticmethod(create))
+    return call
 
 
 def _options() -> Any:
@@ -110,11 +98,23 @@ def _options() -> Any:
 
 def _channel() -> Any:
     """Return the connection of this process: a connection opened before a fork belongs to the parent process."""
-    from daq.server.grpc_channel import open_channel
-
     if os.getpid() not in _channels:
         _channels[os.getpid()] = open_channel(os.environ[SERVER])
     return _channels[os.getpid()]
+
+
+def open_channel(address: str) -> Any:
+    """Open a connection of this process to a server, for messages of any size."""
+    import grpc
+
+    return grpc.insecure_channel(
+        address,
+        options=[
+            ("grpc.max_receive_message_length", -1),
+            ("grpc.max_send_message_length", -1),
+            ("grpc.use_local_subchannel_pool", 1),
+        ],
+    )
 
 
 def _ask(call: str, seconds: float = 0.0) -> None:

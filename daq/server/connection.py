@@ -13,7 +13,7 @@ from nidaqmx import GrpcSessionOptions
 from daq.instrument.clock import Clock
 from daq.instrument.connecting import connect_scene
 from daq.server.bench_time import BenchTime
-from daq.server.grpc_channel import open_channel
+from daq.server.client_defaults import open_channel
 from daq.server.served_instrument import Limits
 from daq.server.service import Server
 from daq.signal_chain.channel import ChannelInfo

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -44,47 +44,35 @@ class Discovery:
 
 def _handler(service: Any, servicer: Any) -> grpc.GenericRpcHandler:
     """Return the handler of a service; an invalid request is an error of the client, without a traceback here."""
-    made = {}
     # Some releases of the packages describe calls that their servicers do not implement.
-    for method in (each for each in service.methods if each.name in vars(type(servicer))):
-        request, answer = message_factory.GetMessageClass(method.input_type), getattr(servicer, method.name)
+    described = [each for each in service.methods if each.name in vars(type(servicer))]
+    return grpc.method_handlers_generic_handler(
+        service.full_name,
+        {each.name: _method_handler(each, getattr(servicer, each.name)) for each in described},
+    )
+
+
+def _method_handler(method: Any, answer: Callable[..., Any]) -> Any:
+    request = message_factory.GetMessageClass(method.input_type)
+
+    def parsed(data: bytes, context: grpc.ServicerContext) -> Any:
+        try:
+            return request.FromString(data)
+        except DecodeError:
+            return context.abort(
+                grpc.StatusCode.INVALID_ARGUMENT, f"expected a {request.DESCRIPTOR.full_name}"
+            )
+
+    def respond(given: Any, context: grpc.ServicerContext) -> Any:
         if method.client_streaming:
-            made[method.name] = grpc.stream_stream_rpc_method_handler(
-                _of_stream(request, answer), None, _bytes
-            )
-        elif method.server_streaming:
-            made[method.name] = grpc.unary_stream_rpc_method_handler(
-                _of_request(request, answer), None, _bytes
-            )
-        else:
-            made[method.name] = grpc.unary_unary_rpc_method_handler(
-                _of_request(request, answer), None, _bytes
-            )
-    return grpc.method_handlers_generic_handler(service.full_name, made)
+            return answer((parsed(each, context) for each in given), context)
+        return answer(parsed(given, context), context)
 
-
-def _bytes(message: Any) -> bytes:
-    return bytes(message.SerializeToString())
-
-
-def _parsed(request: Any, data: bytes, context: grpc.ServicerContext) -> Any:
-    try:
-        return request.FromString(data)
-    except DecodeError:
-        return context.abort(grpc.StatusCode.INVALID_ARGUMENT, f"expected a {request.DESCRIPTOR.full_name}")
-
-
-def _of_request(request: Any, answer: Callable[..., Any]) -> Callable[[bytes, grpc.ServicerContext], Any]:
-    return lambda data, context: answer(_parsed(request, data, context), context)
-
-
-def _of_stream(
-    request: Any, answer: Callable[..., Any]
-) -> Callable[[Iterator[bytes], grpc.ServicerContext], Any]:
-    def respond(stream: Iterator[bytes], context: grpc.ServicerContext) -> Any:
-        return answer((_parsed(request, each, context) for each in stream), context)
-
-    return respond
+    make = grpc.unary_unary_rpc_method_handler
+    if method.server_streaming:
+        streams = method.client_streaming
+        make = grpc.stream_stream_rpc_method_handler if streams else grpc.unary_stream_rpc_method_handler
+    return make(respond, None, lambda message: bytes(message.SerializeToString()))
 
 
 def write_proto_files(folder: Path) -> list[Path]:
@@ -93,8 +81,14 @@ def write_proto_files(folder: Path) -> list[Path]:
     Raises `SceneError` if a file of that name has different text, or cannot be written.
     """
     files: dict[str, Any] = {}
+
+    def collect(file: Any) -> None:
+        for each in file.dependencies:
+            collect(each)
+        files[file.name] = file
+
     for service in SERVICES:
-        _collect(service.file, files)
+        collect(service.file)
     paths = []
     for name, file in files.items():
         path, text = folder / name, proto_text(file)
@@ -109,9 +103,3 @@ def write_proto_files(folder: Path) -> list[Path]:
             ) from None
         paths.append(path)
     return paths
-
-
-def _collect(file: Any, files: dict[str, Any]) -> None:
-    for each in file.dependencies:
-        _collect(each, files)
-    files[file.name] = file

@@ -64,25 +64,20 @@ class LiveRecording:
 
     def __init__(self, chassis: Chassis, path: Path, overwrite: bool = False) -> None:
         self._chassis, self._path, self._overwrite = chassis, path, overwrite
-        self._bench: Any = None
         self._channels: Any = None
         self._recorder: Recorder | None = None
         self.paths: list[Path] = []
         chassis.listeners.append(self._hear)
 
     def _hear(self, bench: Any, block: Any) -> None:
-        if bench is not self._bench or bench.channels is not self._channels:
+        if bench.channels is not self._channels:
             self._complete()
-            name = (
-                f"{self._path.stem}-{len(self.paths) + 1}{self._path.suffix}"
-                if self.paths
-                else self._path.name
-            )
-            self.paths.append(self._path.with_name(name))
+            number = f"-{len(self.paths) + 1}" if self.paths else ""
+            self.paths.append(self._path.with_name(f"{self._path.stem}{number}{self._path.suffix}"))
             start = self._chassis.time_ns(round(block.first * bench.tick_rate / bench.rate))
             # The truth of a scene belongs to a complete test.
             scene = bench.scene.replace(recording=bench.scene.recording.replace(truth=False))
-            self._bench, self._channels = bench, bench.channels
+            self._channels = bench.channels
             self._recorder = Recorder(
                 self.paths[-1], scene, bench.channels, bench.rate, start, self._overwrite
             )

@@ -12,7 +12,6 @@ import sys
 import threading
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import grpc
 
@@ -46,20 +45,15 @@ class Certificates:
     clients: Path | None = None
 
     def credentials(self) -> grpc.ServerCredentials:
-        """Read the files.
-
-        Raises `SceneError` if a file cannot be read.
-        """
-        pair = (_read(self.key), _read(self.certificate))
-        root = None if self.clients is None else _read(self.clients)
-        return grpc.ssl_server_credentials([pair], root, require_client_auth=root is not None)
-
-
-def _read(path: Path) -> bytes:
-    try:
-        return read_whole(path)
-    except OSError as error:
-        raise SceneError(f"cannot read {path}: {error.strerror}; expected a PEM file") from None
+        """Read the files; raises `SceneError` if a file cannot be read."""
+        texts = []
+        for path in (self.key, self.certificate, *([] if self.clients is None else [self.clients])):
+            try:
+                texts.append(read_whole(path))
+            except OSError as error:
+                raise SceneError(f"{path}: cannot be read ({error.strerror}). Give a PEM file.") from None
+        root = None if self.clients is None else texts[2]
+        return grpc.ssl_server_credentials([(texts[0], texts[1])], root, require_client_auth=root is not None)
 
 
 def serve(
@@ -123,7 +117,12 @@ def serve(
         if record is not None:
             stack.callback(LiveRecording(chassis, record, overwrite).close)
         if viewer:
-            stack.enter_context(_viewing(chassis))
+            from daq.viewing import outputs
+
+            running = stack.enter_context(outputs.window("leave --viewer out to serve without it"))
+            stream = stack.enter_context(outputs.recording_stream())
+            stream.connect_grpc(running.url)
+            stack.callback(LiveView(chassis, stream).close)
         # Otherwise Python's garbage collector would repeatedly scan all present objects while the clients wait.
         gc.collect()
         gc.freeze()
@@ -138,8 +137,11 @@ def announcement(chassis: Chassis, host: str, port: int, encrypted: bool) -> str
     lines = [f"Server listening on port {port} ({address}{', with TLS' if encrypted else ''})", ""]
     modules = [chassis.devices.module(name) for name in chassis.devices.names]
     for module in modules:
-        kinds = [each for kind in ("ai", "ao") if (each := _span(module.channel_names(kind)))]
-        lines.append(f"{module.name}: {module.product_type}" + (f", {', '.join(kinds)}" if kinds else ""))
+        spans = []
+        for names in (module.channel_names("ai"), module.channel_names("ao")):
+            last = f":{len(names) - 1}" if len(names) > 1 else ""
+            spans += [f"{name.partition('/')[2]}{last}" for name in names[:1]]
+        lines.append(", ".join([f"{module.name}: {module.product_type}", *spans]))
         for terminal, row in zip(module.channel_names("ai"), module.inputs, strict=True):
             info = chassis.bench.channels[row]
             fed = "" if chassis.terminals.supply(row) is None else ", IEPE"
@@ -151,13 +153,6 @@ def announcement(chassis: Chassis, host: str, port: int, encrypted: bool) -> str
     opened = "grpc.insecure_channel" if not encrypted else "grpc.secure_channel"
     extra = "" if not encrypted else ', grpc.ssl_channel_credentials(open("ca.pem", "rb").read())'
     return "\n".join([*lines, *starter_script(chassis, f'{opened}("{address}"{extra})')])
-
-
-def _span(names: list[str]) -> str:
-    if not names:
-        return ""
-    first = names[0].partition("/")[2]
-    return first if len(names) == 1 else f"{first}:{len(names) - 1}"
 
 
 def parse_address(address: str, port: int) -> tuple[str, int]:
@@ -206,16 +201,3 @@ def wait_for_signal() -> None:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-
-
-@contextlib.contextmanager
-def _viewing(chassis: Chassis) -> Any:
-    from daq.viewing import outputs
-
-    with (
-        outputs.window("leave --viewer out to serve without it") as running,
-        outputs.recording_stream() as stream,
-    ):
-        stream.connect_grpc(running.url)
-        with contextlib.closing(LiveView(chassis, stream)):
-            yield

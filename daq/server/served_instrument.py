@@ -9,8 +9,7 @@ from daq.instrument.devices.names import Port
 from daq.instrument.devices.teds import TedsMemory
 from daq.instrument.errors import DRIVER_TEXTS, DaqError, bad, meaning
 from daq.instrument.settings.storage import Storage
-from daq.server.reservations import Reservations
-from daq.server.sessions import Sessions
+from daq.server.sessions import Reservations, Sessions
 
 if TYPE_CHECKING:
     from daq.instrument.chassis import Chassis

@@ -1,11 +1,11 @@
-"""Sessions: the tasks of all clients, the right to end them, and the end of abandoned tasks."""
+"""Sessions: the tasks of all clients, the right to end them, the end of abandoned tasks, and reserved names."""
 
 from __future__ import annotations
 
 import itertools
 import threading
 import time
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from urllib.parse import unquote
 
@@ -15,7 +15,10 @@ from daq.instrument.settings.storage import Storage
 from daq.instrument.task import Task
 from rig.errors import ShotrigError
 
-AUTO, INITIALIZE, ATTACH = 0, 1, 2
+INITIALIZE, ATTACH = 1, 2
+# Interval at which a client that waits for a name is checked, s: it may have disconnected.
+_LOOK_S = 0.1
+_MOST_NAMES = 10_000
 
 
 @dataclass
@@ -174,3 +177,45 @@ def _endpoint(peer: str) -> tuple[str, int]:
     """Return address and port of a peer, as in "ipv4:127.0.0.1:40022"."""
     host, _, port = unquote(peer).partition(":")[2].rpartition(":")
     return host.strip("[]"), int(port) if port.isdigit() else 0
+
+
+class Reservations:
+    """Names that clients reserve among themselves; they have no meaning for the server."""
+
+    def __init__(self) -> None:
+        self._holders: dict[str, str] = {}
+        self._changed = threading.Condition()
+
+    def reserve(self, name: str, client: str, waits: Callable[[], bool]) -> bool:
+        """Reserve a name as soon as no other client has reserved it; return False if the client no longer waits."""
+        with self._changed:
+            while self._holders.get(name, client) != client:
+                if not waits():
+                    return False
+                self._changed.wait(_LOOK_S)
+            if name not in self._holders and len(self._holders) >= _MOST_NAMES:
+                raise DaqError(
+                    f"{_MOST_NAMES} names are reserved: release some before reserving {name!r}",
+                    Code.PAL_RESOURCE_RESERVED,
+                )
+            self._holders[name] = client
+            return True
+
+    def held(self, name: str, client: str) -> bool:
+        """Return whether a client has reserved a name."""
+        return self._holders.get(name) == client
+
+    def release(self, name: str, client: str) -> bool:
+        """Release a name; return False if the client has not reserved it."""
+        with self._changed:
+            if not self.held(name, client):
+                return False
+            del self._holders[name]
+            self._changed.notify_all()
+            return True
+
+    def clear(self) -> None:
+        """Release all names."""
+        with self._changed:
+            self._holders.clear()
+            self._changed.notify_all()

@@ -31,7 +31,15 @@ def starter_script(chassis: Chassis, channel: str) -> list[str]:
     modules = [each for name in chassis.devices.names if (each := chassis.devices.module(name)).inputs]
     first = modules[0]
     together = [each for each in modules if each is first or (each.chassis and each.chassis == first.chassis)]
-    made = [f"    {line}" for module in together for line in _made(chassis, module)]
+    made: list[str] = []
+    for module in together:
+        # Equal neighbors are one statement.
+        numbered = [(_making(chassis, module, row), number) for number, row in enumerate(module.inputs)]
+        for statement, group in groupby(numbered, key=lambda each: each[0]):
+            numbers = [number for _, number in group]
+            span = f"{numbers[0]}:{numbers[-1]}" if len(numbers) > 1 else f"{numbers[0]}"
+            lines = statement.replace(_TERMINAL, f"{module.name}/ai{span}").splitlines()
+            made += [f"    {line}" for line in lines]
     used = [each for each in _CONSTANTS if any(f"{each}." in line for line in made)]
     return [
         "",
@@ -45,17 +53,6 @@ def starter_script(chassis: Chassis, channel: str) -> list[str]:
         "    data = numpy.array(task.read(1000))",
         "print(data)",
     ]
-
-
-def _made(chassis: Chassis, module: Module) -> list[str]:
-    """Return the statements that create the channels of a module; equal neighbors are one statement."""
-    numbered = [(_making(chassis, module, row), number) for number, row in enumerate(module.inputs)]
-    lines = []
-    for statement, group in groupby(numbered, key=lambda each: each[0]):
-        numbers = [number for _, number in group]
-        span = f"{numbers[0]}:{numbers[-1]}" if len(numbers) > 1 else f"{numbers[0]}"
-        lines += statement.replace(_TERMINAL, f"{module.name}/ai{span}").splitlines()
-    return lines
 
 
 def _making(chassis: Chassis, module: Module, row: int) -> str:

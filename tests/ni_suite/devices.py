@@ -200,7 +200,7 @@ def save_what_ni_saved(storage: Storage, task: Task) -> None:
     storage.scales.update(scales)
     storage.authors.update(dict.fromkeys(scales, "Test Author"))
     volts = MEASUREMENTS["Voltage"]
-    task.settings.add_inputs("tsVoltageTester1/ai0", "Voltage_0", volts, {"ai_min": -10.0, "ai_max": 10.0})
+    task.settings.add("tsVoltageTester1/ai0", "Voltage_0", volts, {"ai_min": -10.0, "ai_max": 10.0})
     timing = {"samp_clk_rate": 1000.0, "samp_quant_samp_mode": SampleMode.FINITE}
     timing |= {"samp_quant_samp_per_chan": 100, "samp_timing_type": TimingType.SAMPLE_CLOCK}
     for key, value in timing.items():
@@ -208,11 +208,11 @@ def save_what_ni_saved(storage: Storage, task: Task) -> None:
     storage.save_task(task.settings, "VoltageTesterTask", "Test Author")
     for number, name in enumerate(("VoltageTesterChannel", "VoltageTesterChannel2")):
         storage.save_channel(
-            task.settings.add_inputs(f"tsVoltageTester1/ai{number}", name, volts, {})[0], name, "Test Author"
+            task.settings.add(f"tsVoltageTester1/ai{number}", name, volts, {})[0], name, "Test Author"
         )
 
 
 def save_outputs(storage: Storage, task: Task) -> None:
     """Save the task of NI's `tests/max_config` that has outputs."""
-    task.settings.add_outputs("aoTester/ao0:2", "VoltageOut_0", {})
+    task.settings.add("aoTester/ao0:2", "VoltageOut_0", None, {})
     storage.save_task(task.settings, "AOTesterTask", "Test Author")

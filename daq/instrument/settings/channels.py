@@ -6,6 +6,7 @@ import math
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from enum import IntEnum
 from typing import Any
 
 from daq.instrument.devices.measurements import MEASUREMENTS, MICROPHONE, VOLTAGE, Measurement
@@ -89,7 +90,9 @@ _OUTPUT: dict[str, Any] = {
 }
 
 
-def _defaults(kind: Measurement) -> dict[str, Any]:
+def _defaults(kind: Measurement | None) -> dict[str, Any]:
+    if kind is None:
+        return _OUTPUT
     name = next(name for name, each in MEASUREMENTS.items() if each.type == kind.type)
     own = {"bridge": "Bridge" in name or "Strain" in name or "Excit" in name}
     own |= {key: key in name.lower() for key in ("current", "pos", "microphone")}
@@ -105,57 +108,34 @@ def _defaults(kind: Measurement) -> dict[str, Any]:
 
 @dataclass
 class Channel:
-    """One channel of a task.
+    """One channel of a task."""
 
-    Attributes
-    ----------
-    name : str
-        Virtual name.
-    port : Port
-        The terminal, by the name in the script.
-    module : Module
-        Module of the terminal.
-    row : int
-        Channel or drive of the bench at the terminal.
-    kind : Measurement or None
-        Kind of measurement of an input.
-    settings : dict
-        Values by the driver's names of the properties.
-    defaults : dict
-        Default values.
-    without : set of str
-        Limits that a script has reset and must set again.
-    """
-
-    name: str
-    port: Port
+    name: str  # virtual name
+    port: Port  # the terminal, by the name in the script
     module: Module
-    row: int
-    kind: Measurement | None
-    settings: dict[str, Any] = field(default_factory=dict)
-    defaults: dict[str, Any] = field(default_factory=dict)
-    without: set[str] = field(default_factory=set)
+    row: int  # channel or drive of the bench at the terminal
+    kind: Measurement | None  # kind of measurement of an input; None for an output
+    defaults: dict[str, Any]  # by the driver's names of the properties
+    settings: dict[str, Any]
+    without: set[str] = field(default_factory=set)  # limits that a script has reset and must set again
 
     @classmethod
-    def input(
-        cls, name: str, port: Port, module: Module, kind: Measurement, given: Mapping[str, Any]
+    def declare(
+        cls, name: str, port: Port, module: Module, kind: Measurement | None, given: Mapping[str, Any]
     ) -> Channel:
-        """Declare an input.
+        """Declare an input, or an output for no kind of measurement.
 
-        Raises
-        ------
-        DaqError
-            With -200170, if the terminal does not exist; -200431, if its module does not support the measurement;
-            -200077, for limits, a sensitivity, a wiring or a coupling that it does not support.
+        Raises `DaqError` with -200170, if the terminal does not exist; -200431, if its module does not support the
+        measurement; -200077, for limits, a sensitivity, a wiring or a coupling that it does not support.
         """
-        row = module.row("ai", port.number)
-        if kind.type not in module.measurements:
-            raise module.no_measurement(port.name)
-        defaults = _defaults(kind)
-        # A module whose IEPE supply requires AC coupling uses it by default where it supplies a sensor.
-        feeds = given.get("ai_excit_src") == Excitation.INTERNAL and module.supply_coupling == "AC"
-        defaults["ai_coupling"] = Coupling.AC if feeds else module.couplings[0]
-        if kind.type == MICROPHONE:
+        row, defaults = module.row("ao" if kind is None else "ai", port.number), _defaults(kind)
+        if kind is not None:
+            if kind.type not in module.measurements:
+                raise module.no_measurement(port.name)
+            # A module whose IEPE supply requires AC coupling uses it by default where it supplies a sensor.
+            feeds = given.get("ai_excit_src") == Excitation.INTERNAL and module.supply_coupling == "AC"
+            defaults["ai_coupling"] = Coupling.AC if feeds else module.couplings[0]
+        if kind is not None and kind.type == MICROPHONE:
             loudest = given["ai_sound_pressure_max_sound_pressure_lvl"]
             if not -1000.0 < loudest < 1000.0:
                 raise bad(
@@ -163,17 +143,14 @@ class Channel:
                 )
             limit = 20e-6 * 10 ** (loudest / 20) * math.sqrt(2)
             given = {"ai_min": -limit, "ai_max": limit, **given}
-        channel = cls(name, port, module, row, kind, defaults | dict(given), defaults)
+        channel = cls(name, port, module, row, kind, defaults, defaults | dict(given))
         channel.check()
         return channel
 
-    @classmethod
-    def output(cls, name: str, port: Port, module: Module, given: Mapping[str, Any]) -> Channel:
-        """Declare an output; errors as for `input`."""
-        row = module.row("ao", port.number)
-        channel = cls(name, port, module, row, None, _OUTPUT | dict(given), _OUTPUT)
-        channel.check()
-        return channel
+    @property
+    def side(self) -> str:
+        """Side of the task: "ai" of an input, "ao" of an output."""
+        return "ao" if self.kind is None else "ai"
 
     @property
     def volts_per_unit(self) -> float:
@@ -194,7 +171,7 @@ class Channel:
             return float(self.settings["rng"])
         if self.scaled or not self.kind.takes_volts:
             return self.module.ranges[-1] if self.module.ranges else math.inf
-        return self.module.range_for(self._largest() * self.volts_per_unit)
+        return self.module.range_for(self._largest_volts())
 
     @property
     def scaled(self) -> bool:
@@ -205,11 +182,11 @@ class Channel:
     @property
     def scale_name(self) -> str:
         """Name of its custom scale; empty without a custom scale."""
-        return str(self.settings["ao_custom_scale_name" if self.kind is None else "ai_custom_scale_name"])
+        return str(self.settings[f"{self.side}_custom_scale_name"])
 
-    def _largest(self) -> float:
-        side = "ao" if self.kind is None else "ai"
-        return max(abs(self.settings[f"{side}_min"]), abs(self.settings[f"{side}_max"]))
+    def _largest_volts(self) -> float:
+        limits = (abs(self.settings[f"{self.side}_{end}"]) for end in ("min", "max"))
+        return max(limits) * self.volts_per_unit
 
     @property
     def fed(self) -> bool:
@@ -219,10 +196,7 @@ class Channel:
     def check_complete(self) -> None:
         """Check that the channel has limits, and that its module can supply the sensor with its coupling.
 
-        Raises
-        ------
-        DaqError
-            With -200695 or -200694, and with -200077.
+        Raises `DaqError` with -200695 or -200694, and with -200077.
         """
         own, module = self.settings, self.module
         for name in self.without:
@@ -234,12 +208,11 @@ class Channel:
             )
 
     def check(self) -> None:
-        """Check that the settings are consistent and that the module supports them; see `input`."""
+        """Check that the settings are consistent and that the module supports them; see `declare`."""
         own = self.settings
         if self.kind is not None:
             self.kind.check_units(own)
-        side = "ao" if self.kind is None else "ai"
-        low, high = own[f"{side}_min"], own[f"{side}_max"]
+        low, high = own[f"{self.side}_min"], own[f"{self.side}_max"]
         if not (math.isfinite(low) and math.isfinite(high)):
             raise bad(f"channel {self.name}: limits {low:g} to {high:g}: expected finite numbers")
         if not sys.float_info.min <= self.volts_per_unit < math.inf:
@@ -249,10 +222,9 @@ class Channel:
                 f"channel {self.name}: limits {low:g} to {high:g}: the lower one must be below the upper one",
                 Code.MIN_NOT_LESS_THAN_MAX,
             )
-        largest = self._largest() * self.volts_per_unit
         full = self.module.output_range if self.kind is None else (self.module.ranges or (math.inf,))[-1]
         in_volts = not self.scaled and (self.kind is None or self.kind.takes_volts)
-        if largest > full * (1 + 1e-9) and in_volts:
+        if self._largest_volts() > full * (1 + 1e-9) and in_volts:
             scale = full / self.volts_per_unit
             raise bad(
                 f"channel {self.name}: limits {low:g} to {high:g} {self.unit} go beyond what "
@@ -260,26 +232,20 @@ class Channel:
             )
         if self.kind is None:
             return
-        wiring = own["ai_term_cfg"]
-        if wiring != Wiring.DEFAULT and wiring not in self.module.wirings:
-            raise bad(
-                f"channel {self.name}: terminal configuration {_named(Wiring, wiring)}: "
-                f"{self.module.product_type} has {', '.join(each.name for each in self.module.wirings)}"
-            )
-        if own["ai_coupling"] not in self.module.couplings:
-            raise bad(
-                f"channel {self.name}: coupling {_named(Coupling, own['ai_coupling'])}: "
-                f"{self.module.product_type} has {', '.join(each.name for each in self.module.couplings)}"
-            )
+        choices: tuple[tuple[str, int, type[IntEnum], tuple[IntEnum, ...]], ...] = (
+            ("terminal configuration", own["ai_term_cfg"], Wiring, (*self.module.wirings, Wiring.DEFAULT)),
+            ("coupling", own["ai_coupling"], Coupling, self.module.couplings),
+        )
+        for what, value, names, supported in choices:
+            if value not in supported:
+                name = names(value).name if value in list(names) else value
+                raise bad(
+                    f"channel {self.name}: {what} {name}: {self.module.product_type} has "
+                    + ", ".join(each.name for each in supported if each != Wiring.DEFAULT)
+                )
 
     def get(self, name: str) -> Any:
-        """Read a property by the driver's name.
-
-        Raises
-        ------
-        DaqError
-            With -200452, if channels of this kind do not have the property.
-        """
+        """Read a property by the driver's name; with -200452, if channels of this kind do not have it."""
         if name in self.without:
             raise DaqError(
                 f"channel {self.name} has no {name} since it was deleted: set it again", _NOT_SPECIFIED[name]
@@ -318,21 +284,12 @@ class Channel:
             self.without.add(name)
 
 
-def _named(kind: Any, value: int) -> str:
-    return kind(value).name if value in [int(each) for each in kind] else str(value)
-
-
 def _limit(channel: Channel, sign: float) -> float:
     own = channel.settings
     assert channel.kind is not None
     if channel.scaled or channel.range == math.inf or not channel.kind.takes_volts:
         return float(own["ai_max" if sign > 0 else "ai_min"])
     return sign * channel.range / channel.volts_per_unit
-
-
-def _wiring(channel: Channel) -> int:
-    wiring = channel.settings["ai_term_cfg"]
-    return int(channel.module.wirings[-1] if wiring == Wiring.DEFAULT else wiring)
 
 
 _COMMON: dict[str, Any] = {"physical_chan_name": lambda channel: channel.port.name}
@@ -344,7 +301,11 @@ _INPUT_COMPUTED: dict[str, Any] = _COMMON | {
     "ai_min": lambda channel: _limit(channel, -1.0),
     "ai_rng_high": lambda channel: channel.range,
     "ai_rng_low": lambda channel: -channel.range,
-    "ai_term_cfg": _wiring,
+    "ai_term_cfg": lambda channel: int(
+        channel.module.wirings[-1]
+        if channel.settings["ai_term_cfg"] == Wiring.DEFAULT
+        else channel.settings["ai_term_cfg"]
+    ),
     "ai_raw_samp_size": lambda channel: 16 if (channel.module.bits or 32) <= 16 else 32,
     "ai_raw_samp_justification": lambda channel: 10279,
     "ai_resolution": lambda channel: float(channel.module.bits or 64),

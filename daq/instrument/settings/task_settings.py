@@ -8,7 +8,7 @@ from typing import Any
 
 from daq.instrument.devices.measurements import Measurement
 from daq.instrument.devices.modules import Module
-from daq.instrument.devices.names import Port, numbered, parse_port, unflatten
+from daq.instrument.devices.names import numbered, parse_port, unflatten
 from daq.instrument.errors import Code, DaqError, bad
 from daq.instrument.settings.channels import Channel
 from daq.instrument.settings.properties import GROUPS, Properties
@@ -33,7 +33,7 @@ class TaskSettings:
     @property
     def kind(self) -> str:
         """Direction of the task: "ai", "ao", or "" without channels."""
-        return "" if not self.channels else "ao" if self.channels[0].kind is None else "ai"
+        return self.channels[0].side if self.channels else ""
 
     @property
     def device_names(self) -> list[str]:
@@ -92,31 +92,16 @@ class TaskSettings:
             }[kind]
             raise DaqError(f"the task has no {what}", code)
 
-    def add_inputs(
-        self, physical: str, name: str, kind: Measurement, given: Mapping[str, Any]
+    def add(
+        self, physical: str, name: str, kind: Measurement | None, given: Mapping[str, Any]
     ) -> list[Channel]:
-        """Add inputs.
+        """Add channels.
 
         `physical`: terminals, such as "cDAQ1Mod1/ai0:3"; `name`: virtual name, or the common prefix of several
-        names. Empty: the names of the terminals; `kind`: kind of measurement; `given`: settings, by the driver's
-        names. Raises `DaqError`: see `Channel.input`; -200171 for a name that is taken.
+        names. Empty: the names of the terminals; `kind`: kind of measurement of inputs, None for outputs; `given`:
+        settings, by the driver's names. Raises `DaqError`: see `Channel.declare`; -200171 for a name that is taken.
         """
-        return self._add(
-            "ai",
-            physical,
-            name,
-            lambda virtual, port, module: Channel.input(virtual, port, module, kind, given),
-        )
-
-    def add_outputs(self, physical: str, name: str, given: Mapping[str, Any]) -> list[Channel]:
-        """Add outputs; see `add_inputs`."""
-        return self._add(
-            "ao", physical, name, lambda virtual, port, module: Channel.output(virtual, port, module, given)
-        )
-
-    def _add(
-        self, side: str, physical: str, name: str, make: Callable[[str, Port, Module], Channel]
-    ) -> list[Channel]:
+        side = "ao" if kind is None else "ai"
         ports = [parse_port(each) for each in unflatten(physical)]
         if not ports:
             raise DaqError(
@@ -129,7 +114,14 @@ class TaskSettings:
                 "trigger",
                 Code.TASK_NOT_IN_DATA_NEIGHBORHOOD,
             )
-        names = _names(name, [each.name for each in ports])
+        names = [each.name for each in ports]
+        if "," in name:
+            listed = [each.strip() for each in name.split(",")]
+            if len(listed) > len(names):
+                raise bad(f"{len(listed)} names for {len(names)} channels: expected one for each at most")
+            names[: len(listed)] = listed
+        elif name:
+            names = numbered(name, len(names))
         added: list[Channel] = []
         for port, virtual in zip(ports, names, strict=True):
             module = self._module(port.device)
@@ -147,7 +139,7 @@ class TaskSettings:
                     f"the task has a channel {virtual!r} already: choose another name",
                     Code.VIRTUAL_CHAN_NAME_USED,
                 )
-            channel = make(virtual, port, module)
+            channel = Channel.declare(virtual, port, module, kind, given)
             if side == "ao" and channel.row in [each.row for each in (*self.channels, *added)]:
                 raise DaqError(
                     f"{port.name} is in the task already; an output can be used once",
@@ -203,13 +195,3 @@ class TaskSettings:
     def rows_to_read(self) -> list[int]:
         """Positions in the task of the channels that reads return."""
         return [self.channels.index(each) for each in self.find(self.groups["read"]["channels_to_read"])]
-
-
-def _names(given: str, terminals: list[str]) -> list[str]:
-    """Return names of channels from a common prefix or a list; channels without a name use their terminal's name."""
-    if "," not in given:
-        return numbered(given, len(terminals)) if given else terminals
-    names = [each.strip() for each in given.split(",")]
-    if len(names) > len(terminals):
-        raise bad(f"{len(names)} names for {len(terminals)} channels: expected one for each at most")
-    return [*names, *terminals[len(names) :]]

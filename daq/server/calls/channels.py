@@ -18,7 +18,7 @@ def create_input(kind: str) -> Callable[[Call], Answer]:
 
     def create(call: Call) -> Answer:
         physical, name, settings = _declared(call, chosen)
-        call.task.settings.add_inputs(physical, name, chosen, settings | implied)
+        call.task.settings.add(physical, name, chosen, settings | implied)
         return {}
 
     return create
@@ -34,7 +34,7 @@ def create_teds_input(kind: str) -> Callable[[Call], Answer]:
         names = numbered(name, len(terminals)) if name else [""] * len(terminals)
         for each, virtual in zip(terminals, names, strict=True):
             own = settings | implied | _settings_of_sensor(call, each, chosen) | {"ai_is_teds": True}
-            call.task.settings.add_inputs(each, virtual, chosen, own)
+            call.task.settings.add(each, virtual, chosen, own)
         return {}
 
     return create
@@ -72,7 +72,7 @@ def _create_output(call: Call) -> Answer:
         "ao_voltage_units": given["units"],
         "ao_custom_scale_name": given["custom_scale_name"],
     }
-    call.task.settings.add_outputs(given["physical_channel"], given["name_to_assign_to_channel"], settings)
+    call.task.settings.add(given["physical_channel"], given["name_to_assign_to_channel"], None, settings)
     return {}
 
 

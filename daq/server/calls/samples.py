@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -17,45 +16,20 @@ from daq.server.calls.call import Answer, Call
 _BY_CHANNEL = 0
 
 
-@dataclass(frozen=True)
-class _Counts:
-    """The integer type in which a call transfers converter counts; unsigned integers are the two's complement."""
-
-    dtype: type[np.signedinteger[Any]] | type[np.unsignedinteger[Any]]
-
-    @property
-    def bits(self) -> int:
-        """Width of the type, bits."""
-        return np.iinfo(self.dtype).bits
-
-    def check_width(self, count: int, code: Code) -> None:
-        """Reject converters with wider counts, with the code."""
-        if count > self.bits:
-            raise DaqError(
-                f"the converter's counts have {count} bits: use numbers of {count} bits in place of {self.bits}",
-                code,
-                done=0,
-            )
-
-    def from_numbers(self, values: Sequence[int]) -> NDArray[np.float64]:
-        """Convert the numbers of a client to counts; with -200561 for numbers outside the range of the type."""
-        limits, numbers = np.iinfo(self.dtype), np.array(values, dtype=np.int64)
-        wrong = (numbers < limits.min) | (numbers > limits.max)
-        if wrong.any():
-            raise DaqError(
-                f"{numbers[wrong][0]} is not a number of {self.bits} bits: write {limits.min} to {limits.max}",
-                Code.INVALID_AO_DATA_WRITE,
-                done=0,
-            )
-        return numbers.astype(f"i{self.bits // 8}").astype(np.float64)
+# Integer types in which calls transfer converter counts; unsigned integers are the two's complement.
+_Counts = type[np.signedinteger[Any]] | type[np.unsignedinteger[Any]]
+_COUNTS: dict[str, _Counts] = {"I16": np.int16, "I32": np.int32, "U16": np.uint16, "U32": np.uint32}
 
 
-_COUNTS = {
-    "I16": _Counts(np.int16),
-    "I32": _Counts(np.int32),
-    "U16": _Counts(np.uint16),
-    "U32": _Counts(np.uint32),
-}
+def _check_width(counts: _Counts, width: int, code: Code) -> None:
+    """Reject converters with wider counts, with the code."""
+    bits = np.iinfo(counts).bits
+    if width > bits:
+        raise DaqError(
+            f"the converter's counts have {width} bits: use numbers of {width} bits in place of {bits}",
+            code,
+            done=0,
+        )
 
 
 def _check_room(room: int, needed: int, what: str) -> None:
@@ -73,7 +47,7 @@ def _read(counts: _Counts | None = None) -> Callable[[Call], Answer]:
         given, task = call.fields, call.task
         task.settings.require("ai")
         if counts is not None:
-            counts.check_width(8 * task.raw_width, Code.READ_DATA_TYPE_TOO_SMALL)
+            _check_width(counts, 8 * task.raw_width, Code.READ_DATA_TYPE_TOO_SMALL)
         channels, samples = len(task.settings.rows_to_read()), given["num_samps_per_chan"]
 
         def check(wanted: int) -> None:
@@ -84,7 +58,7 @@ def _read(counts: _Counts | None = None) -> Callable[[Call], Answer]:
         by_channel, values = given["fill_mode"] == _BY_CHANNEL, reading.samples
         done = values.shape[1]
         if counts is not None:
-            values = values.astype(counts.dtype)
+            values = values.astype(counts)
         if by_channel and reading.error is None and done < samples:
             # These are the remaining samples of a finite task: each channel keeps its position in the array.
             values = np.pad(values, ((0, 0), (0, samples - done)))
@@ -177,8 +151,16 @@ def _write(counts: _Counts | None = None) -> Callable[[Call], Answer]:
         if counts is None:
             data = np.asarray(given["write_array"], dtype=np.float64)
         else:
-            counts.check_width(_count_bits(task), Code.WRITE_DATA_TYPE_TOO_SMALL)
-            data = counts.from_numbers(given["write_array"])
+            _check_width(counts, _count_bits(task), Code.WRITE_DATA_TYPE_TOO_SMALL)
+            limits, numbers = np.iinfo(counts), np.array(given["write_array"], dtype=np.int64)
+            wrong = (numbers < limits.min) | (numbers > limits.max)
+            if wrong.any():
+                raise DaqError(
+                    f"{numbers[wrong][0]} is not a number of {limits.bits} bits: write {limits.min} to {limits.max}",
+                    Code.INVALID_AO_DATA_WRITE,
+                    done=0,
+                )
+            data = numbers.astype(f"i{limits.bits // 8}").astype(np.float64)
         table = _table(task, data, given["num_samps_per_chan"], given["data_layout"] == _BY_CHANNEL)
         volts = table if counts is None else table * _volts_per_count(task)
         return {"samps_per_chan_written": task.write(volts, given["auto_start"], given["timeout"])}

@@ -18,7 +18,7 @@ import pytest
 
 import analysis
 import daq
-from daq.server.grpc_channel import open_channel
+from daq.server.client_defaults import open_channel
 from tests.daq.bench_page.test_bench import BRACKET, SHAKEN
 
 webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed")

@@ -7,8 +7,8 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from nidaqmx.error_codes import DAQmxErrors
 
 import daq
+from daq.server.client_defaults import open_channel
 from daq.server.discovery import SERVICES, write_proto_files
-from daq.server.grpc_channel import open_channel
 from daq.server.proto_text import proto_text
 from rig.errors import SceneError
 

@@ -13,7 +13,7 @@ from nidaqmx.scale import Scale
 import daq
 from daq.instrument.clock import ManualClock
 from daq.server.calls.answers import answer_to
-from daq.server.grpc_channel import open_channel
+from daq.server.client_defaults import open_channel
 from daq.server.protocol import SERVICE, _is_list, methods
 from daq.server.served_instrument import Limits
 

@@ -13,7 +13,7 @@ from rerun.chunk import RrdReader
 
 import daq
 from daq.instrument.connecting import connect_scene
-from daq.server.grpc_channel import open_channel
+from daq.server.client_defaults import open_channel
 from daq.server.live import LiveRecording, LiveView
 from daq.server.serve import Certificates, _endpoint, _is_loopback, parse_address
 from daq.server.service import Server

@@ -12,7 +12,7 @@ from nidaqmx.system import System
 
 import daq
 from daq.instrument.clock import ManualClock
-from daq.server.grpc_channel import open_channel
+from daq.server.client_defaults import open_channel
 from daq.server.serve import serve
 from daq.server.served_instrument import Limits
 from rig.errors import SceneError

@@ -12,7 +12,7 @@ from nidaqmx.error_codes import DAQmxErrors
 
 import daq
 import rig
-from daq.server.grpc_channel import open_channel
+from daq.server.client_defaults import open_channel
 from daq.server.protocol import SERVICE, methods
 
 COUNTS = {"I16": np.int16, "I32": np.int32, "U16": np.uint16, "U32": np.uint32}

@@ -180,11 +180,7 @@ class PeakChange:
     def shift(self) -> tuple[float, float, float]:
         """Frequency shift of the peak in Hz, and its limits."""
         bare, damped = self._compared
-        return (
-            damped.frequency - bare.frequency,
-            damped.first - bare.last,
-            damped.last - bare.first,
-        )
+        return (damped.frequency - bare.frequency, damped.first - bare.last, damped.last - bare.first)
 
     @property
     def equivalent_damping(self) -> float:

@@ -62,12 +62,7 @@ class Dampers(Result):
         nothing = np.full(frequency.size, np.nan)
         energies = [nothing] * 4
         if self.energy is not None:
-            energies = [
-                self.energy.supplied,
-                self.energy.structure,
-                self.energy.dampers,
-                self.energy.bound,
-            ]
+            energies = [self.energy.supplied, self.energy.structure, self.energy.dampers, self.energy.bound]
         energies.append(nothing if self.true_impact_energy is None else self.true_impact_energy)
         names = ("supplied_J", "structure_J", "dampers_J", "dampers_bound_J", "true_impacts_J")
         count, bodies = frequency.size, max(len(self.bodies), 1)

@@ -1,10 +1,12 @@
-"""Export of recordings: CSV, NPZ, MATLAB, UFF 58 and WAV files, and SEP-005 dictionaries."""
+"""Export of recordings: CSV, NPZ, MATLAB, UFF 58 and WAV files; SEP-005 dictionaries."""
 
 from __future__ import annotations
 
 import csv
+import math
 import re
 import shutil
+import wave
 import zipfile
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -16,7 +18,6 @@ import numpy as np
 
 from analysis.exporting.mat import write_mat
 from analysis.exporting.uff import write_uff
-from analysis.exporting.wav import write_wav
 from analysis.recordings.names import takes_path
 from analysis.recordings.slices import Slice
 from rig.errors import RunError, SceneError
@@ -25,7 +26,6 @@ from rig.output_files import replacing
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
-SHOWN_UNITS = {"m/s^2": "m/s²"}
 SEP_QUANTITIES = {"acceleration": "a", "velocity": "v", "displacement": "d", "force": "f", "voltage": "V"}
 
 
@@ -52,23 +52,24 @@ def sep005(
         (location of the sensor) and, if the recording has a date, ``start_timestamp``.
     """
     stretch = Slice.of(recording, channels, from_s, to_s)
-    series = []
-    for info in stretch.infos:
-        one: dict[str, Any] = {
+    date = {}
+    if recording.start_ns:
+        since = timedelta(
+            microseconds=recording.start_ns // 1000 + round(stretch.start / recording.rate * 1e6)
+        )
+        date = {"start_timestamp": (datetime(1970, 1, 1, tzinfo=UTC) + since).isoformat()}
+    return [
+        {
             "data": recording.read(info.name, stretch.start, stretch.stop),
             "name": info.name,
-            "unit_str": SHOWN_UNITS.get(info.unit, info.unit),
+            "unit_str": "m/s²" if info.unit == "m/s^2" else info.unit,
             "fs": recording.rate,
             "quantity": SEP_QUANTITIES[info.quantity],
             "group": info.at,
+            **date,
         }
-        if recording.start_ns:
-            since = timedelta(
-                microseconds=recording.start_ns // 1000 + round(stretch.start / recording.rate * 1e6)
-            )
-            one["start_timestamp"] = (datetime(1970, 1, 1, tzinfo=UTC) + since).isoformat()
-        series.append(one)
-    return series
+        for info in stretch.infos
+    ]
 
 
 def write_csv(stretch: Slice, path: Path) -> None:
@@ -86,12 +87,14 @@ def write_npz(stretch: Slice, path: Path) -> None:
     members = {name: re.sub(r"[^\w.-]", "_", name) for name in stretch.channels}
     taken = {"channels", "units", "rate", "start_s"}
     if len({*members.values()} | taken) < len(members) + len(taken):
-        raise SceneError(f"the channels {', '.join(members)} cannot all be members of one .npz; choose fewer")
+        names = ", ".join(members)
+        raise SceneError(
+            f"{stretch.recording.path}: the channels {names} have equal names in .npz. Choose fewer."
+        )
     with zipfile.ZipFile(path, "w") as archive:
         for name, member in members.items():
             with archive.open(_member(member), "w", force_zip64=True) as stream:
-                shape = (stretch.stop - stretch.start,)
-                header = {"descr": "<f8", "fortran_order": False, "shape": shape}
+                header = {"descr": "<f8", "fortran_order": False, "shape": (stretch.stop - stretch.start,)}
                 np.lib.format.write_array_header_1_0(stream, header)
                 for _, samples in stretch.pieces([name]):
                     stream.write(samples.astype("<f8").tobytes())
@@ -112,30 +115,52 @@ def _member(name: str) -> zipfile.ZipInfo:
     return zipfile.ZipInfo(f"{name}.npy", date_time=(1980, 1, 1, 0, 0, 0))
 
 
-WRITERS: dict[str, Callable[[Slice, Path], Any]] = {
-    ".csv": write_csv,
-    ".npz": write_npz,
-    ".mat": write_mat,
-    ".wav": write_wav,
-    ".uff": write_uff,
-    ".unv": write_uff,
-}
-# Bytes for each sample, and bytes for the time at the beginning of each line.
-_BYTES = {
-    ".csv": (20.0, 20.0),
-    ".npz": (8.0, 0.0),
-    ".mat": (8.0, 0.0),
-    ".wav": (3.0, 0.0),
-    ".uff": (20.25, 0.0),
-}
-# Number of times that all samples are read: WAV needs the peak values first.
-_PASSES = {".wav": 2}
+def write_wav(stretch: Slice, path: Path, speed: float = 1.0) -> list[str]:
+    """Write 24-bit sound, with each channel scaled to full scale; return the full-scale value of each channel.
+
+    `speed`: playback speed factor: with 10, a tone of 30 Hz sounds at 300 Hz. Raises `RecordingError` if samples were
+    lost. Raises `SceneError` if the sound is too long for a WAV file, or its rate cannot be stored in the file header.
+    """
+    stretch.need_all("a WAV file")
+    name, count, rate = stretch.recording.path, len(stretch.channels), stretch.recording.rate * speed
+    if not (math.isfinite(rate) and 1 <= round(rate) < 2**31 // (3 * count)):
+        raise SceneError(
+            f"{name}: a WAV file cannot play {rate:g} samples per second. Choose another --speed."
+        )
+    if (size := (stretch.stop - stretch.start) * count * 3) >= 2**32 - 1024:
+        raise SceneError(
+            f"{name}: a WAV file is limited to 4 GB (these samples: {size / 1e9:.3g} GB). Export fewer channels or a "
+            "stretch (--from, --to)."
+        )
+    peaks = np.zeros(count)
+    for _, samples in stretch.pieces(stretch.channels):
+        peaks = np.maximum(peaks, np.abs(samples).max(axis=1))
+    full = np.where(peaks > 0, peaks, 1.0)
+    with path.open("wb") as stream, wave.open(stream, "wb") as sound:
+        sound.setnchannels(count)
+        sound.setsampwidth(3)
+        sound.setframerate(round(rate))
+        for _, samples in stretch.pieces(stretch.channels):
+            whole = np.ascontiguousarray(np.rint(samples.T / full * (2**23 - 1)), dtype="<i4")
+            # 24-bit samples are the lower three of four bytes; the channels are interleaved.
+            sound.writeframesraw(whole.view(np.uint8).reshape(*whole.shape, 4)[..., :3].tobytes())
+    return [
+        f"{info.name}: full scale is {value:.6g} {info.unit}"
+        for info, value in zip(stretch.infos, full, strict=True)
+    ]
+
+
+WRITERS: dict[str, Callable[[Slice, Path], None]] = {
+    ".csv": write_csv, ".npz": write_npz, ".mat": write_mat, ".uff": write_uff, ".unv": write_uff,
+}  # fmt: skip
+# Bytes for each sample.
+_BYTES = {".csv": 20.0, ".npz": 8.0, ".mat": 8.0, ".wav": 3.0, ".uff": 20.25, ".unv": 20.25}
 
 
 def expected_bytes(stretch: Slice, ending: str) -> float:
-    """Estimate the size of the exported file, bytes."""
-    sample, line = _BYTES.get(ending, _BYTES[".uff"])
-    return (stretch.stop - stretch.start) * (sample * len(stretch.channels) + line)
+    """Estimate the size of the exported file, bytes; the time in CSV files is as long as a sample."""
+    columns = len(stretch.channels) + (ending == ".csv")
+    return (stretch.stop - stretch.start) * (_BYTES[ending] * columns)
 
 
 def kind_of(path: Path) -> str:
@@ -144,8 +169,10 @@ def kind_of(path: Path) -> str:
     Raises `SceneError` if the format is not supported.
     """
     kind = path.suffix.lower()
-    if kind not in WRITERS:
-        raise SceneError(f"{path}: expected a name that ends in one of {', '.join(WRITERS)}")
+    if kind not in _BYTES:
+        raise SceneError(
+            f"{path}: unknown format {kind!r}. Choose a name that ends in one of {', '.join(_BYTES)}."
+        )
     return kind
 
 
@@ -185,31 +212,27 @@ def export(
     """
     kind = kind_of(path)
     if speed != 1.0 and kind != ".wav":
-        raise SceneError("--speed is for sound (.wav)")
+        raise SceneError(f"{path}: --speed is for sound. Leave it out, or choose a name that ends in .wav.")
     if progress is not None:
-        stretch = replace(stretch, on_read=_counter(stretch, _PASSES.get(kind, 1), progress))
+        # WAV reads all samples twice, because it needs the peak values first.
+        total = (2 if kind == ".wav" else 1) * len(stretch.channels) * (stretch.stop - stretch.start)
+        stretch = replace(stretch, on_read=_counter(total, progress))
     with replacing(path, overwrite or None) as part:
         needed, free = expected_bytes(stretch, kind), shutil.disk_usage(part.parent).free
         # A table of short numbers needs only about a quarter of the expected size.
         if needed > 4 * free:
             raise RunError(
-                f"{path} would take about {needed / 1e6:.3g} MB, and its disk has {free / 1e6:.3g} MB left; choose "
-                "another disk (-o), a stretch (--from, --to) or fewer channels"
+                f"{path} would take about {needed / 1e6:.3g} MB, and its disk has {free / 1e6:.3g} MB left. Choose "
+                "another disk (-o), a stretch (--from, --to) or fewer channels."
             )
         if kind == ".wav":
-            full = write_wav(stretch, part, speed)
-            notes = [
-                f"{info.name}: full scale is {value:.6g} {info.unit}"
-                for info, value in zip(stretch.infos, full, strict=True)
-            ]
-        else:
-            WRITERS[kind](stretch, part)
-            notes = []
-    return notes
+            return write_wav(stretch, part, speed)
+        WRITERS[kind](stretch, part)
+    return []
 
 
-def _counter(stretch: Slice, passes: int, progress: Callable[[int, int], None]) -> Callable[[int], None]:
-    total, done = passes * len(stretch.channels) * (stretch.stop - stretch.start), 0
+def _counter(total: int, progress: Callable[[int, int], None]) -> Callable[[int], None]:
+    done = 0
 
     def read(samples: int) -> None:
         nonlocal done

@@ -28,8 +28,8 @@ def write_mat(stretch: Slice, path: Path) -> None:
     count = stretch.stop - stretch.start
     if count > MOST_SAMPLES:
         raise SceneError(
-            f"a MATLAB file takes {MOST_SAMPLES} samples of a channel, these are {count}: export a stretch "
-            "(--from, --to), or .npz"
+            f"{stretch.recording.path}: a MATLAB file takes {MOST_SAMPLES} samples of a channel, these are {count}. "
+            "Export a stretch (--from, --to), or .npz."
         )
     names = variables(stretch.channels, {"channels", "units", "fs", "start_s"})
     rate = stretch.recording.rate
@@ -48,10 +48,9 @@ def write_mat(stretch: Slice, path: Path) -> None:
 def write_frfs(frfs: Sequence[Response], path: Path) -> None:
     """Write ``frequency`` [Hz], ``unit``, ``reference``, and value, bound and coherence of each response."""
     curves = [frf.sorted() for frf in frfs]
+    first = curves[0]
     names = variables([curve.response for curve in curves], {"frequency", "unit", "reference", "channels"})
-    content: dict[str, Any] = {
-        "frequency": curves[0].frequency, "unit": curves[0].unit, "reference": curves[0].input,
-    }  # fmt: skip
+    content: dict[str, Any] = {"frequency": first.frequency, "unit": first.unit, "reference": first.input}
     for name, curve in zip(names, curves, strict=True):
         content |= {name: curve.value, f"bound_{name}": curve.bound(), f"coherence_{name}": curve.coherence}
     _save(path, content | {"channels": np.array(names, dtype=object)})
@@ -85,9 +84,7 @@ def variables(names: Iterable[str], taken: set[str]) -> list[str]:
     made = [f"x{name}" if not name[:1].isalpha() else name for name in plain]
     made = [f"{name}_" if name in taken else name for name in made]
     if len(set(made)) < len(made):
-        raise SceneError(
-            f"the names {', '.join(names)} cannot all be variables of one .mat file; choose fewer"
-        )
+        raise SceneError(f"the names {', '.join(names)} are equal as variables of a .mat file. Choose fewer.")
     return made
 
 

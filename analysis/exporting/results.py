@@ -33,22 +33,22 @@ def export_results(
     """
     kind = path.suffix.lower()
     if what not in ("frfs", "modes"):
-        raise SceneError(f"unknown --what {what!r}: expected samples, frfs or modes")
+        raise SceneError(f"--what: unknown {what!r}. Choose samples, frfs or modes.")
     if kind not in ENDINGS:
-        raise SceneError(f"{path}: expected a name that ends in one of {', '.join(ENDINGS)} for {what}")
+        raise SceneError(
+            f"{path}: unknown format {kind!r} for {what}. Choose a name that ends in one of {', '.join(ENDINGS)}."
+        )
     destination(path, overwrite=True)
     lines = []
     for number, (curves, nodes, driven) in enumerate(_groups(file, progress), start=1):
         target = path if number == 1 else path.with_name(f"{path.stem}-{number}{path.suffix}")
         with replacing(target, overwrite or None) as part:
             if what == "frfs":
+                first, names = curves[0], ", ".join(curve.response for curve in curves)
                 mat.write_frfs(curves, part) if kind == ".mat" else stack(curves).to_uff(
                     part, nodes, [driven]
                 )
-                lines.append(
-                    f"{curves[0].label}: {curves[0].name} of {', '.join(one.response for one in curves)} by "
-                    f"{curves[0].input}"
-                )
+                lines.append(f"{first.label}: {first.name} of {names} by {first.input}")
             else:
                 modes = identify(curves)
                 mat.write_modes(modes, part) if kind == ".mat" else uff.write_modes(modes, part, nodes)

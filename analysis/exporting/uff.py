@@ -29,8 +29,8 @@ def write_uff(stretch: Slice, path: Path) -> None:
     count = stretch.stop - stretch.start
     if not 2 <= count <= MOST_TEXT_SAMPLES:
         raise SceneError(
-            f"UFF 58 is written as text, {MOST_TEXT_SAMPLES} samples of a channel at most and 2 at least; "
-            f"these are {count}: export a stretch (--from, --to), or .npz"
+            f"{stretch.recording.path}: UFF 58 is text, {MOST_TEXT_SAMPLES} samples of a channel at most and 2 at "
+            f"least; these are {count}. Export a stretch (--from, --to), or .npz."
         )
     recording = stretch.recording
     file = universal_file(path)

@@ -203,8 +203,7 @@ def _parts(frfs: Sequence[Response], names: Sequence[str]) -> Array:
     """Root of the sum of squares of some systematic parts; shape (responses, n)."""
     rows = [
         np.linalg.norm(
-            [np.zeros(frf.value.size), *(frf.limits[name] for name in set(names) & set(frf.limits))],
-            axis=0,
+            [np.zeros(frf.value.size), *(frf.limits[name] for name in set(names) & set(frf.limits))], axis=0
         )
         for frf in frfs
     ]

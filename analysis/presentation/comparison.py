@@ -13,13 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.damper_motion.comparison import (
-    PeakChange,
-    covers,
-    highest_left_out,
-    peak_changes,
-    unresolved,
-)
+from analysis.damper_motion.comparison import PeakChange, covers, highest_left_out, peak_changes, unresolved
 from analysis.modal.identification import identify
 from analysis.modal.modes import Modes
 from analysis.presentation.expectations import expect, repeats

@@ -88,13 +88,7 @@ def changes_table(found: Sequence[tuple[Measured, Measured, PeakChange]]) -> str
                 _exceeds(low, high),
             )
         )
-    heading = [
-        "response, mode",
-        "peak / dB",
-        "95 % interval / dB",
-        "shift / Hz",
-        "exceeds the bounds",
-    ]
+    heading = ["response, mode", "peak / dB", "95 % interval / dB", "shift / Hz", "exceeds the bounds"]
     return table("Changes of the resonance peaks", heading, rows) if rows else ""
 
 

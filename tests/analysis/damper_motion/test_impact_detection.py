@@ -56,9 +56,7 @@ def test_known_impacts_have_right_times_and_sizes(tmp_path, quantity):
     assert np.mean((found.kind == floor)[close]) > 0.98
 
 
-def test_point_sampling_hides_impacts(
-    tmp_path,
-):
+def test_point_sampling_hides_impacts(tmp_path):
     infos = [ChannelInfo("body1", "body 1", "acceleration", 1.0, RATE)]
     path = synthetic.write(tmp_path / "a.mcap", synthetic.scene(), infos, np.zeros((1, 4000)), [])
     with daq.open(path) as rec, pytest.raises(RecordingError, match="at instants"):
@@ -132,9 +130,7 @@ def test_delta_sigma_filter_keeps_times_and_sizes(tmp_path, quantity):
     assert np.mean(abs(-found.jump[nearest] / jumps[seen & clear] - 1.0) < 0.02) > 0.95
 
 
-def test_integrated_channels_give_body_acceleration(
-    tmp_path,
-):
+def test_integrated_channels_give_body_acceleration(tmp_path):
     high_pass = {"integrator": {"order": 2, "corner": 4.0, "gain": 1000.0}}
     scene = rig.load("fig8-three-dampers").replace(
         shaker={"kind": "force", "body": 1},
@@ -183,9 +179,7 @@ def test_noise_alone_gives_no_impact(tmp_path):
     assert 5.0 < thresholds[1] / thresholds[0] < 12.0
 
 
-def test_slow_motion_gives_no_impact(
-    tmp_path,
-):
+def test_slow_motion_gives_no_impact(tmp_path):
     # Within the ringing of the filter, the curvature of the motion is about twenty times the noise.
     t = np.arange(int(5 * RATE)) / RATE
     row = 7.0 * np.sin(2 * np.pi * 0.003 * RATE * t) + 1e-3 * np.random.default_rng(3).standard_normal(t.size)
@@ -289,9 +283,7 @@ def test_too_coarse_samples_are_reported(tmp_path):
         assert impacts(rec, "body2", rec.samples // 2).time.size > 10
 
 
-def test_equal_dampers_in_body_are_both_detected(
-    tmp_path,
-):
+def test_equal_dampers_in_body_are_both_detected(tmp_path):
     contact = {"restitution": 0.0, "contact": {"duration": 1e-3}}
     dampers = [{"clearance": np.inf, **contact}, {"clearance": 0.4e-3, **contact}]
     with daq.open(landed(tmp_path / "a.mcap", {}, {"rate": 51200.0}, dampers)) as rec:
@@ -328,9 +320,7 @@ def test_every_time_is_matched_once():
     assert f1 == pytest.approx(2 / 5)
 
 
-def test_overloaded_channel_gives_no_impact(
-    tmp_path,
-):
+def test_overloaded_channel_gives_no_impact(tmp_path):
     scene = rig.load(
         "fig9", {"test": {"kind": "sine", "frequency": "49 Hz", "force": "3.3 N", "duration": "1 s"}}
     )

@@ -188,11 +188,11 @@ def test_missing_stretch_names_available_range(recording, wanted, message):
 @pytest.mark.parametrize(
     ("name", "options", "message"),
     [
-        ("a.xls", {}, "expected a name that ends in one of .csv"),
-        ("a", {}, "expected a name that ends in one of .csv"),
+        ("a.xls", {}, "unknown format '.xls'"),
+        ("a", {}, "ends in one of .csv"),
         ("a.csv", {"speed": 2.0}, "--speed"),
-        ("a.wav", {"speed": 1e9}, "choose another --speed"),
-        ("a.wav", {"speed": 0.0}, "choose another --speed"),
+        ("a.wav", {"speed": 1e9}, "Choose another --speed"),
+        ("a.wav", {"speed": 0.0}, "Choose another --speed"),
         ("missing/a.csv", {}, "no folder"),
     ],
 )
@@ -227,7 +227,7 @@ def test_long_void_is_reported_quickly(tmp_path):
 
 
 def test_uff_rejects_single_sample(recording, tmp_path):
-    with pytest.raises(SceneError, match="2 at least"):
+    with pytest.raises(SceneError, match="2 at least; these are 1"):
         export(Slice.of(recording, to_s=1e-4), tmp_path / "a.uff")
 
 
@@ -315,5 +315,5 @@ def test_exported_responses_and_modes_read_equal(tmp_path):
     (tmp_path / "modes.mat").write_bytes(b"mine")
     with pytest.raises(SceneError, match="exists and was"):
         export_results(path, tmp_path / "modes.mat", "modes")
-    with pytest.raises(SceneError, match="expected a name that ends in"):
+    with pytest.raises(SceneError, match="unknown format"):
         export_results(path, tmp_path / "modes.csv", "modes")

@@ -69,9 +69,7 @@ def test_structure_is_found_from_two_of_three_modes(masses, tmp_path):
         assert abs(miss) <= found[key].half_width
 
 
-def test_sensor_tolerances_widen_masses(
-    tmp_path,
-):
+def test_sensor_tolerances_widen_masses(tmp_path):
     sheet = {"accelerometer.sensitivity_tolerance": "0.05"}
     infos = [replace(info, sensor=sheet) for info in synthetic.channels()]
     path = synthetic.stepped_sine(tmp_path / "a.mcap", FREQUENCIES, noise=2e-7, infos=infos)
@@ -83,9 +81,7 @@ def test_sensor_tolerances_widen_masses(
 
 
 @pytest.mark.thorough
-def test_other_structure_gives_misfit(
-    tmp_path,
-):
+def test_other_structure_gives_misfit(tmp_path):
     path = synthetic.stepped_sine(tmp_path / "a.mcap", FREQUENCIES, noise=2e-7)
     found = analysis.fit(path, guess(), free=["structure.damping"])
     assert "leaves a residual of" in found.misfit
@@ -156,9 +152,7 @@ def test_dead_channel_is_left_out(tmp_path):
 
 
 @pytest.mark.thorough
-def test_strongly_deviating_sensor_is_named(
-    tmp_path,
-):
+def test_strongly_deviating_sensor_is_named(tmp_path):
     sheet = {"accelerometer.sensitivity_tolerance": "0.01"}
     infos = [replace(info, sensor=sheet) for info in synthetic.channels()]
     path = synthetic.stepped_sine(tmp_path / "a.mcap", FREQUENCIES, noise=2e-7, infos=infos)

@@ -7,9 +7,7 @@ from analysis.presentation.demo import demonstrate
 
 
 @pytest.mark.thorough
-def test_demo_makes_recordings_figures_and_commands(
-    tmp_path,
-):
+def test_demo_makes_recordings_figures_and_commands(tmp_path):
     said: list[str] = []
     # Half a bandwidth apart at the resonances, and the ends.
     near = [np.linspace(0.994, 1.006, 5) * f for f in (13.037, 34.777, 49.663)]

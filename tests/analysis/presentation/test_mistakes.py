@@ -75,9 +75,7 @@ def test_wrong_option_names_right_ones(tmp_path, options, message):
     assert getattr(run.exception, "exit_code", run.exit_code) == 2
 
 
-def test_unused_option_names_its_recordings(
-    tmp_path,
-):
+def test_unused_option_names_its_recordings(tmp_path):
     stepped = synthetic.stepped_sine(tmp_path / "a.mcap", np.linspace(8.0, 60.0, 40))
     (tmp_path / "b.csv").write_text("f [Hz],x re [m/N],x im [m/N]\n10,1,0\n20,2,0\n")
     words = ["frf", str(stepped), str(tmp_path / "b.csv"), "--unit", "mm/N", "-o", str(tmp_path)]

@@ -26,9 +26,7 @@ def test_names_with_dots_are_kept(tmp_path):
     assert files == ["a0.5-report.csv", "a0.7-report.csv"]
 
 
-def test_recordings_of_one_name_stay_apart(
-    tmp_path,
-):
+def test_recordings_of_one_name_stay_apart(tmp_path):
     paths = [tmp_path / folder / "a.mcap" for folder in ("x", "y", "z/y")]
     first, second = (written([path], tmp_path / "out", "modes") for path in paths[:2])
     assert (first.name, second.name) == ("a-modes.csv", "y-a-modes.csv")

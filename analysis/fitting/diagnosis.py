@@ -1,10 +1,11 @@
-"""Why a scene or some points do not fit: channels that read what they should not, motions that are not computed."""
+"""Causes of a misfit: mistakes in channels, another form of damping, motions that cannot be computed."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, islice
+from typing import Any
 
 import numpy as np
 import scipy
@@ -25,7 +26,7 @@ from rig.system.structural_model import structural_model
 # of the stated variance.
 _EXPLAINED = 0.02
 _FULLY_EXPLAINED = 4.0
-# Factors by which units are mistaken, with what they are taken for.
+# Factors of common mistakes of units, with the mistake.
 _FACTORS = {
     -1.0: "its sign is turned",
     9.80665: "m/s² read as g, or the other way round",
@@ -39,14 +40,13 @@ _FACTORS = {
 }
 _NEAR = 0.06
 _NO_UNIT = " (no usual mistake of units has this factor: the structure may differ from the scene)"
-# Delays of a channel that are tried, s, and the least that counts.
+# Delays of a channel that are tried, s, the smallest that is reported, and the largest error of a first guess.
 _DELAYS, _LEAST_DELAY = np.arange(-1.2e-3, 1.21e-3, 2e-5), 5e-6
-# A first guess is not off by more, s.
 _DELAY_RANGE = 1e-4
-# How much looser a suspected sensor is held, and the scale of all masses from which on it is suspect.
+# Tolerance of a suspected sensor, and the common factor of all masses from which on a unit is suspected.
 _FREED, _SCALE_OFF = 1e4, 2.5
 _MOST_PAIRS = 15
-# Fewer responses than this fit what contradicts them.
+# A fit to fewer responses than this agrees with any of them.
 _FEWEST_LEFT = 2
 
 
@@ -112,21 +112,25 @@ _Explanations = Iterator[tuple[float, str, bool]]
 
 def _reversed_signs(problem: Problem, bare: list[Curves]) -> _Explanations:
     references = dict.fromkeys(curves.reference_sensor for curves in bare)
-    for sensor in references:
-        turned = [
-            _multiplied(curves, -1.0) if curves.reference_sensor == sensor else curves for curves in bare
-        ]
-        yield _refit(problem, turned).variance, f"The sign of {sensor.name} is reversed", True
-    for sensor in _sensors(bare):
-        turned = [_turned(curves, sensor) for curves in bare]
-        yield _refit(problem, turned).variance, f"The sign of {sensor.name} is reversed", True
+    for sensor in (*references, *_sensors(bare)):
+        reversed_sign = []
+        for curves in bare:
+            signs = np.array([-1.0 if each == sensor else 1.0 for each in curves.sensors])[:, None]
+            reversed_sign.append(_multiplied(curves, -signs if curves.reference_sensor == sensor else signs))
+        yield _refit(problem, reversed_sign).variance, f"The sign of {sensor.name} is reversed", True
 
 
 def _swaps(problem: Problem, bare: list[Curves]) -> _Explanations:
     names = dict.fromkeys(sensor.name for curves in bare for sensor in curves.sensors)
-    for one, other in list(combinations(names, 2))[:_MOST_PAIRS]:
-        swapped = [_swapped(curves, one, other) for curves in bare]
-        yield _refit(problem, swapped).variance, f"{one} and {other} are swapped", True
+    for pair in islice(combinations(names, 2), _MOST_PAIRS):
+        other = dict(zip(pair, reversed(pair), strict=True))
+        swapped = []
+        for curves in bare:
+            sensors = [sensor.name for sensor in curves.sensors]
+            at = dict(zip(sensors, curves.bodies, strict=True))
+            names_there = [other.get(name, name) if at.keys() >= other.keys() else name for name in sensors]
+            swapped.append(replace(curves, bodies=tuple(at[name] for name in names_there)))
+        yield _refit(problem, swapped).variance, f"{pair[0]} and {pair[1]} are swapped", True
 
 
 def _factors(problem: Problem, bare: list[Curves]) -> _Explanations:
@@ -134,19 +138,39 @@ def _factors(problem: Problem, bare: list[Curves]) -> _Explanations:
     references = [curves.reference_sensor for curves in bare]
     for sensor in dict.fromkeys((*_sensors(bare), *references)):
         free = replace(sensor, tolerance=_FREED)
-        freed = _refit(problem, [_with_sensor(curves, sensor, free) for curves in bare])
+        freed = _refit(
+            problem,
+            [
+                replace(
+                    curves,
+                    sensors=tuple(free if each == sensor else each for each in curves.sensors),
+                    reference_sensor=free if curves.reference_sensor == sensor else curves.reference_sensor,
+                )
+                for curves in bare
+            ],
+        )
         factor = 1.0 + freed.problem.deviation(freed.x, free)
         meaning = _meaning(factor)
-        yield (
-            freed.variance,
-            f"{sensor.name} reads {factor:.4g} times what fits{meaning or _NO_UNIT}",
-            bool(meaning),
-        )
+        text = f"{sensor.name} reads {factor:.4g} times what fits{meaning or _NO_UNIT}"
+        yield freed.variance, text, bool(meaning)
 
 
 def _dampings(problem: Problem, bare: list[Curves]) -> _Explanations:
-    for form, model in _other_damping(problem):
-        yield _refit(problem, bare, model).variance, f"The damping is not of the scene's form; {form}", True
+    """Try the other form of damping of a chain, of the same strength."""
+    structure = problem.model.structure
+    if structure.masses is None or structure.springs is None:
+        return
+    modes = structural_model(problem.model).modes
+    form: ModalDamping | Dashpots
+    if isinstance(structure.damping, ModalDamping):
+        per_stiffness = 2.0 * float(modes.damping_ratio.mean()) / modes.omega[0]
+        form = Dashpots(dashpots=tuple(per_stiffness * k for k in structure.springs))
+        text = "dashpots fit: give structure.damping: {dashpots: [...]}"
+    else:
+        form = ModalDamping(modal=tuple(float(max(each, 1e-4)) for each in modes.damping_ratio))
+        text = "a ratio for each mode fits: give structure.damping: {modal: [...]}"
+    model = problem.model.replace(structure=structure.replace(damping=form))
+    yield _refit(problem, bare, model).variance, f"The damping is not of the scene's form; {text}", True
 
 
 def _delays(problem: Problem, bare: list[Curves]) -> _Explanations:
@@ -156,24 +180,22 @@ def _delays(problem: Problem, bare: list[Curves]) -> _Explanations:
         near = _refit(problem, [_in_time(curves, sensor, guess) for curves in bare]) if guess else in_time
         if near.variance > in_time.variance:
             near, guess = in_time, 0.0
-        delay, left = _refined_delay(near, bare, sensor, guess)
+
+        def variance(delay: float, near: _Refit = near, sensor: Sensor = sensor) -> float:
+            return near.adjusted([_in_time(curves, sensor, delay) for curves in bare]).variance
+
+        bounds = (guess - _DELAY_RANGE, guess + _DELAY_RANGE)
+        best = scipy.optimize.minimize_scalar(variance, bounds=bounds, options={"xatol": 1e-6})
+        delay = float(best.x)
         if abs(delay) > _LEAST_DELAY:
             late = "late" if delay > 0.0 else "early"
-            yield (
-                left,
-                f"{sensor.name} reads {plainly(abs(delay) * 1e6)} µs {late} (delay in the table)",
-                True,
-            )
+            text = f"{sensor.name} reads {plainly(abs(delay) * 1e6)} µs {late} (delay in the table)"
+            yield float(best.fun), text, True
 
 
 def _sensors(bare: list[Curves]) -> list[Sensor]:
     """All sensors of responses."""
     return list(dict.fromkeys(sensor for curves in bare for sensor in curves.sensors))
-
-
-def _turned(curves: Curves, sensor: Sensor) -> Curves:
-    """Reverse the responses of a sensor."""
-    return _multiplied(curves, np.array([-1.0 if one == sensor else 1.0 for one in curves.sensors])[:, None])
 
 
 def _multiplied(curves: Curves, factor: float | ComplexArray | Array) -> Curves:
@@ -192,7 +214,7 @@ def _phase_delay(bare: list[Curves], sensor: Sensor) -> float:
 
     A delay adds a phase proportional to frequency; without it the phase is near 0 or 180 degrees away from modes.
     """
-    in_line = np.zeros(_DELAYS.size)
+    alignment = np.zeros(_DELAYS.size)
     sign = -1.0 if any(curves.reference_sensor == sensor for curves in bare) else 1.0
     for curves in bare:
         reference = curves.reference_sensor == sensor
@@ -202,80 +224,33 @@ def _phase_delay(bare: list[Curves], sensor: Sensor) -> float:
         for k in rows:
             unit = (curves.value[k] / np.maximum(abs(curves.value[k]), 1e-300)) ** 2
             weight = np.minimum(abs(curves.whiten[:, k, k] * curves.value[k]), 30.0)
-            in_line += (turn @ (weight * unit)).real
-    return float(_DELAYS[int(np.argmax(in_line))]) if in_line.any() else 0.0
-
-
-def _refined_delay(near: _Refit, bare: list[Curves], sensor: Sensor, delay: float) -> tuple[float, float]:
-    """Return the delay near a first guess with the smallest residual variance, s, and that variance."""
-
-    def left(each: float) -> float:
-        return near.adjusted([_in_time(curves, sensor, each) for curves in bare]).variance
-
-    bounds = (delay - _DELAY_RANGE, delay + _DELAY_RANGE)
-    found = scipy.optimize.minimize_scalar(left, bounds=bounds, options={"xatol": 1e-6})
-    return float(found.x), float(found.fun)
+            alignment += (turn @ (weight * unit)).real
+    return float(_DELAYS[int(np.argmax(alignment))]) if alignment.any() else 0.0
 
 
 def _in_time(curves: Curves, sensor: Sensor, delay: float) -> Curves:
     """Remove a delay from the readings of a sensor."""
-    late = np.array([float(one == sensor) for one in curves.sensors]) - float(
-        curves.reference_sensor == sensor
-    )
+    late = np.array([float(each == sensor) for each in curves.sensors])
+    late -= float(curves.reference_sensor == sensor)
     return _multiplied(curves, np.exp(2j * np.pi * delay * np.outer(late, curves.frequency)))
-
-
-def _other_damping(problem: Problem) -> Iterator[tuple[str, Scene]]:
-    """Yield the model with the other form of damping of a chain, of the same strength."""
-    structure = problem.model.structure
-    if structure.masses is None or structure.springs is None:
-        return
-    modes = structural_model(problem.model).modes
-    ratio = modes.damping_ratio
-    forms: dict[str, ModalDamping | Dashpots]
-    if isinstance(structure.damping, ModalDamping):
-        dashpots = tuple(2.0 * float(ratio.mean()) / modes.omega[0] * k for k in structure.springs)
-        forms = {"dashpots fit: give structure.damping: {dashpots: [...]}": Dashpots(dashpots=dashpots)}
-    else:
-        modal = tuple(float(max(each, 1e-4)) for each in ratio)
-        forms = {
-            "a ratio for each mode fits: give structure.damping: {modal: [...]}": ModalDamping(modal=modal)
-        }
-    for text, form in forms.items():
-        yield text, problem.model.replace(structure=structure.replace(damping=form))
 
 
 def _without(bare: list[Curves], sensor: Sensor) -> list[Curves]:
     """Leave out the responses of a sensor; empty if fewer than two responses would remain."""
-    left = []
+    out = []
     for curves in bare:
-        kept = [k for k, one in enumerate(curves.sensors) if one != sensor]
-        if len(kept) < _FEWEST_LEFT:
+        rows = [k for k, each in enumerate(curves.sensors) if each != sensor]
+        if len(rows) < _FEWEST_LEFT:
             return []
-        colour = np.linalg.inv(curves.whiten)
-        covariance = (colour @ colour.conj().swapaxes(1, 2))[:, kept][:, :, kept]
-        left.append(
-            replace(
-                curves,
-                value=curves.value[kept],
-                whiten=inverse_root(covariance),
-                errors=curves.errors.select(kept),
-                rough=curves.rough[kept],
-                smooth=curves.smooth[kept],
-                sensors=tuple(curves.sensors[k] for k in kept),
-                bodies=tuple(curves.bodies[k] for k in kept),
-                frfs=tuple(curves.frfs[k] for k in kept),
-            )
+        color = np.linalg.inv(curves.whiten)
+        covariance = (color @ color.conj().swapaxes(1, 2))[:, rows][:, :, rows]
+        rest: dict[str, Any] = {name: getattr(curves, name)[rows] for name in ("value", "rough", "smooth")}
+        for name in ("sensors", "bodies", "frfs"):
+            rest[name] = tuple(getattr(curves, name)[k] for k in rows)
+        out.append(
+            replace(curves, whiten=inverse_root(covariance), errors=curves.errors.select(rows), **rest)
         )
-    return left
-
-
-def _with_sensor(curves: Curves, old: Sensor, new: Sensor) -> Curves:
-    return replace(
-        curves,
-        sensors=tuple(new if sensor == old else sensor for sensor in curves.sensors),
-        reference_sensor=new if curves.reference_sensor == old else curves.reference_sensor,
-    )
+    return out
 
 
 def left_out(curves: Curves, used: NDArray[np.bool_], uncovered: Mapping[int, str]) -> list[str]:
@@ -293,13 +268,6 @@ def left_out(curves: Curves, used: NDArray[np.bool_], uncovered: Mapping[int, st
             )
         why.setdefault(reason, []).append(f"{curves.frequency[k]:.4g}")
     return [f"{curves.label}: left out {', '.join(at)} Hz, where {reason}." for reason, at in why.items()]
-
-
-def _swapped(curves: Curves, one: str, other: str) -> Curves:
-    bodies = {sensor.name: body for sensor, body in zip(curves.sensors, curves.bodies, strict=True)}
-    if one in bodies and other in bodies:
-        bodies[one], bodies[other] = bodies[other], bodies[one]
-    return replace(curves, bodies=tuple(bodies[sensor.name] for sensor in curves.sensors))
 
 
 @dataclass(frozen=True)
@@ -328,11 +296,8 @@ def _refit(problem: Problem, curves: list[Curves], model: Scene | None = None) -
     if model is not None:
         # The free values stay free, and so are those of the new form of damping.
         free = {one.key for one in parameters}
-        parameters = [
-            one
-            for one in free_parameters(model)
-            if one.key in free or one.place[:2] == ("structure", "damping")
-        ]
+        new = ("structure", "damping")
+        parameters = [one for one in free_parameters(model) if one.key in free or one.place[:2] == new]
     trial = Problem(model or problem.model, parameters, curves)
     x = start(trial, trial.groups)
     for distrust in (0.1, 0.01, 0.0):

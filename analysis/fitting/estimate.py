@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 import scipy
@@ -16,29 +17,30 @@ Report = Callable[[str], None]
 
 # Half width of a 95 % interval in standard deviations.
 CONFIDENCE = 1.96
-# How far a model is allowed to miss, relative to the peaks around, on the way to the errors stated: far from the
-# solution, narrow resonances beside each other know nothing of each other.
+# Model errors, relative to the peaks around, that are assumed in successive fits: without them, the fit of a narrow
+# resonance far from the solution has no slope toward its neighbours.
 _DISTRUST = (0.1, 0.01, 0.0)
-# From farther off, and how far, in logarithms, from the guess: where modes led nowhere, or none were identified.
+# The same from random starts, and their deviation from the guess, in logarithms: used where modes were not identified
+# or did not lead to a solution.
 _DISTRUST_FAR, _FAR, _STARTS = (0.3, 0.1, 0.01, 0.0), 0.15, 8
-# A mean square of misses beyond which the structure is looked for elsewhere.
+# Mean square of the residuals above which the structure is searched from other starts.
 _MISSED = 4.0
-# A mean square of misses beyond which the stated errors do not explain them.
+# Mean square of the residuals above which the stated errors do not explain them.
 _UNEXPLAINED = 1.3
 _DISTRUST_DAMPERS = (0.2, 0.05)
-# The least of it: large misses hardly count, so that a point in another motion does not decide.
+# The smallest model error: large residuals have little weight, so that a point in another motion does not decide.
 _BARELY = 1e-6
-# Factors on mass and clearance of all dampers to start from, where the scene's own lead nowhere; and one with which
-# no ceiling is touched.
+# Start factors for mass and clearance of all dampers if the values of the scene do not lead to a solution; and a
+# factor with which no ceiling is touched.
 _MASSES, _CLEARANCES, _OUT_OF_REACH = (1.0, 0.7, 0.4, 1.5), (0.6, 1.7, 0.3), 30.0
-# A mean square of misses up to which the dampers' motions are explained: somewhat below 1 is what noise alone leaves.
-# The largest that each counts for, in variances, and what a point without a motion misses.
+# Mean square of the residuals up to which the dampers' motions are explained (noise alone leaves slightly below 1),
+# upper limit of each squared residual, and squared residual of a point without a motion.
 _EXPLAINED, _CAP, _LOST = 1.5, 9.0, 1e6
-# Robust cost, of at most `_CAP`, of a start that misses about half of the points.
+# Robust cost, of at most `_CAP`, of a start that fails at about half of the points.
 _REFUTED = 4.5
-# Rounds of fitting all, each after a look for other motions at points that stand out.
+# Rounds of fitting all unknowns, each after a search for other motions at outlying points.
 _ROUNDS = 4
-# Frequencies whose misses may have a common cause, as a share of all of a group's.
+# Number of clusters of neighbouring frequencies in a group whose residuals may have a common cause.
 _CLUSTERS = 40
 
 
@@ -46,14 +48,15 @@ _CLUSTERS = 40
 class Estimate:
     """A solution.
 
-    `factor`: of the covariance, as its product with its transpose; with what is known beforehand, the larger of what
-    the stated errors and what the misses themselves imply, shape (unknowns, columns).
+    `factor`: F of the covariance ``F F^T``, priors included, from the stated errors or from the residuals, whichever
+    is larger; shape (unknowns, columns).
     """
 
     x: Array  # shape (unknowns,)
     factor: Array
-    # mean square of the misses, in standard deviations: 1 where the stated errors explain them
-    variance: float
+    variance: (
+        float  # mean square of the residuals in standard deviations; 1 if the stated errors explain them
+    )
 
     @property
     def deviation(self) -> Array:
@@ -88,7 +91,12 @@ def _damped(
     """
     best, least, motions = structure, np.inf, [group.motions() for group in damped]
     begin = structure
-    for mass, clearance in _starts(problem):
+    # Last words of the keys of dampers' unknowns; "" for all others.
+    names = ["" if one.damper is None else one.what for one in problem.parameters]
+    names += [""] * (problem.size - len(names))
+    bounded = "clearance" in names
+    starts = [(1.0, 1.0), *product(_MASSES, _CLEARANCES if bounded else (1.0,))]
+    for mass, clearance in [*starts, (1.0, _OUT_OF_REACH)] if bounded else starts:
         if least < _EXPLAINED and clearance < _OUT_OF_REACH:
             continue
         if clearance == _OUT_OF_REACH:
@@ -96,14 +104,22 @@ def _damped(
         report("all")
         for group, known in zip(damped, motions, strict=True):
             group.restore(known)
+        factors = {"mass": mass, "mass_ratio": mass, "clearance": clearance}
+        x = begin + np.log([factors.get(name, 1.0) for name in names])
         # The prior would pull an unreached ceiling back.
-        held = "clearance" if clearance == _OUT_OF_REACH else ""
-        active = [k for k, name in enumerate(_names(problem)) if not held or name != held]
-        x = _with_dampers(problem, _times(problem, begin, mass, clearance), damped, active, structure_known)
+        active = [k for k, name in enumerate(names) if clearance != _OUT_OF_REACH or name != "clearance"]
+        # First roughly, with the structure fixed if linear recordings determine it.
+        rough = [k for k in active if names[k] or not structure_known]
+        for distrust in _DISTRUST_DAMPERS if rough else ():
+            x = solved(problem, x, damped, distrust, rough, 6)
+        if rough:
+            problem.residual(x, damped)
         # If a ceiling explains the curves, a ceiling out of reach that misses most points is not refined.
         refuted = least < _EXPLAINED and _robust_cost(problem, x, damped) > _REFUTED
         for turn in range(0 if refuted else _ROUNDS):
-            if not _choose_motions(problem, x, damped) and turn > 0:
+            scene = problem.scene(x)
+            changed = [group.choose_motions(problem, x, scene) for group in damped]
+            if not any(changed) and turn > 0:
                 break
             x = solved(problem, x, problem.groups, _DISTRUST[-2] if turn == 0 else _BARELY, active, 8)
             x = solved(problem, x, problem.groups, 0.0, active, 12)
@@ -117,35 +133,10 @@ def _damped(
     return best
 
 
-def _starts(problem: Problem) -> Iterator[tuple[float, float]]:
-    """Yield start factors of masses and clearances of all dampers; the last puts ceilings out of reach."""
-    bounded = any(one.what == "clearance" for one in problem.parameters)
-    yield 1.0, 1.0
-    yield from ((mass, clearance) for mass in _MASSES for clearance in (_CLEARANCES if bounded else (1.0,)))
-    if bounded:
-        yield 1.0, _OUT_OF_REACH
-
-
-def _times(problem: Problem, x: Array, mass: float, clearance: float) -> Array:
-    """Multiply masses and clearances of all dampers."""
-    factors = {"mass": mass, "mass_ratio": mass, "clearance": clearance}
-    return x + np.log([factors.get(name, 1.0) for name in _names(problem)])
-
-
-def _names(problem: Problem) -> list[str]:
-    """Last words of the keys of dampers' unknowns; "" for all others."""
-    names = ["" if one.damper is None else one.what for one in problem.parameters]
-    return names + [""] * (problem.size - len(names))
-
-
 def _robust_cost(problem: Problem, x: Array, damped: Sequence[Group]) -> float:
-    """Mean square of the residuals of all points, each limited by the Geman-McClure function [1]_.
+    """Mean square of the residuals of all points, each limited by the Geman-McClure function.
 
-    References
-    ----------
-    .. [1] S. Geman, D. McClure, Statistical methods for tomographic image reconstruction, Bulletin of the
-    International
-       Statistical Institute 52 (1987) 5-21.
+    S. Geman, D. McClure, Bulletin of the International Statistical Institute 52 (1987) 5-21.
     """
     scene, costs = problem.scene(x), []
     for group in damped:
@@ -170,8 +161,8 @@ def _structure(problem: Problem, bare: Sequence[Group]) -> Array:
         x[active] += random.normal(0.0, _FAR * min(number, 1), len(active))
         for distrust in _DISTRUST_FAR:
             x = solved(problem, x, bare, distrust, most=15)
-        if (missed := mean_square(problem, x, bare)) < least:
-            best, least = x, missed
+        if (square := mean_square(problem, x, bare)) < least:
+            best, least = x, square
     return best
 
 
@@ -208,31 +199,10 @@ def solved(
     return best
 
 
-def _with_dampers(
-    problem: Problem, x: Array, damped: Sequence[Group], free: Sequence[int], structure_known: bool
-) -> Array:
-    """Rough values of the dampers, with the structure fixed if linear recordings determine it, else of all unknowns."""
-    names = _names(problem)
-    active = [k for k in free if names[k] or not structure_known]
-    if not active:
-        return x
-    for distrust in _DISTRUST_DAMPERS:
-        x = solved(problem, x, damped, distrust, active, 6)
-    problem.residual(x, damped)
-    return x
-
-
 def mean_square(problem: Problem, x: Array, groups: Sequence[Group], distrust: float = 0.0) -> float:
     """Mean square of the residuals of some groups, in standard deviations."""
-    misses = problem.residual(x, groups, distrust)[: -problem.size]
-    return float(np.mean(misses**2)) if misses.size else 0.0
-
-
-def _choose_motions(problem: Problem, x: Array, damped: Sequence[Group]) -> bool:
-    """Search other motions at outlying points; whether anything changed."""
-    scene = problem.scene(x)
-    changed = [group.choose_motions(problem, x, scene) for group in damped]
-    return any(changed)
+    residuals = problem.residual(x, groups, distrust)[: -problem.size]
+    return float(np.mean(residuals**2)) if residuals.size else 0.0
 
 
 def _covariance(problem: Problem, x: Array) -> tuple[Array, float]:
@@ -261,13 +231,11 @@ def _covariance(problem: Problem, x: Array) -> tuple[Array, float]:
         width = 1 if group.curves.level is not None else max(1, used // _CLUSTERS)
         cluster = np.tile(np.repeat(rank // width, misses.size // (2 * used)), 2)
         clusters = range(cluster.max() + 1)
-        scores.append(
-            np.stack(
-                [jacobian[cluster == number].T @ misses[cluster == number] for number in clusters], axis=1
-            )
-        )
+        columns = [jacobian[cluster == number].T @ misses[cluster == number] for number in clusters]
+        scores.append(np.stack(columns, axis=1))
     variance = square / max(count - problem.size, 1)
-    bread = _inverse_root(data, problem.spread)
+    # Factor F of the inverse F F^T of the normal matrix with the prior precision.
+    bread = np.linalg.inv(np.linalg.qr(np.concatenate([data, np.diag(1.0 / problem.spread)]), mode="r"))
     size, axes = np.linalg.eigh(random)
     root = axes * np.sqrt(np.maximum(size, 0.0) * max(variance, 1.0))
     stated = bread @ (bread.T @ np.concatenate([root, np.diag(1.0 / problem.spread)], axis=1))
@@ -277,12 +245,6 @@ def _covariance(problem: Problem, x: Array) -> tuple[Array, float]:
         wider = np.maximum(np.linalg.norm(clustered, axis=1) / np.linalg.norm(stated, axis=1), 1.0)
     moved = bread @ (bread.T @ np.array(shifts).T)
     return np.concatenate([wider[:, None] * stated, moved], axis=1), variance
-
-
-def _inverse_root(rows: Array, spread: Array) -> Array:
-    """Factor F of the inverse ``F F^T`` of ``rows^T rows`` plus the prior precision."""
-    root = np.linalg.qr(np.concatenate([rows, np.diag(1.0 / spread)]), mode="r")
-    return np.asarray(np.linalg.inv(root))
 
 
 def _systematic(group: Group) -> Iterator[Array]:

@@ -1,11 +1,10 @@
-"""What a fit leaves: measured curves over those of the fitted scene, and what is missed, in standard deviations."""
+"""Figure of a fit: measured curves with those of the fitted scene, and the residuals in standard deviations."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rig.figure_style import colour, decades, drawing, frequency_axis, heading, legend_below
 from rig.results import plainly
@@ -18,20 +17,19 @@ if TYPE_CHECKING:
 
 # Sweeps drawn, and the height of each in inches.
 MOST_ROWS, _ROW = 8, 2.4
-# A step so many times as wide as its neighbours is a hole in a curve.
-_HOLE = 3.0
+# A frequency step that exceeds its neighbours by this factor is a gap in a curve.
+_GAP = 3.0
 
 
 def fit_figure(found: Fit) -> Figure:
-    """One row for each sweep or test: measured and fitted on the left, what is missed on the right."""
+    """Draw one row for each sweep or test: measured and fitted curves on the left, residuals on the right."""
     rows = found.compared[:MOST_ROWS]
     bands = [(float(one.curves.frequency.min()), float(one.curves.frequency.max())) for one in rows]
     crosses = "" if all(one.used.all() for one in rows) else " Crosses: points left out of the fit."
     with drawing(_ROW * len(rows) + 1.0, 10.0) as figure:
         axes = figure.subplots(len(rows), 2, squeeze=False)
         for one, band, (left, right) in zip(rows, bands, axes, strict=True):
-            _compared(left, one)
-            _missed(right, one)
+            _draw(left, right, one)
             # Only rows of the same band may share the numbers below the last.
             labelled = one is rows[-1] or any(band != other for other in bands)
             for ax in (left, right):
@@ -43,48 +41,25 @@ def fit_figure(found: Fit) -> Figure:
     return figure
 
 
-def _compared(ax: Axes, one: Compared) -> None:
-    order = np.argsort(one.curves.frequency, kind="stable")
-    frequency = one.curves.frequency[order]
-    factor, unit = (1.0, "m/m") if one.curves.reference == "table" else (1e6, "µm/N")
-    for k, sensor in enumerate(one.curves.sensors):
-        size = factor * abs(one.curves.value[k, order])
-        _dots(ax, frequency, size, one.used[order], k, sensor.name)
-        ax.plot(*_broken(frequency, factor * abs(one.predicted[k, order])), "-", lw=0.8, color=colour(k))
-    decades(ax, [factor * abs(one.curves.value)])
-    ax.set_ylabel(f"|x / {one.curves.reference}| / ({unit})")
-    heading(ax, one.curves.label)
-
-
-def _dots(
-    ax: Axes,
-    frequency: NDArray[np.float64],
-    size: NDArray[np.float64],
-    used: NDArray[np.bool_],
-    number: int,
-    label: str | None = None,
-) -> None:
-    """Draw points of a response as dots, those left out as crosses."""
-    ax.plot(frequency, np.where(used, size, np.nan), ".", color=colour(number), label=label)
-    ax.plot(frequency, np.where(used, np.nan, size), "x", color=colour(number))
-
-
-def _broken(frequency: NDArray[np.float64], size: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
-    """Break a line where points were left out: at steps far wider than those on either side."""
+def _draw(left: Axes, right: Axes, one: Compared) -> None:
+    curves, order = one.curves, np.argsort(one.curves.frequency, kind="stable")
+    frequency, used = curves.frequency[order], one.used[order]
+    factor, unit = (1.0, "m/m") if curves.reference == "table" else (1e6, "µm/N")
     steps = np.diff(frequency)
-    beside = np.maximum(np.append(0.0, steps[:-1]), np.append(steps[1:], 0.0))
-    holes = np.flatnonzero(steps > _HOLE * beside) + 1 if steps.size > 1 else np.empty(0, dtype=int)
-    return np.insert(frequency, holes, np.nan), np.insert(size, holes, np.nan)
-
-
-def _missed(ax: Axes, one: Compared) -> None:
-    order = np.argsort(one.curves.frequency, kind="stable")
-    frequency, used = one.curves.frequency[order], one.used[order]
-    for k in range(len(one.curves.sensors)):
-        _dots(ax, frequency, one.misses[k, order], used, k)
-    decades(ax, [one.misses], most=5.0)
-    ax.axhline(2.0, color="#555555", lw=0.6)
-    ax.set_ylabel("miss / std. deviation")
+    neighbours = np.maximum(np.append(0.0, steps[:-1]), np.append(steps[1:], 0.0))
+    gaps = np.flatnonzero(steps > _GAP * neighbours) + 1 if steps.size > 1 else np.empty(0, dtype=int)
+    for k, sensor in enumerate(curves.sensors):
+        for ax, size in ((left, factor * abs(curves.value[k, order])), (right, one.misses[k, order])):
+            ax.plot(frequency, np.where(used, size, np.nan), ".", color=colour(k), label=sensor.name)
+            ax.plot(frequency, np.where(used, np.nan, size), "x", color=colour(k))
+        line = np.insert(factor * abs(one.predicted[k, order]), gaps, np.nan)
+        left.plot(np.insert(frequency, gaps, np.nan), line, "-", lw=0.8, color=colour(k))
+    decades(left, [factor * abs(curves.value)])
+    left.set_ylabel(f"|x / {curves.reference}| / ({unit})")
+    heading(left, curves.label)
+    decades(right, [one.misses], most=5.0)
+    right.axhline(2.0, color="#555555", lw=0.6)
+    right.set_ylabel("residual / std. deviation")
     missing = int((~used).sum())
     left_out = f", {missing} point{'s' if missing > 1 else ''} left out" if missing else ""
-    heading(ax, f"Off by {plainly(100 * one.relative)} % of the curve, rms{left_out}")
+    heading(right, f"Residual {plainly(100 * one.relative)} % of the curve, rms{left_out}")

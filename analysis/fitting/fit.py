@@ -13,11 +13,10 @@ from numpy.typing import NDArray
 
 from analysis.fitting.diagnosis import cause, left_out, scale_off
 from analysis.fitting.estimate import CONFIDENCE, Estimate, estimate
-from analysis.fitting.identifiability import coupled_values
+from analysis.fitting.identifiability import LevelDamping, coupled_values, damping_by_level
 from analysis.fitting.measured import Curves, measured
 from analysis.fitting.parameters import Parameter, free_parameters, spelt_out
-from analysis.fitting.problem import Problem, slope
-from analysis.fitting.separation import LevelDamping, damping_by_level
+from analysis.fitting.problem import Problem
 from analysis.recordings.names import opened
 from rig.arrays import Array, ComplexArray
 from rig.errors import RecordingError, SceneError
@@ -218,8 +217,7 @@ def fit(
     scene = scene_of(scene)
     if scene.structure.damping is None and scene.structure.matrices is None:
         raise SceneError(
-            f"scene {scene.name!r} has no structure.damping. Give its form and a guess, such as "
-            "damping: {modal: 1 %}"
+            f"scene {scene.name!r}: no structure.damping. Give its form and a guess, such as damping: {{modal: 1 %}}."
         )
     model = spelt_out(scene)
     parameters = free_parameters(model, free)
@@ -228,7 +226,7 @@ def fit(
     for recording in several:
         if not isinstance(recording, str | Path) and not hasattr(recording, "channels"):
             raise RecordingError(
-                f"fit: {recording!r:.60} is no recording. Give paths, or recordings from daq.open."
+                f"fit: {recording!r:.60} is not a recording. Give paths, or recordings from daq.open."
             )
     paths = [Path(each) if isinstance(each, str | Path) else each.path for each in several]
     for first, again in repeated(paths):
@@ -237,7 +235,7 @@ def fit(
         )
     curves = [one for recording in several for one in _curves(recording)]
     if not curves:
-        raise RecordingError("no recordings: expected at least one")
+        raise RecordingError("fit: no recordings. Give at least one.")
     problem = Problem(model, parameters, curves)
     found = estimate(problem, report)
     return _result(problem, found, report)
@@ -284,7 +282,11 @@ def _result(problem: Problem, found: Estimate, report: Progress) -> Fit:
     )
     if not misfit and all(one.status == "undetermined" for one in each):
         misfit = "The recordings determine none of the free values. `analysis frf` shows the uncertainty of the curves."
-    damping = () if misfit else damping_by_level(problem, found)
+    clearances = [
+        f"{problem.parameters[k].key} is at least {1e3 * limit:.3g} mm: no ceiling impact is in the motions that fit."
+        for k, limit in limits.items()
+        if not misfit
+    ]
     return Fit(
         scene=scene,
         parameters=each,
@@ -294,26 +296,18 @@ def _result(problem: Problem, found: Estimate, report: Progress) -> Fit:
             for k, sensor in enumerate(problem.sensors)
         },
         modes=_modes(problem, found),
-        damping=damping,
+        damping=() if misfit else damping_by_level(problem, found),
         compared=compared,
         variance=found.variance,
         misfit=misfit,
-        together=(
-            *(
-                f"{problem.parameters[k].key} is at least {1e3 * limit:.3g} mm: no ceiling impact is in the motions "
-                "that fit."
-                for k, limit in limits.items()
-                if not misfit
-            ),
-            *coupled_values(problem, found, [one.status for one in each]),
-        ),
+        together=(*clearances, *coupled_values(problem, found, [one.status for one in each])),
         warnings=tuple(warnings),
     )
 
 
 def _clearance_limits(problem: Problem, found: Estimate) -> dict[int, float]:
     """Lower limits of undetermined clearances of flying beds, by the number of the parameter."""
-    deviation = np.linalg.norm(found.factor, axis=1)
+    deviation = found.deviation
     limits = {
         k: problem.clearance_limit(found.x, one)
         for k, one in enumerate(problem.parameters)
@@ -324,14 +318,11 @@ def _clearance_limits(problem: Problem, found: Estimate) -> dict[int, float]:
 
 def _fitted(one: Parameter, x: float, deviation: float, missed: bool) -> Fitted:
     low, value, high = (one.value(x + step * CONFIDENCE * deviation) for step in (-1.0, 0.0, 1.0))
-    half = CONFIDENCE * deviation * slope(one, value)
-    return Fitted(one.key, one.unit, one.start, value, low, high, _status(one, half, missed))
-
-
-def _status(one: Parameter, half_width: float, missed: bool) -> str:
+    half_width = CONFIDENCE * deviation * one.slope(value)
+    status = "determined" if half_width <= one.limit and not missed else "roughly"
     if half_width > _UNDETERMINED:
-        return "undetermined"
-    return "determined" if half_width <= one.limit and not missed else "roughly"
+        status = "undetermined"
+    return Fitted(one.key, one.unit, one.start, value, low, high, status)
 
 
 def _compared(problem: Problem, x: Array, scene: Scene, number: int) -> Compared:
@@ -343,9 +334,8 @@ def _compared(problem: Problem, x: Array, scene: Scene, number: int) -> Compared
     used = group.used & np.isfinite(misses).all(axis=0)
     # By their errors, so that lines that are mostly noise do not count.
     weight = abs(np.einsum("nii->in", curves.whiten))[:, used]
-    square = np.sum(abs(weight * off[:, used]) ** 2, axis=1) / np.sum(
-        abs(weight * curves.value[:, used]) ** 2, axis=1
-    )
+    square = np.sum(abs(weight * off[:, used]) ** 2, axis=1)
+    square /= np.sum(abs(weight * curves.value[:, used]) ** 2, axis=1)
     return Compared(curves, predicted, used, misses, float(np.sqrt(square.max())) if used.any() else np.inf)
 
 
@@ -369,13 +359,12 @@ def _misfit(found: Estimate, compared: Sequence[Compared]) -> str:
 
 
 def _beyond(problem: Problem, x: Array) -> str:
-    """Say which sensors would have to be off by far more than their data sheets allow."""
-    off = [(sensor, problem.deviation(x, sensor)) for sensor in problem.sensors]
+    """Name the sensors whose fitted errors exceed by far what their data sheets allow."""
     beyond = [
-        f"{sensor.name} would need an error of {100.0 * value:.3g} %, but its data sheet allows "
+        f"{sensor.name} would need an error of {100.0 * error:.3g} %, but its data sheet allows "
         f"{100.0 * sensor.tolerance:.3g} %"
-        for sensor, value in off
-        if abs(value) > _BEYOND * sensor.tolerance
+        for sensor in problem.sensors
+        if abs(error := problem.deviation(x, sensor)) > _BEYOND * sensor.tolerance
     ]
     return (
         f"The curves fit only with sensors outside their tolerance: {', and '.join(beyond)}."
@@ -396,7 +385,5 @@ def _modes(problem: Problem, found: Estimate) -> tuple[Mode, ...]:
     jacobian = np.stack(columns, axis=1)
     bound = CONFIDENCE * np.linalg.norm(jacobian @ found.factor, axis=1)
     count = here.size // 2
-    return tuple(
-        Mode(*(float(v) for v in (here[k], bound[k], here[count + k], bound[count + k])))
-        for k in range(count)
-    )
+    rows = np.transpose([here[:count], bound[:count], here[count:], bound[count:]])
+    return tuple(Mode(*row) for row in rows.tolist())

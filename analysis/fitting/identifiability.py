@@ -1,17 +1,62 @@
-"""Identifiability: combinations of values that can change without changing the curves."""
+"""What the recordings determine: combinations of values that leave the curves unchanged, and damping by sweep."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from analysis.fitting.estimate import CONFIDENCE, Estimate
+from analysis.fitting.estimate import CONFIDENCE, Estimate, solved
 from analysis.fitting.problem import Problem
+from rig.arrays import Array
 
 # Smallest half width of a 95 % interval along a principal axis that is reported, and the smallest component,
 # relative to the largest, of a value that is named.
 _WIDE, _SHARE = 0.02, 0.3
+# A sensor limits a value if their errors have at least this correlation.
+_CORRELATED = 0.7
+
+
+@dataclass(frozen=True)
+class LevelDamping:
+    """Damping of the structure, estimated from one sweep.
+
+    `value`, `bound`, shape (keys,): damping and its 95 % bound; NaN where the sweep does not determine it.
+    """
+
+    label: str  # recording and setting
+    damped: bool  # whether dampers moved. The model contains their dissipation; these values do not
+    acceleration: float  # largest acceleration of a measured body, m/s²
+    keys: tuple[str, ...]  # keys of the damping in the scene
+    value: Array
+    bound: Array
+
+
+def damping_by_level(problem: Problem, found: Estimate) -> tuple[LevelDamping, ...]:
+    """Fit only the damping to each sweep; empty for a single sweep."""
+    active = [k for k, parameter in enumerate(problem.parameters) if "damping" in parameter.place]
+    tones = [group for group in problem.groups if group.curves.level is not None]
+    if not active or len(tones) < 2:
+        return ()
+    keys = tuple(problem.parameters[k].key for k in active)
+    out = []
+    for group in tones:
+        curves = group.curves
+        assert curves.level is not None
+        x = solved(problem, found.x, [group], 0.0, active, 8)
+        jacobian = problem.jacobian(x, [group], 0.0, active)
+        residuals = problem.residual(x, [group])[: -problem.size]
+        variance = max(float(np.mean(residuals**2)), 1.0)
+        root = np.linalg.inv(np.linalg.qr(jacobian, mode="r"))
+        half = CONFIDENCE * np.sqrt(variance) * np.linalg.norm(root, axis=1)
+        value, known = problem.values(x)[active], half < 0.5
+        size = (2.0 * np.pi * curves.frequency) ** (2 if curves.reference in ("table", "force") else 0)
+        acceleration = float((size * curves.level * abs(curves.value)).max())
+        value, bound = np.where(known, value, np.nan), np.where(known, value * half, np.nan)
+        out.append(LevelDamping(curves.label, group.tones is not None, acceleration, keys, value, bound))
+    problem.residual(found.x, problem.groups)
+    return tuple(out)
 
 
 def coupled_values(problem: Problem, found: Estimate, statuses: Sequence[str]) -> tuple[str, ...]:
@@ -19,19 +64,15 @@ def coupled_values(problem: Problem, found: Estimate, statuses: Sequence[str]) -
 
     The directions are the principal axes of the covariance of the parameters' logarithms.
     """
-    count = len(problem.parameters)
+    count, moving = len(problem.parameters), any(group.tones is not None for group in problem.groups)
     known = [k for k in range(count) if statuses[k] != "undetermined"]
     lines = []
-    for k in range(count):
-        if statuses[k] == "undetermined":
-            parameter = problem.parameters[k]
-            hidden = parameter.damper is not None and not any(
-                group.tones is not None for group in problem.groups
-            )
-            why = " (no recording in which its damper moves)" if hidden else ""
-            lines.append(
-                f"{parameter.key} is not determined by these recordings{why}; it keeps about its initial value."
-            )
+    for k in sorted({*range(count)} - {*known}):
+        hidden = problem.parameters[k].damper is not None and not moving
+        why = " (no recording in which its damper moves)" if hidden else ""
+        lines.append(
+            f"{problem.parameters[k].key} is not determined by these recordings{why}; it keeps about its initial value."
+        )
     if not known:
         return tuple(lines)
     axes, size, _ = np.linalg.svd(found.factor[known], full_matrices=False)
@@ -40,21 +81,15 @@ def coupled_values(problem: Problem, found: Estimate, statuses: Sequence[str]) -
         members = [k for k, share in zip(known, abs(axis), strict=True) if share > _SHARE * abs(axis).max()]
         if half < _WIDE:
             break
-        names = ", ".join(problem.parameters[k].key for k in members)
         if len(members) == 1:
             continue
         signs = axis[[known.index(k) for k in members]]
         relation = "by one factor" if (signs > 0).all() or (signs < 0).all() else "against each other"
-        cause = _calibrations(problem, found, members[0])
+        related = found.correlation[members[0]][count:]
+        sensors = [s.name for s, r in zip(problem.sensors, related, strict=False) if abs(r) > _CORRELATED]
+        cause = f" (only the calibration of {', '.join(sensors)} decides)" if sensors else ""
+        names = ", ".join(problem.parameters[k].key for k in members)
         lines.append(
             f"{names} may change together, {relation}, by {half:.1%} without the curves showing it{cause}."
         )
     return tuple(lines)
-
-
-def _calibrations(problem: Problem, found: Estimate, parameter: int) -> str:
-    """Name the sensors whose tolerance determines a value."""
-    count = len(problem.parameters)
-    related = found.correlation[parameter]
-    names = [sensor.name for k, sensor in enumerate(problem.sensors) if abs(related[count + k]) > 0.7]
-    return f" (only the calibration of {', '.join(names)} decides)" if names else ""

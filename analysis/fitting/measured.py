@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -27,8 +27,11 @@ Progress = Callable[[int, int], None]
 
 # No point is credited with a smaller error, relative to its value and to the largest of its curve.
 _LEAST, _LEAST_OF_TOP = 2e-5, 1e-7
-# How well noise of the reference is separated from that of several responses, as a share of it.
+# Error of the separation of reference noise from the noise of several responses, as a share of the noise.
 _SPLIT = 0.5
+# Systematic errors that are free parameters of the fit, and those that are not smooth errors of single responses.
+_FREE = (SENSITIVITY, CLOCK)
+_NOT_SMOOTH = (*_FREE, REFERENCE_NOISE, *ROUGH)
 # Fewer points than this cannot be judged.
 _FEWEST = 8
 
@@ -92,21 +95,21 @@ def measured(rec: Recording, name: str, progress: Progress | None = None) -> lis
     scene = rec.scene
     if not rec.test.drives:
         raise RecordingError(
-            f"{name} holds a free decay, which no force drives: a fit needs responses to a force; "
-            "record a stepped_sine, swept_sine, multisine, random or impulse test"
+            f"{name}: a free decay has no response to a force. Record a stepped_sine, swept_sine, multisine, random "
+            "or impulse test."
         )
     names = responses(rec)
     if not names:
-        raise RecordingError(f"{name} has no channel on a body: there is no response to fit")
-    behind_spring = (
-        rec.test.kind is not TestKind.HITS and getattr(scene.driven_shaker, "spring", None) is not None
-    )
-    reference = "table" if behind_spring else "force"
+        raise RecordingError(
+            f"{name}: no channel on a body, so that there is no response to fit. Mount a sensor on one."
+        )
+    spring = getattr(scene.driven_shaker, "spring", None)
+    reference = "force" if spring is None or rec.test.kind is TestKind.HITS else "table"
     tones = rec.test.kind is TestKind.TONES
     if any(d.moves for d in scene.dampers) and not tones:
         raise RecordingError(
-            f"{name} holds {rec.test.name} with dampers that move: their "
-            "response is fitted from steady tones; record test: {kind: stepped_sine, ...} at one or several levels"
+            f"{name}: {rec.test.name} with dampers that move cannot be fitted, because their response depends on the "
+            "level. Record test: {kind: stepped_sine, ...} at one or several levels."
         )
     if tones:
         found = sweeps(rec, concerned(rec, names, reference), progress)
@@ -132,19 +135,19 @@ def _curves(rec: Recording, frfs: Sequence[Response], reference: str, label: str
     dead = [frf.response for frf in frfs if not np.any(frf.value != 0.0)]
     if not alive:
         raise RecordingError(
-            f"{label}: {', '.join(dead)} read zero throughout: dead or not connected. There is no response to fit"
+            f"{label}: all responses read zero throughout: dead or not connected ({', '.join(dead)}). Check them."
         )
     notes = [f"{name} reads zero throughout: dead or not connected. It is left out." for name in dead]
     frfs = [frfs[k] for k in alive]
     value = np.stack([frf.value for frf in frfs])
-    bound = np.linalg.norm(np.vstack([_smooth(frfs), _rough(frfs)]), axis=0)
+    bound = np.linalg.norm(np.vstack([_limits(frfs, without=_NOT_SMOOTH), _limits(frfs, ROUGH)]), axis=0)
     unsteady = np.any(
         [frf.unsteady for frf in frfs if frf.unsteady is not None] or [np.zeros(bound.size, bool)], axis=0
     )
     known = np.isfinite(value).all(axis=0) & np.isfinite(bound) & ~unsteady & (frfs[0].frequency > 0.0)
     if known.sum() < _FEWEST:
         raise RecordingError(
-            f"{label}: {int(known.sum())} points with a value and a finite bound; expected at least {_FEWEST}. "
+            f"{label}: too few points with a value and a finite bound ({int(known.sum())}). Record at least {_FEWEST}. "
             + " ".join(frfs[0].warnings)
         )
     sensors = tuple(_sensor(rec, frf.response) for frf in frfs)
@@ -158,8 +161,8 @@ def _curves(rec: Recording, frfs: Sequence[Response], reference: str, label: str
         value=value[:, known] * (1.0 + too_low),
         whiten=_whitening(frfs, errors),
         errors=errors,
-        rough=_rough(frfs),
-        smooth=_all(frfs) if errors.reference is None else _smooth(frfs),
+        rough=_limits(frfs, ROUGH),
+        smooth=_limits(frfs, without=_FREE if errors.reference is None else _NOT_SMOOTH),
         common=common,
         sensors=sensors,
         reference_sensor=_sensor(rec, reference_of(rec, reference).channels[0]),
@@ -172,42 +175,37 @@ def _curves(rec: Recording, frfs: Sequence[Response], reference: str, label: str
     )
 
 
-def _rough(frfs: Sequence[Response]) -> Array:
-    """Systematic parts that differ from line to line, shape (responses, n)."""
-    return _parts(frfs, [name for frf in frfs for name in frf.limits if name in ROUGH])
-
-
-def _all(frfs: Sequence[Response]) -> Array:
-    """All systematic parts that are no parameters; shape (responses, n)."""
-    return _parts(frfs, [name for frf in frfs for name in frf.limits if name not in (SENSITIVITY, CLOCK)])
-
-
-def _smooth(frfs: Sequence[Response]) -> Array:
-    """Systematic parts that are alike over many lines, but for what is a parameter or concerns all responses."""
-    known = (SENSITIVITY, CLOCK, REFERENCE_NOISE, *ROUGH)
-    return _parts(frfs, [name for frf in frfs for name in frf.limits if name not in known])
+def _limits(
+    frfs: Sequence[Response], names: Collection[str] | None = None, without: Collection[str] = ()
+) -> Array:
+    """Root of the sum of squares of the systematic errors of some names, or of all but some; shape (responses, n)."""
+    return np.stack(
+        [
+            np.linalg.norm(
+                [
+                    np.zeros(frf.value.size),
+                    *(
+                        each
+                        for name, each in frf.limits.items()
+                        if name in (names or frf.limits) and name not in without
+                    ),
+                ],
+                axis=0,
+            )
+            for frf in frfs
+        ]
+    )
 
 
 def _reference_noise(frfs: Sequence[Response], errors: Covariance) -> tuple[Array, Array]:
     """Relative bias of all responses by noise of the reference, and its limit of error; shape (n,)."""
     size = np.stack([np.maximum(abs(frf.value), 1e-300) for frf in frfs])
     # Noise of a response also lowers its coherence; the smallest share over the responses is that of the reference.
-    most: Array = np.asarray((_parts(frfs, [REFERENCE_NOISE]) / size).min(axis=0))
+    most: Array = np.asarray((_limits(frfs, [REFERENCE_NOISE]) / size).min(axis=0))
     if errors.reference is None or len(frfs) < 2:
         return np.zeros(most.size), most
     share = np.minimum(errors.reference, 0.5)
     return share / (1.0 - share), _SPLIT * share
-
-
-def _parts(frfs: Sequence[Response], names: Sequence[str]) -> Array:
-    """Root of the sum of squares of some systematic parts; shape (responses, n)."""
-    rows = [
-        np.linalg.norm(
-            [np.zeros(frf.value.size), *(frf.limits[name] for name in set(names) & set(frf.limits))], axis=0
-        )
-        for frf in frfs
-    ]
-    return np.stack(rows)
 
 
 def _whitening(frfs: Sequence[Response], errors: Covariance) -> ComplexArray:
@@ -220,9 +218,9 @@ def _whitening(frfs: Sequence[Response], errors: Covariance) -> ComplexArray:
     own = np.where(np.isfinite(own), own, (0.01 * np.median(size, axis=0)) ** 2)
     least = (_LEAST * size) ** 2 + (_LEAST_OF_TOP * size.max(axis=0)) ** 2
     # A variance estimated from few degrees of freedom is uncertain: Student's t.
-    grown, rest = np.ones(own.shape), _rough(frfs)
+    grown, rest = np.ones(own.shape), _limits(frfs, ROUGH)
     if errors.reference is None:
-        rest = _all(frfs)
+        rest = _limits(frfs, without=_FREE)
         degrees = np.stack([frf.degrees for frf in frfs], axis=1)
         grown = np.where(degrees > 4.0, degrees / np.maximum(degrees - 2.0, 1.0), 2.0)
     index = np.arange(len(frfs))

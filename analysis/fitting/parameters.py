@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import expit
 
 from rig.errors import SceneError
-from rig.scene.changes import Change, changes_of
+from rig.scene.changes import changes_of
 from rig.scene.damper import Landing, SpringDamper, Walls
 from rig.scene.scene import Scene
 from rig.scene.settings import Place, Settings
@@ -18,30 +18,16 @@ from rig.scene.structure import Dashpots, ModalDamping, RayleighDamping
 
 #: Keys that are free by default, where a scene gives them.
 FREE = (
-    "structure.masses",
-    "structure.springs",
-    "structure.damping",
-    "dampers.mass",
-    "dampers.mass_ratio",
-    "dampers.clearance",
-    "dampers.restitution",
-    "dampers.contact",
-)
+    "structure.masses", "structure.springs", "structure.damping", "dampers.mass", "dampers.mass_ratio",
+    "dampers.clearance", "dampers.restitution", "dampers.contact",
+)  # fmt: skip
 _UNITS = {
     "masses": "kg", "springs": "N/m", "alpha": "1/s", "beta": "s", "dashpots": "N s/m", "mass": "kg",
     "clearance": "m", "duration": "s", "spring": "N/m", "stiffness": "N/m", "damping": "N s/m",
 }  # fmt: skip
 # Largest relative half width of the 95 % interval of a determined value.
-_LIMITS = {
-    "modal": 0.03,
-    "alpha": 0.03,
-    "beta": 0.03,
-    "dashpots": 0.03,
-    "restitution": 0.05,
-    "duration": 0.05,
-    "stiffness": 0.05,
-    "damping": 0.05,
-}
+_LIMITS = dict.fromkeys(("modal", "alpha", "beta", "dashpots"), 0.03)
+_LIMITS |= dict.fromkeys(("restitution", "duration", "stiffness", "damping"), 0.05)
 _LIMIT = 0.02
 # Largest exponent of a double; the intervals of undetermined values are unbounded.
 _LARGEST = 600.0
@@ -80,10 +66,9 @@ class Parameter:
         """Whether it is a ratio below 1."""
         return self.what in ("restitution", "modal")
 
-    @property
-    def seen_riding(self) -> bool:
-        """Whether it acts while no damper moves; of dampers only their masses do."""
-        return self.damper is None or self.what in ("mass", "mass_ratio")
+    def slope(self, value: float) -> float:
+        """Relative change of the value for one unit of its unknown."""
+        return 1.0 - value if self.below_one else 1.0
 
     def unknown(self, value: float) -> float:
         """Unknown of a value: its logarithm, or the log odds of a ratio below 1."""
@@ -120,13 +105,18 @@ def free_parameters(scene: Scene, free: Sequence[str] | None = None) -> list[Par
     else:
         names = scene.structure.names or ()
         keys = [free] if isinstance(free, str) else free
-        chosen = [_by_number(change, names) for change in changes_of(dict.fromkeys(keys))]
-        for change in chosen:
+        chosen = list(changes_of(dict.fromkeys(keys)))
+        for k, change in enumerate(chosen):
+            if change.steps[:2] == ("structure", "masses") and change.steps[2:] and change.steps[2] in names:
+                # The name of a body is replaced by its position.
+                place = ("structure", "masses", names.index(str(change.steps[2])))
+                chosen[k] = change = replace(change, steps=place)
             if not any(change.concerns(one.place) for one in there):
-                offered = ", ".join(dict.fromkeys(_general(one) for one in there))
+                every = (".".join(step for step in one.place if isinstance(step, str)) for one in there)
+                offered = ", ".join(dict.fromkeys(every))
                 raise SceneError(
                     f"free: {change.key}: nothing in scene {scene.name!r} can be fitted under this key. Use one of "
-                    f"{offered} ([1] and so on selects an item of a list; values of 0 or infinity cannot be fitted)"
+                    f"{offered} ([1] and so on selects an item of a list; values of 0 or infinity cannot be fitted)."
                 )
     found = [one for one in there if any(change.concerns(one.place) for change in chosen)]
     if free is None:
@@ -134,16 +124,9 @@ def free_parameters(scene: Scene, free: Sequence[str] | None = None) -> list[Par
         found = [one for one in found if one.place[0] != "shaker"]
     if not found:
         raise SceneError(
-            f"scene {scene.name!r} has nothing to fit. Give masses, damping or dampers with values above 0"
+            f"scene {scene.name!r}: nothing to fit. Give masses, damping or dampers with values above 0."
         )
     return found
-
-
-def _by_number(change: Change, names: Sequence[str]) -> Change:
-    """Replace the name of a body by its position."""
-    if change.steps[:2] == ("structure", "masses") and change.steps[2:] and change.steps[2] in names:
-        return replace(change, steps=("structure", "masses", names.index(str(change.steps[2]))))
-    return change
 
 
 def with_values(scene: Scene, values: Mapping[Place, float]) -> Scene:
@@ -211,7 +194,3 @@ def _wall_values(
         yield from _wall_values((*place, "ceiling"), wall.ceiling)
     elif wall is not None:
         yield from (((*place, name), getattr(wall, name)) for name in names[type(wall)])
-
-
-def _general(one: Parameter) -> str:
-    return ".".join(str(step) for step in one.place if isinstance(step, str))

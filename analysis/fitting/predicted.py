@@ -23,25 +23,22 @@ def on_the_bench(model: Scene, curves: Curves) -> Scene:
     bodies = model.structure.bodies
     if recorded.structure.bodies != bodies or max(curves.bodies) >= bodies:
         most = max(recorded.structure.bodies, max(curves.bodies) + 1)
-        raise SceneError(f"{curves.label} was recorded on {most} bodies; the scene to fit has {bodies}")
+        raise SceneError(
+            f"{curves.label}: recorded on {most} bodies; the scene to fit has {bodies}. Fit a scene with these bodies."
+        )
     left = list(enumerate(model.dampers))
     dampers = []
     for number, damper in enumerate(recorded.dampers, 1):
         mine = next((pair for pair in left if pair[1].body == damper.body), None)
         if mine is None:
             raise SceneError(
-                f"{curves.label} was recorded with a damper in body {damper.body} (number {number} in "
-                "its scene), where the scene to fit has none. Add it there, with its known values."
+                f"{curves.label}: recorded with a damper in body {damper.body} (number {number} in its scene), which "
+                "the scene to fit lacks. Add it there, with its known values."
             )
         left.remove(mine)
         dampers.append(mine[1].with_valid(locked=damper.locked))
     # Both scenes are valid and have the same bodies, so this one is.
     return model.with_valid(shaker=recorded.shaker, test=recorded.test, dampers=tuple(dampers), channels=None)
-
-
-def linear(bench: Scene, curves: Curves, frequency: Array) -> ComplexArray:
-    """Displacement of the bodies / reference with riding dampers, shape (bodies, frequencies)."""
-    return riding(bench, curves, frequency)[0]
 
 
 def riding(bench: Scene, curves: Curves, frequency: Array) -> tuple[ComplexArray, ComplexArray]:
@@ -63,7 +60,7 @@ def riding(bench: Scene, curves: Curves, frequency: Array) -> tuple[ComplexArray
 def linear_slopes(
     bench: Scene, curves: Curves, frequency: Array, changed: Sequence[tuple[Scene, Scene, float]]
 ) -> tuple[ComplexArray, ComplexArray]:
-    """Return the derivatives of `linear` with respect to values of the scene, and to the frequency.
+    """Return the derivatives of the bodies' displacement with respect to values of the scene, and to the frequency.
 
     They follow from the derivatives of the matrices, in which masses and springs are linear. Differences of the
     response itself are too inaccurate near narrow resonances for combinations of values that hardly change it.

@@ -30,7 +30,9 @@ def present_fit(
     the recordings; the figure is written nevertheless.
     """
     if output.suffix not in (".yaml", ".yml"):
-        raise SceneError(f"--output {output}: expected the name of a scene file, such as fitted.yaml")
+        raise SceneError(
+            f"--output {output}: not the name of a scene file. Choose a name such as fitted.yaml."
+        )
     with overwriting(overwrite), made_from("fit", scene.to_yaml(), *relative(recordings, output.parent)):
         residuals = output.with_name(f"{output.stem}-residuals")
         refuse_others(
@@ -41,7 +43,9 @@ def present_fit(
         if found.misfit:
             for path in files:
                 say(f"wrote {path}")
-            raise RunError(f"the scene does not fit the recordings, no scene is written. {found.misfit}")
+            raise RunError(
+                f"{output}: not written, because the scene does not fit the recordings. {found.misfit}"
+            )
         for line in describe(found):
             say(line)
         make_ready(output.parent)
@@ -74,8 +78,7 @@ def describe(found: Fit) -> list[str]:
             for v, b in zip(level.value, level.bound, strict=True)
         )
         lines.append(f"  {level.label}, {beneath}, up to {level.acceleration:.3g} m/s²: damping {values}")
-    lines += [f"  {line}" for line in found.together]
-    lines += [
-        f"  {each.curves.label}: residual {each.relative:.2%} of the curves (rms)" for each in found.compared
-    ]
-    return lines
+    residuals = (
+        f"{one.curves.label}: residual {one.relative:.2%} of the curves (rms)" for one in found.compared
+    )
+    return lines + [f"  {line}" for line in (*found.together, *residuals)]

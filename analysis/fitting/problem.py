@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from analysis.fitting.measured import Curves, Sensor
 from analysis.fitting.parameters import Parameter, with_values
-from analysis.fitting.predicted import linear, linear_slopes, on_the_bench
+from analysis.fitting.predicted import linear_slopes, on_the_bench, riding
 from analysis.fitting.steady_tones import Known, SteadyTones
 from rig.arrays import Array, ComplexArray
 from rig.scene.scene import Scene
@@ -21,7 +21,7 @@ VAGUE = 1.0
 _FARTHEST = 6.0
 # Step for derivatives of motions with dampers, which are exact to about 1e-13; relative step of the matrices, in
 # which all values but modal damping are linear.
-_STEP, _BESIDE = 1e-6, 1e-3
+_STEP, _MATRIX_STEP = 1e-6, 1e-3
 # Residual of a point at which the model has no steady motion, and limit of all residuals, standard deviations.
 _LOST = 30.0
 # Largest residual, in standard deviations and in medians, of a point with the right kind of motion.
@@ -30,13 +30,8 @@ _OUTLYING = 6.0
 _AROUND = 1.15
 
 
-@dataclass(frozen=True)
-class Motions:
-    """State of a group: the motion at each point, the motion before it, and the points that count."""
-
-    used: NDArray[np.bool_]
-    known: tuple[Known | None, ...]
-    before: tuple[Known | None, ...]
+# State of a group: the points that count, the motion at each point, and the motions before.
+Motions = tuple[NDArray[np.bool_], list[Known | None], list[Known | None]]
 
 
 @dataclass
@@ -55,13 +50,15 @@ class Group:
     def motions(self) -> Motions:
         """Return the state of the motions, for `restore`."""
         assert self.tones is not None
-        return Motions(self.used.copy(), *self.tones.state())
+        return self.used.copy(), list(self.tones.known), list(self.tones.before)
 
     def restore(self, motions: Motions) -> None:
         """Restore a state of the motions."""
         assert self.tones is not None
-        self.used, self.last = motions.used.copy(), None
-        self.tones.restore(motions.known, motions.before)
+        used, known, before = motions
+        self.used, self.last = used.copy(), None
+        self.tones.known, self.tones.before = list(known), list(before)
+        self.tones.given_up.clear()
 
     def choose_motions(self, problem: Problem, x: Array, scene: Scene) -> bool:
         """Replace the motion at outlying points by one that fits better, and leave out points that stay outlying.
@@ -71,30 +68,26 @@ class Group:
         assert self.tones is not None
         self.tones.given_up.clear()
         curves, before = self.curves, self.used.copy()
-        level = np.asarray(self.curves.level)
         predicted = problem.predicted(x, self, scene)
         bench = on_the_bench(scene, curves)
-        gain = 1.0 + problem.deviation(x, curves.reference_sensor)
-        frequency = curves.frequency * (1.0 + problem.clock_deviation(x))
-        own = np.array([1.0 + problem.deviation(x, sensor) for sensor in curves.sensors]) / gain
+        level, frequency = problem.operating_points(x, curves)
+        own, gain = problem.gains(x, curves)
 
-        def miss(k: int, value: ComplexArray) -> float:
-            return float(
-                np.nan_to_num(abs(curves.whiten[k] @ (value - curves.value[:, k])), nan=np.inf).max()
-            )
+        def residual(k: int, value: ComplexArray) -> float:
+            white = abs(curves.whiten[k] @ (value - curves.value[:, k]))
+            return float(np.nan_to_num(white, nan=np.inf).max())
 
-        off = np.array([miss(k, predicted[:, k]) for k in range(frequency.size)])
-        outlying = _OUTLYING * max(1.0, float(np.median(off)))
+        residuals = np.array([residual(k, predicted[:, k]) for k in range(frequency.size)])
+        limit = _OUTLYING * max(1.0, float(np.median(residuals)))
         changed = False
-        for k in np.flatnonzero(off > outlying).tolist():
-            for known, bodies in self.tones.others(bench, level / gain, frequency, k):
-                better = miss(k, own * bodies[list(curves.bodies)])
-                if better < 0.5 * off[k]:
-                    self.tones.known[k], off[k], changed = known, better, True
-                if off[k] <= outlying:
+        for k in np.flatnonzero(residuals > limit).tolist():
+            for known, bodies in self.tones.others(bench, level, frequency, k):
+                better = residual(k, own / gain * bodies[list(curves.bodies)])
+                if better < 0.5 * residuals[k]:
+                    self.tones.known[k], residuals[k], changed = known, better, True
+                if residuals[k] <= limit:
                     break
-        self.used = off <= outlying
-        self.last = None
+        self.used, self.last = residuals <= limit, None
         return changed or bool(np.any(self.used != before))
 
 
@@ -111,12 +104,12 @@ class Problem:
         self.model, self.parameters = model, list(parameters)
         self.groups = [
             Group(
-                one,
-                SteadyTones(one) if one.moving else None,
-                np.ones(one.frequency.size, dtype=bool),
-                _around(one),
+                each,
+                SteadyTones(each) if each.moving else None,
+                np.ones(each.frequency.size, bool),
+                _around(each),
             )
-            for one in curves
+            for each in curves
         ]
         everywhere = [sensor for one in curves for sensor in (*one.sensors, one.reference_sensor)]
         self.sensors = [sensor for sensor in dict.fromkeys(everywhere) if sensor.tolerance > 0.0]
@@ -139,19 +132,24 @@ class Problem:
 
     def scene(self, x: Array) -> Scene:
         """Give the model with the values of the unknowns."""
-        return with_values(
-            self.model,
-            {one.place: v for one, v in zip(self.parameters, self.values(x).tolist(), strict=True)},
-        )
+        places = [parameter.place for parameter in self.parameters]
+        return with_values(self.model, dict(zip(places, self.values(x).tolist(), strict=True)))
 
     def deviation(self, x: Array, sensor: Sensor) -> float:
         """Relative deviation of a sensor's sensitivity."""
         at = len(self.parameters)
         return float(x[at + self.sensors.index(sensor)]) if sensor in self.sensors else 0.0
 
-    def clock_deviation(self, x: Array) -> float:
-        """Relative deviation of the sample clock."""
-        return float(x[-1]) if self.clock > 0.0 else 0.0
+    def gains(self, x: Array, curves: Curves) -> tuple[Array, float]:
+        """Return the relative gains of the response sensors, shape (responses,), and of the reference sensor."""
+        own = np.array([1.0 + self.deviation(x, sensor) for sensor in curves.sensors])
+        return own, 1.0 + self.deviation(x, curves.reference_sensor)
+
+    def operating_points(self, x: Array, curves: Curves) -> tuple[Array, Array]:
+        """Return the true level of the reference (NaN without tones) and the true frequency in Hz, shape (n,)."""
+        clock = 1.0 + (float(x[-1]) if self.clock > 0.0 else 0.0)
+        level = np.nan if curves.level is None else curves.level
+        return np.asarray(level / self.gains(x, curves)[1]), curves.frequency * clock
 
     def clearance_limit(self, x: Array, parameter: Parameter) -> float:
         """Largest gap of a damper in all motions, m, a lower limit of its clearance; 0 with ceiling impacts."""
@@ -162,36 +160,29 @@ class Problem:
             if group.tones is None:
                 continue
             bench = on_the_bench(scene, group.curves)
-            gain = 1.0 + self.deviation(x, group.curves.reference_sensor)
-            frequency = group.curves.frequency * (1.0 + self.clock_deviation(x))
             for number, damper in enumerate(bench.dampers):
                 if damper.body == body and damper.moves:
-                    assert group.curves.level is not None
-                    limit = max(limit, group.tones.rise(bench, group.curves.level / gain, frequency, number))
+                    points = self.operating_points(x, group.curves)
+                    limit = max(limit, group.tones.rise(bench, *points, number))
         return limit if np.isfinite(limit) else 0.0
 
     def predicted(self, x: Array, group: Group, scene: Scene, settle: bool = True) -> ComplexArray:
         """Return the predicted readings, shape (responses, n); NaN where there is no steady motion."""
-        curves = group.curves
-        gain = 1.0 + self.deviation(x, curves.reference_sensor)
-        own = np.array([1.0 + self.deviation(x, sensor) for sensor in curves.sensors])
-        return own[:, None] / gain * self._answer(x, group, scene, settle)[list(curves.bodies)]
+        own, gain = self.gains(x, group.curves)
+        return own[:, None] / gain * self._answer(x, group, scene, settle)[list(group.curves.bodies)]
 
     def _answer(self, x: Array, group: Group, scene: Scene, settle: bool = True) -> ComplexArray:
         """Displacement of the bodies over the reference, shape (bodies, n)."""
         curves = group.curves
-        gain = 1.0 + self.deviation(x, curves.reference_sensor)
-        clock = 1.0 + self.clock_deviation(x)
-        level = None if group.tones is None else gain
-        key = (*x[: len(self.parameters)].tolist(), clock, 0.0 if level is None else level)
+        level, frequency = self.operating_points(x, curves)
+        gain = 0.0 if group.tones is None else self.gains(x, curves)[1]
+        key = (*x[: len(self.parameters)].tolist(), float(x[-1]) if self.clock > 0.0 else 0.0, gain)
         if group.last is None or group.last[0] != key or (settle and not group.last[1]):
-            frequency = curves.frequency * clock
             bench = on_the_bench(scene, curves)
             if group.tones is None:
-                bodies = linear(bench, curves, frequency)
+                bodies = riding(bench, curves, frequency)[0]
             else:
-                assert curves.level is not None
-                bodies = group.tones.at(bench, curves.level / gain, frequency, settle)
+                bodies = group.tones.at(bench, level, frequency, settle)
             group.last = (key, settle, bodies)
         return group.last[2]
 
@@ -208,7 +199,7 @@ class Problem:
     def residual(
         self, x: Array, groups: Sequence[Group], distrust: float = 0.0, settle: bool = True
     ) -> Array:
-        """All misses of some groups, real and imaginary parts, then how far the unknowns are from what was known."""
+        """Residuals of some groups, real and imaginary parts, then the deviations of the unknowns from their priors."""
         scene = self.scene(x)
         parts = [self.misses(x, group, scene, distrust, settle) for group in groups]
         flat = np.concatenate([part.ravel() for part in parts]) if parts else np.zeros(0, dtype=complex)
@@ -230,10 +221,8 @@ class Problem:
             self._linear_slopes(x, group, scene, distrust, chosen) if group.tones is None else next(following)
             for group in groups
         ]
-        flat = (
-            np.concatenate([part.reshape(-1, len(chosen)) for part in parts])
-            if parts
-            else np.zeros((0, len(chosen)))
+        flat = np.concatenate(
+            [np.zeros((0, len(chosen))), *(part.reshape(-1, len(chosen)) for part in parts)]
         )
         prior = np.zeros((self.size, len(chosen)))
         prior[chosen, range(len(chosen))] = 1.0 / self.spread[chosen]
@@ -262,26 +251,28 @@ class Problem:
     ) -> ComplexArray:
         """Slopes of the misses of a group in which no damper moves; shape (used, responses, chosen)."""
         curves, used, count = group.curves, group.used, len(self.parameters)
-        seen = [k for k in chosen if k < count and self.parameters[k].seen_riding]
-        by_value, by_frequency = linear_slopes(
-            on_the_bench(scene, curves),
-            curves,
-            curves.frequency * (1.0 + self.clock_deviation(x)),
-            [self._beside(x, k, curves) for k in seen],
+        # Of dampers at rest on their floors, only the masses have an effect.
+        acting = [
+            k
+            for k in chosen
+            if k < count
+            and (self.parameters[k].damper is None or self.parameters[k].what in ("mass", "mass_ratio"))
+        ]
+        benches, frequency = (
+            [self._neighbours(x, k, curves) for k in acting],
+            self.operating_points(x, curves)[1],
         )
-        values = self.values(x)
-        gain = 1.0 + self.deviation(x, curves.reference_sensor)
-        own = np.array([1.0 + self.deviation(x, sensor) for sensor in curves.sensors])
+        by_value, by_frequency = linear_slopes(on_the_bench(scene, curves), curves, frequency, benches)
+        values, (own, gain) = self.values(x), self.gains(x, curves)
         bodies, rows = self._answer(x, group, scene), list(curves.bodies)
         slopes = np.zeros((len(chosen), *curves.value.shape), dtype=complex)
         for column, k in enumerate(chosen):
-            if k in seen:
-                one = self.parameters[k]
-                by_unknown = values[k] * slope(one, float(values[k]))
-                slopes[column] = own[:, None] / gain * by_value[seen.index(k)][rows] * by_unknown
+            if k in acting:
+                by_unknown = values[k] * self.parameters[k].slope(float(values[k]))
+                slopes[column] = own[:, None] / gain * by_value[acting.index(k)][rows] * by_unknown
             elif count <= k < count + len(self.sensors):
                 sensor = self.sensors[k - count]
-                of = np.array([float(one == sensor) for one in curves.sensors])[:, None]
+                of = np.array([float(each == sensor) for each in curves.sensors])[:, None]
                 by_gain = float(curves.reference_sensor == sensor)
                 slopes[column] = (of - by_gain * own[:, None] / gain) / gain * bodies[rows]
             elif k >= count:
@@ -289,27 +280,22 @@ class Problem:
         white = np.einsum("nij,cjn->nic", curves.whiten[used], slopes[:, :, used])
         return white / np.sqrt(1.0 + (distrust * group.around[used]) ** 2)[..., None]
 
-    def _beside(self, x: Array, k: int, curves: Curves) -> tuple[Scene, Scene, float]:
-        """Benches with a little more and a little less of a value, and the distance of the two."""
-        values = self.values(x).tolist()
-        benches = []
-        for sign in (1.0, -1.0):
-            changed = {one.place: value for one, value in zip(self.parameters, values, strict=True)}
-            changed[self.parameters[k].place] *= 1.0 + sign * _BESIDE
-            benches.append(on_the_bench(with_values(self.model, changed), curves))
-        return benches[0], benches[1], 2.0 * _BESIDE * values[k]
+    def _neighbours(self, x: Array, k: int, curves: Curves) -> tuple[Scene, Scene, float]:
+        """Benches with a slightly larger and a slightly smaller value, and the difference of the values."""
+        values, place = self.values(x).tolist(), self.parameters[k].place
+        places = [parameter.place for parameter in self.parameters]
+        more, less = (
+            with_values(self.model, dict(zip(places, values, strict=True)) | {place: values[k] * factor})
+            for factor in (1.0 + _MATRIX_STEP, 1.0 - _MATRIX_STEP)
+        )
+        return on_the_bench(more, curves), on_the_bench(less, curves), 2.0 * _MATRIX_STEP * values[k]
 
 
 def _around(curves: Curves) -> Array:
-    """Largest value around each point in standard deviations: how much a model that is not right may be off."""
+    """Largest value around each point in standard deviations: scale of the residuals of a wrong model."""
     order = np.argsort(curves.frequency, kind="stable")
     f, size = curves.frequency[order], abs(curves.value[:, order])
     low, high = np.searchsorted(f, f / _AROUND), np.searchsorted(f, f * _AROUND, side="right")
     largest = np.empty(size.T.shape)
     largest[order] = np.stack([size[:, a:b].max(axis=1) for a, b in zip(low, high, strict=True)])
     return largest * abs(np.einsum("nii->ni", curves.whiten))
-
-
-def slope(one: Parameter, value: float) -> float:
-    """Relative change of a parameter's value for one unit of its unknown."""
-    return 1.0 - value if one.below_one else 1.0

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -56,19 +57,19 @@ class SteadyTones:
     """Steady motion with dampers at each point of a sweep, continued from the motion stored there.
 
     `curves`: of steady tones; `known`: the motion at each point; None where all dampers rest on their floors, or the
-    motion is not periodic; `given_up`: points without a motion; they are not searched again until this set is
+    motion is not periodic; `before`: the last motion at each point, to which a trial may return after a trial without
+    motion; `given_up`: points without a motion; they are not searched again until this set is
     emptied; `uncovered`: reasons why orbits cannot be computed at points, from the last search.
     """
 
     def __init__(self, curves: Curves) -> None:
         if isinstance(curves.scene.shaker, tuple):
             raise SceneError(
-                f"{curves.label}: several shakers together with dampers. Fit recordings of one shaker"
+                f"{curves.label}: several shakers drive a scene with dampers. Fit recordings of a single shaker."
             )
         self.curves = curves
         self.known: list[Known | None] = [None] * curves.frequency.size
-        # The motion before a trial that lost it: the next trial may return to it.
-        self._last = list(self.known)
+        self.before = list(self.known)
         self.given_up: set[int] = set()
         self.uncovered: dict[int, str] = {}
 
@@ -90,22 +91,13 @@ class SteadyTones:
             else:
                 answer = None if here is None else rig.corrected(here, frequency[k], level[k])
                 answer = answer or self._recovered(rig, frequency, level, k)
-                self._last[k] = here or self._last[k]
+                self.before[k] = here or self.before[k]
                 self.known[k] = None if answer is None else answer[0]
             found[:, k] = np.nan if answer is None else answer[1]
         if settle:
             for k in np.flatnonzero(pull <= bench.gravity).tolist():
                 self.known[k] = None
         return found
-
-    def state(self) -> tuple[tuple[Known | None, ...], tuple[Known | None, ...]]:
-        """Return the motions, and those before them."""
-        return tuple(self.known), tuple(self._last)
-
-    def restore(self, known: Sequence[Known | None], before: Sequence[Known | None]) -> None:
-        """Come back to motions known before."""
-        self.known, self._last = list(known), list(before)
-        self.given_up.clear()
 
     def others(self, bench: Scene, level: Array, frequency: Array, k: int) -> Iterator[Answer]:
         """Yield the stable motions at a point that are reached from its neighbours, from riding, and from rest."""
@@ -131,7 +123,7 @@ class SteadyTones:
     def _recovered(self, rig: _Rig, frequency: Array, level: Array, k: int) -> Answer | None:
         """Motion with the events it had before, or with those of a neighbour, else the one reached from riding."""
         neighbours = [self.known[near] for near in (k - 1, k + 1) if 0 <= near < len(self.known)]
-        for known in (self._last[k], *neighbours):
+        for known in (self.before[k], *neighbours):
             if known is not None:
                 answer = rig.corrected(known, frequency[k], level[k])
                 if answer is not None:
@@ -248,17 +240,13 @@ class _Rig:
 
     def rise(self, known: Known, frequency: float, level: float, damper: int) -> float:
         """Largest gap below a damper in a motion, m; infinite with ceiling impacts."""
-        setting = OperatingPoint(
-            float(frequency), float(known.drive if self.table is not None else self._drive(level))
-        )
-        curve = Following(self.problem, known.plan, setting, "frequency", known.unknowns)
-        equations, change = curve.tables(setting.frequency)
-        x, _, shot, _, count = correct(
-            equations, change, known.plan.sequence, known.unknowns, curve.scale[:-1], curve.rows, _CORRECTIONS
-        )
-        if count < 0:
+        drive = known.drive if self.table is not None else self._drive(level)
+        setting = OperatingPoint(float(frequency), float(drive))
+        solution = self._solved(known, setting)
+        if solution is None:
             return 0.0
-        orbit = curve.describe(setting, x, equations, shot)
+        curve, *solved = solution
+        orbit = curve.describe(setting, *solved)
         hits = (orbit.events["damper"] == damper + 1) & (orbit.events["kind"] == "ceiling")
         return np.inf if hits.any() else float(orbit.columns()[f"gap {damper + 1}_m"].max())
 
@@ -290,17 +278,11 @@ class _Rig:
     ) -> tuple[Known, ComplexArray, float] | None:
         """Motion at a drive, displacement over the reference, and the reference's level."""
         setting = OperatingPoint(float(frequency), float(drive))
-        curve = Following(self.problem, near.plan, setting, "frequency", near.unknowns)
-        equations, change = curve.tables(setting.frequency)
+        solution = self._solved(near, setting)
+        if solution is None:
+            return None
+        curve, x, equations, shot = solution
         sequence = near.plan.sequence
-        try:
-            x, _, shot, _, count = correct(
-                equations, change, sequence, near.unknowns, curve.scale[:-1], curve.rows, _CORRECTIONS
-            )
-        except np.linalg.LinAlgError:
-            return None
-        if count < 0:
-            return None
         if checked:
             orbit = curve.describe(setting, x, equations, shot)
             if orbit.flaw or not orbit.stable:
@@ -309,8 +291,23 @@ class _Rig:
         harmonic = 2.0 / equations.period * survey(equations, sequence, shot, instants)[1]
         driven = -1j * setting.force / (self.spring or 1.0)
         reference = complex(driven if self.table is None else harmonic[self.table])
-        return (
-            replace(near, unknowns=x, drive=float(drive)),
-            harmonic[: self.bodies] / reference,
-            abs(reference),
-        )
+        known = replace(near, unknowns=x, drive=float(drive))
+        return known, harmonic[: self.bodies] / reference, abs(reference)
+
+    def _solved(self, near: Known, setting: OperatingPoint) -> tuple[Following, Array, Any, Any] | None:
+        """Newton's method from a motion: the curve, unknowns, equations and shot; None without convergence."""
+        curve = Following(self.problem, near.plan, setting, "frequency", near.unknowns)
+        equations, change = curve.tables(setting.frequency)
+        try:
+            x, _, shot, _, count = correct(
+                equations,
+                change,
+                near.plan.sequence,
+                near.unknowns,
+                curve.scale[:-1],
+                curve.rows,
+                _CORRECTIONS,
+            )
+        except np.linalg.LinAlgError:
+            return None
+        return None if count < 0 else (curve, x, equations, shot)

@@ -13,10 +13,10 @@ import rig
 from analysis.fitting.estimate import Estimate
 from analysis.fitting.figure import fit_figure
 from analysis.fitting.fit import Compared, Fit, Fitted, _misfit
+from analysis.fitting.identifiability import LevelDamping
 from analysis.fitting.measured import measured
 from analysis.fitting.parameters import free_parameters, spelt_out, with_values
 from analysis.fitting.presentation import describe
-from analysis.fitting.separation import LevelDamping
 from rig.errors import RecordingError, SceneError
 from tests.analysis.responses import synthetic
 
@@ -219,7 +219,7 @@ def test_omitted_points_are_drawn_as_crosses():
     curves = replace(demo, frequency=np.arange(10.0, 14.0), value=value, sensors=demo.sensors[:1])
     found = SimpleNamespace(compared=[Compared(curves, value, used, np.ones((1, 4)), 1.0)])
     axes = fit_figure(found).axes  # type: ignore[arg-type]
-    assert axes[1].get_title(loc="left") == "Off by 100 % of the curve, rms, 1 point left out"
+    assert axes[1].get_title(loc="left") == "Residual 100 % of the curve, rms, 1 point left out"
     for ax in axes:
         crosses = [line for line in ax.lines if line.get_marker() == "x"]
         assert [np.isfinite(line.get_ydata()).tolist() for line in crosses] == [(~used).tolist()]

@@ -14,11 +14,13 @@ from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
+from mcap.opcode import Opcode
 
 from daq.importing.clock import Clock, clock_of_times, rate_of_interval
 from daq.importing.signal import Signal
 from daq.mcap_file.chunk import (
     CHUNK_HEAD,
+    MAGIC,
     RECORD_HEAD,
     Damage,
     Stored,
@@ -27,8 +29,7 @@ from daq.mcap_file.chunk import (
     records_in,
     unpack_chunk,
 )
-from daq.mcap_file.reader import MAGIC
-from daq.mcap_file.summary import CHANNEL, CHUNK, DATA_END, MESSAGE, SCHEMA, parse
+from daq.mcap_file.summary import parse
 from daq.recording import layout
 from rig.arrays import Array
 from rig.errors import RecordingError, ShotrigError
@@ -90,7 +91,7 @@ class _Topics:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._known: dict[int, dict[int, Any]] = {SCHEMA: {}, CHANNEL: {}}
+        self._known: dict[int, dict[int, Any]] = {Opcode.SCHEMA: {}, Opcode.CHANNEL: {}}
         self._decoders: dict[int, Decoder | None] = {}
         self._in_memory = 0
         self.fields: dict[tuple[str, str], _Field] = {}
@@ -107,10 +108,10 @@ class _Topics:
         if read(0, len(MAGIC)) != MAGIC:
             raise Damage("it does not begin with the MCAP signature")
         place, opcode = len(MAGIC), 0
-        while opcode != DATA_END:
+        while opcode != Opcode.DATA_END:
             opcode, content = record_at(read, place, end, end)
             place += RECORD_HEAD.size + len(content)
-            if opcode != CHUNK:
+            if opcode != Opcode.CHUNK:
                 self._record(opcode, content, len(content))
                 continue
             size = CHUNK_HEAD.unpack_from(content)[2] if len(content) >= CHUNK_HEAD.size else 0
@@ -124,19 +125,19 @@ class _Topics:
 
     def _record(self, opcode: int, content: memoryview, around: int) -> None:
         """Take a record; `around` is the size of the chunk that is in memory with it, bytes."""
-        if opcode in (SCHEMA, CHANNEL):
+        if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             self._in_memory += _COPIES * len(content)
             self._need(around)
             record = parse(opcode, content)
             self._known[opcode][record.id] = record
-        elif opcode == MESSAGE:
+        elif opcode == Opcode.MESSAGE:
             self._message(parse_message(content), around)
 
     def _message(self, message: Stored, around: int) -> None:
-        channel = self._known[CHANNEL].get(message.channel)
+        channel = self._known[Opcode.CHANNEL].get(message.channel)
         if channel is None:
             raise Damage(f"a message belongs to channel {message.channel}, which no record before describes")
-        schema = self._known[SCHEMA].get(channel.schema_id)
+        schema = self._known[Opcode.SCHEMA].get(channel.schema_id)
         if channel.topic.startswith(layout.RAW) and schema is not None and schema.name.startswith("shotrig."):
             raise RecordingError(
                 f"{self._path} is a recording already. Use it directly with `analysis` and `daq`."

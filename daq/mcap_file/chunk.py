@@ -8,6 +8,8 @@ import zlib
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
+from mcap.opcode import Opcode
+
 # Largest chunk that is unpacked, bytes; a recorder's chunks are a thousandth of it.
 LARGEST_CHUNK = 1 << 26
 # Limits against small files that would keep a reader busy for minutes: unpacked size up to which any ratio is accepted,
@@ -15,10 +17,11 @@ LARGEST_CHUNK = 1 << 26
 PACKS_FREELY, PACKS_AT_MOST = 1 << 21, 1000
 FEW_RECORDS = 1 << 10
 
-SCHEMA, CHANNEL, MESSAGE = 0x03, 0x04, 0x05
+MAGIC = b"\x89MCAP0\r\n"
 
 RECORD_HEAD = struct.Struct("<BQ")
 CHUNK_HEAD = struct.Struct("<QQQII")
+_IN_CHUNKS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
 _of_thread = threading.local()
 _MESSAGE_HEAD = struct.Struct("<HIQQ")
 
@@ -138,7 +141,7 @@ def records_in(records: memoryview, stored: int) -> Iterator[tuple[int, memoryvi
         begin, place = place + RECORD_HEAD.size, place + RECORD_HEAD.size + length
         if place > end:
             raise Damage(f"a record in it claims {length} bytes")
-        if opcode not in (SCHEMA, CHANNEL, MESSAGE):
+        if opcode not in _IN_CHUNKS:
             raise Damage(f"a record of kind {opcode} in it, which does not belong in a chunk")
         yield opcode, records[begin:place]
 
@@ -146,7 +149,7 @@ def records_in(records: memoryview, stored: int) -> Iterator[tuple[int, memoryvi
 def messages_in(records: memoryview, stored: int) -> Iterator[Stored]:
     """Yield the messages among the records of a chunk, as `records_in`."""
     for opcode, content in records_in(records, stored):
-        if opcode == MESSAGE:
+        if opcode == Opcode.MESSAGE:
             yield parse_message(content)
 
 

@@ -8,16 +8,16 @@ from __future__ import annotations
 
 import re
 import struct
-import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Self
 
-from daq.mcap_file.chunk import CHUNK_HEAD, LARGEST_CHUNK, RECORD_HEAD, Damage, unpack_chunk
-from daq.mcap_file.metadata_checksum import is_intact
-from daq.mcap_file.reader import LARGEST_RECORD, MAGIC
-from daq.mcap_file.summary import ATTACHMENT, CHUNK, DATA_END, HEADER, MESSAGE_INDEX, METADATA, parse
+from mcap.opcode import Opcode
+
+from daq.mcap_file.chunk import CHUNK_HEAD, LARGEST_CHUNK, MAGIC, RECORD_HEAD, Damage, unpack_chunk
+from daq.mcap_file.reader import LARGEST_RECORD
+from daq.mcap_file.summary import parse
 from rig.errors import RecordingError
 
 if TYPE_CHECKING:
@@ -79,7 +79,7 @@ class DamagedFile:
             place = self._next_record(0)
             yield Unreadable(0, place, "it does not begin with the MCAP signature")
         while place < self.size:
-            if self._is_data_end(place):
+            if self._read(place, RECORD_HEAD.size) == RECORD_HEAD.pack(Opcode.DATA_END, 4):
                 return
             part, end = self._part(place)
             if end is None:
@@ -88,9 +88,6 @@ class DamagedFile:
             if part is not None:
                 yield part
             place = end
-
-    def _is_data_end(self, place: int) -> bool:
-        return self._read(place, RECORD_HEAD.size) == RECORD_HEAD.pack(DATA_END, 4)
 
     def _part(self, place: int) -> tuple[Intact | Unreadable | None, int | None]:
         """Identify the record at a place, and its end: None if it cannot be identified."""
@@ -103,19 +100,23 @@ class DamagedFile:
         if chunk is not None:
             return chunk
         # The checksum of fields does not cover the length; too large a length would include the next records.
-        sized = opcode == ATTACHMENT or (opcode == METADATA and self._is_consistent(place))
+        sized = opcode == Opcode.ATTACHMENT or (opcode == Opcode.METADATA and self._is_consistent(place))
         if sized and length <= LARGEST_RECORD and end <= self.size:
             try:
-                return Intact(_verified(opcode, self._read(place + RECORD_HEAD.size, length)), length), end
+                return Intact(parse(opcode, self._read(place + RECORD_HEAD.size, length), True), length), end
             except Damage as damage:
                 return (
                     (Unreadable(place, end, str(damage)), end) if self._is_consistent(end) else (None, None)
                 )
-        if opcode in (HEADER, MESSAGE_INDEX) and self._is_consistent(place) and end <= self.size:
+        if (
+            opcode in (Opcode.HEADER, Opcode.MESSAGE_INDEX)
+            and self._is_consistent(place)
+            and end <= self.size
+        ):
             return None, end
         if (
             end > self.size
-            and opcode in (CHUNK, METADATA, ATTACHMENT, MESSAGE_INDEX)
+            and opcode in (Opcode.CHUNK, Opcode.METADATA, Opcode.ATTACHMENT, Opcode.MESSAGE_INDEX)
             and self._is_consistent(place)
         ):
             return Unreadable(place, self.size, "the file ends within a record"), self.size
@@ -158,22 +159,22 @@ class DamagedFile:
         opcode, length = RECORD_HEAD.unpack_from(head)
         content = head[RECORD_HEAD.size :]
         try:
-            if opcode == CHUNK:
+            if opcode == Opcode.CHUNK:
                 name_length = CHUNK_HEAD.unpack_from(content)[4]
                 name = bytes(content[CHUNK_HEAD.size :][:name_length])
                 (packed,) = struct.unpack_from("<Q", content, CHUNK_HEAD.size + name_length)
                 return name in _COMPRESSIONS and bool(length == CHUNK_HEAD.size + name_length + 8 + packed)
-            if opcode == MESSAGE_INDEX:
+            if opcode == Opcode.MESSAGE_INDEX:
                 entries = struct.unpack_from("<HI", content)[1]
                 return bool(length == 6 + entries and entries % 16 == 0)
-            if opcode == DATA_END:
+            if opcode == Opcode.DATA_END:
                 return bool(length == 4)
-            if opcode in (METADATA, HEADER):
+            if opcode in (Opcode.METADATA, Opcode.HEADER):
                 first = struct.unpack_from("<I", content)[0]
                 second = struct.unpack("<I", self._read(place + RECORD_HEAD.size + 4 + first, 4))[0]
                 return bool(length == 8 + first + second)
-            if opcode == ATTACHMENT and length <= LARGEST_RECORD:
-                _verified(opcode, self._read(place + RECORD_HEAD.size, length))
+            if opcode == Opcode.ATTACHMENT and length <= LARGEST_RECORD:
+                parse(opcode, self._read(place + RECORD_HEAD.size, length), True)
                 return True
         except (struct.error, Damage):
             return False
@@ -188,16 +189,3 @@ class DamagedFile:
                     return place + match.start()
             place += _WINDOW - RECORD_HEAD.size
         return self.size
-
-
-def _verified(opcode: int, content: memoryview) -> Any:
-    """Parse a metadata record or an attachment; raise `Damage` unless it has the right checksum."""
-    record = parse(opcode, content)
-    if opcode == METADATA and not is_intact(record.metadata):
-        raise Damage("a metadata record has a wrong checksum, or none")
-    if (
-        opcode == ATTACHMENT
-        and zlib.crc32(content[:-4]) != struct.unpack_from("<I", content, len(content) - 4)[0]
-    ):
-        raise Damage("an attachment has a wrong checksum, or none")
-    return record

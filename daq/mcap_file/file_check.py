@@ -13,44 +13,27 @@ import struct
 import zlib
 from array import array
 from collections import Counter
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from mcap import records
 from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from daq.mcap_file.chunk import (
     CHUNK_HEAD,
     LARGEST_CHUNK,
+    MAGIC,
     RECORD_HEAD,
-    SCHEMA,
     Damage,
     parse_message,
     record_at,
     records_in,
     unpack_chunk,
 )
-from daq.mcap_file.metadata_checksum import is_intact
-from daq.mcap_file.reader import MAGIC, Container
-from daq.mcap_file.summary import (
-    ATTACHMENT,
-    ATTACHMENT_INDEX,
-    CHANNEL,
-    CHUNK,
-    CHUNK_INDEX,
-    DATA_END,
-    FOOTER,
-    HEADER,
-    MESSAGE,
-    MESSAGE_INDEX,
-    METADATA,
-    METADATA_INDEX,
-    STATISTICS,
-    SUMMARY_OFFSET,
-    parse,
-)
+from daq.mcap_file.reader import Container
+from daq.mcap_file.summary import parse
 
 # Opcodes from here on belong to applications; readers pass over them.
 _PRIVATE = 0x80
@@ -67,15 +50,6 @@ def check_file(container: Container) -> None:
         raise container.error(f"is damaged at byte {check.place}: {damage}") from damage
 
 
-@dataclass
-class _Chunk:
-    """A chunk of the file: its index as the summary should repeat it, and its messages."""
-
-    index: records.ChunkIndex
-    messages: dict[int, NDArray[Any]]
-    """Log times and places of the messages of each channel; structured arrays."""
-
-
 def _fingerprint(record: Any) -> int:
     """Hash the fields of an index of the summary."""
     fields = vars(record).values()
@@ -89,33 +63,39 @@ class _Check:
         self.place = 0
         self._file = container
         self._ours = container.checksums_needed
-        self._schemas: dict[int, Any] = {}
-        self._channels: dict[int, Any] = {}
+        self._described: dict[int, dict[int, Any]] = {Opcode.SCHEMA: {}, Opcode.CHANNEL: {}}
         # Places of the records that the summary should list, by the kind of their index, with a hash of their fields,
         # which takes less memory: of a million empty chunks the fields would take a gigabyte.
         self._unlisted: dict[int, dict[int, int]] = {
-            CHUNK_INDEX: {}, ATTACHMENT_INDEX: {}, METADATA_INDEX: {}
+            Opcode.CHUNK_INDEX: {}, Opcode.ATTACHMENT_INDEX: {}, Opcode.METADATA_INDEX: {}
         }  # fmt: skip
         self._listed: Counter[int] = Counter()
         self._counts: Counter[int] = Counter()
         self._times: tuple[int, int] | None = None
-        self._chunk: _Chunk | None = None
+        # Of the latest chunk, its index as the summary should repeat it, and log times and places of its messages.
+        self._chunk: records.ChunkIndex | None = None
+        self._messages: dict[int, NDArray[Any]] = {}
 
     def run(self) -> None:
         """Check the data section and the summary."""
         self.place = len(MAGIC)
         opcode, content = self._next()
-        if opcode != HEADER:
+        if opcode != Opcode.HEADER:
             raise Damage("the file does not begin with a header")
-        self._plain(parse(HEADER, content), content)
-        while opcode != DATA_END:
+        self._plain(parse(Opcode.HEADER, content), content)
+        while opcode != Opcode.DATA_END:
             begin = self.place
             opcode, content = self._next(move=False)
-            if opcode != MESSAGE_INDEX:
+            if opcode != Opcode.MESSAGE_INDEX:
                 self._end_chunk()
             self._data_record(opcode, content)
             self.place = begin + RECORD_HEAD.size + len(content)
-        self._data_checksum(begin, parse(DATA_END, content).data_section_crc)
+        expected = parse(Opcode.DATA_END, content).data_section_crc
+        found = 0
+        for start in range(0, begin if expected else 0, _AT_ONCE):
+            found = zlib.crc32(self._file.read(start, min(_AT_ONCE, begin - start)), found)
+        if found != expected:
+            raise Damage("the checksum of the data section is wrong")
         self._summary()
 
     def _next(self, move: bool = True) -> tuple[int, memoryview]:
@@ -129,14 +109,12 @@ class _Check:
 
     def _data_record(self, opcode: int, content: memoryview) -> None:
         length = RECORD_HEAD.size + len(content)
-        if opcode == CHUNK:
+        if opcode == Opcode.CHUNK:
             self._begin_chunk(content)
-        elif opcode == MESSAGE_INDEX:
+        elif opcode == Opcode.MESSAGE_INDEX:
             self._message_index(content)
-        elif opcode == ATTACHMENT:
-            record = parse(opcode, content)
-            if self._ours and not any(content[-4:]):
-                raise Damage("an attachment has no checksum")
+        elif opcode == Opcode.ATTACHMENT:
+            record = parse(opcode, content, self._ours)
             index = records.AttachmentIndex(
                 self.place,
                 length,
@@ -146,22 +124,20 @@ class _Check:
                 record.name,
                 record.media_type,
             )
-            self._unlisted[ATTACHMENT_INDEX][self.place] = _fingerprint(index)
-        elif opcode == METADATA:
-            record = parse(opcode, content)
-            if (self._ours or "crc32" in record.metadata) and not is_intact(record.metadata):
-                raise Damage(f"the checksum of the metadata {record.name!r} is wrong")
+            self._unlisted[Opcode.ATTACHMENT_INDEX][self.place] = _fingerprint(index)
+        elif opcode == Opcode.METADATA:
+            record = parse(opcode, content, self._ours)
             self._plain(record, content)
-            self._unlisted[METADATA_INDEX][self.place] = _fingerprint(
+            self._unlisted[Opcode.METADATA_INDEX][self.place] = _fingerprint(
                 records.MetadataIndex(self.place, length, record.name)
             )
-        elif opcode in (SCHEMA, CHANNEL) and not self._ours:
+        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL) and not self._ours:
             self._announce(opcode, content)
-        elif opcode == MESSAGE and not self._ours:
+        elif opcode == Opcode.MESSAGE and not self._ours:
             message = parse_message(content)
             self._counts[message.channel] += 1
             self._span(message.log_time, message.log_time)
-        elif opcode != DATA_END and (opcode < _PRIVATE or self._ours):
+        elif opcode != Opcode.DATA_END and (opcode < _PRIVATE or self._ours):
             raise Damage(f"a record of kind {opcode}, which does not belong there")
 
     def _plain(self, record: Any, content: memoryview) -> None:
@@ -174,37 +150,32 @@ class _Check:
     def _announce(self, opcode: int, content: memoryview) -> None:
         """Store a schema or channel; all records of a number must be equal."""
         record = parse(opcode, content)
-        known = self._schemas if opcode == SCHEMA else self._channels
-        if known.setdefault(record.id, record) != record:
+        if self._described[opcode].setdefault(record.id, record) != record:
             raise Damage(f"two different schemas or channels have the number {record.id}")
 
     def _begin_chunk(self, content: memoryview) -> None:
         unpacked = unpack_chunk(content, self._ours)
         start, end, size, _, name_length = CHUNK_HEAD.unpack_from(content)
         name = bytes(content[CHUNK_HEAD.size : CHUNK_HEAD.size + name_length]).decode()
-        times: dict[int, tuple[array[int], array[int]]] = {}
+        entries: dict[int, array[int]] = {}
         place = 0
         for opcode, inside in records_in(unpacked, len(content)):
-            if opcode == MESSAGE:
+            if opcode == Opcode.MESSAGE:
                 message = parse_message(inside)
-                log_times, places = times.setdefault(message.channel, (array("Q"), array("Q")))
-                log_times.append(message.log_time)
-                places.append(place)
+                entries.setdefault(message.channel, array("Q")).extend((message.log_time, place))
             else:
                 self._announce(opcode, inside)
             place += RECORD_HEAD.size + len(inside)
-        messages = {}
-        for channel, (log_times, places) in times.items():
-            messages[channel] = np.empty(len(places), _ENTRY)
-            messages[channel]["log_time"], messages[channel]["place"] = log_times, places
-            self._counts[channel] += len(places)
-        stamps = [stamp for of in messages.values() for stamp in (of["log_time"].min(), of["log_time"].max())]
+        self._messages = {channel: np.frombuffer(pairs, _ENTRY) for channel, pairs in entries.items()}
+        self._counts.update({channel: messages.size for channel, messages in self._messages.items()})
+        times = [messages["log_time"] for messages in self._messages.values()]
+        stamps = [int(stamp) for each in times for stamp in (each.min(), each.max())]
         if (start, end) != ((min(stamps), max(stamps)) if stamps else (0, 0)):
             raise Damage("the times of a chunk are not those of its messages")
         if stamps:
             self._span(start, end)
         packed = len(content) - CHUNK_HEAD.size - name_length - 8
-        index = records.ChunkIndex(
+        self._chunk = records.ChunkIndex(
             chunk_length=RECORD_HEAD.size + len(content),
             chunk_start_offset=self.place,
             compression=name,
@@ -215,7 +186,6 @@ class _Check:
             message_start_time=start,
             uncompressed_size=size,
         )
-        self._chunk = _Chunk(index, messages)
 
     def _span(self, start: int, end: int) -> None:
         before = self._times or (start, end)
@@ -227,34 +197,25 @@ class _Check:
         if chunk is None or len(content) < 6:
             raise Damage("a message index without a chunk")
         channel, size = struct.unpack_from("<HI", content)
-        if size != len(content) - 6 or size % _ENTRY.itemsize or channel in chunk.index.message_index_offsets:
+        if size != len(content) - 6 or size % _ENTRY.itemsize or channel in chunk.message_index_offsets:
             raise Damage("a message index is malformed")
         listed = np.frombuffer(content, _ENTRY, offset=6)
-        there = chunk.messages.get(channel, np.empty(0, _ENTRY))
+        there = self._messages.get(channel, np.empty(0, _ENTRY))
         if not np.array_equal(np.sort(listed, order="place"), there):
             raise Damage(f"the message index of channel {channel} does not agree with the chunk before it")
-        chunk.index.message_index_offsets[channel] = self.place
-        chunk.index.message_index_length += RECORD_HEAD.size + len(content)
+        chunk.message_index_offsets[channel] = self.place
+        chunk.message_index_length += RECORD_HEAD.size + len(content)
 
     def _end_chunk(self) -> None:
         """Complete a chunk behind its message indexes."""
         chunk, self._chunk = self._chunk, None
         if chunk is None:
             return
-        indexed = chunk.index.message_index_offsets
-        missing = chunk.messages.keys() - indexed.keys()
+        indexed = chunk.message_index_offsets
+        missing = self._messages.keys() - indexed.keys()
         if missing and (self._ours or indexed):
             raise Damage(f"the chunk before has no message index of channel {min(missing)}")
-        self._unlisted[CHUNK_INDEX][chunk.index.chunk_start_offset] = _fingerprint(chunk.index)
-
-    def _data_checksum(self, end: int, expected: int) -> None:
-        if not expected:
-            return
-        found = 0
-        for begin in range(0, end, _AT_ONCE):
-            found = zlib.crc32(self._file.read(begin, min(_AT_ONCE, end - begin)), found)
-        if found != expected:
-            raise Damage("the checksum of the data section is wrong")
+        self._unlisted[Opcode.CHUNK_INDEX][chunk.chunk_start_offset] = _fingerprint(chunk)
 
     # -- the summary -------------------------------------------------------------------------------------
 
@@ -266,10 +227,10 @@ class _Check:
         while True:
             place = self.place
             opcode, content = self._next()
-            if opcode == FOOTER:
-                footer = parse(FOOTER, content)
+            if opcode == Opcode.FOOTER:
+                footer = parse(Opcode.FOOTER, content)
                 break
-            if opcode == SUMMARY_OFFSET:
+            if opcode == Opcode.SUMMARY_OFFSET:
                 offsets = offsets or place
                 offset = parse(opcode, content)
                 stated = offset.group_start, offset.group_length
@@ -292,15 +253,14 @@ class _Check:
     def _summary_record(self, opcode: int, record: Any, written: dict[int, int]) -> None:
         """Compare a record of the summary with the record that it repeats."""
         if opcode in self._unlisted:
-            place = record.chunk_start_offset if opcode == CHUNK_INDEX else record.offset
+            place = record.chunk_start_offset if opcode == Opcode.CHUNK_INDEX else record.offset
             self._listed[opcode] += 1
             if self._unlisted[opcode].pop(place, None) != _fingerprint(record):
                 raise Damage(f"an index of the summary does not agree with the record at byte {place}")
-        elif opcode in (SCHEMA, CHANNEL):
-            known = self._schemas if opcode == SCHEMA else self._channels
-            if known.get(record.id, record) != record:
+        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            if self._described[opcode].get(record.id, record) != record:
                 raise Damage(f"the summary describes the schema or channel {record.id} differently")
-        elif opcode == STATISTICS:
+        elif opcode == Opcode.STATISTICS:
             self._statistics(record, written)
 
     def _statistics(self, statistics: Any, written: dict[int, int]) -> None:

@@ -11,14 +11,14 @@ import weakref
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
-from daq.mcap_file.chunk import LARGEST_CHUNK, RECORD_HEAD, Damage, Stored, messages_in, unpack_chunk
-from daq.mcap_file.summary import ATTACHMENT, CHUNK, FOOTER, METADATA, Summary, parse, read_summary
+from mcap.opcode import Opcode
+
+from daq.mcap_file.chunk import LARGEST_CHUNK, MAGIC, RECORD_HEAD, Damage, Stored, messages_in, unpack_chunk
+from daq.mcap_file.summary import Summary, parse, read_summary
 from rig.errors import RecordingError
 
-MAGIC = b"\x89MCAP0\r\n"
 # Largest record outside the chunks, and largest summary, that are read, bytes.
 LARGEST_RECORD = 1 << 24
 LARGEST_SUMMARY = 1 << 28
@@ -31,7 +31,8 @@ class Container:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._checksums_needed = False
+        # Whether records without a checksum are damaged: our writer gives every record a checksum.
+        self.checksums_needed = False
         if path.exists() and not path.is_file():
             raise RecordingError(f"{path} is not a file")
         try:
@@ -50,15 +51,10 @@ class Container:
             self.close()
             raise
 
-    @property
-    def checksums_needed(self) -> bool:
-        """Whether records without a checksum are damaged: our writer gives every record a checksum."""
-        return self._checksums_needed
-
-    @checksums_needed.setter
-    def checksums_needed(self, needed: bool) -> None:
-        self._checksums_needed = needed
-        if needed and not self._summary_has_checksum:
+    def need_checksums(self) -> None:
+        """Treat records without a checksum as damaged; raise `RecordingError` if the summary has none."""
+        self.checksums_needed = True
+        if not self._summary_has_checksum:
             raise self.error("is damaged: its summary has no checksum")
 
     def error(self, what: str) -> RecordingError:
@@ -76,7 +72,7 @@ class Container:
                 f"{self.path} is not an MCAP file: it does not begin with the MCAP signature"
             )
         data = self.read(max(self.size - tail, 0), tail)
-        if len(data) < tail or not data.endswith(MAGIC) or data[0] != FOOTER:
+        if len(data) < tail or not data.endswith(MAGIC) or data[0] != Opcode.FOOTER:
             raise self.error("was not closed properly (it has no end; the recording may have been cut off)")
         _, length, start, _, checksum = FOOTER_RECORD.unpack_from(data)
         if length != FOOTER_RECORD.size - RECORD_HEAD.size:
@@ -122,7 +118,7 @@ class Container:
         """Read the records of a chunk of the summary; raise `RecordingError` where it is damaged."""
         offset, length = int(self.summary.offsets[number]), int(self.summary.lengths[number])
         try:
-            record = self._record(CHUNK, offset, length, LARGEST_CHUNK + (1 << 16))
+            record = self._record(Opcode.CHUNK, offset, length, LARGEST_CHUNK + (1 << 16))
             return unpack_chunk(record, self.checksums_needed)
         except Damage as damage:
             raise self.error(f"is damaged: the chunk at byte {offset} cannot be used: {damage}") from damage
@@ -140,7 +136,8 @@ class Container:
         try:
             found = {}
             for index in self.summary.metadata:
-                record = parse(METADATA, self._record(METADATA, index.offset, index.length, LARGEST_RECORD))
+                content = self._record(Opcode.METADATA, index.offset, index.length, LARGEST_RECORD)
+                record = parse(Opcode.METADATA, content, self.checksums_needed)
                 found[record.name] = record.metadata
             return found
         except Damage as damage:
@@ -151,10 +148,8 @@ class Container:
         for index in self.summary.attachments:
             if index.name == name:
                 try:
-                    content = self._record(ATTACHMENT, index.offset, index.length, LARGEST_RECORD)
-                    if self._checksums_needed and not any(content[-4:]):
-                        raise Damage("an attachment has no checksum")
-                    return bytes(parse(ATTACHMENT, content).data)
+                    content = self._record(Opcode.ATTACHMENT, index.offset, index.length, LARGEST_RECORD)
+                    return bytes(parse(Opcode.ATTACHMENT, content, self.checksums_needed).data)
                 except Damage as damage:
                     raise self.error(f"is damaged: {damage}") from damage
         return None
@@ -166,7 +161,5 @@ class Container:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()

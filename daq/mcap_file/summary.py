@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import struct
 import zlib
+from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass
 from io import BytesIO
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from daq.mcap_file.chunk import RECORD_HEAD, Damage
@@ -17,34 +19,43 @@ from daq.mcap_file.chunk import RECORD_HEAD, Damage
 if TYPE_CHECKING:
     from mcap.records import AttachmentIndex, Channel, MetadataIndex, Schema, Statistics
 
-HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = range(1, 9)
-ATTACHMENT, ATTACHMENT_INDEX, STATISTICS, METADATA, METADATA_INDEX, SUMMARY_OFFSET, DATA_END = range(9, 16)
-
 # Most records of one kind in a summary, except chunk indexes; each takes memory.
 MOST_RECORDS = 1 << 16
 
 _MAP = struct.Struct("<QQQQI")
-_COLUMNS = {
-    "starts": "start",
-    "ends": "end",
-    "offsets": "offset",
-    "lengths": "length",
-    "unpacked": "unpacked",
-}
+_COLUMNS = ("starts", "ends", "offsets", "lengths", "unpacked")
 
 
-def parse(opcode: int, content: memoryview) -> Any:
-    """Parse a record of the other kinds into its mcap class; raise `Damage` if it is malformed."""
+def checked(fields: Mapping[str, str]) -> dict[str, str]:
+    """Add a checksum to the fields of a metadata record, which has none in MCAP.
+
+    >>> is_intact(checked({"rate": "5120"})), is_intact(checked({"rate": "5120"}) | {"rate": "5121"})
+    (True, False)
+    """
+    text = "".join(f"{key}\0{fields[key]}\0" for key in sorted(fields))
+    return {**fields, "crc32": f"{zlib.crc32(text.encode()):08x}"}
+
+
+def is_intact(fields: Mapping[str, str]) -> bool:
+    """Whether a metadata record agrees with its checksum."""
+    return fields == checked({key: value for key, value in fields.items() if key != "crc32"})
+
+
+def parse(opcode: int, content: memoryview, checksum_needed: bool = False) -> Any:
+    """Parse a record of the other kinds into its mcap class; raise `Damage` if it is malformed.
+
+    The checksums of attachments and metadata records are verified where there are any, or if they are needed.
+    """
     from mcap import records
     from mcap.data_stream import ReadDataStream
     from mcap.exceptions import McapError
 
     kinds: dict[int, Any] = {
-        SCHEMA: records.Schema, CHANNEL: records.Channel, STATISTICS: records.Statistics,
-        METADATA: records.Metadata, METADATA_INDEX: records.MetadataIndex,
-        ATTACHMENT: records.Attachment, ATTACHMENT_INDEX: records.AttachmentIndex,
-        HEADER: records.Header, FOOTER: records.Footer, DATA_END: records.DataEnd,
-        CHUNK_INDEX: records.ChunkIndex, SUMMARY_OFFSET: records.SummaryOffset,
+        Opcode.SCHEMA: records.Schema, Opcode.CHANNEL: records.Channel, Opcode.STATISTICS: records.Statistics,
+        Opcode.METADATA: records.Metadata, Opcode.METADATA_INDEX: records.MetadataIndex,
+        Opcode.ATTACHMENT: records.Attachment, Opcode.ATTACHMENT_INDEX: records.AttachmentIndex,
+        Opcode.HEADER: records.Header, Opcode.FOOTER: records.Footer, Opcode.DATA_END: records.DataEnd,
+        Opcode.CHUNK_INDEX: records.ChunkIndex, Opcode.SUMMARY_OFFSET: records.SummaryOffset,
     }  # fmt: skip
     if opcode not in kinds:
         raise Damage(f"a record of kind {opcode}, which does not belong there")
@@ -53,12 +64,16 @@ def parse(opcode: int, content: memoryview) -> Any:
         record = kinds[opcode].read(stream)
     except (McapError, struct.error, UnicodeDecodeError, OverflowError, MemoryError) as error:
         raise Damage(f"a {kinds[opcode].__name__} record is malformed ({type(error).__name__})") from error
-    if stream.count > len(content) or (opcode == SCHEMA and record.id == 0):
+    if stream.count > len(content) or (opcode == Opcode.SCHEMA and record.id == 0):
         raise Damage(f"a {kinds[opcode].__name__} record is malformed")
-    if opcode == ATTACHMENT:
+    if opcode == Opcode.ATTACHMENT:
         (checksum,) = struct.unpack_from("<I", content, len(content) - 4)
-        if checksum and checksum != zlib.crc32(content[:-4]):
-            raise Damage("an attachment's checksum is wrong")
+        if (checksum or checksum_needed) and checksum != zlib.crc32(content[:-4]):
+            raise Damage("an attachment has a wrong checksum, or none")
+    if opcode == Opcode.METADATA:
+        fields = record.metadata
+        if (checksum_needed or "crc32" in fields) and not is_intact(fields):
+            raise Damage(f"the checksum of the metadata {record.name!r} is wrong")
     return record
 
 
@@ -90,8 +105,11 @@ def read_summary(data: memoryview, file_size: int) -> Summary:
 
     No record may lie beyond `file_size` bytes.
     """
-    chunk_places: dict[int, list[int]] = {}
-    others: dict[int, list[Any]] = {}
+    chunk_places: defaultdict[int, list[int]] = defaultdict(list)
+    kinds = (
+        Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS, Opcode.METADATA_INDEX, Opcode.ATTACHMENT_INDEX
+    )  # fmt: skip
+    others: dict[int, list[Any]] = {kind: [] for kind in kinds}
     place, end = 0, len(data)
     head, head_size = RECORD_HEAD.unpack_from, RECORD_HEAD.size
     while place < end:
@@ -101,27 +119,23 @@ def read_summary(data: memoryview, file_size: int) -> Summary:
         place += head_size
         if place + length > end:
             raise Damage(f"a record in the summary claims {length} bytes")
-        if opcode == CHUNK_INDEX:
-            if length in chunk_places:
-                chunk_places[length].append(place)
-            else:
-                chunk_places[length] = [place]
-        elif opcode in (SCHEMA, CHANNEL, STATISTICS, METADATA_INDEX, ATTACHMENT_INDEX):
-            found = others.setdefault(opcode, [])
+        if opcode == Opcode.CHUNK_INDEX:
+            chunk_places[length].append(place)
+        elif opcode in others:
+            found = others[opcode]
             if len(found) == MOST_RECORDS:
                 raise Damage(f"the summary has more than {MOST_RECORDS} records of one kind")
             found.append(parse(opcode, data[place : place + length]))
         place += length
     table, holders = _chunk_table(data, chunk_places, file_size)
-    statistics = others.get(STATISTICS, [])
     return Summary(
-        schemas={record.id: record for record in others.get(SCHEMA, ())},
-        channels={record.id: record for record in others.get(CHANNEL, ())},
+        schemas={record.id: record for record in others[Opcode.SCHEMA]},
+        channels={record.id: record for record in others[Opcode.CHANNEL]},
         **table,
         holders=holders,
-        metadata=others.get(METADATA_INDEX, []),
-        attachments=others.get(ATTACHMENT_INDEX, []),
-        statistics=statistics[0] if statistics else None,
+        metadata=others[Opcode.METADATA_INDEX],
+        attachments=others[Opcode.ATTACHMENT_INDEX],
+        statistics=next(iter(others[Opcode.STATISTICS]), None),
     )
 
 
@@ -129,14 +143,14 @@ def _chunk_table(
     data: memoryview, places: Mapping[int, list[int]], file_size: int
 ) -> tuple[dict[str, NDArray[Any]], dict[int, NDArray[np.int64]]]:
     """Parse chunk indexes, those of one length together: an hour has tens of thousands."""
-    columns: dict[str, list[NDArray[Any]]] = {column: [] for column in _COLUMNS.values()}
+    columns: dict[str, list[NDArray[Any]]] = {column: [] for column in _COLUMNS}
     holders: list[tuple[NDArray[Any], NDArray[np.int64]]] = []
     count = 0
     for length, at in places.items():
         for piece in range(0, len(at), 4096):
             table = _chunk_indexes(data, length, at[piece : piece + 4096])
-            beyond = table["offset"].clip(0, file_size) + table["length"].clip(0, file_size) > file_size
-            if (beyond | (table["offset"] > file_size)).any():
+            beyond = table["offsets"].clip(0, file_size) + table["lengths"].clip(0, file_size) > file_size
+            if (beyond | (table["offsets"] > file_size)).any():
                 raise Damage("a chunk index points beyond the end of the file")
             for column, parts in columns.items():
                 parts.append(table[column].copy())
@@ -145,13 +159,13 @@ def _chunk_table(
             holders.append((channels.ravel(), np.repeat(numbers, channels.shape[1])))
             count += len(table)
     joined = {column: np.concatenate([np.empty(0, np.uint64), *parts]) for column, parts in columns.items()}
-    place = np.argsort(joined["offset"], kind="stable")
-    if (np.diff(joined["offset"][place]) < joined["length"][place][:-1]).any():
+    place = np.argsort(joined["offsets"], kind="stable")
+    if (np.diff(joined["offsets"][place]) < joined["lengths"][place][:-1]).any():
         raise Damage("its chunks overlap")
-    order = np.lexsort((joined["offset"], joined["end"]))
+    order = np.lexsort((joined["offsets"], joined["ends"]))
     rank = np.empty(count, np.int64)
     rank[order] = np.arange(count)
-    arrays = {name: joined[column][order] for name, column in _COLUMNS.items()}
+    arrays = {name: column[order] for name, column in joined.items()}
     for name in ("offsets", "lengths"):
         arrays[name] = arrays[name].astype(np.int64)
     if not holders:
@@ -174,7 +188,7 @@ def _chunk_indexes(data: memoryview, length: int, at: list[int]) -> NDArray[Any]
     if map_bytes % 10 or name_bytes < 0:
         raise Damage("a chunk index is malformed")
     entry = np.dtype([("channel", "<u2"), ("offset", "<u8")])
-    times_and_places = [(name, "<u8") for name in ("start", "end", "offset", "length")]
+    times_and_places = [(name, "<u8") for name in _COLUMNS[:4]]
     sizes = [("index_length", "<u8"), ("name_bytes", "<u4"), ("name", f"V{name_bytes}")]
     record = np.dtype(
         [

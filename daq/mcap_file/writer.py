@@ -20,22 +20,22 @@ from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
-MAGIC = b"\x89MCAP0\r\n"
+from daq.mcap_file.chunk import MAGIC, RECORD_HEAD
+
 # Opcodes as plain numbers: those of the package are enumerations, slow to convert.
 _MESSAGE_CODE, _CHUNK_CODE = int(Opcode.MESSAGE), int(Opcode.CHUNK)
 _INDEX_CODE, _CHUNK_INDEX_CODE = int(Opcode.MESSAGE_INDEX), int(Opcode.CHUNK_INDEX)
 # Samples with noise pack as well as at zstd's default level 3, in 70 % of the time.
 PACKING_LEVEL = 1
 
-_RECORD = struct.Struct("<BQ")
 # Opcode, length, channel, sequence, log time, publish time.
 _MESSAGE = struct.Struct("<BQHIQQ")
-_MESSAGE_FIELDS = _MESSAGE.size - _RECORD.size
+_MESSAGE_FIELDS = _MESSAGE.size - RECORD_HEAD.size
 # Log time, place in the chunk.
 _ENTRY = struct.Struct("<QQ")
 _ENTRIES = np.dtype([("log_time", "<u8"), ("place", "<u8")])
 _INDEX = struct.Struct("<BQHI")
-_INDEX_FIELDS = _INDEX.size - _RECORD.size
+_INDEX_FIELDS = _INDEX.size - RECORD_HEAD.size
 # Opcode, length, first and last time, place and length of the chunk, bytes of the places that follow; then sizes.
 _CHUNK_INDEX = struct.Struct("<BQQQQQI")
 # Channel, place of its index in the file.
@@ -129,7 +129,7 @@ class ChunkedFile:
             parts += _MESSAGE.pack(_MESSAGE_CODE, size, channel, sequence, log_time, publish_time), data
             entries[channel].append(_ENTRY.pack(log_time, place))
             times.append(log_time)
-            place += _RECORD.size + size
+            place += RECORD_HEAD.size + size
         if not times:
             self._announced.write(announced)
             return False
@@ -140,7 +140,7 @@ class ChunkedFile:
         name, size = self._compression, len(content)
         length = self._chunk.size + len(packed)
         head = self._chunk.pack(
-            _CHUNK_CODE, length - _RECORD.size, earliest, latest, size, zlib.crc32(content),
+            _CHUNK_CODE, length - RECORD_HEAD.size, earliest, latest, size, zlib.crc32(content),
             len(name), name, len(packed),
         )  # fmt: skip
         self._stream.write(head + packed)
@@ -153,11 +153,9 @@ class ChunkedFile:
             end += _INDEX.size + listed
             self._counts[channel] = self._counts.get(channel, 0) + listed // _ENTRY.size
         self._stream.write(b"".join(indexes))
-        before = self._times
-        self._times = (
-            (earliest, latest) if before is None else (min(before[0], earliest), max(before[1], latest))
-        )
-        known = _CHUNK_INDEX.size - _RECORD.size + _PLACE.size * len(places) + self._chunk_sizes.size
+        before = self._times or (earliest, latest)
+        self._times = min(before[0], earliest), max(before[1], latest)
+        known = _CHUNK_INDEX.size - RECORD_HEAD.size + _PLACE.size * len(places) + self._chunk_sizes.size
         front = _CHUNK_INDEX.pack(
             _CHUNK_INDEX_CODE, known, earliest, latest, begin, length, _PLACE.size * len(places)
         )
@@ -170,22 +168,9 @@ class ChunkedFile:
     ) -> None:
         """Write an attachment."""
         begin = self._stream.tell()
-        length = self._put(
-            records.Attachment(
-                create_time=create_time, log_time=log_time, name=name, media_type=media_type, data=data
-            )
-        )
-        self._attachments.append(
-            records.AttachmentIndex(
-                offset=begin,
-                length=length,
-                log_time=log_time,
-                create_time=create_time,
-                data_size=len(data),
-                name=name,
-                media_type=media_type,
-            )
-        )
+        length = self._put(records.Attachment(create_time, log_time, name, media_type, data))
+        index = records.AttachmentIndex(begin, length, log_time, create_time, len(data), name, media_type)
+        self._attachments.append(index)
 
     def add_metadata(self, name: str, fields: Mapping[str, str]) -> None:
         """Write a metadata record."""
@@ -225,11 +210,7 @@ class ChunkedFile:
                     builder.write(record)
                 else:
                     record.write(builder)
-            offsets.append(
-                records.SummaryOffset(
-                    group_opcode=opcode, group_start=begin + start, group_length=builder.count - start
-                )
-            )
+            offsets.append(records.SummaryOffset(opcode, begin + start, builder.count - start))
         offsets_begin = begin + builder.count
         for offset in offsets:
             offset.write(builder)

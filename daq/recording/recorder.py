@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.mcap_file.metadata_checksum import checked
+from daq.mcap_file.summary import checked
 from daq.mcap_file.writer import Message, Messages
 from daq.recording import layout
 from daq.recording.committed_file import RESERVE, Disk, DiskError

@@ -10,11 +10,12 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from mcap.opcode import Opcode
+
 from daq.mcap_file.chunk import Damage, Stored, messages_in, records_in
 from daq.mcap_file.damaged_file import DamagedFile, Intact, Unreadable
-from daq.mcap_file.metadata_checksum import checked
 from daq.mcap_file.reader import Container
-from daq.mcap_file.summary import CHANNEL, SCHEMA, parse
+from daq.mcap_file.summary import checked, parse
 from daq.mcap_file.writer import Message
 from daq.recording import layout
 from daq.recording.committed_file import Disk, DiskError
@@ -147,9 +148,9 @@ class _Registry:
         """Take the schemas and channels of a chunk."""
         try:
             for opcode, content in records_in(records, stored):
-                if opcode in (SCHEMA, CHANNEL):
+                if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                     record = parse(opcode, content)
-                    known: dict[int, Any] = self.schemas if opcode == SCHEMA else self.channels
+                    known: dict[int, Any] = self.schemas if opcode == Opcode.SCHEMA else self.channels
                     known[record.id] = record
         except Damage:
             return

@@ -54,7 +54,7 @@ PLACES: dict[str, dict[str, str]] = {
     },
     "checksums": {
         "daq/mcap_file/chunk.py": "tests/daq/mcap_file",
-        "daq/mcap_file/metadata_checksum.py": "tests/daq/mcap_file",
+        "daq/mcap_file/summary.py": "tests/daq/mcap_file",
         "daq/mcap_file/damaged_file.py": "tests/daq/mcap_file",
     },
 }

@@ -8,8 +8,8 @@ import struct
 from pathlib import Path
 from typing import Any
 
-from daq.mcap_file.metadata_checksum import checked
 from daq.mcap_file.reader import Container
+from daq.mcap_file.summary import checked
 from daq.mcap_file.writer import ChunkedFile, Message
 from daq.recording import layout
 from tests.soak.scenes import ESCAPE, MARKUP, ODD_NUMBERS, ODD_TEXTS

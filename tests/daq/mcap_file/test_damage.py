@@ -13,7 +13,7 @@ from daq.mcap_file import chunk as module
 from daq.mcap_file import damaged_file as walk
 from daq.mcap_file.chunk import CHUNK_HEAD, Damage, Stored, messages_in, records_in, unpack_chunk
 from daq.mcap_file.damaged_file import DamagedFile, Intact, Unreadable
-from daq.mcap_file.metadata_checksum import checked
+from daq.mcap_file.summary import checked
 
 MAGIC = b"\x89MCAP0\r\n"
 PACKERS = {b"": bytes, b"zstd": zstandard.compress, b"lz4": lz4.frame.compress}
@@ -199,7 +199,8 @@ def test_lookalike_record_is_passed_over(tmp_path, before):
 
 
 @pytest.mark.parametrize(
-    ("kind", "told"), [(0, "a chunk: "), (3, "a chunk: "), (4, "an attachment"), (2, "a metadata")]
+    ("kind", "told"),
+    [(0, "a chunk: "), (3, "a chunk: "), (4, "an attachment"), (2, "the checksum of the metadata")],
 )
 def test_damaged_record_is_reported_wherever_it_ends(tmp_path, kind, told):
     damaged = RECORDS[kind][:-1] + bytes([RECORDS[kind][-1] ^ 1])

@@ -6,12 +6,12 @@ import struct
 from pathlib import Path
 
 import pytest
+from mcap.opcode import Opcode
 from mcap.writer import CompressionType, Writer
 
 import daq
 from daq.mcap_file.file_check import check_file
 from daq.mcap_file.reader import Container
-from daq.mcap_file.summary import DATA_END, HEADER, MESSAGE_INDEX
 from rig.errors import RecordingError
 from tests.daq.recording.recordings import DAMPERS, scene, signal, write
 
@@ -59,7 +59,7 @@ def undetected(path: Path, whole: Path, places: list[int]) -> list[int]:
 
 
 def test_flipped_bits_in_message_indexes_are_reported(whole: Path, tmp_path: Path) -> None:
-    indexes = [span for span in spans(whole.read_bytes()) if span[0] == MESSAGE_INDEX]
+    indexes = [span for span in spans(whole.read_bytes()) if span[0] == Opcode.MESSAGE_INDEX]
     places = [place for _, begin, end in indexes for place in range(begin, end)]
     assert len(places) > 300
     assert undetected(tmp_path / "a.mcap", whole, places[::2]) == []
@@ -70,13 +70,15 @@ def test_undetected_bits_have_no_effect(whole: Path, tmp_path: Path, step: int) 
     data = whole.read_bytes()
     passed = undetected(tmp_path / "a.mcap", whole, list(range(0, len(data), step)))
     # Only the name of the writing program, and packed bytes that unpack to the same records.
-    name = range(data.index(b"shotrig"), next(end for opcode, _, end in spans(data) if opcode == HEADER))
+    name = range(
+        data.index(b"shotrig"), next(end for opcode, _, end in spans(data) if opcode == Opcode.HEADER)
+    )
     assert len([place for place in passed if place not in name]) < 0.001 * len(data) + 1
 
 
 def test_checksum_of_the_data_section_is_verified(whole: Path, tmp_path: Path) -> None:
     data = bytearray(whole.read_bytes())
-    begin = next(begin for opcode, begin, _ in spans(bytes(data)) if opcode == DATA_END)
+    begin = next(begin for opcode, begin, _ in spans(bytes(data)) if opcode == Opcode.DATA_END)
     struct.pack_into("<I", data, begin + 9, 1)
     (tmp_path / "a.mcap").write_bytes(data)
     with (

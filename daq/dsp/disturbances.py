@@ -21,20 +21,9 @@ class Disturbance(Protocol):
 
 
 class Offset:
-    """A constant voltage from sample 0 on."""
+    """A constant voltage, which settles exponentially from zero at sample 0 if it has a time constant in s.
 
-    def __init__(self, level: float) -> None:
-        self._level = level
-
-    def fill(self, samples: Array) -> None:
-        """Fill in the next samples, V."""
-        samples[:] = self._level
-
-
-class SettlingOffset:
-    """A voltage that settles exponentially from zero at sample 0, with a time constant in s.
-
-    >>> bias = SettlingOffset(10.0, 2.0, 1.0)
+    >>> bias = Offset(10.0, 2.0, 1.0)
     >>> samples = np.empty(6)
     >>> bias.fill(samples[:5])
     >>> bias.fill(samples[5:])
@@ -42,10 +31,10 @@ class SettlingOffset:
     [0.0, 3.935, 6.321, 7.769, 8.647, 9.179]
     """
 
-    def __init__(self, level: float, time: float, rate: float) -> None:
-        self._level, self._loss = level, float(-np.expm1(-1.0 / (time * rate)))
+    def __init__(self, level: float, time: float | None, rate: float) -> None:
+        self._level, self._loss = level, 1.0 if time is None else float(-np.expm1(-1.0 / (time * rate)))
         # Difference to the final level.
-        self._missing = np.array([level])
+        self._missing = np.array([0.0 if time is None else level])
 
     def fill(self, samples: Array) -> None:
         """Fill in the next samples, V."""

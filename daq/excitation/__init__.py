@@ -8,19 +8,31 @@ the bench, `amplitude_control` and `sweep_control` control the force, `settling`
 from __future__ import annotations
 
 from importlib import import_module
+from typing import TYPE_CHECKING
 
 from daq.excitation.station import Excitation, Station
 from rig.errors import SceneError
 
-__all__ = ["Excitation", "Station", "excitation"]
+if TYPE_CHECKING:
+    from rig.scene.excitation import Test
+    from rig.scene.scene import Scene
+
+__all__ = ["Excitation", "Station", "excitation", "test_of"]
+
+
+def test_of(scene: Scene) -> Test:
+    """Return the test of a scene; raise `SceneError` if it has none."""
+    if scene.test is None:
+        raise SceneError(
+            f"scene {scene.name!r} names no test. Add a test, such as "
+            "test: {kind: impulse, body: 1, peak: 50 N, width: 4 ms}."
+        )
+    return scene.test
 
 
 def excitation(station: Station) -> Excitation:
-    """Return the excitation of the scene's test."""
-    test = station.scene.test
-    if test is None:
-        raise SceneError(
-            f"scene {station.scene.name!r} names no test. Add a test, such as "
-            "test: {kind: impulse, body: 1, peak: 50 N, width: 4 ms}."
-        )
+    """Return the excitation of the scene's test; raise `SceneError` if channels of a controlled force are missing."""
+    test = test_of(station.scene)
+    if station.controlled:
+        station.force_weights(1.0)
     return import_module(f"daq.excitation.{test.kind}").excite(station, test)

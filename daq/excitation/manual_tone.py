@@ -98,6 +98,9 @@ class HandTone:
         """Play until the knobs are turned off; steady points are marked as in a stepped sine."""
         # Raises without a shaker, before the channels of the spring force are checked.
         station.drive(np.zeros(1))
+        if not station.force_is_drive:
+            # Raises where the channels of the spring force are missing.
+            station.force_weights(1.0)
         tone = SteadyTone(station, self.knobs.asked[0], controlled=not station.force_is_drive)
         while not self.knobs.off:
             asked = self.knobs.asked

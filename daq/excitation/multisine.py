@@ -26,9 +26,6 @@ def excite(station: Station, test: Multisine) -> Excitation:
     lines = lines_between(test.from_, test.to, period, station.rate)
     if test.period is None:
         lines = lines[: test.lines or 2]
-    if station.controlled:
-        # Raises where the channels of the spring force are missing.
-        station.force_weights(1.0)
     random, shakers = station.generator("multisine"), station.shakers
     playing = np.zeros((len(shakers), period))
     amplitudes = flat(station.level, lines)

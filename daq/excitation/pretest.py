@@ -41,11 +41,6 @@ class ShakerLaw:
     delay: float  # of the channels relative to the drive, s
     misfit: float  # relative RMS residual of the drive in the pretest
 
-    @property
-    def is_known(self) -> bool:
-        """Whether the channel of the table measured the motion in the pretest."""
-        return bool(self.motion.any())
-
     def at(self, s: complex) -> tuple[complex, complex]:
         """Return the drive per newton of spring force, and per meter of body displacement, with X0 = X1 + F / k0."""
         late = np.exp(s * self.delay)

@@ -25,9 +25,6 @@ def excite(station: Station, test: Random) -> Excitation:
     """Run a random test."""
     period = station.samples(_FILTER)
     lines = lines_between(test.from_, test.to, period, station.rate)
-    if station.controlled:
-        # Raises where the channels of the spring force are missing.
-        station.force_weights(1.0)
     level = station.level
     random = station.generator("random")
     amplitudes, gains = flat(level, lines), np.ones(lines.size)

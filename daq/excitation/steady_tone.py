@@ -76,9 +76,6 @@ class SteadyTone(Tone):
             row for row, info in enumerate(station.channels) if info.quantity not in ("force", "voltage")
         ]
         self._weights_at, self._weights = -1.0, np.zeros((0, len(station.channels)), dtype=complex)
-        if controlled:
-            # Raises where the channels of the spring force are missing.
-            station.force_weights(1.0)
 
     def start(self, level: float) -> float:
         """Control the spring force at a level, N, if required; return a first drive amplitude."""

@@ -52,7 +52,8 @@ def excite(station: Station, test: SweptSine) -> Excitation:
 
     first, start = station.now, tone.phase
     amplitude, extremes = -1j * tone.amplitude, {}
-    if law is not None and law.is_known:
+    # The motion has coefficients if the channel of the table measured the pretest.
+    if law is not None and law.motion.any():
         watch = LevelWatch(station, level)
         sweep = SweepControl(law, level, station.drive_limit, amplitude)
         amplitude = yield from _sweep_controlled(station, test, start, amplitude, sweep, watch)

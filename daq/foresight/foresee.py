@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
+from daq.excitation import test_of
 from daq.excitation.impulse import settling_time
 from daq.foresight.chain_limits import reading_limit, without_limits
 from daq.foresight.flights import flight_lines, onset_level, outside_band
 from daq.foresight.foresight import Expectation, Foresight, in_words
-from daq.foresight.linear import drive_needed
-from daq.foresight.noise import least_signals
+from daq.foresight.linear import drive_needed, least_signals
 from daq.foresight.rehearsal import Rehearsal, recording_size
 from daq.foresight.shortened import (
     Shortened,
@@ -30,7 +30,6 @@ from daq.measurement.estimate import estimate
 from daq.measurement.limits import controlled_places
 from daq.virtual_bench.bench import Bench
 from rig.damper_design.overloads import shaken_by
-from rig.errors import SceneError
 from rig.scene.excitation import Multisine, Random, SteppedSine, SweptSine
 from rig.scene.loading import load
 from rig.scene.presets import filled_in
@@ -74,13 +73,8 @@ def foresee(scene: Scene | str | Path) -> Foresight:
     (True, 'm/s^2')
     """
     what = scene if isinstance(scene, Scene) else load(scene)
-    if any(damper.grains is not None for damper in what.dampers):
-        what = what.replace(dampers=tuple(damper.replace(grains=None) for damper in what.dampers))
-    if what.test is None:
-        raise SceneError(
-            f"scene {what.name!r} names no test. Add a test, such as "
-            "test: {kind: impulse, body: 1, peak: 50 N, width: 4 ms}."
-        )
+    what = what.replace(dampers=tuple(damper.replace(grains=None) for damper in what.dampers))
+    test_of(what)
     bench = Bench(what)
     played = play(what, bench)
     free = played

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.foresight.noise import LeastSignal
+from daq.foresight.linear import LeastSignal
 from daq.measurement.estimate import duration_text
 from rig.results import Result, plainly
 from rig.results.text import aligned

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import signal
-import threading
 import warnings
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, contextmanager
+from collections.abc import Callable, Sequence
+from contextlib import closing
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 import numpy as np
@@ -19,14 +16,12 @@ from daq.measurement.bench_loop import BenchLoop
 from daq.measurement.estimate import estimate, refuse_too_much
 from daq.measurement.limits import Stretches
 from daq.recording.committed_file import DiskError
-from daq.recording.interrupts import answered
-from daq.recording.recorded_test import TestKind, kind_of_settings
+from daq.recording.recorded_test import SceneOutline, TestKind, kind_of_settings
 from daq.recording.recorder import Recorder
-from daq.recording.scene_outline import SceneOutline
 from daq.signal_chain.channel import ChannelInfo
 from daq.virtual_bench.stream import Block
 from rig.arrays import Array
-from rig.ending_signals import came
+from rig.ending_signals import interruptible
 from rig.errors import RecordingError, RunError, SceneError, ShotrigError
 from rig.errors import RunWarning as RunWarning  # public as daq.RunWarning
 from rig.input_files import path_of
@@ -140,7 +135,7 @@ class MeasurementRun(BenchLoop):
             # Interrupts are deferred while the file is created and while it is completed: otherwise it would be
             # invalid.
             with (
-                _interruptible() as self._interrupted,
+                interruptible() as self._interrupted,
                 Recorder(
                     path, bench.scene, bench.channels, bench.rate, overwrite=overwrite, test_kind=self._kind
                 ) as recorder,
@@ -240,9 +235,7 @@ def missing_force_reference(scene: Scene, channels: Sequence[ChannelInfo]) -> st
     >>> missing_force_reference(bench.scene, bench.channels) is None
     True
     """
-    outline = SceneOutline.of(scene)
-    forces = any(info.quantity == "force" for info in channels)
-    places = outline.missing_force_places({info.at for info in channels}, forces)
+    places = SceneOutline.of(scene).missing_force_places(channels)
     if not places:
         return None
     shaker = scene.driven_shaker
@@ -270,18 +263,3 @@ def _make_folder(path: Path) -> None:
 
 class _Stopped(KeyboardInterrupt):
     """The user pressed Ctrl-C, and the drive has been ramped to zero."""
-
-
-@contextmanager
-def _interruptible() -> Iterator[Callable[[], bool]]:
-    """Convert the first Ctrl-C into a flag, so that blocks stay complete; the second Ctrl-C interrupts as usual."""
-    pressed = threading.Event()
-
-    def press(number: int, frame: FrameType | None) -> None:
-        pressed.set()
-        came.append(number)
-        for each, earlier in before.items():
-            signal.signal(each, earlier)
-
-    with answered(press) as before:
-        yield pressed.is_set

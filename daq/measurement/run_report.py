@@ -114,7 +114,7 @@ def next_steps(rec: Recording) -> list[str]:
     kinds = {mark.kind for mark in rec.markers}
     channels = rec.channels.values()
     forces = any(info.quantity == "force" for info in channels)
-    reference = not outline.missing_force_places({info.at for info in channels}, forces)
+    reference = not outline.missing_force_places(channels)
     steps = ["decay"] if "hit" in kinds or kind is TestKind.FREE else []
     if ("hit" in kinds and forces) or ("measure" in kinds and reference):
         steps += ["frf"] if outline.test == "sine" else ["frf", "modes"]

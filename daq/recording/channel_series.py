@@ -38,7 +38,10 @@ class Series:
         self._chunks = summary.holders.get(channel.id, np.empty(0, np.int64))
         self._recent: OrderedDict[int, list[SampleBlock]] = OrderedDict()
         self._recent_samples = 0
-        self.scale = self._number("scale", 1.0)
+        try:
+            self.scale = float(self.metadata.get("scale", 1.0))
+        except ValueError:
+            raise self._error(f"scale = {self.metadata['scale']!r} is not a number") from None
         if not NOT_ZERO.holds(self.scale):
             raise self._error(f"scale = {self.scale!r}; expected {NOT_ZERO.expected}")
 
@@ -49,12 +52,6 @@ class Series:
 
     def _error(self, what: str) -> RecordingError:
         return RecordingError(f"{self._container.path}: {self.topic}: {what}")
-
-    def _number(self, key: str, otherwise: float) -> float:
-        try:
-            return float(self.metadata.get(key, otherwise))
-        except ValueError:
-            raise self._error(f"{key} = {self.metadata[key]!r} is not a number") from None
 
     @cached_property
     def clock(self) -> Timebase:
@@ -68,8 +65,7 @@ class Series:
                 raise self._error(f"no clock: {error!s:.200}") from None
         for chunk in self._chunks:
             for block in self._decoded(int(chunk), None):
-                since = Timebase(block.rate).time_ns(block.first_sample)
-                return Timebase(block.rate, block.t0_ns - since)
+                return block.clock
         raise self._error("it has no samples, and no sample rate")
 
     @cached_property
@@ -105,16 +101,12 @@ class Series:
             if clock is not None:
                 self._check(block, message.log_time, clock)
         if clock is not None:
-            self._store(chunk, blocks)
+            self._recent[chunk] = blocks
+            self._recent_samples += sum(block.samples.size for block in blocks)
+            while len(self._recent) > 1 and self._recent_samples > RECENT_SAMPLES:
+                _, dropped = self._recent.popitem(last=False)
+                self._recent_samples -= sum(block.samples.size for block in dropped)
         return blocks
-
-    def _store(self, chunk: int, blocks: list[SampleBlock]) -> None:
-        """Store the blocks of a chunk, and drop the oldest ones beyond `RECENT_SAMPLES`."""
-        self._recent[chunk] = blocks
-        self._recent_samples += sum(block.stop - block.first_sample for block in blocks)
-        while len(self._recent) > 1 and self._recent_samples > RECENT_SAMPLES:
-            _, dropped = self._recent.popitem(last=False)
-            self._recent_samples -= sum(block.stop - block.first_sample for block in dropped)
 
     def _check(self, block: SampleBlock, log_time: int, clock: Timebase) -> None:
         """Compare a block with the layout, on which the search for samples relies."""

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache
 from importlib import metadata
+from itertools import chain
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -18,13 +19,13 @@ from daq.mcap_file.summary import checked
 from daq.mcap_file.writer import Message, Messages
 from daq.recording import layout
 from daq.recording.committed_file import RESERVE, Disk, DiskError
-from daq.recording.interrupts import delayed_interrupt
 from daq.recording.markers import MARKER_SCHEMA, Marker
 from daq.recording.protobuf import Schema
+from daq.recording.recorded_test import SceneOutline
 from daq.recording.sample_block import SCHEMAS, block_schema, encode, scale_of, stored_as
 from daq.recording.sample_groups import Group, Grouping
-from daq.recording.scene_outline import SceneOutline
 from daq.recording.timebase import Timebase
+from rig.ending_signals import delayed_interrupt
 from rig.errors import RunError
 
 if TYPE_CHECKING:
@@ -100,7 +101,7 @@ class Recorder:
         # The same samples, in longer groups, for the display.
         self._together = layout.shown_groups(len(self.channels))
         self._shown = Grouping(len(self.channels), self._together * self._group, kind)
-        self._marks: list[tuple[int, Marker]] = []
+        self._marks = [Marker("start", 0)]
         self._marked = self._chunks = self._written = 0
         self._full = False
         self._schemas: dict[str, int] = {}
@@ -163,7 +164,7 @@ class Recorder:
             self._raw.add(part)
             if self._display is not None:
                 self._shown.add(part)
-            self._emit()
+            self._emit(self._raw.position // self._group)
 
     def gap(self, lost_samples: int) -> None:
         """Pass over samples that were not acquired; they read as NaN and have a marker `gap`."""
@@ -176,7 +177,7 @@ class Recorder:
         if self._display is not None:
             self._shown.skip(lost_samples)
         self.mark("gap", first, first + lost_samples - 1)
-        self._emit()
+        self._emit(self._raw.position // self._group)
 
     def mark(self, kind: str, first_sample: int, last_sample: int | None = None, **fields: Any) -> None:
         """Mark an event at a sample, or from a sample to another, both included.
@@ -186,7 +187,7 @@ class Recorder:
         self._need_open()
         marker = Marker(kind, int(first_sample), None if last_sample is None else int(last_sample), fields)
         marker.to_json()
-        self._marks.append((marker.end, marker))
+        self._marks.append(marker)
 
     def write_truth(self, motion: Motion) -> None:
         """Take the next samples of the true motion, for a scene that records it."""
@@ -223,9 +224,7 @@ class Recorder:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, _: object, error: BaseException | None, *__: object) -> None:
         if error is None:
             self.close()
             return
@@ -272,7 +271,6 @@ class Recorder:
             from daq.recording.display import Display
 
             self._display = Display(self._scene, self.channels, self.clock, self._truth, self._register)
-        self._marks.append((0, Marker("start", 0)))
         self._write_markers(1)
         if self._display is not None:
             self._send([self._display.introduction()])
@@ -316,13 +314,22 @@ class Recorder:
         full = None
         if not self._full:
             try:
-                self._flush()
+                for stream in self._streams:
+                    stream.close_group()
+                self._emit(math.inf)
+                self._written = self._raw.position
+                if self._truth is not None:
+                    self._send(self._truth.events_before(math.inf))
+                if self._display is not None:
+                    self._shown.close_group()
+                    self._show(math.inf)
+                    self._send(self._display.finish())
             except DiskError as error:
                 if self._disk.failed:
                     raise
                 # The reserve suffices to end the file.
                 full, status, reason = error, "failed", str(error)
-        self._write_markers(None)
+        self._write_markers(math.inf)
         outcome = {"status": status, "reason": reason, "samples": str(self._written)}
         self._file.add_metadata("outcome", checked(outcome | {"markers": str(self._marked)}))
         self._file.finish()
@@ -335,34 +342,23 @@ class Recorder:
         if full is not None:
             raise full
 
-    def _flush(self) -> None:
-        """Write the incomplete groups, and the rest of truth and display."""
-        self._raw.close_group()
-        if self._truth is not None:
-            self._truth.close_groups()
-        self._emit(to_the_end=True)
-        self._written = self._raw.position
-        if self._truth is not None:
-            self._send(self._truth.events_before(None))
-        if self._display is not None:
-            self._shown.close_group()
-            self._show(None)
-            self._send(self._display.finish())
-
     # -- the groups of samples ---------------------------------------------------------------------------
 
-    def _emit(self, to_the_end: bool = False) -> None:
-        """Write the groups that the samples have passed, in order."""
-        streams = [self._raw, *(() if self._truth is None else self._truth.streams)]
-        passed = self._raw.position // self._group
-        for number in sorted({number for stream in streams for number in stream.complete}):
-            if number < passed or to_the_end:
+    def _emit(self, stop: float) -> None:
+        """Write the groups before a number, in order."""
+        for number in sorted({number for stream in self._streams for number in stream.complete}):
+            if number < stop:
                 with delayed_interrupt():
                     self._write_group(number)
 
     def _write_group(self, number: int) -> None:
         raw = self._raw.complete.pop(number, None)
-        self._need_disk_space()
+        # The reserve suffices to end the file.
+        if self.free < sum(stream.group_bytes for stream in self._streams):
+            self._full = True
+            raise DiskError(
+                f"the disk is full: {self._disk.at} holds {self._holds}. Free disk space or use another disk"
+            )
         if self._display is not None:
             self._show(number // self._together)
         self._write_markers((number + 1) * self._group)
@@ -381,15 +377,9 @@ class Recorder:
         if raw is not None:
             self._written = raw.spans[-1][1]
 
-    def _need_disk_space(self) -> None:
-        """Stop while the reserve suffices to end the file."""
-        streams = [self._raw, *(() if self._truth is None else self._truth.streams)]
-        group = sum(stream.group_bytes for stream in streams)
-        if self.free < group:
-            self._full = True
-            raise DiskError(
-                f"the disk is full: {self._disk.at} holds {self._holds}. Free disk space or use another disk"
-            )
+    @property
+    def _streams(self) -> list[Grouping]:
+        return [self._raw, *(() if self._truth is None else self._truth.streams)]
 
     @property
     def _holds(self) -> str:
@@ -422,29 +412,26 @@ class Recorder:
             encoded.append(Messages(0, times[1:], times[:-1], encode(self.clock, first, samples), sequence))
         return encoded
 
-    def _show(self, stop: int | None) -> None:
-        """Write the display's groups before a number; None: all."""
-        for number in sorted(self._shown.complete):
-            if stop is None or number < stop:
-                self._send(self._pictures(self._shown.complete.pop(number)))
-
-    def _pictures(self, group: Group) -> Iterable[Messages]:
+    def _show(self, stop: float) -> None:
+        """Write the display's groups before a number."""
         assert self._display is not None
-        read = [
-            Group(first, samples * self._scale, [(first, first + samples.shape[1])])
-            for first, samples in group.acquired()
-        ]
-        for part in read:
-            yield from self._display.waveforms(part.first, part.samples)
-        yield self._display.levels(block for part in read for block in part.blocks(self._block))
+        for number in sorted(number for number in self._shown.complete if number < stop):
+            group = self._shown.complete.pop(number)
+            read = [
+                Group(first, samples * self._scale, [(first, first + samples.shape[1])])
+                for first, samples in group.acquired()
+            ]
+            waveforms = (each for part in read for each in self._display.waveforms(part.first, part.samples))
+            levels = self._display.levels(block for part in read for block in part.blocks(self._block))
+            self._send(chain(waveforms, [levels]))
 
-    def _write_markers(self, stop: int | None) -> None:
-        """Write the markers that end before a sample; None: all."""
-        due = [mark for mark in self._marks if stop is None or mark[0] < stop]
-        self._marks = [mark for mark in self._marks if stop is not None and mark[0] >= stop]
+    def _write_markers(self, stop: float) -> None:
+        """Write the markers that end before a sample."""
+        due = [mark for mark in self._marks if mark.end < stop]
+        self._marks = [mark for mark in self._marks if mark.end >= stop]
         messages = []
-        for end, marker in sorted(due, key=lambda mark: mark[1].first_sample):
-            times = self.clock.time_ns(end), self.clock.time_ns(marker.first_sample)
+        for marker in sorted(due, key=lambda mark: mark.first_sample):
+            times = self.clock.time_ns(marker.end), self.clock.time_ns(marker.first_sample)
             messages.append(Message(self._markers, *times, marker.to_json(), self._marked))
             self._marked += 1
         self._send(messages)

@@ -6,7 +6,6 @@ from collections.abc import Iterator, Sequence
 from difflib import get_close_matches
 from functools import cached_property
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -15,11 +14,9 @@ from numpy.typing import NDArray
 from daq.mcap_file.reader import Container
 from daq.recording import layout
 from daq.recording.channel_series import Series
-from daq.recording.gap import Gap, gaps_of, unmarked
-from daq.recording.markers import EVENT_TYPE, Marker, event_from_json
-from daq.recording.recorded_test import RecordedTest, TestKind, kind_of_recording
+from daq.recording.markers import EVENT_TYPE, Gap, Marker, event_from_json, gaps_of, unmarked
+from daq.recording.recorded_test import RecordedTest, SceneOutline, TestKind, kind_by_markers
 from daq.recording.sample_block import SAMPLE_TYPE
-from daq.recording.scene_outline import SceneOutline
 from daq.recording.truth import dampers_of, points_of
 from daq.signal_chain.channel import UNITS, ChannelInfo
 from daq.signal_chain.field_checks import NAME, check
@@ -32,6 +29,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from mcap.records import Channel
 
+    from rig.scene.excitation import Test
     from rig.scene.scene import Scene
 
 
@@ -169,13 +167,9 @@ class Recording(Result):
         """Time, and all samples of each channel in its unit; lost samples are NaN."""
         values = {f"{name}_{info.unit}": self.read(name) for name, info in self.channels.items()}
         longest = max(column.size for column in values.values())
-        return {
-            "time_s": np.arange(longest) / self.rate,
-            **{
-                name: np.pad(column, (0, longest - column.size), constant_values=np.nan)
-                for name, column in values.items()
-            },
-        }
+        for name, column in values.items():
+            values[name] = np.pad(column, (0, longest - column.size), constant_values=np.nan)
+        return {"time_s": np.arange(longest) / self.rate, **values}
 
     def draw(self, ax: Axes, **style: Any) -> None:
         """All channels over time."""
@@ -351,22 +345,21 @@ class Recording(Result):
     @cached_property
     def test(self) -> RecordedTest:
         """The recorded test: its kind and its settings."""
-        try:
-            settings = self.scene.test
-        except ShotrigError:
-            # Another program's recording need not state its scene.
-            settings = None
-        return RecordedTest(kind_of_recording(self._stated_kind, self.markers, settings), settings)
+        return RecordedTest(self.test_kind, self._settings)
 
-    @property
+    @cached_property
     def test_kind(self) -> TestKind:
         """Kind of the recorded test, without loading the scene where the recording states the kind."""
-        stated = self._stated_kind
-        return TestKind(stated) if stated in set(TestKind) else self.test.kind
+        stated = self.metadata.get("run", {}).get("kind", "")
+        return TestKind(stated) if stated in set(TestKind) else kind_by_markers(self.markers, self._settings)
 
     @property
-    def _stated_kind(self) -> str:
-        return self.metadata.get("run", {}).get("kind", "")
+    def _settings(self) -> Test | None:
+        """Settings of the test; None where another program's recording does not state its scene."""
+        try:
+            return self.scene.test
+        except ShotrigError:
+            return None
 
     @cached_property
     def outline(self) -> SceneOutline:
@@ -432,7 +425,5 @@ class Recording(Result):
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()

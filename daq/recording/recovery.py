@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -103,7 +104,7 @@ def recover(path: str | Path, fixed: str | Path, overwrite: bool = False) -> Sal
         raise RecordingError(f"{source} cannot be recovered into itself. Name another file.")
     with DamagedFile(source) as damaged:
         # Two passes: the descriptions of samples may be behind them, and must be written before them.
-        registry = _Registry.of(source, damaged)
+        descriptions = _descriptions(source, damaged)
         disk = Disk(target, overwrite)
         with disk.removed_on_failure():
             if disk.free() < damaged.size:
@@ -112,73 +113,78 @@ def recover(path: str | Path, fixed: str | Path, overwrite: bool = False) -> Sal
                     f"{disk.free() / 1e6:.1f} MB left. {_ANOTHER_DISK}"
                 )
             try:
-                salvage = _Salvage(source, target, registry, disk).run(damaged)
+                salvage = _Salvage(source, target, disk, *descriptions).run(damaged)
             except DiskError as error:
                 raise DiskError(f"{error}; {source} is not changed. {_ANOTHER_DISK}") from error
         disk.close()
     return salvage
 
 
-@dataclass
-class _Registry:
-    """Schemas, channels and message counts of the damaged file, as far as known."""
-
-    schemas: dict[int, Schema] = field(default_factory=dict)
-    channels: dict[int, Channel] = field(default_factory=dict)
-    counts: dict[int, int] | None = None
-
-    @classmethod
-    def of(cls, source: Path, damaged: DamagedFile) -> _Registry:
-        """Take them from the file's summary or, if it is lost, from its chunks."""
-        try:
-            with Container(source) as container:
-                summary = container.summary
-                counts = dict(summary.statistics.channel_message_counts) if summary.statistics else None
-                return cls(summary.schemas, summary.channels, counts)
-        except RecordingError:
-            registry = cls()
-        for part in damaged.parts():
-            if isinstance(part, Intact) and isinstance(part.content, memoryview):
-                registry.take(part.content, part.stored)
-                if registry.channels:
-                    break
-        return registry
-
-    def take(self, records: memoryview, stored: int) -> None:
-        """Take the schemas and channels of a chunk."""
-        try:
-            for opcode, content in records_in(records, stored):
-                if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                    record = parse(opcode, content)
-                    known: dict[int, Any] = self.schemas if opcode == Opcode.SCHEMA else self.channels
-                    known[record.id] = record
-        except Damage:
-            return
+def _descriptions(
+    source: Path, damaged: DamagedFile
+) -> tuple[dict[int, Schema], dict[int, Channel], dict[int, int] | None]:
+    """Take schemas, channels and message counts from the file's summary or, if it is lost, from its chunks."""
+    try:
+        with Container(source) as container:
+            summary = container.summary
+            counts = dict(summary.statistics.channel_message_counts) if summary.statistics else None
+            return summary.schemas, summary.channels, counts
+    except RecordingError:
+        known: dict[int, dict[int, Any]] = {Opcode.SCHEMA: {}, Opcode.CHANNEL: {}}
+    for part in damaged.parts():
+        if isinstance(part, Intact) and isinstance(part.content, memoryview):
+            with suppress(Damage):
+                for opcode, content in records_in(part.content, part.stored):
+                    if opcode in known:
+                        record = parse(opcode, content)
+                        known[opcode][record.id] = record
+            if known[Opcode.CHANNEL]:
+                break
+    return known[Opcode.SCHEMA], known[Opcode.CHANNEL], None
 
 
 class _Salvage:
     """Copies the intact parts of a damaged file into a complete recording."""
 
-    def __init__(self, source: Path, target: Path, registry: _Registry, disk: Disk) -> None:
+    def __init__(
+        self,
+        source: Path,
+        target: Path,
+        disk: Disk,
+        schemas: dict[int, Schema],
+        channels: dict[int, Channel],
+        counts: dict[int, int] | None,
+    ) -> None:
         from daq.mcap_file.writer import ChunkedFile
 
-        self._source, self._target, self._registry = source, target, registry
-        self._disk = disk
+        self._source, self._target, self._disk = source, target, disk
+        self._schemas, self._channels, self._counts = schemas, channels, counts
         self._file = ChunkedFile(disk, f"shotrig {version('shotrig')}", "zstd")
         self._numbers: dict[int, int] = {}
         self._spans: dict[int, list[Span]] = {}
         self._seen: dict[int, int] = defaultdict(int)
-        self._beyond: dict[int, int] = defaultdict(int)
+        self._expected: dict[int, int] = defaultdict(int)
         self._gaps: list[Span] = []
         self._notes: list[str] = []
         self._orphans = 0
         self._metadata: dict[str, dict[str, str]] = {}
         self._has_scene = False
         self._clock: Timebase | None = None
+        written: dict[int, int] = {0: 0}
+        for number, schema in sorted(schemas.items()):
+            written[number] = self._file.add_schema(schema.name, schema.encoding, schema.data)
+        for number, channel in sorted(channels.items()):
+            if channel.schema_id not in written:
+                self._notes.append(f"{channel.topic} has no schema")
+                continue
+            self._numbers[number] = self._file.add_channel(
+                channel.topic, channel.message_encoding, written[channel.schema_id], channel.metadata
+            )
+            if channel.schema_id and schemas[channel.schema_id].name in SAMPLE_TYPE:
+                self._spans[number] = []
 
     def run(self, damaged: DamagedFile) -> Salvage:
         """Write the complete recording."""
-        self._announce()
         for part in damaged.parts():
             if isinstance(part, Unreadable):
                 self._notes.append(f"bytes {part.begin} to {part.end - 1} of {self._source}: {part.reason}")
@@ -196,24 +202,6 @@ class _Salvage:
         self._end(salvage)
         return salvage
 
-    def _announce(self) -> None:
-        schemas: dict[int, int] = {0: 0}
-        for number, schema in sorted(self._registry.schemas.items()):
-            schemas[number] = self._file.add_schema(schema.name, schema.encoding, schema.data)
-        for number, channel in sorted(self._registry.channels.items()):
-            if channel.schema_id not in schemas:
-                self._notes.append(f"{channel.topic} has no schema")
-                continue
-            self._numbers[number] = self._file.add_channel(
-                channel.topic, channel.message_encoding, schemas[channel.schema_id], channel.metadata
-            )
-            if self._schema(number) in SAMPLE_TYPE:
-                self._spans[number] = []
-
-    def _schema(self, number: int) -> str:
-        schema = self._registry.schemas.get(self._registry.channels[number].schema_id)
-        return "" if schema is None else schema.name
-
     def _chunk(self, records: memoryview, stored: int) -> None:
         """Copy the messages of a chunk into a new chunk."""
         try:
@@ -229,25 +217,23 @@ class _Salvage:
                 number, times = self._numbers[message.channel], (message.log_time, message.publish_time)
                 sound.append(Message(number, *times, bytes(message.data), message.sequence))
                 self._seen[message.channel] += 1
-                self._beyond[message.channel] = max(self._beyond[message.channel], message.sequence + 1)
+                self._expected[message.channel] = max(self._expected[message.channel], message.sequence + 1)
         self._file.add_chunk(sound)
 
     def _is_sound(self, message: Stored) -> bool:
         """Register the samples of a message; return False if it cannot be read."""
-        topic = self._registry.channels[message.channel].topic
+        channel = self._channels[message.channel]
         try:
             if message.channel in self._spans:
-                block = decode(message.data, self._schema(message.channel))
-                if self._clock is None:
-                    since = Timebase(block.rate).time_ns(block.first_sample)
-                    self._clock = Timebase(block.rate, block.t0_ns - since)
+                block = decode(message.data, self._schemas[channel.schema_id].name)
+                self._clock = block.clock if self._clock is None else self._clock
                 _join(self._spans[message.channel], (block.first_sample, block.stop))
-            elif topic == layout.MARKERS:
+            elif channel.topic == layout.MARKERS:
                 marker = Marker.from_json(message.data)
                 if marker.kind in ("gap", "lost"):
                     self._gaps.append((marker.first_sample, marker.end + 1))
         except RecordingError as error:
-            self._notes.append(f"{topic}: {error}")
+            self._notes.append(f"{channel.topic}: {error}")
             return False
         return True
 
@@ -267,11 +253,10 @@ class _Salvage:
     # -- losses ------------------------------------------------------------------------------------------
 
     def _losses(self, clock: Timebase) -> Salvage:
-        channels = self._registry.channels
-        outcome = self._metadata.get("outcome", {})
+        channels, outcome = self._channels, self._metadata.get("outcome", {})
         end = max(span[-1][1] for span in self._spans.values() if span)
         known_end = int(outcome["samples"]) if _is_count(outcome.get("samples", "")) else None
-        if known_end is None and self._registry.counts is None:
+        if known_end is None and self._counts is None:
             self._notes.append(
                 f"the file has no end: later samples than {end / clock.rate:.6g} s, if any, were not flushed to it "
                 "or were cut off"
@@ -290,7 +275,7 @@ class _Salvage:
             if number in self._spans:
                 continue
             # The messages of a topic are numbered, and counted in the summary and the outcome.
-            expected = max(self._beyond[number], (self._registry.counts or {}).get(number, 0))
+            expected = max(self._expected[number], (self._counts or {}).get(number, 0))
             if channels[number].topic == layout.MARKERS and _is_count(outcome.get("markers", "")):
                 expected = max(expected, int(outcome["markers"]))
             if expected > self._seen[number]:
@@ -303,36 +288,28 @@ class _Salvage:
 
     def _end(self, salvage: Salvage) -> None:
         """Mark the losses in the file, and end it."""
-        channels = self._registry.channels
-        numbers = {channels[number].topic: self._numbers[number] for number in self._numbers}
+        markers = [self._numbers[n] for n in self._numbers if self._channels[n].topic == layout.MARKERS]
         at: dict[Span, list[str]] = defaultdict(list)
         for topic, spans in salvage.lost.items():
             for span in spans:
                 at[span].append(topic.removeprefix(layout.RAW))
         assert self._clock is not None
-        if layout.MARKERS in numbers:
-            lost = []
-            for (first, stop), names in sorted(at.items()):
-                marker = Marker(
-                    "lost", first, stop - 1, {"channels": names, "reason": "lost with the damaged file"}
-                )
-                times = self._clock.time_ns(stop - 1), self._clock.time_ns(first)
-                lost.append(Message(numbers[layout.MARKERS], *times, marker.to_json(), 0))
-            self._file.add_chunk(lost)
+        lost = []
+        for (first, stop), names in sorted(at.items()):
+            fields = {"channels": names, "reason": "lost with the damaged file"}
+            content = Marker("lost", first, stop - 1, fields).to_json()
+            times = self._clock.time_ns(stop - 1), self._clock.time_ns(first)
+            lost += [Message(number, *times, content, 0) for number in markers]
+        self._file.add_chunk(lost)
         outcome = self._metadata.get("outcome")
         if outcome is None or not salvage.whole:
-            before = (
-                {}
-                if outcome is None
-                else {f"before.{key}": outcome.get(key, "") for key in ("status", "reason")}
+            earlier = {} if outcome is None else {key: outcome.get(key, "") for key in ("status", "reason")}
+            outcome = checked(
+                {f"before.{key}": text for key, text in earlier.items()}
+                | {"status": "recovered", "reason": f"recovered from {shown(self._source.name)}"}
+                | {"samples": str(max(span[-1][1] for span in self._spans.values() if span))}
+                | {"report": json.dumps(list(salvage.report()))}
             )
-            samples = str(max(span[-1][1] for span in self._spans.values() if span))
-            counted = {
-                "status": "recovered",
-                "reason": f"recovered from {shown(self._source.name)}",
-                "samples": samples,
-            }
-            outcome = checked({**before, **counted, "report": json.dumps(list(salvage.report()))})
         self._file.add_metadata("outcome", outcome)
         self._file.finish()
         self._disk.finish()

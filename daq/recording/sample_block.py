@@ -46,6 +46,11 @@ class SampleBlock(NamedTuple):
         """Number of the sample after the last one."""
         return self.first_sample + self.samples.size
 
+    @property
+    def clock(self) -> Timebase:
+        """The sample clock that the block states."""
+        return Timebase(self.rate, self.t0_ns - Timebase(self.rate).time_ns(self.first_sample))
+
 
 @lru_cache
 def block_schema(schema: str) -> Schema:

@@ -49,39 +49,31 @@ class Truth:
     def __init__(self, scene: Scene, clock: Timebase, group: int, register: Register) -> None:
         self._clock, self._length = clock, group
         self.points = points_of(scene)
-        dampers = len(scene.dampers)
+        points, dampers = len(self.points), len(scene.dampers)
         self.drawn = (*self.points, *dampers_of(scene))
         self.streams = (
-            Grouping(len(MOTION) * len(self.points) + dampers, group, np.dtype("<f8")),
+            Grouping(len(MOTION) * points + dampers, group, np.dtype("<f8")),
             Grouping(dampers, group, np.dtype("<i4")),
         )
         self._events: deque[tuple[float, int, str, float]] = deque()
         self._sent = 0
         self._recent: dict[int, Group] = {}
-        points = len(self.points)
         self._rows = np.r_[:points, len(MOTION) * points : len(MOTION) * points + dampers]
         self._last = np.zeros(len(self.drawn))
         real, whole = block_schema(SCHEMAS["float64"][0]), block_schema(SCHEMAS["counts"][0])
         self.chunks: list[list[tuple[int, int, int]]] = []
-        for place, point in enumerate(self.points):
-            series = []
-            for kind, quantity in enumerate(MOTION):
-                fields = {"point": point, "quantity": quantity, "unit": UNITS[quantity]}
-                topic = register(f"{TRUTH}{point.replace(' ', '_')}/{quantity}", real, fields)
-                series.append((0, kind * len(self.points) + place, topic))
-            self.chunks.append(series)
+
+        def topic(point: str, quantity: str, unit: str, schema: Schema = real, **more: str) -> int:
+            fields = {"point": point, "quantity": quantity, "unit": unit, **more}
+            return register(f"{TRUTH}{point.replace(' ', '_')}/{quantity}", schema, fields)
+
+        for row, point in enumerate(self.points):
+            motion = [topic(point, quantity, UNITS[quantity]) for quantity in MOTION]
+            self.chunks.append([(0, kind * points + row, number) for kind, number in enumerate(motion)])
         for damper, point in enumerate(dampers_of(scene)):
-            gap = {"point": point, "quantity": "gap", "unit": "m"}
-            contact = {
-                "point": point,
-                "quantity": "contact",
-                "unit": "",
-                "values": "0 flight, 1 floor, 2 ceiling",
-            }
-            name = f"{TRUTH}{point.replace(' ', '_')}"
-            row = len(MOTION) * len(self.points) + damper
-            topics = register(f"{name}/gap", real, gap), register(f"{name}/contact", whole, contact)
-            self.chunks.append([(0, row, topics[0]), (1, damper, topics[1])])
+            gap, states = topic(point, "gap", "m"), "0 flight, 1 floor, 2 ceiling"
+            contact = topic(point, "contact", "", whole, values=states)
+            self.chunks.append([(0, len(MOTION) * points + damper, gap), (1, damper, contact)])
         self._topic = register(EVENTS, EVENT_SCHEMA, {}) if dampers else 0
 
     @property
@@ -96,15 +88,7 @@ class Truth:
         parts = (motion.displacement, motion.velocity, motion.acceleration, motion.gap)
         self.streams[0].add(np.concatenate(parts))
         self.streams[1].add(motion.contact)
-        for event in motion.events:
-            self._events.append(
-                (float(event["time"]), int(event["damper"]), str(event["kind"]), float(event["speed"]))
-            )
-
-    def close_groups(self) -> None:
-        """Complete the groups in progress."""
-        for stream in self.streams:
-            stream.close_group()
+        self._events += motion.events[["time", "damper", "kind", "speed"]].tolist()
 
     def take(self, number: int) -> tuple[Group | None, Group | None]:
         """Remove and give the groups of a cell of the grid; `positions` still uses them."""
@@ -114,15 +98,15 @@ class Truth:
             self._recent[number] = real
         return real, whole
 
-    def events_before(self, stop: int | None) -> list[Message]:
-        """Remove and give the events before a sample; None: all.
+    def events_before(self, stop: float) -> list[Message]:
+        """Remove and give the events before a sample.
 
         They end one sample before it, so that rounded times of events do not change the order of writing.
         """
         due = []
         while self._events:
             time, damper, kind, speed = self._events[0]
-            if stop is not None and math.ceil(time * self._clock.rate) + 1 >= stop:
+            if math.ceil(time * self._clock.rate) + 1 >= stop:
                 break
             self._events.popleft()
             at = self._clock.start_ns + round(time * 1e9)

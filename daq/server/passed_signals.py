@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from types import FrameType, TracebackType
 from typing import Any, Self
 
-from daq.recording.interrupts import answered
+from rig.ending_signals import answered
 
 # Time between the request to end and the kill of a script, s.
 PATIENCE = 1.0

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from daq.dsp.block_buffers import BlockBuffers
 from daq.dsp.circuit import INTEGRATION, RECOVERY, Circuit
 from daq.dsp.discretisation import Entry, Tables, discretise
-from daq.dsp.disturbances import Disturbance, Disturbances, Offset, SettlingOffset
+from daq.dsp.disturbances import Disturbance, Disturbances, Offset
 from daq.dsp.interpolation import CubicInput
 from daq.dsp.limiting import limits_of
 from daq.dsp.noise import FastNoise, Noise, generator
@@ -187,9 +187,6 @@ def _disturbances(
                 sources.append(FastNoise(noise, corner, rate, random, degree))
             entries += [Entry(behind, degree, filtered) for degree in range(terms)]
         if stage.offset is not None:
-            settling = stage.settling
-            sources.append(
-                Offset(stage.offset) if settling is None else SettlingOffset(stage.offset, settling, rate)
-            )
+            sources.append(Offset(stage.offset, stage.settling, rate))
             entries.append(Entry(behind, 0, filtered))
     return entries, sources

@@ -9,8 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from analysis.responses.clean_stretches import Flaw, clean_stretches, cure, describe_flaws, flaws
-from daq.recording.gap import Gap
-from daq.recording.markers import Marker
+from daq.recording.markers import Gap, Marker
 from daq.signal_chain.channel import ChannelInfo
 
 CHANNELS = ("a1", "a2", "force")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.polynomial.legendre import legval
 
-from daq.dsp.disturbances import Disturbances, Offset, SettlingOffset
+from daq.dsp.disturbances import Disturbances, Offset
 from daq.dsp.noise import LOWEST, FastNoise, Noise, generator, shape
 
 
@@ -40,7 +40,9 @@ def test_cut_polynomials_are_the_same_curves(each, cuts):
 
 
 def test_direct_disturbances_are_added():
-    of = Disturbances([Offset(1.0), Offset(2.0), Offset(5.0)], np.array([0.5, 0.0, -1.0]), (0, 0, 0), 1)
+    of = Disturbances(
+        [Offset(level, None, 1.0) for level in (1.0, 2.0, 5.0)], np.array([0.5, 0.0, -1.0]), (0, 0, 0), 1
+    )
     volts = np.array([10.0, 20.0])
     of.add_direct(of.hold(2), volts)
     assert volts.tolist() == [5.5, 15.5]
@@ -49,7 +51,7 @@ def test_direct_disturbances_are_added():
 
 
 def test_settling_offset_is_exponential():
-    source, level, time, rate = SettlingOffset(-3.0, 0.25, 100.0), -3.0, 0.25, 100.0
+    source, level, time, rate = Offset(-3.0, 0.25, 100.0), -3.0, 0.25, 100.0
     samples = np.empty(200)
     for start, stop in ((0, 1), (1, 1), (1, 60), (60, 200)):
         source.fill(samples[start:stop])

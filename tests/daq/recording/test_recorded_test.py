@@ -1,7 +1,9 @@
-"""The kind of a recorded test: stated in the file, or deduced from the markers."""
+"""The kind of a recorded test, stated or deduced from the markers, and facts of its scene without loading it."""
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -9,7 +11,7 @@ import yaml
 
 import daq
 import rig
-from daq.recording.recorded_test import TestKind, kind_of_settings
+from daq.recording.recorded_test import SceneOutline, TestKind, kind_of_settings
 from daq.recording.recorder import Recorder
 from tests.analysis.responses import synthetic
 
@@ -60,3 +62,35 @@ def test_unstated_kind_follows_from_markers(marker, fields, kind, tmp_path):
 
 def test_scene_without_test_is_of_no_kind():
     assert kind_of_settings(None) is TestKind.NONE
+
+
+@pytest.mark.parametrize("name", ["fig8-three-dampers", "fig10b-no-damper", "bare-structure", "reference-A"])
+def test_outline_survives_metadata(name: str) -> None:
+    outline = SceneOutline.of(rig.load(name))
+    assert SceneOutline.from_metadata(outline.to_metadata()) == outline
+
+
+def test_outline_names_bodies() -> None:
+    scene = rig.loads("structure: {masses: {base: 4 kg, arm: 1 kg}, springs: [1 kN/m, 1 kN/m]}")
+    outline = SceneOutline.of(scene)
+    assert [outline.label(place) for place in ("body 1", "body 2", "table")] == ["base", "arm", "table"]
+
+
+def test_recording_without_facts_takes_scene_outline(tmp_path: Path) -> None:
+    scene = rig.load("fig10b-no-damper", {"test.repeats": 1, "test.interval": "0.3s"})
+    with daq.open(daq.record(scene, tmp_path / "hit.mcap")) as recording:
+        assert recording.outline == SceneOutline.of(scene)
+        del recording.metadata["run"]["dampers"], recording.outline
+        assert recording.outline == SceneOutline.of(scene)
+
+
+def test_info_loads_no_scene(tmp_path: Path) -> None:
+    scene = rig.load("fig10b-no-damper", {"test.repeats": 1, "test.interval": "0.3s"})
+    path = daq.record(scene, tmp_path / "hit.mcap")
+    code = (
+        "import sys\nfrom daq.cli import app\napp(sys.argv[1:], standalone_mode=False)\n"
+        "assert not {'rig.scene.scene', 'numba', 'scipy.linalg'} & set(sys.modules)"
+    )
+    ended = subprocess.run([sys.executable, "-c", code, "info", str(path)], capture_output=True, text=True)
+    assert ended.returncode == 0, ended.stderr
+    assert "analysis decay" in ended.stdout

@@ -13,10 +13,10 @@ from mcap.reader import make_reader
 
 import daq
 from daq.recording.committed_file import Disk
-from daq.recording.interrupts import delayed_interrupt
 from daq.recording.recorder import Recorder
 from daq.recording.recovery import recover
 from daq.signal_chain.channel import ChannelInfo
+from rig.ending_signals import delayed_interrupt
 from rig.errors import RecordingError, RunError
 from tests.daq.recording.recordings import (
     ALL,

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from mcap.writer import CompressionType, Writer
 
 import daq
-from daq.recording.gap import Gap
+from daq.recording.markers import Gap
 from daq.recording.protobuf import message_class
 from daq.recording.recorder import Recorder
 from daq.recording.sample_block import block_schema

@@ -64,27 +64,29 @@ def held_tones(tracks: Sequence[Track], tolerance: float) -> list[HeldTone]:
     """
     pieces = [piece for track in tracks for piece in _pieces(track) if not piece.fades]
     pieces.sort(key=lambda piece: piece.first - piece.stop)
-    kept: list[_Piece] = []
+    separate: list[_Piece] = []
     for piece in pieces:
-        if all(piece.stop <= other.first or piece.first >= other.stop for other in kept):
-            kept.append(piece)
-    kept.sort(key=lambda piece: piece.first)
+        if all(piece.stop <= other.first or piece.first >= other.stop for other in separate):
+            separate.append(piece)
+    separate.sort(key=lambda piece: piece.first)
     # The shortest blocks average over the fewest samples and therefore resolve all tones.
-    if not kept or _share(kept, tracks[-1]) < _SHARE or _sweeps(kept):
+    if not separate or _share(separate, tracks[-1]) < _SHARE:
         return []
-    return _final_levels([_settled(piece, tolerance) for piece in kept])
-
-
-def _final_levels(tones: Sequence[HeldTone]) -> list[HeldTone]:
-    """Keep the last settled of successive tones of one frequency, between which a controller changed the level."""
-    kept: list[HeldTone] = []
-    for tone in tones:
-        again = kept and abs(tone.frequency / kept[-1].frequency - 1.0) < _SAME
-        if not again:
-            kept.append(tone)
-        elif tone.settled or not kept[-1].settled:
-            kept[-1] = tone
-    return kept
+    # In a sweep the frequency drifts within stretches as from one to the next.
+    middle, begins, ends = np.array([piece.frequencies() for piece in separate]).T
+    distance = abs(np.diff(middle))
+    distance[distance < _SAME * middle[1:]] = np.inf
+    nearest = np.minimum(np.append(distance, np.inf), np.insert(distance, 0, np.inf))
+    if np.median(abs(ends - begins) / nearest) > _DRIFT:
+        return []
+    # Between successive tones of one frequency a controller changed the level: the last settled one is measured.
+    tones: list[HeldTone] = []
+    for tone in (_settled(piece, tolerance) for piece in separate):
+        if not tones or abs(tone.frequency / tones[-1].frequency - 1.0) >= _SAME:
+            tones.append(tone)
+        elif tone.settled or not tones[-1].settled:
+            tones[-1] = tone
+    return tones
 
 
 @dataclass(frozen=True)
@@ -92,18 +94,21 @@ class _Piece:
     """A stretch of linear phase: blocks of a track."""
 
     track: Track
-    begin: int
-    """First block, and the one after the last, by their place in the track."""
-    end: int
+    begin: int  # first block, by its position in the track
+    end: int  # block after the last one
+
+    def middle(self, block: int) -> int:
+        """Sample in the middle of a block of the track."""
+        return int((self.track.number[block] + HOPS / 2) * self.track.hop)
 
     @property
     def first(self) -> int:
         """Sample in the middle of the first block, before which another tone may be held."""
-        return _middle(self.track, self.begin)
+        return self.middle(self.begin)
 
     @property
     def stop(self) -> int:
-        return _middle(self.track, self.end - 1)
+        return self.middle(self.end - 1)
 
     @property
     def phase(self) -> Array:
@@ -129,10 +134,6 @@ class _Piece:
         return slope * scale, (slope - 2.0 * bend) * scale, (slope + 2.0 * bend) * scale
 
 
-def _middle(track: Track, block: int) -> int:
-    return int((track.number[block] + HOPS / 2) * track.hop)
-
-
 def _unwrapped(track: Track, begin: int, end: int) -> Array:
     """Phase of successive blocks, unwrapped by the frequency of each."""
     phase = track.phase[begin:end]
@@ -149,37 +150,31 @@ def _pieces(track: Track) -> Iterator[_Piece]:
         return
     linked = (np.diff(track.number) == 1) & (abs(np.diff(np.log(track.amplitude))) < _JUMP)
     linked &= abs(np.diff(track.frequency)) < 1.0 / HOPS
-    for first, last in runs_of(linked):
-        if last + 1 - first >= _FEWEST:
-            yield from _straight(track, first, last + 1)
-
-
-def _straight(track: Track, begin: int, end: int) -> Iterator[_Piece]:
-    phase = _unwrapped(track, begin, end)
-    tolerance = float(np.clip(_LINE_SIGMAS * _scatter(phase), _LINE_LEAST, _LINE_MOST))
-    windows = np.lib.stride_tricks.sliding_window_view(phase, _FEWEST)
-    linear = abs(windows @ _line_residual(_FEWEST)).max(axis=1) < tolerance
-    at = 0
-    while at < linear.size:
-        if not linear[at]:
-            at += 1
+    # Symmetric matrix from values to their residuals from a straight line.
+    line = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, _FEWEST), 2))[0]
+    to_residual = np.eye(_FEWEST) - line @ line.T
+    for begin, end in runs_of(linked):
+        if end + 1 - begin < _FEWEST:
             continue
-        stop, more = at + _FEWEST, _FEWEST
-        while more:
-            if stop + more <= phase.size and _is_line(phase[at : stop + more], tolerance):
-                stop, more = stop + more, 2 * more
-            else:
-                more //= 2
-        first, last = _ends(phase[at:stop])
-        if last - first >= _FEWEST:
-            yield _Piece(track, begin + at + first, begin + at + last)
-        at = stop
-
-
-def _line_residual(size: int) -> Array:
-    """Symmetric matrix from values to their residuals from a straight line."""
-    line = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, size), 2))[0]
-    return np.eye(size) - line @ line.T
+        phase = _unwrapped(track, begin, end + 1)
+        tolerance = float(np.clip(_LINE_SIGMAS * _scatter(phase), _LINE_LEAST, _LINE_MOST))
+        windows = np.lib.stride_tricks.sliding_window_view(phase, _FEWEST)
+        linear = abs(windows @ to_residual).max(axis=1) < tolerance
+        at = 0
+        while at < linear.size:
+            if not linear[at]:
+                at += 1
+                continue
+            stop, more = at + _FEWEST, _FEWEST
+            while more:
+                if stop + more <= phase.size and _is_line(phase[at : stop + more], tolerance):
+                    stop, more = stop + more, 2 * more
+                else:
+                    more //= 2
+            first, last = _ends(phase[at:stop])
+            if last - first >= _FEWEST:
+                yield _Piece(track, begin + at + first, begin + at + last)
+            at = stop
 
 
 def _is_line(phase: Array, tolerance: float) -> bool:
@@ -235,7 +230,7 @@ def _settled(piece: _Piece, tolerance: float) -> HeldTone:
             steady, begin = _steady_from(channels, round(size.size * (1.0 - share)), tolerance)
     frequency = float(np.polyfit(np.arange(size.size - begin), piece.phase[begin:], 1)[0])
     return HeldTone(
-        _middle(track, piece.begin + begin),
+        piece.middle(piece.begin + begin),
         piece.stop,
         frequency / (2.0 * np.pi * track.hop),
         float(np.median(size[begin:])),

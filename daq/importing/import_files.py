@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,7 +22,6 @@ from daq.importing.steps import StepFinder, mark_steps
 from daq.recording.recorder import Recorder
 from daq.recording.recording import open as open_recording
 from daq.recording.timebase import refuse_reversed
-from daq.signal_chain.channel import ChannelInfo
 from rig.arrays import Array
 from rig.errors import RecordingError, RunWarning, SceneError, ShotrigError
 from rig.input_files import path_of, repeated
@@ -128,7 +127,12 @@ def import_files(
     with ExitStack() as stack:
         signals = [signal for file in paths for signal in signals_of(file, stack)]
         # Not before: a missing file or scene is the more helpful message.
-        destination(target, overwrite or _is_import_of(target, paths), RecordingError)
+        replaces = overwrite
+        with suppress(ShotrigError), open_recording(target) as recording:
+            # A recording of the same files may be replaced.
+            names = ", ".join(file.name for file in paths)
+            replaces |= bool(recording.source) and recording.source in names
+        destination(target, replaces, RecordingError)
         chosen, notes = choose(bench, signals, columns)
         notes += contradicted_units(chosen)
         rate = _common_rate(chosen, bench)
@@ -153,15 +157,6 @@ def import_files(
 
 #: The call by the name of the command; `import` itself is a keyword.
 import_ = import_files
-
-
-def _is_import_of(path: Path, files: Sequence[Path]) -> bool:
-    """Whether a file is a recording of other programs' files with these names."""
-    try:
-        with open_recording(path) as recording:
-            return bool(recording.source) and recording.source in ", ".join(file.name for file in files)
-    except ShotrigError:
-        return False
 
 
 def _common_rate(chosen: Sequence[Choice], scene: Scene) -> float:
@@ -204,7 +199,13 @@ def _with_start_delays(assigned: Sequence[Assigned]) -> list[Assigned]:
     stated = [each.signal for each in assigned if each.column.delay is None]
     delayed = []
     for each in assigned:
-        late = 0.0 if each.column.delay is not None else _start(each.signal, stated[0])
+        late = 0.0
+        if each.column.delay is None:
+            signal, origin = each.signal, stated[0]
+            late = signal.start_s - origin.start_s
+            # Dates count where both have one.
+            if signal.start_ns and origin.start_ns:
+                late += (signal.start_ns - origin.start_ns) * 1e-9
         if abs(late) * each.info.rate > 0.5:
             raise RecordingError(
                 f"{each.signal.name!r} of {each.signal.file} begins {late:.6g} s after {stated[0].name!r} of "
@@ -213,12 +214,6 @@ def _with_start_delays(assigned: Sequence[Assigned]) -> list[Assigned]:
             )
         delayed.append(replace(each, info=replace(each.info, delay=each.info.delay - late)) if late else each)
     return delayed
-
-
-def _start(signal: Signal, origin: Signal) -> float:
-    """Time of a signal's first sample after another's, s; dates count where both have one."""
-    dated = signal.start_ns and origin.start_ns
-    return signal.start_s - origin.start_s + ((signal.start_ns - origin.start_ns) * 1e-9 if dated else 0.0)
 
 
 def _cut(
@@ -261,17 +256,6 @@ def _as_measured(scene: Scene, assigned: Sequence[Assigned], rate: float) -> Sce
     )
 
 
-def _driving_power(scene: Scene, infos: Sequence[ChannelInfo]) -> tuple[DrivingPower, list[int]] | None:
-    """Watch the only channel of force and the motion where it acts; with the rows of both."""
-    forces = [row for row, info in enumerate(infos) if info.quantity == "force"]
-    places = [f"body {number}" for number in scene.force_on]
-    motions = [row for row, info in enumerate(infos) if info.quantity in MOTIONS and [info.at] == places]
-    if len(forces) != 1 or not motions:
-        return None
-    rows = [forces[0], motions[0]]
-    return DrivingPower(infos[rows[0]], infos[rows[1]]), rows
-
-
 class _Import:
     """One import: signals are read in pieces, examined, and written."""
 
@@ -280,12 +264,21 @@ class _Import:
         self._infos = [each.info for each in assigned]
         self._samples = max(each.signal.samples for each in assigned)
         self._missing: list[list[tuple[int, int]]] = [[] for _ in assigned]
-        self._overloads = [Overloads(_limit(each)) for each in assigned]
-        hit = isinstance(scene.test, Impulse | None)
-        self._forces = {
-            row: ForcePulses() for row, info in enumerate(self._infos) if hit and info.quantity == "force"
-        }
-        self._power = _driving_power(scene, self._infos)
+        # Largest voltage that a signal can read: full scale of its file, or the converter's range.
+        limits = [each.info.range if each.calibrated else None for each in assigned]
+        for row, each in enumerate(assigned):
+            if each.signal.full_scale is not None:
+                limits[row] = abs(each.signal.full_scale * each.factor)
+        self._overloads = [Overloads(limit) for limit in limits]
+        forces = [row for row, info in enumerate(self._infos) if info.quantity == "force"]
+        self._forces = {row: ForcePulses() for row in forces if isinstance(scene.test, Impulse | None)}
+        # The power of the only channel of force and the motion where it acts.
+        places = [f"body {number}" for number in scene.force_on]
+        motions = [
+            row for row, info in enumerate(self._infos) if info.quantity in MOTIONS and [info.at] == places
+        ]
+        self._powered = [forces[0], motions[0]] if len(forces) == 1 and motions else []
+        self._power = DrivingPower(*(self._infos[row] for row in self._powered)) if self._powered else None
         held = isinstance(scene.test, Sine | SteppedSine)
         self._steps = StepFinder(scene, self._infos, rate) if held else None
 
@@ -303,8 +296,7 @@ class _Import:
                 piece = np.stack([self._piece(row, first, stop) for row in range(len(self._infos))])
                 recorder.write(piece)
                 if self._power is not None:
-                    power, rows = self._power
-                    power.add(*piece[rows])
+                    self._power.add(*piece[self._powered])
                 if self._steps is not None:
                     self._steps.add(piece)
                 if progress is not None:
@@ -344,14 +336,24 @@ class _Import:
                 recorder.mark("overload", first, stop - 1, channel=name)
             if clipped:
                 yield f"{where} is clipped in {len(clipped)} stretches; marked as overload"
-        if self._power is not None and (warning := self._power[0].warning()):
+        if self._power is not None and (warning := self._power.warning()):
             yield warning
 
     def _mark_test(self, recorder: Recorder) -> Iterator[str]:
         """Mark the hits or steps, or all of it as measured, as the scene's test requires; yield warnings."""
         test = self._scene.test
         if isinstance(test, Free):
-            yield from self._late_release()
+            moving = [
+                (overloads.peak_at, each.channel.name)
+                for each, overloads in zip(self._assigned, self._overloads, strict=True)
+                if each.channel.body is not None and overloads.peak_at is not None
+            ]
+            latest, name = max(moving, default=(0, ""))
+            if latest >= _LATE * self._samples:
+                yield (
+                    f"a free test: its decay begins with the first sample, but {name} moves most at "
+                    f"{latest / self._rate:.4g} s. Remove the time before it with --from."
+                )
             return
         if self._steps is not None:
             yield from mark_steps(recorder, self._steps, self._assigned[self._steps.row])
@@ -373,27 +375,6 @@ class _Import:
             if isinstance(test, SweptSine | Random | Multisine):
                 low, high = sorted((test.from_, test.to))
             recorder.mark("measure", 0, self._samples - 1, **{"from": low, "to": high})
-
-    def _late_release(self) -> Iterator[str]:
-        """Warn where a free decay begins after the file does."""
-        moving = [
-            (overloads.peak_at, each.channel.name)
-            for each, overloads in zip(self._assigned, self._overloads, strict=True)
-            if each.channel.body is not None and overloads.peak_at is not None
-        ]
-        latest, name = max(moving, default=(0, ""))
-        if latest >= _LATE * self._samples:
-            yield (
-                f"a free test: its decay begins with the first sample, but {name} moves most at "
-                f"{latest / self._rate:.4g} s. Remove the time before it with --from."
-            )
-
-
-def _limit(each: Assigned) -> float | None:
-    """Largest voltage that a signal can read: full scale of its file, or the converter's range."""
-    if each.signal.full_scale is not None:
-        return abs(each.signal.full_scale * each.factor)
-    return each.info.range if each.calibrated else None
 
 
 def _implausible(where: str, each: Assigned, overloads: Overloads) -> Iterator[str]:

@@ -13,10 +13,17 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from rig.errors import RecordingError, RunError
 from rig.numerics.memory import ALLOWED, PROGRAM, most
 
 _NO_HDF5, _TOO_MUCH = "needs h5py", "needs more memory"
+# Structures within structures that are read.
+_DEEPEST = 8
+# Values that are read: cells may refer to themselves.
+_MOST = 100_000
 
 
 def matlab_arrays(path: Path) -> dict[str, Any]:
@@ -54,14 +61,22 @@ def _read(name: str, memory: int) -> dict[str, Any] | str:
     """Read the variables within a memory in bytes, or give an error text."""
     from scipy.io import loadmat
 
-    _limit(memory)
+    with suppress(ImportError, ValueError, OSError):
+        # Not every system can limit a process; a packed file holds a thousand times its size.
+        import resource
+
+        _, hard = resource.getrlimit(resource.RLIMIT_DATA)
+        resource.setrlimit(resource.RLIMIT_DATA, (memory, hard))
     try:
         try:
             content = loadmat(name, squeeze_me=True, struct_as_record=True, chars_as_strings=True)
         except NotImplementedError:
-            from daq.importing.matlab_hdf5 import hdf5_variables
+            import h5py
 
-            return hdf5_variables(name)
+            with h5py.File(name, "r") as file:
+                items = _HdfItems(file)
+                # Names with # are MATLAB's own: the targets of references in cells and structures.
+                return {key: items.value(file[key]) for key in file if not key.startswith("#")}
     except ImportError:
         return _NO_HDF5
     except MemoryError:
@@ -72,16 +87,54 @@ def _read(name: str, memory: int) -> dict[str, Any] | str:
     return {key: value for key, value in content.items() if key[:2] != "__"}
 
 
-def _limit(memory: int) -> None:
-    """Limit the memory of this process: a packed file holds a thousand times its size."""
-    try:
-        import resource
-    except ImportError:
-        # Not every system can limit a process.
-        return
-    _, hard = resource.getrlimit(resource.RLIMIT_DATA)
-    with suppress(ValueError, OSError):
-        resource.setrlimit(resource.RLIMIT_DATA, (memory, hard))
+class _HdfItems:
+    """The items of an open file of version 7.3, in the form that scipy gives those of older versions.
+
+    Structures become dictionaries, cells arrays of objects.
+    """
+
+    def __init__(self, file: Any) -> None:
+        self._file = file
+        self._count = 0
+
+    def value(self, item: Any, depth: int = 0) -> Any:
+        """Give the MATLAB value of an item; None beyond the depth of data."""
+        self._count += 1
+        if self._count > _MOST:
+            raise ValueError(f"its structures and cells hold more than {_MOST} values")
+        if depth > _DEEPEST:
+            return None
+        if hasattr(item, "keys"):
+            fields = {name: self.value(item[name], depth + 1) for name in item}
+            # Each field of an array of structures is a list of references, one for each structure.
+            array = all(
+                not hasattr(each, "keys") and each.dtype.kind == "O" and not _kind(each)
+                for each in item.values()
+            )
+            if not (fields and array):
+                return fields
+            structures = np.empty(min(np.size(values) for values in fields.values()), dtype=object)
+            for number in range(structures.size):
+                structures[number] = {name: values.ravel()[number] for name, values in fields.items()}
+            return structures
+        if item.attrs.get("MATLAB_empty", 0):
+            return np.array([])
+        values: NDArray[Any] = np.asarray(item[()]).T.squeeze()
+        if values.dtype.kind == "O":
+            cells = np.empty(values.shape, dtype=object)
+            for place, reference in np.ndenumerate(values):
+                cells[place] = self.value(self._file[reference], depth + 1) if reference else None
+            return cells
+        if _kind(item) == "char":
+            return "".join(map(chr, values.ravel().tolist()))
+        if values.dtype.names == ("real", "imag"):
+            return values["real"] + 1j * values["imag"]
+        return values
+
+
+def _kind(item: Any) -> str:
+    kind = item.attrs.get("MATLAB_class", b"")
+    return kind.decode() if isinstance(kind, bytes) else str(kind)
 
 
 if __name__ == "__main__":

@@ -33,8 +33,7 @@ _ORDERS: dict[Quantity, int] = {"velocity": 1, "displacement": 2}
 class Assigned:
     """A channel and the source of its samples."""
 
-    channel: Channel
-    """As in the scene; with the ideal integrator where the signal is a velocity or a displacement."""
+    channel: Channel  # as in the scene; with the ideal integrator for a velocity or a displacement
     info: ChannelInfo
     signal: Signal
     column: Column
@@ -76,13 +75,20 @@ def choose(
     for place, channel in enumerate(channels):
         column = table.get(channel.name)
         try:
-            signal = _by_name(channel.name, signals) if column is None else _by_column(column, signals)
+            found = _matches(channel.name, signals) if column is None else _by_column(column, signals)
+            if len(found) > 1:
+                where = ", ".join(f"{signal.file} ({signal.number}: {signal.name})" for signal in found)
+                wanted = channel.name if column is None else column.column
+                raise ValueError(
+                    f"several signals are called {wanted!r}: {where}. Choose in the table, by column and file."
+                )
         except ValueError as error:
             mistakes.append(f"{channel.name}: {error}")
             continue
-        if signal is None:
+        if not found:
             missing.append(channel.name)
             continue
+        signal = found[0]
         chosen.append(Choice(channel, place, signal, column or Column(signal.name)))
         users.setdefault(id(signal), []).append(channel.name)
     mistakes += [f"{' and '.join(same)}: one signal for both" for same in users.values() if len(same) > 1]
@@ -146,7 +152,17 @@ def of_scene(scene: Scene) -> tuple[Channel, ...]:
 
 def _assigned(scene: Scene, chosen: Choice, rate: float, skew: float) -> Assigned:
     channel, signal, column = chosen.channel, chosen.signal, chosen.column
-    unit = column.unit or signal.unit or _full_scale_unit(scene, signal)
+    unit, limit = column.unit or signal.unit, filled_in(scene.converter).range
+    if not unit and signal.full_scale is not None and limit is not None:
+        # Full scale of the file is the converter's range.
+        unit = f"{limit!r} V"
+    if not unit:
+        scaled = signal.full_scale is not None
+        more = " (full scale; or state the converter's range in the scene)" if scaled else ""
+        raise ValueError(
+            f"the unit of {signal.name!r} in {signal.file} is not stated. Give it in the table, such as unit: m/s^2, "
+            f"or the meaning of 1 in the file{more}, such as unit: 5 V."
+        )
     measured, size = meaning(unit)
     bare = channel.accelerometer is None and channel.integrator is None and not channel.measures_force
     if bare and not channel.measures_voltage and measured in _ORDERS:
@@ -208,39 +224,20 @@ def _has_sensitivity(channel: Channel) -> bool:
     return channel.accelerometer is not None and filled_in(channel.accelerometer).sensitivity is not None
 
 
-def _full_scale_unit(scene: Scene, signal: Signal) -> str:
-    """Take the converter's range as full scale of a file that states no unit."""
-    limit = filled_in(scene.converter).range
-    if signal.full_scale is not None and limit is not None:
-        return f"{limit!r} V"
-    more = (
-        " (full scale; or state the converter's range in the scene)" if signal.full_scale is not None else ""
-    )
-    raise ValueError(
-        f"the unit of {signal.name!r} in {signal.file} is not stated. Give it in the table, such as unit: m/s^2, or "
-        f"the meaning of 1 in the file{more}, such as unit: 5 V."
-    )
-
-
-def _by_column(column: Column, signals: Sequence[Signal]) -> Signal:
-    """Give the signal that a line of the table names, or numbers."""
+def _by_column(column: Column, signals: Sequence[Signal]) -> Sequence[Signal]:
+    """Give the signals that a line of the table names, or numbers."""
     files = {signal.file: signal.file.rpartition(".")[0] for signal in signals}
     inside = [s for s in signals if column.file is None or column.file in (s.file, files[s.file])]
     if not inside:
         raise ValueError(f"file {column.file!r} is none of {', '.join(files)}")
-    names = [signal.name for signal in inside]
     exact = [signal for signal in inside if signal.name == column.column]
     numbered = [signal for signal in inside if str(signal.number) == column.column]
     matches = exact or numbered or _matches(column.column, inside)
     if not matches:
         listed = ", ".join(f"{signal.number}: {signal.name}" for signal in inside[:20])
-        raise ValueError(f"no column {column.column!r}; there are {listed}{_hint(column.column, names)}")
-    return _only(matches, column.column)
-
-
-def _by_name(name: str, signals: Sequence[Signal]) -> Signal | None:
-    matches = _matches(name, signals)
-    return _only(matches, name) if matches else None
+        hint = _hint(column.column, [signal.name for signal in inside])
+        raise ValueError(f"no column {column.column!r}; there are {listed}{hint}")
+    return matches
 
 
 def _matches(name: str, signals: Sequence[Signal]) -> list[Signal]:
@@ -256,15 +253,6 @@ def _matches(name: str, signals: Sequence[Signal]) -> list[Signal]:
         if spelling(name)
         in {spelling(signal.name), *(spelling(signal.name.rpartition(mark)[2]) for mark in "/.")}
     ]
-
-
-def _only(matches: Sequence[Signal], name: str) -> Signal:
-    if len(matches) > 1:
-        where = ", ".join(f"{signal.file} ({signal.number}: {signal.name})" for signal in matches)
-        raise ValueError(
-            f"several signals are called {name!r}: {where}. Choose in the table, by column and file."
-        )
-    return matches[0]
 
 
 def _hint(name: str, names: Sequence[str]) -> str:

@@ -18,7 +18,7 @@ from daq.importing.files import signals_of
 from daq.importing.force_pulses import ForcePulses
 from daq.importing.overloads import Overloads, joined
 from daq.importing.signal import Signal
-from daq.importing.steps import StepFinder, mark_steps
+from daq.importing.steps import StepFinder
 from daq.recording.recorder import Recorder
 from daq.recording.recording import open as open_recording
 from daq.recording.timebase import refuse_reversed
@@ -356,7 +356,7 @@ class _Import:
                 )
             return
         if self._steps is not None:
-            yield from mark_steps(recorder, self._steps, self._assigned[self._steps.row])
+            yield from self._steps.mark(recorder, self._assigned[self._steps.row])
             return
         hits = [hit for force in self._forces.values() for hit in force.hits(self._rate)]
         for number, hit in enumerate(hits, 1):

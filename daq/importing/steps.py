@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -26,52 +25,67 @@ _WINDOWS, _LONGEST = 8, 1 << 16
 _SAME = 1e-5
 
 
-class Step(NamedTuple):
-    """A step: samples [first, stop) in which it is settled, and the fields of its marker."""
-
-    first: int
-    stop: int
-    frequency: float  # Hz
-    level: float
-    direction: str
-    settled: bool
-
-
 class StepFinder:
     """Detects the steps of a sine or stepped sine, piece by piece, in the channel that shows the excitation best."""
 
     def __init__(self, scene: Scene, infos: Sequence[ChannelInfo], rate: float) -> None:
         assert isinstance(scene.test, Sine | SteppedSine)
-        self.test, self._rate = scene.test, rate
-        # The channel that is followed.
-        self.row = _reference(scene, infos)
+        self._test, self._rate = scene.test, rate
+        # The followed channel: a force, the drive, the table, or else the first.
+        table = scene.at_driven("table") if scene.driven_shaker is not None else "table"
+        shown = [
+            *(row for row, info in enumerate(infos) if info.quantity == "force"),
+            *(
+                row
+                for place in ("drive", table)
+                for row, info in enumerate(infos)
+                if info.at.startswith(place)
+            ),
+        ]
+        self.row = shown[0] if shown else 0
         self._info = infos[self.row]
-        self._tracker = ToneTracker(rate, *_band(scene.test), self.row)
+        run = (scene.test.frequency,) if isinstance(scene.test, Sine) else scene.test.order
+        self._tracker = ToneTracker(rate, min(run) / _WIDER, max(run) * _WIDER, self.row)
 
     def add(self, volts: Array) -> None:
         """Take the next samples, shape (channels, samples)."""
         self._tracker.add(volts)
 
-    def steps(self, read: Callable[[int, int], Array]) -> list[Step]:
-        """Return the steps; ``read(first, stop)`` gives the volts of the channel `row` again, in rising order."""
-        tolerance = self.test.settle.tolerance if isinstance(self.test, SteppedSine) else 1e-3
+    def mark(self, recorder: Recorder, followed: Assigned) -> list[str]:
+        """Mark the settled part of each step, from the samples of the followed channel; warn if there is none."""
+        present = followed.signal.samples
+
+        def read(first: int, stop: int) -> Array:
+            volts = np.full(stop - first, np.nan)
+            if present > first:
+                volts[: present - first] = followed.volts(first, min(stop, present))
+            return volts
+
+        tolerance = self._test.settle.tolerance if isinstance(self._test, SteppedSine) else 1e-3
         tones = _refined(held_tones(self._tracker.tracks(), tolerance), read, self._rate)
         if not tones:
-            return []
-        passes = _passes([tone.frequency for tone in tones])
-        steps = []
-        for number, (direction, members) in enumerate(passes):
-            held = [tones[index] for index in members]
-            level = self._level(held, number)
-            steps += [
-                Step(tone.first, tone.stop, tone.frequency * self._rate, level, direction, tone.settled)
-                for tone in held
+            return [
+                f"no step was detected: the scene's test is a {self._test.kind}, but {followed.channel.name} holds no "
+                "tone of constant frequency for ten periods above its noise. Check for swapped columns or another "
+                "test (test: kind: swept_sine, random)."
             ]
-        return steps
+        for number, (direction, members) in enumerate(_passes([tone.frequency for tone in tones])):
+            level = self._level([tones[index] for index in members], number)
+            for tone in (tones[index] for index in members):
+                recorder.mark(
+                    "measure",
+                    tone.first,
+                    tone.stop - 1,
+                    frequency=tone.frequency * self._rate,
+                    level=level,
+                    direction=direction,
+                    settled=tone.settled,
+                )
+        return []
 
     def _level(self, tones: Sequence[HeldTone], number: int) -> float:
         """Level of a pass: the test's level nearest to the force, or else the next level."""
-        test = self.test
+        test = self._test
         if isinstance(test, Sine):
             return float(test.force if test.force is not None else test.drive or 0.0)
         if self._info.quantity == "force" and test.force is not None:
@@ -81,55 +95,6 @@ class StepFinder:
             return min(test.levels, key=lambda level: abs(np.log(level / force)))
         each = 2 if test.direction == "both" else 1
         return test.levels[min(number // each, len(test.levels) - 1)]
-
-
-def mark_steps(recorder: Recorder, finder: StepFinder, one: Assigned) -> list[str]:
-    """Mark the settled part of each step, from the samples of the followed channel; warn if there is none."""
-    there = one.signal.samples
-
-    def read(first: int, stop: int) -> Array:
-        volts = np.full(stop - first, np.nan)
-        if there > first:
-            volts[: there - first] = one.volts(first, min(stop, there))
-        return volts
-
-    steps = finder.steps(read)
-    for step in steps:
-        recorder.mark(
-            "measure",
-            step.first,
-            step.stop - 1,
-            frequency=step.frequency,
-            level=step.level,
-            direction=step.direction,
-            settled=step.settled,
-        )
-    if steps:
-        return []
-    return [
-        f"no step was detected: the scene's test is a {finder.test.kind}, but {one.channel.name} holds no tone of "
-        "constant frequency for ten periods above its noise. Check for swapped columns or another test (test: kind: "
-        "swept_sine, random)."
-    ]
-
-
-def _band(test: Sine | SteppedSine) -> tuple[float, float]:
-    """Band in which steps are searched, Hz."""
-    run = (test.frequency,) if isinstance(test, Sine) else test.order
-    return min(run) / _WIDER, max(run) * _WIDER
-
-
-def _reference(scene: Scene, infos: Sequence[ChannelInfo]) -> int:
-    """Row of the channel that shows the excitation best: a force, the drive, the table, or else the first."""
-    table = scene.at_driven("table") if scene.driven_shaker is not None else "table"
-    for row, info in enumerate(infos):
-        if info.quantity == "force":
-            return row
-    for place in ("drive", table):
-        for row, info in enumerate(infos):
-            if info.at.startswith(place):
-                return row
-    return 0
 
 
 def _passes(frequencies: Sequence[float]) -> list[tuple[str, list[int]]]:
@@ -142,15 +107,13 @@ def _passes(frequencies: Sequence[float]) -> list[tuple[str, list[int]]]:
     """
     same = _SAME * np.asarray(frequencies[1:])
     change = np.diff(frequencies)
-    ways = np.where(abs(change) <= same, 0, np.sign(change)).astype(int).tolist()
+    signs = np.where(abs(change) <= same, 0, np.sign(change)).astype(int).tolist()
     passes: list[tuple[int, list[int]]] = []
-    for index in range(len(frequencies)):
-        came = ways[index - 1] if index else 0
-        goes = ways[index] if index < len(ways) else 0
-        if not passes or came != passes[-1][0]:
-            passes.append((goes or came or 1, []))
+    for index, (before, after) in enumerate(zip([0, *signs], [*signs, 0], strict=True)):
+        if not passes or before != passes[-1][0]:
+            passes.append((after or before or 1, []))
         passes[-1][1].append(index)
-    return [("up" if way > 0 else "down", members) for way, members in passes]
+    return [("up" if sign > 0 else "down", members) for sign, members in passes]
 
 
 def _refined(tones: Sequence[HeldTone], read: Callable[[int, int], Array], rate: float) -> list[HeldTone]:

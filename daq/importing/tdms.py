@@ -35,8 +35,16 @@ def tdms_signals(path: Path, stack: ExitStack) -> list[Signal]:
     try:
         stack.enter_context(log_as_warning(path))
         file = stack.enter_context(nptdms.TdmsFile.open(path))
-        channels = [channel for group in file.groups() for channel in group.channels()]
-        return _signals(path, [each for each in channels if not each.properties.get("DecimationLevel")])
+        every = [channel for group in file.groups() for channel in group.channels()]
+        channels = [each for each in every if not each.properties.get("DecimationLevel")]
+        several = len({channel.group_name for channel in channels}) > 1
+        times = {channel.group_name: channel for channel in channels if _is_clock(channel, channels)}
+        clocks = {group: _clock(path, channel) for group, channel in times.items()}
+        samples = [channel for channel in channels if channel is not times.get(channel.group_name)]
+        return [
+            _signal(path, number, channel, several, clocks.get(channel.group_name))
+            for number, channel in enumerate(samples, 1)
+        ]
     except (OSError, RecordingError):
         raise
     except Exception as error:
@@ -62,17 +70,6 @@ def log_as_warning(path: Path) -> Iterator[None]:
         yield
     if messages:
         warn(f"{path} is cut off or damaged ({messages[0]}). The readable part is imported.")
-
-
-def _signals(path: Path, channels: list[Any]) -> list[Signal]:
-    several = len({channel.group_name for channel in channels}) > 1
-    times = {channel.group_name: channel for channel in channels if _is_clock(channel, channels)}
-    clocks = {group: _clock(path, channel) for group, channel in times.items()}
-    samples = [channel for channel in channels if channel is not times.get(channel.group_name)]
-    return [
-        _signal(path, number, channel, several, clocks.get(channel.group_name))
-        for number, channel in enumerate(samples, 1)
-    ]
 
 
 def _is_clock(channel: Any, channels: list[Any]) -> bool:

@@ -99,7 +99,11 @@ class _OneLength:
         # A constant is in the first two lines.
         peak = np.argmax(size[:, 2:-1], axis=1) + 2
         rows = np.arange(blocks)
-        at, offset = size[rows, peak], _line_offset(size, peak)
+        # Distance of the tone from its highest line, in lines, by the higher neighbour under a Hann window.
+        below, at, above = (size[rows, peak + k] for k in (-1, 0, 1))
+        neighbour = np.maximum(below, above) / np.maximum(at, 1e-300)
+        side = np.where(above > below, 1.0, -1.0)
+        offset = np.asarray(side * np.clip((2 * neighbour - 1) / (neighbour + 1), 0.0, 0.5))
         line = peak + offset
         resolved = np.flatnonzero((at > 0.0) & (line >= self._lowest) & (line < self._highest))
         if not resolved.size:
@@ -125,11 +129,3 @@ class _OneLength:
         number, frequency, phase, amplitude, ratio = (np.concatenate(each, axis=-1) for each in found)
         levels = np.concatenate([np.empty(0, np.float32), *self._levels])
         return Track(self._hop * self._averaged, number, frequency, phase, amplitude, ratio, levels)
-
-
-def _line_offset(size: Array, peak: NDArray[np.intp]) -> Array:
-    """Distance of a tone from its highest line, in lines, by the higher neighbour under a Hann window."""
-    rows = np.arange(len(peak))
-    below, at, above = (size[rows, peak + k] for k in (-1, 0, 1))
-    ratio = np.maximum(below, above) / np.maximum(at, 1e-300)
-    return np.asarray(np.where(above > below, 1.0, -1.0) * np.clip((2 * ratio - 1) / (ratio + 1), 0.0, 0.5))

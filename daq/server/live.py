@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.instrument.chassis import Chassis
-from daq.live_scope.screen import Screen
 from daq.recording.recorder import Recorder
 
 if TYPE_CHECKING:
@@ -30,6 +29,8 @@ class LiveView:
     """
 
     def __init__(self, chassis: Chassis, stream: rr.RecordingStream) -> None:
+        from daq.live_scope.screen import Screen
+
         bench = chassis.bench
         self._chassis = chassis
         self._screen = Screen(stream, bench.scene, bench.channels, bench.rate)

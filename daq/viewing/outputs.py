@@ -9,11 +9,12 @@ import tempfile
 import threading
 import webbrowser
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
 from urllib.parse import quote
 from uuid import uuid4
+
+import rerun as rr
 
 from daq.viewing.replay import Progress, Replay
 from daq.viewing.rerun_viewer import (
@@ -29,9 +30,6 @@ from rig.console import waiting
 from rig.errors import RunError, SceneError
 from rig.output_files import replacing
 from rig.provenance import made_from, may_overwrite, refuse_others, relative
-
-if TYPE_CHECKING:
-    import rerun as rr
 
 APPLICATION = "shotrig"
 WITHOUT_DISPLAY = "use --web to look with a browser, --screenshot FILE.png for a picture, or --save FILE.rrd"
@@ -144,23 +142,23 @@ def window(instead: str) -> AbstractContextManager[Viewer]:
     return viewer("--expect-data-soon")
 
 
-def in_window(replay: Replay, progress: Progress | None = None) -> None:
-    """Show a replay in a window until it is closed; raise `RunError` if the viewer does not start."""
-    with window(WITHOUT_DISPLAY) as running:
-        _warn_of_size(replay)
-        _feed(replay, running, progress)
-        with waiting():
-            running.process.wait()
-
-
-def in_browser(replay: Replay, announce: Callable[[str], None], progress: Progress | None = None) -> None:
-    """Serve a replay to browsers on this machine until interrupted; raise `RunError` if the server does not start.
-
-    `announce` gets the address to open.
-    """
-    with suppress(KeyboardInterrupt), server(announce) as running:
-        _warn_of_size(replay)
-        _feed(replay, running, progress)
+def show(replay: Replay, viewing: AbstractContextManager[Viewer], progress: Progress | None = None) -> None:
+    """Show a replay in a `window` or on a `server` until the viewer ends; raise `RunError` if it does not start."""
+    with viewing as running:
+        # The viewer holds every value or drops the oldest.
+        gigabytes = replay.values * BYTES_A_VALUE / 1e9
+        if gigabytes > LIGHT_GB:
+            print(
+                f"note: the viewer will take about {gigabytes:.0f} GB of memory. Show a part with --from and --to.",
+                file=sys.stderr,
+            )
+        with recording_stream() as stream:
+            stream.connect_grpc(running.url)
+            try:
+                _fill(replay, stream, lambda: stream.flush(timeout_sec=SINK_S), progress)
+            except RuntimeError as error:
+                if running.process.poll() is None:
+                    raise RunError(f"the rerun viewer stopped taking data: {error}") from error
         with waiting():
             running.process.wait()
 
@@ -178,32 +176,9 @@ def server(announce: Callable[[str], None]) -> Iterator[Viewer]:
         yield running
 
 
-def _warn_of_size(replay: Replay) -> None:
-    """Warn of the memory of the viewer, which holds every value or drops the oldest."""
-    gigabytes = replay.values * BYTES_A_VALUE / 1e9
-    if gigabytes > LIGHT_GB:
-        print(
-            f"note: the viewer will take about {gigabytes:.0f} GB of memory. Show a part with --from and --to.",
-            file=sys.stderr,
-        )
-
-
-def _feed(replay: Replay, running: Viewer, progress: Progress | None) -> None:
-    """Send a replay to a running viewer, until the viewer is closed."""
-    with recording_stream() as stream:
-        stream.connect_grpc(running.url)
-        try:
-            _fill(replay, stream, lambda: stream.flush(timeout_sec=SINK_S), progress)
-        except RuntimeError as error:
-            if running.process.poll() is None:
-                raise RunError(f"the rerun viewer stopped taking data: {error}") from error
-
-
 @contextmanager
 def recording_stream() -> Iterator[rr.RecordingStream]:
     """Make a separate stream, which is flushed to its sink at the end."""
-    import rerun as rr
-
     stream = rr.RecordingStream(APPLICATION, recording_id=uuid4())
     try:
         yield stream
@@ -214,8 +189,6 @@ def recording_stream() -> Iterator[rr.RecordingStream]:
 def _fill(
     replay: Replay, stream: rr.RecordingStream, drain: Callable[[], object], progress: Progress | None
 ) -> None:
-    import rerun as rr
-
     drain()
     # As the active layout: a viewer remembers the layout of an application and would ignore a default.
     stream.send_blueprint(replay.blueprint(), make_active=True, make_default=True)

@@ -8,10 +8,11 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
+import rerun as rr
 
 from daq.drawing.rig_view import Extremes, RigView
 from daq.recording.timebase import refuse_reversed
-from daq.viewing.blueprint import OVERLOADS, Content, layout
+from daq.viewing.blueprint import OVERLOADS, layout
 from daq.viewing.info_page import about
 from daq.viewing.marker_log import MarkedSlice, log_lines, overloads, phases
 from daq.viewing.recorded_motion import BLOCK, RecordedMotion
@@ -19,7 +20,6 @@ from daq.viewing.viewer_stream import Traces, plots
 from rig.errors import SceneError
 
 if TYPE_CHECKING:
-    import rerun as rr
     import rerun.blueprint as rrb
 
     from daq.recording.recording import Recording
@@ -112,34 +112,33 @@ class Replay:
         span = self.start / self.recording.rate, self.stop / self.recording.rate
         overloaded = len(overloads(self.recording, self.start, self.stop))
         curves = plots(self.recording.channels)
-        return layout(Content(curves, dampers, overloaded, self.lowest_hz, self.view.eye, span, self.speed))
+        return layout(curves, dampers, overloaded, self.lowest_hz, self.view.eye, span, self.speed)
 
     def send(
         self, stream: rr.RecordingStream, drain: Callable[[], object], progress: Progress | None = None
     ) -> None:
         """Send everything to a stream; `drain` waits until its sink has received everything, to bound the memory."""
-        import rerun as rr
-
         from daq.viewing.spectrum_picture import spectrum_picture
 
         stream.send_recording_name(self.recording.scene.name)
         for path, part in self.view.still_parts():
             stream.log(path, part, static=True)
-        stream.log(
-            "about",
-            rr.TextDocument(about(self.recording, self.motion, self.view), media_type="text/markdown"),
-            static=True,
-        )
-        stream.log(
-            "spectrum",
-            rr.EncodedImage(
-                contents=spectrum_picture(self.recording, self.start, self.stop), media_type="image/png"
-            ),
-            static=True,
-        )
+        page = rr.TextDocument(about(self.recording, self.motion, self.view), media_type="text/markdown")
+        stream.log("about", page, static=True)
+        spectrum = spectrum_picture(self.recording, self.start, self.stop)
+        stream.log("spectrum", rr.EncodedImage(contents=spectrum, media_type="image/png"), static=True)
         recording, dampers = self.recording, self.recording.scene.dampers if self.motion.gaps_known else ()
         traces = Traces(stream, recording.rate, recording.channels, dampers)
-        self._send_marks(stream, traces)
+        lines = log_lines(recording, self.start, self.stop)
+        if lines:
+            text = rr.TextLog.columns(
+                text=[line.text for line in lines], level=[line.level for line in lines]
+            )
+            stream.send_columns("test/marks", [traces.times(np.array([line.sample for line in lines]))], text)
+        if spans := phases(recording, self.start, self.stop):
+            self._send_lane(stream, traces, "test/phase", spans)
+        for name, stretches in overloads(recording, self.start, self.stop).items():
+            self._send_lane(stream, traces, f"{OVERLOADS}/{name}", stretches)
         total = self.stop - self.start
         for first in range(self.start, self.stop, BLOCK):
             last = min(first + BLOCK, self.stop)
@@ -157,26 +156,9 @@ class Replay:
             if progress is not None and instants.size:
                 progress(0.8 + 0.2 * (int(instants[-1]) - self.start) / total, "motion")
 
-    def _send_marks(self, stream: rr.RecordingStream, traces: Traces) -> None:
-        import rerun as rr
-
-        lines = log_lines(self.recording, self.start, self.stop)
-        if lines:
-            text = rr.TextLog.columns(
-                text=[line.text for line in lines], level=[line.level for line in lines]
-            )
-            stream.send_columns("test/marks", [traces.times(np.array([line.sample for line in lines]))], text)
-        spans = phases(self.recording, self.start, self.stop)
-        if spans:
-            self._send_lane(stream, traces, "test/phase", spans)
-        for name, stretches in overloads(self.recording, self.start, self.stop).items():
-            self._send_lane(stream, traces, f"{OVERLOADS}/{name}", stretches)
-
     def _send_lane(
         self, stream: rr.RecordingStream, traces: Traces, path: str, spans: Sequence[MarkedSlice]
     ) -> None:
-        import rerun as rr
-
         # Each stretch is a separate state, so that it can have a label; between them the lane is empty.
         states = [str(number) for number in range(len(spans))]
         lane = rr.StateConfiguration(

@@ -24,7 +24,7 @@ import numpy as np
 from rig.errors import RunError, ShotrigError
 
 if TYPE_CHECKING:
-    from rerun.experimental import Recording, View, ViewerClient, ViewerState
+    from rerun.experimental import View, ViewerClient, ViewerState
 
 T = TypeVar("T")
 
@@ -186,8 +186,13 @@ def picture(
     window = ("--headless", "--window-size", f"{size[0]}x{size[1]}")
     with viewer(*window, str(file.resolve())) as running, running.driven() as client:
         recording = _loaded(client, lasts_s, last).recordings[0]
-        if after_s is not None:
-            _put_cursor(client, recording, after_s)
+        line = next((each for each in recording.timelines if each.name == recording.current_timeline), None)
+        if after_s is not None and line is not None and line.start is not None:
+            instant = line.start + round(after_s * 1e9)
+            if line.time_type == "timestamp":
+                client.set_time(line.name, timestamp=np.datetime64(instant, "ns"), play_state="paused")
+            else:
+                client.set_time(line.name, duration=np.timedelta64(instant, "ns"), play_state="paused")
         _settled(client)
         shot = _patiently(client.take_screenshot)
         # A viewer that is short of memory drops the oldest data.
@@ -197,24 +202,17 @@ def picture(
         return shot, state.views
 
 
-def _put_cursor(client: ViewerClient, recording: Recording, after_s: float) -> None:
-    timeline = next((line for line in recording.timelines if line.name == recording.current_timeline), None)
-    if timeline is None or timeline.start is None:
-        return
-    instant = timeline.start + round(after_s * 1e9)
-    if timeline.time_type == "timestamp":
-        client.set_time(timeline.name, timestamp=np.datetime64(instant, "ns"), play_state="paused")
-    else:
-        client.set_time(timeline.name, duration=np.timedelta64(instant, "ns"), play_state="paused")
-
-
 def _loaded(client: ViewerClient, lasts_s: float, last: str | None) -> ViewerState:
     """Wait until the viewer has the whole recording: its first and last instants, and its last entity."""
     deadline = time.monotonic() + LOAD_S
     while time.monotonic() < deadline:
         state = _patiently(client.get_state)
-        if not state.loading and _holds(state, lasts_s) and (last is None or _knows(client, last)):
-            return state
+        if not state.loading and _holds(state, lasts_s):
+            if last is None:
+                return state
+            schema = _patiently(lambda: client.get_recording_schema(entity_path=f"/{last}"))
+            if any(entity.entity_path.strip("/") == last for entity in schema.entities):
+                return state
         time.sleep(POLL_S)
     raise RunError(f"the viewer did not load the recording within {LOAD_S:g} s; {_SHORTER}")
 
@@ -236,11 +234,6 @@ def _holds(state: ViewerState, lasts_s: float) -> bool:
         line.start is not None and line.end and line.end - line.start >= (lasts_s - _A_FRAME_S) * 1e9
         for line in state.recordings[0].timelines
     )
-
-
-def _knows(client: ViewerClient, path: str) -> bool:
-    schema = _patiently(lambda: client.get_recording_schema(entity_path=f"/{path}"))
-    return any(entity.entity_path.strip("/") == path for entity in schema.entities)
 
 
 def _settled(client: ViewerClient) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 from daq.recording.recording import Recording
@@ -89,7 +90,8 @@ def replay(
             announce(f"{target}: the rig at {drawn:.3f} s")
             return target
     if web:
-        outputs.in_browser(part, announce, progress)
+        with suppress(KeyboardInterrupt):
+            outputs.show(part, outputs.server(announce), progress)
     else:
-        outputs.in_window(part, progress)
+        outputs.show(part, outputs.window(outputs.WITHOUT_DISPLAY), progress)
     return None

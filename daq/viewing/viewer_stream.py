@@ -6,14 +6,13 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+import rerun as rr
 from numpy.typing import NDArray
 
 from daq.drawing.palette import body_colour, channel_colour
 from daq.viewing.blueprint import TIMELINE
 
 if TYPE_CHECKING:
-    import rerun as rr
-
     from daq.drawing.rig_view import RigPose, RigView
     from daq.signal_chain.channel import ChannelInfo
     from rig.scene.damper import Damper
@@ -30,15 +29,10 @@ SHOWN = {
 }
 
 
-def grouped(channels: Mapping[str, ChannelInfo]) -> dict[str, list[str]]:
-    """Names of the channels by quantity, in the order in which they are shown."""
-    groups = {q: [name for name, info in channels.items() if info.quantity == q] for q in SHOWN}
-    return {quantity: names for quantity, names in groups.items() if names}
-
-
 def plots(channels: Mapping[str, ChannelInfo]) -> list[tuple[str, str]]:
     """Entity and title of the plot of each quantity."""
-    return [(f"channels/{quantity}", f"{quantity} [{SHOWN[quantity][1]}]") for quantity in grouped(channels)]
+    present = {info.quantity for info in channels.values()}
+    return [(f"channels/{each}", f"{each} [{unit}]") for each, (_, unit) in SHOWN.items() if each in present]
 
 
 class Traces:
@@ -53,37 +47,29 @@ class Traces:
     ) -> None:
         self._stream, self._rate, self._channels = stream, rate, channels
         self._contact: list[int] = [-1] * len(dampers)
-        self._style(dampers)
-
-    def times(self, samples: NDArray[np.int64]) -> rr.TimeColumn:
-        """Give the times of samples from the start of the recording."""
-        import rerun as rr
-
-        # Durations stay far below the 2^53 ns up to which a double holds every nanosecond.
-        nanoseconds = np.round(samples * (1e9 / self._rate)).astype("timedelta64[ns]")
-        return rr.TimeColumn(TIMELINE, duration=nanoseconds)
-
-    def _style(self, dampers: Sequence[Damper]) -> None:
-        import rerun as rr
 
         def curve(colour: tuple[int, int, int], name: str) -> rr.SeriesLines:
             # By default the viewer averages the samples of a pixel, and a tone would vanish.
             return rr.SeriesLines(colors=[colour], names=[name], widths=[1.2], aggregation_policy="MinMax")
 
-        for name, info in self._channels.items():
-            self._stream.log(entity(info.quantity, name), curve(channel_colour(info.at), name), static=True)
+        for name, info in channels.items():
+            stream.log(entity(info.quantity, name), curve(channel_colour(info.at), name), static=True)
         lane = rr.StateConfiguration(
             values=list(CONTACTS), labels=list(CONTACTS), colors=np.array(CONTACT_COLOURS, dtype=np.uint32)
         )
         for place, damper in enumerate(dampers, start=1):
             style = curve(body_colour(damper.body), f"damper {place} (body {damper.body})")
-            self._stream.log(f"dampers/gap_mm/damper_{place}", style, static=True)
-            self._stream.log(f"dampers/contact/damper_{place}", lane, static=True)
+            stream.log(f"dampers/gap_mm/damper_{place}", style, static=True)
+            stream.log(f"dampers/contact/damper_{place}", lane, static=True)
+
+    def times(self, samples: NDArray[np.int64]) -> rr.TimeColumn:
+        """Give the times of samples from the start of the recording."""
+        # Durations stay far below the 2^53 ns up to which a double holds every nanosecond.
+        nanoseconds = np.round(samples * (1e9 / self._rate)).astype("timedelta64[ns]")
+        return rr.TimeColumn(TIMELINE, duration=nanoseconds)
 
     def channel(self, name: str, first: int, samples: NDArray[np.float64]) -> None:
         """Send the next samples of a channel, in its unit; NaN is a gap in the curve."""
-        import rerun as rr
-
         quantity = self._channels[name].quantity
         times = self.times(np.arange(first, first + samples.size))
         columns = rr.Scalars.columns(scalars=samples * SHOWN[quantity][0])
@@ -91,8 +77,6 @@ class Traces:
 
     def dampers(self, first: int, gap: NDArray[np.float64], contact: NDArray[np.float64 | np.int8]) -> None:
         """Send the next samples of gaps [m] and contacts, both (dampers, samples); NaN where lost."""
-        import rerun as rr
-
         samples = np.arange(first, first + gap.shape[1])
         states = np.where(np.isnan(contact), CONTACTS.index("lost"), contact).astype(np.int8)
         for place in range(gap.shape[0]):
@@ -108,21 +92,14 @@ class Traces:
 
     def motion(self, view: RigView, samples: NDArray[np.int64], motion: RigPose) -> None:
         """Move the rig; `motion` is given at some sample numbers."""
-        import rerun as rr
-
         if not samples.size:
             return
         times = [self.times(samples)]
         for path, translation, scale in view.moving_parts(motion):
-            if scale is None:
-                columns = rr.Transform3D.columns(translation=translation)
-            else:
-                columns = rr.Transform3D.columns(translation=translation, scale=scale)
+            columns = rr.Transform3D.columns(translation=translation, scale=scale)
             self._stream.send_columns(path, times, columns)
 
 
 def entity(quantity: str, name: str) -> str:
     """Path of a channel; a name may hold spaces and slashes."""
-    import rerun as rr
-
     return rr.new_entity_path(["channels", quantity, name])

@@ -6,10 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from daq.drawing.cavities import WALL, WIDTH, cavities
 from daq.drawing.palette import DRIVE, GROUND, LEAD, MARK, STEEL, Colour, body_colour
 from daq.drawing.rig_view import Extremes, RigPose, RigView
-from daq.drawing.stack import COIL_LENGTH, PLATE
+from daq.drawing.stack import COIL_LENGTH, PLATE, WALL, WIDTH
 
 if TYPE_CHECKING:
     from rig.scene.scene import Scene
@@ -59,13 +58,13 @@ class RigDrawing:
             parts.append(_group(table.entity("coil_spring"), _coil(table.x, COIL_LENGTH, DRIVE)))
         masses = scene.structure.masses
         for body in range(1, scene.structure.bodies + 1):
-            height, colour = view.height(body), body_colour(body)
-            if view.sprung(body):
+            height, colour = view.stack.heights[body - 1], body_colour(body)
+            if view.sprung[body - 1]:
                 springs = "".join(
-                    _coil(x, view.spring_length(body), STEEL) for x in (-0.3 * WIDTH, 0.3 * WIDTH)
+                    _coil(x, view.stack.lengths[body - 1], STEEL) for x in (-0.3 * WIDTH, 0.3 * WIDTH)
                 )
                 parts.append(_group(f"rig/spring_{body}", springs))
-            inside = cavities(scene.dampers, body, view.magnification)
+            inside = view.stack.cavities[body - 1]
             frame = _box(0.0, height / 2, WIDTH, height, colour, filled=not inside)
             for cavity in inside:
                 frame += _box(cavity.x, WALL / 2, cavity.width + WALL, WALL, colour)
@@ -77,7 +76,7 @@ class RigDrawing:
             frame += _text(WIDTH / 2 + 0.012, height / 2, text, colour)
             parts.append(_group(f"rig/body_{body}", frame))
         parts.append(_text(-0.215, -0.035, f"motion × {view.magnification:g}", MARK))
-        top = SCALE * (view.top + 0.1)
+        top = SCALE * (view.stack.top + 0.1)
         return (
             f'<svg id="rig" viewBox="-230 {-top:.0f} 460 {top + 60:.0f}" role="img">'
             + "".join(parts)

@@ -11,9 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq.drawing.cavities import DEPTH, HEADROOM, WALL, WIDTH, Cavity, walls
 from daq.drawing.palette import (
     DARK_STEEL,
     DRIVE,
@@ -27,7 +25,22 @@ from daq.drawing.palette import (
     body_colour,
 )
 from daq.drawing.shapes import Point, arrow, boxes, coils, cylinder, label, lines
-from daq.drawing.stack import COIL_LENGTH, LUG, PLATE, SPRING_LENGTH, Stack, Table, round_factor
+from daq.drawing.stack import (
+    COIL_LENGTH,
+    DEPTH,
+    HEADROOM,
+    LUG,
+    PLATE,
+    SPRING_LENGTH,
+    WALL,
+    WIDTH,
+    Cavity,
+    Stack,
+    Table,
+    round_factor,
+    walls,
+)
+from rig.arrays import Array
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -44,12 +57,11 @@ MOST_EXAGGERATION = 1e4
 class RigPose:
     """The motion at some instants."""
 
-    displacement: NDArray[np.float64]
-    """Of each body, metres, up positive; shape (bodies, instants)."""
-    tables: NDArray[np.float64]
-    """Of each shaker's table, metres; shape (tables, instants)."""
-    gap: NDArray[np.float64] | None = None
-    """Height of each damper over its floor, metres; shape (dampers, instants), or None where it is not known."""
+    displacement: Array  # of each body, m, up positive; shape (bodies, instants)
+    tables: Array  # of each shaker's table, m; shape (tables, instants)
+    gap: Array | None = (
+        None  # height of each damper over its floor, m; shape (dampers, instants); None: not known
+    )
 
 
 @dataclass(frozen=True)
@@ -73,7 +85,7 @@ class Extremes:
         )
 
 
-def _largest(values: NDArray[np.float64]) -> float:
+def _largest(values: Array) -> float:
     finite = np.abs(values[np.isfinite(values)])
     return float(finite.max()) if finite.size else 0.0
 
@@ -124,10 +136,10 @@ class RigView:
         self._unknown = unknown
         self._excursion = extremes.body * self.magnification
         self.bodies = scene.structure.bodies
-        self._stack = Stack(scene, self.magnification)
-        self.shaker_tables = self._stack.tables
+        self.stack = Stack(scene, self.magnification)
+        self.shaker_tables = self.stack.tables
         # Matrices do not state which bodies are connected; a spring of no stiffness is not drawn.
-        self._sprung = [stiffness > 0 for stiffness in scene.structure.springs or [0.0] * self.bodies]
+        self.sprung = [stiffness > 0 for stiffness in scene.structure.springs or [0.0] * self.bodies]
 
     # -- parts at rest -----------------------------------------------------------------------------------
 
@@ -139,21 +151,27 @@ class RigView:
         yield "rig/ground", boxes([((0, 0, -0.01), (0.44, 0.24, 0.02))], GROUND)
         for body in range(1, self.bodies + 1):
             yield from self._body(body)
-        for body, (length, sprung) in enumerate(zip(self._stack.lengths, self._sprung, strict=True), start=1):
+        for body, (length, sprung) in enumerate(zip(self.stack.lengths, self.sprung, strict=True), start=1):
             if sprung:
                 yield f"rig/spring_{body}", coils((-0.3 * WIDTH, 0.3 * WIDTH), length, STEEL)
         for table in self.shaker_tables:
             yield from self._shaker(table)
-        yield from self._drive_arrows()
+        # Arrows on the bodies on which a force acts directly: kind force, and the hammer.
+        pushed = [body for shaker in self.scene.shakers if shaker.kind == "force" for body in shaker.bodies]
+        for body in dict.fromkeys(pushed):
+            yield from self._push(f"rig/body_{body}/drive", 0.045, "force", DRIVE)
+        test = self.scene.test
+        if test is not None and test.kind == "impulse":
+            yield from self._push(f"rig/body_{test.body}/hammer", -0.045, "hammer", HAMMER)
         yield from self._rest_marks()
 
     def _body(self, body: int) -> Iterator[tuple[str, rr.AsComponents]]:
-        colour, height = self._colour(f"body {body}", body_colour(body)), self._stack.heights[body - 1]
+        colour, height = self._colour(f"body {body}", body_colour(body)), self.stack.heights[body - 1]
         name = f"rig/body_{body}"
         masses = self.scene.structure.masses
         text = self.scene.structure.label(body) + (f"  {masses[body - 1]:g} kg" if masses is not None else "")
         text += self._remark(f"body {body}")
-        inside = self._stack.cavities[body - 1]
+        inside = self.stack.cavities[body - 1]
         if inside:
             yield f"{name}/frame", boxes(walls(inside), colour)
             for number in range(len(inside)):
@@ -179,11 +197,11 @@ class RigView:
     def damper_entity(self, place: int) -> str:
         """Path of a damper: numbered where its body has several."""
         body = self.scene.dampers[place].body
-        inside = [cavity.place for cavity in self._stack.cavities[body - 1]]
+        inside = [cavity.place for cavity in self.stack.cavities[body - 1]]
         return f"rig/body_{body}/damper" + (f"_{inside.index(place) + 1}" if len(inside) > 1 else "")
 
     def _damper(self, body: int, number: int) -> Iterator[tuple[str, rr.AsComponents]]:
-        cavity: Cavity = self._stack.cavities[body - 1][number]
+        cavity: Cavity = self.stack.cavities[body - 1][number]
         damper = self.scene.dampers[cavity.place]
         text = f"damper {self.damper_masses[cavity.place] * 1e3:.3g} g"
         if damper.locked:
@@ -196,7 +214,7 @@ class RigView:
         name = self.damper_entity(cavity.place)
         yield name, boxes([cavity.damper], LEAD if moves else GLUED)
         # Names of several dampers are below each other, next to their body.
-        text_at = _label_place(text, (0.45 - 0.2 * number) * self._stack.heights[body - 1])
+        text_at = _label_place(text, (0.45 - 0.2 * number) * self.stack.heights[body - 1])
         yield f"{name}_name", label(text_at, text, LEAD if moves else MARK)
 
     def _shaker(self, table: Table) -> Iterator[tuple[str, rr.AsComponents]]:
@@ -215,15 +233,6 @@ class RigView:
         yield f"{table.entity('table')}/name", label(text_at, text + self._remark(table.point), colour)
         yield table.entity("coil_spring"), coils([table.x], COIL_LENGTH, DRIVE)
 
-    def _drive_arrows(self) -> Iterator[tuple[str, rr.AsComponents]]:
-        """Arrows on the bodies that a force works on directly: kind force, and the hammer."""
-        test = self.scene.test
-        pushed = [body for shaker in self.scene.shakers if shaker.kind == "force" for body in shaker.bodies]
-        for body in dict.fromkeys(pushed):
-            yield from self._push(f"rig/body_{body}/drive", 0.045, "force", DRIVE)
-        if test is not None and test.kind == "impulse":
-            yield from self._push(f"rig/body_{test.body}/hammer", -0.045, "hammer", HAMMER)
-
     @staticmethod
     def _push(entity: str, x: float, text: str, colour: Colour) -> Iterator[tuple[str, rr.AsComponents]]:
         """Draw an arrow from below against the front of a body's underside, and its name at its foot."""
@@ -235,8 +244,7 @@ class RigView:
         """Scale at the left: where each body rests, how long a millimetre is drawn, and the exaggeration."""
         x, y = -WIDTH / 2 - 0.032, -DEPTH / 2
         middles = [
-            bottom + height / 2
-            for bottom, height in zip(self._stack.bottoms, self._stack.heights, strict=True)
+            bottom + height / 2 for bottom, height in zip(self.stack.bottoms, self.stack.heights, strict=True)
         ]
         yield "rig/rest", lines([[(x - 0.030, y, z), (x, y, z)] for z in middles], MARK, 0.0008)
         length = _scale_bar(self.magnification)
@@ -250,9 +258,7 @@ class RigView:
 
     # -- parts in motion ---------------------------------------------------------------------------------
 
-    def moving_parts(
-        self, motion: RigPose
-    ) -> Iterator[tuple[str, NDArray[np.float64], NDArray[np.float64] | None]]:
+    def moving_parts(self, motion: RigPose) -> Iterator[tuple[str, Array, Array | None]]:
         """Yield (entity, translation, scale), each (instants, 3), in drawing metres; no scale for bodies.
 
         Springs are drawn once at their rest length; stretching one is scaling it along z.
@@ -261,55 +267,32 @@ class RigView:
         below = np.zeros(moved.shape[1])
         top = 0.0
         for place in range(self.bodies):
-            yield f"rig/body_{place + 1}", _along_z(self._stack.bottoms[place] + moved[place]), None
-            if self._sprung[place]:
-                length = self._stack.lengths[place]
+            yield f"rig/body_{place + 1}", _along_z(self.stack.bottoms[place] + moved[place]), None
+            if self.sprung[place]:
+                length = self.stack.lengths[place]
                 stretch = (length + moved[place] - below) / length
-                yield f"rig/spring_{place + 1}", _along_z(top + below), _stretched(stretch)
-            below, top = moved[place], self._stack.bottoms[place] + self._stack.heights[place]
+                yield f"rig/spring_{place + 1}", _along_z(top + below), _along_z(stretch, 1.0)
+            below, top = moved[place], self.stack.bottoms[place] + self.stack.heights[place]
         for table, rows in zip(self.shaker_tables, motion.tables * self.magnification, strict=True):
             yield table.entity("table"), _along_z(table.top + rows), None
             stretch = (COIL_LENGTH + moved[table.body - 1] - rows) / COIL_LENGTH
-            yield table.entity("coil_spring"), _along_z(table.top + rows), _stretched(stretch)
+            yield table.entity("coil_spring"), _along_z(table.top + rows), _along_z(stretch, 1.0)
         if motion.gap is not None:
             for place in range(len(self.scene.dampers)):
                 yield self.damper_entity(place), _along_z(motion.gap[place] * self.magnification), None
 
     @property
-    def top(self) -> float:
-        """Height of the whole stack."""
-        return self._stack.top
-
-    def spring_length(self, body: int) -> float:
-        """Length at rest of the spring under a body (from 1)."""
-        return self._stack.lengths[body - 1]
-
-    def sprung(self, body: int) -> bool:
-        """Whether a spring is drawn under a body (from 1)."""
-        return self._sprung[body - 1]
-
-    def height(self, body: int) -> float:
-        """Height of a body (from 1)."""
-        return self._stack.heights[body - 1]
-
-    @property
     def eye(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
         """Position and target of the camera: the whole stack, from the front, a little above."""
-        top = self._stack.top + self._excursion
+        top = self.stack.top + self._excursion
         distance = 0.25 + 0.85 * top
         return (0.14 * distance, -distance, 0.5 * top - 0.02 + 0.14 * distance), (0.02, 0.0, 0.5 * top - 0.02)
 
 
-def _along_z(heights: NDArray[np.float64]) -> NDArray[np.float64]:
-    points = np.zeros((heights.size, 3))
-    points[:, 2] = heights
+def _along_z(values: Array, others: float = 0.0) -> Array:
+    points = np.full((values.size, 3), others)
+    points[:, 2] = values
     return points
-
-
-def _stretched(factor: NDArray[np.float64]) -> NDArray[np.float64]:
-    scale = np.ones((factor.size, 3))
-    scale[:, 2] = factor
-    return scale
 
 
 def _scale_bar(magnification: float) -> float:

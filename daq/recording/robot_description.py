@@ -13,9 +13,8 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from daq.drawing.cavities import DEPTH, HEADROOM, WALL, WIDTH, walls
 from daq.drawing.palette import DRIVE, GROUND, LEAD, Colour, body_colour
-from daq.drawing.stack import PLATE, Stack, round_factor
+from daq.drawing.stack import DEPTH, HEADROOM, PLATE, WALL, WIDTH, Stack, round_factor, walls
 from daq.recording.protobuf import Schema, descriptors, varint, varints
 
 if TYPE_CHECKING:

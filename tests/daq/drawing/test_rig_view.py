@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import rig
-from daq.drawing.cavities import DAMPER_HEIGHT, HEADROOM, WALL, WIDTH, cavities
 from daq.drawing.rig_view import Extremes, RigPose, RigView, exaggeration
+from daq.drawing.stack import DAMPER_HEIGHT, HEADROOM, WALL, WIDTH, cavities
 from rig.scene.scene_files import SCENES
 
 SCENE = rig.load("fig8-three-dampers")
@@ -45,11 +45,11 @@ def test_springs_end_at_the_parts_they_join(amplitude_m):
     below = rest_of_ground
     for body in (1, 2, 3):
         foot, scale = parts[f"rig/spring_{body}"]
-        head = foot + scale[:, 2] * view.spring_length(body)
+        head = foot + scale[:, 2] * view.stack.lengths[body - 1]
         bottom = parts[f"rig/body_{body}"][0]
         np.testing.assert_allclose(foot, below, atol=1e-12)
         np.testing.assert_allclose(head, bottom, atol=1e-12)
-        below = bottom + view.height(body)
+        below = bottom + view.stack.heights[body - 1]
     foot, scale = parts["rig/coil_spring"]
     np.testing.assert_allclose(foot, parts["rig/table"][0], atol=1e-12)
     np.testing.assert_allclose(foot + 0.110 * scale[:, 2], parts["rig/body_1"][0], atol=1e-12)

@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from daq.bench_page.live_bench import LiveBench
+from daq.bench_page.operator import LiveBench
 from daq.instrument.connecting import connect_scene
 from daq.server.bench_time import BenchTime
 from daq.server.serve import parse_address, wait_for_signal

@@ -78,16 +78,6 @@ class HitJudge:
         if not above.any() or self._readings.shape[1] < self._size:
             return None
         window, overload = self._readings[:, : self._size], self._overload[:, : self._size]
-        hit = self._judged(window, overload)
-        self._drop(self._size)
-        return hit
-
-    def _drop(self, samples: int) -> None:
-        assert self._readings is not None
-        self._readings, self._overload = self._readings[:, samples:], self._overload[:, samples:]
-        self._first += samples
-
-    def _judged(self, window: Array, overload: NDArray[np.bool_]) -> Hit:
         force = window[self._row]
         peak = float(force.max())
         faults = []
@@ -99,7 +89,14 @@ class HitJudge:
         if peak < self.weakest and "clipped" not in faults:
             faults.append("too weak")
         shown = force[: round(SHOWN_S * self._rate)]
-        return Hit(len(self.hits) + 1, self._first, peak, faults, shown, window)
+        hit = Hit(len(self.hits) + 1, self._first, peak, faults, shown, window)
+        self._drop(self._size)
+        return hit
+
+    def _drop(self, samples: int) -> None:
+        assert self._readings is not None
+        self._readings, self._overload = self._readings[:, samples:], self._overload[:, samples:]
+        self._first += samples
 
 
 def pulses(force: Array, threshold: float, gap: float) -> int:

@@ -1,20 +1,21 @@
-"""The operator's tests: built from a few settings, played by the bench, marked in the recording."""
+"""The bench behind the page, and the operator's tests: built from a few settings, played and marked in a recording."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, cast
 
 from daq.bench_page.hits import HitJudge
 from daq.bench_page.live_frf import LiveFrf
+from daq.bench_page.monitor import Monitor
+from daq.bench_page.recordings import BenchRecordings
 from daq.excitation import Excitation, Station, excitation
 from daq.excitation.manual_tone import HandTone, Knobs
 from daq.recording.recorded_test import TestKind, kind_of_settings
 from rig.errors import SceneError, ShotrigError
 
 if TYPE_CHECKING:
-    from daq.bench_page.monitor import Monitor
-    from daq.bench_page.recordings import BenchRecordings
     from daq.instrument.background_test import BackgroundTest
     from daq.instrument.chassis import Chassis
     from rig.scene.scene import Scene
@@ -66,7 +67,19 @@ class Operator:
         self.kinds: list[Kind] = ["sine", "sweep", "random"] if self._scene.shakers else []
         if test is not None and test.kind == "impulse":
             self.kinds = ["hammer"]
-        self.settings = _begin_with(test, self.kinds)
+        # The settings of the scene's test.
+        low = getattr(test, "from_", None) or min(getattr(test, "frequencies", None) or [5.0])
+        high = getattr(test, "to", None) or max(getattr(test, "frequencies", None) or [100.0])
+        level = getattr(test, "peak", None) or getattr(test, "force", None) or 1.0
+        self.settings = Settings(
+            kind="hammer" if self.kinds[-1:] == ["hammer"] else "sweep",
+            level=float(level[0] if isinstance(level, tuple) else level),
+            frequency=float(getattr(test, "frequency", None) or low),
+            low=float(min(low, high)),
+            high=float(max(low, high)),
+            duration=float(test.interval) if test is not None and test.kind == "impulse" else 60.0,
+            hits=int(getattr(test, "repeats", 1)),
+        )
         self.message = "ready" if self.kinds else "the scene has neither a shaker nor a hammer"
         self.no_response = ""
         self._playing: BackgroundTest | None = None
@@ -94,8 +107,21 @@ class Operator:
         """Start the test of the settings; on failure `message` says why."""
         if self.running:
             return
+        chassis = self._chassis
         try:
-            self._start()
+            scene, excite, self._knobs = self._test()
+            kind = TestKind.TONES if self._knobs is not None else kind_of_settings(scene.test)
+            frf, judge = self._estimate(scene, kind)
+            with chassis.changed:
+                chassis.return_outputs()
+                self._hits = []
+                self._recordings.begin_test(scene, kind)
+                self.message = f"{self.settings.kind} runs"
+                self._playing = self._terminals.play(
+                    scene, chassis.position, self._mark, self._report, self._ended, excite
+                )
+                if self.running:
+                    self._monitor.watch(frf, judge)
         except (ShotrigError, ValueError) as error:
             self.message = str(error)
 
@@ -112,22 +138,6 @@ class Operator:
                 self._knobs.turn(f"F {self.settings.level!r}")
             except SceneError as error:
                 self.message = str(error)
-
-    def _start(self) -> None:
-        chassis = self._chassis
-        scene, excite, self._knobs = self._test()
-        kind = TestKind.TONES if self._knobs is not None else kind_of_settings(scene.test)
-        frf, judge = self._estimate(scene, kind)
-        with chassis.changed:
-            chassis.return_outputs()
-            self._hits = []
-            self._recordings.begin_test(scene, kind)
-            self.message = f"{self.settings.kind} runs"
-            self._playing = self._terminals.play(
-                scene, chassis.position, self._mark, self._report, self._ended, excite
-            )
-            if self.running:
-                self._monitor.watch(frf, judge)
 
     def _test(self) -> tuple[Scene, Any, Knobs | None]:
         """Build the scene of the test, its excitation, and the knobs of a sine."""
@@ -147,13 +157,8 @@ class Operator:
             knobs = Knobs(each.frequency, each.level, self._monitor.rate / FEWEST_SAMPLES)
             return self._scene.replace(test=test), HandTone(knobs, _ignore).excite, knobs
         kind = "swept_sine" if each.kind == "sweep" else "random"
-        test = {
-            "kind": kind,
-            "from": each.low,
-            "to": each.high,
-            "duration": each.duration,
-            "force": each.level,
-        }
+        band = {"from": each.low, "to": each.high}
+        test = {"kind": kind, **band, "duration": each.duration, "force": each.level}
         return self._scene.replace(test=test), excitation, None
 
     def _estimate(self, scene: Scene, kind: TestKind) -> tuple[LiveFrf | None, HitJudge | None]:
@@ -204,24 +209,6 @@ class Operator:
         self.message = f"test ended: {reason}" if reason else "ready"
 
 
-def _begin_with(test: Any, kinds: list[Kind]) -> Settings:
-    """Give the settings to begin with: those of the scene's test."""
-    low = getattr(test, "from_", None) or min(getattr(test, "frequencies", None) or [5.0])
-    high = getattr(test, "to", None) or max(getattr(test, "frequencies", None) or [100.0])
-    level = getattr(test, "peak", None) or getattr(test, "force", None) or 1.0
-    level = float(level[0] if isinstance(level, tuple) else level)
-    hammer = kinds[-1:] == ["hammer"]
-    return Settings(
-        kind="hammer" if hammer else "sweep",
-        level=level,
-        frequency=float(getattr(test, "frequency", None) or low),
-        low=float(min(low, high)),
-        high=float(max(low, high)),
-        duration=float(test.interval) if hammer else 60.0,
-        hits=int(getattr(test, "repeats", 1)),
-    )
-
-
 def _silence(station: Station) -> Excitation:
     """Play one sample of nothing, which ends the scene's own test."""
     yield station.quiet(1)
@@ -229,3 +216,45 @@ def _silence(station: Station) -> Excitation:
 
 def _ignore(*given: Any, **fields: Any) -> None:
     """Take what a callback brings."""
+
+
+class LiveBench:
+    """What every browser's page shows; NI clients find the device at `address`."""
+
+    def __init__(self, chassis: Chassis, address: str, recording: Path, overwrite: bool) -> None:
+        self.chassis, self.address = chassis, address
+        self.monitor = Monitor(chassis)
+        self.recordings = BenchRecordings(chassis, recording, overwrite)
+        self.operator = Operator(chassis, self.monitor, self.recordings)
+        # The recorder first: a test ends after the block that it gets.
+        chassis.listeners += [self.recordings.hear, self.monitor.hear]
+        self.operator.switch_on()
+
+    def outputs(self) -> list[str]:
+        """Describe each output: peak in V, and frequency."""
+        lines = []
+        for number, ((peak, frequency), per_volt) in enumerate(
+            zip(self.monitor.output(), self.chassis.terminals.drive_per_volt, strict=False), 1
+        ):
+            tone = f", {frequency:.4g} Hz" if frequency else ""
+            lines.append(f"output {number}: {peak / per_volt:.4g} V{tone}")
+        return lines
+
+    def clients(self) -> str:
+        """Describe the tasks of NI clients."""
+        chassis = self.chassis
+        with chassis.changed:
+            lines = [
+                f"{name}: {'running' if task in chassis.inputs or task in chassis.outputs else 'open'} on {task.device}"
+                for name, task in chassis.tasks.items()
+            ]
+        return "\n".join(["Tasks of NI clients:", *lines]) if lines else "no NI client"
+
+    def close(self) -> None:
+        """Complete the recording and stop."""
+        with self.chassis.changed:
+            self.chassis.listeners.remove(self.recordings.hear)
+            self.chassis.listeners.remove(self.monitor.hear)
+        self.operator.switch_off()
+        self.recordings.close()
+        self.monitor.close()

@@ -9,11 +9,11 @@ import numpy as np
 from nicegui import ui
 
 from daq.bench_page.rig_svg import RigDrawing
-from daq.drawing.palette import channel_colour
+from daq.drawing.palette import channel_colour, hex_colour
 from rig.arrays import Array
 
 if TYPE_CHECKING:
-    from daq.bench_page.live_bench import LiveBench
+    from daq.bench_page.operator import LiveBench
 
 
 # Intervals of the views, s. The rig is shown in slow motion: POSES_S of motion take RIG_S.
@@ -186,7 +186,7 @@ class Page:
 
     def _charts(self) -> None:
         channels = self._monitor.channels
-        series = [(info.name, info.unit, _hex(channel_colour(info.at))) for info in channels]
+        series = [(info.name, info.unit, hex_colour(channel_colour(info.at))) for info in channels]
         with ui.row().classes("items-center"):
             ui.label("Time shown / s")
             self._span = ui.toggle([0.1, 1.0, 5.0], value=1.0).props("dense")
@@ -199,7 +199,7 @@ class Page:
             {"type": "log", "scale": True},
         )
         bodies = [
-            (info.name, "m/N", _hex(channel_colour(info.at)))
+            (info.name, "m/N", hex_colour(channel_colour(info.at)))
             for info in channels
             if info.at.startswith("body") and info.quantity != "force"
         ]
@@ -276,7 +276,3 @@ def _file_line(recordings: Any) -> str:
     if recordings.wanted:
         return "records as soon as a test or a client's task runs"
     return f"recorded: {recordings.paths[-1]}" if recordings.paths else "not recording"
-
-
-def _hex(colour: tuple[int, int, int]) -> str:
-    return "#{:02x}{:02x}{:02x}".format(*colour)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from daq.drawing.palette import DRIVE, GROUND, LEAD, MARK, STEEL, Colour, body_colour
+from daq.drawing.palette import DRIVE, GROUND, LEAD, MARK, STEEL, Colour, body_colour, hex_colour
 from daq.drawing.rig_view import Extremes, RigPose, RigView
 from daq.drawing.stack import COIL_LENGTH, PLATE, WALL, WIDTH
 
@@ -97,23 +98,18 @@ def _group(entity: str, content: str) -> str:
     return f'<g id="{identifier(entity)}">{content}</g>'
 
 
-def _hex(colour: Colour) -> str:
-    return "#{:02x}{:02x}{:02x}".format(*colour)
-
-
 def _box(x: float, z: float, width: float, height: float, colour: Colour, filled: bool = True) -> str:
     corner = SCALE * (x - width / 2), -SCALE * (z + height / 2)
-    fill = _hex(colour) if filled else "none"
+    fill = hex_colour(colour) if filled else "none"
     return (
         f'<rect x="{corner[0]:.1f}" y="{corner[1]:.1f}" width="{SCALE * width:.1f}" height="{SCALE * height:.1f}" '
-        f'fill="{fill}" stroke="{_hex(colour)}" stroke-width="4"/>'
+        f'fill="{fill}" stroke="{hex_colour(colour)}" stroke-width="4"/>'
     )
 
 
 def _text(x: float, z: float, text: str, colour: Colour) -> str:
-    from html import escape
-
-    return f'<text x="{SCALE * x:.0f}" y="{-SCALE * z:.0f}" font-size="15" fill="{_hex(colour)}">{escape(text)}</text>'
+    style = f'font-size="15" fill="{hex_colour(colour)}"'
+    return f'<text x="{SCALE * x:.0f}" y="{-SCALE * z:.0f}" {style}>{escape(text)}</text>'
 
 
 def _coil(x: float, length: float, colour: Colour) -> str:
@@ -122,4 +118,4 @@ def _coil(x: float, length: float, colour: Colour) -> str:
         f"{SCALE * (x + COIL_HALF_WIDTH * side):.1f},{-SCALE * length * at:.1f}"
         for at, side in zip(along, np.sin(2 * np.pi * TURNS * along), strict=True)
     )
-    return f'<polyline points="{points}" fill="none" stroke="{_hex(colour)}" stroke-width="2.5"/>'
+    return f'<polyline points="{points}" fill="none" stroke="{hex_colour(colour)}" stroke-width="2.5"/>'

@@ -41,3 +41,8 @@ def channel_colour(at: str) -> Colour:
     if at.startswith("body "):
         return body_colour(int(at.removeprefix("body ")))
     return DRIVE if at.startswith(("table", "drive")) else HAMMER
+
+
+def hex_colour(colour: Colour) -> str:
+    """Write a colour as in style sheets, ``#b0b8c2``."""
+    return "#{:02x}{:02x}{:02x}".format(*colour)

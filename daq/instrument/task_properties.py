@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from daq.instrument.clock import seconds
@@ -155,17 +156,12 @@ def _counter(question: str, value: Callable[[Task], int]) -> Callable[[Task], in
     return ask
 
 
-def _trigger_time(event: TimestampEvent) -> Callable[[Task], float]:
-    return lambda task: time_of(task, event, 10.0) * 1e-9
+def _seconds_of(task: Task, event: TimestampEvent) -> float:
+    return time_of(task, event, 10.0) * 1e-9
 
 
 def _run_input(task: Task, value: Callable[[Any], int]) -> int:
     return 0 if task.input.run is None else value(task.input.run)
-
-
-def _clock_source(task: Task) -> str:
-    own = task.settings.groups["timing"]["samp_clk_src"]
-    return full_terminal(task, own or f"{task.settings.kind}/SampleClockTimebase")
 
 
 def _module(task: Task) -> Module:
@@ -177,41 +173,25 @@ def _module(task: Task) -> Module:
     return task.settings.channels[0].module
 
 
-def _divisor(task: Task) -> int:
-    return round(_module(task).timebase / task.settings.rate)
-
-
-def _edge_source(name: str) -> Callable[[Task], str]:
-    def ask(task: Task) -> str:
-        own = str(task.settings.groups["trig"][name])
-        channels = [
-            each
-            for each in task.settings.channels
-            if own.lower() in (each.name.lower(), each.port.name.lower())
-        ]
-        return own if channels or not own else full_terminal(task, own)
-
-    return ask
+def _edge_source(task: Task, name: str) -> str:
+    own = str(task.settings.groups["trig"][name])
+    names = {name.lower() for each in task.settings.channels for name in (each.name, each.port.name)}
+    return own if own.lower() in names else full_terminal(task, own)
 
 
 _COMPUTED: dict[tuple[str, str], Callable[[Task], Any]] = {
     ("timing", "samp_clk_rate"): lambda task: task.settings.rate,
     ("timing", "samp_clk_max_rate"): lambda task: _module(task).fastest,
-    ("timing", "samp_clk_src"): _clock_source,
+    ("timing", "samp_clk_src"): lambda task: full_terminal(
+        task, task.settings.groups["timing"]["samp_clk_src"] or f"{task.settings.kind}/SampleClockTimebase"
+    ),
     ("timing", "samp_clk_term"): lambda task: full_terminal(task, f"{task.settings.kind}/SampleClock"),
     ("timing", "samp_quant_samp_per_chan"): lambda task: task.settings.samples,
-    ("timing", "samp_clk_timebase_div"): _divisor,
+    ("timing", "samp_clk_timebase_div"): lambda task: round(_module(task).timebase / task.settings.rate),
     ("timing", "samp_clk_timebase_rate"): lambda task: _module(task).timebase,
-    ("timing", "first_samp_timestamp_val"): lambda task: (
-        time_of(task, TimestampEvent.FIRST_SAMPLE, 10.0) * 1e-9
-    ),
-    **{
-        ("trig", f"{name}_trig_timestamp_val"): _trigger_time(event)
-        for name, event in (
-            ("start", TimestampEvent.START_TRIGGER),
-            ("ref", TimestampEvent.REFERENCE_TRIGGER),
-        )
-    },
+    ("timing", "first_samp_timestamp_val"): partial(_seconds_of, event=TimestampEvent.FIRST_SAMPLE),
+    ("trig", "start_trig_timestamp_val"): partial(_seconds_of, event=TimestampEvent.START_TRIGGER),
+    ("trig", "ref_trig_timestamp_val"): partial(_seconds_of, event=TimestampEvent.REFERENCE_TRIGGER),
     ("trig", "start_trig_term"): lambda task: full_terminal(task, f"{task.settings.kind}/StartTrigger"),
     ("trig", "ref_trig_term"): lambda task: full_terminal(task, f"{task.settings.kind}/ReferenceTrigger"),
     ("buffer", "input_buf_size"): lambda task: task.settings.input_size,
@@ -235,7 +215,7 @@ _COMPUTED: dict[tuple[str, str], Callable[[Task], Any]] = {
         "generated", lambda task: task.output.samples_passed
     ),
     **{
-        ("trig", name): _edge_source(name)
+        ("trig", name): partial(_edge_source, name=name)
         for kind in ("anlg_edge", "anlg_win", "dig_edge")
         for name in (f"{kind}_start_trig_src", f"{kind}_ref_trig_src")
     },

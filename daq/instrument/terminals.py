@@ -41,7 +41,19 @@ class Terminals:
     """
 
     def __init__(self, scene: Scene) -> None:
-        self.bench = bench = Bench(scene, _ticks_for_all_rates(scene))
+        # Ticks per sample of the converter that suit the fastest rate of each module and the intervals that its
+        # converter needs: where modules divide one clock, all their samples then coincide with ticks.
+        own, named = scene.converter.sample_rate, scene.converter.preset
+        sheets = [None if shaker.output is None else shaker.output.preset for shaker in scene.shakers]
+        inputs = None if named is None else module(named).inputs
+        outputs = [None if name is None else module(name).outputs for name in sheets]
+        fastest, *others = (
+            DIVIDED.fastest if each is None else each.rates.fastest for each in (inputs, *outputs)
+        )
+        needed = [own * oversampling(scene), *others]
+        if fastest > own:
+            needed.append(fastest * oversampling(at_rate(scene, fastest)))
+        self.bench = bench = Bench(scene, math.ceil(max(needed) / own - 1e-6))
         counts = bool(bench.channels) and bench.channels[0].volts_per_count is not None
         self.dtype: type[np.generic] = np.int32 if counts else np.float64
         self._outputs = [row for row, name in enumerate(bench.inputs) if name != "hammer"]
@@ -112,9 +124,14 @@ class Terminals:
         wiring, taken = list(self.bench.wiring), set(in_use)
         for each in channels:
             before = wiring[each.row]
-            wanted = before.replace(
-                coupling=Coupling(each.settings["ai_coupling"]).name, excitation=self._wanted_supply(each)
-            )
+            # The supply current, A; None if the scene does not model the supply.
+            supply = self._converter.excitation
+            if supply is not None and each.settings["ai_excit_src"] == Excitation.NONE:
+                supply = 0.0
+            elif supply is not None:
+                supply = supply or each.module.currents[0]
+            coupling = Coupling(each.settings["ai_coupling"]).name
+            wanted = before.replace(coupling=coupling, excitation=supply)
             present, new = (input_settings(self.bench.scene.converter, wired) for wired in (before, wanted))
             if (present.coupling or "DC", present.excitation) == (new.coupling or "DC", new.excitation):
                 continue
@@ -127,14 +144,6 @@ class Terminals:
             wiring[each.row] = wanted
             taken.add(each.row)
         self.bench.rewire(wiring)
-
-    def _wanted_supply(self, channel: Channel) -> float | None:
-        """Return the supply current that a task sets for a sensor, A; None if the scene does not model the supply."""
-        if self._converter.excitation is None:
-            return None
-        if channel.settings["ai_excit_src"] == Excitation.NONE:
-            return 0.0
-        return self._converter.excitation or channel.module.currents[0]
 
     def supply(self, row: int) -> float | None:
         """Return the present supply current of a channel's sensor, A; None if not needed or not modeled."""
@@ -159,23 +168,3 @@ class Terminals:
             "ai_filter_delay": delay + (0.5 / (rate or info.rate) if info.average else 0.0),
             "ai_remove_filter_delay": self._converter.remove_delay,
         }
-
-
-def _ticks_for_all_rates(scene: Scene) -> int:
-    """Return the ticks per sample of the scene's converter that suit all rates of its modules.
-
-    They suit the fastest rate of each module and the intervals that its converter needs (`oversampling`). Where
-    modules divide one clock, all their samples then coincide with ticks.
-    """
-    own, named = scene.converter.sample_rate, scene.converter.preset
-    sheets = [None if shaker.output is None else shaker.output.preset for shaker in scene.shakers]
-    inputs = None if named is None else module(named).inputs
-    outputs = [None if name is None else module(name).outputs for name in sheets]
-    fastest, *others = (
-        DIVIDED.fastest if each is None else each.rates.fastest for each in (inputs, *outputs)
-    )
-    needed = [own * oversampling(scene), *others]
-    if fastest > own:
-        fast = at_rate(scene, fastest)
-        needed.append(fastest * oversampling(fast))
-    return math.ceil(max(needed) / own - 1e-6)

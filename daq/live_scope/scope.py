@@ -6,9 +6,8 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import TYPE_CHECKING, TextIO
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +25,6 @@ from rig.scene.loading import SceneLike, load
 if TYPE_CHECKING:
     import rerun as rr
 
-    from daq.viewing.rerun_viewer import Viewer
     from daq.virtual_bench.stream import Block
     from rig.scene.scene import Scene
 
@@ -115,23 +113,6 @@ def knobs_for(scene: Scene, frequency: float | None, force: float) -> Knobs:
     return Knobs(frequency, force, highest=float(scene.converter.sample_rate) / FEWEST_SAMPLES)
 
 
-def listen(knobs: Knobs, lines: TextIO, report: Callable[[str], None]) -> None:
-    """Turn the knobs by typed lines, in a separate thread; the end of the input turns them off."""
-
-    def obey() -> None:
-        for line in lines:
-            try:
-                knobs.turn(line)
-            except SceneError as error:
-                report(str(error))
-            if knobs.off:
-                return
-        knobs.off = True
-
-    # A daemon thread: it may wait for input when the program ends.
-    threading.Thread(target=obey, name="operator", daemon=True).start()
-
-
 def scope(
     scene: SceneLike,
     path: str | Path,
@@ -172,39 +153,42 @@ def scope(
     """
     what, target = load(scene), path_of(path)
     knobs = knobs_for(what, frequency, force)
-    live(what, target, knobs, server(say) if web else window("use --web to look with a browser"), overwrite)
-    return target
 
+    def obey() -> None:
+        for line in sys.stdin:
+            try:
+                knobs.turn(line)
+            except SceneError as error:
+                say(str(error))
+            if knobs.off:
+                return
+        knobs.off = True
 
-def live(
-    scene: Scene, path: Path, knobs: Knobs, viewing: AbstractContextManager[Viewer], overwrite: bool
-) -> None:
-    """Run the scope with a viewer in real time, with its knobs at standard input.
-
-    `viewing`: the viewer; closing it turns the knobs off.
-    """
-    bench = Bench(scene)
+    viewing = server(say) if web else window("use --web to look with a browser")
+    bench = Bench(what)
     # The kernels are compiled before real time starts; the run uses a new bench.
     bench.acquire(np.zeros((len(bench.inputs), 64)))
     with viewing as running, recording_stream() as stream:
         stream.connect_grpc(running.url)
-        pace = Pace(float(scene.converter.sample_rate), say)
+        pace = Pace(float(what.converter.sample_rate), say)
 
         def keep(position: int) -> None:
             pace.keep(position)
             if running.process.poll() is not None:
                 knobs.off = True
 
-        say(f"{Knobs.HELP}; recording to {path}")
-        listen(knobs, sys.stdin, say)
+        say(f"{Knobs.HELP}; recording to {target}")
+        # A daemon thread: it may wait for input when the program ends.
+        threading.Thread(target=obey, name="operator", daemon=True).start()
         try:
-            record_live(scene, path, stream, knobs, say, keep, overwrite)
+            record_live(what, target, stream, knobs, say, keep, overwrite)
         except KeyboardInterrupt as interrupt:
             # Ctrl-C is a regular end, because the recording has been closed.
             if not interrupt.args:
                 raise
         if pace.given_up_s:
             say(f"the bench fell behind the wall clock by {pace.given_up_s:.1f} s; no sample is missing")
+    return target
 
 
 def say(text: str) -> None:

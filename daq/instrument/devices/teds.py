@@ -77,15 +77,6 @@ def with_sensitivity(basic: bytes, template: int, volts: float) -> bytes:
     return bits.to_bytes(12, "little")
 
 
-def _unpacked(data: bytes) -> bytes:
-    """Convert a virtual data sheet, a header and one byte per bit, to bytes."""
-    if set(data) - {0, 1}:
-        return data
-    bits = data[_FILE_HEADER:]
-    value = sum(bit << place for place, bit in enumerate(bits))
-    return value.to_bytes(-(-len(bits) // 8), "little")
-
-
 class TedsMemory:
     """The data sheets of the sensors, and the virtual data sheets that replace them.
 
@@ -106,7 +97,11 @@ class TedsMemory:
             data = read_whole(Path(path))
         except OSError as error:
             raise DaqError(f"{path}: {error.strerror}", Code.VIRTUAL_TEDS_FILE_NOT_FOUND) from None
-        data = _unpacked(data)
+        if not set(data) - {0, 1}:
+            # A virtual data sheet: a header and one byte per bit.
+            bits = data[_FILE_HEADER:]
+            value = sum(bit << place for place, bit in enumerate(bits))
+            data = value.to_bytes(-(-len(bits) // 8), "little")
         basic_teds(data)
         self._virtual[port.name.lower()] = data
 

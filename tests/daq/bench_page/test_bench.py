@@ -12,7 +12,7 @@ from nidaqmx.constants import TaskMode
 import analysis
 import daq
 import rig
-from daq.bench_page.live_bench import LiveBench
+from daq.bench_page.operator import LiveBench
 from daq.instrument.connecting import connect_scene
 from daq.server.connection import connect
 from rig.scene.yaml_reader import read

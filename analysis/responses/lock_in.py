@@ -46,6 +46,7 @@ class _Part:
     projection: Array  # products of the fitted terms with the samples, shape (terms, channels)
     own: Array  # coefficients of the fit to this part, shape (terms, channels)
     residual: Array  # its sum of squares, shape (channels,)
+    ends: Array  # first and last sample, shape (2, channels)
 
 
 class LockIn:
@@ -90,7 +91,7 @@ class LockIn:
         for start, turn, basis in self._pieces(length):
             residual = samples[:, start : start + basis.shape[1]] - (own.T @ turn) @ basis
             squares += np.einsum("ij,ij->i", residual, residual)
-        self._parts.append(_Part(self._samples, length, projection, own, squares))
+        self._parts.append(_Part(self._samples, length, projection, own, squares, samples[:, [0, -1]].T))
         self._samples += length
 
     def tone(self) -> ToneFit:
@@ -106,17 +107,46 @@ class LockIn:
         amplitude = (solution[2::2] + 1j * solution[3::2]).T
         parts = np.empty((len(self._parts), channels), dtype=complex)
         squares = np.zeros(channels)
-        for row, (matrix, part) in enumerate(zip(to_local, self._parts, strict=True)):
+        fits = [matrix @ solution for matrix in to_local]
+        edges = [self._edge(fits, number) for number in range(len(fits) + 1)]
+        for row, (common, part) in enumerate(zip(fits, self._parts, strict=True)):
             gram, factor = self._gram(part.length)
-            common = matrix @ solution
             # Offset and slope of a single part would be nearly collinear with its tone, and its scatter too large:
             # only the residual of the common fit is fitted by the tones of the part.
-            local = np.linalg.solve(gram[2:, 2:], (part.projection - gram @ common)[2:])
+            rest = (part.projection - gram @ common)[2:]
+            for sign, (sample, share) in zip((-1.0, 1.0), edges[row : row + 2], strict=True):
+                rest += sign * np.outer(self._tones(sample - part.first), share)
+            local = np.linalg.solve(gram[2:, 2:], rest)
             turn = np.exp(-2j * np.pi * np.fmod(self.frequency * part.first / self.rate, 1.0))
             parts[row] = amplitude[:, 0] + (local[0] + 1j * local[1]) * turn
             # Residual of the common fit: residual of the part's own fit, and the difference of the two fits.
             squares += part.residual + np.sum(np.square(factor.T @ (part.own - common)), axis=0)
         return ToneFit(self.frequency, amplitude, parts, np.sqrt(squares / max(self._samples - size, 1)))
+
+    def _edge(self, fits: list[Array], number: int) -> tuple[int, Array]:
+        """Return the sample at the edge before a part, and the share (channels,) of its residual that the part lacks.
+
+        The edges of parts are rounded to samples, those of whole periods lie between two. Without this share, each
+        part would contain another fraction of the harmonics that are not fitted.
+        """
+        last = len(self._parts) - 1
+        edge = self._parts[number].first if number <= last else self._samples
+        period = self.rate / self.frequency
+        lacking = round(edge / period) * period - edge
+        if not 0.0 < abs(lacking) <= 0.5:
+            return edge, np.zeros(self._parts[0].ends.shape[1])
+        after = lacking > 0.0 and number <= last
+        part, common = (each[number if after else number - 1] for each in (self._parts, fits))
+        place = 0 if after else part.length - 1
+        fit = np.array([1.0, -1.0 if after else 1.0, *self._tones(place)]) @ common
+        return part.first + place, lacking * (part.ends[0 if after else 1] - fit)
+
+    def _tones(self, sample: int) -> Array:
+        """Return the rows cos k, -sin k of the tones at a sample of a part."""
+        angle = (
+            2 * np.pi * np.fmod(np.arange(1, self.harmonics + 1) * self.frequency * sample / self.rate, 1.0)
+        )
+        return np.column_stack([np.cos(angle), -np.sin(angle)]).ravel()
 
     def _gram(self, length: int) -> tuple[Array, Array]:
         """Gram matrix of a part's rows 1, slope, cos k, -sin k, and its Cholesky factor; stored by length."""

@@ -8,7 +8,7 @@ from scipy import stats
 
 from analysis.responses.estimators import Averages, square_root
 from analysis.responses.local_models.jitter import jitter_part
-from analysis.responses.lock_in import LockIn
+from analysis.responses.lock_in import LockIn, parts_of_whole_periods
 from analysis.responses.scatter import Scatter, moderated
 from daq.recording.recording import Recording
 from tests.analysis.responses.synthetic import stepped_sine
@@ -91,6 +91,21 @@ def test_residual_survives_a_large_offset():
         lock_in.add(part)
 
     assert lock_in.tone().residual[0] == pytest.approx(1e-4, rel=0.05)
+
+
+def test_rounded_edges_leave_parts_of_harmonics_equal():
+    frequency, rate = 12.804, 5120.0
+    parts = parts_of_whole_periods(0, 8000, frequency, rate)
+    cycles = frequency / rate * np.arange(parts[-1][1])
+    # Pulses of a tenth of a period, with harmonics above the three that are fitted.
+    pulses = np.exp(-0.5 * (((cycles % 1.0) - 0.07) / 0.02) ** 2)
+    lock_in = LockIn(frequency, rate, 3)
+    for first, stop in parts:
+        lock_in.add(np.cos(2 * np.pi * cycles[first:stop])[None] + pulses[first:stop])
+
+    fundamentals = lock_in.tone().parts
+    assert np.ptp(abs(fundamentals)) < 5e-5
+    assert np.ptp(np.angle(fundamentals)) < 5e-5
 
 
 def test_jitter_that_cancels_is_not_negative():

@@ -49,6 +49,9 @@ _ROUNDING = 1e-9
 _MORE_FORCE = 2e-3
 # Larger relative derivatives belong to a change to another kind of motion.
 _STEEPEST = 20.0
+# Relative standard deviation of the true amplitudes of single periods above which the motion of a window is irregular,
+# and the number of periods compared.
+_IRREGULAR, _PERIODS = 0.02, 10
 # Largest relative deviation of the force for which the first-order correction is accurate to about 1e-5.
 _NEAR = 2e-3
 
@@ -125,7 +128,7 @@ def judge(case: Case, kind: str) -> list[Verdict]:
         return []
     whole, random = _Tally("responses"), _Tally("responses, as built")
     warnings: list[str] = []
-    known = _truth(case.scene)
+    known = _where_regular(case, _truth(case.scene))
     truth, close = _at_forces(case, known, np.inf), _at_forces(case, known, _NEAR)
     for group in analysis.frequency_responses(case.recording):
         for frf in group:
@@ -159,6 +162,31 @@ def _truth(scene: rig.Scene) -> Callable[[NDArray[np.float64]], NDArray[np.compl
         return known[key]
 
     return exact
+
+
+def _where_regular(
+    case: Case, exact: Callable[[NDArray[np.float64]], NDArray[np.complex128]]
+) -> Callable[[NDArray[np.float64]], NDArray[np.complex128]]:
+    """Return ``exact`` with NaN where the recorded true motion was irregular, and so not on the stable orbit."""
+    rec, irregular = case.recording, []
+    if not case.scene.dampers or rec.truth_points == ():
+        return exact
+    for marker in rec.markers:
+        if marker.kind == "measure" and "frequency" in marker.fields and marker.last_sample is not None:
+            period = rec.rate / marker.fields["frequency"]
+            first, whole = marker.first_sample, int((marker.stop - marker.first_sample) / period)
+            edges = np.round(first + period * np.linspace(0, whole, min(whole, _PERIODS) + 1)).astype(int)
+            motion = rec.truth("displacement", edges[0], edges[-1])
+            tone = motion * np.exp(-2j * np.pi * np.arange(motion.shape[1]) / period)
+            parts = np.array([part.mean(axis=1) for part in np.split(tone, edges[1:-1] - first, axis=1)])
+            if np.any(parts.std(axis=0) > _IRREGULAR * abs(parts.mean(axis=0))):
+                irregular.append(marker.fields["frequency"])
+
+    def known(frequency: NDArray[np.float64]) -> NDArray[np.complex128]:
+        others = np.isclose(frequency[:, None], np.array(irregular), rtol=1e-3, atol=0.0).any(axis=1)
+        return np.where(others, np.nan, exact(frequency))
+
+    return known
 
 
 def _settled(scene: rig.Scene, frequency: NDArray[np.float64]) -> NDArray[np.complex128]:

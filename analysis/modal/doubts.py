@@ -12,9 +12,9 @@ from rig.arrays import Array
 from rig.results.response import Response
 
 # A damping ratio with a larger relative uncertainty is reported.
-_OFF = 0.02
+_DAMPING_ERROR = 0.02
 # Ratio of resolution to half of the half-power width at which leakage causes this uncertainty.
-_SMEARED = float(np.sqrt(_OFF / SMEAR))
+_RESOLUTION_LIMIT = float(np.sqrt(_DAMPING_ERROR / SMEAR))
 
 
 def doubts(
@@ -53,7 +53,8 @@ def doubts(
         yield f"Identified only {f.size} of the {count} requested modes."
     half, lines = zeta * f, curves[0].frequency
     resolution = max(curve.resolution for curve in curves)
-    smeared, hidden = resolution > _SMEARED * half, (error > DETERMINED * zeta) & (resolution > 2.0 * half)
+    smeared = resolution > _RESOLUTION_LIMIT * half
+    hidden = (error > DETERMINED * zeta) & (resolution > 2.0 * half)
     if hidden.any():
         yield (
             f"{_listed(f[hidden])} Hz: the peak is narrower than the resolution of {resolution:.3g} Hz, so only an "
@@ -61,10 +62,11 @@ def doubts(
         )
     some = smeared & ~hidden
     if some.any():
+        longest = 1.5 / (_RESOLUTION_LIMIT * half[some].min())
         yield (
             f"{_listed(f[some])} Hz: the resolution of {resolution:.3g} Hz widens the peaks (half-power widths "
-            f"{_listed(2.0 * half[some], 3)} Hz), which raises the damping ratios by more than {_OFF:.0%}. Use blocks "
-            f"of at least {1.5 / (_SMEARED * half[some].min()):.3g} s, burst random, multisine or stepped sine."
+            f"{_listed(2.0 * half[some], 3)} Hz), which raises the damping ratios by more than {_DAMPING_ERROR:.0%}. Use blocks "
+            f"of at least {longest:.3g} s, burst random, multisine or stepped sine."
         )
     inside = np.sum(abs(lines - f[:, None]) < 2.0 * half[:, None], axis=1)
     few = (inside < 2) & ~smeared
@@ -74,7 +76,7 @@ def doubts(
             f"{_listed(2.0 * half[few], 3)} Hz, so the damping is extrapolated from the flanks. Measure every "
             f"{half[few].min() / 2.0:.2g} Hz there."
         )
-    uncertain = (error > _OFF * zeta) & (error <= DETERMINED * zeta)
+    uncertain = (error > _DAMPING_ERROR * zeta) & (error <= DETERMINED * zeta)
     if uncertain.any():
         parts = ", ".join(
             f"{100 * part:.2g} % at {at:.4g} Hz"

@@ -10,7 +10,7 @@ import scipy
 from numpy.typing import NDArray
 
 from analysis.modal.doubts import doubts
-from analysis.modal.line_choice import in_holes, scatter, stands_out, thinned
+from analysis.modal.line_choice import in_holes, is_peak, scatter, thinned
 from analysis.modal.lscf import chart, columns
 from analysis.modal.modes import DETERMINED, Modes
 from analysis.modal.order_selection import MOST_MODES, hidden, in_band, preferred, select
@@ -271,7 +271,7 @@ def _without_doubtful_poles(
         )
         for k in np.flatnonzero(hidden(curves, model.poles)):
             line = int(np.argmin(abs(curves.frequency - abs(model.poles[k]) / (2 * np.pi))))
-            doubt[k] = 0.0 if any(stands_out(abs(row), line) for row in curves.value) else np.inf
+            doubt[k] = 0.0 if any(is_peak(abs(row), line) for row in curves.value) else np.inf
         worst = int(np.argmax(doubt))
         if doubt[worst] < DETERMINED:
             break

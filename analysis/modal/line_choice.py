@@ -16,7 +16,7 @@ MOST_LINES = 2000
 # Number of peaks around which all lines are selected, number of lines of each, and lowest part of the peak.
 _PEAKS, _LINES, _FLANK = 24, 41, 0.1
 # A peak exceeds its neighbourhood by this factor.
-_STANDS_OUT = 2.0
+_PEAK_PROMINENCE = 2.0
 # A frequency step of this multiple of the steps on either side is a gap.
 _HOLE = 5.0
 # Lines over which scatter is estimated.
@@ -35,7 +35,7 @@ def thinned(curves: Sequence[Response]) -> list[Response]:
     # All curves have equal weight. The factor of frequency squared compensates the decrease of a receptance.
     size = np.sqrt(np.mean((sizes / np.median(sizes, axis=1, keepdims=True).clip(1e-300)) ** 2, axis=0))
     level = np.log(np.maximum(size, 1e-12 * size.max()))
-    found, _ = scipy.signal.find_peaks(level, prominence=np.log(_STANDS_OUT))
+    found, _ = scipy.signal.find_peaks(level, prominence=np.log(_PEAK_PROMINENCE))
     highest = found[np.argsort(scipy.signal.peak_prominences(level, found)[0])[::-1][:_PEAKS]]
     kept = np.zeros(count, dtype=bool)
     kept[:: -(-2 * count // MOST_LINES)] = True
@@ -86,7 +86,7 @@ def in_holes(frequency: Array, poles: NDArray[np.complex128]) -> NDArray[np.bool
     return np.asarray(within & (steps[step] > _HOLE * beside[step]) & (nearest > -poles.real / (2 * np.pi)))
 
 
-def stands_out(size: Array, line: int) -> bool:
+def is_peak(size: Array, line: int) -> bool:
     """Whether a line exceeds its neighbours by the factor that defines a peak."""
     around = size[max(line - _AROUND // 2, 0) : line + _AROUND // 2 + 1]
-    return bool(size[line] > _STANDS_OUT * np.median(around))
+    return bool(size[line] > _PEAK_PROMINENCE * np.median(around))

@@ -22,13 +22,13 @@ _FEWEST_DEGREES = 8
 # A pole must reduce the misfit by this multiple of the penalty in Schwarz's criterion [1]_.
 _STRICTNESS = 2.0
 # Two poles are resolved if their distance is at least this part of their mean half-power width.
-APART = 0.4
+LEAST_POLE_DISTANCE = 0.4
 # Poles closer than this number of widths must fit the curve to within this multiple of its noise power, because two
 # close poles can also fit the asymmetric peak of a nonlinear structure.
 _NEAR, _EXPLAINED = 4.0, 4.0
 # A window may split a narrow peak into two or three at a distance of a line. Poles closer than this multiple of the
 # resolution are a single pole.
-_LINES_OF_ONE = 1.5
+_SPLIT_PEAK_LINES = 1.5
 # Number of candidates that are fully fitted at each step.
 _FINALISTS = 4
 
@@ -136,10 +136,10 @@ def doubtful(curves: Curves, model: Fit) -> NDArray[np.intp]:
         apart = (poles[high].imag - poles[low].imag) / (2 * np.pi)
         mean = width[low] + width[high]
         # A narrow peak that is split by the window is no wider than this.
-        alike = mean < 2.0 * curves.resolution and apart < _LINES_OF_ONE * curves.resolution
+        alike = mean < 2.0 * curves.resolution and apart < _SPLIT_PEAK_LINES * curves.resolution
         if (
             alike
-            or apart < APART * mean
+            or apart < LEAST_POLE_DISTANCE * mean
             or (apart < _NEAR * mean and _local_misfit(curves, model, poles[[low, high]]) > _EXPLAINED)
         ):
             out |= {low, high}

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.responses.systematic import ALIASING, ReadingShares, of_reading, off_by_gains
+from analysis.responses.systematic import ALIASING, ReadingShares, gain_errors, of_reading
 from rig.arrays import Array, ComplexArray
 from rig.results.response import MOTIONS
 from rig.scene.shaker import ElectrodynamicShaker, TableShaker
@@ -36,7 +36,7 @@ def aliasing_part(rec: Recording, shares: ReadingShares) -> dict[str, Array]:
     those that the structure transmits above its modes.
     """
     share, far = folded_shares(rec, shares)
-    return {ALIASING: off_by_gains(share, far, shares)} if far.any() else {}
+    return {ALIASING: gain_errors(share, far, shares)} if far.any() else {}
 
 
 def folded_shares(rec: Recording, shares: ReadingShares) -> tuple[Array, Array]:

@@ -20,9 +20,10 @@ if TYPE_CHECKING:
 SETTLING = "settling"
 # Blocks of the second half that determine the scatter of means after settling, and the fewest blocks for a result.
 _LATER, _FEWEST = 32, 16
-# A block belongs to a drift if its mean deviates by more than this number of standard deviations of later blocks. The
-# drift has ended after this number of successive blocks without such a deviation.
-_OFF, _IN_A_ROW = 5.0, 3
+# A block belongs to a drift if its mean deviates by more than this number of standard deviations of later blocks.
+_DRIFT_SIGMAS = 5.0
+# The drift has ended after this number of successive blocks without such a deviation.
+_BLOCKS_AFTER_DRIFT = 3
 
 
 @dataclass(frozen=True)
@@ -117,10 +118,10 @@ def settling(rec: Recording, names: Sequence[str], first: int, stop: int, lowest
     ends, calm = np.zeros(len(names), dtype=int), np.zeros(len(names), dtype=int)
     ended = np.zeros(len(names), dtype=bool)
     for number, block in enumerate(read_slices(rec, names, blocks[: count // 2]), 1):
-        off = abs(_means(block) - middle) > _OFF * scatter
+        off = abs(_means(block) - middle) > _DRIFT_SIGMAS * scatter
         ends = np.where(off & ~ended, number, ends)
         calm = np.where(off, 0, calm + 1)
-        ended |= calm >= _IN_A_ROW
+        ended |= calm >= _BLOCKS_AFTER_DRIFT
         if ended.all():
             break
     return [

@@ -32,7 +32,7 @@ _STILL = 2e-3
 # Detection limit of motion, in standard deviations of its estimate from noise.
 _SURE = 4.0
 # The largest force belongs to the hit. A marker that contains less than this part of it does not mark the hit.
-_MISSED = 0.5
+_LEAST_FORCE_SHARE = 0.5
 # A rebound of the hammer has at least this part of the first force, and at least this multiple of the noise.
 _REBOUND, _NOISY = 0.05, 8.0
 # The usable force spectrum ends where the power is below this part of its maximum.
@@ -81,7 +81,7 @@ class Hits:
             noise = np.sqrt(np.nanmedian(np.diff(force) ** 2))
             force = abs(force - np.nanmedian(force))
             there, raw = (float(np.nanmax(part, initial=0.0)) for part in (force[: end - begin + 1], force))
-            if there < _MISSED * raw:
+            if there < _LEAST_FORCE_SHARE * raw:
                 reason = (
                     f"reads at most {there:.3g} N at the marker of the hit, {begin / rec.rate:.4g} s, and "
                     f"{raw:.3g} N elsewhere: the marker or the channel's delay is wrong"

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 # The hit begins after this part (1/n) of a block.
 _LEAD = 50
 # A larger residual response at the end of a block causes leakage that is reported.
-_LEFT_OVER = 0.02
+_LARGEST_RESIDUAL_SHARE = 0.02
 
 
 def whole(rec: Recording, channels: Sequence[str]) -> WholeStretches:
@@ -66,7 +66,7 @@ def averages(
         notes.append(f"{len(begins) - summed.used} of {len(begins)} hits left out: {spoilt}.")
     if summed.used == 1:
         notes.append("One block: its coherence is 1 whatever the noise, and the scatter is undetermined.")
-    leaks = summed.left > _LEFT_OVER
+    leaks = summed.left > _LARGEST_RESIDUAL_SHARE
     if leaks:
         notes.append(
             f"{summed.left:.0%} of the motion remain at the end of a block, so the curve has the stated leakage. Use "

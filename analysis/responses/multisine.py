@@ -39,9 +39,11 @@ LIFTED = (
 )
 # Assumed crest factor of a sum of tones, limited by the sum of their amplitudes.
 _CREST = 4.0
-# Distortion is detected if at least this share of the lines scatters by this multiple of the noise, and by this share
-# of the mean.
-_SHARE, _BEYOND, _SEEN = 0.2, 3.0, 2e-3
+# Distortion is detected if at least this share of the lines scatters by more than these multiples of the noise and of
+# the mean.
+_DISTORTED_LINES_SHARE = 0.2
+_DISTORTION_TO_NOISE = 3.0
+_DISTORTION_TO_MEAN = 2e-3
 
 
 def best_linear_approximation(
@@ -187,5 +189,6 @@ def _distorted(total: Lines, noise: Lines) -> bool:
     """Whether realisations scatter more than noise, residual transients and rounding to counts explain."""
     seen, expected = (np.linalg.norm(lines.scatter.rows, axis=0) for lines in (total, noise))
     others = [part for part in (total.remainder, total.resolution) if part is not None]
-    beyond = (seen > _BEYOND * expected + np.sum(others, axis=0)) & (seen > _SEEN * abs(total.mean))
-    return bool(np.max(beyond.mean(axis=1)) > _SHARE)
+    distorted = seen > _DISTORTION_TO_NOISE * expected + np.sum(others, axis=0)
+    distorted &= seen > _DISTORTION_TO_MEAN * abs(total.mean)
+    return bool(np.max(distorted.mean(axis=1)) > _DISTORTED_LINES_SHARE)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 # Default number of blocks: error bars of about 10 % at a coherence of 0.7, with the finest possible resolution.
 DEFAULT_BLOCKS = 30
 # The response to a burst has decayed if less than this part of it remains at the end of the block.
-_LEFT_OVER = 0.02
+_LARGEST_RESIDUAL_SHARE = 0.02
 
 
 def whole(rec: Recording, marker: Marker, channels: Sequence[str]) -> WholeStretches:
@@ -89,7 +89,7 @@ def averages(
             "shorter blocks (--block)."
         )
     width = bins_of(weights) * rec.rate / size
-    leaks = burst is None or summed.left > _LEFT_OVER
+    leaks = burst is None or summed.left > _LARGEST_RESIDUAL_SHARE
     if burst is None:
         notes.append(
             f"Blocks of {size / rec.rate:.3g} s resolve {width:.3g} Hz: peaks narrower than that are smeared and too "

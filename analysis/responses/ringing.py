@@ -15,7 +15,7 @@ from rig.arrays import Array, ComplexArray
 # Number of points of a local fit with two poles, and with a single pole.
 _POINTS, _FEWEST_POINTS = 7, 3
 # A further pole is omitted if it explains less than this part of the response.
-_ALIKE = 1e-3
+_LEAST_SHARE_EXPLAINED = 1e-3
 # The spacing of points must be below this multiple of the distance to a pole to resolve it.
 _FINE = 1.5
 # A resonance at a distance of more half-widths than this beats with the tone, which is visible in the window itself.
@@ -23,7 +23,7 @@ _NEAR = 4.0
 # A change below this number of standard errors, or below this part of the response, may be noise or rounding.
 _NOISE_SIGMAS, _ROUNDING = 4.0, 1e-9
 # The transition to the next tone takes this part of a window; the free vibration begins after it.
-_TAKEN_UP = 0.5
+_TRANSITION_SHARE = 0.5
 
 
 def ringing(value: ComplexArray, frequency: Array, waited: Array, lasted: Array, error: Array) -> Array:
@@ -50,14 +50,14 @@ def ringing(value: ComplexArray, frequency: Array, waited: Array, lasted: Array,
         if not (np.isfinite(value[near]).all() and value[near].any()):
             continue
         noise = _NOISE_SIGMAS * float(np.nan_to_num(error[k]))
-        explained = max(noise, _ALIKE * float(abs(value[near]).max()))
+        explained = max(noise, _LEAST_SHARE_EXPLAINED * float(abs(value[near]).max()))
         pole, residue = _local_poles(value[near], omega[near], omega[k], explained)
         away = 1j * omega[k] - pole
         change = abs(residue) * abs(1.0 / away - 1.0 / (1j * omega[k - 1] - pole))
         least = max(noise, _ROUNDING * abs(value[k]))
         counts = (pole.real < 0.0) & (abs(away.imag) < _NEAR * abs(away.real)) & (change > least)
         counts &= abs(omega[k] - omega[k - 1]) < _FINE * abs(away)
-        free = max(waited[k] - _TAKEN_UP * lasted[k], 0.0)
+        free = max(waited[k] - _TRANSITION_SHARE * lasted[k], 0.0)
         turns = -away[counts] * lasted[k]
         left = change[counts] * np.exp(pole[counts].real * free)
         rings[k] = np.sum(left * abs(np.expm1(turns) / turns))

@@ -54,7 +54,7 @@ if TYPE_CHECKING:
 # Condition of the input spectra, scaled to unit power, beyond which inputs cannot be separated.
 WORST_CONDITION = 1e3
 # A shaker is off if the mean square of its force is below this share of the largest.
-_OFF_SHARE = 1e-4
+_UNUSED_SHARE = 1e-4
 COHERENT_INPUTS = (
     "The inputs are coherent at {lines} of {all} lines, where their responses cannot be separated and "
     "have no value. Drive the shakers with uncorrelated noise, or with a multisine of orthogonal "
@@ -80,7 +80,7 @@ def driven_forces(rec: Recording) -> tuple[Point, ...]:
         forces.append(Point(name, "force", " and ".join(bodies)))
     stop = min(marker.stop, rec.samples)
     power = [float(np.nanvar(rec.read(point.name, marker.first_sample, stop))) for point in forces]
-    return tuple(p for p, square in zip(forces, power, strict=True) if square > _OFF_SHARE * max(power))
+    return tuple(p for p, square in zip(forces, power, strict=True) if square > _UNUSED_SHARE * max(power))
 
 
 def response_matrix(

@@ -24,15 +24,18 @@ if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
 
-# Number of lines with an assumed common decay of transients; the decay factor if two periods do not determine it; and
-# the slowest decay factor.
-_TOGETHER, _UNKNOWN_DECAY, _SLOWEST_DECAY = 5, 0.5, 0.99
+# Number of neighbouring lines with an assumed common decay of transients.
+_COMMON_DECAY_LINES = 5
+# Decay factor of transients from part to part where two parts do not determine it, and the slowest factor.
+_UNKNOWN_DECAY = 0.5
+_SLOWEST_DECAY = 0.99
 # Confidence with which a reference must exceed noise.
-_SURE = 0.999
+_CONFIDENCE = 0.999
 # Fewest lines for an estimate of the noise from their differences, and the width of its median filter in lines.
-_ALIKE, _FLOOR = 8, 31
+_FEWEST_LINES = 8
+_MEDIAN_LINES = 31
 # Number of averaged parts that determine the decay of a transient.
-_FEW = 4
+_GROUPS = 4
 # Safety factor: the residual transients are known to within 5 %.
 _AT_MOST = 1.05
 
@@ -120,7 +123,7 @@ class Lines:
         """
         variance = np.nan_to_num(noise.nearby(lower, self.around))
         degrees = noise.degrees * (2 * self.around + 1)
-        return np.asarray(np.sqrt(self.turned * variance / 2.0) * radius(_SURE, degrees))
+        return np.asarray(np.sqrt(self.turned * variance / 2.0) * radius(_CONFIDENCE, degrees))
 
 
 def _noise(changes: ComplexArray) -> Array:
@@ -130,19 +133,21 @@ def _noise(changes: ComplexArray) -> Array:
     median over lines excludes transients of single modes.
     """
     count, _, lines = changes.shape
-    if lines < _ALIKE:
+    if lines < _FEWEST_LINES:
         return np.zeros(changes.shape[1:])
     # Second differences of noise have six times its power; the median of gamma's distribution is below its mean.
     rough = np.sum(abs(np.diff(changes, 2, axis=2)) ** 2, axis=0) / 6.0 / (1.0 - 1.0 / (3.0 * count))
-    level = scipy.ndimage.median_filter(rough, (1, min(_FLOOR, lines - 2)), mode="nearest")
+    level = scipy.ndimage.median_filter(rough, (1, min(_MEDIAN_LINES, lines - 2)), mode="nearest")
     return np.pad(level, ((0, 0), (1, 1)), mode="edge")
 
 
 def _sum_of_neighbors(values: NDArray[Any]) -> NDArray[Any]:
-    """Sum each row of values over `_TOGETHER` lines around each line."""
-    side = _TOGETHER // 2
+    """Sum each row of values over `_COMMON_DECAY_LINES` lines around each line."""
+    side = _COMMON_DECAY_LINES // 2
     padded = np.pad(values, ((0, 0), (side, side)))
-    return np.asarray(np.lib.stride_tricks.sliding_window_view(padded, _TOGETHER, axis=1).sum(axis=-1))
+    return np.asarray(
+        np.lib.stride_tricks.sliding_window_view(padded, _COMMON_DECAY_LINES, axis=1).sum(axis=-1)
+    )
 
 
 def remainder(successive: ComplexArray) -> Array:
@@ -157,8 +162,8 @@ def remainder(successive: ComplexArray) -> Array:
     >>> float(round(remainder(amplitudes)[0, 0] / (abs(amplitudes.mean()) - 1.0), 6))
     1.0
     """
-    if len(successive) >= 2 * _FEW:
-        successive = np.stack([part.mean(axis=0) for part in np.array_split(successive, _FEW)])
+    if len(successive) >= 2 * _GROUPS:
+        successive = np.stack([part.mean(axis=0) for part in np.array_split(successive, _GROUPS)])
     count = len(successive)
     changes = np.diff(successive, axis=0)
     factor = np.full(successive.shape[1:], _UNKNOWN_DECAY, dtype=complex)

@@ -80,7 +80,7 @@ def tolerance(info: ChannelInfo) -> float:
 def sensitivity_part(rec: Recording, shares: ReadingShares) -> dict[str, Array]:
     """Compute the largest deviation of a response by the tolerances of its channels; empty without tolerances."""
     share = np.array([[tolerance(rec.channels[name])] for name in shares.names])
-    return {SENSITIVITY: off_by_gains(share, of_reading(share), shares)} if share.any() else {}
+    return {SENSITIVITY: gain_errors(share, of_reading(share), shares)} if share.any() else {}
 
 
 def common_scale(rec: Recording, above: Sequence[str], below: Sequence[str]) -> float:
@@ -101,7 +101,7 @@ def of_reading(share: Array) -> Array:
     return np.divide(share, 1.0 - share, out=np.full(share.shape, np.inf), where=share < 1.0)
 
 
-def off_by_gains(share: Array, far: Array, shares: ReadingShares) -> Array:
+def gain_errors(share: Array, far: Array, shares: ReadingShares) -> Array:
     """Compute the largest error of a quotient of readings, each of which is 1 + e times its true value, shape (lines,).
 
     For readings with the sums u and l, the quotient has the error ``sum (u - l u/l) e/(1+e)`` over ``sum l/(1+e)``.

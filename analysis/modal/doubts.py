@@ -65,8 +65,8 @@ def doubts(
         longest = 1.5 / (_RESOLUTION_LIMIT * half[some].min())
         yield (
             f"{_listed(f[some])} Hz: the resolution of {resolution:.3g} Hz widens the peaks (half-power widths "
-            f"{_listed(2.0 * half[some], 3)} Hz), which raises the damping ratios by more than {_DAMPING_ERROR:.0%}. Use blocks "
-            f"of at least {longest:.3g} s, burst random, multisine or stepped sine."
+            f"{_listed(2.0 * half[some], 3)} Hz), which raises the damping ratios by more than {_DAMPING_ERROR:.0%}. "
+            f"Use blocks of at least {longest:.3g} s, burst random, multisine or stepped sine."
         )
     inside = np.sum(abs(lines - f[:, None]) < 2.0 * half[:, None], axis=1)
     few = (inside < 2) & ~smeared

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 HARMONICS = 10
 PARTS = 20
+# A transient below this part of the tolerance of settling is not detectable in the parts of a window.
+_HIDDEN_TRANSIENT = 0.05
 
 # Tones of a window, its samples, and whether its motion was steady.
 _Point = tuple[ToneFit, tuple[int, int], bool]
@@ -169,6 +171,8 @@ def _sweep(
     windows = np.array([window for _, window, _ in points])
     # Where dampers move, the transient decays differently from what steady responses predict.
     alone = not any(damper.moves for damper in rec.scene.dampers)
+    settle = getattr(rec.scene.test, "settle", None)
+    hidden = 0.0 if alone or settle is None else _HIDDEN_TRANSIENT * settle.tolerance
     waited = (windows[:, 0] - np.concatenate([[0], windows[:-1, 1]])) / rec.rate
     lines = Lines(
         channels=names,
@@ -180,7 +184,13 @@ def _sweep(
         ),
         label=f"{rec.scene.name}{f', {plainly(level)} N {direction}' if several else ''}",
         warnings=tuple(notes),
-        remainder=np.stack([remainder(tone.parts[:, :, None])[:, 0] for tone in tones], axis=1),
+        remainder=np.stack(
+            [
+                np.maximum(remainder(tone.parts[:, :, None])[:, 0], hidden * abs(tone.amplitude[:, 0]))
+                for tone in tones
+            ],
+            axis=1,
+        ),
         resolution=np.stack([_resolution(rec, names, tone) for tone in tones], axis=1),
         unsteady=np.array([not steady for _, _, steady in points]),
         left_out=np.array(left_out),

@@ -7,6 +7,7 @@ import pytest
 
 import analysis
 import daq
+import rig
 from analysis.responses.spectral_lines import remainder
 from daq.measurement.run_report import summary
 from rig.errors import RecordingError, SceneError
@@ -220,3 +221,24 @@ def test_turning_transient_is_bounded(parts, turn):
     amplitudes = 1.0 + 0.1 * factor ** np.arange(parts)
     bound = remainder(amplitudes[:, None, None])[0, 0]
     assert abs(np.mean(amplitudes) - 1.0) == pytest.approx(bound, rel=1e-6)
+
+
+def test_slow_transients_with_dampers_are_bounded(tmp_path):
+    scene = rig.loads(
+        """
+        structure:
+          masses: [0.71023, 0.75068, 0.61985]
+          springs: [23994, 22798, 21519]
+          damping: {modal: 0.0040337}
+        dampers:
+        - {body: 2, mass_ratio: 0.081553, clearance: 0.801 mm, restitution: 0, contact: {duration: 2.0136 ms}}
+        shaker: {kind: force, body: 2}
+        test: {kind: stepped_sine, from: 12.48, to: 13.02, points: 6, force: 2.087}
+        channels: [{name: a2, at: body 2}, {name: force, at: shaker}]
+        converter: {rate: 5120}
+        """
+    )
+    with daq.open(daq.record(scene, tmp_path / "a.mcap")) as rec:
+        frf = analysis.compliance(rec, response="a2")
+    exact = rig.orbit_response(scene, frf.frequency).compliance[1]
+    assert np.all(abs(frf.value - exact) < 1.5 * frf.bound(0.95))

@@ -136,10 +136,11 @@ class LockIn:
         if not 0.0 < abs(lacking) <= 0.5:
             return edge, np.zeros(self._parts[0].ends.shape[1])
         after = lacking > 0.0 and number <= last
-        part, common = (each[number if after else number - 1] for each in (self._parts, fits))
-        place = 0 if after else part.length - 1
-        fit = np.array([1.0, -1.0 if after else 1.0, *self._tones(place)]) @ common
-        return part.first + place, lacking * (part.ends[0 if after else 1] - fit)
+        row = number if after else number - 1
+        part = self._parts[row]
+        sample = 0 if after else part.length - 1
+        fit = np.array([1.0, -1.0 if after else 1.0, *self._tones(sample)]) @ fits[row]
+        return part.first + sample, lacking * (part.ends[0 if after else 1] - fit)
 
     def _tones(self, sample: int) -> Array:
         """Return the rows cos k, -sin k of the tones at a sample of a part."""

@@ -7,11 +7,11 @@ from contextlib import closing
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.excitation.lock_in import whole_periods
 from daq.excitation.station import Excitation, Station
 from daq.excitation.steady_tone import GLIDE, LOOK, SteadyTone
+from rig.arrays import Array
 from rig.errors import SceneError
 
 # Relative transient at which a level counts as reached; an operator changes the setting before the last percent.
@@ -158,7 +158,7 @@ class HandTone:
                 )
 
     def _reading(
-        self, tone: SteadyTone, readings: NDArray[np.float64], phase: float, asked: tuple[float, float]
+        self, tone: SteadyTone, readings: Array, phase: float, asked: tuple[float, float]
     ) -> ToneReading:
         motions, station = tone.amplitudes(readings, phase), tone.station
         # The drive is amplitude * sin(phase), and a complex amplitude A represents Re(A e^{i phase}).

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.arrays import ComplexArray
+from rig.arrays import Array, ComplexArray
 
 # Number of differences for the estimate of the transient's decay; at least two pairs are necessary.
 _DIFFERENCES = 6
@@ -47,7 +47,7 @@ class Law:
         rest = 1.0 - self.factor
         return self.changes[-1] * self.factor / np.where(abs(rest) < 1e-3, 1e-3, rest)
 
-    def left(self) -> NDArray[np.float64]:
+    def left(self) -> Array:
         """Return the magnitude of the remaining change, from the larger of the last two changes."""
         change = abs(self.changes[-2:]).max(axis=0)
         return change * abs(self.factor) / np.maximum(abs(1.0 - self.factor), 1e-3)
@@ -129,32 +129,32 @@ class Settling:
         """Estimated final amplitudes of the quantities; shape (quantities,)."""
         return self._forecasts[-1]
 
-    def wavering(self) -> NDArray[np.float64]:
+    def wavering(self) -> Array:
         """Relative change of `expected` over the last looks; shape (quantities,)."""
         latest = np.array(self._forecasts[-3:])
         return np.ptp(abs(latest), axis=0) / np.maximum(abs(latest[-1]), sys.float_info.min)
 
-    def beat(self) -> NDArray[np.float64]:
+    def beat(self) -> Array:
         """Phase change of the transient from look to look, rad, infinite without a law; shape (quantities,)."""
         if self._law is None:
             return np.full(self._looks[-1].size, np.inf)
         turn = np.maximum(abs(np.angle(self._law.factor)), 1e-9)
         return np.where(self._law.seen, turn, np.inf)
 
-    def left(self) -> NDArray[np.float64]:
+    def left(self) -> Array:
         """Estimated remaining change, relative to the amplitude; shape (quantities,)."""
         if self._law is None:
             return np.full(self._looks[-1].size, np.inf)
         return self._law.left() / self._size()
 
-    def doubt(self) -> NDArray[np.float64]:
+    def doubt(self) -> Array:
         """Relative standard error of `expected`, from the scatter of the looks; shape (quantities,)."""
         if self.looks < _NOISE_LOOKS:
             return np.zeros(self._looks[-1].size)
         latest = self._looks[-_NOISE_LOOKS // 2 :]
         return np.sqrt(np.mean(abs(latest - latest.mean(axis=0)) ** 2, axis=0) / len(latest)) / self._size()
 
-    def _size(self) -> NDArray[np.float64]:
+    def _size(self) -> Array:
         return np.maximum(abs(self._looks[-1]), sys.float_info.min)
 
     def _within(self, law: Law) -> NDArray[np.bool_]:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from daq.signal_chain.channel import ChannelInfo
 from daq.virtual_bench.bench import Bench
+from rig.arrays import Array
 from rig.scene.presets import filled_in
 
 if TYPE_CHECKING:
@@ -91,7 +92,7 @@ class Limits:
     def __init__(self, scene: Scene, channels: Sequence[ChannelInfo], mark: Callable[..., Any]) -> None:
         settings = {channel.name: channel for channel in scene.channels or ()}
 
-        def limits(name: str) -> NDArray[np.float64]:
+        def limits(name: str) -> Array:
             given = [getattr(settings.get(info.name), name, None) for info in channels]
             return np.array([[np.inf if limit is None else limit] for limit in given])
 
@@ -105,7 +106,7 @@ class Limits:
         """Interval at which the channels are checked, s."""
         return _WATCH if self.given else _WATCH_LONG
 
-    def watch(self, first: int, readings: NDArray[np.float64]) -> Trip | None:
+    def watch(self, first: int, readings: Array) -> Trip | None:
         """Check readings, shape (channels, samples), and return the first reading beyond an abort limit."""
         if not self.given:
             return None

@@ -14,6 +14,7 @@ from daq.mcap_file.reader import Container
 from daq.recording.sample_block import SCHEMAS, SampleBlock, decode
 from daq.recording.timebase import CLOCK, Timebase
 from daq.signal_chain.field_checks import MOST_SAMPLES, NOT_ZERO, check
+from rig.arrays import Array
 from rig.errors import RecordingError
 
 if TYPE_CHECKING:
@@ -138,7 +139,7 @@ class Series:
             if reached >= stop:
                 return
 
-    def read(self, start: int, stop: int) -> NDArray[np.float64]:
+    def read(self, start: int, stop: int) -> Array:
         """Return samples [start, stop) in the unit of the topic, NaN where the file has none.
 
         Raises `RecordingError` for a damaged chunk, or a range with almost no samples for its size.

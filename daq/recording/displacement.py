@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+
+from rig.arrays import Array
 
 if TYPE_CHECKING:
     from daq.signal_chain.channel import ChannelInfo
@@ -62,7 +63,7 @@ class DisplacementEstimate:
     """
 
     def __init__(self, quantity: str, rate: float) -> None:
-        self._sections: NDArray[np.float64] | None = None
+        self._sections: Array | None = None
         if quantity == "displacement":
             return
         from scipy.signal import bilinear_zpk, zpk2sos
@@ -73,7 +74,7 @@ class DisplacementEstimate:
         self._sections = zpk2sos(*bilinear_zpk(zeros, poles, 1.0, fs=rate))
         self._state = np.zeros((self._sections.shape[0], 2))
 
-    def run(self, samples: NDArray[np.float64]) -> NDArray[np.float64]:
+    def run(self, samples: Array) -> Array:
         """Give the displacement at the next samples, metres for SI input."""
         if self._sections is None or not samples.size:
             return samples

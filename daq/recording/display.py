@@ -18,6 +18,7 @@ from daq.recording.displacement import DisplacementEstimate, motion_sources
 from daq.recording.layout import DISPLAY, ROBOT, TRANSFORMS
 from daq.recording.protobuf import Schema
 from daq.recording.timebase import Timebase
+from rig.arrays import Array
 
 if TYPE_CHECKING:
     from daq.recording.truth import Register, Truth
@@ -52,7 +53,7 @@ _LITTLE_ENDIAN = b"\x00\x01\x00\x00"
 _BEFORE = np.frombuffer(struct.pack("<4sIII4x", _LITTLE_ENDIAN, 0, 0, 1), np.uint8)
 
 
-def encode_floats(values: NDArray[np.float64]) -> NDArray[np.uint8]:
+def encode_floats(values: Array) -> NDArray[np.uint8]:
     """Encode each number as a std_msgs/msg/Float64MultiArray of one element, along a further, last axis.
 
     >>> encode_floats(np.ones((2, 3))).shape
@@ -104,7 +105,7 @@ class DisplayDecimator:
         self.stop: int | None = None
         self._next = 0
 
-    def run(self, first: int, samples: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    def run(self, first: int, samples: Array) -> tuple[NDArray[np.int64], Array]:
         """Take further samples (signals, samples) from `first` on; return kept sample numbers and their values.
 
         `finish` must be called before a gap.
@@ -117,7 +118,7 @@ class DisplayDecimator:
         last = (self.stop - 1 - self._half) // self.step
         return self._kept(last)
 
-    def finish(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    def finish(self) -> tuple[NDArray[np.int64], Array]:
         """Give the remaining values of the samples so far, at least one; the next samples start a new signal."""
         assert self.stop is not None
         self._held = np.concatenate([self._held, np.repeat(self._held[:, -1:], self._half, axis=1)], axis=1)
@@ -125,7 +126,7 @@ class DisplayDecimator:
         self.stop = None
         return kept
 
-    def _kept(self, last: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    def _kept(self, last: int) -> tuple[NDArray[np.int64], Array]:
         """Filter at the multiples of the step from the next one to the last one, both included."""
         places = np.arange(self._next, last + 1, dtype=np.int64) * self.step
         if places.size == 0:
@@ -142,7 +143,7 @@ class DisplayDecimator:
         return places, np.asarray(values)
 
 
-def _filtered(samples: NDArray[np.float64], taps: NDArray[np.float64], step: int) -> NDArray[np.float64]:
+def _filtered(samples: Array, taps: Array, step: int) -> Array:
     """Filter at every `step`-th sample, (signals, kept).
 
     The filter has a whole number of steps and one sample: a product of matrices weights every step of the signals with
@@ -222,7 +223,7 @@ class Display:
             **sources,
         }
 
-    def levels(self, blocks: Iterable[tuple[int, NDArray[np.float64]]]) -> Messages:
+    def levels(self, blocks: Iterable[tuple[int, Array]]) -> Messages:
         """Return rms and peak at the ends of blocks, given as first sample and samples (channels, blocks, samples)."""
         ends: list[int] = []
         levels = []
@@ -236,7 +237,7 @@ class Display:
         times, sequence = self._clock.times_ns(ends)[:, None, None], self._sequence("level", len(ends))
         return Messages(self._levels, times, times, data, sequence[:, None, None])
 
-    def waveforms(self, first: int, samples: NDArray[np.float64]) -> Iterator[Messages]:
+    def waveforms(self, first: int, samples: Array) -> Iterator[Messages]:
         """Give waveforms and transforms as far as further samples, (channels, samples), make them known."""
         if self._decimator.stop not in (None, first):
             yield from self.finish()
@@ -247,7 +248,7 @@ class Display:
         if self._decimator.stop is not None:
             yield from self._draw(*self._decimator.finish())
 
-    def _draw(self, places: NDArray[np.int64], values: NDArray[np.float64]) -> Iterator[Messages]:
+    def _draw(self, places: NDArray[np.int64], values: Array) -> Iterator[Messages]:
         if not places.size:
             return
         times = self._clock.times_ns(places.tolist())

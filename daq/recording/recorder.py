@@ -25,6 +25,7 @@ from daq.recording.recorded_test import SceneOutline
 from daq.recording.sample_block import SCHEMAS, block_schema, encode, scale_of, stored_as
 from daq.recording.sample_groups import Group, Grouping
 from daq.recording.timebase import Timebase
+from rig.arrays import Array
 from rig.ending_signals import delayed_interrupt
 from rig.errors import RunError
 
@@ -129,7 +130,7 @@ class Recorder:
         """Whether more can be recorded: the file is open and its disk is not full."""
         return not (self.closed or self._full or self._disk.failed)
 
-    def write(self, samples: NDArray[np.float64] | NDArray[np.int32]) -> None:
+    def write(self, samples: Array | NDArray[np.int32]) -> None:
         """Write the next samples of all channels.
 
         A group is committed with its last sample. Where the truth is recorded, it must be written first.

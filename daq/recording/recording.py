@@ -20,6 +20,7 @@ from daq.recording.sample_block import SAMPLE_TYPE
 from daq.recording.truth import dampers_of, points_of
 from daq.signal_chain.channel import UNITS, ChannelInfo
 from daq.signal_chain.field_checks import NAME, check
+from rig.arrays import Array
 from rig.errors import RecordingError, ShotrigError, naming
 from rig.escaping import html
 from rig.input_files import path_of
@@ -180,7 +181,7 @@ class Recording(Result):
 
     # -- samples -----------------------------------------------------------------------------------------
 
-    def read(self, channel: str, start: int = 0, stop: int | None = None) -> NDArray[np.float64]:
+    def read(self, channel: str, start: int = 0, stop: int | None = None) -> Array:
         """Read a channel.
 
         Parameters
@@ -211,7 +212,7 @@ class Recording(Result):
 
     def blocks(
         self, channels: Sequence[str] | None = None, size: int = 1 << 16
-    ) -> Iterator[tuple[int, NDArray[np.float64]]]:
+    ) -> Iterator[tuple[int, Array]]:
         """Read channels piece by piece, in bounded memory.
 
         Parameters
@@ -237,7 +238,7 @@ class Recording(Result):
                 samples[row] = self.read(name, first, stop)
             yield first, samples
 
-    def truth(self, quantity: str, start: int = 0, stop: int | None = None) -> NDArray[np.float64]:
+    def truth(self, quantity: str, start: int = 0, stop: int | None = None) -> Array:
         """Read the true motion, where the scene has it recorded.
 
         Parameters

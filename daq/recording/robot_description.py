@@ -16,6 +16,7 @@ import numpy as np
 from daq.drawing.palette import DRIVE, GROUND, LEAD, Colour, body_colour
 from daq.drawing.stack import DEPTH, HEADROOM, PLATE, WALL, WIDTH, Stack, round_factor, walls
 from daq.recording.protobuf import Schema, descriptors, varint, varints
+from rig.arrays import Array
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -129,9 +130,7 @@ class RobotDescription:
         name = quoteattr(f"rig, motion drawn x {self.exaggeration:g}")
         return f'<?xml version="1.0"?><robot name={name}>{"".join(self._links + self._joints)}</robot>'
 
-    def transforms(
-        self, times_ns: NDArray[np.uint64], displacements: NDArray[np.float64]
-    ) -> NDArray[np.uint8]:
+    def transforms(self, times_ns: NDArray[np.uint64], displacements: Array) -> NDArray[np.uint8]:
         """Encode displacements, (points, messages) in m (of a damper: its gap), as foxglove.FrameTransforms."""
         heights = np.array(self._rest)[:, None] + self.exaggeration * displacements
         seconds, rest_ns = np.divmod(times_ns, np.uint64(10**9))

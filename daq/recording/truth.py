@@ -18,6 +18,7 @@ from daq.recording.sample_block import SCHEMAS, block_schema
 from daq.recording.sample_groups import Group, Grouping
 from daq.recording.timebase import Timebase
 from daq.signal_chain.channel import UNITS
+from rig.arrays import Array
 
 if TYPE_CHECKING:
     from rig.scene.scene import Scene
@@ -114,7 +115,7 @@ class Truth:
             self._sent += 1
         return due
 
-    def positions(self, samples: NDArray[np.int64]) -> NDArray[np.float64]:
+    def positions(self, samples: NDArray[np.int64]) -> Array:
         """Give the positions of all that is `drawn`, (drawn, samples), metres, at further samples.
 
         Known are those in the last groups taken; elsewhere the position before remains.

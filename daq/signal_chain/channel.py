@@ -8,9 +8,10 @@ from dataclasses import dataclass, field, fields
 from typing import Any, Literal, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from daq.signal_chain.field_checks import CHANNEL, check
+from rig.arrays import ComplexArray
 from rig.errors import RecordingError
 
 Quantity = Literal["acceleration", "velocity", "displacement", "force", "voltage"]
@@ -74,7 +75,7 @@ class ChannelInfo:
         """Size of a converter count in the unit read; of a volt, where samples are volts."""
         return (1.0 if self.volts_per_count is None else self.volts_per_count) / self.sensitivity
 
-    def response(self, frequency: ArrayLike) -> NDArray[np.complex128]:
+    def response(self, frequency: ArrayLike) -> ComplexArray:
         """Return the ratio of the value read to the true quantity at frequencies in Hz; a lag has a negative phase.
 
         Below half the sample rate it is the reading of a tone; above, that of its alias.

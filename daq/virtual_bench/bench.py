@@ -115,6 +115,6 @@ class Bench:
         per_tick = samples_per_tick(rate, self.tick_rate)
         return Stream(self.scene, rate, per_tick, self._plant, self._past, self.wiring)
 
-    def physical(self, samples: NDArray[np.float64] | NDArray[np.int32]) -> Array:
+    def physical(self, samples: Array | NDArray[np.int32]) -> Array:
         """Convert samples to each channel's unit by its data sheet; shape (channels, samples)."""
         return self._own.physical(samples)

@@ -30,7 +30,7 @@ class Block:
     """Samples of all channels, in volts or counts, and the true motion at them, which tests and control do not use."""
 
     first: int  # number of the first sample, from power-on
-    samples: NDArray[np.float64] | NDArray[np.int32]  # (channels, samples): volts or counts
+    samples: Array | NDArray[np.int32]  # (channels, samples): volts or counts
     overload: NDArray[np.bool_]  # samples beyond the range of a channel or a limit of its devices
     motion: Motion
 
@@ -92,7 +92,7 @@ class Stream:
         first = self._first + max(motion.first - self.latency, 0)
         return Block(first, samples, overload | self._chain.overload, motion)
 
-    def physical(self, samples: NDArray[np.float64] | NDArray[np.int32]) -> Array:
+    def physical(self, samples: Array | NDArray[np.int32]) -> Array:
         """Convert samples to each channel's unit by its data sheet; shape (channels, samples)."""
         return samples * self._scale
 

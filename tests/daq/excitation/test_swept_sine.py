@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 import rig
 from daq.excitation.nearest_mode import NearestMode
 from daq.excitation.pretest import pretest
 from daq.excitation.station import Station
+from rig.arrays import Array
 from tests.daq.measurement.bench_run import BenchRun, run, scene_with
 
 ONE_BODY = """
@@ -30,7 +30,7 @@ channels:
 """
 
 
-def held(done: BenchRun) -> NDArray[np.float64]:
+def held(done: BenchRun) -> Array:
     """Force over level all along a logarithmic sweep, in windows of four periods under Hann's."""
     first, stop, fields = done.marked("measure")[0]
     rate, stretch = done.bench.rate, np.log(fields["to"] / fields["from"])

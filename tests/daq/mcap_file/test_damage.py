@@ -296,9 +296,7 @@ def test_chunk_damaged_anywhere_is_rejected_or_equal(compression):
         unpack_chunk(memoryview(content + b"\0"))
 
 
-def test_unpacked_size_is_limited(
-    monkeypatch,
-):
+def test_unpacked_size_is_limited(monkeypatch):
     monkeypatch.setattr(module, "LARGEST_CHUNK", 1000)
     assert len(unpack_chunk(memoryview(chunk(b"", bytes(1000))))) == 1000
     with pytest.raises(Damage, match="claims to unpack to 1001 bytes; at most 1000"):

@@ -7,12 +7,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 import rig
 from daq.excitation import Excitation, Station, excitation
 from daq.virtual_bench.bench import Bench
-from rig.arrays import Array
+from rig.arrays import Array, ComplexArray
 
 BODIES = (0.74, 0.71, 0.64), (24.3e3, 21.8e3, 19.8e3)
 
@@ -41,7 +40,7 @@ class BenchRun:
         """Amplitude of the spring force in a window of a steady tone, and its phase from the first sample."""
         return complex(self.amplitudes(first, stop, frequency) @ self.weights(frequency))
 
-    def weights(self, frequency: float) -> NDArray[np.complex128]:
+    def weights(self, frequency: float) -> ComplexArray:
         """Weights of the channels in the spring force, computed independently of the product."""
         shaker = self.bench.scene.shaker
         assert shaker is not None and shaker.spring is not None
@@ -58,7 +57,7 @@ class BenchRun:
         order = ["displacement", "velocity", "acceleration"].index(channel.quantity)
         return complex(1.0 / channel.response(frequency) / (2j * np.pi * frequency) ** order)
 
-    def amplitudes(self, first: int, stop: int, frequency: float) -> NDArray[np.complex128]:
+    def amplitudes(self, first: int, stop: int, frequency: float) -> ComplexArray:
         """Complex amplitudes of all channels in a window, by a plain least-squares fit."""
         time = np.arange(stop - first) / self.bench.rate
         angle = 2 * np.pi * frequency * time

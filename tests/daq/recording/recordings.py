@@ -17,6 +17,7 @@ import rig
 from daq.recording.markers import EVENT_TYPE
 from daq.recording.recorder import Recorder
 from daq.signal_chain.channel import ChannelInfo
+from rig.arrays import Array
 
 RATE = 2560.0
 GROUP = 1280
@@ -40,7 +41,7 @@ def channels(rate: float = RATE, counts: bool = False) -> list[ChannelInfo]:
     ]
 
 
-def signal(samples: int, seed: int = 0) -> NDArray[np.float64]:
+def signal(samples: int, seed: int = 0) -> Array:
     """Volts of both channels: no two samples are equal, so that a misplaced one shows."""
     return np.random.default_rng(seed).standard_normal((2, samples))
 

@@ -67,17 +67,12 @@ def test_second_recorder_of_a_file_is_rejected(tmp_path: Path, overwrite: bool) 
     assert np.allclose(volts(path), NEW, rtol=1e-15)
 
 
-def test_failed_recovery_keeps_the_old_file(
-    path: Path,
-) -> None:
+def test_failed_recovery_keeps_the_old_file(path: Path) -> None:
     bad = path.with_name("bad.mcap")
     bad.write_bytes(b"no recording at all" * 100)
     with pytest.raises(RecordingError, match="nothing can be recovered"):
         recover(bad, path, overwrite=True)
-    assert np.allclose(volts(path), OLD, rtol=1e-15) and names(path) == [
-        "bad.mcap",
-        "run.mcap",
-    ]
+    assert np.allclose(volts(path), OLD, rtol=1e-15) and names(path) == ["bad.mcap", "run.mcap"]
 
 
 def test_device_is_rejected_as_target(path: Path) -> None:

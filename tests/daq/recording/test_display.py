@@ -23,9 +23,7 @@ def display_of(tmp_path, samples, topic, **changes):
     return times, np.array([struct.unpack_from("<d", message.data, 20)[0] for message in found])
 
 
-def test_display_keeps_slow_tone_and_rejects_fast(
-    tmp_path,
-):
+def test_display_keeps_slow_tone_and_rejects_fast(tmp_path):
     t = np.arange(8000) / RATE
     volts = np.sin(2 * np.pi * 30.0 * t) + np.sin(2 * np.pi * 210.0 * t)
     times, values = display_of(tmp_path, np.array([volts, volts]), "/display/body1")

@@ -67,9 +67,7 @@ def test_marks_and_gaps_do_not_depend_on_split(tmp_path):
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
 
 
-def test_reference_reader_finds_the_layout(
-    tmp_path,
-):
+def test_reference_reader_finds_the_layout(tmp_path):
     path = write(tmp_path / "a.mcap", noise(1500))
     found = messages(path, "/raw/body1")
     step = [round(256 * n * 1e9 / RATE) for n in range(6)]

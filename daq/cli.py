@@ -73,7 +73,7 @@ def record(
     """Run the tests of scenes and record them. Ctrl-C ends a test early (exit code 130) and keeps the recording."""
     from daq.foresight.announcement import refuse_certain_abort
     from daq.foresight.foresee import foresee
-    from daq.measurement.estimate import estimate, refuse_too_much
+    from daq.measurement.estimate import check_resources, estimate
     from daq.measurement.run_report import is_recorded, record_and_report
 
     if dry_run:
@@ -89,7 +89,7 @@ def record(
         print(f"{path}: holds the whole test of this scene already; --overwrite records it again")
     tests = [(scene, setting, _free(path, overwrite)) for scene, setting, path in tests if path not in there]
     for scene, setting, path in tests:
-        refuse_too_much(estimate(setting), path)
+        check_resources(estimate(setting), path)
         foreseen = foresee(setting)
         print(f"{foreseen}\n", file=sys.stderr)
         if not anyway:

@@ -7,7 +7,7 @@ import math
 from rig.scene.excitation import FORCE_HELD
 
 # If the force scatters, the tolerance of the level is twice the standard error, up to this fraction of the level.
-HELD_AT_WORST = 0.02
+WORST_TOLERANCE = 0.02
 # Accepted slopes d log(force) / d log(drive). Dampers whose impacts begin can make the force rise slowly, rise
 # steeply or even fall with the drive; a slope below this range is not used.
 _FLATTEST, _STEEPEST = 0.3, 3.0
@@ -23,7 +23,7 @@ class AmplitudeControl:
     >>> control, drive = AmplitudeControl(2.6), 0.1
     >>> for step in range(12):
     ...     force = 3 * drive**1.5
-    ...     if control.holds(force):
+    ...     if control.is_at_level(force):
     ...         break
     ...     drive = control.next(drive, force)
     >>> step, abs(force / 2.6 - 1) < 0.005
@@ -42,9 +42,9 @@ class AmplitudeControl:
         self._low, self._high = -math.inf, math.inf
         self._first_cut = 0.0
 
-    def holds(self, force: float, doubt: float = 0.0) -> bool:
-        """Return whether a force amplitude with a relative standard error `doubt` is at the level."""
-        return abs(force / self.level - 1.0) <= min(max(FORCE_HELD, 2.0 * doubt), HELD_AT_WORST)
+    def is_at_level(self, force: float, standard_error: float = 0.0) -> bool:
+        """Return whether a force amplitude with a relative standard error `standard_error` is at the level."""
+        return abs(force / self.level - 1.0) <= min(max(FORCE_HELD, 2.0 * standard_error), WORST_TOLERANCE)
 
     def cut(self, drive: float, force: float) -> float | None:
         """Return an immediately reduced drive; None if a much smaller drive did not reduce the force."""

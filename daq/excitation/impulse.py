@@ -22,7 +22,7 @@ QUIET = 0.25
 _WINDOW = 0.1
 # Longest settling of sensors, in time constants and in s; window in which a drift is detected, s, and detection
 # limit of the drift in standard deviations.
-_TIME_CONSTANTS, _LONGEST, _LOOK, _BEYOND = 10.0, 60.0, 0.5, 4.0
+_TIME_CONSTANTS, _LONGEST, _DRIFT_WINDOW, _DRIFT_SIGMAS = 10.0, 60.0, 0.5, 4.0
 
 
 def excite(station: Station, test: Impulse) -> Excitation:
@@ -62,10 +62,10 @@ def _wait_for_sensors(station: Station) -> Excitation:
     if not longest:
         return
     first, end = station.now, station.now + longest
-    look, drifts = station.samples(_LOOK), True
+    window, drifts = station.samples(_DRIFT_WINDOW), True
     while drifts and station.now < end:
         station.report(0.0, "waiting for the sensors to settle")
-        drifts = _drifts((yield station.quiet(min(look, end - station.now))))
+        drifts = _drifts((yield station.quiet(min(window, end - station.now))))
     # After ten time constants the remaining change is the low-frequency noise of the sensors.
     station.mark("settle", first, station.now, settled=True)
     yield station.quiet(station.samples(QUIET))
@@ -98,7 +98,7 @@ def _drifts(readings: Array) -> bool:
     change = abs(after.mean(axis=1) - before.mean(axis=1))
     # Differences between successive samples are nearly independent of a drift.
     noise = np.sqrt(np.mean(np.diff(readings, axis=1) ** 2, axis=1) / 2.0)
-    return bool(np.any(change > _BEYOND * noise * np.sqrt(2.0 / middle)))
+    return bool(np.any(change > _DRIFT_SIGMAS * noise * np.sqrt(2.0 / middle)))
 
 
 def half_sine(peak: float, width: float, rate: float) -> Array:
@@ -113,8 +113,8 @@ def half_sine(peak: float, width: float, rate: float) -> Array:
     """
     from scipy.optimize import brentq
 
-    wanted = 2 * width * rate / np.pi
-    if wanted < 1.2:
+    target = 2 * width * rate / np.pi
+    if target < 1.2:
         raise SceneError(
             f"test.width: a pulse of {width * 1e3:g} ms has no two samples at {rate:g} Hz; expected at least "
             f"{2.0 / rate * 1e3:.3g} ms. Widen the pulse (a softer tip) or raise converter.rate."
@@ -125,5 +125,5 @@ def half_sine(peak: float, width: float, rate: float) -> Array:
         offset = np.arange(-half, half + 1)
         return np.where(abs(offset) < length / 2, np.cos(np.pi * offset / length), 0.0)
 
-    length = brentq(lambda samples: pulse(samples).sum() - wanted, 1.0, 2.0 * width * rate + 4.0, xtol=1e-13)
+    length = brentq(lambda samples: pulse(samples).sum() - target, 1.0, 2.0 * width * rate + 4.0, xtol=1e-13)
     return peak * pulse(length)

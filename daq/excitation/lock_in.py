@@ -25,8 +25,8 @@ def fewest_samples(frequency: float, rate: float) -> int:
     return max(_READABLE, int(np.ceil(max(_READABLE_PERIODS * rate / frequency, beat) - 1e-9)))
 
 
-def whole_periods(frequency: float, rate: float, at_least: float) -> int:
-    """Return the length in samples closest to whole periods, up to a third longer than `at_least` in s.
+def whole_periods(frequency: float, rate: float, shortest_s: float) -> int:
+    """Return the length in samples closest to whole periods, up to a third longer than `shortest_s` in s.
 
     In a window with a fraction of a period, harmonics and offsets leak into the fundamental.
 
@@ -37,12 +37,12 @@ def whole_periods(frequency: float, rate: float, at_least: float) -> int:
     >>> whole_periods(10.0, 25.0, 0.15)
     10
     """
-    held = int(np.ceil(fewest_samples(frequency, rate) * frequency / rate - 1e-9))
-    fewest = max(held, int(np.ceil(at_least * frequency - 1e-9)))
+    shortest = int(np.ceil(fewest_samples(frequency, rate) * frequency / rate - 1e-9))
+    fewest = max(shortest, int(np.ceil(shortest_s * frequency - 1e-9)))
     counts = np.arange(fewest, fewest + max(1, fewest // 3) + 1)
     samples = counts * rate / frequency
-    miss = abs(samples - np.round(samples)) / samples
-    return round(float(samples[np.argmin(np.round(miss, 9))]))
+    deviation = abs(samples - np.round(samples)) / samples
+    return round(float(samples[np.argmin(np.round(deviation, 9))]))
 
 
 # Harmonics that are fitted with the tone, up to this fraction of the sampling rate.

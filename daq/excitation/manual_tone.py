@@ -10,7 +10,7 @@ import numpy as np
 
 from daq.excitation.lock_in import whole_periods
 from daq.excitation.station import Excitation, Station
-from daq.excitation.steady_tone import GLIDE, LOOK, SteadyTone
+from daq.excitation.steady_tone import GLIDE, WINDOW_S, SteadyTone
 from rig.arrays import Array
 from rig.errors import SceneError
 
@@ -18,7 +18,7 @@ from rig.errors import SceneError
 TOLERANCE = 0.01
 LONGEST = 60.0
 # A force is readjusted if it deviates by more than this fraction in several successive observations.
-STRAYED = 0.05
+_TOLERATED = 0.05
 PATIENCE = 5
 
 
@@ -28,7 +28,7 @@ class Knobs:
     >>> knobs = Knobs(13.0, 0.0, highest=1000.0)
     >>> knobs.turn("f 34.8"), knobs.turn("F 2.6"), knobs.asked
     (True, True, (34.8, 2.6))
-    >>> knobs.turn("q"), knobs.off
+    >>> knobs.turn("q"), knobs.quit
     (True, True)
     """
 
@@ -36,37 +36,33 @@ class Knobs:
 
     def __init__(self, frequency: float, force: float, highest: float) -> None:
         self.highest = highest
-        self.off = False
-        self.asked = self._frequency(frequency), _force(force)
+        self.quit = False
+        self._set(frequency, force)
 
     def turn(self, line: str) -> bool:
         """Execute a command line; an empty line changes nothing."""
         key, _, text = line.strip().partition(" ")
         frequency, force = self.asked
         if key in ("q", "quit", "exit") and not text:
-            self.off = True
+            self.quit = True
         elif key in ("f", "F"):
             try:
                 value = float(text)
             except ValueError:
-                raise SceneError(f"{text!r} is no number. Type  {self.HELP}") from None
-            self.asked = (self._frequency(value), force) if key == "f" else (frequency, _force(value))
+                raise SceneError(f"{text!r}: not a number. Type  {self.HELP}") from None
+            self._set(*((value, force) if key == "f" else (frequency, value)))
         elif key:
-            raise SceneError(f"{line.strip()!r} is no command. Type  {self.HELP}")
+            raise SceneError(f"{line.strip()!r}: unknown command. Type  {self.HELP}")
         return bool(key)
 
-    def _frequency(self, value: float) -> float:
-        if not 0.0 < value <= self.highest:
+    def _set(self, frequency: float, force: float) -> None:
+        if not 0.0 < frequency <= self.highest:
             raise SceneError(
-                f"f {value:g}: out of range. Give a frequency above 0 and up to {self.highest:g} Hz."
+                f"f {frequency:g}: out of range. Give a frequency above 0 and up to {self.highest:g} Hz."
             )
-        return value
-
-
-def _force(value: float) -> float:
-    if not 0.0 <= value < np.inf:
-        raise SceneError(f"F {value:g}: out of range. Give a force amplitude of 0 N or more.")
-    return value
+        if not 0.0 <= force < np.inf:
+            raise SceneError(f"F {force:g}: out of range. Give a force amplitude of 0 N or more.")
+        self.asked = frequency, force
 
 
 @dataclass(frozen=True)
@@ -91,7 +87,7 @@ class HandTone:
 
     knobs: Knobs
     report: Callable[[ToneReading], None]
-    _held: bool = field(default=False, init=False)
+    _is_steady: bool = field(default=False, init=False)
     _level: float = field(default=0.0, init=False)
 
     def excite(self, station: Station) -> Excitation:
@@ -102,7 +98,7 @@ class HandTone:
             # Raises where the channels of the spring force are missing.
             station.force_weights(1.0)
         tone = SteadyTone(station, self.knobs.asked[0], controlled=not station.force_is_drive)
-        while not self.knobs.off:
+        while not self.knobs.quit:
             asked = self.knobs.asked
             # The held interval is marked at once, whether the knobs or the run ends it.
             with closing(self._at(tone, *asked)) as work:
@@ -110,19 +106,19 @@ class HandTone:
                 while True:
                     readings = yield window
                     self.report(self._reading(tone, readings, phase, asked))
-                    if self.knobs.off or self.knobs.asked != asked:
+                    if self.knobs.quit or self.knobs.asked != asked:
                         break
                     phase, window = tone.phase, work.send(readings)
         yield tone.end()
 
     def _at(self, tone: SteadyTone, frequency: float, level: float) -> Excitation:
         """Go to a setting and hold it until the generator is closed."""
-        self._held, station = False, tone.station
-        look = whole_periods(frequency, station.rate, LOOK)
+        self._is_steady, station = False, tone.station
+        window = whole_periods(frequency, station.rate, WINDOW_S)
         if level == 0.0:
-            yield station.drive(tone.glide(max(station.samples(GLIDE), look), frequency, 0.0))
+            yield station.drive(tone.glide(max(station.samples(GLIDE), window), frequency, 0.0))
             while True:
-                yield station.quiet(look)
+                yield station.quiet(window)
         before, drive = tone.amplitude, tone.start(level)
         if tone.control is not None:
             # The drive of the last level is scaled in proportion to the level.
@@ -136,22 +132,22 @@ class HandTone:
             finally:
                 if station.now > first:
                     station.mark("settle", first, station.now, drive=tone.amplitude, settled=settled, **facts)
-            yield from self._hold(tone, look, settled, facts)
+            yield from self._hold(tone, window, settled, facts)
             drive = tone.amplitude
 
-    def _hold(self, tone: SteadyTone, look: int, settled: bool, facts: dict[str, float]) -> Excitation:
+    def _hold(self, tone: SteadyTone, window: int, settled: bool, facts: dict[str, float]) -> Excitation:
         """Hold until the force deviates, or the operator changes a setting."""
-        self._held, strayed, force, station = settled, 0, facts["level"], tone.station
+        self._is_steady, deviations, force, station = settled, 0, facts["level"], tone.station
         first = station.now
         try:
-            while strayed < PATIENCE:
+            while deviations < PATIENCE:
                 phase = tone.phase
-                readings = yield station.drive(tone.hold(look))
+                readings = yield station.drive(tone.hold(window))
                 if tone.control is not None:
                     force = float(abs(tone.amplitudes(readings, phase)[0]))
-                strayed = strayed + 1 if abs(force / facts["level"] - 1.0) > STRAYED else 0
+                deviations = deviations + 1 if abs(force / facts["level"] - 1.0) > _TOLERATED else 0
         finally:
-            self._held = False
+            self._is_steady = False
             if station.now > first:
                 station.mark(
                     "measure", first, station.now, drive=tone.amplitude, force=force, settled=settled, **facts
@@ -167,4 +163,4 @@ class HandTone:
             force, motions = complex(motions[0]), motions[1:]
         names = [info.name for info in station.channels if info.quantity not in ("force", "voltage")]
         moved = {name: complex(value) for name, value in zip(names, motions, strict=True)}
-        return ToneReading(*asked, self._held, tone.amplitude, force, moved)
+        return ToneReading(*asked, self._is_steady, tone.amplitude, force, moved)

@@ -15,9 +15,9 @@ _FEWEST = 6
 _FADED = 3.0
 # Interval of the search for a different mode, in observations; its frequencies relative to the tone; its damping
 # ratios; and the ratio of residuals below which the different mode becomes the nearest mode.
-_LOOK_ELSEWHERE = 4
-_ELSEWHERE = np.geomspace(0.6, 1.7, 24)
-_RATIOS = np.array([0.005, 0.03])
+_SEARCH_INTERVAL = 4
+_SEARCH_FREQUENCIES = np.geomspace(0.6, 1.7, 24)
+_SEARCH_DAMPING = np.array([0.005, 0.03])
 _BETTER = 0.7
 # Search around the present mode: the relative frequency step is adapted; the damping ratio changes by 20 %.
 _STEP, _SHORTEST, _LONGEST = 0.01, 1e-4, 0.03
@@ -39,40 +39,42 @@ class NearestMode:
     model tracks modes that change with the level.
 
     >>> mode, s, x, force = NearestMode(), (-0.01 + 1j) * 80.0, 0j, 1.0 + 0j
-    >>> for look in range(40):
-    ...     w = 60.0 + look / 4
+    >>> for k in range(40):
+    ...     w = 60.0 + k / 4
     ...     z = s - 1j * w
     ...     x = np.exp(z * 0.05) * x + np.expm1(z * 0.05) / z * -5e-4j * force
-    ...     mode.add(0.05 * (look + 1), w + 0.125, x + 2e-5 * force, force, memory=2.0)
+    ...     mode.add(0.05 * (k + 1), w + 0.125, x + 2e-5 * force, force, memory=2.0)
     >>> round(mode.pole.imag)
     80
     """
 
     def __init__(self) -> None:
-        self._looks: deque[tuple[float, float, complex, complex]] = deque()
+        self._observations: deque[tuple[float, float, complex, complex]] = deque()
         self._count = 0
         self._step = _STEP
         self.pole, self.gain, self.rest = 0j, 0j, 0j
 
     def add(self, time: float, turn: float, motion: complex, force: complex, memory: float) -> None:
         """Add an observation: time in s, angular frequency of the tone in rad/s, X in m, F in N; memory in s."""
-        self._looks.append((time, turn, motion, force))
-        while time - self._looks[0][0] >= _FADED * memory:
-            self._looks.popleft()
+        self._observations.append((time, turn, motion, force))
+        while time - self._observations[0][0] >= _FADED * memory:
+            self._observations.popleft()
         self._count += 1
-        if self._count < _FEWEST or len(self._looks) < _FEWEST:
+        if self._count < _FEWEST or len(self._observations) < _FEWEST:
             self.pole, self.gain, self.rest = (-0.02 + 1.3j) * turn, 0j, motion / force
             return
-        near = self._around()
-        poles = near
-        if self._count % _LOOK_ELSEWHERE == 0:
-            far = [ratio * turn * (1j - damping) for ratio in _ELSEWHERE for damping in _RATIOS]
-            poles = np.concatenate([near, far])
-        gains, rests, unexplained = _explain(poles, np.array(self._looks), memory)
-        best, nearby = int(np.argmin(unexplained)), int(np.argmin(unexplained[: near.size]))
-        if best >= near.size and unexplained[best] > _BETTER * unexplained[nearby]:
-            best = nearby
-        if best >= near.size:
+        local = self._around()
+        poles = local
+        if self._count % _SEARCH_INTERVAL == 0:
+            far = [
+                ratio * turn * (1j - damping) for ratio in _SEARCH_FREQUENCIES for damping in _SEARCH_DAMPING
+            ]
+            poles = np.concatenate([local, far])
+        gains, rests, residuals = _explain(poles, np.array(self._observations), memory)
+        best, best_local = int(np.argmin(residuals)), int(np.argmin(residuals[: local.size]))
+        if best >= local.size and residuals[best] > _BETTER * residuals[best_local]:
+            best = best_local
+        if best >= local.size:
             self._step = _STEP
         elif best // 3 == 1:
             self._step = max(_SHORTEST, _SHORTER * self._step)
@@ -90,31 +92,35 @@ class NearestMode:
 
 
 def _explain(
-    poles: ComplexArray, looks: ComplexArray, memory: float
+    poles: ComplexArray, observations: ComplexArray, memory: float
 ) -> tuple[ComplexArray, ComplexArray, Array]:
     """Estimate g, c and the residual for each pole, from the steps between observations."""
-    time, turn, motion, force = looks.T
+    time, turn, motion, force = observations.T
     time, turn = time.real, turn.real
     step = np.diff(time)
     power = abs(force) ** 2
     root = np.exp((time[1:] - time[-1]) / (2 * memory)) / np.sqrt(power[1:] + power[:-1] + 1e-300)
     decay = (poles[:, None] - 0.5j * (turn[1:] + turn[:-1])) * step
-    kept = np.exp(decay)
+    decayed = np.exp(decay)
     small = abs(decay) < _SMALL
-    mean = np.where(small, 1 + decay / 2, (kept - 1) / np.where(small, 1, decay))
+    mean = np.where(small, 1 + decay / 2, (decayed - 1) / np.where(small, 1, decay))
     force, motion, earlier = force[1:] * root, motion[1:] * root, (force[:-1] * root, motion[:-1] * root)
     by_gain = mean * (step / 2 * (force + earlier[0]))
-    by_rest = force - kept * earlier[0]
-    seen = motion - kept * earlier[1]
+    by_rest = force - decayed * earlier[0]
+    response = motion - decayed * earlier[1]
 
     dot = np.vecdot
     gain_gain, rest_rest = ((1 + _RIDGE) * dot(term, term).real for term in (by_gain, by_rest))
-    cross, gain_seen, rest_seen = dot(by_gain, by_rest), dot(by_gain, seen), dot(by_rest, seen)
+    cross, gain_response, rest_response = (
+        dot(by_gain, by_rest),
+        dot(by_gain, response),
+        dot(by_rest, response),
+    )
     both = gain_gain * rest_rest - abs(cross) ** 2
-    gain = (rest_rest * gain_seen - cross * rest_seen) / both
-    rest = (gain_gain * rest_seen - cross.conj() * gain_seen) / both
-    left = dot(seen, seen).real - (gain.conj() * gain_seen + rest.conj() * rest_seen).real
-    return gain, rest, left
+    gain = (rest_rest * gain_response - cross * rest_response) / both
+    rest = (gain_gain * rest_response - cross.conj() * gain_response) / both
+    residual = dot(response, response).real - (gain.conj() * gain_response + rest.conj() * rest_response).real
+    return gain, rest, residual
 
 
 def integral(decay: complex) -> complex:

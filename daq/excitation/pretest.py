@@ -17,7 +17,7 @@ from rig.arrays import Array, ComplexArray
 # Minimum length of the analyzed burst, in s and in periods of the lowest tone; its edges, s; silence after it, s.
 _SPAN, _PERIODS, _EDGE, _QUIET = 4.0, 12.0, 0.25, 1.0
 # The tones extend beyond the band of the test by this factor, so that its limits are inside.
-_BEYOND = 1.3
+_BAND_MARGIN = 1.3
 # Largest drive of the burst relative to the cautious drive for the test's level.
 _STRENGTH = 5.0
 _TILT = 1.0
@@ -59,7 +59,9 @@ def pretest(
 ) -> Generator[Array, Array, ShakerLaw]:
     """Play a short burst of weak tones and estimate the drive law of the shaker, for a band in Hz and a level in N."""
     period = station.samples(max(_SPAN, _PERIODS / lowest))
-    lines = lines_between(lowest / _BEYOND, min(_BEYOND * highest, 0.45 * station.rate), period, station.rate)
+    lines = lines_between(
+        lowest / _BAND_MARGIN, min(_BAND_MARGIN * highest, 0.45 * station.rate), period, station.rate
+    )
     # Random phases spread every tone over the whole burst; low tones are most sensitive to noise.
     phases = station.generator("pretest").uniform(0.0, 2 * pi, lines.size)
     wave = wave_of(lines, np.asarray(lines**-_TILT, dtype=np.float64), phases, period)
@@ -98,22 +100,22 @@ def _fit(station: Station, drive: Array, readings: Array, lines: NDArray[np.int6
     for order in range(_PULL):
         terms.append(terms[order] - derivative(body, order))
     played = np.fft.rfft(drive * windows[0])[lines]
-    model, wanted = np.array(terms).T / abs(played)[:, None], played / abs(played)
+    model, target = np.array(terms).T / abs(played)[:, None], played / abs(played)
 
     def solve(delay: float) -> tuple[float, Array]:
         """Return the residual and the coefficients."""
         turned = model * np.exp(s * delay)[:, None]
         rows = np.concatenate([turned.real, turned.imag])
-        goal = np.concatenate([wanted.real, wanted.imag])
-        found = np.linalg.lstsq(rows, goal, rcond=None)[0]
-        return float(np.sqrt(2 * np.mean((rows @ found - goal) ** 2))), found
+        goal = np.concatenate([target.real, target.imag])
+        coefficients = np.linalg.lstsq(rows, goal, rcond=None)[0]
+        return float(np.sqrt(2 * np.mean((rows @ coefficients - goal) ** 2))), coefficients
 
     step = 1.0 / (16.0 * frequency[-1])
     rough = min(np.arange(0.0, _LATEST, step), key=lambda delay: solve(delay)[0])
     delay = float(min(rough + step * np.linspace(-1.0, 1.0, 17), key=lambda delay: solve(delay)[0]))
-    misfit, found = solve(delay)
-    motion = found[:_MOTION] / unit ** np.arange(_MOTION)
-    pull = found[_MOTION:] / unit ** np.arange(_PULL) / station.spring
+    misfit, coefficients = solve(delay)
+    motion = coefficients[:_MOTION] / unit ** np.arange(_MOTION)
+    pull = coefficients[_MOTION:] / unit ** np.arange(_PULL) / station.spring
     return ShakerLaw(motion, pull, station.spring, delay, misfit)
 
 

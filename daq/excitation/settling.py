@@ -12,11 +12,11 @@ from rig.arrays import Array, ComplexArray
 
 # Number of differences for the estimate of the transient's decay; at least two pairs are necessary.
 _DIFFERENCES = 6
-FEWEST_LOOKS = 4
+FEWEST_OBSERVATIONS = 4
 # Below this predictable fraction, the change is classified as noise instead of a decaying transient.
 _COHERENT = 0.8
 # Noise is distinguished from decaying beats by the scatter in the two halves of this number of observations.
-_NOISE_LOOKS = 24
+_NOISE_OBSERVATIONS = 24
 _STILL_NOISE = 0.75
 _LITTLE_NOISE = 3.0
 _AGREEING = 6
@@ -30,12 +30,12 @@ class Law:
 
     changes: ComplexArray  # the last changes, (changes, quantities)
     factor: ComplexArray  # ratio of successive changes, by least squares
-    seen: NDArray[np.bool_]  # whether the changes follow the law
+    coherent: NDArray[np.bool_]  # whether the changes follow the law
 
     @classmethod
-    def of(cls, looks: ComplexArray) -> Law:
-        """Estimate the law from observations, shape (looks, quantities)."""
-        changes = looks[1:] - looks[:-1]
+    def of(cls, observations: ComplexArray) -> Law:
+        """Estimate the law from observations, shape (observations, quantities)."""
+        changes = observations[1:] - observations[:-1]
         before, after = changes[:-1], changes[1:]
         cross = _SUM(before.conj() * after, axis=0)
         power, other = (np.maximum(_SUM(abs(part) ** 2, axis=0), 1e-280) for part in (before, after))
@@ -56,72 +56,74 @@ class Law:
 class Settling:
     """Detector of the steady state.
 
-    The free decay of a mode adds a transient to the amplitude in each window (a *look*). From look to look the
-    transient, and therefore also the change of the amplitude, is multiplied by the same complex factor rho. With
-    rho estimated from the last changes, the remaining change is change * rho / (1 - rho). A comparison of two
-    looks would not suffice: a 13 Hz mode with a damping ratio of 0.5 % changes by only 4 % of its remaining
-    transient in 0.1 s.
+    The free decay of a mode adds a transient to the amplitude in each window, an observation. Between successive
+    observations the transient, and therefore also the change of the amplitude, is multiplied by the same complex
+    factor rho. With rho estimated from the last changes, the remaining change is change * rho / (1 - rho). A
+    comparison of two observations would not suffice: a 13 Hz mode with a damping ratio of 0.5 % changes by only
+    4 % of its remaining transient in 0.1 s.
 
     Changes that do not follow this law are noise. The amplitude then counts as steady when two halves of the
-    latest looks agree within their scatter and the scatter does not decrease.
+    latest observations agree within their scatter and the scatter does not decrease.
 
-    >>> judge = Settling(1e-3)
-    >>> for look in range(40):
-    ...     judge.add(np.array([1.0 - 0.5 * 0.8**look + 0j]))
-    ...     if judge.settled:
+    >>> detector = Settling(1e-3)
+    >>> for k in range(40):
+    ...     detector.add(np.array([1.0 - 0.5 * 0.8**k + 0j]))
+    ...     if detector.settled:
     ...         break
-    >>> look, bool(0.5 * 0.8**look < 1e-3)
+    >>> k, bool(0.5 * 0.8**k < 1e-3)
     (30, True)
     """
 
     def __init__(self, tolerance: float) -> None:
         self.tolerance = tolerance
-        # The looks since the last restart that are still required, in order of time.
-        self._looks: ComplexArray = np.zeros((0, 0), dtype=complex)
-        self.looks = 0
+        # The observations since the last restart that are still required, in order of time.
+        self._observations: ComplexArray = np.zeros((0, 0), dtype=complex)
+        self.count = 0
         self._forecasts: list[ComplexArray] = []
         self._law: Law | None = None
         self._steady_before = False
         self.settled = False
 
     def restart(self) -> None:
-        """Discard all looks: the drive has changed."""
-        self.looks = 0
+        """Discard all observations: the drive has changed."""
+        self.count = 0
         self._forecasts.clear()
         self._law = None
         self._steady_before = self.settled = False
 
     @property
     def latest(self) -> ComplexArray:
-        """Amplitudes of the latest look, shape (quantities,)."""
-        return self._looks[-1]
+        """Amplitudes of the latest observation, shape (quantities,)."""
+        return self._observations[-1]
 
     @property
     def rising(self) -> bool:
-        """Whether the first quantity increased in the latest look."""
-        return self.looks > 1 and bool(abs(self._looks[-1, 0]) > abs(self._looks[-2, 0]))
+        """Whether the first quantity increased in the latest observation."""
+        return self.count > 1 and bool(abs(self._observations[-1, 0]) > abs(self._observations[-2, 0]))
 
     def add(self, amplitudes: ComplexArray) -> None:
-        """Add the next look: complex amplitudes, shape (quantities,)."""
-        before = self._looks[len(self._looks) - min(self.looks, _NOISE_LOOKS) :]
-        self._looks = np.concatenate([before, amplitudes[None]]) if self.looks else amplitudes[None]
-        self.looks += 1
-        if self.looks < FEWEST_LOOKS:
+        """Add the next observation: complex amplitudes, shape (quantities,)."""
+        before = self._observations[len(self._observations) - min(self.count, _NOISE_OBSERVATIONS) :]
+        self._observations = np.concatenate([before, amplitudes[None]]) if self.count else amplitudes[None]
+        self.count += 1
+        if self.count < FEWEST_OBSERVATIONS:
             self._forecasts.append(amplitudes)
             return
-        law = self._law = Law.of(self._looks[-_DIFFERENCES - 1 :])
-        predicted = law.seen & (abs(law.factor) < 0.995)
-        mean = _mean(self._looks[-_NOISE_LOOKS // 2 :])
-        self._forecasts.append(np.where(predicted, self._looks[-1] + law.to_come(), mean))
-        steady = law.seen & (law.left() < self.tolerance * self._size())
+        law = self._law = Law.of(self._observations[-_DIFFERENCES - 1 :])
+        predicted = law.coherent & (abs(law.factor) < 0.995)
+        mean = _mean(self._observations[-_NOISE_OBSERVATIONS // 2 :])
+        self._forecasts.append(np.where(predicted, self._observations[-1] + law.to_come(), mean))
+        steady = law.coherent & (law.left() < self.tolerance * self._size())
         # The further tests are slower and apply only without a law.
         if not steady.all():
             steady |= self._within(law)
-        if not steady.all() and not (law.seen & ~steady).any():
-            # If the scatter is small, half as many looks suffice: the measurement that follows averages over the beats.
-            many = self._is_noise(_NOISE_LOOKS, np.inf)
-            steady |= ~law.seen & (many | self._is_noise(_NOISE_LOOKS // 2, _LITTLE_NOISE * self.tolerance))
-        # A single look may pass by chance, at the turning point of a beat.
+        if not steady.all() and not (law.coherent & ~steady).any():
+            # If the scatter is small, half as many suffice: the measurement that follows averages the beats.
+            noise = self._is_noise(_NOISE_OBSERVATIONS, np.inf)
+            steady |= ~law.coherent & (
+                noise | self._is_noise(_NOISE_OBSERVATIONS // 2, _LITTLE_NOISE * self.tolerance)
+            )
+        # A single observation may pass by chance, at the turning point of a beat.
         self.settled = bool(steady.all()) and self._steady_before
         self._steady_before = bool(steady.all())
 
@@ -130,53 +132,53 @@ class Settling:
         return self._forecasts[-1]
 
     def wavering(self) -> Array:
-        """Relative change of `expected` over the last looks; shape (quantities,)."""
+        """Relative change of `expected` over the last observations; shape (quantities,)."""
         latest = np.array(self._forecasts[-3:])
         return np.ptp(abs(latest), axis=0) / np.maximum(abs(latest[-1]), sys.float_info.min)
 
     def beat(self) -> Array:
-        """Phase change of the transient from look to look, rad, infinite without a law; shape (quantities,)."""
+        """Phase change of the transient between observations, rad, infinite without a law; shape (quantities,)."""
         if self._law is None:
-            return np.full(self._looks[-1].size, np.inf)
+            return np.full(self._observations[-1].size, np.inf)
         turn = np.maximum(abs(np.angle(self._law.factor)), 1e-9)
-        return np.where(self._law.seen, turn, np.inf)
+        return np.where(self._law.coherent, turn, np.inf)
 
     def left(self) -> Array:
         """Estimated remaining change, relative to the amplitude; shape (quantities,)."""
         if self._law is None:
-            return np.full(self._looks[-1].size, np.inf)
+            return np.full(self._observations[-1].size, np.inf)
         return self._law.left() / self._size()
 
-    def doubt(self) -> Array:
-        """Relative standard error of `expected`, from the scatter of the looks; shape (quantities,)."""
-        if self.looks < _NOISE_LOOKS:
-            return np.zeros(self._looks[-1].size)
-        latest = self._looks[-_NOISE_LOOKS // 2 :]
+    def standard_error(self) -> Array:
+        """Relative standard error of `expected`, from the scatter of the observations; shape (quantities,)."""
+        if self.count < _NOISE_OBSERVATIONS:
+            return np.zeros(self._observations[-1].size)
+        latest = self._observations[-_NOISE_OBSERVATIONS // 2 :]
         return np.sqrt(np.mean(abs(latest - latest.mean(axis=0)) ** 2, axis=0) / len(latest)) / self._size()
 
     def _size(self) -> Array:
-        return np.maximum(abs(self._looks[-1]), sys.float_info.min)
+        return np.maximum(abs(self._observations[-1]), sys.float_info.min)
 
     def _within(self, law: Law) -> NDArray[np.bool_]:
-        """Return whether all looks agree within the tolerance with a nearly constant mean.
+        """Return whether all observations agree within the tolerance with a nearly constant mean.
 
-        Beating modes have no common factor. In a slow transient of up to thirty looks, the mean of half of these
+        Beating modes have no common factor. In a slow transient of up to thirty observations, the mean of half of these
         changes by at least 10 % of the remaining change.
         """
-        if self.looks < _AGREEING:
-            return np.zeros(self._looks[-1].size, dtype=bool)
-        latest = self._looks[-_AGREEING:]
+        if self.count < _AGREEING:
+            return np.zeros(self._observations[-1].size, dtype=bool)
+        latest = self._observations[-_AGREEING:]
         spread = abs(latest - _mean(latest)).max(axis=0)
         drift = abs(_mean(latest[_AGREEING // 2 :]) - _mean(latest[: _AGREEING // 2]))
         limit = self.tolerance * self._size()
-        return (~law.seen | (spread < 0.01 * limit)) & (spread < limit) & (drift < 0.1 * limit)
+        return (~law.coherent | (spread < 0.01 * limit)) & (spread < limit) & (drift < 0.1 * limit)
 
-    def _is_noise(self, looks: int, most: float) -> NDArray[np.bool_]:
-        """Return whether the looks scatter like noise about a constant mean; decaying beats scatter less and less."""
-        if self.looks < looks:
-            return np.zeros(self._looks[-1].size, dtype=bool)
-        half = looks // 2
-        halves = self._looks[-looks:-half], self._looks[-half:]
+    def _is_noise(self, count: int, most: float) -> NDArray[np.bool_]:
+        """Return whether the observations scatter like noise about a constant mean; decaying beats scatter less."""
+        if self.count < count:
+            return np.zeros(self._observations[-1].size, dtype=bool)
+        half = count // 2
+        halves = self._observations[-count:-half], self._observations[-half:]
         means = [_mean(part) for part in halves]
         early, late = (
             np.sqrt(_SUM(abs(part - mean) ** 2, axis=0) / half)
@@ -187,5 +189,5 @@ class Settling:
         return agree & (late > _STILL_NOISE * early) & (np.maximum(early, late) < most * size)
 
 
-def _mean(looks: ComplexArray) -> ComplexArray:
-    return np.asarray(_SUM(looks, axis=0) / len(looks))
+def _mean(observations: ComplexArray) -> ComplexArray:
+    return np.asarray(_SUM(observations, axis=0) / len(observations))

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from daq.excitation.lock_in import whole_periods
 from daq.excitation.settling import Settling
 from daq.excitation.station import Excitation, Station
-from daq.excitation.steady_tone import LOOK, SteadyTone
+from daq.excitation.steady_tone import WINDOW_S, SteadyTone
 
 if TYPE_CHECKING:
     from rig.scene.excitation import Sine
@@ -26,17 +26,17 @@ def excite(station: Station, test: Sine) -> Excitation:
 
 def _open_loop(station: Station, test: Sine, tone: SteadyTone) -> Excitation:
     tone.amplitude = level = station.level
-    judge = Settling(_TOLERANCE)
-    look = whole_periods(test.frequency, station.rate, LOOK)
+    detector = Settling(_TOLERANCE)
+    window = whole_periods(test.frequency, station.rate, WINDOW_S)
     first, total, steady = station.now, station.samples(test.duration), None
     while (left := first + total - station.now) > 0:
         station.report((total - left) / total, f"{test.frequency:.2f} Hz, level {level:g}")
-        size, phase = min(look, left), tone.phase
+        size, phase = min(window, left), tone.phase
         readings = yield station.drive(tone.hold(size))
-        if size == look and steady is None:
-            judge.add(tone.amplitudes(readings, phase))
-            steady = station.now if judge.settled else None
-    settled = steady is not None and station.now - steady >= look
+        if size == window and steady is None:
+            detector.add(tone.amplitudes(readings, phase))
+            steady = station.now if detector.settled else None
+    settled = steady is not None and station.now - steady >= window
     begin = steady if settled else first + total // 2
     facts = {"frequency": test.frequency, "level": level, "drive": level, "settled": settled}
     station.mark("measure", begin, station.now, **facts)

@@ -63,11 +63,11 @@ def equalise(
     Return the drive amplitudes and the force per drive in N, (lines,), and the present period of the drive.
     """
     level = station.level
-    wanted = flat(level, lines)
+    target = flat(level, lines)
     weights = station.force_weights(lines * station.rate / period)
-    amplitudes = played = wanted * station.cautious_drive
+    amplitudes = played = target * station.cautious_drive
     playing = np.zeros(period)
-    force, rms, first = wanted, 0.0, station.now
+    force, rms, first = target, 0.0, station.now
     for turn in range(_ROUNDS):
         station.report(0.0, f"shaping the drive, round {turn + 1}")
         wave = wave_of(lines, amplitudes, phases, period)
@@ -79,10 +79,10 @@ def equalise(
         spectrum = np.fft.rfft(samples, axis=1)[:, lines] * (2 / period)
         force = abs(np.einsum("cl,cl->l", weights, spectrum))
         rms = float(np.sqrt(np.sum(force**2) / 2))
-        uneven = float(np.median(abs(force / wanted - 1)))
+        uneven = float(np.median(abs(force / target - 1)))
         if abs(rms / level - 1) < _LEVEL and uneven < _LEVEL:
             break
-        ratio = np.clip(wanted / np.maximum(force, 1e-12 * wanted), 1 / _RATIO, _RATIO)
+        ratio = np.clip(target / np.maximum(force, 1e-12 * target), 1 / _RATIO, _RATIO)
         amplitudes = np.minimum(played * ratio, _STANDOUT * np.median(played * ratio))
     reached = abs(rms / level - 1) < 5 * _LEVEL
     station.mark("settle", first, station.now, level=level, force=rms, settled=reached)

@@ -9,17 +9,17 @@ import numpy as np
 
 from daq.excitation.amplitude_control import AmplitudeControl
 from daq.excitation.lock_in import fewest_samples, lock_in, whole_periods
-from daq.excitation.settling import FEWEST_LOOKS, Settling
+from daq.excitation.settling import FEWEST_OBSERVATIONS, Settling
 from daq.excitation.station import Station
 from rig.arrays import Array, ComplexArray
 
 # A glide of this length does not excite modes more than a few hertz away: only the nearest modes must decay, s.
 GLIDE = 0.4
 # Shortest window of an amplitude, s.
-LOOK = 0.1
+WINDOW_S = 0.1
 _LONGEST_GLIDE = 3.0
 # A transient force above the level by this factor is reduced immediately, before the steady state.
-_TOO_MUCH = 3.0
+_EXCESSIVE = 3.0
 # A drive change, as log ratio, with a negligible transient.
 _SMALL = 0.03
 # A longer window is driven and measured in pieces of at least this number of samples.
@@ -100,7 +100,7 @@ class SteadyTone(Tone):
         turned = 2.0 * np.pi * self.frequency * self.station.latency / self.rate
         return self._weights @ lock_in(readings, self.frequency, self.rate, phase - turned)
 
-    def look(self, samples: int) -> Generator[Array, Array, ComplexArray]:
+    def observe(self, samples: int) -> Generator[Array, Array, ComplexArray]:
         """Hold the tone for a window and return its amplitudes."""
         phase = self.phase
         return self.amplitudes((yield self.station.drive(self.hold(samples))), phase)
@@ -112,7 +112,7 @@ class SteadyTone(Tone):
         left = samples
         while left:
             size = piece if left >= 2 * piece else left
-            read = size / samples * (yield from self.look(size))
+            read = size / samples * (yield from self.observe(size))
             total, left = (total + read if total.size else read), left - size
         return total
 
@@ -123,26 +123,26 @@ class SteadyTone(Tone):
 
         `tolerance` is the permitted relative change of any amplitude, `longest` the longest wait in s.
         """
-        station, control, judge = self.station, self.control, Settling(tolerance)
+        station, control, detector = self.station, self.control, Settling(tolerance)
         end = station.now + station.samples(longest)
-        look = whole_periods(frequency, self.rate, LOOK)
+        window = whole_periods(frequency, self.rate, WINDOW_S)
         if control is not None:
             control.restart()
-        yield station.drive(self.glide(max(station.samples(GLIDE), look), frequency, drive))
-        while station.now + look <= end:
-            judge.add((yield from self.look(look)))
-            change = None if control is None else _change(control, judge, self.amplitude)
+        yield station.drive(self.glide(max(station.samples(GLIDE), window), frequency, drive))
+        while station.now + window <= end:
+            detector.add((yield from self.observe(window)))
+            change = None if control is None else _change(control, detector, self.amplitude)
             if change is not None:
-                glide = look
+                glide = window
                 if abs(np.log(change / self.amplitude)) >= _SMALL:
                     # A glide of two beats hardly excites the mode whose transient beats with the drive.
-                    beats = round(look * 4 * np.pi / float(judge.beat()[0]))
-                    glide = max(look, min(station.samples(_LONGEST_GLIDE), beats))
-                judge.restart()
+                    beats = round(window * 4 * np.pi / float(detector.beat()[0]))
+                    glide = max(window, min(station.samples(_LONGEST_GLIDE), beats))
+                detector.restart()
                 yield station.drive(self.glide(glide, frequency, change))
-            elif judge.settled:
-                return control is None or control.holds(
-                    float(abs(judge.expected()[0])), float(judge.doubt()[0])
+            elif detector.settled:
+                return control is None or control.is_at_level(
+                    float(abs(detector.expected()[0])), float(detector.standard_error()[0])
                 )
         return False
 
@@ -167,15 +167,15 @@ class SteadyTone(Tone):
         )
 
 
-def _change(control: AmplitudeControl, judge: Settling, drive: float) -> float | None:
+def _change(control: AmplitudeControl, detector: Settling, drive: float) -> float | None:
     """Return a new drive amplitude; None if the present drive suffices, or the force is not yet known."""
-    force, doubt = float(abs(judge.expected()[0])), float(judge.doubt()[0])
-    if judge.looks < FEWEST_LOOKS + 1:
-        too_much = judge.rising and abs(judge.latest[0]) > _TOO_MUCH * control.level
-        return control.cut(drive, float(abs(judge.latest[0]))) if too_much else None
+    force, standard_error = float(abs(detector.expected()[0])), float(detector.standard_error()[0])
+    if detector.count < FEWEST_OBSERVATIONS + 1:
+        excessive = detector.rising and abs(detector.latest[0]) > _EXCESSIVE * control.level
+        return control.cut(drive, float(abs(detector.latest[0]))) if excessive else None
     # The predicted force is usable long before the transient has decayed, as soon as the prediction is constant.
-    known = judge.settled or float(judge.wavering()[0]) < 0.3 * abs(force / control.level - 1.0)
-    if not known or control.holds(force, doubt):
+    known = detector.settled or float(detector.wavering()[0]) < 0.3 * abs(force / control.level - 1.0)
+    if not known or control.is_at_level(force, standard_error):
         return None
     change = control.next(drive, force)
     # At the limit of the amplifier, the point is measured as not settled.

@@ -26,14 +26,14 @@ _STEPS = 6
 _LONGEST = 0.5
 _REMEMBERED = 12
 # Ratio of the force to the level above which the drive is not increased.
-_TOO_MUCH = 1.5
+_EXCESSIVE = 1.5
 # Hann window over an observation, at instants from -1/2 to 1/2 of its length.
 _ABOUT = (np.arange(64) + 0.5) / 64 - 0.5
 _HANN = (1 + np.cos(2 * pi * _ABOUT)) / 64
 
 
 @dataclass(frozen=True)
-class Look:
+class Observation:
     """An observation: estimates from the channels in the last periods."""
 
     end: float  # time of the end, s
@@ -73,83 +73,93 @@ class SweepControl:
         """Add the amplitude of the drive at a time in s; it is linear since the previous amplitude."""
         self._played.append((time, drive))
 
-    def next(self, look: Look, window: float) -> complex:
+    def next(self, observation: Observation, window: float) -> complex:
         """Compute the drive amplitude at the end of a window, s, which begins at the end of the observation."""
-        if not look.force:
+        if not observation.force:
             # Readings within one converter count do not determine the drive.
             return self._played[-1][1]
         if self._goal is None:
             # The phase of the force is arbitrary; the present phase requires the smallest change.
-            self._goal = self._level * look.force / abs(look.force)
-        passing = _MEMORY * look.frequency / max(abs(look.rate), 1e-9) ** 0.5
-        memory = min(max(passing, _SHORTEST_MEMORY), _LONGEST_MEMORY) / look.frequency
-        self._mode.add(look.middle, look.turn(look.middle), look.motion, look.force, memory)
-        envelope, force = self._caught_up(look)
-        return self._careful(self._wanted(look, window, envelope, force), abs(look.force))
+            self._goal = self._level * observation.force / abs(observation.force)
+        passing = _MEMORY * observation.frequency / max(abs(observation.rate), 1e-9) ** 0.5
+        memory = min(max(passing, _SHORTEST_MEMORY), _LONGEST_MEMORY) / observation.frequency
+        self._mode.add(
+            observation.middle,
+            observation.turn(observation.middle),
+            observation.motion,
+            observation.force,
+            memory,
+        )
+        envelope, force = self._present_envelopes(observation)
+        return self._limited(self._target_drive(observation, window, envelope, force), abs(observation.force))
 
-    def _caught_up(self, look: Look) -> tuple[complex, complex]:
+    def _present_envelopes(self, observation: Observation) -> tuple[complex, complex]:
         """Return the envelopes of mode and force at the end of the observation, from the drive since its middle."""
-        mode, law, force = self._mode, self._law, look.force
-        centre = 1j * look.turn(look.middle)
+        mode, law, force = self._mode, self._law, observation.force
+        centre = 1j * observation.turn(observation.middle)
         (per_force, per_motion), (force_slope, motion_slope) = law.at(centre), law.slope(centre)
         # The envelope in the middle of the observation, from its windowed mean.
         decay = mode.pole - centre
-        spread = complex(_HANN @ np.exp(decay * look.length * _ABOUT))
-        envelope = (look.motion - mode.rest * force) / spread + mode.gain * force * (1 / spread - 1) / decay
+        spread = complex(_HANN @ np.exp(decay * observation.length * _ABOUT))
+        envelope = (observation.motion - mode.rest * force) / spread + mode.gain * force * (
+            1 / spread - 1
+        ) / decay
         times, drives = (np.array(row) for row in zip(*self._played, strict=True))
-        step = look.length / 2 / _STEPS
-        for time in look.middle + step * np.arange(1, _STEPS + 1):
+        step = observation.length / 2 / _STEPS
+        for time in observation.middle + step * np.arange(1, _STEPS + 1):
             drive = complex(np.interp(time, times, drives))
-            moved = 1j * look.turn(time - step / 2) - centre
+            moved = 1j * observation.turn(time - step / 2) - centre
             decay = mode.pole - centre - moved
-            kept, fed = exp(decay * step), mode.gain * step * integral(decay * step)
-            free = kept * envelope + fed * force
+            decayed, fed = exp(decay * step), mode.gain * step * integral(decay * step)
+            free = decayed * envelope + fed * force
             # X = c F + x; the rate of change of the force is that at the end of the step, because it may be fast.
             motion = per_motion + moved * motion_slope
             stiff = per_force + moved * force_slope + motion * mode.rest + motion_slope * mode.gain
             inert = (force_slope + motion_slope * mode.rest) / step
             after = (drive - (motion + motion_slope * decay) * free + inert * force) / (stiff + inert)
-            envelope = kept * envelope + fed * (force + after) / 2
+            envelope = decayed * envelope + fed * (force + after) / 2
             force = after
         return envelope, force
 
-    def _wanted(self, look: Look, window: float, envelope: complex, force: complex) -> complex:
+    def _target_drive(
+        self, observation: Observation, window: float, envelope: complex, force: complex
+    ) -> complex:
         """Return the drive of a steady force at the level at the end of the window."""
         assert self._goal is not None
         mode, goal = self._mode, self._goal
-        decay = mode.pole - 1j * look.turn(look.end + window / 2)
+        decay = mode.pole - 1j * observation.turn(observation.end + window / 2)
         fed = mode.gain * window * integral(decay * window)
         envelope = exp(decay * window) * envelope + fed * (force + goal) / 2
-        there = 1j * look.turn(look.end + window)
-        (per_force, per_motion), (_, motion_slope) = self._law.at(there), self._law.slope(there)
-        change = (mode.pole - there) * envelope + mode.gain * goal
+        end = 1j * observation.turn(observation.end + window)
+        (per_force, per_motion), (_, motion_slope) = self._law.at(end), self._law.slope(end)
+        change = (mode.pole - end) * envelope + mode.gain * goal
         return (per_force + per_motion * mode.rest) * goal + per_motion * envelope + motion_slope * change
 
-    def _careful(self, wanted: complex, force: float) -> complex:
+    def _limited(self, target: complex, force: float) -> complex:
         """Limit the steps of the drive, its growth at an excessive force, and its amplitude."""
         drive = self._played[-1][1]
         longest = _LONGEST * max(abs(played) for _, played in self._played)
-        change = wanted - drive
+        change = target - drive
         if abs(change) > longest:
-            wanted = drive + change * longest / abs(change)
-        most = min(self._limit, abs(drive)) if force > _TOO_MUCH * self._level else self._limit
-        return wanted * min(1.0, most / abs(wanted)) if wanted else wanted
+            target = drive + change * longest / abs(change)
+        most = min(self._limit, abs(drive)) if force > _EXCESSIVE * self._level else self._limit
+        return target * min(1.0, most / abs(target)) if target else target
 
 
-def look_samples(frequency: float, rate: float) -> int:
+def observation_samples(frequency: float, rate: float) -> int:
     """Return the number of samples of an observation, for a tone in Hz below half the rate in Hz.
 
-    >>> [look_samples(frequency, 100.0) for frequency in (2.0, 35.0, 43.0, 49.0)]
+    >>> [observation_samples(frequency, 100.0) for frequency in (2.0, 35.0, 43.0, 49.0)]
     [100, 6, 11, 75]
     """
     beat = 1.0 / (1.0 - 2.0 * frequency / rate)
     return max(round(_PERIODS * rate / frequency), _FEWEST, ceil(_BEATS * beat - 1e-9))
 
 
-def look_at(samples: Array, phase: Array, rate: float) -> tuple[ComplexArray, ComplexArray]:
+def estimate_amplitudes(samples: Array, phase: Array, rate: float) -> tuple[ComplexArray, ComplexArray]:
     """Estimate complex amplitudes X in the middle and their change per second: x = Re(X e^{i phase}) + linear drift.
 
-    A Hann window weighs the samples, shape (channels, at least `look_samples`).
+    A Hann window weighs the samples, shape (channels, at least `observation_samples`).
     """
     part = (np.arange(phase.size) + 0.5) / phase.size
     time = (part - 0.5) * phase.size / rate
@@ -158,5 +168,5 @@ def look_at(samples: Array, phase: Array, rate: float) -> tuple[ComplexArray, Co
     weighted = model * (1 - np.cos(2 * np.pi * part))[:, None]
     # Constant readings are then exactly zero.
     changed = samples - samples[:, :1]
-    found = np.linalg.solve(weighted.T @ model, weighted.T @ changed.T)
-    return found[0] + 1j * found[1], found[2] + 1j * found[3]
+    fit = np.linalg.solve(weighted.T @ model, weighted.T @ changed.T)
+    return fit[0] + 1j * fit[1], fit[2] + 1j * fit[3]

@@ -18,7 +18,7 @@ import numpy as np
 from daq.excitation.pretest import pretest
 from daq.excitation.station import Excitation, Station
 from daq.excitation.steady_tone import SteadyTone
-from daq.excitation.sweep_control import Look, SweepControl, look_at, look_samples
+from daq.excitation.sweep_control import Observation, SweepControl, estimate_amplitudes, observation_samples
 from rig.arrays import Array, ComplexArray
 
 if TYPE_CHECKING:
@@ -97,7 +97,7 @@ def _sweep_controlled(
     """Sweep with a constant force amplitude; return the final amplitude of the drive."""
     total, done, rate = station.samples(test.duration), 0, station.rate
     rows = list(station.spring_rows)
-    seen, phases = np.zeros((2, 0)), np.zeros(0)
+    recent, phases = np.zeros((2, 0)), np.zeros(0)
     goal = amplitude
     while done < total:
         here = sweep_frequency(test, done / total)
@@ -107,17 +107,17 @@ def _sweep_controlled(
         readings = yield station.drive(np.real(envelope * np.exp(1j * phase)))
         done, amplitude = done + size, goal
         control.played(done / rate, amplitude)
-        look = look_samples(here, rate)
-        seen = np.concatenate([seen, readings[rows]], axis=1)[:, -look:]
-        phases = np.concatenate([phases, phase])[-look:]
-        if phases.size < look:
+        length = observation_samples(here, rate)
+        recent = np.concatenate([recent, readings[rows]], axis=1)[:, -length:]
+        phases = np.concatenate([phases, phase])[-length:]
+        if phases.size < length:
             continue
-        middle = sweep_frequency(test, (done - look / 2) / total)
-        table, body = _displacements(station, rows, middle, *look_at(seen, phases, rate))
+        middle = sweep_frequency(test, (done - length / 2) / total)
+        table, body = _displacements(station, rows, middle, *estimate_amplitudes(recent, phases, rate))
         force = station.spring * (table - body)
-        watch.add(station.now - look, station.now, middle, abs(force))
-        pace = (sweep_frequency(test, done / total) - middle) / (look / 2 / rate)
-        goal = control.next(Look(done / rate, middle, pace, look / rate, body, force), size / rate)
+        watch.add(station.now - length, station.now, middle, abs(force))
+        pace = (sweep_frequency(test, done / total) - middle) / (length / 2 / rate)
+        goal = control.next(Observation(done / rate, middle, pace, length / rate, body, force), size / rate)
         station.report(done / total, f"{middle:.2f} Hz")
     return amplitude
 
@@ -176,12 +176,12 @@ def _displacements(
 ) -> list[complex]:
     """Return displacements in m, from channel amplitudes and their slopes per second."""
     step = 1e-3 * frequency
-    found = []
+    displacements = []
     for row, amplitude, slope in zip(rows, amplitudes, slopes, strict=True):
         below, here, above = station.displacement(row, frequency + step * np.array([-1.0, 0.0, 1.0]))
         # For an acceleration of changing amplitude, the conversion to displacement differs from the steady state.
-        found.append(complex(here * amplitude + (above - below) / (4j * np.pi * step) * slope))
-    return found
+        displacements.append(complex(here * amplitude + (above - below) / (4j * np.pi * step) * slope))
+    return displacements
 
 
 def _phase(test: SweptSine, start: float, done: int, size: int, total: int) -> Array:

@@ -60,8 +60,8 @@ def flight_lines(
         by_place.setdefault(where, []).append(f"damper {number} (body {scene.dampers[number - 1].body})")
     lines = []
     for where, names in by_place.items():
-        one, several = ("flies", "fly") if where else ("stays on its floor", "stay on their floors")
-        lines.append(f"{' and '.join(names)} {one if len(names) == 1 else several}{where}")
+        verb, plural = ("flies", "fly") if where else ("stays on its floor", "stay on their floors")
+        lines.append(f"{' and '.join(names)} {verb if len(names) == 1 else plural}{where}")
     return tuple(lines)
 
 

@@ -20,10 +20,10 @@ from daq.foresight.shortened import (
     Shortened,
     about_peaks,
     affordable_seconds,
+    around_extreme,
     at_level,
     expected_seconds,
     level_key,
-    near_extreme,
     shortened,
 )
 from daq.measurement.estimate import estimate
@@ -42,7 +42,7 @@ _LONGEST = 1.5
 # Share of the drive limit from which the drive is limited.
 _AT_LIMIT = 0.999
 # Rehearsals at other levels in search of the largest level that fits, where dampers fly; and relative tolerance.
-_TRIALS, _NEAR = 3, 0.02
+_TRIALS, _TOLERANCE = 3, 0.02
 # Share of the settling time of a bias within which a maximum is the power-on transient.
 _POWER_ON_SHARE = 0.5
 # Ratio to the test's level beyond which the level that fits is extrapolated in proportion.
@@ -72,15 +72,15 @@ def foresee(scene: Scene | str | Path) -> Foresight:
     >>> found.fits, found["body1"].unit
     (True, 'm/s^2')
     """
-    what = scene if isinstance(scene, Scene) else load(scene)
-    what = what.replace(dampers=tuple(damper.replace(grains=None) for damper in what.dampers))
-    test_of(what)
-    bench = Bench(what)
-    played = play(what, bench)
+    loaded = scene if isinstance(scene, Scene) else load(scene)
+    loaded = loaded.replace(dampers=tuple(damper.replace(grains=None) for damper in loaded.dampers))
+    test_of(loaded)
+    bench = Bench(loaded)
+    played = play(loaded, bench)
     free = played
     if any(part.aborted or any(part.overloaded) for part in played.parts):
-        free = play(without_limits(what), bench)
-    return _Assessment(what, bench, played, free).foresight()
+        free = play(without_limits(loaded), bench)
+    return _Assessment(loaded, bench, played, free).foresight()
 
 
 @dataclass(frozen=True)
@@ -97,10 +97,10 @@ class Played:
         """Reason for which the test would abort."""
         return next((part.aborted for part in self.parts if part.aborted is not None), None)
 
-    def largest(self, what: str, row: int) -> tuple[float, float | None, float | None]:
+    def largest(self, quantity: str, row: int) -> tuple[float, float | None, float | None]:
         """Largest extreme of all parts in a row of a quantity, with its frequency or its time."""
-        part = max(self.parts, key=lambda each: getattr(each, what).size[row])
-        size, sample = float(getattr(part, what).size[row]), int(getattr(part, what).sample[row])
+        part = max(self.parts, key=lambda each: getattr(each, quantity).size[row])
+        size, sample = float(getattr(part, quantity).size[row]), int(getattr(part, quantity).sample[row])
         frequency = part.frequency_at(sample)
         return size * self.extension, frequency, sample / part.rate if frequency is None else None
 
@@ -232,9 +232,9 @@ class _Assessment:
                 continue
             row = self.system.points.index(channel.at)
             smooth, frequency, time = self.free.largest("accelerations", row)
-            shaken = shaken_by(self.system, row, speeds.tolist(), sensor.resonance)
+            landing = shaken_by(self.system, row, speeds.tolist(), sensor.resonance)
             reached = any(part.overloaded[names.index(channel.name)] for part in self.played.parts)
-            largest = max(smooth, shaken)
+            largest = max(smooth, landing)
             # A sample does not show which limit it met; the acceleration does.
             over = reached and largest > sensor.saturation
             name, limit = f"{channel.name} sensor", sensor.saturation
@@ -289,7 +289,7 @@ class _Assessment:
         """Rehearse the part with the largest reading of a channel at other levels: secant method in logarithms."""
         part = max(self.free.parts, key=lambda each: float(each.readings.size[row]))
         seconds = affordable_seconds(self.scene) / (2 * _TRIALS)
-        scene, ahead = near_extreme(part.scene, limiting.frequency, seconds)
+        scene, ahead = around_extreme(part.scene, limiting.frequency, seconds)
         if scene is None:
             return level
         free, tried = without_limits(scene), [(np.log(self.level), np.log(limiting.driven_share))]
@@ -297,7 +297,7 @@ class _Assessment:
             run = Rehearsal(at_level(free, level), ahead).run(4.0 * seconds)
             share = max(float(run.readings.size[row]) / limiting.limit, 1e-12)
             tried.append((np.log(level), np.log(share)))
-            if abs(share - 1.0) < _NEAR:
+            if abs(share - 1.0) < _TOLERANCE:
                 break
             (before, high), (here, low) = tried[-2:]
             slope = (low - high) / (here - before) if here != before else 1.0

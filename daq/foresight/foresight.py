@@ -104,7 +104,9 @@ class Foresight(Result):
         for each in self.expectations:
             if each.name == name:
                 return each
-        raise KeyError(f"{name!r}: expected one of {', '.join(each.name for each in self.expectations)}")
+        raise KeyError(
+            f"{name!r}: unknown name; expected one of {', '.join(each.name for each in self.expectations)}"
+        )
 
     def summary(self) -> str:
         """State whether the test fits, and its limit."""

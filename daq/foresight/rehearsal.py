@@ -107,16 +107,16 @@ class Rehearsal(BenchLoop):
         error = super().ending(readings)
         return None if self._ahead else error
 
-    def took(self, got: Block, readings: Array) -> None:
+    def on_block(self, block: Block, readings: Array) -> None:
         """Update the extremes of channels, bodies and tables, and the impacts of dampers."""
-        self.last_blocks.append(got)
-        self._stored += got.samples.shape[1]
+        self.last_blocks.append(block)
+        self._stored += block.samples.shape[1]
         while self._stored - self.last_blocks[0].samples.shape[1] > _STORED_S * self.rate:
             self._stored -= self.last_blocks.popleft().samples.shape[1]
         if self._ahead:
             return
-        motion = got.motion
-        self.readings.add(got.first, readings)
+        motion = block.motion
+        self.readings.add(block.first, readings)
         self.accelerations.add(motion.first, motion.acceleration)
         self.displacements.add(motion.first, motion.displacement)
         for event in motion.events[motion.events["speed"] > 0.0]:
@@ -126,7 +126,7 @@ class Rehearsal(BenchLoop):
             if not struck or event["time"] - struck[-1] > _PAUSE:
                 struck.append(float(event["time"]))
 
-    def acquired(self, first: int, drive: Array, overload: NDArray[np.bool_]) -> None:
+    def on_window(self, first: int, drive: Array, overload: NDArray[np.bool_]) -> None:
         """Update the extremes of the drives, and the overloads."""
         if self._ahead:
             return

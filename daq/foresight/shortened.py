@@ -225,7 +225,7 @@ def at_level(scene: Scene, level: float) -> Scene:
     return scene.replace(test=scene.test.replace(**{key: level}))
 
 
-def near_extreme(scene: Scene, frequency: float | None, seconds: float) -> tuple[Scene | None, int]:
+def around_extreme(scene: Scene, frequency: float | None, seconds: float) -> tuple[Scene | None, int]:
     """Give the scene with the few tones of its test before a frequency, or with its test if that is short."""
     test = scene.test
     if isinstance(test, SteppedSine) and frequency is not None:

@@ -89,14 +89,14 @@ def record_live(
             report(sentence(reading))
         was[0] = state
 
-    def heard(block: Block, readings: NDArray[np.float64]) -> None:
+    def listener(block: Block, readings: NDArray[np.float64]) -> None:
         screen.show(block, readings)
         keep(block.motion.first + block.motion.displacement.shape[1])
 
     rate = float(scene.converter.sample_rate)
     block = max(1, round(BLOCK_S * rate))
     run = MeasurementRun(
-        scene, path, block, excite=HandTone(knobs, read).excite, heard=heard, kind=TestKind.TONES
+        scene, path, block, excite=HandTone(knobs, read).excite, listener=listener, kind=TestKind.TONES
     )
     screen = Screen(stream, scene, run.bench.channels, run.bench.rate)
     return run.run(overwrite)
@@ -160,9 +160,9 @@ def scope(
                 knobs.turn(line)
             except SceneError as error:
                 say(str(error))
-            if knobs.off:
+            if knobs.quit:
                 return
-        knobs.off = True
+        knobs.quit = True
 
     viewing = server(say) if web else window("use --web to look with a browser")
     bench = Bench(what)
@@ -175,7 +175,7 @@ def scope(
         def keep(position: int) -> None:
             pace.keep(position)
             if running.process.poll() is not None:
-                knobs.off = True
+                knobs.quit = True
 
         say(f"{Knobs.HELP}; recording to {target}")
         # A daemon thread: it may wait for input when the program ends.

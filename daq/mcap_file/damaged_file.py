@@ -51,12 +51,12 @@ class DamagedFile:
 
     def __init__(self, path: Path) -> None:
         if path.exists() and not path.is_file():
-            raise RecordingError(f"{path} is not a file")
+            raise RecordingError(f"{path}: not a file. Give the path of a recording.")
         try:
             self._file = path.open("rb", buffering=0)
             self.size = path.stat().st_size
         except OSError as error:
-            raise RecordingError(f"cannot open {path}: {error.strerror}") from error
+            raise RecordingError(f"{path}: cannot open ({error.strerror}). Check the path.") from error
 
     def __enter__(self) -> Self:
         return self

@@ -34,11 +34,11 @@ class Container:
         # Whether records without a checksum are damaged: our writer gives every record a checksum.
         self.checksums_needed = False
         if path.exists() and not path.is_file():
-            raise RecordingError(f"{path} is not a file")
+            raise RecordingError(f"{path}: not a file. Give the path of a recording.")
         try:
             self._file = path.open("rb", buffering=0)
         except OSError as error:
-            raise RecordingError(f"cannot open {path}: {error.strerror}") from error
+            raise RecordingError(f"{path}: cannot open ({error.strerror}). Check the path.") from error
         # A recording without a reference is closed.
         weakref.finalize(self, self._file.close)
         try:
@@ -60,16 +60,16 @@ class Container:
     def error(self, what: str) -> RecordingError:
         """Make an error with the remedy for a damaged file."""
         return RecordingError(
-            f"{self.path} {what}; `daq recover {self.path} -o FIXED.mcap` salvages the intact part"
+            f"{self.path}: the file {what}. Run `daq recover {self.path} -o FIXED.mcap` to recover the intact part."
         )
 
     def _summary(self) -> Summary:
         tail = FOOTER_RECORD.size + len(MAGIC)
         if self.size == 0:
-            raise RecordingError(f"{self.path} is empty: it holds no recording")
+            raise RecordingError(f"{self.path}: the file is empty. Record it again.")
         if self.read(0, len(MAGIC)) != MAGIC:
             raise RecordingError(
-                f"{self.path} is not an MCAP file: it does not begin with the MCAP signature"
+                f"{self.path}: not an MCAP file (no MCAP signature). Give the path of a recording."
             )
         data = self.read(max(self.size - tail, 0), tail)
         if len(data) < tail or not data.endswith(MAGIC) or data[0] != Opcode.FOOTER:
@@ -94,12 +94,12 @@ class Container:
     def read(self, offset: int, length: int) -> bytes:
         """Read bytes of the file; fewer where it ends."""
         if self._file.closed:
-            raise RecordingError(f"{self.path} is closed")
+            raise RecordingError(f"{self.path}: the recording is closed. Open it again.")
         try:
             self._file.seek(offset)
             return self._file.read(length)
         except OSError as error:
-            raise RecordingError(f"cannot read {self.path}: {error.strerror}") from error
+            raise RecordingError(f"{self.path}: cannot read ({error.strerror}). Check the disk.") from error
 
     def _record(self, opcode: int, offset: int, length: int, largest: int) -> memoryview:
         """Read the content of a record that an index points to."""

@@ -32,7 +32,7 @@ class LimitReached(RunError):
 
 
 class BenchLoop(ABC):
-    """A test on the bench of its scene; `took` and `acquired` receive the blocks and windows, `mark` the markers."""
+    """A test on the bench of its scene; `on_block`, `on_window` and `mark` receive blocks, windows and markers."""
 
     def __init__(self, scene: Scene, block: int | None = None) -> None:
         self.bench = bench = Bench(scene)
@@ -63,11 +63,11 @@ class BenchLoop(ABC):
         """Receive the progress of the test."""
 
     @abstractmethod
-    def took(self, got: Block, readings: Array) -> None:
+    def on_block(self, block: Block, readings: Array) -> None:
         """Receive a block, and its readings in the unit of each channel."""
 
     @abstractmethod
-    def acquired(self, first: int, drive: Array, overload: NDArray[np.bool_]) -> None:
+    def on_window(self, first: int, drive: Array, overload: NDArray[np.bool_]) -> None:
         """Receive the drive and the overloads of a window from the sample `first` on."""
 
     @property
@@ -101,8 +101,8 @@ class BenchLoop(ABC):
 
     def ending(self, readings: Array) -> BaseException | None:
         """Return the error that ends the test after these readings, if any."""
-        came = self.station.now - self.bench.latency - readings.shape[1]
-        trip = self._limits.watch(came, readings)
+        first = self.station.now - self.bench.latency - readings.shape[1]
+        trip = self._limits.watch(first, readings)
         if trip is None and self._control_lost is None:
             return None
         self.ended = self.last_sample if trip is None else trip.sample
@@ -111,19 +111,19 @@ class BenchLoop(ABC):
     def acquire(self, drive: Array) -> Array:
         """Acquire a window in blocks; return the readings of the channels."""
         first, size = self.station.now, drive.shape[1]
-        block = size if self._block is None else self._block
+        longest = size if self._block is None else self._block
         readings = np.zeros((len(self.bench.channels), size))
         overload = np.zeros(readings.shape, dtype=bool)
-        for start in range(0, size, block):
-            stop = min(start + block, size)
-            got = self.bench.acquire(drive[:, start:stop])
+        for start in range(0, size, longest):
+            stop = min(start + longest, size)
+            block = self.bench.acquire(drive[:, start:stop])
             # If the latency of a filter is removed from the sample numbers, the first blocks have no samples.
-            came = slice(stop - got.samples.shape[1], stop)
-            readings[:, came] = self.bench.physical(got.samples)
-            overload[:, came] = got.overload
-            self.took(got, readings[:, came])
+            columns = slice(stop - block.samples.shape[1], stop)
+            readings[:, columns] = self.bench.physical(block.samples)
+            overload[:, columns] = block.overload
+            self.on_block(block, readings[:, columns])
         self.station.now = first + size
         self._last = np.concatenate([self._last, drive[:, -2:]], axis=1)[:, -2:]
         self._control_lost = self._control.watch(first, overload)
-        self.acquired(first, drive, overload)
+        self.on_window(first, drive, overload)
         return readings

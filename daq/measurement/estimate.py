@@ -27,7 +27,7 @@ PROGRAM, CHANNEL, FILTERED_CHANNEL = 0.33e9, 0.15e6, 0.4e6
 # Number of copies in memory of a block during recording: of a channel, of the motion, and of recorded motion; and
 # number of copies of a multisine's period.
 COPIES, MOTION_COPIES, TRUTH_COPIES, PERIOD_COPIES = 5.0, 2.0, 7.0, 12.0
-WORTH_SAYING_S = 60.0
+ANNOUNCED_S = 60.0
 
 
 @dataclass(frozen=True)
@@ -76,19 +76,19 @@ def estimate(scene: Scene) -> Estimate:
     return Estimate(seconds, samples, disk, memory, isinstance(scene.test, SteppedSine))
 
 
-def refuse_too_much(what: Estimate, path: Path) -> None:
+def check_resources(resources: Estimate, path: Path) -> None:
     """Reject a test that exceeds the samples, the free disk space or the memory permitted."""
-    if not what.samples <= MOST_SAMPLES:
+    if not resources.samples <= MOST_SAMPLES:
         raise SceneError(
-            f"test: {duration_text(what.seconds)} and {what.samples:.3g} samples of each channel are too many (at most "
-            f"{MOST_SAMPLES:.0e}). Choose a shorter test or a lower rate."
+            f"test: {duration_text(resources.seconds)} and {resources.samples:.3g} samples of each channel are too "
+            f"many (at most {MOST_SAMPLES:.0e}). Choose a shorter test or a lower rate."
         )
-    need(what.memory, "the test with half a second of all its channels, as held before it is written,")
+    need(resources.memory, "the test with half a second of all its channels, as held before it is written,")
     folder = next(folder for folder in path.absolute().parents if folder.is_dir())
     free = shutil.disk_usage(folder).free
-    if what.disk * FEWEST + RESERVE > free:
+    if resources.disk * FEWEST + RESERVE > free:
         raise SceneError(
-            f"{path}: the test would take about {_size(what.disk)}, and the disk has {_size(free)} left. Choose "
+            f"{path}: the test would take about {_size(resources.disk)}, and the disk has {_size(free)} left. Choose "
             "another disk (-o FILE.mcap), a shorter test, or a lower rate."
         )
 

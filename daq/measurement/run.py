@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from daq.excitation import Excitation, Station, excitation
 from daq.measurement.bench_loop import BenchLoop
-from daq.measurement.estimate import estimate, refuse_too_much
+from daq.measurement.estimate import check_resources, estimate
 from daq.measurement.limits import Stretches
 from daq.recording.committed_file import DiskError
 from daq.recording.recorded_test import SceneOutline, TestKind, kind_of_settings
@@ -88,17 +88,17 @@ def record(
     'hit'
     """
     if block is not None and block < 1:
-        raise SceneError(f"block: {block} is no number of samples. Give 1 or more.")
+        raise SceneError(f"block: got {block} samples; expected 1 or more.")
     what = load(scene)
     target = path_of(path)
-    refuse_too_much(estimate(what), target)
+    check_resources(estimate(what), target)
     return MeasurementRun(what, target, block, progress).run(overwrite)
 
 
 class MeasurementRun(BenchLoop):
     """A run of a test that is recorded.
 
-    `heard` is called with each block and the readings of the channels; `kind` differs from the scene's for a
+    `listener` is called with each block and the readings of the channels; `kind` differs from the scene's for a
     manual test.
     """
 
@@ -109,13 +109,13 @@ class MeasurementRun(BenchLoop):
         block: int | None = None,
         progress: Progress | None = None,
         excite: Callable[[Station], Excitation] = excitation,
-        heard: Callable[[Block, Array], None] = lambda block, readings: None,
+        listener: Callable[[Block, Array], None] = lambda block, readings: None,
         kind: TestKind | None = None,
     ) -> None:
         super().__init__(scene, block)
         self._path = path
         self._kind = kind_of_settings(scene.test) if kind is None else kind
-        self._excite, self._heard, self._progress = excite, heard, progress
+        self._excite, self._listener, self._progress = excite, listener, progress
         self._recorder: Recorder | None = None
         self._interrupted: Callable[[], bool] = lambda: False
         self._lost = 0
@@ -175,27 +175,23 @@ class MeasurementRun(BenchLoop):
             return RunError(f"test aborted: {error}")
         return _Stopped("interrupted") if self._interrupted() else None
 
-    def took(self, got: Block, readings: Array) -> None:
+    def on_block(self, block: Block, readings: Array) -> None:
         """Record a block, except for the samples that are lost during the transfer."""
         assert self._recorder is not None
         if self.bench.scene.recording.truth:
-            self._recorder.write_truth(got.motion)
-        # At a low rate a whole window may be shorter than the removed filter delay.
-        if got.samples.size and not self.bench.lost:
-            self._recorder.write(got.samples)
-        elif got.samples.size:
-            kept = np.ones(got.samples.shape[1], dtype=bool)
-            for begin, end in self.bench.lost:
-                kept[max(0, begin - got.first) : max(0, end + 1 - got.first)] = False
-            for start, stop in sorted(runs_of(kept) + runs_of(~kept)):
-                if not kept[start]:
-                    self._lost += stop - start
-                    continue
-                self._note_loss()
-                self._recorder.write(got.samples[:, start:stop])
-        self._heard(got, readings)
+            self._recorder.write_truth(block.motion)
+        recorded = np.ones(block.samples.shape[1], dtype=bool)
+        for begin, end in self.bench.lost:
+            recorded[max(0, begin - block.first) : max(0, end + 1 - block.first)] = False
+        for start, stop in sorted(runs_of(recorded) + runs_of(~recorded)):
+            if not recorded[start]:
+                self._lost += stop - start
+                continue
+            self._note_loss()
+            self._recorder.write(block.samples[:, start:stop])
+        self._listener(block, readings)
 
-    def acquired(self, first: int, drive: Array, overload: NDArray[np.bool_]) -> None:
+    def on_window(self, first: int, drive: Array, overload: NDArray[np.bool_]) -> None:
         """Mark the overloads of a window."""
         self._overloads.add(first - self.bench.latency, overload)
 
@@ -223,7 +219,7 @@ class MeasurementRun(BenchLoop):
         self._progress(fraction, message)
 
     def _holds(self) -> str:
-        return f"{self._path} holds the {self.station.now / self.bench.rate:.2f} s up to there."
+        return f"{self._path} contains the {self.station.now / self.bench.rate:.2f} s up to there."
 
 
 def missing_force_reference(scene: Scene, channels: Sequence[ChannelInfo]) -> str | None:

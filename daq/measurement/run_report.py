@@ -26,20 +26,20 @@ if TYPE_CHECKING:
 def record_and_report(name: str, scene: Scene, path: Path, overwrite: bool, block: int | None) -> int:
     """Record a scene's test with a progress bar and print a summary; return the exit code, 130 if interrupted."""
     import daq
-    from daq.measurement.estimate import WORTH_SAYING_S, estimate
+    from daq.measurement.estimate import ANNOUNCED_S, estimate
 
     print(f"recording {name} to {path.absolute()}", file=sys.stderr)
-    asked, rate = scene.converter.rate, scene.converter.sample_rate
-    if rate != asked:
+    requested, rate = scene.converter.rate, scene.converter.sample_rate
+    if rate != requested:
         module = scene.converter.preset
         print(
-            f"{module} samples at {rate:.10g} Hz, the next rate of its clock above {asked:g} Hz",
+            f"{module} samples at {rate:.10g} Hz, the next rate of its clock above {requested:g} Hz",
             file=sys.stderr,
         )
-    taking = estimate(scene)
-    if taking.seconds > WORTH_SAYING_S:
-        print(taking, file=sys.stderr)
-    with warnings.catch_warnings(record=True) as heard:
+    resources = estimate(scene)
+    if resources.seconds > ANNOUNCED_S:
+        print(resources, file=sys.stderr)
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", daq.RunWarning)
         try:
             with progress(Path(name).stem) as report_progress:
@@ -50,7 +50,7 @@ def record_and_report(name: str, scene: Scene, path: Path, overwrite: bool, bloc
                 raise
             print("interrupted", file=sys.stderr)
             code = 130
-    for warning in heard:
+    for warning in caught:
         print(f"warning: {warning.message}", file=sys.stderr)
     print(summary(path))
     return code
@@ -87,14 +87,14 @@ def summary(path: Path) -> str:
         if measured:
             unsettled = sum(not mark.fields["settled"] for mark in measured)
             tones = [mark.fields for mark in measured if "frequency" in mark.fields]
-            moving = [not fields["settled"] for fields in tones]
+            unsteady = [not fields["settled"] for fields in tones]
             where = ""
-            if any(moving):
-                where = f", at {frequency_ranges([fields['frequency'] for fields in tones], moving)}"
+            if any(unsteady):
+                where = f", at {frequency_ranges([fields['frequency'] for fields in tones], unsteady)}"
             lines.append(f"not settled: {unsettled or 'none'} of {len(measured)} measurements{where}")
-        strayed = [mark for mark in rec.markers if mark.kind == "level"]
-        if strayed:
-            seconds = sum(mark.stop - mark.first_sample for mark in strayed) / rec.rate
+        deviations = [mark for mark in rec.markers if mark.kind == "level"]
+        if deviations:
+            seconds = sum(mark.stop - mark.first_sample for mark in deviations) / rec.rate
             lines.append(
                 f"force off its level: {seconds:.2f} s in all (markers 'level' say where and by how much)"
             )

@@ -42,9 +42,9 @@ class Series:
         try:
             self.scale = float(self.metadata.get("scale", 1.0))
         except ValueError:
-            raise self._error(f"scale = {self.metadata['scale']!r} is not a number") from None
+            raise self._error(f"scale = {self.metadata['scale']!r}; expected {NOT_ZERO.expected}.") from None
         if not NOT_ZERO.holds(self.scale):
-            raise self._error(f"scale = {self.scale!r}; expected {NOT_ZERO.expected}")
+            raise self._error(f"scale = {self.scale!r}; expected {NOT_ZERO.expected}.")
 
     @property
     def stored(self) -> str:
@@ -63,11 +63,15 @@ class Series:
                 check({"rate": rate, "start_ns": start_ns}, CLOCK)
                 return Timebase(rate, start_ns)
             except (ValueError, RecordingError) as error:
-                raise self._error(f"no clock: {error!s:.200}") from None
+                raise self._error(
+                    f"invalid sample clock ({error!s:.200}). Correct rate and start_ns of the metadata."
+                ) from None
         for chunk in self._chunks:
             for block in self._decoded(int(chunk), None):
                 return block.clock
-        raise self._error("it has no samples, and no sample rate")
+        raise self._error(
+            "no samples and no sample rate. Remove the topic, or add its rate and start_ns to the metadata."
+        )
 
     @cached_property
     def stop(self) -> int:
@@ -112,15 +116,16 @@ class Series:
     def _check(self, block: SampleBlock, log_time: int, clock: Timebase) -> None:
         """Compare a block with the layout, on which the search for samples relies."""
         if block.stop > MOST_SAMPLES:
-            raise self._error(f"it states a sample {block.first_sample}, beyond the longest recording")
+            raise self._error(
+                f"a block begins at sample {block.first_sample}; expected at most {MOST_SAMPLES}."
+            )
         begins = (block.t0_ns - clock.start_ns) * clock.rate * 1e-9 - block.first_sample
         ends = (log_time - clock.start_ns) * clock.rate * 1e-9 - block.stop
         if block.rate != clock.rate or not (abs(begins) < 0.5 and abs(ends) < 0.5):
             should = clock.time_ns(block.first_sample), clock.time_ns(block.stop)
             raise self._error(
-                f"the block at sample {block.first_sample} does not follow the layout: at {clock.rate:g} Hz "
-                f"it should begin at {should[0]} ns and be logged at its end, {should[1]} ns; "
-                f"it states {block.rate:g} Hz, {block.t0_ns} ns and {log_time} ns"
+                f"the block at sample {block.first_sample} states {block.rate:g} Hz, a start at {block.t0_ns} ns and "
+                f"a log time of {log_time} ns; expected {clock.rate:g} Hz, {should[0]} ns and {should[1]} ns, its end."
             )
 
     def blocks(self, start: int, stop: int) -> Iterator[SampleBlock]:
@@ -130,9 +135,8 @@ class Series:
             blocks = self._decoded(int(chunk), self.clock)
             for block in blocks:
                 if block.first_sample < reached:
-                    raise self._error(
-                        f"the block at sample {block.first_sample} follows sample {reached - 1}"
-                    )
+                    first = block.first_sample
+                    raise self._error(f"a block begins at sample {first}; expected {reached} or later.")
                 reached = block.stop
                 if block.stop > start and block.first_sample < stop:
                     yield block

@@ -46,10 +46,10 @@ class Disk:
             self._file = self.at.open("xb", buffering=0)
         except FileExistsError:
             raise RecordingError(
-                f"{path} was created by another process in the meantime. Choose another name."
+                f"{path}: another process created it in the meantime. Choose another name."
             ) from None
         except OSError as error:
-            raise RecordingError(f"cannot create {path}: {_reason(error, path.parent)}") from error
+            raise RecordingError(f"{path}: cannot create ({_reason(error, path.parent)}") from error
         _lock(self._file, path)
 
     def write(self, data: bytes) -> None:
@@ -76,7 +76,7 @@ class Disk:
         except OSError as error:
             self.failed = True
             os.ftruncate(self._file.fileno(), self._committed)
-            raise DiskError(f"cannot write to {self.at}: {error.strerror}") from error
+            raise DiskError(f"{self.at}: cannot write ({error.strerror})") from error
         self._committed = self._end
 
     def free(self) -> int:
@@ -98,7 +98,7 @@ class Disk:
             put_in_place(self.at, self._final, overwrite=True)
         except OSError as error:
             raise RunError(
-                f"cannot replace {self.path}: {error.strerror}. The new recording is {self.at}."
+                f"{self.path}: cannot replace ({error.strerror}). Use the new recording {self.at}."
             ) from error
         self.at = self._final
 
@@ -147,7 +147,7 @@ def _lock(file: IO[bytes], path: Path) -> None:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         file.close()
-        raise RecordingError(f"another process is recording to {path}. Choose another name.") from None
+        raise RecordingError(f"{path}: another process is recording to it. Choose another name.") from None
     except (ImportError, OSError):
         # Not every system and disk supports locks.
         return
@@ -156,8 +156,8 @@ def _lock(file: IO[bytes], path: Path) -> None:
 def _reason(error: OSError, folder: Path) -> str:
     """State why a file could not be created in a folder, and the remedy."""
     if not isinstance(error, FileNotFoundError):
-        return f"{error.strerror}. Choose a folder that you can write to."
+        return f"{error.strerror}). Choose a folder that you can write to."
     if folder.is_dir():
         # A folder of the system, such as /proc.
-        return f"the folder {folder} accepts no new files. Choose another folder."
-    return f"there is no folder {folder}. Create it first."
+        return f"the folder {folder} accepts no new files). Choose another folder."
+    return f"there is no folder {folder}). Create it first."

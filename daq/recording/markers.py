@@ -138,7 +138,8 @@ class Marker:
         whole = type(first) is int and type(ends) is int and 0 <= first <= ends <= MOST_SAMPLES
         if not isinstance(kind, str) or not whole:
             raise RecordingError(
-                f"a message on {MARKERS} is not a marker: kind {kind!r:.80}, samples {first!r:.40} to {last!r:.40}"
+                f"{MARKERS}: a message has kind {kind!r:.80} and samples {first!r:.40} to {last!r:.40}; expected text "
+                "and whole numbers from 0, in order."
             )
         check(content, _MARKER_FIELDS)
         return cls(kind, first, last, _Fields(kind, content))
@@ -152,7 +153,7 @@ class _Fields(dict[str, Any]):
         self._kind = kind
 
     def __missing__(self, key: str) -> Any:
-        raise RecordingError(f"a marker {self._kind!r} on {MARKERS} lacks the field {key}")
+        raise RecordingError(f"{MARKERS}: a marker {self._kind!r} lacks the field {key}. Add it.")
 
 
 @dataclass(frozen=True)
@@ -173,7 +174,7 @@ def gaps_of(markers: Iterable[Marker], channels: Sequence[str]) -> list[Gap]:
             names = marker.fields.get("channels", channels)
             if not isinstance(names, list):
                 raise RecordingError(
-                    f"a marker {marker.kind} has the channels {names!r}; expected a list of names"
+                    f"{MARKERS}: a marker {marker.kind} has the channels {names!r}; expected a list of names."
                 )
             reason = str(marker.fields.get("reason", "never acquired"))
             gaps.append(Gap(marker.first_sample, marker.end, tuple(map(str, names)), reason))
@@ -207,7 +208,7 @@ def event_from_json(data: memoryview) -> tuple[float, int, str, float]:
     try:
         check(content, _EVENT_FIELDS)
     except RecordingError as error:
-        raise RecordingError(f"a message on {EVENTS} is not a change of contact: {error}") from error
+        raise RecordingError(f"{EVENTS}: a message is not a change of contact ({error}).") from error
     return float(content["time"]), content["damper"], content["kind"], float(content["speed"])
 
 
@@ -221,14 +222,14 @@ def _json(content: Mapping[str, Any]) -> bytes:
 def _plain(value: Any) -> Any:
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
-    raise TypeError(f"a marker cannot hold {value!r}; expected numbers, texts, lists or objects")
+    raise TypeError(f"a marker has a field {value!r}; expected numbers, texts, lists or objects.")
 
 
 def _object(data: memoryview, topic: str) -> dict[str, Any]:
     try:
         content = json.loads(bytes(data))
     except (ValueError, RecursionError) as error:
-        raise RecordingError(f"a message on {topic} is not JSON: {error}") from error
+        raise RecordingError(f"{topic}: a message is not JSON ({error}); expected an object.") from error
     if not isinstance(content, dict):
-        raise RecordingError(f"a message on {topic} is a JSON {type(content).__name__}; expected an object")
+        raise RecordingError(f"{topic}: a message is a JSON {type(content).__name__}; expected an object.")
     return content

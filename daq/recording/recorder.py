@@ -149,12 +149,12 @@ class Recorder:
         """
         self._need_open()
         if samples.ndim != 2 or samples.shape[0] != len(self.channels):
-            raise ValueError(f"expected samples of shape ({len(self.channels)}, n), got {samples.shape}")
+            raise ValueError(f"samples: got shape {samples.shape}; expected ({len(self.channels)}, n).")
         self._need_truth(samples.shape[1])
         counts = np.issubdtype(samples.dtype, np.integer)
         if self._stored == "counts" and not counts:
             raise RunError(
-                "the scene records counts, but its converter gives volts. Give it bits and a range."
+                "recording.samples: counts, but the samples are volts. Give the converter bits and a range."
             )
         if self._stored != "counts" and counts:
             samples = samples * np.array([[info.volts_per_count or 1.0] for info in self.channels])
@@ -171,7 +171,7 @@ class Recorder:
         """Pass over samples that were not acquired; they read as NaN and have a marker `gap`."""
         self._need_open()
         if lost_samples < 1:
-            raise ValueError(f"expected a number of lost samples, at least 1, got {lost_samples}")
+            raise ValueError(f"lost_samples: got {lost_samples}; expected at least 1.")
         self._need_truth(lost_samples)
         first = self._raw.position
         self._raw.skip(lost_samples)
@@ -194,7 +194,7 @@ class Recorder:
         """Take the next samples of the true motion, for a scene that records it."""
         self._need_open()
         if self._truth is None:
-            raise ValueError("the scene does not record the truth (recording: {truth: true})")
+            raise ValueError("recording.truth: not set. Set recording: {truth: true} in the scene.")
         self._truth.add(motion)
 
     def close(self, status: str = "complete", reason: str = "") -> None:
@@ -240,12 +240,14 @@ class Recorder:
 
     def _need_open(self) -> None:
         if not self.takes_more:
-            raise RunError(f"{self.path}: the recording has ended and accepts no more samples")
+            raise RunError(f"{self.path}: the recording has ended. Make a new one for more samples.")
 
     def _need_truth(self, samples: int) -> None:
         """Raise `RunError` unless the truth of the next samples was written: they are committed together."""
         if self._truth is not None and self._truth.position < self._raw.position + samples:
-            raise RunError("the scene records the truth. Write it before the samples of the same time.")
+            raise RunError(
+                "recording.truth: the true motion of these samples is missing. Write it before them."
+            )
 
     # -- the beginning and the end of the file -----------------------------------------------------------
 
@@ -358,7 +360,8 @@ class Recorder:
         if self.free < sum(stream.group_bytes for stream in self._streams):
             self._full = True
             raise DiskError(
-                f"the disk is full: {self._disk.at} holds {self._holds}. Free disk space or use another disk"
+                f"{self._disk.at}: the disk is full; the file contains {self._content}. Free disk space or use "
+                "another disk."
             )
         if self._display is not None:
             self._show(number // self._together)
@@ -383,7 +386,7 @@ class Recorder:
         return [self._raw, *(() if self._truth is None else self._truth.streams)]
 
     @property
-    def _holds(self) -> str:
+    def _content(self) -> str:
         return f"the first {self._written / self.clock.rate:.2f} s"
 
     def _commit(self) -> None:
@@ -398,8 +401,8 @@ class Recorder:
         except DiskError as error:
             at = self._disk.at
             raise DiskError(
-                f"{error}; the file holds {self._holds}, without an end. Free disk space, then run "
-                f"`daq recover {at} -o FIXED.mcap`"
+                f"{error}; the file contains {self._content}, without an end. Free disk space, then run "
+                f"`daq recover {at} -o FIXED.mcap`."
             ) from error
 
     def _blocks(self, group: Group) -> list[Messages]:

@@ -102,7 +102,7 @@ class Recording(Result):
         for channel in sorted(summary.channels.values(), key=lambda channel: channel.id):
             schema = summary.schemas.get(channel.schema_id)
             if channel.topic in self._topics:
-                raise RecordingError(f"{self.path} has two channels on the topic {channel.topic}")
+                raise RecordingError(f"{self.path}: two channels on the topic {channel.topic}. Rename one.")
             self._topics[channel.topic] = channel
             if schema is None or schema.name not in SAMPLE_TYPE or schema.encoding != "protobuf":
                 continue
@@ -118,10 +118,10 @@ class Recording(Result):
                 self._truth.setdefault(quantity, {})[point] = series
         if not self._series:
             raise RecordingError(
-                f"{self.path} has no samples on topics {layout.RAW}...; expected the layout of daq/recording/LAYOUT.md"
+                f"{self.path}: no samples on topics {layout.RAW}...; expected the layout of daq/recording/LAYOUT.md."
             )
         if not summary.holders and summary.statistics is not None and summary.statistics.message_count:
-            raise RecordingError(f"{self.path} has no index of its chunks. Write it again with an index.")
+            raise RecordingError(f"{self.path}: no index of its chunks. Write it again with an index.")
         self.truth_points = tuple(self._truth.get("displacement", ()))
 
     def _info(self, name: str, series: Series) -> ChannelInfo:
@@ -133,17 +133,15 @@ class Recording(Result):
             given["quantity"] = next((key for key, unit in UNITS.items() if unit == given.get("unit")), "")
         if given["quantity"] not in UNITS:
             raise RecordingError(
-                f"{where}: its metadata state no quantity; expected one of {', '.join(UNITS)}"
+                f"{where}: its metadata state no quantity; expected one of {', '.join(UNITS)}."
             )
         if series.clock != next(iter(self._series.values())).clock:
-            raise RecordingError(
-                f"{where} has another sample clock; expected the same clock for all channels"
-            )
+            raise RecordingError(f"{where}: another sample clock; expected one clock for all channels.")
         try:
             usual = ChannelInfo(name, "", "force", 1.0, 1.0).to_metadata()
             return ChannelInfo.from_metadata(usual | given)
         except RecordingError as error:
-            raise RecordingError(f"{where}: its metadata do not describe a channel: {error}") from error
+            raise RecordingError(f"{where}: {error}") from error
 
     # -- in a notebook -----------------------------------------------------------------------------------
 
@@ -203,9 +201,9 @@ class Recording(Result):
         """
         if channel not in self._series:
             near = get_close_matches(str(channel), self._series, n=1)
-            hint = f"did you mean {near[0]!r}? " if near else ""
+            hint = f"; did you mean {near[0]!r}?" if near else "."
             raise RecordingError(
-                f"{self.path} has no channel {channel!r}; {hint}its channels are {', '.join(self._series)}"
+                f"{self.path}: no channel {channel!r}{hint} Choose one of {', '.join(self._series)}."
             )
         start, stop = self._range(start, stop)
         return self._series[channel].read(start, stop)
@@ -254,10 +252,10 @@ class Recording(Result):
             SI units; rows as `truth_points`, or as the scene's dampers. NaN where samples were lost.
         """
         if quantity not in self._truth:
-            known = (
-                f"it has {', '.join(self._truth)}" if self._truth else "record with recording: {truth: true}"
-            )
-            raise RecordingError(f"{self.path} has no true {quantity}; {known}")
+            remedy = "Record the scene with recording: {truth: true}."
+            if self._truth:
+                remedy = f"Choose one of {', '.join(self._truth)}."
+            raise RecordingError(f"{self.path}: no true {quantity}. {remedy}")
         start, stop = self._range(start, stop)
         return np.array([series.read(start, stop) for series in self._truth[quantity].values()])
 
@@ -279,7 +277,7 @@ class Recording(Result):
         stop = self.samples if stop is None else stop
         if not 0 <= start <= stop <= self.samples:
             raise RecordingError(
-                f"{self.path} has samples 0 to {self.samples - 1}; asked for {start} to {stop - 1}"
+                f"{self.path}: got samples {start} to {stop - 1}; expected a range from 0 to {self.samples - 1}."
             )
         return int(start), int(stop)
 
@@ -389,11 +387,15 @@ class Recording(Result):
 
         text = self._container.attachment(layout.SCENE_FILE)
         if text is None:
-            raise RecordingError(f"{self.path} does not hold its scene ({layout.SCENE_FILE})")
+            raise RecordingError(
+                f"{self.path}: no scene ({layout.SCENE_FILE}) in the file. Record or import it again with a scene."
+            )
         try:
             return loads_si(text.decode(), f"{self.path}: {layout.SCENE_FILE}")
         except UnicodeDecodeError as error:
-            raise RecordingError(f"{self.path}: {layout.SCENE_FILE} is not text: {error}") from error
+            raise RecordingError(
+                f"{self.path}: {layout.SCENE_FILE} is not text ({error}). Record it again."
+            ) from error
 
     def check(self) -> None:
         """Read the whole file, and check every record and that missing samples are marked.
@@ -415,8 +417,8 @@ class Recording(Result):
             for first, stop in unmarked(self._series[name].holes(), marked):
                 if self._is_ours:
                     raise RecordingError(
-                        f"{self.path} lacks the samples {first} to {stop - 1} of {name}, which no marker "
-                        "explains: they were removed, or later samples were moved. The others can be read."
+                        f"{self.path}: samples {first} to {stop - 1} of {name} are missing without a marker: they "
+                        "were removed, or later samples were moved. Use the other samples only."
                     )
 
     def close(self) -> None:

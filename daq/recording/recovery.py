@@ -101,7 +101,7 @@ def recover(path: str | Path, fixed: str | Path, overwrite: bool = False) -> Sal
     """
     source, target = path_of(path), path_of(fixed, "fixed")
     if source.exists() and target.exists() and source.samefile(target):
-        raise RecordingError(f"{source} cannot be recovered into itself. Name another file.")
+        raise RecordingError(f"{source}: cannot be recovered into itself. Give another name with -o.")
     with DamagedFile(source) as damaged:
         # Two passes: the descriptions of samples may be behind them, and must be written before them.
         descriptions = _descriptions(source, damaged)
@@ -196,7 +196,7 @@ class _Salvage:
         if not any(self._spans.values()) or self._clock is None:
             why = f" ({self._notes[0]})" if self._notes else ""
             raise RecordingError(
-                f"nothing can be recovered from {self._source}: no block of samples is intact{why}"
+                f"{self._source}: nothing can be recovered, no block of samples is intact{why}. Record it again."
             )
         salvage = self._losses(self._clock)
         self._end(salvage)

@@ -117,7 +117,7 @@ def _decode_any(data: memoryview, schema: str) -> SampleBlock:
     try:
         message.ParseFromString(bytes(data))
     except DecodeError as error:
-        raise RecordingError(f"a message of {len(data)} bytes is not a {schema}: {error}") from error
+        raise RecordingError(f"a message of {len(data)} bytes is not a {schema} ({error}).") from error
     samples: NDArray[Any] = np.array(message.samples, dtype=SAMPLE_TYPE[schema])
     return SampleBlock(message.t0_ns, message.first_sample, message.sample_rate_hz, samples)
 

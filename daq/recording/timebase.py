@@ -29,7 +29,7 @@ class Timebase:
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.rate) and self.rate > 0):
-            raise RecordingError(f"a sample rate of {self.rate!r} Hz; expected a positive, finite rate")
+            raise RecordingError(f"sample rate: got {self.rate!r} Hz; expected a positive, finite rate.")
 
     def time_ns(self, sample: int) -> int:
         """Give the time of a sample in nanoseconds; in integers throughout, so that no error builds up.

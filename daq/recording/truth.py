@@ -85,7 +85,7 @@ class Truth:
     def add(self, motion: Motion) -> None:
         """Take the next samples."""
         if motion.first != self.position:
-            raise ValueError(f"got the motion from sample {motion.first} on; expected {self.position}")
+            raise ValueError(f"motion: got sample {motion.first} first; expected {self.position}.")
         parts = (motion.displacement, motion.velocity, motion.acceleration, motion.gap)
         self.streams[0].add(np.concatenate(parts))
         self.streams[1].add(motion.contact)

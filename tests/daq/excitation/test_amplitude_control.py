@@ -18,7 +18,7 @@ def approach(force: Callable[[float], float], drive: float, steps: int = 30) -> 
     """Number of drives until the level is reached."""
     control = AmplitudeControl(LEVEL)
     drives = [drive]
-    while len(drives) < steps and not control.holds(force(drives[-1])):
+    while len(drives) < steps and not control.is_at_level(force(drives[-1])):
         drives.append(control.next(drives[-1], force(drives[-1])))
     return drives
 
@@ -67,9 +67,9 @@ def test_excessive_force_cuts_drive() -> None:
 
 def test_scattering_force_holds_within_its_error() -> None:
     control = AmplitudeControl(100.0)
-    assert not control.holds(101.0)
-    assert control.holds(101.0, doubt=0.006)
-    assert not control.holds(105.0, doubt=0.1)
+    assert not control.is_at_level(101.0)
+    assert control.is_at_level(101.0, standard_error=0.006)
+    assert not control.is_at_level(105.0, standard_error=0.1)
 
 
 def test_unrelated_force_ends_control():

@@ -14,12 +14,12 @@ LOOK = 0.1
 
 
 def judged(amplitude: Callable[[int], complex | np.ndarray], most: int = 2000) -> tuple[int, Settling]:
-    judge = Settling(TOLERANCE)
+    detector = Settling(TOLERANCE)
     for look in range(most):
-        judge.add(np.atleast_1d(np.asarray(amplitude(look), dtype=complex)))
-        if judge.settled:
-            return look, judge
-    return most, judge
+        detector.add(np.atleast_1d(np.asarray(amplitude(look), dtype=complex)))
+        if detector.settled:
+            return look, detector
+    return most, detector
 
 
 @pytest.mark.parametrize("constant", [0.05, 0.5, 2.44, 12.0])
@@ -52,10 +52,10 @@ def test_settled_beat_is_below_tolerance() -> None:
 def test_noise_settles_after_transient() -> None:
     random = np.random.default_rng(1)
     noise = 0.01 * (random.standard_normal(400) + 1j * random.standard_normal(400))
-    look, judge = judged(lambda look: 1.0 + 0.5 * 0.6**look + noise[look])
+    look, detector = judged(lambda look: 1.0 + 0.5 * 0.6**look + noise[look])
     assert 20 < look < 80
-    assert abs(judge.expected()[0] - 1.0) < 0.02
-    assert 0.001 < judge.doubt()[0] < 0.02
+    assert abs(detector.expected()[0] - 1.0) < 0.02
+    assert 0.001 < detector.standard_error()[0] < 0.02
 
 
 def test_drift_is_not_steady() -> None:
@@ -69,18 +69,18 @@ def test_slowest_quantity_decides() -> None:
 
 
 def test_end_of_long_transient_is_predicted() -> None:
-    judge = Settling(TOLERANCE)
+    detector = Settling(TOLERANCE)
     for look in range(6):
-        judge.add(np.array([2.0 - 1.9 * 0.96**look + 0j]))
-    assert not judge.settled
-    assert judge.expected()[0] == pytest.approx(2.0, rel=1e-9)
-    assert judge.wavering()[0] < 1e-9
+        detector.add(np.array([2.0 - 1.9 * 0.96**look + 0j]))
+    assert not detector.settled
+    assert detector.expected()[0] == pytest.approx(2.0, rel=1e-9)
+    assert detector.wavering()[0] < 1e-9
 
 
 def test_restart_forgets_earlier_observations() -> None:
-    judge = Settling(TOLERANCE)
+    detector = Settling(TOLERANCE)
     for _ in range(10):
-        judge.add(np.array([1.0 + 0j]))
-    assert judge.settled
-    judge.restart()
-    assert not judge.settled and judge.looks == 0
+        detector.add(np.array([1.0 + 0j]))
+    assert detector.settled
+    detector.restart()
+    assert not detector.settled and detector.count == 0

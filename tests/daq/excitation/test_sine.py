@@ -9,7 +9,7 @@ import pytest
 
 import rig
 from daq.excitation.lock_in import lock_in, whole_periods
-from daq.excitation.sweep_control import look_at, look_samples
+from daq.excitation.sweep_control import estimate_amplitudes, observation_samples
 from rig.errors import SceneError
 from rig.system.structural_model import receptance
 from tests.daq.measurement.bench_run import BenchRun, run, scene_with
@@ -217,15 +217,17 @@ def test_short_window_survives_impacts_and_drift() -> None:
 
 @pytest.mark.parametrize("ratio", [2.02, 2.1, 2.3, 2.5, 3.0])
 def test_windows_near_nyquist_are_readable(ratio: float) -> None:
-    rate, wanted = 28.0, 0.3 * np.exp(-1.1j)
+    rate, target = 28.0, 0.3 * np.exp(-1.1j)
     frequency = rate / ratio
     turn = 2 * np.pi / ratio * np.arange(100)
-    tone = np.real(wanted * np.exp(1j * turn)) + 5.0 - 0.1 * np.arange(100)
+    tone = np.real(target * np.exp(1j * turn)) + 5.0 - 0.1 * np.arange(100)
     noisy = tone + 1e-3 * np.random.default_rng(2).standard_normal(100)
-    locked, look = whole_periods(frequency, rate, 0.1), look_samples(frequency, rate)
+    locked, look = whole_periods(frequency, rate, 0.1), observation_samples(frequency, rate)
     for samples, error in ((tone[None], 1e-9), (noisy[None], 3e-3)):
-        assert lock_in(samples[:, :locked], frequency, rate)[0] == pytest.approx(wanted, abs=error)
-        assert look_at(samples[:, :look], turn[:look], rate)[0][0] == pytest.approx(wanted, abs=error)
+        assert lock_in(samples[:, :locked], frequency, rate)[0] == pytest.approx(target, abs=error)
+        assert estimate_amplitudes(samples[:, :look], turn[:look], rate)[0][0] == pytest.approx(
+            target, abs=error
+        )
 
 
 def test_unreadable_period_is_measured_longer() -> None:

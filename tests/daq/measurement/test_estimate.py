@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import rig
-from daq.measurement.estimate import COPIES, estimate, refuse_too_much
+from daq.measurement.estimate import COPIES, check_resources, estimate
 from daq.recording.layout import block_length, flush_length
 from daq.recording.recorder import Recorder
 from daq.signal_chain.channel import ChannelInfo
@@ -27,11 +27,11 @@ def test_memory_grows_with_channels(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     few, many, too_many = (estimate(scene_with(count)) for count in (10, 2000, 4000))
     assert few.memory < 0.4e9
     assert 0.25e6 < (many.memory - few.memory) / 1990 < 0.35e6
-    refuse_too_much(many, tmp_path / "a.mcap")
+    check_resources(many, tmp_path / "a.mcap")
     with pytest.raises(RunError, match=r"all its channels.* would need 1\.\d+ GB of memory"):
-        refuse_too_much(too_many, tmp_path / "a.mcap")
+        check_resources(too_many, tmp_path / "a.mcap")
     monkeypatch.setenv("SHOTRIG_MEMORY", "4GB")
-    refuse_too_much(too_many, tmp_path / "a.mcap")
+    check_resources(too_many, tmp_path / "a.mcap")
 
 
 def test_recorder_uses_estimated_memory(tmp_path: Path) -> None:

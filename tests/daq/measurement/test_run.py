@@ -111,13 +111,13 @@ def test_impossible_test_leaves_no_file(
 
 
 def test_empty_block_is_rejected(tmp_path: Path) -> None:
-    with pytest.raises(SceneError, match="block: 0 "):
+    with pytest.raises(SceneError, match="block: got 0 "):
         daq.record(hit(), tmp_path / "a.mcap", block=0)
 
 
 def test_exceeded_abort_limit_closes_recording(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
-    with pytest.raises(RunError, match=r"channel b1: .* exceeds its abort limit of 20 m/s\^2\. .* holds the"):
+    with pytest.raises(RunError, match=r"channel b1: .* exceeds its abort limit of 20 m/s\^2\. .* contains the"):
         daq.record(limited(abort="20 m/s^2"), path)
     with daq.open(path) as rec:
         # The hit is after 0.25 s; the running block of 0.1 s is completed.
@@ -223,7 +223,7 @@ def interrupt_after(calls: int) -> Any:
 
 def test_ctrl_c_leaves_readable_recording(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
-    with pytest.raises(KeyboardInterrupt, match=r"a\.mcap holds the \d\.\d\d s up to there"):
+    with pytest.raises(KeyboardInterrupt, match=r"a\.mcap contains the \d\.\d\d s up to there"):
         daq.record(hit(), path, progress=interrupt_after(2))
     with daq.open(path) as rec:
         assert 0.3 * rec.rate < rec.samples < 0.75 * rec.rate
@@ -247,7 +247,7 @@ def test_ctrl_c_during_opening_keeps_file_whole(
 
     monkeypatch.setattr(Recorder, moment, interrupted)
     path = tmp_path / "a.mcap"
-    with pytest.raises(KeyboardInterrupt, match=r"a\.mcap holds the \d\.\d\d s up to there"):
+    with pytest.raises(KeyboardInterrupt, match=r"a\.mcap contains the \d\.\d\d s up to there"):
         daq.record(hit(), path)
     with daq.open(path) as rec:
         rec.check()
@@ -293,8 +293,8 @@ def test_full_disk_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     with pytest.raises(RunError, match="disk is full") as full:
         daq.record(hit().replace(test={**HIT, "interval": "2 s"}), tmp_path / "a.mcap")
     with daq.open(tmp_path / "a.mcap") as rec:
-        assert str(full.value).count("holds") == 1
-        assert f"holds the first {rec.samples / rec.rate:.2f} s" in str(full.value)
+        assert str(full.value).count("contains") == 1
+        assert f"contains the first {rec.samples / rec.rate:.2f} s" in str(full.value)
         assert rec.status == "failed"
         assert "disk is full" in rec.metadata["outcome"]["reason"]
 
@@ -393,7 +393,7 @@ def test_abort_exits_with_1(
     (tmp_path / "a.yaml").write_text(limited(abort="20 m/s^2").to_yaml())
     words = ["record", "--anyway", str(tmp_path / "a.yaml"), "-o", str(tmp_path / "a.mcap")]
     assert run_command(monkeypatch, *words) == 1
-    assert "a.mcap holds the" in capsys.readouterr().err
+    assert "a.mcap contains the" in capsys.readouterr().err
 
 
 def test_ctrl_c_exits_with_130(

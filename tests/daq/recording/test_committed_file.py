@@ -89,6 +89,6 @@ def test_recovered_file_survives_a_taken_name(path: Path, monkeypatch: pytest.Mo
         raise PermissionError(13, "Permission denied")
 
     monkeypatch.setattr(Path, "replace", taken)
-    with pytest.raises(RunError, match=r"The new recording is .*fixed\.mcap\.part"):
+    with pytest.raises(RunError, match=r"Use the new recording .*fixed\.mcap\.part"):
         recover(path, target, overwrite=True)
     assert np.allclose(volts(path.with_name("fixed.mcap.part")), OLD, rtol=1e-15)

@@ -238,7 +238,7 @@ def test_wrong_recorder_calls_are_rejected(tmp_path):
 def test_samples_without_their_truth_are_refused(tmp_path):
     of = scene(recording={"truth": True})
     with (
-        pytest.raises(RunError, match="Write it before the samples"),
+        pytest.raises(RunError, match="truth: the true motion of these samples is missing"),
         Recorder(tmp_path / "a.mcap", of, channels(), RATE) as recorder,
     ):
         recorder.write(noise(10))
@@ -274,7 +274,7 @@ def test_each_group_is_on_disk_once_complete(tmp_path, truth, monkeypatch):
 def test_truth_out_of_order_is_rejected(tmp_path):
     with Recorder(tmp_path / "a.mcap", scene(recording={"truth": True}), channels(), RATE) as recorder:
         recorder.write_truth(motion(0, 100))
-        with pytest.raises(ValueError, match="from sample 50 on; expected 100"):
+        with pytest.raises(ValueError, match="got sample 50 first; expected 100"):
             recorder.write_truth(motion(50, 100))
 
 

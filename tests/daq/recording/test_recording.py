@@ -81,7 +81,7 @@ def test_truth_rows_are_points_and_dampers(recorded):
             got = recording.truth(quantity, 1000, 2500)
             assert np.array_equal(got, getattr(expected, quantity)[:, 1000:2500])
         assert np.array_equal(recording.events, expected.events)
-        with pytest.raises(RecordingError, match="no true temperature; it has displacement"):
+        with pytest.raises(RecordingError, match="no true temperature. Choose one of displacement"):
             recording.truth("temperature")
 
 
@@ -113,12 +113,15 @@ def test_unacquired_samples_read_as_nan(tmp_path):
 
 @pytest.mark.parametrize(("start", "stop"), [(-1, 5), (0, SAMPLES + 1), (10, 9)])
 def test_missing_samples_error_states_the_range(recorded, start, stop):
-    with daq.open(recorded) as recording, pytest.raises(RecordingError, match=f"samples 0 to {SAMPLES - 1}"):
+    with (
+        daq.open(recorded) as recording,
+        pytest.raises(RecordingError, match=f"a range from 0 to {SAMPLES - 1}"),
+    ):
         recording.read("body1", start, stop)
 
 
 def test_unknown_channel_error_lists_channels(recorded):
-    with daq.open(recorded) as recording, pytest.raises(RecordingError, match="channels are body1, body2"):
+    with daq.open(recorded) as recording, pytest.raises(RecordingError, match="Choose one of body1, body2"):
         recording.read("body7")
 
 
@@ -197,10 +200,10 @@ def test_plain_file_of_the_layout_reads_like_ours(tmp_path, compression):
     [
         ({"topics": ("/elsewhere/a",)}, "no samples on topics /raw/"),
         ({"metadata": {"unit": "furlong"}}, "state no quantity"),
-        ({"metadata": {"unit": "m", "scale": "big"}}, "not a number"),
-        ({"metadata": {"unit": "m", "gain": "[1]", "poles": "7"}}, "not describe a channel"),
-        ({"metadata": {"unit": "m", "rate": "999", "start_ns": "0"}}, "does not follow the layout"),
-        ({"metadata": {"unit": "m", "rate": "x", "start_ns": "0"}}, "no clock"),
+        ({"metadata": {"unit": "m", "scale": "big"}}, "scale = 'big'; expected a number"),
+        ({"metadata": {"unit": "m", "gain": "[1]", "poles": "7"}}, "poles = 7; expected"),
+        ({"metadata": {"unit": "m", "rate": "999", "start_ns": "0"}}, "expected 999 Hz"),
+        ({"metadata": {"unit": "m", "rate": "x", "start_ns": "0"}}, "invalid sample clock"),
         ({"use_chunking": False}, "no index"),
         ({"topics": ("/raw/a", "/raw/a")}, "two channels"),
     ],
@@ -249,7 +252,7 @@ def test_damaged_metadata_record_is_not_used(small, tmp_path):
 def test_file_without_end_names_the_remedy(small, tmp_path, cut):
     path = tmp_path / "torn.mcap"
     path.write_bytes(small.read_bytes()[:-cut])
-    with pytest.raises(RecordingError, match=r"torn\.mcap was not closed properly.*daq recover"):
+    with pytest.raises(RecordingError, match=r"torn\.mcap: the file was not closed properly.*daq recover"):
         daq.open(path)
 
 
@@ -349,7 +352,7 @@ def little_memory():
 def test_zip_bomb_is_rejected_in_little_memory(tmp_path, packed_bombs, compression, claimed, little_memory):
     data = chunk(compression.encode(), packed_bombs[compression], claimed)
     path = hostile(tmp_path / "bomb.mcap", data, chunk_index(DATA_BEGINS, len(data), claimed))
-    with pytest.raises(RecordingError, match=r"bomb\.mcap is damaged: the chunk .*(unpack|claims)"):
+    with pytest.raises(RecordingError, match=r"bomb\.mcap: the file is damaged: the chunk .*(unpack|claims)"):
         daq.open(path)
 
 
@@ -373,7 +376,7 @@ def test_zip_bomb_is_rejected_in_little_memory(tmp_path, packed_bombs, compressi
 )
 def test_absurd_lengths_are_rejected(tmp_path, index, little_memory):
     path = hostile(tmp_path / "absurd.mcap", chunk(b"", b"", 0), index)
-    with pytest.raises(RecordingError, match=r"absurd\.mcap is damaged"):
+    with pytest.raises(RecordingError, match=r"absurd\.mcap: the file is damaged"):
         daq.open(path)
 
 
@@ -421,8 +424,8 @@ def test_block_logged_half_a_sample_late_is_rejected(tmp_path, late_ns):
         return
     with pytest.raises(
         RecordingError,
-        match="/raw/a: the block at sample 5 does not follow the layout: at 100 Hz it should begin at 50000000 ns and "
-        f"be logged at its end, 70000000 ns; it states 100 Hz, 50000000 ns and {end} ns",
+        match=f"/raw/a: the block at sample 5 states 100 Hz, a start at 50000000 ns and a log time of {end} ns; "
+        "expected 100 Hz, 50000000 ns and 70000000 ns",
     ):
         daq.open(path).read("a", 5, 7)
 
@@ -434,7 +437,7 @@ def test_overlapping_blocks_are_rejected(tmp_path, second):
     inside = first + other
     data = chunk(b"", inside, len(inside), zlib.crc32(inside))
     path = hostile(tmp_path / "o.mcap", data, chunk_index(DATA_BEGINS, len(data), len(inside), end))
-    with pytest.raises(RecordingError, match=f"the block at sample {second} follows sample 2$"):
+    with pytest.raises(RecordingError, match=f"a block begins at sample {second}; expected 3 or later"):
         daq.open(path).read("a", 0, 2)
 
 

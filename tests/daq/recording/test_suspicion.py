@@ -152,7 +152,7 @@ def test_unmarked_missing_samples_are_reported(sound: Path, shift: int) -> None:
         first, stop = 3 * GROUP, 3 * GROUP + shift
         with pytest.raises(
             RecordingError,
-            match=f"lacks the samples {first} to {stop - 1} of body1, which no marker explains",
+            match=f"samples {first} to {stop - 1} of body1 are missing without a marker",
         ):
             recording.check()
 

@@ -77,7 +77,7 @@ def test_recorded_scene_has_the_names(hit: Path) -> None:
         (lambda: analysis.identify(SWEEP), "expected several curves, as analysis.frfs"),
         (lambda: analysis.identify([]), "got []; expected several curves"),
         (lambda: analysis.read_frfs(7), "path: got 7; expected the path of a file"),
-        (lambda: analysis.fit(7, "bare-structure"), "fit: 7 is no recording"),
+        (lambda: analysis.fit(7, "bare-structure"), "fit: 7 is not a recording"),
         (lambda: analysis.fit(SWEEP, 7), "scene: got 7; expected a name, a path, a mapping or a rig.Scene"),
         (lambda: analysis.mac(np.eye(2), np.eye(3)), "expected two matrices with a row for each point"),
         (lambda: daq.open(7), "path: got 7; expected the path of a file"),

@@ -117,7 +117,9 @@ def test_empty_block_is_rejected(tmp_path: Path) -> None:
 
 def test_exceeded_abort_limit_closes_recording(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
-    with pytest.raises(RunError, match=r"channel b1: .* exceeds its abort limit of 20 m/s\^2\. .* contains the"):
+    with pytest.raises(
+        RunError, match=r"channel b1: .* exceeds its abort limit of 20 m/s\^2\. .* contains the"
+    ):
         daq.record(limited(abort="20 m/s^2"), path)
     with daq.open(path) as rec:
         # The hit is after 0.25 s; the running block of 0.1 s is completed.

@@ -81,7 +81,7 @@ def test_truth_rows_are_points_and_dampers(recorded):
             got = recording.truth(quantity, 1000, 2500)
             assert np.array_equal(got, getattr(expected, quantity)[:, 1000:2500])
         assert np.array_equal(recording.events, expected.events)
-        with pytest.raises(RecordingError, match="no true temperature. Choose one of displacement"):
+        with pytest.raises(RecordingError, match=r"no true temperature\. Choose one of displacement"):
             recording.truth("temperature")
 
 

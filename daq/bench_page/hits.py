@@ -1,4 +1,4 @@
-"""Hammer hits as they come: each is shown with its verdict before it enters the frequency response."""
+"""Detection of hammer hits during a test: the page shows each with its faults before the frequency response uses it."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from numpy.typing import NDArray
 
 from rig.arrays import Array
 
-# Recorded before the force rises, s.
-PRETRIGGER_S = 0.01
-# A second pulse with at least this share of the peak is a double hit: its spectrum has deep minima.
-REBOUND_SHARE = 0.05
-# The force trigger, as a share of the weakest accepted peak, so that weak hits are seen as well.
-TRIGGER_SHARE = 0.3
-# Parts of one pulse that are closer than this belong together, s: the force of a ringing hammer crosses zero.
-PULSE_GAP_S = 1e-3
-# Length of the force shown for each hit, s.
-SHOWN_S = 0.05
+# Time before the rise of the force that belongs to a window, s.
+_PRETRIGGER_S = 0.01
+# A second pulse of at least this ratio to the peak makes a double hit, whose spectrum has deep minima.
+_REBOUND_RATIO = 0.05
+# Ratio of the trigger level to the weakest accepted peak: hits that are too weak are detected as well.
+_TRIGGER_RATIO = 0.3
+# Maximum gap within a pulse, s: the force of a ringing hammer crosses zero.
+_PULSE_GAP_S = 1e-3
+# Duration of the displayed force, s.
+_SHOWN_S = 0.05
 
 
 @dataclass(eq=False)
 class Hit:
-    """A hit and its verdict."""
+    """A hit, its faults, and whether it is accepted."""
 
     number: int  # From 1
     first: int  # First sample of its window
@@ -50,7 +50,7 @@ class HitJudge:
 
     def __init__(self, row: int, rate: float, weakest: float, window: float) -> None:
         self._row, self._rate, self.weakest = row, rate, weakest
-        self._before, self._size = round(PRETRIGGER_S * rate), round(window * rate)
+        self._before, self._size = round(_PRETRIGGER_S * rate), round(window * rate)
         self._readings: Array | None = None
         self._overload: NDArray[np.bool_] = np.zeros((0, 0), bool)
         self._first = 0
@@ -71,7 +71,7 @@ class HitJudge:
     def _next(self) -> Hit | None:
         assert self._readings is not None
         force = self._readings[self._row]
-        above = force > TRIGGER_SHARE * self.weakest
+        above = force > _TRIGGER_RATIO * self.weakest
         start = int(np.argmax(above)) - self._before if above.any() else force.size - self._before
         start = max(0, start)
         self._drop(start)
@@ -83,12 +83,12 @@ class HitJudge:
         faults = []
         if overload.any():
             faults.append("clipped")
-        if pulses(force, max(REBOUND_SHARE * peak, 0.1 * self.weakest), PULSE_GAP_S * self._rate) > 1:
+        if pulses(force, max(_REBOUND_RATIO * peak, 0.1 * self.weakest), _PULSE_GAP_S * self._rate) > 1:
             faults.append("double hit")
         # The true peak of a clipped hit is higher.
         if peak < self.weakest and "clipped" not in faults:
             faults.append("too weak")
-        shown = force[: round(SHOWN_S * self._rate)]
+        shown = force[: round(_SHOWN_S * self._rate)]
         hit = Hit(len(self.hits) + 1, self._first, peak, faults, shown, window)
         self._drop(self._size)
         return hit

@@ -1,6 +1,6 @@
 """Frequency responses that grow while a test runs: H1 and coherence over Hann blocks, or over hits.
 
-A quick view for the operator. `analysis frf` estimates the response from the recording, with its bounds.
+A quick view for the operator. `analysis frf` estimates the response from the recording, with its uncertainty.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ if TYPE_CHECKING:
     from rig.scene.scene import Scene
 
 
-# Frequencies with less than this share of the largest force spectrum have not been excited.
-EXCITED_SHARE = 1e-3
+# Lines below this ratio to the largest line of the force's auto-spectrum have not been excited.
+_EXCITED_RATIO = 1e-3
 
 
 @dataclass(frozen=True)
 class LiveCurves:
-    """Receptance (m/N) and coherence at the excited frequencies; rows are the channels on bodies."""
+    """Dynamic compliance (m/N) and coherence at the excited frequencies; rows are the channels on bodies."""
 
     names: list[str]
     frequency: Array
@@ -37,7 +37,7 @@ class LiveCurves:
 
 
 class _Sums:
-    """Averaged products of the spectra of force and motion."""
+    """Summed auto- and cross-spectra of force and motion."""
 
     def __init__(self, motions: int, lines: int) -> None:
         self.force = np.zeros(lines)
@@ -72,18 +72,14 @@ class LiveFrf:
         self._lines = np.flatnonzero((frequency >= max(band[0], 1.0 / block)) & (frequency <= band[1]))
         self.frequency = np.asarray(frequency[self._lines], dtype=float)
         station = Station(scene, channels, (), rate, mark=lambda *given, **fields: None)
-        self._force = force_weights(station, self.frequency)
-        rows = [
-            row
-            for row, each in enumerate(channels)
-            if each.at.startswith("body") and each.quantity != "force"
-        ]
-        self.names = [channels[row].name for row in rows]
-        self._rows = rows
-        self._motion = np.array([station.displacement(row, self.frequency) for row in rows])
+        self._force = _force_weights(station, self.frequency)
+        on_body = (row for row, info in enumerate(channels) if info.at.startswith("body"))
+        self._rows = [row for row in on_body if channels[row].quantity != "force"]
+        self.names = [channels[row].name for row in self._rows]
+        self._motion = np.array([station.displacement(row, self.frequency) for row in self._rows])
         self._window = np.hanning(self._size)
         self._pending = np.zeros((len(channels), 0))
-        self._sums = _Sums(len(rows), self._lines.size)
+        self._sums = _Sums(len(self._rows), self._lines.size)
         self._hits: list[tuple[Hit, ComplexArray]] = []
 
     def add(self, readings: Array) -> None:
@@ -92,27 +88,26 @@ class LiveFrf:
         while self._pending.shape[1] >= self._size:
             block = self._pending[:, : self._size]
             spectra = self._spectra((block - block.mean(axis=1, keepdims=True)) * self._window)
-            self._sums.add(*self._split(spectra))
+            self._sums.add(*self._force_and_motion(spectra))
             self._pending = self._pending[:, self._size // 2 :]
 
     def add_hit(self, hit: Hit) -> None:
-        """Take the window of a hit; it counts while the hit is accepted."""
-        padded = np.zeros((len(hit.readings), self._size))
-        part = hit.readings[:, : self._size]
-        padded[:, : part.shape[1]] = part
-        self._hits.append((hit, self._spectra(padded)))
+        """Take the window of a hit, which is included as long as the hit is accepted."""
+        window = hit.readings[:, : self._size]
+        padding = self._size - window.shape[1]
+        self._hits.append((hit, self._spectra(np.pad(window, ((0, 0), (0, padding))))))
 
     def curves(self) -> LiveCurves | None:
-        """Return what has been estimated so far; None before the first block."""
+        """Return the present estimate; None before the first block."""
         sums = self._sums
         if self._hits:
             sums = _Sums(len(self._rows), self._lines.size)
             for hit, spectra in self._hits:
                 if hit.accepted:
-                    sums.add(*self._split(spectra))
+                    sums.add(*self._force_and_motion(spectra))
         if not sums.count:
             return None
-        excited = sums.force > EXCITED_SHARE * sums.force.max()
+        excited = sums.force > _EXCITED_RATIO * sums.force.max()
         force, motion, cross = sums.force[excited], sums.motion[:, excited], sums.cross[:, excited]
         with np.errstate(divide="ignore", invalid="ignore"):
             coherence = np.abs(cross) ** 2 / (force * motion)
@@ -121,13 +116,13 @@ class LiveFrf:
     def _spectra(self, block: Array) -> ComplexArray:
         return np.asarray(np.fft.rfft(block, axis=1)[:, self._lines])
 
-    def _split(self, spectra: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-        """Separate the spectra of all channels into force (lines,) and displacements (motions, lines)."""
+    def _force_and_motion(self, spectra: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+        """Convert the spectra of all channels to force (lines,) and displacements (motions, lines)."""
         return (self._force * spectra).sum(axis=0), self._motion * spectra[self._rows]
 
 
-def force_weights(station: Station, frequency: Array) -> ComplexArray:
-    """Return the weights that make the force on the structure of the channels' spectra, (channels, lines)."""
+def _force_weights(station: Station, frequency: Array) -> ComplexArray:
+    """Return the weights, (channels, lines), with which the channels' spectra add up to the force on the structure."""
     test = station.scene.test
     hammer = test is not None and test.kind == "impulse"
     for row, info in enumerate(station.channels):

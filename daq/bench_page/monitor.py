@@ -1,7 +1,7 @@
-"""What the page shows of the channels: time histories, spectra, overloads, output, motion; kept by a thread of its own.
+"""Data of the channels for the page: time histories, spectra, overloads, outputs and motion.
 
-The listener only queues blocks, so that acquisition never waits for the page. Where this thread is behind, blocks are
-left out of the view; recordings have their own queue.
+A separate thread collects the data. The listener only queues blocks, so that acquisition never waits for the page. If
+the thread is late, blocks are missing in the view; recordings have their own queue.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ if TYPE_CHECKING:
     from daq.instrument.chassis import Chassis
 
 
-# Blocks that may wait to be shown.
-WAITING_BLOCKS = 256
-# Time histories kept, s.
-HISTORY_S = 10.0
-# A clipping lamp stays lit for this time after an overload, s.
-LAMP_S = 2.0
-# Positions of the rig kept: rate in Hz and length in s.
-POSES_PER_S = 400.0
-POSES_S = 0.2
+# Maximum number of blocks in the queue of the view.
+_MAX_WAITING_BLOCKS = 256
+# Length of the time histories, s.
+_HISTORY_S = 10.0
+# Time for which a lamp is lit after an overload, s.
+_LAMP_S = 2.0
+# Stored positions of the rig: rate, Hz, and duration, s.
+_POSES_PER_S = 400.0
+_POSES_S = 0.2
 # Length of the spectra and of the view of the outputs, s.
-SPECTRUM_S = 2.0
-OUTPUT_S = 0.5
+_SPECTRUM_S = 2.0
+_OUTPUT_S = 0.5
 
 
 class History:
@@ -45,7 +45,7 @@ class History:
         self.stop = 0
 
     def add(self, first: int, values: Array) -> None:
-        """Write samples; zeros take the place of those that are missing before them."""
+        """Write samples; missing samples before them become zeros."""
         size = self._values.shape[1]
         missing = min(first - self.stop, size)
         if missing > 0:
@@ -63,7 +63,7 @@ class History:
 class Monitor:
     """Follows the blocks of a bench; `frf` and `judge` are those of the test that runs or ran last.
 
-    `lost` counts samples missing between the bench's blocks, `left_out` blocks that the view left out.
+    `lost` counts the samples missing between the bench's blocks, `left_out` the blocks missing in the view.
     """
 
     def __init__(self, chassis: Chassis) -> None:
@@ -71,23 +71,23 @@ class Monitor:
         self._scene = bench.scene
         self.rate = bench.rate
         self.channels = tuple(bench.channels)
-        self.history = History(len(self.channels), round(HISTORY_S * self.rate))
-        self.outputs = History(len(bench.drive), round(OUTPUT_S * self.rate))
+        self.history = History(len(self.channels), round(_HISTORY_S * self.rate))
+        self.outputs = History(len(bench.drive), round(_OUTPUT_S * self.rate))
         self.frf: LiveFrf | None = None
         self.judge: HitJudge | None = None
         self.continuous = False
         self.left_out = self.lost = 0
         self._next: int | None = None
         self._overloaded = np.full(len(self.channels), -1)
-        self._poses: deque[tuple[Array, Array | None]] = deque(maxlen=round(POSES_S * POSES_PER_S))
-        self._step = max(1, round(self.rate / POSES_PER_S))
+        self._poses: deque[tuple[Array, Array | None]] = deque(maxlen=round(_POSES_S * _POSES_PER_S))
+        self._step = max(1, round(self.rate / _POSES_PER_S))
         self._lock = threading.Lock()
-        self._blocks: queue.Queue[Any] = queue.Queue(WAITING_BLOCKS)
+        self._blocks: queue.Queue[Any] = queue.Queue(_MAX_WAITING_BLOCKS)
         self._thread = threading.Thread(target=self._follow, name="bench page", daemon=True)
         self._thread.start()
 
     def hear(self, bench: Any, block: Any) -> None:
-        """Take a block of the bench; a listener of the chassis."""
+        """Queue a block of the bench; a listener of the chassis."""
         if self._next is not None:
             self.lost += max(0, block.first - self._next)
         self._next = block.first + block.samples.shape[1]
@@ -97,7 +97,7 @@ class Monitor:
             self._blocks.put_nowait((block, bench.drive.copy(), bench.physical))
 
     def catch_up(self) -> None:
-        """Wait until all blocks so far have been taken in."""
+        """Wait until all queued blocks have been processed."""
         self._blocks.join()
 
     def close(self) -> None:
@@ -106,23 +106,23 @@ class Monitor:
         self._thread.join()
 
     def watch(self, frf: LiveFrf | None, judge: HitJudge | None) -> None:
-        """Begin another estimate; `judge` for hits."""
+        """Start an estimate; `judge` detects hits."""
         with self._lock:
             self.frf, self.judge, self.continuous = frf, judge, judge is None
 
     def stop_watching(self) -> None:
-        """Keep the estimate as it is."""
+        """End the estimate of a continuous test."""
         with self._lock:
             self.continuous = False
 
     def overloads(self) -> list[bool]:
         """Return which channels were overloaded in the last seconds."""
-        since = self.history.stop - LAMP_S * self.rate
+        since = self.history.stop - _LAMP_S * self.rate
         return [bool(last >= 0 and last > since) for last in self._overloaded]
 
     def spectra(self) -> tuple[NDArray[Any], Array]:
         """Return frequencies and amplitude spectra of all channels, Hann window, shape (channels, lines)."""
-        samples = self.history.last(round(SPECTRUM_S * self.rate))
+        samples = self.history.last(round(_SPECTRUM_S * self.rate))
         window = np.hanning(samples.shape[1])
         samples = (samples - samples.mean(axis=1, keepdims=True)) * window
         spectra = 2.0 * np.abs(np.fft.rfft(samples, axis=1)) / window.sum()
@@ -130,18 +130,18 @@ class Monitor:
 
     def output(self) -> list[tuple[float, float]]:
         """Return peak and frequency of the drive at each input; the frequency of its mean crossings, Hz."""
-        found = []
-        for wave in self.outputs.last(round(OUTPUT_S * self.rate)):
+        tones = []
+        for wave in self.outputs.last(round(_OUTPUT_S * self.rate)):
             peak = float(np.abs(wave).max(initial=0.0))
             centered = wave - wave.mean()
             rising = np.flatnonzero((centered[:-1] < 0) & (centered[1:] >= 0))
             periods = len(rising) - 1
             span = float(rising[-1] - rising[0]) / self.rate if periods > 0 else 0.0
-            found.append((peak, periods / span if peak and periods > 0 else 0.0))
-        return found
+            tones.append((peak, periods / span if peak and periods > 0 else 0.0))
+        return tones
 
     def poses(self) -> RigPose | None:
-        """Return the latest motion of the rig; None before there is any."""
+        """Return the latest motion of the rig; None before the first block."""
         with self._lock:
             latest = list(self._poses)
         if not latest:

@@ -22,21 +22,21 @@ if TYPE_CHECKING:
 
 Kind = Literal["sine", "sweep", "random", "hammer"]
 
-# Samples a period that a sine needs at least.
-FEWEST_SAMPLES = 10.0
+# Minimum number of samples per period of a sine.
+_MIN_SAMPLES_PER_PERIOD = 10.0
 # A live block is a tenth of the test, within these limits, s.
-SHORTEST_BLOCK_S = 1.0
-LONGEST_BLOCK_S = 4.0
-# Longest window of a hit, s, and the time kept free before the next hit.
-LONGEST_HIT_S = 4.0
-BETWEEN_HITS_S = 0.1
-# Hits below this share of the asked peak are too weak.
-WEAKEST_SHARE = 0.5
+_MIN_BLOCK_S = 1.0
+_MAX_BLOCK_S = 4.0
+# Maximum window of a hit, s, and the minimum time between a window and the next hit, s.
+_MAX_HIT_S = 4.0
+_REST_S = 0.1
+# Hits below this ratio to the requested peak are too weak.
+_MIN_PEAK_RATIO = 0.5
 
 
 @dataclass
 class Settings:
-    """What the page's controls say: level in N (amplitude, rms of random, peak of a hit), Hz, s, number of hits."""
+    """Values of the page's controls: level in N (amplitude, rms of random, peak of a hit), Hz, s, number of hits."""
 
     kind: Kind
     level: float
@@ -50,11 +50,11 @@ class Settings:
 class Operator:
     """Starts and stops tests on the bench of a chassis, with `settings` that begin with those of the scene's test.
 
-    `kinds` are the tests for which the scene has an input. `message` is the state of the test, or why it could not be
-    started; `no_response` says why there is no live frequency response.
+    `kinds` are the tests for which the scene has an input. `message` is the state of the test, or the reason why it did
+    not start; `no_response` is the reason why there is no live frequency response.
     """
 
-    # The chassis knows who keeps it awake by this name.
+    # The chassis lists the clients that keep bench time running by this name.
     name = "daq bench"
 
     def __init__(self, chassis: Chassis, monitor: Monitor, recordings: BenchRecordings) -> None:
@@ -98,13 +98,13 @@ class Operator:
             self._chassis.wake(cast(Any, self))
 
     def switch_off(self) -> None:
-        """Mark what was measured, and let the bench stand still where no client needs it."""
+        """Mark the hits, and stop bench time unless a client needs it."""
         with self._chassis.changed:
             self._mark_hits()
         self._chassis.dismiss(cast(Any, self))
 
     def start(self) -> None:
-        """Start the test of the settings; on failure `message` says why."""
+        """Start the test of the settings; on failure `message` is the reason."""
         if self.running:
             return
         chassis = self._chassis
@@ -131,7 +131,7 @@ class Operator:
             self._playing.stop()
 
     def turn(self) -> None:
-        """Take changed frequency and level of a sine that plays."""
+        """Apply a changed frequency and level to a running sine."""
         if self._knobs is not None and self.running:
             try:
                 self._knobs.turn(f"f {self.settings.frequency!r}")
@@ -141,39 +141,39 @@ class Operator:
 
     def _test(self) -> tuple[Scene, Any, Knobs | None]:
         """Build the scene of the test, its excitation, and the knobs of a sine."""
-        each = self.settings
+        own = self.settings
         hammer = self._scene.test
-        if each.kind == "hammer" and hammer is not None and hammer.kind == "impulse":
+        if own.kind == "hammer" and hammer is not None and hammer.kind == "impulse":
             double = hammer.double_hit
             if double is not None and double.hits is not None:
-                kept = tuple(number for number in double.hits if number <= each.hits)
-                double = double.replace(hits=kept) if kept else None
+                numbers = tuple(number for number in double.hits if number <= own.hits)
+                double = double.replace(hits=numbers) if numbers else None
             hit = hammer.replace(
-                peak=each.level, repeats=int(each.hits), interval=each.duration, double_hit=double
+                peak=own.level, repeats=int(own.hits), interval=own.duration, double_hit=double
             )
             return self._scene.replace(test=hit), excitation, None
-        if each.kind == "sine":
-            test = {"kind": "sine", "frequency": each.frequency, "force": each.level}
-            knobs = Knobs(each.frequency, each.level, self._monitor.rate / FEWEST_SAMPLES)
+        if own.kind == "sine":
+            test = {"kind": "sine", "frequency": own.frequency, "force": own.level}
+            knobs = Knobs(own.frequency, own.level, self._monitor.rate / _MIN_SAMPLES_PER_PERIOD)
             return self._scene.replace(test=test), HandTone(knobs, _ignore).excite, knobs
-        kind = "swept_sine" if each.kind == "sweep" else "random"
-        band = {"from": each.low, "to": each.high}
-        test = {"kind": kind, **band, "duration": each.duration, "force": each.level}
+        kind = "swept_sine" if own.kind == "sweep" else "random"
+        band = {"from": own.low, "to": own.high}
+        test = {"kind": kind, **band, "duration": own.duration, "force": own.level}
         return self._scene.replace(test=test), excitation, None
 
     def _estimate(self, scene: Scene, kind: TestKind) -> tuple[LiveFrf | None, HitJudge | None]:
-        """Make the live estimate; without one where no channel measures the force, and say so."""
-        each, monitor, judge = self.settings, self._monitor, None
-        band = sorted((each.low, each.high))
-        block = min(max(each.duration / 10, SHORTEST_BLOCK_S), LONGEST_BLOCK_S)
+        """Create the live estimate and the detection of hits; without a channel of force, set `no_response`."""
+        own, monitor, judge = self.settings, self._monitor, None
+        band = sorted((own.low, own.high))
+        block = min(max(own.duration / 10, _MIN_BLOCK_S), _MAX_BLOCK_S)
         if kind is TestKind.HITS:
-            block = min(each.duration - BETWEEN_HITS_S, LONGEST_HIT_S)
+            block = min(own.duration - _REST_S, _MAX_HIT_S)
             band = [0.0, 0.5 * monitor.rate]
             row = next((k for k, info in enumerate(monitor.channels) if info.at == "hammer"), None)
             if row is not None:
-                judge = HitJudge(row, monitor.rate, WEAKEST_SHARE * each.level, block)
+                judge = HitJudge(row, monitor.rate, _MIN_PEAK_RATIO * own.level, block)
         elif kind is TestKind.TONES:
-            band = [0.0, monitor.rate / FEWEST_SAMPLES]
+            band = [0.0, monitor.rate / _MIN_SAMPLES_PER_PERIOD]
         try:
             frf = LiveFrf(scene, monitor.channels, monitor.rate, block, (band[0], band[1]))
             self.no_response = ""
@@ -210,23 +210,23 @@ class Operator:
 
 
 def _silence(station: Station) -> Excitation:
-    """Play one sample of nothing, which ends the scene's own test."""
+    """Play one sample of zeros, which ends the scene's own test."""
     yield station.quiet(1)
 
 
 def _ignore(*given: Any, **fields: Any) -> None:
-    """Take what a callback brings."""
+    """Accept any callback."""
 
 
 class LiveBench:
-    """What every browser's page shows; NI clients find the device at `address`."""
+    """The bench that every browser's page shows; NI clients find the device at `address`."""
 
     def __init__(self, chassis: Chassis, address: str, recording: Path, overwrite: bool) -> None:
         self.chassis, self.address = chassis, address
         self.monitor = Monitor(chassis)
         self.recordings = BenchRecordings(chassis, recording, overwrite)
         self.operator = Operator(chassis, self.monitor, self.recordings)
-        # The recorder first: a test ends after the block that it gets.
+        # The recorder comes first, because it ends a test after the block that it receives.
         chassis.listeners += [self.recordings.hear, self.monitor.hear]
         self.operator.switch_on()
 

@@ -16,24 +16,26 @@ if TYPE_CHECKING:
     from daq.bench_page.operator import LiveBench
 
 
-# Intervals of the views, s. The rig is shown in slow motion: POSES_S of motion take RIG_S.
-CHARTS_S = 0.25
-FRF_S = 0.5
-RIG_S = 2.0
-# Columns of a time history (minimum and maximum each), and bands of a spectrum.
-COLUMNS = 300
-LINES = 600
-# Hits listed.
-SHOWN_HITS = 8
-TEXT = "#c8ccd2"
-GRID = {"lineStyle": {"color": "#2c3037"}}
-FORMAT = "v => v && (Math.abs(v) < 1e-3 || Math.abs(v) >= 1e5) ? v.toExponential(0) : +v.toPrecision(5)"
-LAMP_OFF = "#3a3f47"
-LAMP_ON = "#e0403a"
+# Intervals of the views, s.
+_CHARTS_S = 0.25
+_FRF_S = 0.5
+# Duration of the rig's motion on the page, s: slow motion.
+_RIG_S = 2.0
+# Columns of a time history, with the minimum and the maximum of each.
+_COLUMNS = 300
+# Bands of a spectrum.
+_LINES = 600
+# Maximum number of listed hits.
+_SHOWN_HITS = 8
+_TEXT = "#c8ccd2"
+_GRID = {"lineStyle": {"color": "#2c3037"}}
+_FORMAT = "v => v && (Math.abs(v) < 1e-3 || Math.abs(v) >= 1e5) ? v.toExponential(0) : +v.toPrecision(5)"
+_LAMP_OFF = "#3a3f47"
+_LAMP_ON = "#e0403a"
 
 # Moves the parts of the drawing through the frames {identifier: [heights, stretches]} in the given time, again and
 # again until the next frames come.
-ANIMATION = """
+_ANIMATION = """
 <script>
 let rigFrames = {}, rigStart = 0, rigTime = 1;
 function moveRig(frames, seconds) { rigFrames = frames; rigStart = performance.now(); rigTime = 1000 * seconds; }
@@ -76,12 +78,12 @@ def points(x: Array, y: Array) -> list[list[float]]:
 
 
 def peaks(frequency: Array, values: Array) -> tuple[Array, Array]:
-    """Reduce a spectrum to the largest line in each of `LINES` bands of equal ratio.
+    """Reduce a spectrum to the largest line in each of `_LINES` bands of equal ratio.
 
     >>> peaks(np.array([1.0, 2.0, 4.0]), np.array([3.0, 5.0, 4.0]))[1].tolist()
     [3.0, 5.0, 4.0]
     """
-    edges = np.geomspace(frequency[0], frequency[-1], LINES)
+    edges = np.geomspace(frequency[0], frequency[-1], _LINES)
     starts = np.unique(np.searchsorted(frequency, edges[:-1]))
     stops = [*starts[1:].tolist(), frequency.size]
     at = [a + int(np.argmax(values[a:b])) for a, b in zip(starts.tolist(), stops, strict=True)]
@@ -98,21 +100,21 @@ class Chart:
         units = list(dict.fromkeys(unit for _, unit, _ in series)) or [""]
         axes = [
             {"type": "value", "name": unit, "scale": True, "position": "right" if place else "left",
-             "splitLine": GRID if not place else {"show": False}, "axisLabel": {":formatter": FORMAT}, **y}
+             "splitLine": _GRID if not place else {"show": False}, "axisLabel": {":formatter": _FORMAT}, **y}
             for place, unit in enumerate(units)
         ]  # fmt: skip
         self.element = ui.echart(
             {
                 "animation": False,
-                "textStyle": {"color": TEXT},
-                "title": {"text": title, "textStyle": {"fontSize": 13, "color": TEXT}},
-                "legend": {"right": 10, "top": 0, "icon": "rect", "textStyle": {"color": TEXT}},
+                "textStyle": {"color": _TEXT},
+                "title": {"text": title, "textStyle": {"fontSize": 13, "color": _TEXT}},
+                "legend": {"right": 10, "top": 0, "icon": "rect", "textStyle": {"color": _TEXT}},
                 "tooltip": {"trigger": "axis"},
                 "grid": {"left": 70, "right": 70, "top": 42, "bottom": 40},
                 "toolbox": {"feature": {"dataZoom": {}}, "bottom": 0, "right": 0},
                 "xAxis": {"type": "value", "nameLocation": "middle", "nameGap": 24, "min": "dataMin",
-                          "max": "dataMax", "splitLine": GRID,
-                          "axisLabel": {":formatter": FORMAT, "hideOverlap": True}, **x},
+                          "max": "dataMax", "splitLine": _GRID,
+                          "axisLabel": {":formatter": _FORMAT, "hideOverlap": True}, **x},
                 "yAxis": axes,
                 "series": [
                     {"name": name, "type": "line", "showSymbol": False, "yAxisIndex": units.index(unit),
@@ -123,7 +125,7 @@ class Chart:
         ).classes("w-full h-56")  # fmt: skip
 
     def show(self, curves: list[list[list[float]]]) -> None:
-        """Show other data."""
+        """Show the data of all series."""
         for series, data in zip(self.element.options["series"], curves, strict=True):
             series["data"] = data
         self.element.update()
@@ -138,7 +140,7 @@ class Page:
         self._rig, self._drawn = RigDrawing(scene), ""
         ui.dark_mode(True)
         ui.page_title(f"daq bench: {scene.name}")
-        ui.add_body_html(ANIMATION)
+        ui.add_body_html(_ANIMATION)
         with ui.row().classes("w-full items-center"):
             ui.label(scene.name).classes("text-lg font-bold")
             ui.label(f"NI clients: {bench.address}").classes("text-sm opacity-70")
@@ -150,12 +152,12 @@ class Page:
             with ui.column().classes("w-72 shrink-0"):
                 self._controls()
                 self._drawing = ui.html("", sanitize=False).classes("w-full")
-                ui.label(f"slowed down {RIG_S / 0.2:g} times").classes("text-xs opacity-70")
+                ui.label(f"slowed down {_RIG_S / 0.2:g} times").classes("text-xs opacity-70")
             with ui.column().classes("grow min-w-0"):
                 self._charts()
-        ui.timer(CHARTS_S, self._refresh)
-        ui.timer(FRF_S, self._refresh_frf)
-        ui.timer(RIG_S, self._move)
+        ui.timer(_CHARTS_S, self._refresh)
+        ui.timer(_FRF_S, self._refresh_frf)
+        ui.timer(_RIG_S, self._move)
 
     def _controls(self) -> None:
         operator, settings = self._operator, self._operator.settings
@@ -216,10 +218,10 @@ class Page:
     def _refresh(self) -> None:
         monitor, operator, recordings = self._monitor, self._operator, self._bench.recordings
         for lamp, lit in zip(self._lamps, monitor.overloads(), strict=True):
-            lamp.style(f"background: {LAMP_ON if lit else LAMP_OFF}")
+            lamp.style(f"background: {_LAMP_ON if lit else _LAMP_OFF}")
         samples = monitor.history.last(round(float(self._span.value) * monitor.rate))
         time = (monitor.history.stop - samples.shape[1] + np.arange(samples.shape[1])) / monitor.rate
-        self._time.show([points(*envelope(time, row, COLUMNS)) for row in samples])
+        self._time.show([points(*envelope(time, row, _COLUMNS)) for row in samples])
         frequency, spectra = monitor.spectra()
         self._spectra.show([points(*peaks(frequency[1:], row[1:])) for row in np.maximum(spectra, 1e-15)])
         self._state.text = operator.message
@@ -244,7 +246,7 @@ class Page:
 
     def _show_hits(self) -> None:
         judge = self._monitor.judge
-        hits = [] if judge is None else judge.hits[-SHOWN_HITS:]
+        hits = [] if judge is None else judge.hits[-_SHOWN_HITS:]
         state = (len(judge.hits) if judge else 0, sum(hit.accepted for hit in hits))
         if state == self._hits_shown:
             return
@@ -267,7 +269,7 @@ class Page:
         if self._rig.svg != self._drawn:
             self._drawn = self._rig.svg
             self._drawing.set_content(self._drawn)
-        ui.run_javascript(f"moveRig({json.dumps(frames)}, {RIG_S})")
+        ui.run_javascript(f"moveRig({json.dumps(frames)}, {_RIG_S})")
 
 
 def _file_line(recordings: Any) -> str:

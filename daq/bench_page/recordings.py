@@ -1,4 +1,4 @@
-"""Recordings of what happens on the bench: one file for each test, written by a thread of its own."""
+"""Recordings of the bench: one file for each test, written by a separate thread."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class BenchRecordings:
     """Records all channels while it is `wanted` and a test of the page or a client's task runs.
 
     The first recording is at `path`, which may replace a file if `overwrite` is set; the next are numbered.
-    `problem` says why recording has stopped.
+    `problem` is the reason why recording has stopped.
     """
 
     def __init__(self, chassis: Chassis, path: Path, overwrite: bool) -> None:
@@ -55,11 +55,11 @@ class BenchRecordings:
         self._ending = True
 
     def mark(self, kind: str, first: int, stop: int, **fields: Any) -> None:
-        """Note an event of the samples from `first` to `stop`, counted from power-on."""
+        """Mark the samples from `first` to before `stop`, counted from power-on."""
         self._jobs.put(lambda: self._mark(kind, first, stop, **fields))
 
     def hear(self, bench: Any, block: Any) -> None:
-        """Take a block of the bench; a listener of the chassis."""
+        """Queue a block of the bench; a listener of the chassis."""
         busy = self._test is not None or self._chassis.inputs or self._chassis.outputs
         if self.wanted and busy:
             test, channels = self._test, bench.channels
@@ -72,7 +72,7 @@ class BenchRecordings:
             self._test, self._ending = None, False
 
     def close(self) -> None:
-        """Write what is waiting and complete the recording."""
+        """Write the queued blocks and complete the recording."""
         self._jobs.put(self._complete)
         self._jobs.put(None)
         self._thread.join()

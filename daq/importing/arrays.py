@@ -25,11 +25,13 @@ _RATES = re.compile(
 _INTERVALS = re.compile(r"(.*[._])?(dt|ts|increment|delta_?t|sample_?interval|x?delta)(_?s)?", re.IGNORECASE)
 _TIMES = re.compile(r"(.*[._])?(t|time|times|zeit)(_s)?", re.IGNORECASE)
 # Shorter arrays are settings, not samples.
-_SHORTEST = 16
+_MIN_SAMPLES = 16
 # Arrays of two dimensions with more channels are not samples.
-_MOST_CHANNELS = 4096
-# Structures within structures, and structures in an array, that are read.
-_DEEPEST, _MOST_ITEMS = 8, 1000
+_MAX_CHANNELS = 4096
+# Maximum depth of structures within structures.
+_MAX_DEPTH = 8
+# Maximum number of structures that are read from an array.
+_MAX_ITEMS = 1000
 # Memory that estimating the clock takes of each time, bytes: the times, those of an even grid and their differences.
 _CLOCK_BYTES = 48
 
@@ -41,7 +43,7 @@ def numpy_signals(path: Path, _stack: ExitStack) -> list[Signal]:
     except (OSError, MemoryError, ShotrigError):
         raise
     except Exception as error:
-        # The reader meets damage as whatever it happens to lead to.
+        # A damaged file can cause any exception in the reader.
         raise RecordingError(
             f"{path} is not an .npz or .npy file of numbers, or it is damaged: {error!s:.200}"
         ) from error
@@ -68,16 +70,16 @@ def _flat(content: Mapping[str, Any], before: str = "", depth: int = 0) -> Itera
     for name, value in content.items():
         where = f"{before}{name}"
         if isinstance(value, Mapping):
-            if depth < _DEEPEST:
+            if depth < _MAX_DEPTH:
                 yield from _flat(value, f"{where}.", depth + 1)
             continue
         array = np.asarray(value)
-        items = array.ravel()[:_MOST_ITEMS]
-        if array.dtype.names and depth < _DEEPEST:
+        items = array.ravel()[:_MAX_ITEMS]
+        if array.dtype.names and depth < _MAX_DEPTH:
             for number, item in enumerate(items, 1):
                 part = where if items.size == 1 else f"{where}({number})"
                 yield from _flat(dict(zip(array.dtype.names, item, strict=True)), f"{part}.", depth + 1)
-        elif array.dtype.kind == "O" and array.size == 1 and depth < _DEEPEST:
+        elif array.dtype.kind == "O" and array.size == 1 and depth < _MAX_DEPTH:
             yield from _flat({name: array.item()}, before, depth + 1)
         elif array.dtype.kind == "O" and all(isinstance(item, Mapping) for item in array.flat):
             for number, item in enumerate(items, 1):
@@ -95,9 +97,9 @@ def _signals(path: Path, content: Mapping[str, Any]) -> list[Signal]:
     clocks: dict[str, Clock] = {}
     for name, array in numbers.items():
         if (
-            array.size < _SHORTEST
+            array.size < _MIN_SAMPLES
             or array.ndim > 2
-            or (array.ndim == 2 and min(array.shape) > _MOST_CHANNELS)
+            or (array.ndim == 2 and min(array.shape) > _MAX_CHANNELS)
         ):
             continue
         where = f"{path}: {name!r}"
@@ -120,7 +122,7 @@ def _signals(path: Path, content: Mapping[str, Any]) -> list[Signal]:
         listed = [f"{name} {array.shape}" for name, array in arrays.items()]
         more = " ..." if len(listed) > 8 else ""
         raise RecordingError(
-            f"{path} holds no array of samples; it holds {', '.join(listed[:8]) + more or 'nothing'}"
+            f"{path} contains no array of samples; it contains {', '.join(listed[:8]) + more or 'nothing'}"
         )
     scalars = {name: float(array.ravel()[0]) for name, array in numbers.items() if array.size == 1}
     # Units as `analysis export` writes them: two rows of texts, ``channels`` and ``units``.
@@ -140,7 +142,7 @@ def _signals(path: Path, content: Mapping[str, Any]) -> list[Signal]:
 
 
 def _clock(path: Path, name: str, scalars: Mapping[str, float], clocks: Mapping[str, Clock]) -> Clock:
-    """Give the clock of a signal: its own structure's overrides that for all."""
+    """Return the clock of a signal: that of its own structure overrides that for all."""
     of_array = f"{name.partition('(')[0]}(1)"
     if of_array in clocks:
         return clocks[of_array]

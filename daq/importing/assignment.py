@@ -1,4 +1,4 @@
-"""Which signal is which channel, and the scale of its numbers in the channel's unit."""
+"""Assignment of signals to channels, and the scale of their numbers in the channel's unit."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from rig.scene.scene import Scene
 # Units whose sizes differ by a smaller share are the same, written with fewer digits.
 _SAME_UNIT = 1e-3
 # Orders of integration of an ideal channel that reads a velocity or a displacement, as a laser sensor does.
-_ORDERS: dict[Quantity, int] = {"velocity": 1, "displacement": 2}
+_INTEGRATION_ORDERS: dict[Quantity, int] = {"velocity": 1, "displacement": 2}
 
 
 @dataclass(frozen=True)
@@ -58,14 +58,14 @@ class Choice:
 def choose(
     scene: Scene, signals: Sequence[Signal], table: Mapping[str, Column]
 ) -> tuple[list[Choice], list[str]]:
-    """Choose the signal of each channel of the scene, by the table or by name; return also notes on unmatched ones.
+    """Choose the signal of each channel of the scene, by the table or by name; return also notes on the others.
 
     Raises `SceneError` with all mistakes at once.
     """
-    channels = of_scene(scene)
+    channels = channels_of(scene)
     names = [channel.name for channel in channels]
     mistakes = [
-        f"{name}: no channel of the scene, which has {', '.join(names)}{_hint(name, names)}"
+        f"{name}: not a channel of the scene, which has {', '.join(names)}{_hint(name, names)}"
         for name in table
         if name not in names
     ]
@@ -91,7 +91,7 @@ def choose(
         signal = found[0]
         chosen.append(Choice(channel, place, signal, column or Column(signal.name)))
         users.setdefault(id(signal), []).append(channel.name)
-    mistakes += [f"{' and '.join(same)}: one signal for both" for same in users.values() if len(same) > 1]
+    mistakes += [f"{' and '.join(same)}: the same signal" for same in users.values() if len(same) > 1]
     if mistakes:
         raise SceneError("\n".join(mistakes))
     if not chosen:
@@ -108,7 +108,7 @@ def choose(
 
 
 def contradicted_units(chosen: Sequence[Choice]) -> list[str]:
-    """Warn of units in the table that differ from the file's; the meaning of volts only the table can state."""
+    """Warn of units in the table that differ from the file's; only the table can state the meaning of volts."""
     notes = []
     for each in chosen:
         signal, unit = each.signal, each.column.unit
@@ -132,7 +132,7 @@ def contradicted_units(chosen: Sequence[Choice]) -> list[str]:
 
 def assign(scene: Scene, chosen: Sequence[Choice], rate: float) -> list[Assigned]:
     """Determine the scale of signals in their channels' units; raise `SceneError` with all mistakes at once."""
-    skews = delays(filled_in(scene.converter).skew, len(of_scene(scene)), rate)
+    skews = delays(filled_in(scene.converter).skew, len(channels_of(scene)), rate)
     assigned: list[Assigned] = []
     mistakes: list[str] = []
     for each in chosen:
@@ -145,8 +145,8 @@ def assign(scene: Scene, chosen: Sequence[Choice], rate: float) -> list[Assigned
     return assigned
 
 
-def of_scene(scene: Scene) -> tuple[Channel, ...]:
-    """Give the channels of a scene, its default channels where it names none."""
+def channels_of(scene: Scene) -> tuple[Channel, ...]:
+    """Return the channels of a scene; the default channels if it names none."""
     return default_channels(scene, points_of(scene)) if scene.channels is None else scene.channels
 
 
@@ -165,9 +165,9 @@ def _assigned(scene: Scene, chosen: Choice, rate: float, skew: float) -> Assigne
         )
     measured, size = meaning(unit)
     bare = channel.accelerometer is None and channel.integrator is None and not channel.measures_force
-    if bare and not channel.measures_voltage and measured in _ORDERS:
-        channel = channel.replace(integrator=Integrator(order=_ORDERS[measured]))
-    info = described(scene, channel, rate, skew if column.delay is None else column.delay)
+    if bare and not channel.measures_voltage and measured in _INTEGRATION_ORDERS:
+        channel = channel.replace(integrator=Integrator(order=_INTEGRATION_ORDERS[measured]))
+    info = describe_channel(scene, channel, rate, skew if column.delay is None else column.delay)
     if measured == info.quantity:
         if column.sensitivity is not None and measured != "voltage":
             raise ValueError(
@@ -184,7 +184,7 @@ def _assigned(scene: Scene, chosen: Choice, rate: float, skew: float) -> Assigne
     return Assigned(channel, info, signal, column, column.sign * size, True)
 
 
-def described(scene: Scene, channel: Channel, rate: float, delay: float) -> ChannelInfo:
+def describe_channel(scene: Scene, channel: Channel, rate: float, delay: float) -> ChannelInfo:
     """Describe a real channel by its data sheets.
 
     Simulated converters average over the sample interval unless the scene states otherwise; real converters do so only
@@ -241,7 +241,7 @@ def _by_column(column: Column, signals: Sequence[Signal]) -> Sequence[Signal]:
 
 
 def _matches(name: str, signals: Sequence[Signal]) -> list[Signal]:
-    """Signals of a name, or else those whose name, also without its group or structure, differs only in spelling."""
+    """Return the signals of a name; if there are none, those whose name or its last part has a similar spelling."""
     exact = [signal for signal in signals if signal.name == name]
 
     def spelling(text: str) -> str:

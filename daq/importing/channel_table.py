@@ -53,7 +53,7 @@ def read_table(path: Path) -> dict[str, Column]:
     for line, name, given in rows:
         try:
             if name in table:
-                raise ValueError("this channel has a line already")
+                raise ValueError("a second line for this channel")
             table[name] = column(given)
         except ValueError as error:
             mistakes.append(f"{path}:{line}: {name}: {error}")

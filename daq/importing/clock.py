@@ -19,17 +19,17 @@ from rig.errors import RecordingError, RunWarning
 TIME_NAMES = re.compile(r"(time|zeit|t|x_value)(stamp)?", re.IGNORECASE)
 
 # Relative rounding error of a rate that is stated in full.
-_ROUNDING = 1e-12
-# Largest deviation of a time from the even grid, in samples; beyond it samples are missing or the times are no clock.
-_OFF_GRID = 0.5
+_RATE_ROUNDING = 1e-12
+# Largest deviation of a time from the even grid, samples; with larger ones samples are missing or there is no clock.
+_MAX_DEVIATION = 0.5
 # Share of a sample from which deviations beyond rounding are reported.
-_JITTERY = 0.02
-# A step of the times is a gap from this many sample intervals on.
-_GAP = 1.5
-# Share of an interval by which other steps may differ from the usual one, and a gap from a whole number of intervals.
-_SAME = 0.25
-# With more gaps the times are no clock.
-_MOST_GAPS = 10_000
+_JITTER_SHARE = 0.02
+# Step of the times from which it is a gap, sample intervals.
+_GAP_INTERVALS = 1.5
+# Tolerance of the other steps, and of a gap from a whole number of intervals, as a share of the median interval.
+_STEP_TOLERANCE = 0.25
+# Maximum number of gaps in the times of a clock.
+_MAX_GAPS = 10_000
 
 #: Row before which samples are missing, and their number.
 Missing = tuple[int, int]
@@ -62,16 +62,18 @@ def rate_of_interval(interval: float, resolution: float = 0.0) -> float:
         raise RecordingError(
             f"a sample interval of {interval!r} s with an error of {resolution!r} s determines no rate"
         )
-    error = max(resolution / interval, _ROUNDING)
+    error = max(resolution / interval, _RATE_ROUNDING)
     stated = 1.0 / interval
-    rate, digits = _roundest(stated * (1.0 - error), stated * (1.0 + error))
+    rate, digits = _shortest_number(stated * (1.0 - error), stated * (1.0 + error))
     # An interval of few digits, such as 39 µs, is exact itself.
-    _, digits_of_interval = _roundest(interval * (1.0 - _ROUNDING), interval * (1.0 + _ROUNDING))
+    _, digits_of_interval = _shortest_number(
+        interval * (1.0 - _RATE_ROUNDING), interval * (1.0 + _RATE_ROUNDING)
+    )
     return rate if digits <= digits_of_interval else stated
 
 
-def _roundest(low: float, high: float) -> tuple[float, int]:
-    """Give the number with the fewest decimal digits between two, and its number of digits."""
+def _shortest_number(low: float, high: float) -> tuple[float, int]:
+    """Return the number with the fewest decimal digits between two, and its number of digits."""
     highest = math.floor(math.log10(high))
     for digits in range(1, 17):
         step = Fraction(10) ** (highest - digits + 1)
@@ -92,12 +94,12 @@ def clock_of_times(times: Array, resolution: float, where: str) -> Clock:
     first, last = float(times[0]), float(times[-1])
     # Deviations from an even grid show the rounding of the times.
     deviation = 0.0 if missing else float(abs(times - np.linspace(first, last, times.size)).max())
-    tolerated = (last - first) * _JITTERY / (times.size - 1) + resolution
+    tolerated = (last - first) * _JITTER_SHARE / (times.size - 1) + resolution
     if last > first and deviation > tolerated:
-        rate, first, deviation = _clock_of_jittery(times, where)
+        rate, first, deviation = _fit_jittery_clock(times, where)
         _warn(
-            f"{where} deviate from an even grid by up to {deviation * rate:.0%} of a sample: taken for jitter of the "
-            "writing, not of the sampling"
+            f"{where} deviate from an even grid by up to {deviation * rate:.0%} of a sample. This is taken for jitter "
+            "of the writing, not of the sampling."
         )
     else:
         rate = rate_with_gaps(first, last, times.size, missing, max(resolution, 2.0 * deviation), where)
@@ -105,7 +107,7 @@ def clock_of_times(times: Array, resolution: float, where: str) -> Clock:
     return Clock(rate, first, missing)
 
 
-def _clock_of_jittery(times: Array, where: str) -> tuple[float, float, float]:
+def _fit_jittery_clock(times: Array, where: str) -> tuple[float, float, float]:
     """Fit an even grid by least squares: rate, first time, largest deviation."""
     number = np.arange(times.size) - (times.size - 1) / 2.0
     spread = float(number @ number)
@@ -135,16 +137,16 @@ def missing_rows(times: Iterable[Array], resolution: float) -> list[Missing]:
         steps = np.diff(np.concatenate([before, piece]))
         if not rows:
             step = float(np.median(steps)) if steps.size else 0.0
-            if not (step > 0.0 and resolution <= _SAME * step):
+            if not (step > 0.0 and resolution <= _STEP_TOLERANCE * step):
                 return []
-        wide = steps > _GAP * step
+        wide = steps > _GAP_INTERVALS * step
         regular = steps[~wide]
-        if not (abs(regular - step) <= _SAME * step + 2.0 * resolution).all():
+        if not (abs(regular - step) <= _STEP_TOLERANCE * step + 2.0 * resolution).all():
             return []
         # The step to the first row of a further piece begins in the piece before.
         first = rows if before.size else 1
         jumps += [(first + int(at), float(steps[at])) for at in np.flatnonzero(wide)]
-        if len(jumps) > _MOST_GAPS:
+        if len(jumps) > _MAX_GAPS:
             return []
         even_time, even_steps = even_time + float(regular.sum()), even_steps + regular.size
         rows, before = rows + piece.size, piece[-1:]
@@ -156,13 +158,13 @@ def missing_rows(times: Iterable[Array], resolution: float) -> list[Missing]:
         return []
     lost = [round(jump * rate) - 1 for _, jump in jumps]
     errors = [abs(jump * rate - count - 1) for (_, jump), count in zip(jumps, lost, strict=True)]
-    if max(errors) > _SAME + 2.0 * resolution * rate or sum(lost) > rows:
+    if max(errors) > _STEP_TOLERANCE + 2.0 * resolution * rate or sum(lost) > rows:
         return []
     return [(row, count) for (row, _), count in zip(jumps, lost, strict=True)]
 
 
 def sample_numbers(rows: NDArray[np.int64], missing: Sequence[Missing]) -> NDArray[np.int64]:
-    """Give the sample numbers of rows.
+    """Return the sample numbers of rows.
 
     >>> sample_numbers(np.arange(5), [(3, 2)])
     array([0, 1, 2, 5, 6])
@@ -195,7 +197,7 @@ def require_even(
 ) -> None:
     """Raise `RecordingError` for times, in s, that are not those of samples with the given numbers."""
     deviation = abs(times - start - numbers / rate)
-    wrong = np.flatnonzero(~(deviation * rate <= _OFF_GRID + resolution * rate))
+    wrong = np.flatnonzero(~(deviation * rate <= _MAX_DEVIATION + resolution * rate))
     if wrong.size:
         at = int(wrong[0])
         raise RecordingError(
@@ -206,7 +208,7 @@ def require_even(
 
 
 def looks_like_times(begin: Array, last: float, samples: int) -> bool:
-    """Whether unnamed numbers can only be times: they rise evenly, and are no count.
+    """Return whether unnamed numbers can only be times: they rise evenly, but not by 1.
 
     >>> looks_like_times(np.array([0.0, 0.01, 0.02]), 0.09, 10), looks_like_times(np.array([1.0, 2.0]), 10.0, 10)
     (True, False)

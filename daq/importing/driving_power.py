@@ -14,48 +14,48 @@ from numpy.typing import NDArray
 from daq.signal_chain.channel import ChannelInfo, Quantity
 from rig.arrays import Array
 
-# Lines with a smaller real part, as a share of their magnitude, are left out.
-_CLEAR_SHARE = 0.3
+# Minimum ratio of the real part to the magnitude; other lines are omitted.
+_CLEAR_RATIO = 0.3
 # Share of the real part that must be negative. Errors of phase far from resonances give either sign.
 _REVERSED_SHARE = 0.8
 # Least share of these lines in the whole: an antiresonance alone has less.
-_LEAST_SHARE = 0.02
-# Share of its largest line from which the force drives a line.
-_DRIVEN_SHARE = 0.1
+_MIN_CLEAR_SHARE = 0.02
+# Ratio to its largest line from which the force drives a line.
+_DRIVEN_RATIO = 0.1
 #: Integrations from acceleration to a quantity of motion.
 MOTIONS: dict[Quantity, int] = {"acceleration": 0, "velocity": 1, "displacement": 2}
 
 
 def returns_energy(power: NDArray[np.complex128]) -> bool:
-    """Whether complex power, line by line, flows from the structure into what drives it."""
+    """Return whether complex power, line by line, flows from the structure into the source of the force."""
     return _is_returned(_sums(power))
 
 
 def _sums(power: NDArray[np.complex128]) -> Array:
     """Sum the magnitude of power and, over the lines with a clear sign, the magnitude and value of the real part."""
-    clear = power.real[abs(power.real) > _CLEAR_SHARE * abs(power)]
+    clear = power.real[abs(power.real) > _CLEAR_RATIO * abs(power)]
     return np.array([abs(power).sum(), abs(clear).sum(), clear.sum()])
 
 
 def _is_returned(sums: Array) -> bool:
     whole, clear, supplied = sums
-    return bool(clear > _LEAST_SHARE * whole and -supplied > _REVERSED_SHARE * clear)
+    return bool(clear > _MIN_CLEAR_SHARE * whole and -supplied > _REVERSED_SHARE * clear)
 
 
 class DrivingPower:
-    """Sums up the power that a force supplies to the motion where it acts, piece by piece of one length."""
+    """Sums the power that a force supplies to the motion at its point, in pieces of equal length."""
 
     def __init__(self, force: ChannelInfo, motion: ChannelInfo) -> None:
         self._force, self._motion = force, motion
         self._sums = np.zeros(3)
 
     def add(self, force: Array, motion: Array) -> None:
-        """Take the next samples in volts, NaN where there are none."""
+        """Add the next samples in volts; NaN where there are none."""
         if force.size < 2:
             return
         frequency = np.fft.rfftfreq(force.size, 1.0 / self._force.rate)[1:]
         spectrum = np.fft.rfft(np.nan_to_num(force))[1:]
-        driven = abs(spectrum) > _DRIVEN_SHARE * abs(spectrum).max()
+        driven = abs(spectrum) > _DRIVEN_RATIO * abs(spectrum).max()
         at = frequency[driven]
         order = 1 - MOTIONS[self._motion.quantity]
         velocity = np.fft.rfft(np.nan_to_num(motion))[1:][driven] / self._motion.response(at)
@@ -64,7 +64,7 @@ class DrivingPower:
         self._sums += _sums(power)
 
     def warning(self) -> str:
-        """Give a warning if the structure supplies energy; else an empty text."""
+        """Return a warning if the structure supplies energy; else an empty text."""
         if not _is_returned(self._sums):
             return ""
         return (

@@ -55,5 +55,5 @@ def signals_of(path: Path, stack: ExitStack) -> list[Signal]:
             f"{path} does not fit into memory. Export it as TDMS, WAV or CSV, which are read in pieces."
         ) from None
     if not signals:
-        raise RecordingError(f"{path} holds no samples")
+        raise RecordingError(f"{path} contains no samples")
     return signals

@@ -41,11 +41,13 @@ _MULTI_ARRAYS = {"std_msgs/msg/Float32MultiArray": "f4", "std_msgs/msg/Float64Mu
 _RATES = ("sample_rate_hz", "sample_rate", "sampleRate", "rate", "fs")
 # Memory that a byte of a message takes while it is decoded, bytes; at most, measured: JSON `0.0,` as a list of numbers
 # and an array, protobuf `0` in one byte.
-_DECODED = 20
+_DECODED_BYTES = 20
 # Copies of a schema or channel in memory.
 _COPIES = 4
-# Memory of a field, and of each of its messages, besides the numbers, bytes.
-_FIELD_BYTES, _MESSAGE_BYTES = 3000, 64
+# Memory of a field in addition to its numbers, bytes.
+_FIELD_BYTES = 3000
+# Memory of each of its messages in addition to the numbers, bytes.
+_MESSAGE_BYTES = 64
 Decoder = Callable[[bytes], Mapping[str, Any]]
 
 
@@ -71,7 +73,7 @@ def mcap_signals(path: Path, _stack: ExitStack) -> list[Signal]:
     except (ShotrigError, OSError, MemoryError):
         raise
     except Exception as error:
-        # Decoders meet damage as whatever it happens to lead to.
+        # A damaged file can cause any exception in a decoder.
         raise RecordingError(
             f"{path} is not an MCAP file, or it is cut off or damaged: {type(error).__name__} {error}"[:300]
         ) from error
@@ -79,15 +81,21 @@ def mcap_signals(path: Path, _stack: ExitStack) -> list[Signal]:
         raise RecordingError(
             f"{path} holds no topic with numbers in JSON, protobuf or ROS 2's Float32/64MultiArray"
         )
-    several = Counter(topic for topic, _ in topics.fields)
+    fields_per_topic = Counter(topic for topic, _ in topics.fields)
     return [
-        _signal(path, number, f"{topic}.{name}" if several[topic] > 1 else topic, each, topics.units[topic])
+        _signal(
+            path,
+            number,
+            f"{topic}.{name}" if fields_per_topic[topic] > 1 else topic,
+            each,
+            topics.units[topic],
+        )
         for number, ((topic, name), each) in enumerate(topics.fields.items(), 1)
     ]
 
 
 class _Topics:
-    """The fields of a file's topics, read within the memory that is allowed."""
+    """The fields of a file's topics, read within the allowed memory."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -123,17 +131,17 @@ class _Topics:
     def _need(self, further: float) -> None:
         need_beside_program(self._in_memory + further, f"{self._path}: importing it")
 
-    def _record(self, opcode: int, content: memoryview, around: int) -> None:
-        """Take a record; `around` is the size of the chunk that is in memory with it, bytes."""
+    def _record(self, opcode: int, content: memoryview, container: int) -> None:
+        """Process a record; `container` is the size of the chunk that is in memory with it, bytes."""
         if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             self._in_memory += _COPIES * len(content)
-            self._need(around)
+            self._need(container)
             record = parse(opcode, content)
             self._known[opcode][record.id] = record
         elif opcode == Opcode.MESSAGE:
-            self._message(parse_message(content), around)
+            self._message(parse_message(content), container)
 
-    def _message(self, message: Stored, around: int) -> None:
+    def _message(self, message: Stored, container: int) -> None:
         channel = self._known[Opcode.CHANNEL].get(message.channel)
         if channel is None:
             raise Damage(f"a message belongs to channel {message.channel}, which no record before describes")
@@ -147,19 +155,19 @@ class _Topics:
         decoder = self._decoders[message.channel]
         if decoder is None:
             return
-        self._need(around + _DECODED * len(message.data))
+        self._need(container + _DECODED_BYTES * len(message.data))
         content = decoder(bytes(message.data))
         self.units.setdefault(channel.topic, str(channel.metadata.get("unit", "")))
-        for name, values in _numbers(content):
+        for name, values in _numeric_fields(content):
             if (channel.topic, name) not in self.fields:
                 self._in_memory += _FIELD_BYTES
             each = self.fields.setdefault((channel.topic, name), _Field())
             each.values.frombytes(np.ascontiguousarray(values).tobytes())
             each.counts.append(values.size)
             each.times.append(message.publish_time or message.log_time)
-            each.rate = each.rate or _rate(content)
+            each.rate = each.rate or _stated_rate(content)
             self._in_memory += values.nbytes + _MESSAGE_BYTES
-            self._need(around)
+            self._need(container)
 
 
 def _signal(path: Path, number: int, name: str, each: _Field, unit: str) -> Signal:
@@ -187,7 +195,7 @@ def _decoder(schema: Any, encoding: str) -> Decoder | None:
         return None
     if encoding == "cdr" and schema.name in _MULTI_ARRAYS:
         kind = _MULTI_ARRAYS[schema.name]
-        return lambda data: {"": _multi_array(data, kind)}
+        return lambda data: {"": _read_multi_array(data, kind)}
     if encoding == "protobuf":
         from daq.recording.protobuf import message_class
 
@@ -196,8 +204,8 @@ def _decoder(schema: Any, encoding: str) -> Decoder | None:
     return None
 
 
-def _numbers(content: Any) -> Iterator[tuple[str, Array]]:
-    """Yield the rows of numbers of a message or, where it has none, its numbers."""
+def _numeric_fields(content: Any) -> Iterator[tuple[str, Array]]:
+    """Yield the rows of numbers of a message; its single numbers if it has no rows."""
     if not isinstance(content, Mapping):
         return
     rows = {
@@ -214,12 +222,12 @@ def _numbers(content: Any) -> Iterator[tuple[str, Array]]:
             yield name, np.array([value], dtype=float)
 
 
-def _rate(content: Mapping[str, Any]) -> float | None:
+def _stated_rate(content: Mapping[str, Any]) -> float | None:
     rates = (content.get(name) for name in _RATES)
     return next((float(rate) for rate in rates if isinstance(rate, int | float) and 0 < rate < 1e12), None)
 
 
-def _multi_array(data: bytes, kind: str) -> Array:
+def _read_multi_array(data: bytes, kind: str) -> Array:
     """Read the numbers of a multi-array: behind its layout, a list of labelled sizes."""
     order = "<" if data[1] & 1 else ">"
 
@@ -227,7 +235,7 @@ def _multi_array(data: bytes, kind: str) -> Array:
         return int(struct.unpack_from(f"{order}I", data, at)[0])
 
     def aligned(at: int, size: int) -> int:
-        """Give the next place, counted behind the four-byte head, that is aligned to a size."""
+        """Return the next position, counted behind the four-byte head, that is aligned to a size."""
         return 4 + -(-(at - 4) // size) * size
 
     dimensions, at = number(4), 8

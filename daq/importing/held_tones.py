@@ -1,6 +1,6 @@
-"""Detection of held tones: stretches of constant frequency, and their part in steady state.
+"""Detection of held tones: segments of constant frequency, and their part in steady state.
 
-A held tone has a phase that is linear in time. Stretches are cut from the phase of a `Track`, extended while a straight
+A held tone has a phase that is linear in time. Segments are cut from the phase of a `Track`, extended while a straight
 line fits, and rejected where the frequency drifts as in a sweep.
 """
 
@@ -15,30 +15,35 @@ from daq.importing.tone_track import HOPS, Track
 from rig.arrays import Array, ComplexArray
 from rig.numerics.runs import runs_of
 
-# Fewest blocks of a held tone: ten periods.
-_FEWEST = 7
-# Largest deviation of the phase from a straight line: a multiple of its scatter, and bounds, rad.
-_LINE_SIGMAS, _LINE_LEAST, _LINE_MOST = 8.0, 0.02, 0.25
-# Deviation from the line of the middle half at which a tone ends: a multiple of the scatter, and a lower bound, rad.
-_END_SIGMAS, _END_LEAST = 4.0, 0.01
+# Minimum number of blocks of a held tone: ten periods.
+_MIN_BLOCKS = 7
+# Largest deviation of the phase from a straight line: a multiple of its scatter, within two bounds, rad.
+_LINE_SIGMAS = 8.0
+_LINE_MIN = 0.02
+_LINE_MAX = 0.25
+# Deviation from the line of the middle half at which a tone ends: a multiple of the scatter, and its lower bound, rad.
+_END_SIGMAS = 4.0
+_END_MIN = 0.01
 # Change of an amplitude from one block to the next that ends a tone, as log ratio.
-_JUMP = 0.2
+_MAX_STEP = 0.2
 # Largest change of the amplitude in the second half of a held tone, as log ratio.
-_FADES = 0.2
+_MAX_FADE = 0.2
 # Drift of the frequency, as a share of the distance to the next tone, from which the signal is a sweep.
-_DRIFT = 0.25
-# Least share of the time with a signal in which tones are held, and amplitude of silence, as a share of theirs.
-_SHARE, _SILENCE = 0.3, 0.05
-# Blocks this far from each other scatter independently, although they have half their samples in common.
+_MAX_DRIFT = 0.25
+# Minimum share of the time with a signal in which tones are held.
+_MIN_HELD_SHARE = 0.3
+# Ratio to the amplitude of the held tones below which there is no signal.
+_SILENCE_RATIO = 0.05
+# Blocks at this distance scatter independently, although they share half of their samples.
 _INDEPENDENT = 2
-# Scatter within which a settled channel stays, as a multiple.
+# Deviation of a settled channel from its mean, as a multiple of its scatter.
 _STEADY_SIGMAS = 3.0
-# Share of the tolerance within which samples are kept as settled.
+# Share of the tolerance within which samples count as settled.
 _WELL_SETTLED = 0.1
-# Last parts of a stretch that are tested for steady state, as shares of it; the second where the first is not steady.
-_LATEST = (0.5, 0.25)
+# Last parts of a segment that are tested for steady state; the second is tested if the first is not steady.
+_LATE_SHARES = (0.5, 0.25)
 # Relative difference of frequency below which two tones are the same.
-_SAME = 2e-4
+_SAME_FREQUENCY = 2e-4
 
 
 @dataclass(frozen=True)
@@ -58,11 +63,11 @@ class HeldTone:
 def held_tones(tracks: Sequence[Track], tolerance: float) -> list[HeldTone]:
     """Return the tones that were held one after the other, in order of time; none for other kinds of signals.
 
-    The phase of a held tone is linear in time for ten periods or more. That of a sweep is so for a while, but its
-    frequency drifts within a stretch as from one stretch to the next; that of noise is so now and then. `tolerance` is
-    the largest relative change of a settled amplitude.
+    The phase of a held tone is linear in time for ten periods or more. The phase of a sweep is linear for a short time,
+    but its frequency drifts within a segment as from one segment to the next. The phase of noise is rarely linear.
+    `tolerance` is the largest relative change of a settled amplitude.
     """
-    pieces = [piece for track in tracks for piece in _pieces(track) if not piece.fades]
+    pieces = [piece for track in tracks for piece in _pieces(track) if not piece.is_fading]
     pieces.sort(key=lambda piece: piece.first - piece.stop)
     separate: list[_Piece] = []
     for piece in pieces:
@@ -70,19 +75,19 @@ def held_tones(tracks: Sequence[Track], tolerance: float) -> list[HeldTone]:
             separate.append(piece)
     separate.sort(key=lambda piece: piece.first)
     # The shortest blocks average over the fewest samples and therefore resolve all tones.
-    if not separate or _share(separate, tracks[-1]) < _SHARE:
+    if not separate or _share(separate, tracks[-1]) < _MIN_HELD_SHARE:
         return []
-    # In a sweep the frequency drifts within stretches as from one to the next.
+    # In a sweep the frequency drifts within a segment as from one segment to the next.
     middle, begins, ends = np.array([piece.frequencies() for piece in separate]).T
     distance = abs(np.diff(middle))
-    distance[distance < _SAME * middle[1:]] = np.inf
+    distance[distance < _SAME_FREQUENCY * middle[1:]] = np.inf
     nearest = np.minimum(np.append(distance, np.inf), np.insert(distance, 0, np.inf))
-    if np.median(abs(ends - begins) / nearest) > _DRIFT:
+    if np.median(abs(ends - begins) / nearest) > _MAX_DRIFT:
         return []
     # Between successive tones of one frequency a controller changed the level: the last settled one is measured.
     tones: list[HeldTone] = []
     for tone in (_settled(piece, tolerance) for piece in separate):
-        if not tones or abs(tone.frequency / tones[-1].frequency - 1.0) >= _SAME:
+        if not tones or abs(tone.frequency / tones[-1].frequency - 1.0) >= _SAME_FREQUENCY:
             tones.append(tone)
         elif tone.settled or not tones[-1].settled:
             tones[-1] = tone
@@ -91,7 +96,7 @@ def held_tones(tracks: Sequence[Track], tolerance: float) -> list[HeldTone]:
 
 @dataclass(frozen=True)
 class _Piece:
-    """A stretch of linear phase: blocks of a track."""
+    """A segment of linear phase: blocks of a track."""
 
     track: Track
     begin: int  # first block, by its position in the track
@@ -120,11 +125,11 @@ class _Piece:
         return float(np.median(self.track.amplitude[self.begin : self.end]))
 
     @property
-    def fades(self) -> bool:
-        """Whether its amplitude still changes in the second half."""
+    def is_fading(self) -> bool:
+        """Whether the amplitude changes in the second half."""
         late = np.log(self.track.amplitude[(self.begin + self.end) // 2 : self.end])
         slope = np.polyfit(np.linspace(0.0, 1.0, late.size), late, 1)[0]
-        return bool(abs(slope) > _FADES)
+        return bool(abs(slope) > _MAX_FADE)
 
     def frequencies(self) -> tuple[float, float, float]:
         """Frequency in the middle, and at either end by a parabola through the phase; periods per sample."""
@@ -145,34 +150,35 @@ def _unwrapped(track: Track, begin: int, end: int) -> Array:
 
 
 def _pieces(track: Track) -> Iterator[_Piece]:
-    """Cut a track into stretches of linear phase."""
-    if track.number.size < _FEWEST:
+    """Cut a track into segments of linear phase."""
+    if track.number.size < _MIN_BLOCKS:
         return
-    linked = (np.diff(track.number) == 1) & (abs(np.diff(np.log(track.amplitude))) < _JUMP)
+    linked = (np.diff(track.number) == 1) & (abs(np.diff(np.log(track.amplitude))) < _MAX_STEP)
     linked &= abs(np.diff(track.frequency)) < 1.0 / HOPS
     # Symmetric matrix from values to their residuals from a straight line.
-    line = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, _FEWEST), 2))[0]
-    to_residual = np.eye(_FEWEST) - line @ line.T
+    line = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, _MIN_BLOCKS), 2))[0]
+    to_residual = np.eye(_MIN_BLOCKS) - line @ line.T
     for begin, end in runs_of(linked):
-        if end + 1 - begin < _FEWEST:
+        if end + 1 - begin < _MIN_BLOCKS:
             continue
         phase = _unwrapped(track, begin, end + 1)
-        tolerance = float(np.clip(_LINE_SIGMAS * _scatter(phase), _LINE_LEAST, _LINE_MOST))
-        windows = np.lib.stride_tricks.sliding_window_view(phase, _FEWEST)
-        linear = abs(windows @ to_residual).max(axis=1) < tolerance
+        tolerance = float(np.clip(_LINE_SIGMAS * _scatter(phase), _LINE_MIN, _LINE_MAX))
+        windows = np.lib.stride_tricks.sliding_window_view(phase, _MIN_BLOCKS)
+        is_linear = abs(windows @ to_residual).max(axis=1) < tolerance
         at = 0
-        while at < linear.size:
-            if not linear[at]:
+        while at < is_linear.size:
+            if not is_linear[at]:
                 at += 1
                 continue
-            stop, more = at + _FEWEST, _FEWEST
+            # Extend the segment by growing steps, then by shrinking ones.
+            stop, more = at + _MIN_BLOCKS, _MIN_BLOCKS
             while more:
                 if stop + more <= phase.size and _is_line(phase[at : stop + more], tolerance):
                     stop, more = stop + more, 2 * more
                 else:
                     more //= 2
             first, last = _ends(phase[at:stop])
-            if last - first >= _FEWEST:
+            if last - first >= _MIN_BLOCKS:
                 yield _Piece(track, begin + at + first, begin + at + last)
             at = stop
 
@@ -195,15 +201,15 @@ def _ends(phase: Array) -> tuple[int, int]:
     middle = slice(size // 4, size - size // 4)
     at = np.arange(size)
     deviation = phase - np.polyval(np.polyfit(at[middle], phase[middle], 1), at)
-    limit = max(_END_SIGMAS * float(deviation[middle].std()), _END_LEAST)
-    out = np.flatnonzero(abs(deviation) > limit)
-    before, after = out[out < size // 2], out[out >= size // 2]
+    limit = max(_END_SIGMAS * float(deviation[middle].std()), _END_MIN)
+    outside = np.flatnonzero(abs(deviation) > limit)
+    before, after = outside[outside < size // 2], outside[outside >= size // 2]
     return (int(before[-1]) + 1 if before.size else 0), (int(after[0]) if after.size else size)
 
 
 def _share(pieces: Sequence[_Piece], track: Track) -> float:
     """Share of the time with a signal in which a tone is held."""
-    silence = _SILENCE * float(np.median([piece.amplitude for piece in pieces]))
+    silence = _SILENCE_RATIO * float(np.median([piece.amplitude for piece in pieces]))
     return sum(piece.stop - piece.first for piece in pieces) / (
         track.hop * max(int(np.sum(track.levels > silence)), 1)
     )
@@ -213,20 +219,20 @@ def _sweeps(pieces: Sequence[_Piece]) -> bool:
     """Whether the frequency drifts within stretches as from one to the next."""
     middle, begins, ends = np.array([piece.frequencies() for piece in pieces]).T
     distance = abs(np.diff(middle))
-    distance[distance < _SAME * middle[1:]] = np.inf
+    distance[distance < _SAME_FREQUENCY * middle[1:]] = np.inf
     nearest = np.minimum(np.append(distance, np.inf), np.insert(distance, 0, np.inf))
-    return bool(np.median(abs(ends - begins) / nearest) > _DRIFT)
+    return bool(np.median(abs(ends - begins) / nearest) > _MAX_DRIFT)
 
 
 def _settled(piece: _Piece, tolerance: float) -> HeldTone:
-    """Leave out the transient at the beginning of a stretch."""
+    """Remove the transient at the beginning of a segment."""
     track, blocks = piece.track, slice(piece.begin, piece.end)
     size = track.amplitude[blocks]
     channels = np.vstack([track.ratio[:, blocks], (size / np.median(size))[None]])
     channels = channels[np.isfinite(channels).all(axis=1)]
     steady, begin = False, 0
-    for share in _LATEST:
-        if not steady and size.size * share >= _FEWEST:
+    for share in _LATE_SHARES:
+        if not steady and size.size * share >= _MIN_BLOCKS:
             steady, begin = _steady_from(channels, round(size.size * (1.0 - share)), tolerance)
     frequency = float(np.polyfit(np.arange(size.size - begin), piece.phase[begin:], 1)[0])
     return HeldTone(

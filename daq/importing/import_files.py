@@ -34,19 +34,22 @@ from rig.scene.scene import Scene
 Progress = Callable[[float, str], None]
 
 # Samples of each channel in memory at a time.
-_PIECE = 1 << 16
-# Rates that differ by less are one rate, rounded in one of the files.
+_PIECE_SAMPLES = 1 << 16
+# Relative difference below which two rates are the same rate, rounded in a file.
 _SAME_RATE = 2e-5
-# Band of a test whose scene states none, as shares of the sample rate.
-_LOWEST, _HIGHEST = 1e-4, 0.4
-# Larger readings, in the unit of their quantity, are no vibration.
-_ABSURD = {"acceleration": 1e6, "velocity": 1e4, "displacement": 1e2, "force": 1e7, "voltage": 1e4}
-# Stretches of lost samples from which short pauses between them are joined, and these pauses, s.
-_LOST_LISTED, _LOST_PAUSE_S = 1000, 0.1
-# Pause between two overloads that are marked as one, s.
+# Band of a test whose scene states none, as ratios to the sample rate.
+_LOWEST_RATIO = 1e-4
+_HIGHEST_RATIO = 0.4
+# Larger readings, in SI, are not a vibration.
+_IMPLAUSIBLE = {"acceleration": 1e6, "velocity": 1e4, "displacement": 1e2, "force": 1e7, "voltage": 1e4}
+# Number of lost segments of a channel from which those with short pauses between them are joined.
+_MAX_LOST_SEGMENTS = 1000
+# These pauses, s.
+_LOST_PAUSE_S = 0.1
+# Pause between two overloads that are joined, s.
 _OVERLOAD_PAUSE_S = 0.01
-# Share of a free test after which its largest motion is late.
-_LATE = 0.05
+# Share of a free test after which its largest motion is too late for a decay.
+_LATE_SHARE = 0.05
 
 
 def import_files(
@@ -160,14 +163,16 @@ import_ = import_files
 
 
 def _common_rate(chosen: Sequence[Choice], scene: Scene) -> float:
-    """Give the one rate of all signals: the table's, the files', or else the scene's."""
+    """Return the rate of all signals: the table's, the files', or else the scene's."""
 
     def listed(rates: Iterable[float]) -> str:
         return ", ".join(f"{rate:.10g} Hz" for rate in sorted(rates))
 
     given = {each.column.rate for each in chosen if each.column.rate is not None}
     if len(given) > 1:
-        raise SceneError(f"the table gives several rates, {listed(given)}; a recording has one")
+        raise SceneError(
+            f"the table gives several rates, {listed(given)}. Give one rate: a recording has one."
+        )
     if given:
         return given.pop()
     converter = scene.converter
@@ -219,7 +224,7 @@ def _with_start_delays(assigned: Sequence[Assigned]) -> list[Assigned]:
 def _cut(
     assigned: Sequence[Assigned], rate: float, from_s: float | None, to_s: float | None
 ) -> Sequence[Assigned]:
-    """Take the samples between two times."""
+    """Select the samples between two times."""
     if from_s is None and to_s is None:
         return assigned
     refuse_reversed(from_s, to_s)
@@ -227,7 +232,9 @@ def _cut(
     start = 0 if from_s is None else max(0, math.ceil(from_s * rate))
     stop = longest if to_s is None else min(longest, math.ceil(to_s * rate))
     if stop - start < 2:
-        raise SceneError(f"no samples between --from and --to: the files hold 0 s to {longest / rate:.6g} s")
+        raise SceneError(
+            f"no samples between --from and --to. Give times from 0 s to {longest / rate:.6g} s."
+        )
 
     def within(signal: Signal) -> Signal:
         return replace(
@@ -241,7 +248,7 @@ def _cut(
 
 
 def _as_measured(scene: Scene, assigned: Sequence[Assigned], rate: float) -> Scene:
-    """Give the scene with the channels that the files hold, and their rate."""
+    """Return the scene with the channels of the files, and their rate."""
     converter = scene.converter.replace(rate=rate, remove_delay=True, dropped_blocks=(), skew=None)
     if abs(converter.sample_rate - rate) > _SAME_RATE * rate:
         raise SceneError(
@@ -283,7 +290,7 @@ class _Import:
         self._steps = StepFinder(scene, self._infos, rate) if held else None
 
     def run(self, path: Path, overwrite: bool, progress: Progress | None) -> list[str]:
-        """Write the recording; give the warnings about it."""
+        """Write the recording; return the warnings about it."""
         source = ", ".join(dict.fromkeys(Path(each.signal.file).name for each in self._assigned))
         start_ns = max(each.signal.start_ns for each in self._assigned)
         start_ns += round(self._assigned[0].signal.start_s * 1e9) if start_ns else 0
@@ -291,8 +298,8 @@ class _Import:
             replacing(path, overwrite or None) as part,
             Recorder(part, self._scene, self._infos, self._rate, max(start_ns, 0), source=source) as recorder,
         ):
-            for first in range(0, self._samples, _PIECE):
-                stop = min(first + _PIECE, self._samples)
+            for first in range(0, self._samples, _PIECE_SAMPLES):
+                stop = min(first + _PIECE_SAMPLES, self._samples)
                 piece = np.stack([self._piece(row, first, stop) for row in range(len(self._infos))])
                 recorder.write(piece)
                 if self._power is not None:
@@ -312,7 +319,7 @@ class _Import:
             volts[: there - first] = each.volts(first, there)
             volts[~np.isfinite(volts)] = np.nan
         self._missing[row] += [(first + a, first + b) for a, b in runs_of(np.isnan(volts))]
-        if len(self._missing[row]) > _LOST_LISTED:
+        if len(self._missing[row]) > _MAX_LOST_SEGMENTS:
             self._missing[row] = joined(self._missing[row], round(_LOST_PAUSE_S * self._rate))
         self._overloads[row].add(first, volts)
         if row in self._forces:
@@ -335,7 +342,7 @@ class _Import:
             for first, stop in clipped:
                 recorder.mark("overload", first, stop - 1, channel=name)
             if clipped:
-                yield f"{where} is clipped in {len(clipped)} stretches; marked as overload"
+                yield f"{where} is clipped in {len(clipped)} segments; marked as overload"
         if self._power is not None and (warning := self._power.warning()):
             yield warning
 
@@ -349,7 +356,7 @@ class _Import:
                 if each.channel.body is not None and overloads.peak_at is not None
             ]
             latest, name = max(moving, default=(0, ""))
-            if latest >= _LATE * self._samples:
+            if latest >= _LATE_SHARE * self._samples:
                 yield (
                     f"a free test: its decay begins with the first sample, but {name} moves most at "
                     f"{latest / self._rate:.4g} s. Remove the time before it with --from."
@@ -371,24 +378,24 @@ class _Import:
         elif not any(info.quantity == "force" for info in self._infos) and not self._scene.shakers:
             yield "no channel measures a force and the scene has no shaker, so responses have no reference"
         else:
-            low, high = _LOWEST * self._rate, _HIGHEST * self._rate
+            low, high = _LOWEST_RATIO * self._rate, _HIGHEST_RATIO * self._rate
             if isinstance(test, SweptSine | Random | Multisine):
                 low, high = sorted((test.from_, test.to))
             recorder.mark("measure", 0, self._samples - 1, **{"from": low, "to": high})
 
 
 def _implausible(where: str, each: Assigned, overloads: Overloads) -> Iterator[str]:
-    """Yield warnings of readings that are hardly right."""
+    """Yield warnings of implausible readings."""
     peak, unit = overloads.peak / abs(each.info.sensitivity), each.info.unit
     if not np.isfinite(peak):
-        yield f"{where} holds no numbers"
+        yield f"{where} contains no numbers"
         return
     if overloads.span == 0.0:
         yield f"{where} reads {peak:.6g} {unit} throughout: the sensor is dead, or not connected"
-    if peak > _ABSURD[each.info.quantity]:
+    if peak > _IMPLAUSIBLE[each.info.quantity]:
         yield f"{where} reads up to {peak:.3g} {unit}. Check for a wrong unit or sensitivity."
     if overloads.beyond_limit:
         yield (
-            f"{where} reads up to {overloads.peak:.4g} V, beyond the converter's range of {overloads.limit:.4g} V. "
+            f"{where} reads up to {overloads.peak:.4g} V, above the converter's range of {overloads.limit:.4g} V. "
             "Correct unit, sensitivity or range."
         )

@@ -25,7 +25,7 @@ class LabviewChannel(NamedTuple):
 
     name: str
     unit: str
-    cell: int  # Its position in a line
+    cell: int  # its position in a line
     samples: int  # -1: not stated
     rate: float | None  # Hz
     rate_error: float  # Largest error of the rate by the digits of the sample interval, Hz
@@ -80,7 +80,7 @@ def _channel(segment: dict[str, list[str]], name: str, place: int, comma: bool) 
         return text.replace(",", ".") if comma else text
 
     interval = stated("Delta_X", "0")
-    error = _half_digit(interval)
+    error = _rounding_error(interval)
     rate = rate_of_interval(float(interval), error) if float(interval) else None
     return LabviewChannel(
         name,
@@ -94,10 +94,10 @@ def _channel(segment: dict[str, list[str]], name: str, place: int, comma: bool) 
     )
 
 
-def _half_digit(number: str) -> float:
+def _rounding_error(number: str) -> float:
     """Largest rounding error of a number as it is written.
 
-    >>> _half_digit("0.000977"), _half_digit("1.9531E-5")
+    >>> _rounding_error("0.000977"), _rounding_error("1.9531E-5")
     (5e-07, 5e-10)
     """
     mantissa, _, power = number.lower().partition("e")

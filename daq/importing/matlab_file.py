@@ -1,4 +1,4 @@
-"""MATLAB files, read in a process of their own: scipy's reader can bring its process down over a damaged file.
+"""MATLAB files, read in a separate process: a damaged file can crash the process of scipy's reader.
 
 Run as a program, it writes the content of the file that its first argument names.
 """
@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 from rig.errors import RecordingError, RunError
 from rig.numerics.memory import ALLOWED, PROGRAM, most
 
-_NO_HDF5, _TOO_MUCH = "needs h5py", "needs more memory"
-# Structures within structures that are read.
-_DEEPEST = 8
-# Values that are read: cells may refer to themselves.
-_MOST = 100_000
+_NEEDS_H5PY, _NEEDS_MEMORY = "needs h5py", "needs more memory"
+# Maximum depth of structures within structures.
+_MAX_DEPTH = 8
+# Maximum number of values: cells may refer to themselves.
+_MAX_VALUES = 100_000
 
 
 def matlab_arrays(path: Path) -> dict[str, Any]:
@@ -32,7 +32,7 @@ def matlab_arrays(path: Path) -> dict[str, Any]:
     Raises `RecordingError` for a damaged file, `RunError` for version 7.3 without h5py.
     """
     memory = str(int(max(most() - PROGRAM, most() / 2)))
-    # Modules are found where this process finds them: -m alone would look in the user's folder first.
+    # The search path is that of this process: -m alone would search the user's folder first.
     program = [sys.executable, "-P", "-m", __name__, str(path.resolve()), memory]
     here = {**os.environ, "PYTHONPATH": os.pathsep.join(str(Path(entry).absolute()) for entry in sys.path)}
     with subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=here) as reader:
@@ -42,12 +42,12 @@ def matlab_arrays(path: Path) -> dict[str, Any]:
         except (EOFError, pickle.UnpicklingError):
             code = reader.wait()
             raise RecordingError(f"{path} is damaged: reading it ended with code {code}") from None
-    if content == _NO_HDF5:
+    if content == _NEEDS_H5PY:
         raise RunError(
             f"{path} is a MATLAB file of version 7.3 (HDF5), which needs the package h5py: pip install "
             "'shotrig[matlab]'; or in MATLAB: save(name, ..., '-v7')"
         )
-    if content == _TOO_MUCH:
+    if content == _NEEDS_MEMORY:
         raise RecordingError(
             f"{path}: importing it takes more than the {most() / 1e9:.3g} GB of memory that are allowed. Save the "
             f"channels one by one, or as TDMS or WAV, or allow more: {ALLOWED}=8GB in the environment."
@@ -78,11 +78,11 @@ def _read(name: str, memory: int) -> dict[str, Any] | str:
                 # Names with # are MATLAB's own: the targets of references in cells and structures.
                 return {key: items.value(file[key]) for key in file if not key.startswith("#")}
     except ImportError:
-        return _NO_HDF5
+        return _NEEDS_H5PY
     except MemoryError:
-        return _TOO_MUCH
+        return _NEEDS_MEMORY
     except Exception as error:
-        # The reader meets damage as whatever it happens to lead to.
+        # A damaged file can cause any exception in the reader.
         return f"is not a MATLAB file, or it is damaged: {type(error).__name__}: {error}"[:300]
     return {key: value for key, value in content.items() if key[:2] != "__"}
 
@@ -100,9 +100,9 @@ class _HdfItems:
     def value(self, item: Any, depth: int = 0) -> Any:
         """Give the MATLAB value of an item; None beyond the depth of data."""
         self._count += 1
-        if self._count > _MOST:
-            raise ValueError(f"its structures and cells hold more than {_MOST} values")
-        if depth > _DEEPEST:
+        if self._count > _MAX_VALUES:
+            raise ValueError(f"its structures and cells hold more than {_MAX_VALUES} values")
+        if depth > _MAX_DEPTH:
             return None
         if hasattr(item, "keys"):
             fields = {name: self.value(item[name], depth + 1) for name in item}

@@ -9,20 +9,20 @@ import numpy as np
 from rig.arrays import Array
 from rig.numerics.runs import runs_of
 
-# Equal samples in a row at the largest value that no smooth peak has.
-_FLAT = 3
-# Counts by which the signal must rise to them: a slow signal in coarse steps has flat peaks too.
-_COUNTS = 4.0
-# Share of the stated range from which a reading is clipped.
-_CLIPPED = 0.9999
-# Readings beyond this multiple of the stated range show that the signal has another range.
-_BEYOND = 1.05
-# Stretches that are stored at most.
-_MOST = 100_000
+# Minimum number of equal samples at the largest value: a smooth peak has fewer.
+_MIN_FLAT_SAMPLES = 3
+# Counts by which the signal must rise to them: a slow signal in coarse steps also has flat peaks.
+_MIN_RISE_COUNTS = 4.0
+# Ratio to the stated range from which a reading is clipped.
+_CLIPPED_RATIO = 0.9999
+# Ratio to the stated range above which readings show that the signal has another range.
+_WRONG_LIMIT_RATIO = 1.05
+# Maximum number of stored segments.
+_MAX_STORED = 100_000
 
 
 class Rail:
-    """The flat tops of one side of a signal, block after block."""
+    """The flat tops of one side of a signal, block by block."""
 
     def __init__(self, sign: int) -> None:
         self._sign = sign
@@ -33,7 +33,7 @@ class Rail:
         self._open: tuple[int, float] | None = None
 
     def add(self, first: int, samples: Array) -> None:
-        """Take the next samples of the signal, the first with the number `first`."""
+        """Add the next samples of the signal; the first has the number `first`."""
         values = self._sign * samples
         top = float(np.fmax.reduce(values, initial=-np.inf))
         if top > self.top:
@@ -51,7 +51,7 @@ class Rail:
     def _end(self, stop: int, after: float) -> None:
         assert self._open is not None
         start, before = self._open
-        if len(self._runs) < _MOST:
+        if len(self._runs) < _MAX_STORED:
             self._runs.append((start, stop, self.top - float(np.fmin(before, after))))
         self._open = None
 
@@ -63,7 +63,7 @@ class Rail:
         return None if self._open is None else self._open[0]
 
     def runs(self, stop: int, least: int, drop: float) -> list[tuple[int, int]]:
-        """Return the stretches [first, stop) of at least `least` samples at the largest value.
+        """Return the segments [first, stop) of at least `least` samples at the largest value.
 
         They differ by at least `drop` from the samples next to them; `stop` is the number of all samples.
         """
@@ -100,26 +100,28 @@ class Overloads:
     @property
     def beyond_limit(self) -> bool:
         """Whether readings exceed the limit so far that the limit must be wrong."""
-        return self.limit is not None and self.peak > _BEYOND * self.limit
+        return self.limit is not None and self.peak > _WRONG_LIMIT_RATIO * self.limit
 
     def add(self, first: int, samples: Array) -> None:
-        """Take the next samples, the first with the number `first`."""
+        """Add the next samples; the first has the number `first`."""
         self._samples = first + samples.size
         steps = abs(np.diff(samples))
         self._count = min(self._count, float(np.nanmin(np.where(steps > 0, steps, np.inf), initial=np.inf)))
         for rail in self._rails:
             rail.add(first, samples)
-        if self.limit is not None and len(self._over) < _MOST:
-            self._over += [(first + a, first + b) for a, b in runs_of(abs(samples) >= _CLIPPED * self.limit)]
+        if self.limit is not None and len(self._over) < _MAX_STORED:
+            self._over += [
+                (first + a, first + b) for a, b in runs_of(abs(samples) >= _CLIPPED_RATIO * self.limit)
+            ]
 
     def spans(self) -> list[tuple[int, int]]:
-        """Give the stretches [first, stop) in which the signal was clipped, in order."""
+        """Return the segments [first, stop) in which the signal was clipped, in order."""
         flat = [
             run
             for rail in self._rails
-            # Rest at zero, such as a force between hits, is no top.
+            # Rest at zero, such as a force between hits, is not a top.
             if rail.top > 0.5 * self.peak
-            for run in rail.runs(self._samples, _FLAT, _COUNTS * self._count)
+            for run in rail.runs(self._samples, _MIN_FLAT_SAMPLES, _MIN_RISE_COUNTS * self._count)
         ]
         return joined([*flat, *([] if self.beyond_limit else self._over)])
 

@@ -62,12 +62,12 @@ def import_and_report(
     for warning in caught:
         print(f"warning: {warning.message}", file=sys.stderr)
     with open_recording(path) as recording:
-        for line in _detected(recording):
+        for line in _detected_lines(recording):
             print(line)
     print(summary(path))
 
 
-def _detected(recording: Recording) -> Iterator[str]:
+def _detected_lines(recording: Recording) -> Iterator[str]:
     """Describe the hits or steps that were detected in the samples."""
     hits = [marker for marker in recording.markers if marker.kind == "hit"]
     if hits:

@@ -59,7 +59,7 @@ class Signal:
         return signal.with_gaps(clock)
 
     def with_gaps(self, clock: Clock) -> Signal:
-        """Give the signal with NaN in place of the samples that the file lacks."""
+        """Return the signal with NaN for the samples that the file lacks."""
         missing = [(row, count) for row, count in clock.missing if row < self.samples]
         if not missing:
             return self
@@ -68,7 +68,7 @@ class Signal:
         resumes = before + lost[1:]
 
         def row_at(number: int) -> int:
-            """Give the first row whose sample number is at least `number`."""
+            """Return the first row whose sample number is at least `number`."""
             passed = int(np.searchsorted(resumes, number, side="right"))
             row = number - int(lost[passed])
             return min(row, int(before[passed])) if passed < before.size else row

@@ -17,12 +17,14 @@ from rig.arrays import Array
 from rig.scene.excitation import Sine, SteppedSine
 from rig.scene.scene import Scene
 
-# Ratio by which the searched band is wider than that of the scene's test, which may be only a part of the test.
-_WIDER = 1.5
-# Windows whose phases determine a frequency, and the largest number of samples of a window.
-_WINDOWS, _LONGEST = 8, 1 << 16
+# Ratio by which the searched band exceeds that of the scene's test at either end: the real test may be wider.
+_BAND_RATIO = 1.5
+# Minimum number of windows whose phases determine a frequency.
+_MIN_WINDOWS = 8
+# Maximum number of samples of a window.
+_MAX_WINDOW = 1 << 16
 # Relative difference of frequency below which two steps are the same.
-_SAME = 1e-5
+_SAME_FREQUENCY = 1e-5
 
 
 class StepFinder:
@@ -45,10 +47,10 @@ class StepFinder:
         self.row = shown[0] if shown else 0
         self._info = infos[self.row]
         run = (scene.test.frequency,) if isinstance(scene.test, Sine) else scene.test.order
-        self._tracker = ToneTracker(rate, min(run) / _WIDER, max(run) * _WIDER, self.row)
+        self._tracker = ToneTracker(rate, min(run) / _BAND_RATIO, max(run) * _BAND_RATIO, self.row)
 
     def add(self, volts: Array) -> None:
-        """Take the next samples, shape (channels, samples)."""
+        """Add the next samples, shape (channels, samples)."""
         self._tracker.add(volts)
 
     def mark(self, recorder: Recorder, followed: Assigned) -> list[str]:
@@ -84,7 +86,7 @@ class StepFinder:
         return []
 
     def _level(self, tones: Sequence[HeldTone], number: int) -> float:
-        """Level of a pass: the test's level nearest to the force, or else the next level."""
+        """Return the level of a pass: the test's level nearest to the force, or else the next level."""
         test = self._test
         if isinstance(test, Sine):
             return float(test.force if test.force is not None else test.drive or 0.0)
@@ -105,7 +107,7 @@ def _passes(frequencies: Sequence[float]) -> list[tuple[str, list[int]]]:
     >>> _passes([5.0])
     [('up', [0])]
     """
-    same = _SAME * np.asarray(frequencies[1:])
+    same = _SAME_FREQUENCY * np.asarray(frequencies[1:])
     change = np.diff(frequencies)
     signs = np.where(abs(change) <= same, 0, np.sign(change)).astype(int).tolist()
     passes: list[tuple[int, list[int]]] = []
@@ -121,7 +123,7 @@ def _refined(tones: Sequence[HeldTone], read: Callable[[int, int], Array], rate:
     plans = []
     for tone in tones:
         frequency, length = tone.frequency * rate, tone.stop - tone.first
-        size = whole_periods(frequency, rate, min(length // _WINDOWS, _LONGEST) / rate)
+        size = whole_periods(frequency, rate, min(length // _MIN_WINDOWS, _MAX_WINDOW) / rate)
         if size < fewest_samples(frequency, rate) or 2 * size > length:
             size = length // 2
         plans.append((tone, size))
@@ -130,7 +132,7 @@ def _refined(tones: Sequence[HeldTone], read: Callable[[int, int], Array], rate:
         for tone, size in plans
         for start in range(tone.first, tone.stop - size + 1, size)
     ]
-    samples = _stretches(read, bounds)
+    samples = _read_segments(read, bounds)
     return [replace(tone, frequency=_frequency(tone, size, samples, rate)) for tone, size in plans]
 
 
@@ -148,12 +150,12 @@ def _frequency(tone: HeldTone, size: int, samples: Iterator[Array], rate: float)
     return tone.frequency + float(np.polyfit(starts - starts[0], residual, 1)[0]) / (2.0 * np.pi)
 
 
-def _stretches(read: Callable[[int, int], Array], bounds: Sequence[tuple[int, int]]) -> Iterator[Array]:
-    """Yield the samples of stretches that rise and do not overlap, all between them read in pieces."""
+def _read_segments(read: Callable[[int, int], Array], bounds: Sequence[tuple[int, int]]) -> Iterator[Array]:
+    """Yield the samples of ordered segments without overlap; the samples between them are read as well, in pieces."""
     at = 0
     for first, stop in bounds:
         while at < first:
-            end = min(first, at + _LONGEST)
+            end = min(first, at + _MAX_WINDOW)
             read(at, end)
             at = end
         yield read(first, stop)

@@ -48,7 +48,7 @@ def tdms_signals(path: Path, stack: ExitStack) -> list[Signal]:
     except (OSError, RecordingError):
         raise
     except Exception as error:
-        # The reader meets damage as whatever it happens to lead to.
+        # A damaged file can cause any exception in the reader.
         raise RecordingError(f"{path} is not a TDMS file, or it is damaged: {_cause(error)}") from error
 
 
@@ -73,7 +73,7 @@ def log_as_warning(path: Path) -> Iterator[None]:
 
 
 def _is_clock(channel: Any, channels: list[Any]) -> bool:
-    """Whether a channel holds the times of the others of its group, none of which has a clock."""
+    """Return whether a channel contains the times of the others of its group, none of which has a clock."""
     group = [each for each in channels if each.group_name == channel.group_name and each is not channel]
     name = str(channel.name).partition("[")[0].partition("(")[0].strip()
     return (

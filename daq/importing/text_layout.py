@@ -10,15 +10,15 @@ from typing import NamedTuple
 
 from rig.errors import RecordingError
 
-# Lines in which the first line of numbers has to come.
-_LONGEST_HEADING = 200
-# A unit in brackets behind a name; the unit may hold parentheses.
-_UNIT_BEHIND = re.compile(r"(.*?)\s*[\[(]([^\[\]()]*(?:\([^\[\]()]*\)[^\[\]()]*)?)[\])]\s*")
-# A unit behind an underscore, as in our own tables.
-_SUFFIX = re.compile(r"(.+)_(m/s\^2|m/s²|m/s|m|N|V|g|s|ms)")
+# Maximum number of lines before the first line of numbers.
+_MAX_HEADING_LINES = 200
+# A unit in brackets after a name; the unit may contain parentheses.
+_UNIT_IN_BRACKETS = re.compile(r"(.*?)\s*[\[(]([^\[\]()]*(?:\([^\[\]()]*\)[^\[\]()]*)?)[\])]\s*")
+# A unit after an underscore, as in our own tables.
+_UNIT_AFTER_UNDERSCORE = re.compile(r"(.+)_(m/s\^2|m/s²|m/s|m|N|V|g|s|ms)")
 # First cells of a line of units, and the longest unit.
 _TIME_UNITS = ("s", "ms", "us", "sec", "Seconds", "")
-_LONGEST_UNIT = 12
+_MAX_UNIT_LENGTH = 12
 #: Name of a column without a name.
 UNNAMED = "column {}"
 # Digits of a second's fraction in a time of day.
@@ -36,12 +36,11 @@ class Layout(NamedTuple):
     heading: int  # Lines in front of the first line of numbers
     names: list[str]
     units: list[str]
-    cells: tuple[int, ...] | None = None
-    """Cells of a line that are read, where there are others; None: all."""
+    cells: tuple[int, ...] | None = None  # cells of a line that are read; None: all
 
 
 def beginning(path: Path) -> tuple[list[str], str]:
-    """Give the first lines of a table, at least one, and its encoding."""
+    """Return the first lines of a table, at least one, and its encoding."""
     with path.open("rb") as binary:
         begin = binary.read(1 << 18)
     wide = begin.startswith((b"\xff\xfe", b"\xfe\xff"))
@@ -51,10 +50,10 @@ def beginning(path: Path) -> tuple[list[str], str]:
     try:
         text = begin.decode(encoding)
     except UnicodeDecodeError as error:
-        # The end may be within a character.
+        # The last character may be incomplete.
         encoding = encoding if error.start > len(begin) - 4 else "cp1252"
         text = begin.decode(encoding, errors="replace")
-    return text.splitlines()[:_LONGEST_HEADING] or [""], encoding
+    return text.splitlines()[:_MAX_HEADING_LINES] or [""], encoding
 
 
 def detect_layout(path: Path, lines: list[str], encoding: str) -> Layout:
@@ -86,22 +85,20 @@ def detect_layout(path: Path, lines: list[str], encoding: str) -> Layout:
 
 
 def _heading(above: list[list[str]], width: int) -> tuple[list[str], list[str]]:
-    """Take names and units from the lines above the numbers."""
+    """Read names and units from the lines above the numbers."""
     rows = [[cell.strip(" ,;") for cell in row] for row in above[-2:] if len(row) == width]
     if not rows or len(above[-1]) != width:
         return [UNNAMED.format(number) for number in range(1, width + 1)], [""] * width
     names, units = rows[-1], [""] * width
-    if len(rows) == 2 and not any(map(_UNIT_BEHIND.fullmatch, rows[0])) and _are_units(rows[1]):
+    are_units = all(len(cell) <= _MAX_UNIT_LENGTH for cell in rows[-1])
+    are_units &= rows[-1][0].strip("[]()") in _TIME_UNITS
+    if len(rows) == 2 and not any(map(_UNIT_IN_BRACKETS.fullmatch, rows[0])) and are_units:
         names, units = rows[0], [cell.strip("[]()") for cell in rows[1]]
     else:
         for place, cell in enumerate(names):
-            if found := _UNIT_BEHIND.fullmatch(cell) or _SUFFIX.fullmatch(cell):
+            if found := _UNIT_IN_BRACKETS.fullmatch(cell) or _UNIT_AFTER_UNDERSCORE.fullmatch(cell):
                 names[place], units[place] = found[1], found[2].strip()
     return [name or UNNAMED.format(k) for k, name in enumerate(names, 1)], units
-
-
-def _are_units(row: list[str]) -> bool:
-    return all(len(cell) <= _LONGEST_UNIT for cell in row) and row[0].strip("[]()") in _TIME_UNITS
 
 
 def cells(line: str, delimiter: str | None) -> list[str]:
@@ -111,7 +108,7 @@ def cells(line: str, delimiter: str | None) -> list[str]:
     try:
         (row,) = list(csv.reader([line.rstrip("\r\n")], delimiter=delimiter)) or [[]]
     except csv.Error:
-        # A cell of more than a hundred thousand letters belongs to no table.
+        # The csv module rejects cells of more than a hundred thousand characters.
         return [line]
     return [cell.strip() for cell in row]
 
@@ -147,7 +144,7 @@ def seconds_of_stamp(cell: str) -> float | None:
 
 
 def resolution_of_stamp(cell: str) -> float:
-    """Give the size of a stamp's last digit that is read, s.
+    """Return the size of the last digit that is read from a stamp, s.
 
     >>> resolution_of_stamp("2024-05-01 10:00:00"), resolution_of_stamp("2024-05-01 10:00:00.0625")
     (1.0, 0.0001)

@@ -40,13 +40,13 @@ from rig.errors import RecordingError
 from rig.numerics.memory import need_beside_program
 from rig.scene.quantities import TIME, parse
 
-_LONGEST_LINE = 1 << 20
+_MAX_LINE = 1 << 20
 # Relative uncertainty of a rate from which it is reported.
 _UNCERTAIN_RATE = 2e-5
-# Lines from which the digits of times are determined.
-_SAMPLED = 50
-# Fewer lines do not show the usual number of digits.
-_FEW = 10
+# Maximum number of lines from which the digits of times are determined.
+_MAX_SAMPLED_LINES = 50
+# Minimum number of lines that show the usual number of digits.
+_MIN_LINES = 10
 # Lines that are read at a time.
 PIECE = 1 << 16
 # Memory that a byte of these lines takes, measured: text and numbers.
@@ -54,7 +54,7 @@ _READ_BYTES = 4
 
 
 def text_signals(path: Path, stack: ExitStack) -> list[Signal]:
-    """List the columns of a text table; it is read line by line, once for each time its samples are wanted.
+    """List the columns of a text table; it is read line by line, once for each pass through its samples.
 
     A first column of times gives the clock. Names and units are those of the heading: ``acc1 [m/s^2]``,
     ``acc1 (g)``, or a line of names above a line of units.
@@ -70,7 +70,7 @@ def text_signals(path: Path, stack: ExitStack) -> list[Signal]:
     if len(columns) > 1 and (named or table.has_stamps or table.begins_with_times()):
         clock, first = table.take_clock(layout.units[0]), 1
     if not table.rows:
-        raise RecordingError(f"{path} holds no line of numbers")
+        raise RecordingError(f"{path} contains no line of numbers")
     return [
         table.signal(place, name, unit, first + place - 1, clock)
         for place, (name, unit) in enumerate(columns[first:], 1)
@@ -114,7 +114,7 @@ def _labview_signals(path: Path, heading: LabviewHeading, encoding: str, stack: 
             channel.unit,
             place - 1 + times,
             clock or Clock(channel.rate, channel.start_s),
-            # Lines may be added to a file without a change of its heading; only a shorter channel follows from it.
+            # Programs append lines without a change of the heading; only a shorter channel is taken from it.
             table.rows if channel.samples in (-1, longest) else min(channel.samples, table.rows),
         )
         signals.append(replace(signal, start_ns=channel.start_ns))
@@ -130,15 +130,15 @@ class _Table:
             path.open(encoding=layout.encoding, errors="replace", newline="")
         )
         self._grid: tuple[Clock, float, float] | None = None  # Clock, resolution and unit of the times, s
-        self._samples: list[str] = []  # The first lines, and the last
+        self._samples: list[str] = []  # first lines, and the last line
         self.rows = 0
         before, last = "", (0, "")
         for each in self._lines():
-            if self.rows < _SAMPLED:
+            if self.rows < _MAX_SAMPLED_LINES:
                 self._samples.append(each[1])
             before, last = last[1], each
             self.rows += 1
-        if self.rows > 1 and (reason := self._torn(*last)):
+        if self.rows > 1 and (reason := self._truncation(*last)):
             warn(f"{path}: its last line is cut off and is omitted ({reason})")
             self.rows -= 1
             self._samples = self._samples[: self.rows]
@@ -149,17 +149,17 @@ class _Table:
             need_beside_program(_READ_BYTES * piece, f"{path}: importing it")
         self._reading = self._lines()
         self._position = 0
-        self._recent: tuple[int, int, Array] = (-1, -1, np.empty((0, 0)))
+        self._last_piece: tuple[int, int, Array] = (-1, -1, np.empty((0, 0)))
 
-    def _torn(self, line_number: int, line: str) -> str:
-        """State why the last line is cut off; empty if it may be complete."""
+    def _truncation(self, line_number: int, line: str) -> str:
+        """Return the reason why the last line is cut off; empty if it may be complete."""
         try:
             self._row(line_number, line)
         except RecordingError as error:
             return str(error)
         last = [cells(each, self._layout.delimiter)[-1] for each in (*self._samples[:-1], line)]
         lengths = [len(cell.lstrip("+-")) for cell in last]
-        if not line.endswith(("\n", "\r")) and len(lengths) > _FEW and lengths[-1] < min(lengths[:-1]):
+        if not line.endswith(("\n", "\r")) and len(lengths) > _MIN_LINES and lengths[-1] < min(lengths[:-1]):
             return f"line {line_number}: {last[-1]!r:.40} is shorter than in other lines, and the line has no end"
         return ""
 
@@ -169,7 +169,7 @@ class _Table:
         return bool(self._samples) and seconds_of_stamp(self._first_cell(self._samples[0])) is not None
 
     def begins_with_times(self) -> bool:
-        """Whether the first column of a table without heading can only be times; this is reported."""
+        """Return whether the first column of a table without heading can only be times, with a warning."""
         if self._layout.names[0] != UNNAMED.format(1) or self.rows < 2:
             return False
         begin = np.array([self._row(0, line)[0] for line in self._samples[:-1]])
@@ -179,7 +179,7 @@ class _Table:
         return True
 
     def take_clock(self, unit: str) -> Clock:
-        """Take the first column as times in a unit."""
+        """Estimate the clock from the first column: times in a unit."""
         where = f"{self._path}: the times in its first column"
         try:
             scale = parse(f"1 {unit}", TIME) if unit and not self.has_stamps else 1.0
@@ -229,8 +229,8 @@ class _Table:
 
     def _read(self, start: int, stop: int) -> Array:
         """Read lines of numbers, shape (lines, columns); the last piece is stored for the other columns."""
-        if self._recent[:2] == (start, stop):
-            return self._recent[2]
+        if self._last_piece[:2] == (start, stop):
+            return self._last_piece[2]
         if start < self._position:
             self._reading, self._position = self._lines(), 0
         for _ in islice(self._reading, start - self._position):
@@ -243,14 +243,14 @@ class _Table:
             numbers = sample_numbers(np.arange(start, start + len(values)), missing)
             where = f"{self._path}: the times in its first column"
             require_even(values[:, 0] * scale, numbers, first, rate or 0.0, resolution, where)
-        self._recent = start, stop, values
+        self._last_piece = start, stop, values
         return values
 
     def _lines(self) -> Iterator[tuple[int, str]]:
         """Yield the lines of numbers with their numbers in the file, from 1."""
         self._file.seek(0)
         line_number = 0
-        while line := self._file.readline(_LONGEST_LINE):
+        while line := self._file.readline(_MAX_LINE):
             line_number += 1
             if line_number <= self._layout.heading or not line.strip():
                 continue

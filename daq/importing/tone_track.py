@@ -1,4 +1,4 @@
-"""The strongest tone of a signal, block after block: frequency, phase, amplitude, and the ratio of other channels."""
+"""The strongest tone of a signal, block by block: frequency, phase, amplitude, and the ratio of other channels."""
 
 from __future__ import annotations
 
@@ -11,12 +11,14 @@ from rig.arrays import Array, ComplexArray
 
 # Hops of a block; a hop is about one period of the lowest tone that the block resolves.
 HOPS = 4
-# Samples of a hop after averaging: enough for the tone, few enough for a fast recording to cost little.
-_HOP = 24
-# Ratio of successive block lengths, and overlap of their bands, so that no tone lies between two.
-_RATIO, _OVERLAP = 2**0.5, 1.1
-# Highest frequency as a share of the rate.
-_HIGHEST = 0.35
+# Samples of a hop after averaging: enough for the tone, and few enough for recordings at high rates.
+_SAMPLES_PER_HOP = 24
+# Ratio of successive block lengths.
+_LENGTH_RATIO = 2**0.5
+# Ratio by which their bands overlap, so that no tone lies between two.
+_BAND_OVERLAP = 1.1
+# Highest frequency as a ratio to the rate.
+_MAX_FREQUENCY_RATIO = 0.35
 
 
 @dataclass(frozen=True)
@@ -41,33 +43,32 @@ class ToneTracker:
     """
 
     def __init__(self, rate: float, low: float, high: float, reference: int) -> None:
-        high = min(high, _HIGHEST * rate)
-        count = max(1, int(np.ceil(np.log(max(high / low, 1.0)) / np.log(_RATIO))))
-        self._lengths = [_OneLength(rate, low * _RATIO**k, reference) for k in range(count)]
+        high = min(high, _MAX_FREQUENCY_RATIO * rate)
+        count = max(1, int(np.ceil(np.log(max(high / low, 1.0)) / np.log(_LENGTH_RATIO))))
+        self._lengths = [_Blocks(rate, low * _LENGTH_RATIO**k, reference) for k in range(count)]
 
     def add(self, samples: Array) -> None:
-        """Take the next samples of all channels, shape (channels, samples); NaN where there are none."""
+        """Add the next samples of all channels, shape (channels, samples); NaN where there are none."""
         for each in self._lengths:
             each.add(samples)
 
     def tracks(self) -> list[Track]:
-        """Give the track of each length of blocks, longest first."""
+        """Return the track of each length of blocks, longest first."""
         return [each.track() for each in self._lengths]
 
 
-class _OneLength:
+class _Blocks:
     """Blocks of one length."""
 
     def __init__(self, rate: float, low: float, reference: int) -> None:
         self._reference = reference
-        self._averaged = max(1, int(rate / (_HOP * low)))
-        self._hop = max(_HOP // 2, round(rate / (low * self._averaged)))
+        self._averaged = max(1, int(rate / (_SAMPLES_PER_HOP * low)))
+        self._hop = max(_SAMPLES_PER_HOP // 2, round(rate / (low * self._averaged)))
         self._size = HOPS * self._hop
         # A frequency in lines of a block's spectrum.
         lines = self._size * self._averaged / rate
-        self._lowest, self._highest = low / _OVERLAP * lines, low * _RATIO * _OVERLAP * lines
-        window = np.hanning(self._size + 1)[:-1]
-        self._window = window
+        self._lowest, self._highest = low / _BAND_OVERLAP * lines, low * _LENGTH_RATIO * _BAND_OVERLAP * lines
+        self._window = window = np.hanning(self._size + 1)[:-1]
         bins = np.arange(int(self._lowest), int(np.ceil(self._highest)) + 1)
         turn = np.exp(-2j * np.pi * bins[:, None] * np.arange(self._size) / self._size)
         # Relative to the middle of the block, so that the phase is the same at each line around the tone.
@@ -76,7 +77,7 @@ class _OneLength:
         self._averages: Array | None = None
         self._done = 0
         self._levels: list[NDArray[np.float32]] = []
-        self._found: list[tuple[NDArray[np.int64], Array, Array, Array, ComplexArray]] = []
+        self._tones: list[tuple[NDArray[np.int64], Array, Array, Array, ComplexArray]] = []
 
     def add(self, samples: Array) -> None:
         rest = samples if self._rest is None else np.concatenate([self._rest, samples], axis=1)
@@ -113,19 +114,25 @@ class _OneLength:
         for each in np.unique(bins):
             here = bins == each
             spectra[:, here] = view[:, resolved[here]] @ self._kernels[each]
-        alone = spectra[self._reference]
-        share = offset[resolved]
-        gain = 0.25 * self._size * np.sinc(share) / (1.0 - share**2)
+        reference_spectrum = spectra[self._reference]
+        line_offset = offset[resolved]
+        gain = 0.25 * self._size * np.sinc(line_offset) / (1.0 - line_offset**2)
         with np.errstate(divide="ignore", invalid="ignore"):
-            ratio = spectra / alone
-        self._found.append(
-            (self._done + resolved, line[resolved] / HOPS, np.angle(alone), at[resolved] / gain, ratio)
+            ratio = spectra / reference_spectrum
+        self._tones.append(
+            (
+                self._done + resolved,
+                line[resolved] / HOPS,
+                np.angle(reference_spectrum),
+                at[resolved] / gain,
+                ratio,
+            )
         )
 
     def track(self) -> Track:
         channels = 1 if self._averages is None else len(self._averages)
         empty = (np.empty(0, np.int64), *(np.empty(0),) * 3, np.empty((channels, 0), complex))
-        found = zip(empty, *self._found, strict=True)
+        found = zip(empty, *self._tones, strict=True)
         number, frequency, phase, amplitude, ratio = (np.concatenate(each, axis=-1) for each in found)
         levels = np.concatenate([np.empty(0, np.float32), *self._levels])
         return Track(self._hop * self._averaged, number, frequency, phase, amplitude, ratio, levels)

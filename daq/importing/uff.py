@@ -16,11 +16,14 @@ from rig.errors import RecordingError, RunError
 from rig.numerics.memory import need_beside_program
 from rig.results.universal_file import FRF, GENERAL
 
+# Function types of data set 58.
 TIME_RESPONSE, COHERENCE = 1, 6
-# Units by the kind of the data, where a label states none and data set 164 states that the file is in SI.
+# Units by the kind of the data, used if a label states none and data set 164 states that the file is in SI.
 UNITS = {8: "m", 11: "m/s", 12: "m/s^2", 9: "N", 13: "N"}
-# Abscissa of time; unit code of SI.
-_TIME, _SI = 17, 1
+# Code of an abscissa of time.
+_ABSCISSA_TIME = 17
+# Code of SI in data set 164.
+_UNITS_SI = 1
 # Memory that reading a byte of the file takes, bytes, measured: text, its numbers as objects, and an array of them.
 _READ_BYTES = 6
 _DIRECTIONS = {1: "+X", 2: "+Y", 3: "+Z", 4: "+RX", 5: "+RY", 6: "+RZ"}
@@ -32,7 +35,7 @@ def uff_signals(path: Path, _stack: ExitStack) -> list[Signal]:
     times = [each for each in sets if is_time(each)]
     if not times:
         kinds = Counter(int(each["func_type"]) for each in sets)
-        hint = ". It holds frequency responses: `analysis modes` takes it as it is." if kinds[FRF] else ""
+        hint = ". It contains frequency responses: give it to `analysis modes`." if kinds[FRF] else ""
         raise RecordingError(f"{path} holds no time response (data set 58, function type 1){hint}")
     names = [title(each) for each in times]
     return [
@@ -53,7 +56,7 @@ def functions(path: Path) -> list[dict[str, Any]]:
     size = path.stat().st_size
     need_beside_program(_READ_BYTES * size, f"{path}: importing it")
     with path.open("rb") as stream:
-        # The reader passes over a last data set that does not end.
+        # The reader ignores a last data set without an end.
         stream.seek(max(0, size - 4096))
         if not stream.read().rstrip().endswith(b"-1"):
             raise RecordingError(
@@ -74,9 +77,9 @@ def functions(path: Path) -> list[dict[str, Any]]:
             if kind == 164:
                 units = int(content["units_code"])
                 continue
-            there, stated = np.asarray(content["data"]).size, int(content["num_pts"])
-            if there != stated:
-                raise ValueError(f"its header states {stated} values, it contains {there}")
+            present, stated = np.asarray(content["data"]).size, int(content["num_pts"])
+            if present != stated:
+                raise ValueError(f"its header states {stated} values, it contains {present}")
         except Exception as error:
             raise RecordingError(
                 f"{path}: its data set {index + 1}, a {kind}, cannot be read: the file is cut off or damaged "
@@ -87,7 +90,7 @@ def functions(path: Path) -> list[dict[str, Any]]:
         others = ", ".join(map(str, sorted(set(kinds) - {0}))) or "none"
         raise RecordingError(f"{path} holds no data set 58 (functions); its data sets: {others}")
     for each in sets:
-        each["si"] = units == _SI
+        each["si"] = units == _UNITS_SI
     return sets
 
 
@@ -105,7 +108,7 @@ def point(each: Mapping[str, Any], which: str) -> str:
 
 
 def label(each: Mapping[str, Any], axis: str) -> str:
-    """Give the unit of an axis by its label, or by its kind in a file in SI; empty if neither states it."""
+    """Return the unit of an axis by its label, or by its kind in a file in SI; empty if neither states it."""
     text = str(each.get(f"{axis}_axis_units_lab", "")).strip()
     if text and text.upper() != "NONE":
         # Labels of Windows programs are not UTF-8; the character that the reader cannot decode in a unit is the square.
@@ -116,7 +119,9 @@ def label(each: Mapping[str, Any], axis: str) -> str:
 def is_time(each: Mapping[str, Any]) -> bool:
     """Whether a function is a function of time."""
     kind = int(each["func_type"])
-    return kind == TIME_RESPONSE or (kind == GENERAL and int(each["abscissa_spec_data_type"]) == _TIME)
+    return kind == TIME_RESPONSE or (
+        kind == GENERAL and int(each["abscissa_spec_data_type"]) == _ABSCISSA_TIME
+    )
 
 
 def _signal(path: Path, number: int, name: str, each: Mapping[str, Any]) -> Signal:

@@ -16,7 +16,7 @@ from rig.errors import RecordingError
 # Format tags of the `fmt ` chunk.
 _INTEGER, _FLOAT, _EXTENSIBLE = 1, 3, 0xFFFE
 _BYTES = {_INTEGER: (1, 2, 3, 4), _FLOAT: (4, 8)}
-# Size of a chunk whose size is stated elsewhere or nowhere.
+# Stated size of a chunk whose size is stated in another chunk or not at all.
 _UNKNOWN = 0xFFFFFFFF
 
 
@@ -62,7 +62,7 @@ def _numbers(raw: NDArray[np.uint8], floats: bool) -> Array:
 
 
 def _chunks(path: Path) -> tuple[bytes, int, int]:
-    """Give the format, and the offset and size in bytes of the samples."""
+    """Return the format, and the offset and size in bytes of the samples."""
     form, large = b"", 0
     end = path.stat().st_size
     with path.open("rb") as file:

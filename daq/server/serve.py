@@ -51,7 +51,7 @@ class Certificates:
             try:
                 texts.append(read_whole(path))
             except OSError as error:
-                raise SceneError(f"{path}: cannot be read ({error.strerror}). Give a PEM file.") from None
+                raise SceneError(f"cannot read {path}: {error.strerror}. Give a PEM file.") from None
         root = None if self.clients is None else texts[2]
         return grpc.ssl_server_credentials([(texts[0], texts[1])], root, require_client_auth=root is not None)
 

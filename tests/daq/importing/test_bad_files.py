@@ -157,7 +157,7 @@ def test_wrong_bytes_end_in_words_or_samples(form, tmp_path):
 
 def test_file_without_samples_lists_its_content(tmp_path):
     savemat(tmp_path / "a.mat", {"text": "hello", "few": np.arange(3.0), "fs": 100.0})
-    assert "no array of samples; it holds text" in refused(tmp_path / "a.mat", tmp_path)
+    assert "no array of samples; it contains text" in refused(tmp_path / "a.mat", tmp_path)
     savemat(tmp_path / "b.mat", {"a": np.zeros(50) + 1j})
     assert "no array of samples" in refused(tmp_path / "b.mat", tmp_path)
     savemat(tmp_path / "c.mat", {"a": np.zeros((50, 3)), "fs": -1.0})
@@ -184,7 +184,7 @@ def test_uff_without_time_responses_names_the_command(tmp_path):
     for number in at:
         lines[number] = "    4" + lines[number][5:]
     (tmp_path / "c.uff").write_text("".join(lines))
-    assert "`analysis modes` takes it" in refused(tmp_path / "c.uff", tmp_path)
+    assert "give it to `analysis modes`" in refused(tmp_path / "c.uff", tmp_path)
 
 
 def test_own_recording_is_not_imported(tmp_path):

@@ -352,8 +352,8 @@ TABLES = {
     "body1: {column: 3}\nforce: {column: 1}": "swapped columns or a wrong unit",
     "body1: {column: 7}": "no column '7'; there are 1: body1",
     "body1: {column: 1, file: z.csv}": "file 'z.csv' is none of a.csv",
-    "bodi1: {column: 1}": r"no channel of the scene.*body1\?",
-    "body1: 1\nbody2: 1": "one signal for both",
+    "bodi1: {column: 1}": r"not a channel of the scene.*body1\?",
+    "body1: 1\nbody2: 1": "the same signal",
     "body1: {column: 1, rate: 10}\nbody2: {column: 2, rate: 20}": "several rates",
 }
 

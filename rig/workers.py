@@ -18,7 +18,7 @@ from multiprocessing import active_children, get_context, parent_process
 from multiprocessing.resource_tracker import ensure_running
 from queue import Empty, SimpleQueue
 from threading import Thread, current_thread, main_thread
-from time import sleep
+from time import monotonic, sleep
 from types import TracebackType
 from typing import Any, TypeVar
 
@@ -29,12 +29,12 @@ from rig.ranks import size
 Piece = TypeVar("Piece")
 Result = TypeVar("Result")
 
-#: Number of times that pieces are recomputed after a worker ended unexpectedly.
-LIVES = 2
-# Time for the thread of the pool to detect that a worker has been killed, ms.
-_PATIENCE = 1000
-# Seconds without a result after which a cluster's workers are counted.
-_WITHOUT_WORKERS = 5.0
+#: Number of times that the workers are restarted after one of them ended unexpectedly.
+MAX_RESTARTS = 2
+# Longest wait for the pool's thread to read the exit code of a killed worker.
+_EXIT_CODE_TIMEOUT_S = 1.0
+# Time without a result after which the workers of a cluster are counted.
+_WORKER_CHECK_INTERVAL_S = 5.0
 
 
 def cores() -> int:
@@ -47,7 +47,7 @@ class Workers:
 
     `cluster`: address of a running Dask scheduler, or "local" to start a local cluster; None: processes of this
     machine, one for each core, or only this process if it shares each piece with other MPI ranks (`rig.ranks`).
-    Raises `SceneError` if there is no such cluster, or Dask is not installed.
+    Raises `SceneError` if no cluster answers at this address, or Dask is not installed.
     """
 
     def __init__(self, cluster: str | None = None) -> None:
@@ -76,25 +76,25 @@ class Workers:
 
         Further pieces may be appended during the iteration.
 
-        Raises `RunError` if workers repeatedly end unexpectedly. Raises `Exception`: the exception of a piece.
+        Raises `RunError` if workers repeatedly end unexpectedly. An exception raised by `function` is passed on.
         """
         if self._cluster is None and size() > 1:
             # This includes pieces that are appended during the iteration.
             yield from enumerate(map(function, pieces))
             return
         done: set[int] = set()
-        for _ in range(LIVES + 1):
+        for _ in range(MAX_RESTARTS + 1):
             jobs: dict[Future[Result], int] = {}
             finished: SimpleQueue[Future[Result]] = SimpleQueue()
-            handed_out = 0
+            submitted = 0
             try:
                 while len(done) < len(pieces):
-                    with _script_left_alone(), _deaf_to_ctrl_c():
-                        for number in sorted({*range(handed_out, len(pieces))} - done):
+                    with _without_main_module(), _blocked_sigint():
+                        for number in (n for n in range(submitted, len(pieces)) if n not in done):
                             job = self._pool.submit(function, pieces[number])
                             jobs[job] = number
                             job.add_done_callback(finished.put)
-                    handed_out = len(pieces)
+                    submitted = len(pieces)
                     job = self._next(finished)
                     result = job.result()
                     done.add(jobs[job])
@@ -107,7 +107,7 @@ class Workers:
                 for job in jobs:
                     job.cancel()
         raise RunError(
-            f"a process that computed one of {len(pieces) - len(done)} pieces has died {LIVES + 1} "
+            f"a process that computed one of {len(pieces) - len(done)} pieces ended unexpectedly {MAX_RESTARTS + 1} "
             "times, possibly because memory ran out. Close other programs, or make the study smaller."
         )
 
@@ -115,7 +115,7 @@ class Workers:
         """Wait for a finished piece; report once if the cluster has no workers."""
         while self._cluster is not None:
             with suppress(Empty):
-                return finished.get(timeout=_WITHOUT_WORKERS)
+                return finished.get(timeout=_WORKER_CHECK_INTERVAL_S)
             if self._client.nthreads():
                 break
             if not self._reported:
@@ -128,6 +128,7 @@ class Workers:
         return finished.get()
 
     def _start(self) -> Executor:
+        """Start the workers; `_open` ends them."""
         if self._cluster is None:
             return _processes(self._open)
         self._client = _dask(self._cluster, self._open)
@@ -135,72 +136,72 @@ class Workers:
         return pool
 
 
-def _processes(until: ExitStack) -> Executor:
-    before = set(active_children())
+def _processes(cleanup: ExitStack) -> Executor:
+    """Start worker processes of this machine."""
+    other_children = set(active_children())
     pool = ProcessPoolExecutor(cores(), mp_context=get_context("spawn"), initializer=_begin)
 
     def end() -> None:
         # Waiting pieces are cancelled before the workers end, because the pool would otherwise notify them.
         pool.shutdown(wait=False, cancel_futures=True)
-        workers = set(active_children()) - before
+        workers = set(active_children()) - other_children
         for worker in workers:
             worker.kill()
         for worker in workers:
             worker.join()
-            # The thread of the pool may detect the end first; wait until it has done so.
-            for _ in range(_PATIENCE):
-                if worker.exitcode is not None:
-                    break
+            # The pool's thread also waits for the process; `exitcode` is None until that wait has returned.
+            deadline = monotonic() + _EXIT_CODE_TIMEOUT_S
+            while worker.exitcode is None and monotonic() < deadline:
                 sleep(1e-3)
 
-    until.callback(end)
+    cleanup.callback(end)
     return pool
 
 
 @contextmanager
-def _script_left_alone() -> Iterator[None]:
+def _without_main_module() -> Iterator[None]:
     """Prevent new processes from importing the user's script, which they do not need."""
     script: dict[str, Any] = vars(sys.modules["__main__"])
-    kept: dict[str, Any] = {name: script.pop(name) for name in ("__file__", "__spec__") if name in script}
+    removed: dict[str, Any] = {name: script.pop(name) for name in ("__file__", "__spec__") if name in script}
     script["__spec__"] = None
     try:
         yield
     finally:
-        script.update(kept)
+        script.update(removed)
 
 
 @contextmanager
-def _deaf_to_ctrl_c() -> Iterator[None]:
+def _blocked_sigint() -> Iterator[None]:
     """Block Ctrl-C in new processes from their start, because a terminal sends it to all processes."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
     # The resource tracker is started first, because Python unblocks Ctrl-C when it starts it.
     ensure_running()
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    previous_mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        signal.pthread_sigmask(signal.SIG_SETMASK, previous_mask)
 
 
 @contextmanager
-def _answering_later() -> Iterator[None]:
+def _deferred_signals() -> Iterator[None]:
     """Defer signals until the end of the body, so that it is not interrupted in an incomplete state."""
     if current_thread() is not main_thread():
         yield
         return
-    came: list[int] = []
-    before = {number: signal.getsignal(number) for number in ENDINGS}
-    for number in before:
-        signal.signal(number, lambda number, _: came.append(number))
+    received: list[int] = []
+    handlers = {number: signal.getsignal(number) for number in ENDINGS}
+    for number in handlers:
+        signal.signal(number, lambda number, _: received.append(number))
     try:
         yield
     finally:
-        for number, answer in before.items():
-            signal.signal(number, answer)
-        for first in came[:1]:
-            signal.raise_signal(first)
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+        if received:
+            signal.raise_signal(received[0])
 
 
 def _begin() -> None:
@@ -211,30 +212,32 @@ def _begin() -> None:
 
 
 def _end_with_parent() -> None:
+    """End this process as soon as its parent has ended."""
     parent = parent_process()
     assert parent is not None
     parent.join()
     os._exit(1)
 
 
-def _dask(address: str, until: ExitStack) -> Any:
+def _dask(address: str, cleanup: ExitStack) -> Any:
+    """Connect to a Dask cluster and return its client."""
     try:
         from distributed import Client, LocalCluster
     except ImportError:
-        raise SceneError("--cluster needs Dask: pip install 'shotrig[cluster]'") from None
-    where: Any = address
+        raise SceneError("--cluster: Dask is not installed. Run pip install 'shotrig[cluster]'.") from None
+    scheduler: Any = address
     if address == "local":
-        with _answering_later(), _deaf_to_ctrl_c():
+        with _deferred_signals(), _blocked_sigint():
             try:
                 cluster = LocalCluster(n_workers=cores(), threads_per_worker=1)
             except RuntimeError as error:
-                raise RunError(f"--cluster local: its workers do not start ({error})") from None
-            where = until.enter_context(closing(cluster))
+                raise RunError(f"--cluster local: the workers do not start ({error})") from None
+            scheduler = cleanup.enter_context(closing(cluster))
     try:
-        client = until.enter_context(closing(Client(where, timeout=10)))
+        client = cleanup.enter_context(closing(Client(scheduler, timeout=10)))
     except (OSError, ValueError) as error:
         raise SceneError(
-            f"--cluster {address}: no Dask scheduler answers ({error}); expected its address, such as "
-            "tcp://host:8786, or local"
+            f"--cluster {address}: no Dask scheduler answers ({error}). Give its address, such as "
+            "tcp://host:8786, or local."
         ) from None
     return client

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rig.arrays import Array
 from rig.escaping import drawn
 from rig.figure_style import colour, decades, drawing, frequency_axis, heading, legend_below
-from rig.results.response import DOTS, Response
+from rig.results.response import MAX_MARKERS, Response
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -112,7 +112,7 @@ def _curve(frf: Response, shade: str, upper: Axes, middle: Axes, lower: Axes) ->
     """Draw one measured curve into the three panels."""
     # A downward sweep has larger, open markers, so that an upward sweep remains visible where both coincide.
     falls = frf.frequency.size > 1 and frf.frequency[0] > frf.frequency[-1]
-    few = frf.frequency.size <= DOTS
+    few = frf.frequency.size <= MAX_MARKERS
     curve, frf = frf.sorted(), frf.with_gaps()
     clear = np.insert(exceeds_noise(curve), np.searchsorted(curve.frequency, np.sort(frf.omitted)), False)
     look: dict[str, Any] = {"marker": "o" if few else None, "color": shade, "zorder": 2.9 if falls else 3}

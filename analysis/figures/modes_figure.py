@@ -11,7 +11,7 @@ from analysis.modal.modes import Modes
 from rig.escaping import drawn
 from rig.figure_style import colour, decades, drawing, frequency_axis, heading
 from rig.results import bounded
-from rig.results.response import DOTS, Response
+from rig.results.response import MAX_MARKERS, Response
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -35,7 +35,7 @@ def modes_figure(frfs: Sequence[Response], modes: Modes, title: str) -> Figure:
             shade = colour(index)
             # Few points are drawn as dots with the model as a line; many as a broad line with the model thin and
             # dark.
-            few = curve.frequency.size <= DOTS
+            few = curve.frequency.size <= MAX_MARKERS
             fit.plot(
                 curve.frequency, 1e6 * abs(curve.value), "o" if few else "-", ms=2.4, color=shade,
                 lw=2.4, alpha=1.0 if few else 0.35, label=drawn(curve.response),

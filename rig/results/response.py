@@ -1,4 +1,4 @@
-"""Frequency responses, measured, computed or read from a file: outputs over inputs, line by line, with their budget."""
+"""Frequency responses, measured, computed or read from a file: outputs over inputs, with uncertainty budgets."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-# Curves with more points than this are drawn without a dot at each.
-DOTS = 120
+# Curves with more points than this are drawn without markers.
+MAX_MARKERS = 120
 MOTIONS = ("displacement", "velocity", "acceleration")
 _NAMES = {
     ("displacement", "force"): ("compliance", "m/N"),
@@ -46,10 +46,10 @@ _NAMES = {
     ("acceleration", "table"): ("acceleration per table displacement", "1/s²"),
 }
 _RATIO = ("ratio", "1")
-# Points whose bound is larger than this share of their value are too uncertain to be a peak.
-_UNCERTAIN_SHARE = 0.5
-# Units in which engineers read a curve, and how many of them make one in SI.
-_SHOWN = {"m/N": ("µm/N", 1e6), "m/(N s)": ("mm/(N s)", 1e3)}
+# Largest ratio of the expanded uncertainty of a peak to its value.
+_MAX_PEAK_UNCERTAINTY_RATIO = 0.5
+# Units in which curves are drawn and printed, and the factor from the SI unit.
+_DISPLAY_UNITS = {"m/N": ("µm/N", 1e6), "m/(N s)": ("mm/(N s)", 1e3)}
 
 
 @dataclass(frozen=True)
@@ -62,15 +62,15 @@ class Point:
 
     name: str  # channel or body
     quantity: str = "displacement"
-    place: str = ""  # body by its name, or ``body 1``; empty where it is not known
+    place: str = ""  # name of the body, or ``body 1``; empty if unknown
 
 
 @dataclass(frozen=True, repr=False, eq=False)
 class Response(Result, Sequence["Response"]):
     """Frequency responses of some outputs to some inputs, or one of them.
 
-    Indexing by a name selects, as in xarray: ``response["body3"]`` is the curve of that output, whose arrays have one
-    axis; with several inputs it has one output and all inputs, and ``response["body3", "force2"]`` is a curve.
+    Indexing by a name selects, as in xarray: ``response["body3"]`` is the curve of that output; its arrays have one
+    axis. With several inputs it has one output and all inputs, and ``response["body3", "force2"]`` is a curve.
     Iteration and integers give all elements as curves, output by output.
 
     Attributes
@@ -78,25 +78,25 @@ class Response(Result, Sequence["Response"]):
     frequency : ndarray, shape (n,)
         Hz, in the order in which the lines were measured or computed.
     value : ndarray of complex, shape (n, outputs, inputs), or (n,) of a curve
-        Output over input, in SI, for motion Re(X e^{iwt}): a lagging response has a negative phase. NaN where it is
-        not estimated.
+        Output over input, in SI units, for motion Re(X e^{iwt}): a lagging response has a negative phase. NaN where
+        it is not estimated.
     outputs, inputs : tuple of Point
     uncertainty : UncertaintyBudget
-        Arrays of the shape of `value`; without contributions where the values are exact.
+        Arrays of the shape of `value`; without contributions if the values are exact.
     coherence : ndarray, shape (n, outputs), or (n,) of a curve
-        Multiple coherence, with one input the ordinary one, 0 to 1; NaN where it is not known.
+        Multiple coherence (with one input: ordinary coherence), 0 to 1; NaN where it is unknown.
     unsteady : ndarray of bool, shape (n,), or None
-        Lines at which the motion had not become steady; None where that does not apply.
+        Lines at which the motion did not reach steady state; None if this does not apply.
     amplitude : ndarray, shape (n,), or None
-        Amplitude of the input at each line, where it is a tone; with dampers the value is valid for that one only.
+        Amplitude of the input at each line, if it is a tone. With dampers, the value is valid at this amplitude only.
     omitted : ndarray, shape (m,)
-        Hz: frequencies of the test that have no line.
+        Frequencies of the test without a line, Hz.
     resolution : float
-        Width in Hz over which leakage smears each line; 0 for steady tones.
+        Width over which leakage smears each line, Hz; 0 for steady tones.
     label : str
         Scene and setting, for legends.
     warnings : tuple of str
-        What a reader of the values must know, in full sentences.
+        Restrictions on the use of the values, in full sentences.
     """
 
     frequency: Array
@@ -143,13 +143,13 @@ class Response(Result, Sequence["Response"]):
         output : str
             Channel.
         reference : {'force', 'table'}
-            What the output is divided by.
+            Quantity by which the output is divided.
         motion : {'displacement', 'velocity', 'acceleration'}
             Quantity of the output.
         output_at, input_at : str
             Places of output and input.
         error, degrees : ndarray, shape (n,), optional
-            Standard uncertainty of either quadrature component by scatter, and its degrees of freedom.
+            Standard uncertainty of either quadrature component from the scatter, and its degrees of freedom.
         limits : mapping of str to ndarray, optional
             Largest deviations by name.
         uncertainty : UncertaintyBudget, optional
@@ -213,7 +213,7 @@ class Response(Result, Sequence["Response"]):
 
     @property
     def is_driving_point(self) -> bool:
-        """Whether the output is at the place of the force, and along it."""
+        """Whether the output is at the place of the force and in its direction."""
         return self.reference == "force" and bool(self.input_at) and self.output_at == self.input_at
 
     @property
@@ -228,40 +228,40 @@ class Response(Result, Sequence["Response"]):
 
     @property
     def shown_in(self) -> tuple[str, float]:
-        """Unit in which values are drawn and printed, and how many of it make one of `unit`."""
-        return _SHOWN.get(self.unit, (self.unit, 1.0))
+        """Unit in which values are drawn and printed, and the factor from `unit` to it."""
+        return _DISPLAY_UNITS.get(self.unit, (self.unit, 1.0))
 
     @property
     def error(self) -> Array:
-        """Standard uncertainty of either quadrature component by scatter; of the shape of `value`."""
+        """Standard uncertainty of either quadrature component from the scatter; of the shape of `value`."""
         scatter = self.uncertainty.scatter
         return np.zeros(self.value.shape) if scatter is None else scatter.size
 
     @property
     def degrees(self) -> Array:
-        """Degrees of freedom behind `error`."""
+        """Degrees of freedom of `error`."""
         scatter = self.uncertainty.scatter
         return np.zeros(self.value.shape) if scatter is None or scatter.degrees is None else scatter.degrees
 
     @property
     def limits(self) -> dict[str, Array]:
-        """Largest deviations by systematic causes, by name."""
+        """Largest systematic deviations by name."""
         return self.uncertainty.limits
 
     def bound(self, confidence: float = 0.95) -> Array:
-        """Radius of the circle in the complex plane that contains the true value with the given confidence."""
+        """Expanded uncertainty: radius of the circle in the complex plane that contains the true value."""
         return np.broadcast_to(self.uncertainty.bound(confidence), self.value.shape).copy()
 
     def random_bound(self, confidence: float = 0.95) -> Array:
-        """Radius for the scatter alone."""
+        """Expanded uncertainty from the scatter alone."""
         return np.broadcast_to(self.uncertainty.random_bound(confidence), self.value.shape).copy()
 
     def systematic_bound(self) -> Array:
-        """Radius for the systematic causes alone."""
+        """Expanded uncertainty from the systematic contributions alone."""
         return np.broadcast_to(self.uncertainty.systematic_bound(), self.value.shape).copy()
 
     def magnitude_bound(self, confidence: float = 0.95) -> Array:
-        """Half-width of the confidence interval of ``abs(value)`` for the scatter, from Student's t."""
+        """Half-width of the confidence interval of ``abs(value)`` from the scatter, by Student's t."""
         return self.error * special.stdtrit(np.maximum(self.degrees, 1.0), 0.5 + confidence / 2.0)
 
     def parts(self) -> list[str]:
@@ -282,26 +282,25 @@ class Response(Result, Sequence["Response"]):
         frequency : float or str
             Hz, or a text with a unit.
         force : str, optional
-            Input, where there are several.
+            Input, if there are several.
 
         Returns
         -------
         BudgetTable
-            Contributions with type, standard uncertainty and share of the variance, as the GUM lists them; prints as a
-            table.
+            Contributions with type, standard uncertainty and share of the variance, as in the GUM; prints as a table.
         """
         curve = self[output] if force is None else self[output, force]
         if not curve.is_curve:
-            raise SceneError(f"force missing; expected one of {', '.join(each.name for each in self.inputs)}")
+            raise SceneError(f"force: missing. Give one of {', '.join(point.name for point in self.inputs)}.")
         line = int(np.argmin(abs(curve.frequency - number(frequency, FREQUENCY, "frequency"))))
         unit, factor = curve.shown_in
-        sizes = {
+        uncertainties = {
             (part.name, part.evaluation): factor * float(part.standard()[line])
             for part in curve.uncertainty.contributions
         }
-        total = sum(size**2 for size in sizes.values())
+        variance = sum(u**2 for u in uncertainties.values())
         rows = sorted(
-            ((*key, size, size**2 / total) for key, size in sizes.items() if size > 0.0),
+            ((*name_and_type, u, u**2 / variance) for name_and_type, u in uncertainties.items() if u > 0.0),
             key=lambda row: -row[2],
         )
         return BudgetTable(
@@ -325,7 +324,7 @@ class Response(Result, Sequence["Response"]):
         )
 
     def curves(self) -> tuple[Response, ...]:
-        """All elements as curves, output by output."""
+        """Return all elements as curves, output by output."""
         return self._curves
 
     def __len__(self) -> int:
@@ -334,26 +333,26 @@ class Response(Result, Sequence["Response"]):
     def __iter__(self) -> Iterator[Response]:
         return iter(self._curves)
 
-    def __getitem__(self, which: int | str | slice | tuple[str, str]) -> Response:
-        """Select an element by its number, outputs by name or slice, an input by its name."""
-        if isinstance(which, slice):
-            return self._select(range(len(self.outputs))[which], range(len(self.inputs)), keep=True)
-        if isinstance(which, tuple):
-            output, force = _index(self.outputs, which[0], "response"), _index(self.inputs, which[1], "input")
+    def __getitem__(self, key: int | str | slice | tuple[str, str]) -> Response:
+        """Select an element by its index, outputs by name or slice, an input by its name."""
+        if isinstance(key, slice):
+            return self._select(range(len(self.outputs))[key], range(len(self.inputs)), keep_axes=True)
+        if isinstance(key, tuple):
+            output, force = _index(self.outputs, key[0], "response"), _index(self.inputs, key[1], "input")
             return self._select([output], [force])
-        if isinstance(which, int):
-            return self._curves[which]
-        index = _index(self.outputs, which, "response")
+        if isinstance(key, int):
+            return self._curves[key]
+        index = _index(self.outputs, key, "response")
         return (
             self._curves[index] if len(self.inputs) == 1 else self._select([index], range(len(self.inputs)))
         )
 
-    def _select(self, outputs: Sequence[int], inputs: Sequence[int], keep: bool = False) -> Response:
-        """Select elements; a single one becomes a curve, unless the axes are to be kept."""
+    def _select(self, outputs: Sequence[int], inputs: Sequence[int], keep_axes: bool = False) -> Response:
+        """Select elements; a single element becomes a curve unless `keep_axes`."""
         if self.is_curve:
             return self
-        single = len(outputs) == len(inputs) == 1 and not keep
-        at = (
+        single = len(outputs) == len(inputs) == 1 and not keep_axes
+        selection = (
             (slice(None), outputs[0], inputs[0])
             if single
             else np.ix_(range(self.frequency.size), outputs, inputs)
@@ -361,12 +360,16 @@ class Response(Result, Sequence["Response"]):
         elements = [i * len(self.inputs) + k for i in outputs for k in inputs]
         budget, errors = self.uncertainty, self.uncertainty.errors
         parts = tuple(
-            replace(part, size=part.size[at], degrees=None if part.degrees is None else part.degrees[at])
+            replace(
+                part,
+                size=part.size[selection],
+                degrees=None if part.degrees is None else part.degrees[selection],
+            )
             for part in budget.contributions
         )
         return replace(
             self,
-            value=self.value[at],
+            value=self.value[selection],
             outputs=tuple(self.outputs[k] for k in outputs),
             inputs=tuple(self.inputs[k] for k in inputs),
             uncertainty=replace(
@@ -376,56 +379,58 @@ class Response(Result, Sequence["Response"]):
         )
 
     def summary(self) -> str:
-        """Say which ratios these are; of a curve its highest point and the largest contribution to its bound."""
+        """Return the ratios in words; for a curve also its peak and the largest contribution to the peak's bound."""
         if not self.is_curve:
             return (
                 f"{self.label}: {self.name} of {self.response}{self._several_inputs()}, {self.frequency.size} points, "
                 f"{self.frequency.min():.4g} to {self.frequency.max():.4g} Hz"
             )
-        what = f"{self.label}, {self.ratio}: {self.name}, {self.frequency.size} points"
+        heading = f"{self.label}, {self.ratio}: {self.name}, {self.frequency.size} points"
         if not np.isfinite(self.value).any():
-            return what
-        top, (unit, factor) = self.peak_line(), self.shown_in
-        size, bound = factor * float(abs(self.value[top])), factor * float(self.bound()[top])
-        height, mostly = f"{size:.4g} {unit}", ""
+            return heading
+        peak, (unit, factor) = self.peak_line(), self.shown_in
+        magnitude, bound = factor * float(abs(self.value[peak])), factor * float(self.bound()[peak])
+        height, contribution = f"{magnitude:.4g} {unit}", ""
         if bound > 0.0:
-            height = bounded(size, bound, unit)
+            height = bounded(magnitude, bound, unit)
             cause = "largest contribution" if np.isfinite(bound) else "unbounded by"
-            mostly = f"; {cause}: {self.parts()[top]}"
-        under = ""
+            contribution = f"; {cause}: {self.parts()[peak]}"
+        amplitude = ""
         if self.amplitude is not None and self.reference == "force":
-            under = f" under {self.amplitude[top]:.4g} N"
+            amplitude = f" under {self.amplitude[peak]:.4g} N"
         return (
-            f"{what}, {self.frequency.min():.4g} to {self.frequency.max():.4g} Hz, highest {height} "
-            f"at {self.frequency[top]:.4g} Hz{under}{mostly}{'; '.join(['', *self.uncertain_peak()])}"
+            f"{heading}, {self.frequency.min():.4g} to {self.frequency.max():.4g} Hz, highest {height} "
+            f"at {self.frequency[peak]:.4g} Hz{amplitude}{contribution}{'; '.join(['', *self.uncertain_peak()])}"
         )
 
     def _several_inputs(self) -> str:
         return f" by {self.input}" if len(self.inputs) > 1 else ""
 
     def peak_line(self) -> int:
-        """Return the line of a curve's highest value whose uncertainty is small enough for a peak.
+        """Return the index of the largest value of a curve whose uncertainty is small enough for a peak.
 
         At low frequencies, where noise is divided by the square of frequency, the largest value may be noise.
         """
-        size = abs(self.value)
-        known = ~(self.bound() > _UNCERTAIN_SHARE * size)
-        return int(np.nanargmax(np.where(known, size, np.nan) if np.isfinite(size[known]).any() else size))
+        magnitude = abs(self.value)
+        certain = ~(self.bound() > _MAX_PEAK_UNCERTAINTY_RATIO * magnitude)
+        if np.isfinite(magnitude[certain]).any():
+            magnitude = np.where(certain, magnitude, np.nan)
+        return int(np.nanargmax(magnitude))
 
     def uncertain_peak(self) -> list[str]:
-        """Describe the highest point of a curve if it is too uncertain to be the peak."""
+        """Describe the largest value of a curve if it is too uncertain to be the peak."""
         point, (unit, factor) = int(np.nanargmax(abs(self.value))), self.shown_in
         if point == self.peak_line():
             return []
-        size, bound = float(abs(self.value[point])), float(self.bound()[point])
-        far = f"{bound / size:.0%}" if np.isfinite(bound) else "unbounded"
+        magnitude, bound = float(abs(self.value[point])), float(self.bound()[point])
+        uncertainty = f"{bound / magnitude:.0%}" if np.isfinite(bound) else "unbounded"
         return [
-            f"ignored as too uncertain: {factor * size:.4g} {unit} at {self.frequency[point]:.4g} Hz "
-            f"(uncertainty {far}, {self.parts()[point]})"
+            f"ignored as too uncertain: {factor * magnitude:.4g} {unit} at {self.frequency[point]:.4g} Hz "
+            f"(uncertainty {uncertainty}, {self.parts()[point]})"
         ]
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """Frequency; value, 95 % bound and, of a curve, coherence."""
+        """Return frequency, value, 95 % bound and, for a curve, coherence."""
         if self.is_curve:
             return {
                 "frequency_Hz": self.frequency,
@@ -433,17 +438,17 @@ class Response(Result, Sequence["Response"]):
                 f"bound_{self.unit}": self.bound(),
                 "coherence": self.coherence,
             }
-        found: dict[str, NDArray[Any]] = {"frequency_Hz": self.frequency}
+        columns: dict[str, NDArray[Any]] = {"frequency_Hz": self.frequency}
         bound = self.bound()
         for i, output in enumerate(self.outputs):
             for k, force in enumerate(self.inputs):
                 name = output.name if len(self.inputs) == 1 else f"{output.name}/{force.name}"
-                found[f"{name}_{self.unit}"] = self.value[:, i, k]
-                found[f"{name}_bound_{self.unit}"] = bound[:, i, k]
-        return found
+                columns[f"{name}_{self.unit}"] = self.value[:, i, k]
+                columns[f"{name}_bound_{self.unit}"] = bound[:, i, k]
+        return columns
 
     def to_xarray(self) -> xarray.Dataset:
-        """Give a data set of value, bound and coherence over frequency, output and input; of a curve, its columns."""
+        """Return a data set of value, bound and coherence over frequency, output and input; for a curve its columns."""
         if self.is_curve:
             return super().to_xarray()
         try:
@@ -469,21 +474,21 @@ class Response(Result, Sequence["Response"]):
         Parameters
         ----------
         nodes : sequence of int, optional
-            Of the outputs; omitted, by their places (``body 3`` is node 3), or their numbers.
+            Nodes of the outputs; omitted: from their places (``body 3`` is node 3), or numbered from 1.
         driven : sequence of int
             Nodes of the inputs.
 
         Raises
         ------
         SceneError
-            If the inputs are no forces.
+            If an input is not a force.
         RunError
             If pyuff is not installed.
         """
         if self.reference != "force":
             raise SceneError(
-                f"{self.response}: a response to the {self.reference}; UFF 58 files are written for "
-                "responses to a force only"
+                f"{self.response}: UFF 58 files contain responses to a force, not to the {self.reference}. "
+                "Export another format."
             )
         file = universal_file(Path(path))
         if nodes is None:
@@ -497,7 +502,7 @@ class Response(Result, Sequence["Response"]):
         return Path(path)
 
     def plot(self, ax: Axes | Response | None = None, *others: Response, **style: Any) -> Axes:
-        """Draw magnitudes, with those of other responses in the same axes: ``a.plot(b)`` or ``a.plot(ax, b)``."""
+        """Draw the magnitudes of this and other responses in the same axes: ``a.plot(b)`` or ``a.plot(ax, b)``."""
         if isinstance(ax, Response):
             others, ax = (ax, *others), None
         axes = super().plot(ax, **style)
@@ -508,7 +513,7 @@ class Response(Result, Sequence["Response"]):
         return axes
 
     def draw(self, ax: Axes, **style: Any) -> None:
-        """Magnitude with its 95 % bound, both axes logarithmic; each element of a matrix."""
+        """Draw the magnitude with its 95 % bound, both axes logarithmic, for each element."""
         if not self.is_curve:
             for curve in self.curves():
                 curve.draw(
@@ -522,19 +527,20 @@ class Response(Result, Sequence["Response"]):
                 )
             return
         curve, (unit, factor) = self.with_gaps(), self.shown_in
-        size, bound = factor * abs(curve.value), factor * np.nan_to_num(curve.bound())
+        magnitude, bound = factor * abs(curve.value), factor * np.nan_to_num(curve.bound())
         (line,) = ax.loglog(
             curve.frequency,
-            size,
+            magnitude,
             **styled(
                 style,
                 label=f"{self.label} {self.response}".strip(),
-                marker="o" if size.size <= DOTS else None,
+                marker="o" if magnitude.size <= MAX_MARKERS else None,
                 ms=2.5,
             ),
         )
-        low = np.maximum(size - bound, 1e-3 * size)
-        ax.fill_between(curve.frequency, low, size + bound, color=line.get_color(), alpha=0.2, lw=0)
+        # A logarithmic axis needs a positive lower limit.
+        low = np.maximum(magnitude - bound, 1e-3 * magnitude)
+        ax.fill_between(curve.frequency, low, magnitude + bound, color=line.get_color(), alpha=0.2, lw=0)
         ax.set(xlabel="frequency / Hz", ylabel=f"|{self.name}| / ({unit})")
 
     def to(self, motion: str) -> Response:
@@ -547,7 +553,7 @@ class Response(Result, Sequence["Response"]):
         mobility -0.062832
         """
         if motion not in MOTIONS:
-            raise SceneError(f"unknown motion {motion!r}: expected {', '.join(MOTIONS)}")
+            raise SceneError(f"motion: unknown motion {motion!r}. Give one of {', '.join(MOTIONS)}.")
         order = MOTIONS.index(motion) - MOTIONS.index(self.motion)
         factor: ComplexArray = np.asarray((2j * np.pi * self.frequency) ** order, dtype=complex)
         points = tuple(replace(point, quantity=motion) for point in self.outputs)
@@ -562,90 +568,95 @@ class Response(Result, Sequence["Response"]):
         )
 
     def __truediv__(self, other: Response) -> Response:
-        """Ratio to another response of the same elements, at the lines of this one.
+        """Return the ratio to another response of the same elements, at the lines of this response.
 
-        Where the other has different lines it is interpolated; beyond them the ratio is NaN. Both are taken for
-        independent; tolerances of data sheets add up.
+        The other response is interpolated; outside its frequency range the ratio is NaN. The errors of both are assumed
+        to be independent, except for tolerances of data sheets, which add up.
         """
         if not isinstance(other, Response):
             return NotImplemented
         if self.value.shape[1:] != other.value.shape[1:]:
             raise SceneError(
-                f"{self.value.shape[1:]} elements over {other.value.shape[1:]}: expected the same outputs and inputs"
+                f"a response of {self.value.shape[1:]} elements divided by {other.value.shape[1:]}. "
+                "Select the same outputs and inputs of both."
             )
         other = other.interpolated(self.frequency)
         with np.errstate(divide="ignore", invalid="ignore"):
             value = np.asarray(self.value / other.value)
-            size, parts = abs(value), []
+            magnitude, contributions = abs(value), []
             relative = [
-                {part.name: (part, part.size / abs(one.value)) for part in one.uncertainty.contributions}
-                for one in (self, other)
+                {
+                    part.name: (part, part.size / abs(response.value))
+                    for part in response.uncertainty.contributions
+                }
+                for response in (self, other)
             ]
         for name in dict.fromkeys([*relative[0], *relative[1]]):
-            both = [each[name] for each in relative if name in each]
-            shares = [share for _, share in both]
-            total = np.sum(shares, axis=0) if name in TOLERANCES else np.linalg.norm(shares, axis=0)
-            degrees = [part.degrees for part, _ in both if part.degrees is not None]
-            fewest = np.min(degrees, axis=0) if degrees else None
-            parts.append(Contribution(name, both[0][0].evaluation, size * total, fewest))
-        ratio = replace(self.uncertainty, contributions=tuple(parts), errors=None, clock=0.0, scale=0.0)
+            parts = [by_name[name] for by_name in relative if name in by_name]
+            sizes = [size for _, size in parts]
+            total = np.sum(sizes, axis=0) if name in TOLERANCES else np.linalg.norm(sizes, axis=0)
+            degrees = [part.degrees for part, _ in parts if part.degrees is not None]
+            min_degrees = np.min(degrees, axis=0) if degrees else None
+            contributions.append(Contribution(name, parts[0][0].evaluation, magnitude * total, min_degrees))
+        budget = replace(
+            self.uncertainty, contributions=tuple(contributions), errors=None, clock=0.0, scale=0.0
+        )
         return replace(
             self,
             value=value,
             outputs=tuple(replace(point, quantity="ratio") for point in self.outputs),
             inputs=tuple(
-                Point(f"{one.name} over {two.name}", "ratio")
-                for one, two in zip(self.inputs, other.inputs, strict=True)
+                Point(f"{numerator.name} over {denominator.name}", "ratio")
+                for numerator, denominator in zip(self.inputs, other.inputs, strict=True)
             ),
-            uncertainty=ratio,
+            uncertainty=budget,
             coherence=None,  # type: ignore[arg-type]
             label=f"{self.label} / {other.label}" if other.label else self.label,
             warnings=tuple(dict.fromkeys([*self.warnings, *other.warnings])),
         )
 
     def interpolated(self, frequency: Array) -> Response:
-        """Response at other frequencies, linearly between its lines, NaN beyond them."""
+        """Return the response at other frequencies, by linear interpolation; NaN outside its range."""
         if np.array_equal(frequency, self.frequency):
             return self
-        known = self.sorted()
+        ordered = self.sorted()
 
-        def at(column: NDArray[Any]) -> NDArray[Any]:
+        def interpolate(column: NDArray[Any]) -> NDArray[Any]:
             flat = np.reshape(column, (column.shape[0], -1))
-            rows = [np.interp(frequency, known.frequency, each, np.nan, np.nan) for each in flat.T]
+            rows = [np.interp(frequency, ordered.frequency, element, np.nan, np.nan) for element in flat.T]
             return np.stack(rows, axis=1).reshape(frequency.size, *column.shape[1:])
 
-        budget = replace(known.uncertainty, errors=None)
         return replace(
-            known,
+            ordered,
             frequency=np.asarray(frequency, dtype=float),
-            value=at(known.value),
-            uncertainty=budget.each(at, None),
-            coherence=at(known.coherence),
+            value=interpolate(ordered.value),
+            uncertainty=ordered.uncertainty.with_arrays(interpolate, None),
+            coherence=interpolate(ordered.coherence),
             unsteady=None,
-            amplitude=None if known.amplitude is None else at(known.amplitude),
+            amplitude=None if ordered.amplitude is None else interpolate(ordered.amplitude),
         )
 
     def sorted(self) -> Response:
-        """Order the lines by rising frequency."""
+        """Order the lines by increasing frequency."""
         return self.at(np.argsort(self.frequency, kind="stable"))
 
     def with_gaps(self) -> Response:
-        """Order the lines by rising frequency, with NaN at the omitted frequencies, where a drawn line breaks."""
+        """Order the lines by increasing frequency; NaN at the omitted frequencies interrupts a drawn curve."""
         curve = self.sorted()
         omitted = np.sort(self.omitted)
-        places = np.searchsorted(curve.frequency, omitted)
+        positions = np.searchsorted(curve.frequency, omitted)
 
-        def broken(column: NDArray[Any], value: Any = np.nan) -> NDArray[Any]:
-            return np.insert(column, places, value, axis=0)
+        def insert(column: NDArray[Any], value: Any = np.nan) -> NDArray[Any]:
+            return np.insert(column, positions, value, axis=0)
 
         return replace(
             curve,
-            frequency=np.insert(curve.frequency, places, omitted),
-            value=broken(curve.value),
-            uncertainty=curve.uncertainty.with_gaps(places),
-            coherence=broken(curve.coherence),
-            unsteady=None if curve.unsteady is None else broken(curve.unsteady, False),
-            amplitude=None if curve.amplitude is None else broken(curve.amplitude),
+            frequency=np.insert(curve.frequency, positions, omitted),
+            value=insert(curve.value),
+            uncertainty=curve.uncertainty.with_gaps(positions),
+            coherence=insert(curve.coherence),
+            unsteady=None if curve.unsteady is None else insert(curve.unsteady, False),
+            amplitude=None if curve.amplitude is None else insert(curve.amplitude),
         )
 
     def band(self, low: float | str, high: float | str) -> Response:
@@ -689,38 +700,36 @@ class Response(Result, Sequence["Response"]):
 
 
 def _node(place: str, number: int) -> int:
+    """Return the node of a place: 3 for ``body 3``, `number` for a body with a name."""
     last = place.rpartition(" ")[2]
     return int(last) if place.startswith("body ") and last.isdigit() else number
 
 
 def _index(points: Sequence[Point], name: str, kind: str) -> int:
-    """Find the point with a name, or the only one at a place."""
-    fitting = [k for k, point in enumerate(points) if point.name == name]
+    """Return the index of the point with a name, or of the only point at a place."""
+    matches = [k for k, point in enumerate(points) if point.name == name]
     for place in (name.removeprefix("body "), name):
-        fitting = fitting or [k for k, point in enumerate(points) if point.place == place]
-    if len(fitting) == 1:
-        return fitting[0]
-    if fitting:
-        channels = " or ".join(points[k].name for k in fitting)
-        raise SceneError(
-            f"{len(fitting)} {kind}s are at {name}; expected one of them by its channel, {channels}"
-        )
+        matches = matches or [k for k, point in enumerate(points) if point.place == place]
+    if len(matches) == 1:
+        return matches[0]
+    if matches:
+        channels = " or ".join(points[k].name for k in matches)
+        raise SceneError(f"{len(matches)} {kind}s are at {name}. Select one by its channel: {channels}.")
     names = [point.name for point in points]
-    near = get_close_matches(name, [*names, *(point.place for point in points)], n=1)
-    hint = f"did you mean {near[0]!r}?" if near else f"expected one of {', '.join(names)}"
-    raise SceneError(f"no {kind} {name!r}; {hint}")
+    similar = get_close_matches(name, [*names, *(point.place for point in points)], n=1)
+    hint = f"Did you mean {similar[0]!r}?" if similar else f"Give one of {', '.join(names)}."
+    raise SceneError(f"no {kind} {name!r}. {hint}")
 
 
 def stack(curves: Sequence[Response]) -> Response:
-    """Join responses to the same inputs to one with all their outputs; lines that one of them lacks are NaN there."""
+    """Join responses to the same inputs to a response of all outputs; NaN at lines that a response does not have."""
     first = curves[0]
     if any(not np.array_equal(curve.frequency, first.frequency) for curve in curves):
         lines = np.unique(np.concatenate([curve.frequency for curve in curves]))
         curves = [_at_lines(curve, lines) for curve in curves]
-    inputs = len(first.inputs)
-    shape = (curves[0].frequency.size, len(curves), inputs)
+    shape = (curves[0].frequency.size, len(curves), len(first.inputs))
     unsteady = [curve.unsteady for curve in curves if curve.unsteady is not None]
-    out = replace(
+    return replace(
         curves[0],
         value=np.stack([curve.value for curve in curves], axis=1).reshape(shape),
         outputs=tuple(curve.outputs[0] for curve in curves),
@@ -731,27 +740,26 @@ def stack(curves: Sequence[Response]) -> Response:
         resolution=max(curve.resolution for curve in curves),
         warnings=tuple(dict.fromkeys(text for curve in curves for text in curve.warnings)),
     )
-    return out
 
 
 def _at_lines(curve: Response, lines: Array) -> Response:
-    """Spread a curve over more lines, NaN where it has none."""
-    places = np.searchsorted(lines, curve.frequency)
+    """Return a curve at a superset of its lines, NaN at the added lines."""
+    positions = np.searchsorted(lines, curve.frequency)
 
     def spread(column: NDArray[Any]) -> NDArray[Any]:
         full = np.full((lines.size, *column.shape[1:]), np.nan, dtype=np.result_type(column, float))
-        full[places] = column
+        full[positions] = column
         return full
 
     return replace(
         curve,
         frequency=lines,
         value=spread(curve.value),
-        uncertainty=curve.uncertainty.each(spread, None),
+        uncertainty=curve.uncertainty.with_arrays(spread, None),
         coherence=spread(curve.coherence),
         unsteady=None,
         amplitude=None if curve.amplitude is None else spread(curve.amplitude),
     )
 
 
-__all__ = ["DOTS", "MOTIONS", "SCATTER", "Point", "Response", "stack"]
+__all__ = ["MAX_MARKERS", "MOTIONS", "SCATTER", "Point", "Response", "stack"]

@@ -1,4 +1,4 @@
-"""Base class of all results: a summary in one line, a drawing into given axes, tables for pandas and xarray."""
+"""Base class of all results: a summary in one line, a drawing in matplotlib axes, tables for pandas and xarray."""
 
 from __future__ import annotations
 
@@ -19,32 +19,32 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 # Columns of an empty result.
-_NOTHING = (("", np.empty(0)),)
+_NO_COLUMNS = (("", np.empty(0)),)
 
 
 class Result(ABC):
-    """Something computed or measured, over one axis.
+    """A computed or measured result over one axis.
 
     A subclass defines its columns, a summary of one line, and how it is drawn.
     """
 
     @abstractmethod
     def columns(self) -> Mapping[str, NDArray[Any]]:
-        """Give the result as columns of one length, named with their units; the first is what the others are over."""
+        """Return the result as columns of equal length, named with their units; the first is the abscissa."""
 
     @abstractmethod
     def summary(self) -> str:
-        """Say in a line what this is."""
+        """Describe the result in one line."""
 
     @abstractmethod
     def draw(self, ax: Axes, **style: Any) -> None:
-        """Draw into axes, label them; `style` goes to the curves."""
+        """Draw into axes and label them; `style` applies to the curves."""
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__}: {shown(self.summary())}>".replace("\n", " ")
 
     def _repr_html_(self) -> str:
-        """Show the line and the range of each column, as notebooks do."""
+        """Return the summary and the range of each column as HTML for notebooks."""
         rows = "".join(
             f"<tr><td>{html(name)}</td><td>{html(_range(np.asarray(column)))}</td></tr>"
             for name, column in self.columns().items()
@@ -52,14 +52,14 @@ class Result(ABC):
         return f"<p>{html(repr(self))}</p><table>{rows}</table>"
 
     def plot(self, ax: Axes | None = None, **style: Any) -> Axes:
-        """Draw it.
+        """Draw the result.
 
         Parameters
         ----------
         ax : matplotlib Axes, optional
-            Where to; omitted, new ones of pyplot.
+            Axes to draw into; omitted: new axes of pyplot.
         **style
-            For the curves, as `Axes.plot` takes it.
+            Line properties of the curves, as for `Axes.plot`.
 
         Returns
         -------
@@ -78,7 +78,7 @@ class Result(ABC):
         return ax
 
     def to_dataframe(self) -> pandas.DataFrame:
-        """Give the columns as a pandas table, the first one as its index.
+        """Return the columns as a pandas table, with the first one as index.
 
         Raises
         ------
@@ -88,12 +88,12 @@ class Result(ABC):
         try:
             import pandas
         except ImportError:
-            raise missing("pandas") from None
-        (index, over), *others = self.columns().items() or _NOTHING
-        return pandas.DataFrame(dict(others), index=pandas.Index(over, name=index))
+            raise missing_package("pandas") from None
+        (abscissa_name, abscissa), *others = self.columns().items() or _NO_COLUMNS
+        return pandas.DataFrame(dict(others), index=pandas.Index(abscissa, name=abscissa_name))
 
     def to_xarray(self) -> xarray.Dataset:
-        """Give the columns as an xarray data set over the first one.
+        """Return the columns as an xarray data set over the first one.
 
         Raises
         ------
@@ -103,32 +103,35 @@ class Result(ABC):
         try:
             import xarray
         except ImportError:
-            raise missing("xarray") from None
-        (index, over), *others = self.columns().items() or _NOTHING
-        return xarray.Dataset({name: (index, column) for name, column in others}, {index: over})
+            raise missing_package("xarray") from None
+        (abscissa_name, abscissa), *others = self.columns().items() or _NO_COLUMNS
+        return xarray.Dataset(
+            {name: (abscissa_name, column) for name, column in others}, {abscissa_name: abscissa}
+        )
 
 
-def joined(parts: Sequence[Mapping[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
-    """Join columns end to end."""
-    return {name: np.concatenate([part[name] for part in parts]) for part in parts[:1] for name in part}
+def join_columns(tables: Sequence[Mapping[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
+    """Join the columns of tables end to end."""
+    return {name: np.concatenate([table[name] for table in tables]) for table in tables[:1] for name in table}
 
 
-def styled(style: Mapping[str, Any], **defaults: Any) -> dict[str, Any]:
-    """Complete the style that a caller asked for."""
+def complete_style(style: Mapping[str, Any], **defaults: Any) -> dict[str, Any]:
+    """Complete a style by defaults."""
     return defaults | dict(style)
 
 
-def missing(package: str) -> RunError:
-    """Error for a package of an extra that is not installed."""
-    return RunError(f'{package} is not installed; to install it: pip install "shotrig[tables]"')
+def missing_package(package: str) -> RunError:
+    """Return the error for a package of an extra that is not installed."""
+    return RunError(f'{package} is not installed. Run pip install "shotrig[tables]".')
 
 
 def _range(column: NDArray[Any]) -> str:
+    """Describe the values of a column: smallest and largest, or the distinct texts."""
     if not column.size:
         return "empty"
     if column.dtype.kind not in "fciu":
         return ", ".join(dict.fromkeys(map(str, column[:1000])))[:60]
-    size = abs(column) if column.dtype.kind == "c" else column
-    known = size[np.isfinite(size)]
-    ends = f"{known.min():.6g} to {known.max():.6g}" if known.size else "unknown"
-    return f"{'magnitude ' * (column.dtype.kind == 'c')}{ends}"
+    values = abs(column) if column.dtype.kind == "c" else column
+    finite = values[np.isfinite(values)]
+    limits = f"{finite.min():.6g} to {finite.max():.6g}" if finite.size else "unknown"
+    return f"{'magnitude ' * (column.dtype.kind == 'c')}{limits}"

@@ -1,4 +1,4 @@
-"""Numbers, bounds and ranges of frequencies as text."""
+"""Numbers, expanded uncertainties ("bounds") and ranges of frequencies as text."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 
 from rig.numerics.runs import runs_of
 
-# More ranges than these nobody reads.
-_MOST_RANGES = 8
+# Largest number of ranges that are listed; more are summarized by a count.
+_MAX_RANGES = 8
 
 
 def plainly(value: float) -> str:
@@ -45,7 +45,7 @@ def interval(value: float, bound: float) -> str:
 
 
 def bounded(value: float, bound: float, unit: str) -> str:
-    """Write a number with its bound and unit, in brackets so that the bound of a percentage is not read as a share.
+    """Write a number with its bound and unit; in brackets, so that the bound of a percentage is not read as relative.
 
     >>> bounded(2.4213, 0.204, "%"), bounded(935.21, float("inf"), "µm/N")
     ('(2.42 ± 0.20) %', '935.2 µm/N (no bound)')
@@ -56,7 +56,7 @@ def bounded(value: float, bound: float, unit: str) -> str:
 
 
 def frequency_ranges(frequencies: Sequence[float], chosen: Sequence[bool]) -> str:
-    """List the chosen ones of some frequencies in Hz, neighbours as ranges; many ranges as a count and the ends.
+    """List the chosen frequencies in Hz, neighbours as ranges; if the ranges are many, their number and limits.
 
     >>> frequency_ranges([10.0, 11.0, 12.5, 14.0, 20.0], [True, False, True, True, True])
     '10 and 12.5 to 20 Hz'
@@ -65,11 +65,11 @@ def frequency_ranges(frequencies: Sequence[float], chosen: Sequence[bool]) -> st
     >>> frequency_ranges(range(40), [k % 2 == 0 for k in range(40)])
     '20 of 40 frequencies from 0 to 38 Hz'
     """
-    places, of = np.unique(np.asarray(frequencies, dtype=np.float64), return_inverse=True)
-    flags = np.zeros(places.size, dtype=bool)
-    flags[of[np.asarray(chosen, dtype=bool)]] = True
-    ends = [(f"{places[first]:.4g}", f"{places[stop - 1]:.4g}") for first, stop in runs_of(flags)]
-    if len(ends) > _MOST_RANGES:
+    distinct, index = np.unique(np.asarray(frequencies, dtype=np.float64), return_inverse=True)
+    flags = np.zeros(distinct.size, dtype=bool)
+    flags[index[np.asarray(chosen, dtype=bool)]] = True
+    ends = [(f"{distinct[first]:.4g}", f"{distinct[stop - 1]:.4g}") for first, stop in runs_of(flags)]
+    if len(ends) > _MAX_RANGES:
         return f"{flags.sum()} of {flags.size} frequencies from {ends[0][0]} to {ends[-1][1]} Hz"
     *before, last = [low if low == high else f"{low} to {high}" for low, high in ends]
     return f"{', '.join(before)} and {last} Hz" if before else f"{last} Hz"

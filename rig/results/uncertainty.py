@@ -22,7 +22,7 @@ from rig.results.text import rounded
 Lines = NDArray[np.bool_] | NDArray[np.intp]
 
 SCATTER = "scatter"
-#: Tolerances of data sheets. They are added linearly, as a test's clock and sensors may differ by all of them.
+#: Tolerances of data sheets. They are added linearly, because clock and sensors of a test may deviate by all of them.
 CLOCK, SENSITIVITY = "sample clock", "sensors' sensitivity"
 TOLERANCES = (CLOCK, SENSITIVITY)
 
@@ -36,11 +36,11 @@ class Covariance(Protocol):
 
     @property
     def shared(self) -> float:
-        """Number of neighbouring lines that have one error."""
+        """Number of neighbouring lines with the same error."""
 
     @property
     def reference(self) -> Array | None:
-        """Noise in the reference as a share of its power, shape (lines,); None where it is not estimated."""
+        """Noise power of the reference, relative to its power, shape (lines,); None if it is not estimated."""
 
     def at(self, lines: Lines) -> Covariance:
         """Select some lines."""
@@ -65,7 +65,7 @@ class RandomErrors(Protocol):
         """Multiply by a factor at each line."""
 
     def joined(self, others: Sequence[RandomErrors]) -> RandomErrors | None:
-        """Errors of these and other elements; None where they rest on different readings."""
+        """Errors of these and other elements; None if they depend on different readings."""
 
     def covariance(self, error: Array, shared: float) -> Covariance:
         """Covariance over elements, given each element's standard uncertainty, shape (lines, elements)."""
@@ -75,8 +75,8 @@ class RandomErrors(Protocol):
 class Contribution:
     """One cause of uncertainty.
 
-    `size`: type A: standard uncertainty of either quadrature component, NaN where one average gives no scatter. Type
-    B: largest deviation, infinite where it is unbounded.
+    `size`: type A: standard uncertainty of either quadrature component; NaN where a single average has no scatter.
+    Type B: largest deviation; infinite where it is unbounded.
     """
 
     name: str
@@ -85,11 +85,11 @@ class Contribution:
     degrees: Array | None = None  # degrees of freedom of type A
 
     def standard(self) -> Array:
-        """Give the standard uncertainty; a largest deviation counts as a uniform distribution (GUM 4.3.7)."""
+        """Return the standard uncertainty; a largest deviation is that of a uniform distribution (GUM 4.3.7)."""
         return self.size if self.evaluation == "A" else self.size / np.sqrt(3.0)
 
     def bound(self, confidence: float = 0.95) -> Array:
-        """Radius of the circle in the complex plane that this contribution alone needs."""
+        """Return the expanded uncertainty of this contribution alone: the radius of a circle in the complex plane."""
         if self.evaluation == "B" or self.degrees is None:
             return self.size
         return self.size * radius(confidence, self.degrees)
@@ -99,34 +99,35 @@ class Contribution:
 class UncertaintyBudget:
     """Contributions to the uncertainty of a response.
 
-    `errors`: of the elements, for their covariance; omitted, they are independent; `shared`: number of neighbouring
-    lines that rest on the same samples, so that they have one error; `clock`: largest relative error of all
-    frequencies by the sample clock; its effect on values is a contribution.
+    `errors`: random errors of the elements, for their covariance; None: they are independent.
+    `shared`: number of neighbouring lines that are computed from the same samples, so that they have the same error.
+    `clock`: largest relative error of the sample clock, and so of all frequencies; its effect on values is one of the
+    contributions.
     """
 
-    contributions: tuple[Contribution, ...] = ()  # empty where a response is exact
+    contributions: tuple[Contribution, ...] = ()  # empty if the response is exact
     errors: RandomErrors | None = None
     shared: float = 1.0
     clock: float = 0.0
-    scale: float = 0.0  # largest relative error that the sensor of the reference causes in all values alike
+    scale: float = 0.0  # largest relative error of the reference's sensor; all values have it
 
     @classmethod
     def of(
         cls, error: Array, degrees: Array, limits: Mapping[str, Array] | None = None, **fields: Any
     ) -> UncertaintyBudget:
-        """Make a budget of the scatter and of limits by name."""
+        """Make a budget from the scatter and from limits by name."""
         parts = [Contribution(name, "B", limit) for name, limit in (limits or {}).items()]
         return cls((Contribution(SCATTER, "A", error, degrees), *parts), **fields)
 
     @property
     def limits(self) -> dict[str, Array]:
         """Largest deviations of type B by name."""
-        return {each.name: each.size for each in self.contributions if each.evaluation == "B"}
+        return {part.name: part.size for part in self.contributions if part.evaluation == "B"}
 
     @property
     def scatter(self) -> Contribution | None:
         """Contribution of type A."""
-        return next((each for each in self.contributions if each.evaluation == "A"), None)
+        return next((part for part in self.contributions if part.evaluation == "A"), None)
 
     def random_bound(self, confidence: float = 0.95) -> Array | float:
         """Radius of the circle that contains the mean of many such measurements with the given confidence.
@@ -137,31 +138,34 @@ class UncertaintyBudget:
         return 0.0 if self.scatter is None else self.scatter.bound(confidence)
 
     def limit(self, names: Collection[str] | None = None, without: Collection[str] = ()) -> Array | float:
-        """Root of the sum of squares of limits, all or those of some names."""
-        sizes = [
-            size
-            for name, size in self.limits.items()
+        """Return the root of the sum of squares of the limits, or of those with some names."""
+        limits = [
+            limit
+            for name, limit in self.limits.items()
             if (names is None or name in names) and name not in without
         ]
-        return np.asarray(np.linalg.norm(sizes, axis=0)) if sizes else 0.0
+        return np.asarray(np.linalg.norm(limits, axis=0)) if limits else 0.0
 
     def systematic_bound(self) -> Array | float:
         """Root of the sum of squares of the limits, plus the tolerances of data sheets."""
         return self.limit(without=TOLERANCES) + self._tolerances()
 
     def bound(self, confidence: float = 0.95) -> Array | float:
-        """Radius of the circle that contains the true value with the given confidence; infinite where a part is."""
-        uncertain = np.hypot(self.random_bound(confidence), self.limit(without=TOLERANCES))
-        return np.asarray(uncertain + self._tolerances())
+        """Return the expanded uncertainty: the radius of the circle that contains the true value.
+
+        It is infinite where a contribution is unbounded.
+        """
+        without_tolerances = np.hypot(self.random_bound(confidence), self.limit(without=TOLERANCES))
+        return np.asarray(without_tolerances + self._tolerances())
 
     def _tolerances(self) -> Array | float:
         limits = self.limits
         return np.asarray(sum(limits[name] for name in TOLERANCES if name in limits))
 
     def largest(self) -> list[str]:
-        """Name of the largest contribution to the bound at each line of a curve."""
-        sizes = np.nan_to_num([each.bound() for each in self.contributions], posinf=np.inf)
-        return [self.contributions[index].name for index in np.argmax(sizes, axis=0)]
+        """Return the name of the largest contribution to the bound at each line of a curve."""
+        bounds = np.nan_to_num([part.bound() for part in self.contributions], posinf=np.inf)
+        return [self.contributions[index].name for index in np.argmax(bounds, axis=0)]
 
     def covariance(self, shape: tuple[int, ...]) -> Covariance:
         """Covariance of the random errors over the elements of a response of some shape."""
@@ -174,82 +178,85 @@ class UncertaintyBudget:
 
     def at(self, lines: Any) -> UncertaintyBudget:
         """Select some lines."""
-        return self.each(lambda part: part[lines], None if self.errors is None else self.errors.at(lines))
+        return self.with_arrays(
+            lambda array: array[lines], None if self.errors is None else self.errors.at(lines)
+        )
 
     def scaled(self, factor: ComplexArray) -> UncertaintyBudget:
-        """Budget of the values times a factor at each line."""
+        """Return the budget of the values times a factor at each line."""
         errors = None if self.errors is None else self.errors.scaled(factor)
 
-        def times(size: Array) -> Array:
+        def multiply(size: Array) -> Array:
             return np.asarray(size * np.reshape(abs(factor), (-1, *[1] * (size.ndim - 1))))
 
-        parts = tuple(replace(each, size=times(each.size)) for each in self.contributions)
+        parts = tuple(replace(part, size=multiply(part.size)) for part in self.contributions)
         return replace(self, contributions=parts, errors=errors)
 
     def with_limits(self, limits: Mapping[str, Array]) -> UncertaintyBudget:
         """Add limits by name, or replace those of the same name."""
-        kept = tuple(each for each in self.contributions if each.name not in limits)
+        unchanged = tuple(part for part in self.contributions if part.name not in limits)
         return replace(
-            self, contributions=(*kept, *(Contribution(name, "B", size) for name, size in limits.items()))
+            self,
+            contributions=(*unchanged, *(Contribution(name, "B", size) for name, size in limits.items())),
         )
 
     def without(self, *names: str) -> UncertaintyBudget:
         """Remove contributions."""
         return replace(
-            self, contributions=tuple(each for each in self.contributions if each.name not in names)
+            self, contributions=tuple(part for part in self.contributions if part.name not in names)
         )
 
-    def with_gaps(self, places: NDArray[np.intp]) -> UncertaintyBudget:
-        """Insert unknown lines in front of some lines."""
-        return self.each(lambda part: np.insert(part, places, np.nan, axis=0), None)
+    def with_gaps(self, lines: NDArray[np.intp]) -> UncertaintyBudget:
+        """Insert lines of NaN in front of some lines."""
+        return self.with_arrays(lambda array: np.insert(array, lines, np.nan, axis=0), None)
 
-    def each(self, change: Callable[[Array], Array], errors: RandomErrors | None) -> UncertaintyBudget:
-        """Change the arrays of all contributions."""
+    def with_arrays(self, change: Callable[[Array], Array], errors: RandomErrors | None) -> UncertaintyBudget:
+        """Replace the arrays of all contributions by a function of them."""
         parts = tuple(
             replace(
-                each, size=change(each.size), degrees=None if each.degrees is None else change(each.degrees)
+                part, size=change(part.size), degrees=None if part.degrees is None else change(part.degrees)
             )
-            for each in self.contributions
+            for part in self.contributions
         )
         return replace(self, contributions=parts, errors=errors)
 
 
 def stacked(budgets: Sequence[UncertaintyBudget], shape: tuple[int, ...]) -> UncertaintyBudget:
     """Join the budgets of curves over the same lines to that of a matrix of values of some shape."""
-    names = dict.fromkeys((each.name, each.evaluation) for budget in budgets for each in budget.contributions)
+    names = dict.fromkeys((part.name, part.evaluation) for budget in budgets for part in budget.contributions)
     lines = shape[0]
 
-    def together(columns: Sequence[Array | None]) -> Array:
+    def join(columns: Sequence[Array | None]) -> Array:
         full = [np.zeros(lines) if column is None else column for column in columns]
         return np.stack(full, axis=1).reshape(shape)
 
     parts = []
     for name, evaluation in names:
-        found = [
-            next((each for each in budget.contributions if each.name == name), None) for budget in budgets
+        of_curves = [
+            next((part for part in budget.contributions if part.name == name), None) for budget in budgets
         ]
         parts.append(
             Contribution(
                 name,
                 evaluation,
-                together([None if each is None else each.size for each in found]),
-                together([None if each is None else each.degrees for each in found])
+                join([None if part is None else part.size for part in of_curves]),
+                join([None if part is None else part.degrees for part in of_curves])
                 if evaluation == "A"
                 else None,
             )
         )
     first, *others = (budget.errors for budget in budgets)
-    known = [each for each in others if each is not None]
-    errors = first.joined(known) if first is not None and len(known) == len(others) else None
+    given = [errors for errors in others if errors is not None]
+    joined = first.joined(given) if first is not None and len(given) == len(others) else None
     shared, clock, scale = (
         max(getattr(budget, name) for budget in budgets) for name in ("shared", "clock", "scale")
     )
-    return UncertaintyBudget(tuple(parts), errors, shared, clock, scale)
+    return UncertaintyBudget(tuple(parts), joined, shared, clock, scale)
 
 
 @dataclass(frozen=True)
 class LineCovariance:
-    """A `Covariance` of errors that are independent from line to line, but for `shared`."""
+    """A `Covariance` of errors that are independent from line to line, except for `shared`."""
 
     lines: ComplexArray
     shared: float = 1.0
@@ -265,15 +272,15 @@ class LineCovariance:
 
     def of_sums(self, weights: ComplexArray) -> Array:
         """Covariance of weighted sums over lines and elements."""
-        half = np.einsum("kap,kac,kcq->pq", weights.conj(), self.lines, weights, optimize=True)
-        return np.asarray(0.5 * self.shared * half.real)
+        complex_sum = np.einsum("kap,kac,kcq->pq", weights.conj(), self.lines, weights, optimize=True)
+        return np.asarray(0.5 * self.shared * complex_sum.real)
 
 
 @dataclass(frozen=True)
 class BudgetTable:
     """Uncertainty budget of one value as text: contributions, type, standard uncertainty, share of the variance.
 
-    `value`, `expanded`: magnitude and radius of its 95 % circle, in `unit`.
+    `value`, `expanded`: magnitude and expanded uncertainty (radius of the 95 % circle), in `unit`.
 
     `rows`: name, type, standard uncertainty in `unit`, share of the combined variance; largest first.
     """
@@ -304,13 +311,13 @@ class BudgetTable:
             ).rstrip()
             for row in (heading, *body)
         ]
-        height = rounded(self.value, self.expanded)
-        wide = rounded(self.expanded, self.expanded) if np.isfinite(self.expanded) else "unbounded"
-        return "\n".join([f"{self.title}: ({height} ± {wide}) {self.unit}, 95 % confidence", *lines])
+        magnitude = rounded(self.value, self.expanded)
+        expanded = rounded(self.expanded, self.expanded) if np.isfinite(self.expanded) else "unbounded"
+        return "\n".join([f"{self.title}: ({magnitude} ± {expanded}) {self.unit}, 95 % confidence", *lines])
 
     __repr__ = __str__
 
 
 def radius(confidence: float, degrees: Array) -> Array:
-    """Radius of a circle about a complex mean that contains the truth, in standard deviations of a component."""
+    """Return the coverage factor of a complex mean: the radius of its circle over the standard uncertainty."""
     return np.asarray(np.sqrt(2.0 * special.fdtri(2.0, np.maximum(degrees, 1.0), confidence)))

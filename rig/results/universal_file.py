@@ -1,4 +1,4 @@
-"""Frequency responses as data sets 58 of Universal Files, which modal programs read."""
+"""Frequency responses as data sets 58 of Universal Files, a format of modal analysis programs."""
 
 from __future__ import annotations
 
@@ -13,11 +13,12 @@ from rig.escaping import shown
 
 #: Function types of data set 58.
 FRF, GENERAL = 4, 0
-#: Beginnings of lines in which our files state what the format has no field for: the width over which leakage smears
-#: each line of a response, and of which response a general function is the standard deviation.
-RESOLUTION_LINE, DEVIATION_LINE = "shotrig: resolution", "standard deviation of"
-#: Kinds of data in the format's own numbering.
-KINDS = {"displacement": 8, "velocity": 11, "acceleration": 12, "force": 13, "voltage": 1}
+#: Beginning of the text line that states the width over which leakage smears each line of a response.
+RESOLUTION_LINE = "shotrig: resolution"
+#: Beginning of the text line that names the response whose standard deviation a general function is.
+DEVIATION_LINE = "standard deviation of"
+#: Numbers of the physical quantities in the format.
+QUANTITY_NUMBERS = {"displacement": 8, "velocity": 11, "acceleration": 12, "force": 13, "voltage": 1}
 _UNITS = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s²"}
 
 
@@ -27,13 +28,13 @@ def write_curve(
 ) -> None:  # fmt: skip
     """Append a response to a force as a data set 58 of function type 4.
 
-    After it follows its standard deviation, as a general function (type 0), which other programs skip.
+    Its standard deviation follows as a general function (type 0), which other programs skip.
 
-    `number`, `node`, `driven`: of the function, of the output, whose direction is +Z, and of the force; `title`,
-    `labels`: response and ratio; scene and ratio; `motion`: quantity of the response; `resolution`: Hz.
+    `number`: number of the function. `node`, `driven`: nodes of the output and of the force, both in the direction +Z.
+    `title`: response and ratio. `labels`: scene, and ratio. `motion`: quantity of the response. `resolution`: Hz.
     """
     steps = np.diff(frequency)
-    where = {
+    fields = {
         "type": 58, "binary": 0, "id2": line(labels[0]), "id3": line(labels[1]),
         "id4": f"{RESOLUTION_LINE} {resolution!r} Hz",
         "rsp_ent_name": "NONE", "rsp_node": node, "rsp_dir": 3,
@@ -45,10 +46,10 @@ def write_curve(
         "orddenom_spec_data_type": KINDS["force"], "orddenom_axis_lab": "Force",
         "orddenom_axis_units_lab": "N", "z_axis_spec_data_type": 0, "x": frequency,
     }  # fmt: skip
-    write_set(file, {**where, "func_type": FRF, "func_id": number, "id1": line(title), "data": value})
+    write_set(file, {**fields, "func_type": FRF, "func_id": number, "id1": line(title), "data": value})
     if np.isfinite(error).all():
         deviation = line(f"{DEVIATION_LINE} {title}")
-        write_set(file, {**where, "func_type": GENERAL, "func_id": number, "id1": deviation, "data": error})
+        write_set(file, {**fields, "func_type": GENERAL, "func_id": number, "id1": deviation, "data": error})
 
 
 def universal_file(path: Path) -> Any:
@@ -56,7 +57,7 @@ def universal_file(path: Path) -> Any:
     try:
         import pyuff
     except ImportError:
-        raise RunError("UFF files need the package pyuff: pip install 'shotrig[export]'") from None
+        raise RunError("UFF files: pyuff is not installed. Run pip install 'shotrig[export]'.") from None
     return pyuff.UFF(str(path))
 
 
@@ -65,12 +66,12 @@ def write_set(file: Any, data: dict[str, Any]) -> None:
     try:
         file.write_sets(data, mode="add")
     except Exception as error:
-        # pyuff hides what the disk said.
+        # pyuff replaces the error of the file system, which states the cause.
         if isinstance(error.__context__, OSError):
             raise error.__context__ from None
         raise
 
 
 def line(text: str) -> str:
-    """Fit text into a line of a data set."""
+    """Shorten text to a line of a data set."""
     return " ".join(shown(text).split())[:80] or "NONE"

@@ -1,4 +1,4 @@
-"""Parallel parts of a study: each is computed once, on any worker, and no process remains."""
+"""Workers compute each piece of a study once, and no process remains."""
 
 from __future__ import annotations
 
@@ -25,28 +25,28 @@ def square(number: int) -> int:
     return number * number
 
 
-def die_the_first_time(mark: Path) -> str:
+def exit_at_first_call(mark: Path) -> str:
     if mark.exists():
         return mark.name
     mark.touch()
     os._exit(1)
 
 
-def die(_: int) -> None:
+def exit_process(_: int) -> None:
     os._exit(1)
 
 
-def go_on_for_ever_but_once(number: int) -> None:
+def wait_forever_unless_zero(number: int) -> None:
     if number:
         threading.Event().wait()
 
 
-def deaf_to_ctrl_c(_: int) -> bool:
+def sigint_is_blocked(_: int) -> bool:
     return signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ())
 
 
 class ClusterWithCtrlC:
-    """A Dask cluster, while whose workers start somebody presses Ctrl-C."""
+    """A Dask cluster that receives Ctrl-C while its workers start."""
 
     closed = 0
 
@@ -59,20 +59,20 @@ class ClusterWithCtrlC:
 
 def test_each_piece_comes_once_with_its_number() -> None:
     with Workers() as workers:
-        found = list(workers.compute(square, range(20)))
-        again = list(workers.compute(square, [7]))
+        squares = list(workers.compute(square, range(20)))
+        second = list(workers.compute(square, [7]))
 
-    assert sorted(found) == [(k, k * k) for k in range(20)]
-    assert again == [(0, 49)]
+    assert sorted(squares) == [(k, k * k) for k in range(20)]
+    assert second == [(0, 49)]
     assert not multiprocessing.active_children()
 
 
 def test_appended_pieces_are_computed_as_well() -> None:
     pieces = [2]
     with Workers() as workers:
-        for _, found in workers.compute(square, pieces):
-            if found < 100:
-                pieces.append(found)
+        for _, result in workers.compute(square, pieces):
+            if result < 100:
+                pieces.append(result)
 
     assert pieces == [2, 4, 16]
 
@@ -83,8 +83,8 @@ def test_workers_do_not_rerun_the_script(tmp_path: Path) -> None:
         "from rig.workers import Workers\nprint('begun')\n"
         "with Workers() as workers:\n    print(sorted(workers.compute(len, ['a', 'bb'])))\n"
     )
-    found = subprocess.run([sys.executable, script], capture_output=True, text=True, check=True)
-    assert found.stdout.splitlines() == ["begun", "[(0, 1), (1, 2)]"]
+    process = subprocess.run([sys.executable, script], capture_output=True, text=True, check=True)
+    assert process.stdout.splitlines() == ["begun", "[(0, 1), (1, 2)]"]
 
 
 def test_failing_piece_raises_and_leaves_no_process() -> None:
@@ -94,21 +94,19 @@ def test_failing_piece_raises_and_leaves_no_process() -> None:
     assert not multiprocessing.active_children()
 
 
-def test_pieces_of_dead_workers_are_repeated(
-    tmp_path: Path,
-) -> None:
+def test_pieces_of_ended_workers_are_repeated(tmp_path: Path) -> None:
     marks = [tmp_path / "one", tmp_path / "two"]
     marks[0].touch()
     with Workers() as workers:
-        assert sorted(workers.compute(die_the_first_time, marks)) == [(0, "one"), (1, "two")]
+        assert sorted(workers.compute(exit_at_first_call, marks)) == [(0, "one"), (1, "two")]
 
 
-def test_deadly_piece_is_reported_not_repeated_forever() -> None:
-    with pytest.raises(RunError, match="has died 3 times"), Workers() as workers:
-        list(workers.compute(die, [1]))
+def test_piece_that_ends_workers_is_reported() -> None:
+    with pytest.raises(RunError, match="ended unexpectedly 3 times"), Workers() as workers:
+        list(workers.compute(exit_process, [1]))
 
 
-def test_left_workers_drop_waiting_pieces(monkeypatch) -> None:
+def test_leaving_the_context_cancels_waiting_pieces(monkeypatch) -> None:
     failed: list[object] = []
     monkeypatch.setattr(threading, "excepthook", failed.append)
     kill = SpawnProcess.kill
@@ -121,29 +119,29 @@ def test_left_workers_drop_waiting_pieces(monkeypatch) -> None:
 
     monkeypatch.setattr(SpawnProcess, "kill", kill_until_noticed)
     with Workers() as workers:
-        next(workers.compute(go_on_for_ever_but_once, range(50)))
+        next(workers.compute(wait_forever_unless_zero, range(50)))
 
     assert not failed
 
 
-@pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="this system tells each process by itself")
-def test_workers_do_not_hear_ctrl_c() -> None:
+@pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="signals cannot be blocked on this system")
+def test_workers_block_ctrl_c() -> None:
     with Workers() as workers:
-        assert list(workers.compute(deaf_to_ctrl_c, [1])) == [(0, True)]
-    assert not deaf_to_ctrl_c(0)
+        assert list(workers.compute(sigint_is_blocked, [1])) == [(0, True)]
+    assert not sigint_is_blocked(0)
 
 
 def test_ctrl_c_closes_our_starting_cluster(monkeypatch) -> None:
     monkeypatch.setattr("distributed.LocalCluster", ClusterWithCtrlC)
     with pytest.raises(KeyboardInterrupt):
         Workers("local")
-    assert ClusterWithCtrlC.closed == 1 and not deaf_to_ctrl_c(0)
+    assert ClusterWithCtrlC.closed == 1 and not sigint_is_blocked(0)
 
 
 @pytest.mark.thorough
 @pytest.mark.filterwarnings("ignore::ResourceWarning")
-def test_cluster_without_workers_is_reported_and_waited_for(monkeypatch) -> None:
-    monkeypatch.setattr("rig.workers._WITHOUT_WORKERS", 0.05)
+def test_cluster_without_workers_is_reported(monkeypatch) -> None:
+    monkeypatch.setattr("rig.workers._WORKER_CHECK_INTERVAL_S", 0.05)
     with LocalCluster(n_workers=0, threads_per_worker=1, processes=False, dashboard_address=None) as cluster:
         reported: list[str] = []
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar
 
 import numpy as np
 
-from rig.results.result import Result, joined
+from rig.results.result import Result, join_columns
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -60,7 +60,7 @@ class Results(Result, Sequence[R], Generic[R]):
             count = len(next(iter(columns.values()), ()))
             label = np.full(count, str(getattr(each, "label", "")))
             tables.append({name: columns[name] for name in names} | {"label": label})
-        return joined(tables)
+        return join_columns(tables)
 
     def summary(self) -> str:
         """Summaries of all results, a line each."""

@@ -9,7 +9,7 @@ from math import inf, isinf, log10, sqrt
 import numpy as np
 
 from analysis.modal.modes import Modes
-from rig.results import plainly
+from rig.results import format_number
 from rig.results.response import Response
 from rig.results.uncertainty import SENSITIVITY
 
@@ -284,7 +284,7 @@ def unresolved(peaks: Sequence[tuple[float, str, Peak]]) -> list[str]:
         said.append(
             f"{', '.join(here)}, near {worst.frequency:.2f} Hz: the points are {worst.step:.2g} Hz "
             "apart, and the peak between them may deviate by up to "
-            f"{plainly(float(f'{100 * off:.2g}'))} %, which the interval includes. Measure every "
+            f"{format_number(float(f'{100 * off:.2g}'))} %, which the interval includes. Measure every "
             f"{worst.step * sqrt(_RESOLVED / off):.1g} Hz there"
         )
     return said

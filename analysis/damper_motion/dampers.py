@@ -16,7 +16,7 @@ from analysis.responses.measurands import located
 from analysis.responses.stepped_sine import Sweep, sweeps
 from rig.arrays import Array
 from rig.errors import RecordingError
-from rig.results import Result, styled
+from rig.results import Result, complete_style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -106,7 +106,10 @@ class Dampers(Result):
             ):
                 values = 1e3 * np.where(each > 0.0, each, np.nan)[order]
                 ax.semilogy(
-                    self.energy.frequency[order], values, ".-", **styled(style, label=f"{self.label}: {name}")
+                    self.energy.frequency[order],
+                    values,
+                    ".-",
+                    **complete_style(style, label=f"{self.label}: {name}"),
                 )
         ax.set(xlabel="frequency / Hz", ylabel="energy per period / mJ")
 

@@ -20,7 +20,7 @@ from analysis.responses.measurands import motion_channel, responses
 from analysis.responses.systematic import clock_deviation
 from rig.arrays import Array
 from rig.errors import RecordingError, SceneError
-from rig.results import Result, styled
+from rig.results import Result, complete_style
 from rig.scene.scene import STANDARD_GRAVITY
 from rig.system.structural_model import structural_model
 
@@ -110,7 +110,7 @@ class Decay(Result):
 
     def draw(self, ax: Axes, **style: Any) -> None:
         """Draw the acceleration with its upper bound `outline` on both sides."""
-        (line,) = ax.plot(self.time, self.outline(), **styled(style, lw=1.2, label=self.label))
+        (line,) = ax.plot(self.time, self.outline(), **complete_style(style, lw=1.2, label=self.label))
         ax.plot(self.time, -self.outline(), color=line.get_color(), lw=line.get_linewidth())
         ax.plot(self.time, self.acceleration, color=line.get_color(), lw=0.5, alpha=0.6)
         ax.set(xlabel="time after the hit / s", ylabel="acceleration / (m/s²)")

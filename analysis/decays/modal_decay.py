@@ -10,7 +10,7 @@ import scipy
 from scipy import fft
 
 from rig.arrays import Array, ComplexArray
-from rig.results import Result, bounded, styled
+from rig.results import Result, complete_style, format_quantity
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -80,12 +80,12 @@ class ModalDecay(Result):
 
     def frequency_text(self) -> str:
         """Format the natural frequency with its 95 % bound."""
-        return bounded(self.frequency, 2.0 * self.frequency_error, "Hz")
+        return format_quantity(self.frequency, 2.0 * self.frequency_error, "Hz")
 
     def draw(self, ax: Axes, **style: Any) -> None:
         """Draw the damping ratio against amplitude with its 95 % bound."""
         percent, half = 100.0 * self.damping, 200.0 * self.damping_error
-        style = styled(style, ms=3, label=self.frequency_text())
+        style = complete_style(style, ms=3, label=self.frequency_text())
         (line,) = ax.semilogx(self.amplitude, percent, "o-", **style)
         bounds = percent - half, percent + half
         ax.fill_between(self.amplitude, *bounds, color=line.get_color(), alpha=0.2, lw=0)

@@ -10,7 +10,7 @@ import numpy as np
 from analysis.modal.modes import Modes
 from analysis.recordings.slices import Slice
 from rig.errors import SceneError
-from rig.results.universal_file import KINDS, line, universal_file, write_set
+from rig.results.universal_file import QUANTITY_NUMBERS, text_line, universal_file, write_set
 
 # A data set 58 in text needs 20 bytes for each sample, and the writer keeps the text of a channel in memory.
 MOST_TEXT_SAMPLES = 1 << 24
@@ -40,14 +40,14 @@ def write_uff(stretch: Slice, path: Path) -> None:
             file,
             {
                 "type": 58, "binary": 0, "func_type": 1, "func_id": number,
-                "id1": line(f"{info.name}: {info.quantity} at {info.at}"),
-                "id2": line(f"from {recording.path.name}"),
-                "id4": line(f"sample rate {recording.rate!r} Hz"),
+                "id1": text_line(f"{info.name}: {info.quantity} at {info.at}"),
+                "id2": text_line(f"from {recording.path.name}"),
+                "id4": text_line(f"sample rate {recording.rate!r} Hz"),
                 "rsp_ent_name": "NONE", "rsp_node": node(info.at), "rsp_dir": 3,
                 "ref_ent_name": "NONE", "ref_node": 0, "ref_dir": 0,
                 "abscissa_spacing": 1, "abscissa_spec_data_type": 17,
                 "abscissa_axis_lab": "Time", "abscissa_axis_units_lab": "s",
-                "ordinate_spec_data_type": KINDS[info.quantity],
+                "ordinate_spec_data_type": QUANTITY_NUMBERS[info.quantity],
                 "ordinate_axis_lab": info.quantity.capitalize(), "ordinate_axis_units_lab": info.unit,
                 "orddenom_spec_data_type": 0, "z_axis_spec_data_type": 0,
                 "data": data, "x": np.arange(stretch.start, stretch.stop) / recording.rate,
@@ -69,7 +69,7 @@ def write_modes(modes: Modes, path: Path, nodes: Sequence[int]) -> None:
         write_set(
             file,
             {
-                "type": 55, "id1": line(modes.label), "id2": line(f"nodes {', '.join(modes.responses)}"),
+                "type": 55, "id1": text_line(modes.label), "id2": text_line(f"nodes {', '.join(modes.responses)}"),
                 "id4": f"mode {number}, {modes.frequency[number - 1]:.6g} Hz, damping ratio {damping:.4g} %",
                 "model_type": 1, "analysis_type": 3, "data_ch": 2, "spec_data_type": 8, "load_case": 1,
                 "mode_n": number, "eig": complex(pole), "modal_a": 0j, "modal_b": 0j,

@@ -10,7 +10,7 @@ import numpy as np
 from analysis.modal.modes import Modes
 from rig.escaping import drawn
 from rig.figure_style import colour, decades, drawing, frequency_axis, heading
-from rig.results import bounded
+from rig.results import format_quantity
 from rig.results.response import MAX_MARKERS, Response
 
 if TYPE_CHECKING:
@@ -73,7 +73,7 @@ def modes_figure(frfs: Sequence[Response], modes: Modes, title: str) -> Figure:
             names = ["ground", *map(drawn, bodies.names)] if i == 0 else [""] * (places.size + 1)
             axes.set_yticks(np.append(0, places), names)
             axes.set_title(
-                f"{bounded(modes.frequency[i], 2 * modes.frequency_error[i], 'Hz')}\n{modes.damping_text(i)}",
+                f"{format_quantity(modes.frequency[i], 2 * modes.frequency_error[i], 'Hz')}\n{modes.damping_text(i)}",
                 fontsize=9,
                 fontweight="normal",
             )

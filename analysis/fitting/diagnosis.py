@@ -17,7 +17,7 @@ from analysis.fitting.parameters import free_parameters
 from analysis.fitting.problem import Problem
 from analysis.fitting.start import start
 from rig.arrays import Array, ComplexArray
-from rig.results import plainly
+from rig.results import format_number
 from rig.scene.scene import Scene
 from rig.scene.structure import Dashpots, ModalDamping
 from rig.system.structural_model import structural_model
@@ -189,7 +189,7 @@ def _delays(problem: Problem, bare: list[Curves]) -> _Explanations:
         delay = float(best.x)
         if abs(delay) > _LEAST_DELAY:
             late = "late" if delay > 0.0 else "early"
-            text = f"{sensor.name} reads {plainly(abs(delay) * 1e6)} µs {late} (delay in the table)"
+            text = f"{sensor.name} reads {format_number(abs(delay) * 1e6)} µs {late} (delay in the table)"
             yield float(best.fun), text, True
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rig.figure_style import colour, decades, drawing, frequency_axis, heading, legend_below
-from rig.results import plainly
+from rig.results import format_number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -62,4 +62,4 @@ def _draw(left: Axes, right: Axes, one: Compared) -> None:
     right.set_ylabel("residual / std. deviation")
     missing = int((~used).sum())
     left_out = f", {missing} point{'s' if missing > 1 else ''} left out" if missing else ""
-    heading(right, f"Residual {plainly(100 * one.relative)} % of the curve, rms{left_out}")
+    heading(right, f"Residual {format_number(100 * one.relative)} % of the curve, rms{left_out}")

@@ -21,7 +21,7 @@ from analysis.recordings.names import opened
 from rig.arrays import Array, ComplexArray
 from rig.errors import RecordingError, SceneError
 from rig.input_files import repeated
-from rig.results import Result, plainly, styled
+from rig.results import Result, complete_style, format_number
 from rig.scene.loading import SceneLike, scene_of
 from rig.scene.scene import Scene
 from rig.system.structural_model import structural_model
@@ -164,7 +164,9 @@ class Fit(Result):
         for one in self.compared:
             order = np.argsort(one.curves.frequency, kind="stable")
             worst = np.where(one.used, one.misses.max(axis=0), np.nan)[order]
-            ax.semilogy(one.curves.frequency[order], worst, ".-", **styled(style, label=one.curves.label))
+            ax.semilogy(
+                one.curves.frequency[order], worst, ".-", **complete_style(style, label=one.curves.label)
+            )
         ax.set(xlabel="frequency / Hz", ylabel="largest residual / standard deviation")
 
 
@@ -353,7 +355,7 @@ def _misfit(found: Estimate, compared: Sequence[Compared]) -> str:
     if found.variance > NOT_NOISE and worst.relative > ANOTHER:
         return (
             f"{worst.curves.label}: the best fit leaves a residual of {worst.relative:.1%} of the curves (rms), "
-            f"{plainly(np.sqrt(found.variance))} times their stated errors."
+            f"{format_number(np.sqrt(found.variance))} times their stated errors."
         )
     return ""
 

@@ -15,7 +15,7 @@ from analysis.responses.systematic import REFERENCE_NOISE, ROUGH, tolerance
 from daq.recording.recorded_test import TestKind
 from rig.arrays import Array, ComplexArray
 from rig.errors import RecordingError
-from rig.results import plainly
+from rig.results import format_number
 from rig.results.response import Response, stack
 from rig.results.uncertainty import CLOCK, SENSITIVITY, Covariance
 
@@ -119,7 +119,7 @@ def measured(rec: Recording, name: str, progress: Progress | None = None) -> lis
                 rec,
                 checked(rec, [sweep.lines.frf(rec, response, reference) for response in names]),
                 reference,
-                f"{name}, {plainly(sweep.level)} N {sweep.direction}" if several else name,
+                f"{name}, {format_number(sweep.level)} N {sweep.direction}" if several else name,
             )
             for sweep in found
         ]

@@ -12,7 +12,7 @@ from rig.errors import RunError, SceneError
 from rig.figure_style import save
 from rig.output_files import make_ready, replacing
 from rig.provenance import made_from, overwriting, refuse_others, relative
-from rig.results import bounded
+from rig.results import format_quantity
 from rig.scene.scene import Scene
 
 
@@ -61,15 +61,15 @@ def describe(found: Fit) -> list[str]:
     for one in found.parameters:
         value, tail = f"{one.value:.6g} {one.unit}".strip(), "unchanged"
         if one.status != "undetermined":
-            value = bounded(one.value, one.half_width * abs(one.value), one.unit).strip()
+            value = format_quantity(one.value, one.half_width * abs(one.value), one.unit).strip()
             tail = f"from {one.start:.4g}"
         lines.append(f"  {one.key:{width}}  {value:30} {one.status:10} {tail}")
     for name, (deviation, bound) in found.sensitivities.items():
-        lines.append(f"  sensitivity error of {name}: {bounded(100 * deviation, 100 * bound, '%')}")
+        lines.append(f"  sensitivity error of {name}: {format_quantity(100 * deviation, 100 * bound, '%')}")
     for number, mode in enumerate(found.modes, 1):
         lines.append(
-            f"  mode {number} of the structure: {bounded(mode.frequency, mode.frequency_bound, 'Hz')}, damping ratio "
-            f"{bounded(100 * mode.damping, 100 * mode.damping_bound, '%')}"
+            f"  mode {number} of the structure: {format_quantity(mode.frequency, mode.frequency_bound, 'Hz')}, "
+            f"damping ratio {format_quantity(100 * mode.damping, 100 * mode.damping_bound, '%')}"
         )
     for level in found.damping:
         beneath = "with its dampers" if level.damped else "without dampers"

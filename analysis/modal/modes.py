@@ -12,7 +12,7 @@ from analysis.modal.lscf import ChartPole
 from analysis.modal.pole_residue import residual_terms
 from rig.arrays import Array, ComplexArray
 from rig.errors import SceneError
-from rig.results import Result, bounded, styled
+from rig.results import Result, complete_style, format_quantity
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -93,7 +93,9 @@ class Modes(Result):
         """Write a damping ratio with its 95 % bound, or its upper limit where it is poorly determined."""
         ratio, bound = 100.0 * self.damping[mode], 200.0 * self.damping_error[mode]
         return (
-            bounded(ratio, bound, "%") if bound < 2.0 * DETERMINED * ratio else f"below {ratio + bound:.2g} %"
+            format_quantity(ratio, bound, "%")
+            if bound < 2.0 * DETERMINED * ratio
+            else f"below {ratio + bound:.2g} %"
         )
 
     def columns(self) -> dict[str, NDArray[Any]]:
@@ -111,7 +113,7 @@ class Modes(Result):
         """Draw the shape of each mode along the bodies."""
         bodies = self.of_bodies()
         for f, shape in zip(self.frequency, bodies.shapes.T, strict=True):
-            ax.plot(bodies.names, shape.real, "o-", **styled(style, label=f"{f:.4g} Hz"))
+            ax.plot(bodies.names, shape.real, "o-", **complete_style(style, label=f"{f:.4g} Hz"))
         ax.set(ylabel="mode shape")
 
     @property

@@ -24,11 +24,11 @@ from analysis.recordings.names import opened, relabelled, scene_labels
 from analysis.responses.frequency_responses import frequency_responses
 from analysis.responses.measurands import reference_of, responses
 from rig.errors import SceneError
-from rig.results import rounded
+from rig.results import round_to_bound
 from rig.results.response import Response
 from rig.results.result import Result as ResultBase
-from rig.results.result import styled
-from rig.results.text import aligned
+from rig.results.result import complete_style
+from rig.results.text import table_lines
 from rig.results.uncertainty import SENSITIVITY
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ class Comparison(ResultBase):
             value, low, high = np.array([change.decibel for change in changes]).T
             bars = np.where(np.isfinite([low, high]), abs(np.array([low, high]) - value), 0.0)
             mode = [change.mode for change in changes]
-            ax.errorbar(mode, value, yerr=bars, **styled(style, label=label, fmt="o", capsize=3))
+            ax.errorbar(mode, value, yerr=bars, **complete_style(style, label=label, fmt="o", capsize=3))
         ax.set(xlabel="natural frequency / Hz", ylabel="change of the peak / dB")
 
 
@@ -147,8 +147,8 @@ def describe_changes(changes: Sequence[PeakChange]) -> list[str]:
     remarks = []
     for one in changes:
         bare, damped = one.bare, one.damped
-        known = (one.response, f"{one.mode:.2f}", rounded(1e6 * bare.value, 1e6 * bare.bound))
-        after = rounded(1e6 * damped.value, 1e6 * damped.bound)
+        known = (one.response, f"{one.mode:.2f}", round_to_bound(1e6 * bare.value, 1e6 * bare.bound))
+        after = round_to_bound(1e6 * damped.value, 1e6 * damped.bound)
         if damped.at_end:
             rows.append((*known, "none", "", "", "", "", ""))
             remarks.append(
@@ -163,7 +163,7 @@ def describe_changes(changes: Sequence[PeakChange]) -> list[str]:
             f"{one.response}, mode at {one.mode:.2f} Hz: the peak {name} may be higher than measured"
             for name in open_ended
         ]
-    return [*aligned(rows, "<>>>>>>>>"), *remarks] if changes else []
+    return [*table_lines(rows, "<>>>>>>>>"), *remarks] if changes else []
 
 
 def _change(value: tuple[float, float, float], digits: int) -> tuple[str, str]:

@@ -16,8 +16,8 @@ from analysis.presentation.output_names import check_outputs, output_stem, with_
 from analysis.presentation.result import Progress, Result, noted
 from analysis.presentation.tables import write_table
 from analysis.recordings.names import opened, scene_labels
-from rig.results import frequency_ranges, interval, plainly
-from rig.results.text import aligned
+from rig.results import format_frequencies, format_interval, format_number
+from rig.results.text import table_lines
 
 # Number of frequencies printed; the CSV file contains all of them.
 _LISTED = 2
@@ -110,7 +110,7 @@ def describe_motions(bodies: Sequence[list[DamperMotion]], left_out: Sequence[fl
     restitutions = [text for motions in bodies for text in _restitution(motions)]
     limits = [f"{1e3 * max(each.threshold for each in body):.2g} mm/s ({body[0].channel})" for body in bodies]
     return [
-        *aligned(rows, "<<<"),
+        *table_lines(rows, "<<<"),
         *([f"Restitution: {'; '.join(restitutions)}."] if restitutions else []),
         f"No impact is detected below {', '.join(limits)}.",
     ]
@@ -128,7 +128,7 @@ def _motion_rows(motions: list[DamperMotion], left_out: Sequence[float]) -> list
     order = sorted(kinds, key=lambda kind: (kind == _AT_REST, kind == _NEAR_GRAVITY))
     rows = []
     for kind in order:
-        where = frequency_ranges(frequency, [kind == other for _, other in every])
+        where = format_frequencies(frequency, [kind == other for _, other in every])
         # The other rows list all other frequencies.
         rows.append(("", kind, "elsewhere" if kind == _AT_REST and len(order) > 1 else where))
     return [(motions[0].channel, *rows[0][1:]), *rows[1:]]
@@ -146,7 +146,7 @@ def _restitution(motions: list[DamperMotion]) -> list[str]:
     # reduce them. The uncertainty is also at least the observed scatter.
     scatter = float(np.sqrt(np.sum(weight * (value - mean) ** 2) / weight.sum() / max(len(estimates) - 1, 1)))
     bound = 2.0 * max(float(weight.mean() ** -0.5), scatter)
-    text = interval(mean, bound).replace("-0.000", "0.000")
+    text = format_interval(mean, bound).replace("-0.000", "0.000")
     return [f"{text} ({motions[0].channel}, {len(estimates)} frequencies)"]
 
 
@@ -168,8 +168,12 @@ def describe_energy(energy: CycleEnergy, true: np.ndarray | None = None) -> list
     rows = [heading if true is None else [*heading, "true impact loss / %"]]
     for i in chosen:
         share, bound = (100.0 * each[i] / energy.supplied[i] for each in (energy.dampers, energy.bound))
-        into = interval(share, bound) if not abs(share) <= bound else f"below {plainly(share + bound)}"
+        into = (
+            format_interval(share, bound)
+            if not abs(share) <= bound
+            else f"below {format_number(share + bound)}"
+        )
         own = 10.0 * energy.structure[i] / energy.supplied[i]
-        row = [f"{energy.frequency[i]:.4g}", plainly(1e3 * energy.supplied[i]), into, f"{own:+.2g}"]
+        row = [f"{energy.frequency[i]:.4g}", format_number(1e3 * energy.supplied[i]), into, f"{own:+.2g}"]
         rows.append(row if true is None else [*row, f"{100.0 * true[i] / energy.supplied[i]:.3g}"])
-    return ["Energy per period where most is supplied:", *aligned(rows, ">" * len(rows[0]))]
+    return ["Energy per period where most is supplied:", *table_lines(rows, ">" * len(rows[0]))]

@@ -14,7 +14,7 @@ from analysis.presentation.output_names import check_outputs, output_stem
 from analysis.presentation.result import Result, noted
 from analysis.recordings.names import opened, relabelled, scene_labels
 from daq.recording.recorded_test import TestKind
-from rig.results import bounded
+from rig.results import format_quantity
 
 if TYPE_CHECKING:
     from analysis.decays.modal_decay import ModalDecay
@@ -71,4 +71,4 @@ def describe_decay(one: Decay) -> list[str]:
 def _damping_at(mode: ModalDecay, index: int) -> str:
     """Format the damping ratio at one amplitude with its 95 % bound."""
     ratio, bound = 100.0 * mode.damping[index], 200.0 * mode.damping_error[index]
-    return f"{bounded(ratio, bound, '%')} at {mode.amplitude[index]:.3g} m/s²"
+    return f"{format_quantity(ratio, bound, '%')} at {mode.amplitude[index]:.3g} m/s²"

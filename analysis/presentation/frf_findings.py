@@ -19,9 +19,9 @@ from analysis.responses.curve_checks import jumps
 from analysis.responses.frequency_responses import Blocks, frequency_responses
 from analysis.responses.frf_files import is_frf_file
 from analysis.responses.systematic import tolerance
-from rig.results import interval
+from rig.results import format_interval
 from rig.results.response import Response
-from rig.results.text import aligned
+from rig.results.text import table_lines
 from rig.results.uncertainty import SENSITIVITY
 from rig.scene.presets import origin
 
@@ -88,9 +88,11 @@ def describe_frfs(curves: Sequence[Response]) -> list[str]:
             size, bound = factor * float(abs(frf.value[top])), factor * float(frf.bound()[top])
             force = "" if frf.amplitude is None or frf.reference != "force" else f"{frf.amplitude[top]:.4g}"
             cause = frf.parts()[top] if bound > 0.0 else ""
-            rows.append((frf.response, interval(size, bound), f"{frf.frequency[top]:.4g}", force, cause))
+            rows.append(
+                (frf.response, format_interval(size, bound), f"{frf.frequency[top]:.4g}", force, cause)
+            )
             remarks += [f"{frf.response}: {text}" for text in frf.uncertain_peak()]
-        lines += [heading, *(f"  {line}" for line in (*aligned(rows, "<>>><"), *remarks))]
+        lines += [heading, *(f"  {line}" for line in (*table_lines(rows, "<>>><"), *remarks))]
     return lines
 
 

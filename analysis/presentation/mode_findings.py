@@ -19,8 +19,8 @@ from analysis.presentation.result import Progress, Result, noted
 from analysis.recordings.names import opened, relabelled
 from analysis.responses.frequency_responses import Blocks, frequency_responses
 from analysis.responses.frf_files import is_frf_file
-from rig.results import interval
-from rig.results.text import aligned
+from rig.results import format_interval
+from rig.results.text import table_lines
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
@@ -86,11 +86,11 @@ def describe_modes(modes: Modes, theory: np.ndarray | None = None) -> list[str]:
     for i, frequency in enumerate(modes.frequency):
         elements = zip(bodies.shapes[:, i].real, 2.0 * bodies.errors[:, i], strict=True)
         ratio = modes.damping_text(i).strip("(%) ")
-        known = (interval(frequency, 2.0 * modes.frequency_error[i]), ratio, agreement[i])
-        rows.append((*known, *(interval(value, bound) for value, bound in elements)))
+        known = (format_interval(frequency, 2.0 * modes.frequency_error[i]), ratio, agreement[i])
+        rows.append((*known, *(format_interval(value, bound) for value, bound in elements)))
     by = f", {modes.input}" if modes.input else ""
     heading = f"{modes.label}{by}: {count} mode{'s' * (count != 1)}"
-    return [heading, *(f"  {line}" for line in aligned(rows, ">" * len(rows[0])) if count)]
+    return [heading, *(f"  {line}" for line in table_lines(rows, ">" * len(rows[0])) if count)]
 
 
 def nearest_mac(modes: Modes, theory: np.ndarray) -> NDArray[np.float64]:

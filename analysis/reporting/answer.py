@@ -11,7 +11,7 @@ from analysis.damper_motion.comparison import PeakChange
 from analysis.damper_motion.dampers import Dampers
 from analysis.reporting.measured import Measured
 from analysis.reporting.tables import peak_height, with_bound
-from rig.results import frequency_ranges
+from rig.results import format_frequencies
 
 _MAX_SENTENCES = 3
 
@@ -95,7 +95,7 @@ def _dampers(measured: Measured, result: Dampers) -> list[str]:
         ]
     text = (
         f"“{measured.label}”: damper impacts at {int(hit.sum())} of {frequency.size} frequencies "
-        f"({frequency_ranges(frequency.tolist(), hit.tolist())})"
+        f"({format_frequencies(frequency.tolist(), hit.tolist())})"
     )
     energy = result.energy
     if energy is not None:

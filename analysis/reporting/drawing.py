@@ -7,7 +7,7 @@ from math import isfinite
 from typing import TYPE_CHECKING
 
 from rig.escaping import html
-from rig.results import plainly
+from rig.results import format_number
 
 if TYPE_CHECKING:
     from analysis.modal.modes import BodyShapes
@@ -85,7 +85,9 @@ def _body(scene: Scene, body: int, top: float) -> Iterator[str]:
             f'<circle cx="{x + 13:g}" cy="{top + 40:g}" r="7" fill="#d67a2e"/></g>'
         )
         if len(inside) == 1:
-            clearance = f", {plainly(1e3 * damper.clearance)} mm" if isfinite(damper.clearance) else ", open"
+            clearance = (
+                f", {format_number(1e3 * damper.clearance)} mm" if isfinite(damper.clearance) else ", open"
+            )
             size = (
                 f"{1e3 * damper.mass:.4g} g" if damper.mass is not None else f"ratio {damper.mass_ratio:.3g}"
             )

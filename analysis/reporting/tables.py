@@ -12,7 +12,7 @@ from analysis.damper_motion.comparison import Peak, PeakChange
 from analysis.reporting.measured import Measured
 from analysis.responses.systematic import tolerance
 from rig.escaping import html
-from rig.results import plainly, rounded
+from rig.results import format_number, round_to_bound
 from rig.results.response import Response
 
 if TYPE_CHECKING:
@@ -67,7 +67,9 @@ def with_bound(value: float, bound: float) -> str:
     """
     if not isfinite(bound):
         return f"{value:.4g} (unbounded)"
-    return f"{rounded(value, bound)} ± {rounded(bound, bound)}" if bound > 0.0 else f"{value:.4g}"
+    return (
+        f"{round_to_bound(value, bound)} ± {round_to_bound(bound, bound)}" if bound > 0.0 else f"{value:.4g}"
+    )
 
 
 def changes_table(found: Sequence[tuple[Measured, Measured, PeakChange]]) -> str:
@@ -144,7 +146,7 @@ def budget(measured: Measured, curve: Response, found: Peak) -> str:
         (
             name,
             kind,
-            plainly(float(f"{factor * bound:.2g}")),
+            format_number(float(f"{factor * bound:.2g}")),
             f"{100 * bound**2 / total:.0f} %" if isfinite(bound) and total else "–",
         )
         for name, (kind, bound) in sorted(parts.items(), key=lambda item: -item[1][1])
@@ -215,7 +217,9 @@ def _middle_frequency(measured: Measured) -> float:
 def _damper(damper: Damper, body: str) -> str:
     mass = f"{damper.mass:.4g} kg" if damper.mass is not None else f"mass ratio {damper.mass_ratio:.3g}"
     clearance = (
-        f"clearance {plainly(1e3 * damper.clearance)} mm" if isfinite(damper.clearance) else "no ceiling"
+        f"clearance {format_number(1e3 * damper.clearance)} mm"
+        if isfinite(damper.clearance)
+        else "no ceiling"
     )
     return f"{body}: {mass}, {clearance}{', locked' if damper.locked else ''}"
 

@@ -16,7 +16,7 @@ from analysis.responses.scatter import Scatter, stacked
 from analysis.responses.spectral_lines import Lines, remainder
 from analysis.responses.systematic import counts_of, scattered
 from rig.errors import RecordingError
-from rig.results import frequency_ranges, plainly
+from rig.results import format_frequencies, format_number
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
@@ -108,7 +108,7 @@ def sweeps(
 
 def _notes(key: _Setting, found: list[_Point], left_out: list[_LeftOut], several: bool) -> list[str]:
     """Describe the discarded frequencies of a sweep, with reasons, and those without steady-state motion."""
-    setting = f"{plainly(key[0])} N {key[1]}: " if several else ""
+    setting = f"{format_number(key[0])} N {key[1]}: " if several else ""
     out = []
     for why in dict.fromkeys(each[1] for each in left_out):
         places = [each for each in left_out if each[1] == why]
@@ -123,7 +123,7 @@ def _notes(key: _Setting, found: list[_Point], left_out: list[_LeftOut], several
         out.append(f"{setting}no frequency of this sweep is usable.")
     unsteady = [not steady for _, _, steady in found]
     if any(unsteady):
-        where = frequency_ranges([tone.frequency for tone, _, _ in found], unsteady)
+        where = format_frequencies([tone.frequency for tone, _, _ in found], unsteady)
         out.append(
             f"{setting}No steady state at {where}: these points are marked. The motion is irregular or needs a longer "
             "test.settle."
@@ -182,7 +182,7 @@ def _sweep(
             stacked([tone.scatter() for tone in tones]),
             np.array([2.0 * (len(tone.parts) - 1.0) for tone in tones]),
         ),
-        label=f"{rec.scene.name}{f', {plainly(level)} N {direction}' if several else ''}",
+        label=f"{rec.scene.name}{f', {format_number(level)} N {direction}' if several else ''}",
         warnings=tuple(notes),
         remainder=np.stack(
             [

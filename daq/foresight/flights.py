@@ -10,7 +10,7 @@ from daq.foresight.linear import test_band, test_frequencies
 from daq.foresight.rehearsal import Rehearsal
 from rig.arrays import Array
 from rig.errors import SceneError
-from rig.results import frequency_ranges, plainly
+from rig.results import format_frequencies, format_number
 from rig.scene.excitation import Sine, SteppedSine, SweptSine
 from rig.scene.scene import Scene
 from rig.system.hybrid_system import HybridSystem
@@ -54,7 +54,7 @@ def flight_lines(
             tones = {part.frequency_at(round(time * part.rate)) for part, time in strikes} - {None}
             near = [any(abs(f - tone) < 1e-3 * f for tone in tones if tone) for f in frequencies]
             flags = above[row] | np.array(near)
-            where = f" at {frequency_ranges(frequencies.tolist(), flags.tolist())}" if flags.any() else ""
+            where = f" at {format_frequencies(frequencies.tolist(), flags.tolist())}" if flags.any() else ""
         elif strikes:
             where = f" first at {min(time for _, time in strikes):.2f} s"
         by_place.setdefault(where, []).append(f"damper {number} (body {scene.dampers[number - 1].body})")
@@ -76,4 +76,4 @@ def outside_band(scene: Scene) -> tuple[str, ...]:
         return ()
     listed = ", ".join(f"{k} at {mode:.4g} Hz" for k, mode in left[:_LISTED])
     more = f" and {len(left) - _LISTED} more" if len(left) > _LISTED else ""
-    return (f"outside {plainly(band[0])} to {plainly(band[1])} Hz: mode {listed}{more}",)
+    return (f"outside {format_number(band[0])} to {format_number(band[1])} Hz: mode {listed}{more}",)

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from daq.foresight.linear import LeastSignal
 from daq.measurement.estimate import duration_text
-from rig.results import Result, plainly
-from rig.results.text import aligned
+from rig.results import Result, format_number
+from rig.results.text import table_lines
 from rig.scene.scene import STANDARD_GRAVITY
 
 if TYPE_CHECKING:
@@ -67,11 +67,11 @@ def in_words(size: float, unit: str) -> str:
     if not np.isfinite(size):
         return "beyond any limit"
     if unit == "m/s^2":
-        return f"{plainly(size / STANDARD_GRAVITY)} g"
+        return f"{format_number(size / STANDARD_GRAVITY)} g"
     for scale, prefix in ((1.0, ""), (1e3, "m"), (1e6, "µ")):
         if unit in ("m", "m/s", "V", "A") and (size * scale >= 0.1 or prefix == "µ"):
-            return f"{plainly(size * scale)} {prefix}{unit}"
-    return f"{plainly(size)} {unit}"
+            return f"{format_number(size * scale)} {prefix}{unit}"
+    return f"{format_number(size)} {unit}"
 
 
 @dataclass(frozen=True, repr=False)
@@ -165,7 +165,7 @@ class Foresight(Result):
         )
         if self.rehearsed:
             facts.append(f"rehearsed: {self.rehearsed}")
-        return "\n".join([self.summary(), *facts, "", *aligned(rows, "<" * len(header))])
+        return "\n".join([self.summary(), *facts, "", *table_lines(rows, "<" * len(header))])
 
 
 def _against(each: Expectation) -> str:

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 from daq.recording.recorded_test import TestKind
 from rig.console import progress
 from rig.errors import ShotrigError
-from rig.results import frequency_ranges
-from rig.results.text import aligned
+from rig.results import format_frequencies
+from rig.results.text import table_lines
 
 if TYPE_CHECKING:
     from daq.recording.markers import Marker
@@ -90,7 +90,7 @@ def summary(path: Path) -> str:
             unsteady = [not fields["settled"] for fields in tones]
             where = ""
             if any(unsteady):
-                where = f", at {frequency_ranges([fields['frequency'] for fields in tones], unsteady)}"
+                where = f", at {format_frequencies([fields['frequency'] for fields in tones], unsteady)}"
             lines.append(f"not settled: {unsettled or 'none'} of {len(measured)} measurements{where}")
         deviations = [mark for mark in rec.markers if mark.kind == "level"]
         if deviations:
@@ -146,7 +146,7 @@ def _overloads(rec: Recording) -> list[str]:
     count = f"{len(by_channel)} channel{'s' if len(by_channel) > 1 else ''}"
     return [
         f"overloads: {count}{_sudden_landings(rec, by_channel)}",
-        *(f"  {line}" for line in aligned(rows, "<>>>><")),
+        *(f"  {line}" for line in table_lines(rows, "<>>>><")),
     ]
 
 

@@ -24,7 +24,7 @@ from rig.arrays import Array
 from rig.errors import RecordingError, ShotrigError, naming
 from rig.escaping import html
 from rig.input_files import path_of
-from rig.results import Result, styled
+from rig.results import Result, complete_style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -174,7 +174,7 @@ class Recording(Result):
         """All channels over time."""
         time, *columns = self.columns().items()
         for name, column in columns:
-            ax.plot(time[1], column, **styled(style, label=name.replace("_", " / "), lw=0.7))
+            ax.plot(time[1], column, **complete_style(style, label=name.replace("_", " / "), lw=0.7))
         ax.set(xlabel="time / s")
 
     # -- samples -----------------------------------------------------------------------------------------

@@ -16,7 +16,7 @@ from rig.errors import SceneError
 from rig.grain_beds.lammps_library import lammps_version
 from rig.grain_beds.packing import settled
 from rig.grain_beds.spheres import spheres_of
-from rig.results import Result, styled
+from rig.results import Result, complete_style
 from rig.scene.loading import SceneLike, scene_of
 from rig.scene.quantities import FREQUENCY, positives
 from rig.scene.scene import Scene
@@ -89,7 +89,7 @@ class BedResponse(Result):
         for body in range(len(self.mass[0].compliance)):
             mass = [1e6 * abs(each.compliance[body]) for each in self.mass]
             (line,) = ax.semilogy(
-                self.frequency, mass, **styled(style, label=f"body {body + 1}, bed as one mass")
+                self.frequency, mass, **complete_style(style, label=f"body {body + 1}, bed as one mass")
             )
             grains = [1e6 * abs(each.compliance[body]) for each in self.grains]
             ax.plot(self.frequency, grains, "o", color=line.get_color(), label=f"body {body + 1}, grains")

@@ -15,7 +15,7 @@ from rig.damper_design.worst_peak import Peak, linear_peak, peak_at
 from rig.errors import SceneError
 from rig.motion_map.grid import columns, natural_frequencies
 from rig.orbits.problem import OrbitProblem
-from rig.results import plainly
+from rig.results import format_number
 from rig.scene.damper import Damper
 from rig.scene.scene import Scene
 from rig.study import digest
@@ -33,7 +33,7 @@ def mass_unit(mass: float) -> tuple[float, str]:
 
 
 def _clearance(clearance: float) -> str:
-    return "no ceiling" if np.isinf(clearance) else f"clearance {plainly(1e3 * clearance)} mm"
+    return "no ceiling" if np.isinf(clearance) else f"clearance {format_number(1e3 * clearance)} mm"
 
 
 @dataclass(frozen=True, order=True)
@@ -52,7 +52,8 @@ class Choice:
         each = zip(self.masses, self.bodies, self.clearances, strict=True)
         rows = [(*mass_unit(m), m, b, c) for m, b, c in each]
         return "; ".join(
-            f"{plainly(factor * m)} {unit} in body {b}, {_clearance(c)}" for factor, unit, m, b, c in rows
+            f"{format_number(factor * m)} {unit} in body {b}, {_clearance(c)}"
+            for factor, unit, m, b, c in rows
         )
 
     @property

@@ -17,7 +17,7 @@ from rig.damper_design.ranking import MACHINABLE
 from rig.escaping import drawn
 from rig.figure_style import COLOURS, cell_edges, drawing, plain_logarithmic, save
 from rig.output_files import replacing, stem
-from rig.results import plainly
+from rig.results import format_number
 from rig.scene.excitation import FORCE_HELD, SteppedSine
 from rig.scene.scene import STANDARD_GRAVITY
 
@@ -31,8 +31,8 @@ BLUE, RED, GREY = *COLOURS[:2], "#a0a0a0"
 def summary(design: Design) -> str:
     """Summarize the best dampers, their effect on every mode, and the best lighter designs."""
     best, question, space = design.best, design.question, design.space
-    levels = ", ".join(plainly(level) for level in question.levels)
-    smallest, largest = (plainly(1e3 * clearance) for clearance in space.clearance)
+    levels = ", ".join(format_number(level) for level in question.levels)
+    smallest, largest = (format_number(1e3 * clearance) for clearance in space.clearance)
     lines = [
         f"{design.scene.name}: {len(design.trials)} designs at {levels} N, {question.band[0]:.4g} to "
         f"{question.band[1]:.4g} Hz"
@@ -71,8 +71,9 @@ def _verdict(design: Design) -> list[str]:
     )
     lines = [
         f"{heading}: {design.best.choice}",
-        f"worst peak {1e6 * peak.size:.4g} µm/N (body {peak.body}, {peak.frequency:.2f} Hz, {plainly(peak.level)} N): "
-        f"{abs(reduction):.1f} dB {side} the bare structure's {1e6 * bare.size:.4g} µm/N",
+        f"worst peak {1e6 * peak.size:.4g} µm/N (body {peak.body}, {peak.frequency:.2f} Hz, "
+        f"{format_number(peak.level)} N): {abs(reduction):.1f} dB {side} "
+        f"the bare structure's {1e6 * bare.size:.4g} µm/N",
         *design.shortfall,
     ]
     if design.serves:
@@ -80,7 +81,7 @@ def _verdict(design: Design) -> list[str]:
     height = design.flight.height
     if 0.0 < height < max(design.best.choice.clearances):
         lines.append(
-            f"any clearance above {plainly(1000.0 * height)} mm has the effect of no ceiling: the "
+            f"any clearance above {format_number(1000.0 * height)} mm has the effect of no ceiling: the "
             "dampers do not reach it in the band"
         )
     if min(design.best.choice.clearances) < MACHINABLE:
@@ -93,7 +94,7 @@ def _verdict(design: Design) -> list[str]:
 def _masses(design: Design) -> list[str]:
     """Write the reduction of the best dampers of each mass at each level."""
     factor, unit = mass_unit(max(trial.choice.mass for trial in design.front))
-    forces = "".join(f"{f'{plainly(level)} N':>9}" for level in design.question.levels)
+    forces = "".join(f"{f'{format_number(level)} N':>9}" for level in design.question.levels)
     return [
         f"{'':14}  reduction in dB at",
         f"{f'added mass, {unit}':>14}{forces}  dampers",
@@ -107,7 +108,7 @@ def _masses(design: Design) -> list[str]:
 
 def _modes(design: Design) -> list[str]:
     """Write the peaks of each mode without dampers and with them at each level."""
-    forces = "".join(f"{f'{plainly(level)} N':>9}" for level in design.question.levels)
+    forces = "".join(f"{f'{format_number(level)} N':>9}" for level in design.question.levels)
     return [
         f"{'':14}  largest peak in µm/N",
         f"{'mode, Hz':>14}{'without':>10}{forces}",
@@ -136,7 +137,7 @@ def next_step(design: Design, scene: Path) -> str:
     """Describe the test in the scene of a design, its expected results, and the commands to run it."""
     test = design.scene.test
     assert isinstance(test, SteppedSine) and test.frequencies is not None
-    levels = ", ".join(plainly(level) for level in test.levels)
+    levels = ", ".join(format_number(level) for level in test.levels)
     beyond = overloads(design.scene, design.expected, design.bare)
     changes = "".join(f" --set {quote(change)}" for each in beyond for change in each.changes)
     lasting = all(damper.contact is not None for damper in design.scene.dampers)
@@ -161,7 +162,8 @@ def next_step(design: Design, scene: Path) -> str:
             *named(beyond, lasting),
             "",
             "to check it, without and with dampers:",
-            f"daq record {file} --set dampers=null --set test.force={plainly(test.levels[0])}N{changes} -o {without}",
+            f"daq record {file} --set dampers=null --set test.force={format_number(test.levels[0])}N{changes} "
+            f"-o {without}",
             f"daq record {file}{changes} -o {with_them}",
             f"analysis frf {without} {with_them}",
             f"analysis compare {without} {with_them}",
@@ -185,7 +187,7 @@ def _expected(one: Expected) -> str:
     if one.sizes is not None:
         low, size, high = (f"{1e6 * each:.4g}" for each in one.sizes)
         through_shaker = f"{size} ({low} to {high})"
-    where = f"{plainly(peak.level):>14}{f'body {peak.body}':>9}{peak.frequency:9.2f}"
+    where = f"{format_number(peak.level):>14}{f'body {peak.body}':>9}{peak.frequency:9.2f}"
     return f"{where}{1e6 * peak.size:15.4g}  {through_shaker}"
 
 

@@ -12,7 +12,7 @@ from rig.damper_design.ranking import ALIKE
 from rig.damper_design.worst_peak import Peak, curve
 from rig.motion_map.grid import columns, natural_frequencies, take_off
 from rig.orbits.problem import OrbitProblem
-from rig.results import plainly
+from rig.results import format_number
 
 #: Smallest peak reduction at which dampers count as effective, dB.
 SERVES = 1.0
@@ -100,8 +100,8 @@ def shortfall(
         reach = flight_.reach(level)
         does = "cannot fly" if reach <= 1.0 else "hardly fly"
         lines.append(
-            f"at {plainly(level)} N the dampers {does}: take-off needs more than 1 g, and body "
-            f"{flight_.body} reaches {plainly(reach)} g; they change the peak by {-reached[level]:+.1f} "
+            f"at {format_number(level)} N the dampers {does}: take-off needs more than 1 g, and body "
+            f"{flight_.body} reaches {format_number(reach)} g; they change the peak by {-reached[level]:+.1f} "
             "dB"
         )
     most = {
@@ -118,17 +118,17 @@ def shortfall(
         if level > max(idle) and flight_.reach(level) > 1.0 and _reduction(bare, charted[level]) >= SERVES
     ]
     if served:
-        forces = ",".join(f"{plainly(level)}N" for level in served)
+        forces = ",".join(f"{format_number(level)}N" for level in served)
         by = ", ".join(f"{most[level]:.1f} dB" for level in served)
         lines.append(
             f"use --levels {forces}: at each of these levels alone, dampers reduce the peak, by up to {by}"
         )
     elif later:
         lines.append(
-            f"these dampers reduce the peak by {SERVES:g} dB from {plainly(min(later))} N on (--levels)"
+            f"these dampers reduce the peak by {SERVES:g} dB from {format_number(min(later))} N on (--levels)"
         )
     else:
-        lively = plainly(_LIVELY * flight_.take_off)
+        lively = format_number(_LIVELY * flight_.take_off)
         lines.append(
             f"dampers are usually effective from {_LIVELY:g} g: use levels from {lively} N (--levels)"
         )

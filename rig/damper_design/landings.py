@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from rig.errors import SceneError
-from rig.results import plainly
+from rig.results import format_number
 from rig.scene.damper import Contact, Damper, Landing, SpringDamper, walls_of
 
 
@@ -27,7 +27,7 @@ class Landings:
         >>> print(Landings(0.2, taken="as the scene's"))
         new dampers land at once, restitution 0.2: as the scene's
         """
-        return f"new dampers land {_lasting(self.contact)}, restitution {plainly(self.restitution)}: {self.taken}"
+        return f"new dampers land {_lasting(self.contact)}, restitution {format_number(self.restitution)}: {self.taken}"
 
 
 #: Default for scenes without dampers: perfectly plastic and instantaneous.
@@ -61,7 +61,7 @@ def landings_of(dampers: Sequence[Damper]) -> Landings:
 
 def _lasting(contact: Contact | None) -> str:
     durations = [
-        f"{plainly(1e3 * wall.duration)} ms" for wall in walls_of(contact) if isinstance(wall, Landing)
+        f"{format_number(1e3 * wall.duration)} ms" for wall in walls_of(contact) if isinstance(wall, Landing)
     ]
     if len(durations) == 2:
         return f"in {durations[0]} on floors and {durations[1]} on ceilings"

@@ -9,7 +9,7 @@ from shlex import quote
 from typing import NamedTuple
 
 from rig.damper_design.check import Expected
-from rig.results import plainly
+from rig.results import format_number
 from rig.scene.damper import Damper
 
 
@@ -49,15 +49,16 @@ def rests_on(dampers: Sequence[Damper], expected: Sequence[Expected], scene: Pat
         ),
         (
             f"where the middle half of the results with grains was {least} to {less} % lower. These dampers "
-            f"as shot of {plainly(1000.0 * _SHOT)} mm, which may take hours:"
+            f"as shot of {format_number(1000.0 * _SHOT)} mm, which may take hours:"
         ),
-        f"rig grains {quote(str(scene))} --set {quote(f'dampers=[{beds}]')} --set test.force={plainly(peak.level)}N "
-        f"--from {low} --to {high} --points {_POINTS} -o {quote(str(scene.with_name(f'{scene.stem}-grains.csv')))}",
+        f"rig grains {quote(str(scene))} --set {quote(f'dampers=[{beds}]')} "
+        f"--set test.force={format_number(peak.level)}N --from {low} --to {high} --points {_POINTS} "
+        f"-o {quote(str(scene.with_name(f'{scene.stem}-grains.csv')))}",
     ]
 
 
 def _as_shot(damper: Damper) -> str:
     assert damper.mass is not None  # every damper of a design has a mass
-    mass, shot = (plainly(1e3 * each) for each in (damper.mass, _SHOT))
-    clearance = ".inf" if isinf(damper.clearance) else f"{plainly(1e3 * damper.clearance)} mm"
+    mass, shot = (format_number(1e3 * each) for each in (damper.mass, _SHOT))
+    clearance = ".inf" if isinf(damper.clearance) else f"{format_number(1e3 * damper.clearance)} mm"
     return f"{{body: {damper.body}, mass: {mass} g, clearance: {clearance}, grains: {{diameter: {shot} mm}}}}"

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rig.results import plainly
+from rig.results import format_number
 from rig.scene.measurement_chain import Accelerometer, Integrator
 from rig.scene.presets import filled_in
 from rig.scene.scene import STANDARD_GRAVITY, Scene
@@ -62,7 +62,7 @@ def overloads(scene: Scene, expected: Sequence[Expected], bare: Peak) -> list[Ov
         largest = [max(pair) for pair in zip(shaken, steady, strict=False)] + steady[-1:]
         beyond = [k for k, size in enumerate(largest) if size > sensor.saturation]
         if beyond:
-            levels = ", ".join(dict.fromkeys(plainly(motions[k][1]) for k in beyond))
+            levels = ", ".join(dict.fromkeys(format_number(motions[k][1]) for k in beyond))
             found.append(
                 Overload(
                     f"{channel.name}: up to {_acceleration(max(largest))} at {levels} N, where its "
@@ -76,9 +76,9 @@ def overloads(scene: Scene, expected: Sequence[Expected], bare: Peak) -> list[Ov
         volts = float(f"{1.5 * most_volts:.2g}")
         found.append(
             Overload(
-                f"{widest}: up to {plainly(most_volts)} V, where the range of the converter is "
-                f"{plainly(converter.range)} V",
-                (f"converter.range={plainly(volts)}V",),
+                f"{widest}: up to {format_number(most_volts)} V, where the range of the converter is "
+                f"{format_number(converter.range)} V",
+                (f"converter.range={format_number(volts)}V",),
             )
         )
     return found
@@ -135,7 +135,7 @@ def _unlimited(number: int, sensor: Accelerometer | None, acceleration: float) -
     key = f"channels[{number}].accelerometer"
     if np.isfinite(acceleration):
         g = float(f"{2.0 * acceleration / STANDARD_GRAVITY:.1g}")
-        return (f"{key}.saturation={plainly(g)}g",)
+        return (f"{key}.saturation={format_number(g)}g",)
     if sensor.preset is None:
         recovery = () if sensor.overload_recovery is None else (f"{key}.overload_recovery=null",)
         return (*recovery, f"{key}.saturation=null")
@@ -180,4 +180,4 @@ def shaken_by(
 def _acceleration(size: float) -> str:
     if np.isinf(size):
         return "more than any sensor withstands"
-    return f"{plainly(float(f'{size / STANDARD_GRAVITY:.2g}'))} g"
+    return f"{format_number(float(f'{size / STANDARD_GRAVITY:.2g}'))} g"

@@ -9,7 +9,7 @@ import numpy as np
 
 from rig.damper_design.answers import Answers
 from rig.damper_design.choice import Choice, Question, Space, Trial
-from rig.results import plainly
+from rig.results import format_number
 
 #: Rise of the worst peak at the ends of the interval, dB.
 RISE = 0.5
@@ -43,10 +43,11 @@ class Tolerance:
         """
         if np.isinf(self.low):
             return f"with any clearance searched the worst peak is more than {RISE:g} dB higher: build no ceiling"
-        low = plainly(1e3 * self.low)
+        low = format_number(1e3 * self.low)
         if np.isinf(self.high):
             return f"the worst peak stays within {RISE:g} dB for every clearance above {low} mm"
-        text = f"the worst peak stays within {RISE:g} dB for clearances from {low} to {plainly(1e3 * self.high)} mm"
+        high = format_number(1e3 * self.high)
+        text = f"the worst peak stays within {RISE:g} dB for clearances from {low} to {high} mm"
         if any(self.limited):
             ends = " and ".join(
                 name for name, end in zip(("smallest", "largest"), self.limited, strict=True) if end
@@ -55,9 +56,7 @@ class Tolerance:
         width, place = np.log(self.high / self.low), np.log(self.chosen / self.low)
         if width > 0.0 and min(place, width - place) < _NEAR * width:
             middle = (self.low * self.high) ** 0.5
-            text += (
-                f": build to the middle, {plainly(1e3 * middle)} mm ± {100.0 * np.expm1(0.5 * width):.0f} %"
-            )
+            text += f": build to the middle, {format_number(1e3 * middle)} mm ± {100.0 * np.expm1(0.5 * width):.0f} %"
         return text
 
 

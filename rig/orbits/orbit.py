@@ -38,7 +38,7 @@ from rig.orbits.orbit_equations import (
 from rig.orbits.problem import OperatingPoint, OrbitProblem, Parameter, vary
 from rig.orbits.shooting import Shot, shoot
 from rig.orbits.track import follow
-from rig.results import Result, styled
+from rig.results import Result, complete_style
 from rig.scene.shaker import ForceShaker
 from rig.steady_response.motion_type import overall, type_of
 from rig.system.assembly import spring_force_row
@@ -148,7 +148,7 @@ class Orbit(Result):
         time, *others = self.columns().items()
         for name, column in others:
             look = "--" if name.startswith("gap") else "-"
-            ax.plot(1e3 * time[1], 1e3 * column, look, **styled(style, label=name.removesuffix("_m")))
+            ax.plot(1e3 * time[1], 1e3 * column, look, **complete_style(style, label=name.removesuffix("_m")))
         ax.set(xlabel="time / ms", ylabel="displacement, gap / mm")
 
     @property

@@ -13,7 +13,7 @@ from rig.numerics import continuation
 from rig.orbits.event_sequence import Plan
 from rig.orbits.orbit import Orbit
 from rig.orbits.problem import AXES, PARAMETERS, Parameter, column_name
-from rig.results import Result, joined, styled
+from rig.results import Result, complete_style, join_columns
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -89,7 +89,7 @@ class OrbitBranch(Result):
         (line,) = ax.loglog(
             factor * self.value,
             np.where(self.stable, size[body], np.nan),
-            **styled(style, label=self.motion_type),
+            **complete_style(style, label=self.motion_type),
         )
         ax.plot(factor * self.value, size[body], "--", color=line.get_color(), lw=0.6 * line.get_linewidth())
         ax.set(xlabel=label, ylabel=f"|compliance| of {self._labels[body]} / (µm/N)")
@@ -115,7 +115,7 @@ class OrbitCurve(Result):
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Join the columns of all branches, with the number of each."""
-        return joined(
+        return join_columns(
             [
                 branch.columns() | {"branch": np.full(branch.value.size, number)}
                 for number, branch in enumerate(self.branches, 1)
@@ -128,4 +128,6 @@ class OrbitCurve(Result):
         for branch in self.branches:
             first = branch.motion_type not in {line.get_label() for line in ax.lines}
             colour = f"C{kinds.index(branch.motion_type)}"
-            branch.draw(ax, **styled(style, color=colour, label=branch.motion_type if first else "_again"))
+            branch.draw(
+                ax, **complete_style(style, color=colour, label=branch.motion_type if first else "_again")
+            )

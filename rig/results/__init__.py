@@ -1,16 +1,22 @@
 """Results of all three packages: their base class, frequency responses, uncertainty budgets, numbers as text."""
 
-from rig.results.result import Result, joined, missing, styled
-from rig.results.text import bounded, frequency_ranges, interval, plainly, rounded
+from rig.results.result import Result, complete_style, join_columns, missing_package
+from rig.results.text import (
+    format_frequencies,
+    format_interval,
+    format_number,
+    format_quantity,
+    round_to_bound,
+)
 
 __all__ = [
     "Result",
-    "bounded",
-    "frequency_ranges",
-    "interval",
-    "joined",
-    "missing",
-    "plainly",
-    "rounded",
-    "styled",
+    "complete_style",
+    "format_frequencies",
+    "format_interval",
+    "format_number",
+    "format_quantity",
+    "join_columns",
+    "missing_package",
+    "round_to_bound",
 ]

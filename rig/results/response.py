@@ -15,8 +15,8 @@ from scipy import special
 
 from rig.arrays import Array, ComplexArray
 from rig.errors import SceneError
-from rig.results.result import Result, missing, styled
-from rig.results.text import bounded
+from rig.results.result import Result, complete_style, missing_package
+from rig.results.text import format_quantity
 from rig.results.uncertainty import (
     SCATTER,
     TOLERANCES,
@@ -249,15 +249,15 @@ class Response(Result, Sequence["Response"]):
         return self.uncertainty.limits
 
     def bound(self, confidence: float = 0.95) -> Array:
-        """Expanded uncertainty: radius of the circle in the complex plane that contains the true value."""
+        """Return the expanded uncertainty: radius of the circle in the complex plane that contains the true value."""
         return np.broadcast_to(self.uncertainty.bound(confidence), self.value.shape).copy()
 
     def random_bound(self, confidence: float = 0.95) -> Array:
-        """Expanded uncertainty from the scatter alone."""
+        """Return the expanded uncertainty from the scatter alone."""
         return np.broadcast_to(self.uncertainty.random_bound(confidence), self.value.shape).copy()
 
     def systematic_bound(self) -> Array:
-        """Expanded uncertainty from the systematic contributions alone."""
+        """Return the expanded uncertainty from the systematic contributions alone."""
         return np.broadcast_to(self.uncertainty.systematic_bound(), self.value.shape).copy()
 
     def magnitude_bound(self, confidence: float = 0.95) -> Array:
@@ -392,7 +392,7 @@ class Response(Result, Sequence["Response"]):
         magnitude, bound = factor * float(abs(self.value[peak])), factor * float(self.bound()[peak])
         height, contribution = f"{magnitude:.4g} {unit}", ""
         if bound > 0.0:
-            height = bounded(magnitude, bound, unit)
+            height = format_quantity(magnitude, bound, unit)
             cause = "largest contribution" if np.isfinite(bound) else "unbounded by"
             contribution = f"; {cause}: {self.parts()[peak]}"
         amplitude = ""
@@ -454,7 +454,7 @@ class Response(Result, Sequence["Response"]):
         try:
             import xarray
         except ImportError:
-            raise missing("xarray") from None
+            raise missing_package("xarray") from None
         dims = ("frequency", "output", "input")
         data = {
             "value": (dims, self.value), "bound": (dims, self.bound()), "coherence": (dims[:2], self.coherence)
@@ -518,7 +518,7 @@ class Response(Result, Sequence["Response"]):
             for curve in self.curves():
                 curve.draw(
                     ax,
-                    **styled(
+                    **complete_style(
                         style,
                         label=curve.response
                         if len(self.inputs) == 1
@@ -531,7 +531,7 @@ class Response(Result, Sequence["Response"]):
         (line,) = ax.loglog(
             curve.frequency,
             magnitude,
-            **styled(
+            **complete_style(
                 style,
                 label=f"{self.label} {self.response}".strip(),
                 marker="o" if magnitude.size <= MAX_MARKERS else None,

@@ -13,19 +13,19 @@ from rig.numerics.runs import runs_of
 _MAX_RANGES = 8
 
 
-def plainly(value: float) -> str:
+def format_number(value: float) -> str:
     """Write a number with three digits, without a power of ten unless it is tiny or huge.
 
-    >>> [plainly(value) for value in (2.6, 3000.0, 12345.6, 1.5e-7)]
+    >>> [format_number(value) for value in (2.6, 3000.0, 12345.6, 1.5e-7)]
     ['2.6', '3000', '12300', '1.5e-07']
     """
     return f"{float(f'{value:.3g}'):.10g}"
 
 
-def rounded(value: float, bound: float) -> str:
+def round_to_bound(value: float, bound: float) -> str:
     """Write a number to the second digit of its bound.
 
-    >>> rounded(0.0123456, 0.00021), rounded(1078.4, 134.0), rounded(3.14159, 0.0)
+    >>> round_to_bound(0.0123456, 0.00021), round_to_bound(1078.4, 134.0), round_to_bound(3.14159, 0.0)
     ('0.01235', '1078', '3.142')
     """
     if not isfinite(bound) or bound <= 0.0:
@@ -33,36 +33,38 @@ def rounded(value: float, bound: float) -> str:
     return f"{value:.{min(max(1 - floor(log10(bound)), 0), 9)}f}"
 
 
-def interval(value: float, bound: float) -> str:
+def format_interval(value: float, bound: float) -> str:
     """Write a number with its bound, for a table whose header states the unit.
 
-    >>> interval(2.4213, 0.204), interval(935.21, float("inf")), interval(1.0, 0.0)
+    >>> format_interval(2.4213, 0.204), format_interval(935.21, float("inf")), format_interval(1.0, 0.0)
     ('2.42 ± 0.20', '935.2 (no bound)', '1')
     """
     if bound == 0.0:
-        return rounded(value, bound)
-    return f"{rounded(value, bound)} " + (f"± {rounded(bound, bound)}" if isfinite(bound) else "(no bound)")
+        return round_to_bound(value, bound)
+    return f"{round_to_bound(value, bound)} " + (
+        f"± {round_to_bound(bound, bound)}" if isfinite(bound) else "(no bound)"
+    )
 
 
-def bounded(value: float, bound: float, unit: str) -> str:
+def format_quantity(value: float, bound: float, unit: str) -> str:
     """Write a number with its bound and unit; in brackets, so that the bound of a percentage is not read as relative.
 
-    >>> bounded(2.4213, 0.204, "%"), bounded(935.21, float("inf"), "µm/N")
+    >>> format_quantity(2.4213, 0.204, "%"), format_quantity(935.21, float("inf"), "µm/N")
     ('(2.42 ± 0.20) %', '935.2 µm/N (no bound)')
     """
     if not isfinite(bound):
-        return f"{rounded(value, bound)} {unit} (no bound)"
-    return f"({rounded(value, bound)} ± {rounded(bound, bound)}) {unit}"
+        return f"{round_to_bound(value, bound)} {unit} (no bound)"
+    return f"({round_to_bound(value, bound)} ± {round_to_bound(bound, bound)}) {unit}"
 
 
-def frequency_ranges(frequencies: Sequence[float], chosen: Sequence[bool]) -> str:
+def format_frequencies(frequencies: Sequence[float], chosen: Sequence[bool]) -> str:
     """List the chosen frequencies in Hz, neighbours as ranges; if the ranges are many, their number and limits.
 
-    >>> frequency_ranges([10.0, 11.0, 12.5, 14.0, 20.0], [True, False, True, True, True])
+    >>> format_frequencies([10.0, 11.0, 12.5, 14.0, 20.0], [True, False, True, True, True])
     '10 and 12.5 to 20 Hz'
-    >>> frequency_ranges([3.0, 1.0, 3.0], [False, True, True])
+    >>> format_frequencies([3.0, 1.0, 3.0], [False, True, True])
     '1 to 3 Hz'
-    >>> frequency_ranges(range(40), [k % 2 == 0 for k in range(40)])
+    >>> format_frequencies(range(40), [k % 2 == 0 for k in range(40)])
     '20 of 40 frequencies from 0 to 38 Hz'
     """
     distinct, index = np.unique(np.asarray(frequencies, dtype=np.float64), return_inverse=True)
@@ -75,12 +77,12 @@ def frequency_ranges(frequencies: Sequence[float], chosen: Sequence[bool]) -> st
     return f"{', '.join(before)} and {last} Hz" if before else f"{last} Hz"
 
 
-def aligned(rows: Sequence[Sequence[str]], alignment: str) -> list[str]:
+def table_lines(rows: Sequence[Sequence[str]], alignment: str) -> list[str]:
     """Return the lines of a table with a header; `alignment` has ``<`` or ``>`` for each column.
 
     Columns that are empty below the header are left out.
 
-    >>> aligned([("channel", "peak / Hz", "note"), ("body1", "12.54", "")], "<><")
+    >>> table_lines([("channel", "peak / Hz", "note"), ("body1", "12.54", "")], "<><")
     ['channel  peak / Hz', 'body1        12.54']
     """
     columns = [

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy import special
 
 from rig.arrays import Array, ComplexArray
-from rig.results.text import rounded
+from rig.results.text import round_to_bound
 
 Lines = NDArray[np.bool_] | NDArray[np.intp]
 
@@ -311,8 +311,8 @@ class BudgetTable:
             ).rstrip()
             for row in (heading, *body)
         ]
-        magnitude = rounded(self.value, self.expanded)
-        expanded = rounded(self.expanded, self.expanded) if np.isfinite(self.expanded) else "unbounded"
+        magnitude = round_to_bound(self.value, self.expanded)
+        expanded = round_to_bound(self.expanded, self.expanded) if np.isfinite(self.expanded) else "unbounded"
         return "\n".join([f"{self.title}: ({magnitude} ± {expanded}) {self.unit}, 95 % confidence", *lines])
 
     __repr__ = __str__

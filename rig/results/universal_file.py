@@ -35,20 +35,20 @@ def write_curve(
     """
     steps = np.diff(frequency)
     fields = {
-        "type": 58, "binary": 0, "id2": line(labels[0]), "id3": line(labels[1]),
+        "type": 58, "binary": 0, "id2": text_line(labels[0]), "id3": text_line(labels[1]),
         "id4": f"{RESOLUTION_LINE} {resolution!r} Hz",
         "rsp_ent_name": "NONE", "rsp_node": node, "rsp_dir": 3,
         "ref_ent_name": "NONE", "ref_node": driven, "ref_dir": 3,
         "abscissa_spacing": int(np.ptp(steps) < 1e-6 * steps.mean()) if steps.size else 0,
         "abscissa_spec_data_type": 18, "abscissa_axis_lab": "Frequency", "abscissa_axis_units_lab": "Hz",
-        "ordinate_spec_data_type": KINDS[motion], "ordinate_axis_lab": motion.capitalize(),
+        "ordinate_spec_data_type": QUANTITY_NUMBERS[motion], "ordinate_axis_lab": motion.capitalize(),
         "ordinate_axis_units_lab": _UNITS[motion],
-        "orddenom_spec_data_type": KINDS["force"], "orddenom_axis_lab": "Force",
+        "orddenom_spec_data_type": QUANTITY_NUMBERS["force"], "orddenom_axis_lab": "Force",
         "orddenom_axis_units_lab": "N", "z_axis_spec_data_type": 0, "x": frequency,
     }  # fmt: skip
-    write_set(file, {**fields, "func_type": FRF, "func_id": number, "id1": line(title), "data": value})
+    write_set(file, {**fields, "func_type": FRF, "func_id": number, "id1": text_line(title), "data": value})
     if np.isfinite(error).all():
-        deviation = line(f"{DEVIATION_LINE} {title}")
+        deviation = text_line(f"{DEVIATION_LINE} {title}")
         write_set(file, {**fields, "func_type": GENERAL, "func_id": number, "id1": deviation, "data": error})
 
 
@@ -72,6 +72,6 @@ def write_set(file: Any, data: dict[str, Any]) -> None:
         raise
 
 
-def line(text: str) -> str:
+def text_line(text: str) -> str:
     """Shorten text to a line of a data set."""
     return " ".join(shown(text).split())[:80] or "NONE"

@@ -17,7 +17,7 @@ from rig.engine.trajectory import EVENT, Trajectory, event_table, gaps_and_conta
 from rig.errors import RunError, SceneError
 from rig.numerics.memory import need
 from rig.ranks import size
-from rig.results import Result, styled
+from rig.results import Result, complete_style
 from rig.scene.loading import SceneLike, scene_of
 from rig.scene.quantities import FREQUENCY, TIME, number
 from rig.scene.scene import Scene
@@ -96,7 +96,7 @@ class Run(Result):
     def draw(self, ax: Axes, **style: Any) -> None:
         """Draw the displacement of each point over time."""
         for point, row in zip(self.points, self.displacement, strict=True):
-            ax.plot(self.time, 1e3 * row, **styled(style, label=point, lw=0.8))
+            ax.plot(self.time, 1e3 * row, **complete_style(style, label=point, lw=0.8))
         ax.set(xlabel="time / s", ylabel="displacement / mm")
 
     @cached_property

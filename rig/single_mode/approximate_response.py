@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from rig.arrays import Array
 from rig.errors import SceneError
 from rig.numerics import continuation
-from rig.results import Result, joined, styled
+from rig.results import Result, complete_style, join_columns
 from rig.scene.body_names import number_of
 from rig.scene.loading import SceneLike, scene_of
 from rig.scene.quantities import FORCE, FREQUENCY, number, span
@@ -101,7 +101,7 @@ class Approximation(Result):
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return all points of all branches: frequency, compliance, type, stability and admissibility."""
-        return joined(
+        return join_columns(
             [
                 {
                     "frequency_Hz": b.frequency,
@@ -125,7 +125,7 @@ class Approximation(Result):
             for keep, look in ((branch.stable, "-"), (~branch.stable, "--")):
                 shown = np.where(branch.valid & keep, size, np.nan)
                 name = label if look == "-" and label not in known else "_again"
-                ax.loglog(branch.frequency, shown, look, **styled(style, color=colour, label=name))
+                ax.loglog(branch.frequency, shown, look, **complete_style(style, color=colour, label=name))
         ax.set(xlabel="frequency / Hz", ylabel="|compliance| / (µm/N)")
 
 

@@ -15,7 +15,7 @@ from rig.arrays import Array
 from rig.engine.propagator import Propagator, tone_propagator
 from rig.engine.trajectory import STRIKES
 from rig.errors import SceneError
-from rig.results import Result, styled
+from rig.results import Result, complete_style
 from rig.scene.loading import SceneLike, scene_of
 from rig.scene.quantities import FREQUENCY, positives
 from rig.scene.scene import Scene
@@ -149,7 +149,7 @@ def draw_compliance(
 ) -> None:
     """Draw the compliance of each body, (bodies, points), in the order of the points, with optional markers."""
     for label, row in zip(labels, 1e6 * abs(compliance), strict=True):
-        (line,) = ax.loglog(over, row, **styled(style, label=label))
+        (line,) = ax.loglog(over, row, **complete_style(style, label=label))
         ax.plot(over[marked], row[marked], "o", mfc="white", mec=line.get_color(), ms=4)
     if marked.any():
         ax.plot([], [], "o", mfc="white", mec="black", ms=4, label=mark)

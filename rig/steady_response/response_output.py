@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from rig.errors import SceneError
 from rig.output_files import csv_text, replacing
-from rig.results.text import frequency_ranges
+from rig.results.text import format_frequencies
 from rig.scene.excitation import Sine, SteppedSine, spaced
 from rig.scene.scene import Scene
 from rig.steady_response.frequency_response import SteadyResponse
@@ -90,10 +90,10 @@ def text(response: SteadyResponse, every_frequency: bool = False) -> str:
     kinds = list(dict.fromkeys(map(str, response.motion_type)))
     if len(kinds) > 1:
         for kind in kinds:
-            where = frequency_ranges(response.frequency.tolist(), (response.motion_type == kind).tolist())
+            where = format_frequencies(response.frequency.tolist(), (response.motion_type == kind).tolist())
             lines.append(f"  motion {kind}: {where}")
     if not response.converged.all():
-        where = frequency_ranges(response.frequency.tolist(), (~response.converged).tolist())
+        where = format_frequencies(response.frequency.tolist(), (~response.converged).tolist())
         lines.append(f"  not steady: {where}. A longer wait may help; irregular motion has no steady state.")
     motion = _motion(response)
     lines += ["", *_peak_table(response, motion)]

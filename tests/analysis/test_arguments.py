@@ -53,7 +53,7 @@ def test_response_is_chosen_by_body_name(hit: Path) -> None:
     assert curves.keys() == ("low", "left") and curves["arm"].response == "left"
     assert analysis.decay(hit, "arm").channel == "left"
     with pytest.raises(
-        SceneError, match="2 responses are at arm. Select one by its channel: left or right"
+        SceneError, match=r"2 responses are at arm\. Select one by its channel: left or right"
     ):
         analysis.frfs(hit)["arm"]
 
@@ -73,7 +73,7 @@ def test_recorded_scene_has_the_names(hit: Path) -> None:
         (lambda: analysis.frfs(SWEEP, ["bdy3"]), "did you mean 'body3'"),
         (lambda: analysis.frfs(SWEEP, 7), "channels: got 7; expected names"),
         (lambda: analysis.frfs(SWEEP, motion="accel"), "unknown motion 'accel'"),
-        (lambda: analysis.frfs(SWEEP, ["body1"])["boby1"], "no response 'boby1'. Did you mean 'body1'"),
+        (lambda: analysis.frfs(SWEEP, ["body1"])["boby1"], r"no response 'boby1'\. Did you mean 'body1'"),
         (lambda: analysis.identify(SWEEP), "expected several curves, as analysis.frfs"),
         (lambda: analysis.identify([]), "got []; expected several curves"),
         (lambda: analysis.read_frfs(7), "path: got 7; expected the path of a file"),

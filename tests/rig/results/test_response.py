@@ -71,7 +71,7 @@ def test_names_select_elements_and_places() -> None:
     assert both["a2", "f3"].value[0] == 3 + 1j and both["body 3", "f1"].value[0] == 4 + 1j
     assert both["a3"].value.shape == (41, 1, 2) and both[1:].keys() == ("a2", "a3")
     assert [one.value[0].real for one in both] == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
-    with pytest.raises(SceneError, match="no response 'a4'. Give one of a1, a2, a3"):
+    with pytest.raises(SceneError, match=r"no response 'a4'\. Give one of a1, a2, a3"):
         both["a4"]
     with pytest.raises(ValueError, match="expected \\(41, 1, 1\\)"):
         Response(LINES, np.ones((41, 2, 1), dtype=complex), (Point("a"),))

@@ -12,11 +12,10 @@ from analysis.fitting.measured import Curves
 from analysis.fitting.predicted import riding
 from rig.arrays import Array, ComplexArray
 from rig.errors import RunError, SceneError, UncoveredMotionError
-from rig.orbits.admissibility import survey
+from rig.orbits.admissibility import evaluate_motion
 from rig.orbits.event_sequence import Plan
-from rig.orbits.newton import correct
-from rig.orbits.orbit import Following, Orbit
-from rig.orbits.periodic_orbit import enter, search, start_march
+from rig.orbits.orbit import Orbit, OrbitFamily
+from rig.orbits.periodic_orbit import search_orbit, set_to_orbit, start_propagator
 from rig.orbits.problem import OperatingPoint, OrbitProblem
 from rig.scene.matrices import Matrices
 from rig.scene.scene import Scene
@@ -185,11 +184,11 @@ class _Rig:
         orbit: Orbit | None = None
         for _ in range(_SEARCHES if self.table is not None else 1):
             setting = OperatingPoint(float(frequency), float(drive))
-            propagator = start_march(self.problem, setting, moving)[0]
+            propagator = start_propagator(self.problem, setting, moving)[0]
             if orbit is not None:
-                enter(propagator, orbit)
+                set_to_orbit(propagator, orbit)
             try:
-                orbit = search(self.problem, setting, propagator, _LONGEST)
+                orbit = search_orbit(self.problem, setting, propagator, _LONGEST)
             except UncoveredMotionError:
                 raise
             except (RunError, np.linalg.LinAlgError):
@@ -246,7 +245,7 @@ class _Rig:
         if solution is None:
             return 0.0
         curve, *solved = solution
-        orbit = curve.describe(setting, *solved)
+        orbit = curve.make_orbit(setting, *solved)
         hits = (orbit.events["damper"] == damper + 1) & (orbit.events["kind"] == "ceiling")
         return np.inf if hits.any() else float(orbit.columns()[f"gap {damper + 1}_m"].max())
 
@@ -284,30 +283,21 @@ class _Rig:
         curve, x, equations, shot = solution
         sequence = near.plan.sequence
         if checked:
-            orbit = curve.describe(setting, x, equations, shot)
+            orbit = curve.make_orbit(setting, x, equations, shot)
             if orbit.flaw or not orbit.stable:
                 return None
         instants = x[len(x) - len(sequence.kind) :]
-        harmonic = 2.0 / equations.period * survey(equations, sequence, shot, instants)[1]
+        harmonic = 2.0 / equations.period * evaluate_motion(equations, sequence, shot, instants)[1]
         driven = -1j * setting.force / (self.spring or 1.0)
         reference = complex(driven if self.table is None else harmonic[self.table])
         known = replace(near, unknowns=x, drive=float(drive))
         return known, harmonic[: self.bodies] / reference, abs(reference)
 
-    def _solved(self, near: Known, setting: OperatingPoint) -> tuple[Following, Array, Any, Any] | None:
+    def _solved(self, near: Known, setting: OperatingPoint) -> tuple[OrbitFamily, Array, Any, Any] | None:
         """Newton's method from a motion: the curve, unknowns, equations and shot; None without convergence."""
-        curve = Following(self.problem, near.plan, setting, "frequency", near.unknowns)
-        equations, change = curve.tables(setting.frequency)
+        curve = OrbitFamily(self.problem, near.plan, setting, "frequency", near.unknowns)
         try:
-            x, _, shot, _, count = correct(
-                equations,
-                change,
-                near.plan.sequence,
-                near.unknowns,
-                curve.scale[:-1],
-                curve.rows,
-                _CORRECTIONS,
-            )
+            equations, x, _, shot, _, count = curve.correct(setting.frequency, near.unknowns, _CORRECTIONS)
         except np.linalg.LinAlgError:
             return None
         return None if count < 0 else (curve, x, equations, shot)

@@ -14,7 +14,7 @@ from rig.orbits.orbit import Orbit
 from rig.orbits.periodic_orbit import periodic_orbit
 from rig.orbits.problem import OrbitProblem
 from rig.orbits.shooting import shoot
-from rig.orbits.track import follow
+from rig.orbits.track import track_orbit
 from rig.scene.scene import Scene
 from rig.single_mode.approximate_response import Branch, follow_mode
 from rig.single_mode.reduction import Weighting, single_mode
@@ -150,7 +150,7 @@ def waveforms(scene: Scene, frequency: float, periods: float = 2.0) -> Arrays:
     period = orbit.repetition / frequency
     states = shoot(equations, change, sequence, orbit.unknowns).states
     events = len(sequence.kind)
-    times, motion, guards, *_ = follow(
+    times, motion, guards, *_ = track_orbit(
         equations, sequence, orbit.unknowns[len(orbit.unknowns) - events :], states
     )
     bodies = problem.scene.structure.bodies

@@ -26,112 +26,128 @@ from rig.orbits.orbit_equations import (
     RIDES_CEILING,
     RIDES_FLOOR,
     SEPARATION,
-    WITH_LAST,
+    WITH_PREVIOUS,
     Equations,
     Sequence,
 )
 from rig.orbits.shooting import Shot
-from rig.orbits.track import Track, follow, turning
+from rig.orbits.track import Track, track_orbit, turning_value
 
 # In radians of the drive; for a shorter flight the peak acceleration is within 1e-5 of 1 g.
-SHORTEST_FLIGHT = 0.02
+MIN_FLIGHT_RAD = 0.02
 
-# Borders: of events, and of dampers.
-ORDER, LET_GO, MISS, FLIGHT_ENDS, HITS_FLOOR, HITS_CEILING, LEAVES, STAYS, KICKED = range(9)
-KINDS_OF_BORDERS = 9
+# Kinds of borders: the first three belong to an event, the others to a damper.
+ORDER, NOT_RELEASED, MISSES_WALL = 0, 1, 2
+FLIGHT_ENDS, HITS_FLOOR, HITS_CEILING, LEAVES_WALL, STAYS_AT_WALL, THROWN_OFF = 3, 4, 5, 6, 7, 8
+N_BORDER_KINDS = 9
 
 
 @stored
-def _dip(track: Track, s: int, j: int, offset: float, sign: float, first: int = 0) -> float:
-    """Return the lowest turning point of offset + sign times a guard in a stretch from a point on, or infinity."""
+def _lowest_minimum(track: Track, s: int, j: int, offset: float, sign: float, first: int = 0) -> float:
+    """Return the lowest minimum of offset + sign times a guard in a segment from point `first` on, or infinity."""
     guard = track.guards[s, :, j]
     step = track.times[s, 1] - track.times[s, 0]
-    low = np.inf
+    lowest = np.inf
     for i in range(first, guard.shape[0] - 1):
         if sign * guard[i, 1] < 0.0 and sign * guard[i + 1, 1] > 0.0:
             slopes = sign * guard[i : i + 2, 1].copy()
-            bends = sign * guard[i : i + 2, 2].copy()
+            curvatures = sign * guard[i : i + 2, 2].copy()
             left, right = offset + sign * guard[i, 0], offset + sign * guard[i + 1, 0]
-            low = min(low, turning(left, right, slopes, bends, step))
-    return low
+            lowest = min(lowest, turning_value(left, right, slopes, curvatures, step))
+    return lowest
 
 
 @stored
-def _push(equations: Equations, j: int, ceiling: bool, overlap: float, closing: float) -> float:
+def _lower(margins: Array, border: int, index: int, margin: float) -> None:
+    margins[border, index] = min(margins[border, index], margin)
+
+
+@stored
+def _contact_force(equations: Equations, j: int, ceiling: bool, overlap: float, closing: float) -> float:
     """Return the contact force [N] from overlap and closing speed, or its rate from their rates."""
     wall = 1 if ceiling else 0
     return equations.stiffness[j, wall] * overlap + equations.damping[j, wall] * closing
 
 
 @stored
-def _decided(
-    equations: Equations, sequence: Sequence, track: Track, e: int, closing: float, pull: float
+def _crossing_rate(
+    equations: Equations,
+    sequence: Sequence,
+    track: Track,
+    event: int,
+    closing: float,
+    acceleration_unit: float,
 ) -> float:
     """Return the rate at which a finite-duration contact crosses its event: speed in g/w, or force slope in g w."""
-    kind, j, omega = sequence.kind[e], sequence.damper[e], equations.omega
-    before = track.guards[e - 1, -1, j]
+    kind, j, omega = sequence.kind[event], sequence.damper[event], equations.omega
+    guard = track.guards[event - 1, -1, j]
     if kind == RELEASE:
-        return min(1.0, -before[1] / (pull * omega))
+        return min(1.0, -guard[1] / (acceleration_unit * omega))
     if kind in (PRESS_FLOOR, PRESS_CEILING):
-        into = -1.0 if kind == PRESS_FLOOR else 1.0
-        rising = _push(equations, j, kind == PRESS_CEILING, into * before[1], into * before[2])
-        return min(1.0, rising / (equations.mass[j] * pull * omega))
-    return min(1.0, closing * omega / pull)
+        sign = -1.0 if kind == PRESS_FLOOR else 1.0
+        force_rate = _contact_force(equations, j, kind == PRESS_CEILING, sign * guard[1], sign * guard[2])
+        return min(1.0, force_rate / (equations.mass[j] * acceleration_unit * omega))
+    return min(1.0, closing * omega / acceleration_unit)
 
 
 @stored
-def _lasting_margins(
-    equations: Equations, sequence: Sequence, track: Track, j: int, size: float, found: Array
+def _finite_contact_margins(
+    equations: Equations, sequence: Sequence, track: Track, j: int, length_unit: float, distances: Array
 ) -> None:
     """Compute the margins of a damper with finite-duration contact: pressed, free, or overlapping without force.
 
-    A released bed that still overlaps a wall must not be pressed before it leaves the wall, which is not an event.
-    The initial contact of a stretch follows from the previous stretch; for the first stretch, only after one full
-    orbit.
+    A released bed may still overlap a wall. It must not be pressed again before it leaves the wall, which is not an
+    event. The overlap at the start of a segment follows from the previous segment. The segments are therefore passed
+    twice, and only the second lap counts.
     """
-    events, pull = sequence.kind.shape[0], size * equations.omega**2
+    events, acceleration_unit = sequence.kind.shape[0], length_unit * equations.omega**2
     clearance = equations.clearance[j]
-    within = 0
+    overlapped_wall = 0
     for visit in range(2 * track.times.shape[0]):
-        turn, s = visit // track.times.shape[0], visit % track.times.shape[0]
-        k, after = (s + 1, (s + 1) % events) if events > 0 else (0, 0)
+        lap, s = visit // track.times.shape[0], visit % track.times.shape[0]
+        k, end_event = (s + 1, (s + 1) % events) if events > 0 else (0, 0)
         wall, guard = sequence.wall[k, j], track.guards[s, :, j]
-        own_begin = events > 0 and sequence.damper[s] == j
-        own_end = events > 0 and sequence.damper[after] == j
+        own_start = events > 0 and sequence.damper[s] == j
+        own_end = events > 0 and sequence.damper[end_event] == j
         if wall >= ON_FLOOR:
-            low = _dip(track, s, j, 0.0, 1.0)
-            if not own_begin:
-                low = min(low, guard[0, 0])
+            lowest_force = _lowest_minimum(track, s, j, 0.0, 1.0)
+            if not own_start:
+                lowest_force = min(lowest_force, guard[0, 0])
             if not own_end:
-                low = min(low, guard[-1, 0])
-            if turn == 1:
-                found[LEAVES, j] = min(found[LEAVES, j], low / pull)
+                lowest_force = min(lowest_force, guard[-1, 0])
+            if lap == 1:
+                _lower(distances, LEAVES_WALL, j, lowest_force / acceleration_unit)
             continue
-        if own_begin:
-            within = sequence.wall[s, j]
-        first, most, law, risen = 0, -np.inf, np.inf, False
-        while within != 0 and first < guard.shape[0]:
-            into, height = (-1.0, 0.0) if within == ON_FLOOR else (1.0, clearance)
-            overlap, closing = into * (guard[first, 0] - height), into * guard[first, 1]
-            if overlap <= 0.0 and first > 0:
-                within = 0
+        if own_start:
+            overlapped_wall = sequence.wall[s, j]
+        # The first point of the segment at which the bed does not overlap a wall.
+        free, highest_force, previous_force, is_rising = 0, -np.inf, np.inf, False
+        while overlapped_wall != 0 and free < guard.shape[0]:
+            sign, height = (-1.0, 0.0) if overlapped_wall == ON_FLOOR else (1.0, clearance)
+            overlap, closing = sign * (guard[free, 0] - height), sign * guard[free, 1]
+            if overlap <= 0.0 and free > 0:
+                overlapped_wall = 0
                 break
-            force = _push(equations, j, within != ON_FLOOR, overlap, closing)
-            if risen and force < law:
-                most = max(most, law / equations.mass[j])
-            risen, law = force > law, force
-            first += 1
-        if turn == 0:
+            force = _contact_force(equations, j, overlapped_wall != ON_FLOOR, overlap, closing)
+            if is_rising and force < previous_force:
+                highest_force = max(highest_force, previous_force / equations.mass[j])
+            is_rising, previous_force = force > previous_force, force
+            free += 1
+        if lap == 0:
             continue
-        found[STAYS, j] = min(found[STAYS, j], -most / pull)
-        low, high = np.inf, np.inf
-        if first < guard.shape[0]:
-            low = _dip(track, s, j, 0.0, 1.0, first)
-            high = _dip(track, s, j, clearance, -1.0, first) if np.isfinite(clearance) else np.inf
-            if not own_begin and first == 0:
-                low, high = min(low, guard[0, 0]), min(high, clearance - guard[0, 0])
-        found[HITS_FLOOR, j] = min(found[HITS_FLOOR, j], low / size)
-        found[HITS_CEILING, j] = min(found[HITS_CEILING, j], high / size)
+        _lower(distances, STAYS_AT_WALL, j, -highest_force / acceleration_unit)
+        floor_gap, ceiling_gap = np.inf, np.inf
+        if free < guard.shape[0]:
+            floor_gap = _lowest_minimum(track, s, j, 0.0, 1.0, free)
+            if np.isfinite(clearance):
+                ceiling_gap = _lowest_minimum(track, s, j, clearance, -1.0, free)
+            if not own_start and free == 0:
+                floor_gap, ceiling_gap = (
+                    min(floor_gap, guard[0, 0]),
+                    min(ceiling_gap, clearance - guard[0, 0]),
+                )
+        _lower(distances, HITS_FLOOR, j, floor_gap / length_unit)
+        _lower(distances, HITS_CEILING, j, ceiling_gap / length_unit)
 
 
 @stored
@@ -139,86 +155,98 @@ def margins(equations: Equations, sequence: Sequence, track: Track, instants: Ar
     """Compute the margin of an orbit at each border beyond which it is impossible as a motion.
 
     Returns shape (kinds of borders, max(events, dampers)), gaps in g/w^2, accelerations in g, times in 1/w; at most
-    1, negative beyond the border. The second index is an event for the kinds ORDER, LET_GO and MISS, else a damper.
+    1, negative beyond the border. The second index is an event for the kinds ORDER, NOT_RELEASED and MISSES_WALL,
+    otherwise a damper.
     """
     omega, gravity = equations.omega, equations.gravity
-    size = gravity / omega**2 if gravity > 0.0 else np.abs(track.reach).max()
-    pull = size * omega**2
-    events, nd, nq = sequence.kind.shape[0], equations.position.shape[0], equations.inverse_mass.shape[1]
-    found = np.ones((KINDS_OF_BORDERS, max(events, nd, 1)))
+    length_unit = gravity / omega**2 if gravity > 0.0 else np.abs(track.extremes).max()
+    acceleration_unit = length_unit * omega**2
+    events, nd, nq = (
+        sequence.kind.shape[0],
+        equations.body_coordinate.shape[0],
+        equations.inverse_mass.shape[1],
+    )
+    distances = np.ones((N_BORDER_KINDS, max(events, nd, 1)))
     for s in range(track.times.shape[0]):
         k = s + 1 if events > 0 else 0
-        after = (s + 1) % max(events, 1)
-        if events > 0 and sequence.kind[after] != WITH_LAST:
-            found[ORDER, s] = min(1.0, (track.times[s, -1] - track.times[s, 0]) * omega)
+        end_event = (s + 1) % max(events, 1)
+        if events > 0 and sequence.kind[end_event] != WITH_PREVIOUS:
+            distances[ORDER, s] = min(1.0, (track.times[s, -1] - track.times[s, 0]) * omega)
         for j in range(nd):
-            own_begin = events > 0 and sequence.damper[s] == j
-            own_end = events > 0 and sequence.damper[after] == j
+            own_start = events > 0 and sequence.damper[s] == j
+            own_end = events > 0 and sequence.damper[end_event] == j
             wall, guard = sequence.wall[k, j], track.guards[s, :, j]
             if wall >= FORCELESS:
                 continue
             if wall == FLYING:
-                low = _dip(track, s, j, 0.0, 1.0)
-                if not own_begin:
-                    low = min(low, guard[0, 0])
-                found[HITS_FLOOR, j] = min(found[HITS_FLOOR, j], low / size)
+                lowest = _lowest_minimum(track, s, j, 0.0, 1.0)
+                if not own_start:
+                    lowest = min(lowest, guard[0, 0])
+                _lower(distances, HITS_FLOOR, j, lowest / length_unit)
                 clearance = equations.clearance[j]
                 if np.isfinite(clearance):
-                    low = _dip(track, s, j, clearance, -1.0)
-                    if not own_begin:
-                        low = min(low, clearance - guard[0, 0])
-                    found[HITS_CEILING, j] = min(found[HITS_CEILING, j], low / size)
+                    lowest = _lowest_minimum(track, s, j, clearance, -1.0)
+                    if not own_start:
+                        lowest = min(lowest, clearance - guard[0, 0])
+                    _lower(distances, HITS_CEILING, j, lowest / length_unit)
                 continue
             sign = 1.0 if wall == RIDES_FLOOR else -1.0
-            low = _dip(track, s, j, 0.0, sign)
-            low = min(low, sign * guard[0, 0])
+            lowest = _lowest_minimum(track, s, j, 0.0, sign)
+            lowest = min(lowest, sign * guard[0, 0])
             if not own_end:
-                low = min(low, sign * guard[-1, 0])
-            found[LEAVES, j] = min(found[LEAVES, j], low / pull)
-    for e in range(events):
-        kind, j = sequence.kind[e], sequence.damper[e]
+                lowest = min(lowest, sign * guard[-1, 0])
+            _lower(distances, LEAVES_WALL, j, lowest / acceleration_unit)
+    for event in range(events):
+        kind, j = sequence.kind[event], sequence.damper[event]
         if equations.bed[j] >= 0:
-            found[MISS if kind != RELEASE else LET_GO, e] = _decided(
-                equations, sequence, track, e, closing[e], pull
+            distances[MISSES_WALL if kind != RELEASE else NOT_RELEASED, event] = _crossing_rate(
+                equations, sequence, track, event, closing[event], acceleration_unit
             )
             continue
-        leaves = kind in (SEPARATION, WITH_LAST)
-        ceiling = kind in (CEILING, CEILING_BOUNCE) or (leaves and sequence.wall[e, j] == RIDES_CEILING)
-        bounces = kind in (CEILING_BOUNCE, FLOOR_BOUNCE)
+        separates = kind in (SEPARATION, WITH_PREVIOUS)
+        ceiling = kind in (CEILING, CEILING_BOUNCE) or (
+            separates and sequence.wall[event, j] == RIDES_CEILING
+        )
+        is_bounce = kind in (CEILING_BOUNCE, FLOOR_BOUNCE)
         away = -1.0 if ceiling else 1.0
-        if kind == WITH_LAST or (bounces and equations.restitution[j] == 0.0):
+        if kind == WITH_PREVIOUS or (is_bounce and equations.restitution[j] == 0.0):
             # The gap's curvature right after the event must lead away from the wall.
-            found[STAYS, j] = min(found[STAYS, j], away * track.guards[e, 0, j, 2] / pull)
+            _lower(distances, STAYS_AT_WALL, j, away * track.guards[event, 0, j, 2] / acceleration_unit)
         if kind == SEPARATION:
-            found[LET_GO, e] = min(1.0, -away * track.guards[e - 1, -1, j, 1] / (pull * omega))
-        elif kind != WITH_LAST:
-            found[MISS, e] = min(1.0, closing[e] * omega / pull)
+            jerk = track.guards[event - 1, -1, j, 1]
+            distances[NOT_RELEASED, event] = min(1.0, -away * jerk / (acceleration_unit * omega))
+        elif kind != WITH_PREVIOUS:
+            distances[MISSES_WALL, event] = min(1.0, closing[event] * omega / acceleration_unit)
             # With a full mass matrix, an impact presses riding dampers on their walls or throws them from the walls.
             for i in range(nd):
-                body = equations.position[i]
-                coupling = equations.inverse_mass[sequence.slot[e], body, equations.position[j]]
-                if i != j and sequence.wall[e, i] in (RIDES_FLOOR, RIDES_CEILING) and coupling != 0.0:
-                    kick = track.motion[e, 0, nq + body] - track.motion[e - 1, -1, nq + body]
-                    sign = 1.0 if sequence.wall[e, i] == RIDES_FLOOR else -1.0
-                    found[KICKED, i] = min(found[KICKED, i], sign * kick * omega / pull)
-        if leaves:
+                body = equations.body_coordinate[i]
+                coupling = equations.inverse_mass[
+                    sequence.configuration[event], body, equations.body_coordinate[j]
+                ]
+                if i != j and sequence.wall[event, i] in (RIDES_FLOOR, RIDES_CEILING) and coupling != 0.0:
+                    speed_change = track.motion[event, 0, nq + body] - track.motion[event - 1, -1, nq + body]
+                    sign = 1.0 if sequence.wall[event, i] == RIDES_FLOOR else -1.0
+                    _lower(distances, THROWN_OFF, i, sign * speed_change * omega / acceleration_unit)
+        if separates:
             # At zero flight time the equations are singular, so a curve ends before.
-            landing = (e + 1) % events
+            landing = (event + 1) % events
             while sequence.damper[landing] != j:
                 landing = (landing + 1) % events
-            length = instants[landing] - instants[e] + (equations.period if landing <= e else 0.0)
+            flight_time = (
+                instants[landing] - instants[event] + (equations.period if landing <= event else 0.0)
+            )
             if sequence.kind[landing] == (CEILING if ceiling else FLOOR):
-                found[FLIGHT_ENDS, j] = min(found[FLIGHT_ENDS, j], length * omega - SHORTEST_FLIGHT)
+                _lower(distances, FLIGHT_ENDS, j, flight_time * omega - MIN_FLIGHT_RAD)
     for j in range(nd):
         if equations.bed[j] >= 0:
-            _lasting_margins(equations, sequence, track, j, size, found)
-    return found
+            _finite_contact_margins(equations, sequence, track, j, length_unit, distances)
+    return distances
 
 
 @stored
-def survey(
+def evaluate_motion(
     equations: Equations, sequence: Sequence, shot: Shot, instants: Array
 ) -> tuple[Array, NDArray[np.complex128], Array]:
-    """Track a converged orbit; return `reach` and `harmonic` as in `Track`, and the flattened `margins`."""
-    track = follow(equations, sequence, instants, shot.states)
-    return track.reach, track.harmonic, margins(equations, sequence, track, instants, shot.closing).ravel()
+    """Return `extremes` and `harmonic` of a converged orbit as in `Track`, and its flattened `margins`."""
+    track = track_orbit(equations, sequence, instants, shot.states)
+    return track.extremes, track.harmonic, margins(equations, sequence, track, instants, shot.closing).ravel()

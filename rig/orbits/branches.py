@@ -2,8 +2,8 @@
 
 Continuation follows a sequence of events through folds to the end of the range or to a border, where the sequence
 becomes impossible: a grazing impact, a release, a contact of zero duration, or two events that change order. Beyond
-the border another sequence is valid. Simulation of the exact motion from the border locates it, and continuation
-follows it in turn.
+the border another sequence is valid. It is identified by simulation of the exact motion from the border and then
+continued in the same way.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ from numpy.typing import NDArray
 from rig.arrays import Array
 from rig.errors import RunError, SceneError
 from rig.numerics import continuation
-from rig.orbits.orbit import Following, Orbit
+from rig.orbits.orbit import Orbit, OrbitFamily
 from rig.orbits.orbit_curve import OrbitBranch, OrbitCurve
-from rig.orbits.periodic_orbit import enter, refine, search, start_march
+from rig.orbits.periodic_orbit import refine_orbit, search_orbit, set_to_orbit, start_propagator
 from rig.orbits.problem import OperatingPoint, OrbitProblem, Parameter, base_frequency, parameter_values, vary
 from rig.scene.loading import SceneLike, scene_of
 
 STEPS = continuation.Steps(first=5e-3, longest=0.25, turn=0.12, shortest=1e-7, points=1500)
-# Distance past a border, relative to the parameter, at which Newton's iteration for the next orbit starts.
-BEYOND = 2e-6
-# Distances past a border at which the motion is simulated until it is steady.
-FARTHER = (2e-5, 3e-4, 3e-3)
-# Limit of the number of branches: near irregular motion there are infinitely many.
-MOST = 60
+# Step past a border, relative to the parameter, at which Newton's iteration for the next orbit starts.
+BORDER_STEP = 2e-6
+# Steps past a border, relative to the parameter, at which the motion is simulated until it is steady.
+SIMULATED_BORDER_STEPS = (2e-5, 3e-4, 3e-3)
+# Largest number of branches: near irregular motion there are infinitely many.
+MAX_BRANCHES = 60
 
 
 def follow_orbits(
@@ -88,79 +88,79 @@ class _Explorer:
         progress: Callable[[int], None] | None,
     ) -> None:
         self.problem, self.parameter, self.bounds = problem, parameter, bounds
-        self.base, self.at = base, vary(base, parameter)
+        self.base, self.setting_at = base, vary(base, parameter)
         self.progress = progress
         self.branches: list[OrbitBranch] = []
         self.failures: list[str] = []
 
     def search(self, value: float) -> None:
         """Add the branches reached from rest and from the linear steady state, and all adjacent branches."""
-        for moving in (False, True):
+        for from_linear_response in (False, True):
             try:
-                propagator, _ = start_march(self.problem, self.at(value), moving)
-                self._add(search(self.problem, self.at(value), propagator))
+                propagator, _ = start_propagator(self.problem, self.setting_at(value), from_linear_response)
+                self._add(search_orbit(self.problem, self.setting_at(value), propagator))
             except RunError as failure:
                 self.failures.append(f"at {self.parameter} {value:.6g}: {failure}")
 
     def _add(self, orbit: Orbit) -> None:
         """Follow an orbit unless it lies on a known branch; then continue beyond the borders of the new branch."""
-        waiting = [orbit]
-        while waiting:
-            start = waiting.pop(0)
-            if len(self.branches) == MOST:
+        queue = [orbit]
+        while queue:
+            start = queue.pop(0)
+            if len(self.branches) == MAX_BRANCHES:
                 self.failures.append(
-                    f"{MOST} branches followed, but not the one through {self.parameter} "
-                    f"{getattr(start.setting, self.parameter):.8g} [{start.plan.label}] and what lies beyond"
+                    f"{MAX_BRANCHES} branches followed. The branch through {self.parameter} "
+                    f"{getattr(start.setting, self.parameter):.8g} [{start.plan.label}] and its neighbours are missing"
                 )
                 return
-            if any(self._holds(branch, start) for branch in self.branches):
+            if any(self._contains(branch, start) for branch in self.branches):
                 continue
-            branch = self._follow(start)
+            branch = self._continue(start)
             self.branches.append(branch)
             if self.progress is not None:
                 self.progress(sum(len(b.orbits) for b in self.branches))
-            for index in self._losses(branch):
-                waiting += self._shaken(branch.orbits[index])
+            for index in self._stability_losses(branch):
+                queue += self._simulate_perturbed(branch.orbits[index])
             for side in (0, 1):
-                beyond = self._beyond(branch, side)
-                if beyond is not None:
-                    waiting.append(beyond)
+                neighbor = self._cross_border(branch, side)
+                if neighbor is not None:
+                    queue.append(neighbor)
 
-    def _follow(self, start: Orbit) -> OrbitBranch:
-        following = Following(self.problem, start.plan, start.setting, self.parameter, start.unknowns)
+    def _continue(self, start: Orbit) -> OrbitBranch:
+        family = OrbitFamily(self.problem, start.plan, start.setting, self.parameter, start.unknowns)
         x = np.append(start.unknowns, getattr(start.setting, self.parameter))
-        curve = continuation.trace(following, x, self.bounds, following.scale, STEPS, following.margins)
-        orbits = tuple(following.orbit(x) for x in curve.points)
+        curve = continuation.trace(family, x, self.bounds, family.scale, STEPS, family.margins)
+        orbits = tuple(family.orbit(x) for x in curve.points)
         return OrbitBranch(
             parameter=self.parameter,
             value=curve.points[:, -1],
             orbits=orbits,
             ends=curve.ends,
-            folds=_located(following, curve, curve.folds, lambda x, way: float(way[-1])),
-            doublings=_crossings(following, curve, orbits, _minus_one),
-            toruses=_crossings(following, curve, orbits, _pair),
+            folds=_locate(family, curve, curve.folds, lambda x, direction: float(direction[-1])),
+            doublings=_locate_bifurcations(family, curve, orbits, _period_doubling_test),
+            toruses=_locate_bifurcations(family, curve, orbits, _torus_test),
             plan=start.plan,
             curve=curve,
         )
 
-    def _losses(self, branch: OrbitBranch) -> list[int]:
+    def _stability_losses(self, branch: OrbitBranch) -> list[int]:
         """Return the points just after a loss of stability that is not at a fold."""
-        found = []
+        points = []
         for value in (*branch.doublings, *branch.toruses):
             for i in np.flatnonzero((branch.value[:-1] - value) * (branch.value[1:] - value) <= 0).tolist():
                 stable = branch.orbits[i].stable, branch.orbits[i + 1].stable
                 if stable[0] != stable[1]:
-                    found.append(i + 1 if stable[0] else i)
-        return found
+                    points.append(i + 1 if stable[0] else i)
+        return points
 
-    def _shaken(self, orbit: Orbit) -> list[Orbit]:
+    def _simulate_perturbed(self, orbit: Orbit) -> list[Orbit]:
         """Simulate from a perturbed unstable orbit and return the orbit to which it settles, if any."""
-        propagator, _ = start_march(self.problem, orbit.setting)
-        enter(propagator, orbit)
+        propagator, _ = start_propagator(self.problem, orbit.setting)
+        set_to_orbit(propagator, orbit)
         n = propagator.system.states
         propagator.state.z[:n] *= 1 + 1e-5 * np.cos(np.arange(n))
         try:
-            return [search(self.problem, orbit.setting, propagator)]
+            return [search_orbit(self.problem, orbit.setting, propagator)]
         except RunError as failure:
             value = getattr(orbit.setting, self.parameter)
             self.failures.append(
@@ -168,111 +168,112 @@ class _Explorer:
             )
             return []
 
-    def _holds(self, branch: OrbitBranch, orbit: Orbit) -> bool:
-        """Whether an orbit lies on a branch: same events, and same response after interpolation."""
+    def _contains(self, branch: OrbitBranch, orbit: Orbit) -> bool:
+        """Return whether an orbit lies on a branch: same events, and same response after interpolation."""
         if not branch.plan.same_cycle(orbit.plan):
             return False
         offset = branch.value - getattr(orbit.setting, self.parameter)
-        near = np.flatnonzero(offset[:-1] * offset[1:] <= 0).tolist()
+        segments = np.flatnonzero(offset[:-1] * offset[1:] <= 0).tolist()
         # The search from an adjacent branch's border starts just beyond an end of this branch.
         if abs(offset[0]) < 1e-3 * abs(branch.value[0]):
-            near.append(0)
+            segments.append(0)
         if abs(offset[-1]) < 1e-3 * abs(branch.value[-1]):
-            near.append(len(offset) - 2)
+            segments.append(len(offset) - 2)
         responses = branch.compliance
-        size = np.abs(orbit.compliance).max()
-        for i in near:
+        magnitude = np.abs(orbit.compliance).max()
+        for i in segments:
             if i < 0 or len(offset) < 2:
-                return bool(np.abs(responses[:, 0] - orbit.compliance).max() < 0.02 * size)
-            share = offset[i] / (offset[i] - offset[i + 1]) if offset[i] != offset[i + 1] else 0.0
-            there = responses[:, i] + share * (responses[:, i + 1] - responses[:, i])
-            if np.abs(there - orbit.compliance).max() < 0.01 * size:
+                return bool(np.abs(responses[:, 0] - orbit.compliance).max() < 0.02 * magnitude)
+            ratio = offset[i] / (offset[i] - offset[i + 1]) if offset[i] != offset[i + 1] else 0.0
+            interpolated = responses[:, i] + ratio * (responses[:, i + 1] - responses[:, i])
+            if np.abs(interpolated - orbit.compliance).max() < 0.01 * magnitude:
                 return True
         return False
 
-    def _beyond(self, branch: OrbitBranch, side: int) -> Orbit | None:
+    def _cross_border(self, branch: OrbitBranch, side: int) -> Orbit | None:
         """Return the orbit on the other side of a branch's end, if the end is a border."""
-        end = branch.ends[side]
-        last = branch.orbits[0 if side == 0 else -1]
+        reason = branch.ends[side]
+        orbit = branch.orbits[0 if side == 0 else -1]
         value = float(branch.value[0 if side == 0 else -1])
-        if end in ("range", "closed"):
+        if reason in ("range", "closed"):
             return None
-        where = f"at {self.parameter} {value:.8g} (Type {last.motion_type}, events [{last.plan.label}])"
-        if end.startswith("no convergence") or end == "points":
-            self.failures.append(f"{where}: {end}")
+        location = f"at {self.parameter} {value:.8g} (Type {orbit.motion_type}, events [{orbit.plan.label}])"
+        if reason.startswith("no convergence") or reason == "points":
+            self.failures.append(f"{location}: {reason}")
         tangent = branch.curve.tangents[0 if side == 0 else -1]
-        way = np.sign(tangent[-1]) * (1 if side == 1 else -1)
+        direction = np.sign(tangent[-1]) * (1 if side == 1 else -1)
         try:
-            return self._run_on(last, value, float(way))
+            return self._orbit_past_border(orbit, value, float(direction))
         except RunError as failure:
-            self.failures.append(f"beyond {where}, where {end}: {failure}")
+            self.failures.append(f"beyond {location}, where {reason}: {failure}")
             return None
 
-    def _run_on(self, orbit: Orbit, value: float, way: float) -> Orbit:
+    def _orbit_past_border(self, orbit: Orbit, value: float, direction: float) -> Orbit:
         """Return the orbit beyond a border: the nearest orbit, otherwise the orbit to which the motion settles."""
         # At a border the curve may turn back in the parameter, so that the nearest orbit may lie on either side.
-        for past in (BEYOND, -BEYOND, 10 * BEYOND, -10 * BEYOND):
-            target = value * (1 + way * past)
+        for step in (BORDER_STEP, -BORDER_STEP, 10 * BORDER_STEP, -10 * BORDER_STEP):
+            target = value * (1 + direction * step)
             if not self.bounds[0] <= target <= self.bounds[1]:
                 continue
-            setting = self.at(target)
-            propagator, steps = start_march(self.problem, setting)
-            enter(propagator, orbit)
+            setting = self.setting_at(target)
+            propagator, steps = start_propagator(self.problem, setting)
+            set_to_orbit(propagator, orbit)
             for _ in range(3):
                 try:
-                    found = refine(self.problem, setting, propagator, steps, orbit.repetition)
+                    candidate = refine_orbit(self.problem, setting, propagator, steps, orbit.repetition)
                 except RunError:
                     continue
-                close = (
-                    np.abs(found.compliance - orbit.compliance).max() < 0.05 * np.abs(orbit.compliance).max()
+                is_close = (
+                    np.abs(candidate.compliance - orbit.compliance).max()
+                    < 0.05 * np.abs(orbit.compliance).max()
                 )
-                if close and not found.flaw and not found.plan.same_cycle(orbit.plan):
-                    return found
+                if is_close and not candidate.flaw and not candidate.plan.same_cycle(orbit.plan):
+                    return candidate
         # Close to the border, the new event may be too small to detect in a motion settled to 1e-7.
-        for past in FARTHER[:-1]:
+        for step in SIMULATED_BORDER_STEPS[:-1]:
             try:
-                return self._settled_past(orbit, value, way * past)
+                return self._simulate_past_border(orbit, value, direction * step)
             except RunError:
                 continue
-        return self._settled_past(orbit, value, way * FARTHER[-1])
+        return self._simulate_past_border(orbit, value, direction * SIMULATED_BORDER_STEPS[-1])
 
-    def _settled_past(self, orbit: Orbit, value: float, past: float) -> Orbit:
-        setting = self.at(float(np.clip(value * (1 + past), *self.bounds)))
-        propagator, _ = start_march(self.problem, setting)
-        enter(propagator, orbit)
-        return search(self.problem, setting, propagator)
+    def _simulate_past_border(self, orbit: Orbit, value: float, step: float) -> Orbit:
+        setting = self.setting_at(float(np.clip(value * (1 + step), *self.bounds)))
+        propagator, _ = start_propagator(self.problem, setting)
+        set_to_orbit(propagator, orbit)
+        return search_orbit(self.problem, setting, propagator)
 
 
-def _minus_one(multipliers: NDArray[np.complex128]) -> float:
+def _period_doubling_test(multipliers: NDArray[np.complex128]) -> float:
     """Return a value that changes sign where a multiplier passes -1 (period doubling)."""
     return float(np.prod(1 + multipliers).real)
 
 
-def _pair(multipliers: NDArray[np.complex128]) -> float:
+def _torus_test(multipliers: NDArray[np.complex128]) -> float:
     """Return a value that is positive if a complex pair is outside the unit circle (torus bifurcation)."""
     pairs = multipliers[np.abs(multipliers.imag) > 1e-9]
     return float(np.abs(pairs).max(initial=0.5) - 1)
 
 
-def _crossings(
-    following: Following,
+def _locate_bifurcations(
+    family: OrbitFamily,
     curve: continuation.Curve,
     orbits: tuple[Orbit, ...],
     test: Callable[[NDArray[np.complex128]], float],
 ) -> Array:
     values = np.array([test(orbit.multipliers) for orbit in orbits])
-    where = np.flatnonzero(values[:-1] * values[1:] < 0)
-    return _located(following, curve, where, lambda x, way: test(following.multipliers(x)))
+    segments = np.flatnonzero(values[:-1] * values[1:] < 0)
+    return _locate(family, curve, segments, lambda x, tangent: test(family.multipliers(x)))
 
 
-def _located(
-    following: Following, curve: continuation.Curve, where: NDArray[np.int64], monitor: continuation.Monitor
+def _locate(
+    family: OrbitFamily, curve: continuation.Curve, segments: NDArray[np.int64], monitor: continuation.Monitor
 ) -> Array:
     """Return parameter values at which a monitor changes sign; the middle of the step if it cannot be bracketed."""
-    found = []
-    for i in where:
+    values = []
+    for i in segments:
         try:
-            found.append(continuation.locate(following, curve, int(i), monitor)[0][-1])
+            values.append(continuation.locate(family, curve, int(i), monitor)[0][-1])
         except continuation.NoConvergence:
-            found.append(curve.points[i : i + 2, -1].mean())
-    return np.array(found)
+            values.append(curve.points[i : i + 2, -1].mean())
+    return np.array(values)

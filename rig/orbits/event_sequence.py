@@ -30,16 +30,16 @@ from rig.orbits.orbit_equations import (
     SEPARATION,
     TOUCH_CEILING,
     TOUCH_FLOOR,
-    WITH_LAST,
+    WITH_PREVIOUS,
     Sequence,
 )
 from rig.system.hybrid_system import HybridSystem
 
 BOUNCE = {FLOOR: FLOOR_BOUNCE, CEILING: CEILING_BOUNCE}
-#: Wall of a damper after an event, or flight.
-AFTER = {
+#: Wall state of a damper after an event.
+WALL_AFTER_EVENT = {
     SEPARATION: FLYING,
-    WITH_LAST: FLYING,
+    WITH_PREVIOUS: FLYING,
     FLOOR_BOUNCE: FLYING,
     CEILING_BOUNCE: FLYING,
     FLOOR: RIDES_FLOOR,
@@ -51,7 +51,7 @@ AFTER = {
     RELEASE: FORCELESS,
 }
 #: Overlap, relative to the largest gap, above which a new contact force is a press event instead of a touch.
-WITHIN = 1e-9
+MIN_RELATIVE_OVERLAP = 1e-9
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class Plan:
 
     @property
     def label(self) -> str:
-        """The events in short, e.g. ``"2^ 2- 2_"``: damper 2 separates, bounces off the ceiling, lands.
+        """Abbreviated events, e.g. ``"2^ 2- 2_"``: damper 2 separates, bounces off the ceiling, lands.
 
         With finite-duration contact: touch of floor ``u`` or ceiling ``n``, release ``o``, renewed press ``w``,
         ``m``.
@@ -82,15 +82,15 @@ class Plan:
             CEILING: "=",
             FLOOR_BOUNCE: "v",
             CEILING_BOUNCE: "-",
-            WITH_LAST: "~",
+            WITH_PREVIOUS: "~",
             TOUCH_FLOOR: "u",
             TOUCH_CEILING: "n",
             PRESS_FLOOR: "w",
             PRESS_CEILING: "m",
             RELEASE: "o",
         }
-        pairs = zip(self.sequence.damper, self.sequence.kind, strict=True)
-        return " ".join(f"{d + 1}{signs[int(k)]}" for d, k in pairs)
+        events = zip(self.sequence.damper, self.sequence.kind, strict=True)
+        return " ".join(f"{damper + 1}{signs[int(kind)]}" for damper, kind in events)
 
     @property
     def borders(self) -> tuple[str, ...]:
@@ -99,36 +99,36 @@ class Plan:
         count = max(len(events), self.sequence.wall.shape[1], 1)
         pairs = zip(events, events[1:] + events[:1], strict=True)
         names: list[list[str]] = [
-            [f"event {one} and event {other} change order" for one, other in pairs],
+            [f"event {first} and event {second} change order" for first, second in pairs],
             [f"damper {number} is not released" for number in dampers],
             [f"damper {number} misses the wall that it should hit" for number in dampers],
         ]
-        for text in (
+        for template in (
             "the flight of damper {} vanishes",
             "damper {} hits the floor early",
             "damper {} hits the ceiling early",
             "damper {} leaves its wall early",
             "damper {} stays at the wall that it should leave at once",
-            "damper {} is kicked off its wall by the impact of another",
+            "damper {} is thrown off its wall by the impact of another",
         ):
-            names.append([text.format(number) for number in range(1, count + 1)])
+            names.append([template.format(number) for number in range(1, count + 1)])
         return tuple(name for row in names for name in [*row, *[""] * (count - len(row))])
 
     def same_cycle(self, other: Plan) -> bool:
-        """Whether the events are the same in the same cyclic order."""
+        """Return whether the events are the same in the same cyclic order."""
         own, others = self.label.split(), other.label.split()
         return len(own) == len(others) and (own == others or " ".join(own) in " ".join(others + others))
 
 
-def plan_from(
+def derive_plan(
     trajectory: Trajectory, start: NDArray[np.int8], repetition: int, system: HybridSystem
 ) -> tuple[Plan, Array]:
     """Derive the sequence of events from a simulated cycle.
 
-    `course`: events of the cycle; `start`, shape (dampers,): contact state at its start; `repetition`: periods in
-    the cycle. Returns `order`, positions of the plan's events among the events of the cycle. Raises
-    `UncoveredMotionError` if a damper with rebound comes to rest on a wall after infinitely many impacts; or the
-    impact of another damper throws a damper from its wall, through a full mass matrix or a common body.
+    `start`, shape (dampers,): contact state at the start of the cycle; `repetition`: number of drive periods in the
+    cycle. Also returns the indices of the plan's events among the events of the cycle. Raises `UncoveredMotionError`
+    if a damper with rebound comes to rest on a wall after infinitely many impacts, or if the impact of another
+    damper throws a damper off its wall, through a full mass matrix or a common body.
     """
     kinds: list[int] = []
     dampers: list[int] = []
@@ -137,55 +137,57 @@ def plan_from(
     for k, (damper, kind) in enumerate(
         zip(trajectory.event_damper.tolist(), trajectory.event_kind.tolist(), strict=True)
     ):
-        now = [i for i in range(len(order)) if instants[order[i]] == instants[k]]
-        hit = [i for i in now if dampers[i] == damper and kinds[i] in (FLOOR, CEILING)]
-        if system.coupled and any(dampers[i] != damper for i in now):
+        simultaneous = [i for i in range(len(order)) if instants[order[i]] == instants[k]]
+        impacts = [i for i in simultaneous if dampers[i] == damper and kinds[i] in (FLOOR, CEILING)]
+        if system.coupled and any(dampers[i] != damper for i in simultaneous):
             raise UncoveredMotionError(
-                f"an impact of damper {damper + 1} acts on damper {dampers[now[-1]] + 1} at the same "
+                f"an impact of damper {damper + 1} acts on damper {dampers[simultaneous[-1]] + 1} at the same "
                 "instant, through a common body or the mass matrix"
             )
         if system.lasting[damper]:
-            kinds.append(_lasting_kind(trajectory, k, system))
+            kinds.append(_finite_contact_kind(trajectory, k, system))
         elif kind in (FLOOR_IMPACT, CEILING_IMPACT):
-            landed = FLOOR if kind == FLOOR_IMPACT else CEILING
-            kinds.append(landed if system.restitution[damper] == 0 else BOUNCE[landed])
-        elif hit:
+            impact = FLOOR if kind == FLOOR_IMPACT else CEILING
+            kinds.append(impact if system.restitution[damper] == 0 else BOUNCE[impact])
+        elif impacts:
             # Impact and separation at the same instant are one event, a bounce, without contact in between.
-            kinds[hit[-1]] = BOUNCE[kinds[hit[-1]]]
+            kinds[impacts[-1]] = BOUNCE[kinds[impacts[-1]]]
             continue
         elif system.restitution[damper] > 0:
             raise UncoveredMotionError(
                 f"damper {damper + 1} rebounds infinitely often in every period until it rests on a wall"
             )
         else:
-            kinds.append(WITH_LAST if now else SEPARATION)
+            kinds.append(WITH_PREVIOUS if simultaneous else SEPARATION)
         dampers.append(damper)
         order.append(k)
-    return make_plan(kinds, dampers, walls_of(start, system), repetition), np.array(order, dtype=np.int64)
+    return make_plan(kinds, dampers, walls_from_modes(start, system), repetition), np.array(
+        order, dtype=np.int64
+    )
 
 
-def _lasting_kind(trajectory: Trajectory, event: int, system: HybridSystem) -> int:
+def _finite_contact_kind(trajectory: Trajectory, event: int, system: HybridSystem) -> int:
     """Return the kind of an event with finite-duration contact: a press event starts with overlap."""
     kind, damper = trajectory.event_kind[event], trajectory.event_damper[event]
     if kind == RELEASED:
         return RELEASE
-    now = (trajectory.break_segment == trajectory.event_segment[event]) & (
+    is_event = (trajectory.break_segment == trajectory.event_segment[event]) & (
         trajectory.break_offset == trajectory.event_offset[event]
     )
     gaps = trajectory.before[:, system.bed[damper]]
-    gap, least = gaps[np.flatnonzero(now)[0]], WITHIN * np.abs(gaps).max()
+    gap, min_overlap = gaps[np.flatnonzero(is_event)[0]], MIN_RELATIVE_OVERLAP * np.abs(gaps).max()
     if kind == FLOOR_TOUCH:
-        return PRESS_FLOOR if gap < -least else TOUCH_FLOOR
+        return PRESS_FLOOR if gap < -min_overlap else TOUCH_FLOOR
     assert kind == CEILING_TOUCH
-    return PRESS_CEILING if gap > system.clearance[damper] + least else TOUCH_CEILING
+    return PRESS_CEILING if gap > system.clearance[damper] + min_overlap else TOUCH_CEILING
 
 
-def walls_of(mode: NDArray[Any], system: HybridSystem) -> NDArray[np.int64]:
+def walls_from_modes(modes: NDArray[Any], system: HybridSystem) -> NDArray[np.int64]:
     """Return the walls of a sequence for the engine's contact states, shape (dampers,)."""
-    return np.asarray(mode, dtype=np.int64) + np.where(system.lasting, FORCELESS, FLYING)
+    return np.asarray(modes, dtype=np.int64) + np.where(system.lasting, FORCELESS, FLYING)
 
 
-def mode_of(walls: NDArray[np.int64]) -> NDArray[np.int64]:
+def modes_from_walls(walls: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the engine's contact states for walls of a sequence, shape (dampers,)."""
     return np.where(walls >= FORCELESS, walls - FORCELESS, walls)
 
@@ -202,7 +204,7 @@ def make_plan(kinds: list[int], dampers: list[int], start: NDArray[Any], repetit
     walls = [np.asarray(start, dtype=np.int64)]
     for kind, damper in zip(kinds, dampers, strict=True):
         wall = walls[-1].copy()
-        wall[damper] = AFTER[kind]
+        wall[damper] = WALL_AFTER_EVENT[kind]
         walls.append(wall)
     masks = [configuration_of(wall) for wall in walls]
     configurations = tuple(dict.fromkeys(masks))

@@ -14,9 +14,9 @@ def exponential(matrix: Array, time: float, rate: float) -> Array:
 
     `rate` bounds a norm of the matrix in which its rows and columns are balanced.
     """
-    size, halvings = rate * abs(time), 0
-    while size > 0.25 and halvings < 60:
-        size *= 0.5
+    norm, halvings = rate * abs(time), 0
+    while norm > 0.25 and halvings < 60:
+        norm *= 0.5
         halvings += 1
     x = matrix * (time * 0.5**halvings)
     # Series to degree 12, as three products of cubes. The sum excludes the identity to avoid cancellation at
@@ -35,32 +35,34 @@ def exponential(matrix: Array, time: float, rate: float) -> Array:
 
 
 @stored
-def drift(matrix: Array, change: Array, start: Array, slope: Array, time: float, rate: float) -> Array:
+def exponential_derivative(
+    matrix: Array, change: Array, start: Array, slope: Array, time: float, rate: float
+) -> Array:
     """Differentiate exp(matrix time) start, matrix and start both changing: s' = A s + E z, s(0) = slope."""
     n = matrix.shape[0]
     entries, row, column = 0, np.empty(n * n, dtype=np.int64), np.empty(n * n, dtype=np.int64)
-    of_matrix, of_change = np.empty(n * n), np.empty(n * n)
+    matrix_values, change_values = np.empty(n * n), np.empty(n * n)
     for i in range(n):
         for j in range(n):
             if matrix[i, j] != 0.0 or change[i, j] != 0.0:
                 row[entries], column[entries] = i, j
-                of_matrix[entries], of_change[entries] = matrix[i, j], change[i, j]
+                matrix_values[entries], change_values[entries] = matrix[i, j], change[i, j]
                 entries += 1
     z, s = start.copy(), slope.copy()
     substeps = max(1, int(np.ceil(0.5 * rate * abs(time))))
     h = time / substeps
-    term, other, next_term, next_other = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
+    term, slope_term, next_term, next_slope_term = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
     for _ in range(substeps):
-        term[:], other[:] = z, s
+        term[:], slope_term[:] = z, s
         # The truncation error 2^20 / 20! = 4e-13 is sufficient for a derivative.
         for k in range(1, 21):
-            next_term[:], next_other[:] = 0.0, 0.0
+            next_term[:], next_slope_term[:] = 0.0, 0.0
             for m in range(entries):
                 i, j = row[m], column[m]
-                next_term[i] += of_matrix[m] * term[j]
-                next_other[i] += of_matrix[m] * other[j] + of_change[m] * term[j]
+                next_term[i] += matrix_values[m] * term[j]
+                next_slope_term[i] += matrix_values[m] * slope_term[j] + change_values[m] * term[j]
             for i in range(n):
-                term[i], other[i] = h / k * next_term[i], h / k * next_other[i]
+                term[i], slope_term[i] = h / k * next_term[i], h / k * next_slope_term[i]
                 z[i] += term[i]
-                s[i] += other[i]
+                s[i] += slope_term[i]
     return s

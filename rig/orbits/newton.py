@@ -9,72 +9,72 @@ from rig.numerics.jit import stored
 from rig.orbits.orbit_equations import Change, Equations, Sequence
 from rig.orbits.shooting import Shot, shoot
 
-# A solution is accepted when its next correction and its residuals, relative to the motion, are below this.
-SETTLED = 3e-13
+# Largest correction and residual, relative to the motion, of an accepted solution.
+CONVERGED = 3e-13
 
 
 @stored
-def correct(
+def newton_solve(
     equations: Equations,
     change: Change,
     sequence: Sequence,
     unknowns: Array,
     scale: Array,
     rows: Array,
-    most: int,
+    max_corrections: int,
 ) -> tuple[Array, Array, Shot, float, int]:
     """Solve the equations of an orbit by Newton's iteration, the parameter fixed.
 
-    `scale`, `rows`, shape (unknowns,): sizes of the unknowns and of the residuals; `most`: maximum number of
-    corrections. Returns `slope`, derivative of the unknowns with respect to the parameter; `shot`, evaluation at the
-    solution; `last`, size of the last correction; `corrections`, number of corrections; -1 if the iteration did not
-    converge.
+    `scale`, `rows`, shape (unknowns,): sizes of the unknowns and of the residuals.
+
+    Returns the unknowns, their derivative with respect to the parameter, the evaluation at the solution, the size of
+    the last correction, and the number of corrections. This number is -1 if the iteration did not converge.
     """
-    x, slope, last = unknowns.copy(), np.zeros(unknowns.size), np.inf
+    x, slope, last_size = unknowns.copy(), np.zeros(unknowns.size), np.inf
     shot = shoot(equations, change, sequence, x)
-    for iteration in range(most):
+    for corrections in range(max_corrections):
         system = shot.jacobian[:, : x.size].copy()
-        right = np.empty((x.size, 2))
+        rhs = np.empty((x.size, 2))
         for i in range(x.size):
-            right[i, 0], right[i, 1] = -shot.residual[i] / rows[i], -shot.jacobian[i, x.size] / rows[i]
+            rhs[i, 0], rhs[i, 1] = -shot.residual[i] / rows[i], -shot.jacobian[i, x.size] / rows[i]
             for j in range(x.size):
                 system[i, j] *= scale[j] / rows[i]
-        if not (np.isfinite(system).all() and np.isfinite(right).all()):
-            return x, slope, shot, last, -1
-        solved = np.linalg.solve(system, right)
-        move, slope = solved[:, 0], solved[:, 1] * scale
-        size = np.abs(move).max()
-        missed = np.abs(right[:, 0]).max()
-        if (size < SETTLED and missed < SETTLED) or (size < 1e-9 and size > 0.3 * last):
-            return x, slope, shot, size, iteration
+        if not (np.isfinite(system).all() and np.isfinite(rhs).all()):
+            return x, slope, shot, last_size, -1
+        solution = np.linalg.solve(system, rhs)
+        correction, slope = solution[:, 0], solution[:, 1] * scale
+        size = np.abs(correction).max()
+        residual = np.abs(rhs[:, 0]).max()
+        if (size < CONVERGED and residual < CONVERGED) or (size < 1e-9 and size > 0.3 * last_size):
+            return x, slope, shot, size, corrections
         # A divergent iteration stops before its instants become arbitrarily large.
-        if not size < 1e3 * min(1.0, max(last, 1e-3)):
+        if not size < 1e3 * min(1.0, max(last_size, 1e-3)):
             return x, slope, shot, size, -1
-        x += move * scale
-        last = size
+        x += correction * scale
+        last_size = size
         shot = shoot(equations, change, sequence, x)
-    return x, slope, shot, last, -1
+    return x, slope, shot, last_size, -1
 
 
 @stored
-def distance(one: Array, other: Array, scale: Array) -> float:
+def distance(first: Array, second: Array, scale: Array) -> float:
     """Return the largest scaled difference between two sets of unknowns."""
-    return float(np.abs((one - other) / scale).max())
+    return float(np.abs((first - second) / scale).max())
 
 
 @stored
 def monodromy(shot: Shot, events: int, scale: Array, rows: Array) -> Array:
     """Compute the scaled monodromy matrix; the event conditions are solved for the instants."""
     size = scale.size
-    cut = size - events
+    initial = size - events
     jacobian = shot.jacobian[:, :size].copy()
     for i in range(size):
         for j in range(size):
             jacobian[i, j] *= scale[j] / rows[i]
-    period_map = jacobian[:cut, :cut].copy()
-    for i in range(cut):
+    period_map = jacobian[:initial, :initial].copy()
+    for i in range(initial):
         period_map[i, i] += 1.0
     if events > 0:
-        moved = np.linalg.solve(jacobian[cut:, cut:].copy(), jacobian[cut:, :cut].copy())
-        period_map -= jacobian[:cut, cut:].copy() @ moved
+        instants = np.linalg.solve(jacobian[initial:, initial:].copy(), jacobian[initial:, :initial].copy())
+        period_map -= jacobian[:initial, initial:].copy() @ instants
     return period_map

@@ -15,9 +15,9 @@ from rig.engine.state import RELEASE as RELEASED
 from rig.engine.state import SEPARATION as SEPARATED
 from rig.engine.trajectory import event_table
 from rig.errors import RunError
-from rig.orbits.admissibility import survey
+from rig.orbits.admissibility import evaluate_motion
 from rig.orbits.event_sequence import Plan
-from rig.orbits.newton import correct, monodromy
+from rig.orbits.newton import monodromy, newton_solve
 from rig.orbits.orbit_equations import (
     CEILING,
     CEILING_BOUNCE,
@@ -31,14 +31,19 @@ from rig.orbits.orbit_equations import (
     SEPARATION,
     TOUCH_CEILING,
     TOUCH_FLOOR,
-    WITH_LAST,
+    WITH_PREVIOUS,
     Change,
     Equations,
 )
 from rig.orbits.problem import OperatingPoint, OrbitProblem, Parameter, vary
 from rig.orbits.shooting import Shot, shoot
+<<<<<<< HEAD
 from rig.orbits.track import follow
 from rig.results import Result, complete_style
+=======
+from rig.orbits.track import track_orbit
+from rig.results import Result, styled
+>>>>>>> 9af3d1c2 (Names in rig/orbits are those of the quantities: segments, sensitivities, margins, families of orbits, phase factors)
 from rig.scene.shaker import ForceShaker
 from rig.steady_response.motion_type import overall, type_of
 from rig.system.assembly import spring_force_row
@@ -47,11 +52,12 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-# Absolute margin up to which a negative value is rounding; below it an orbit is impossible as a motion.
+# A margin above the negative of this value may be negative by rounding; below it an orbit is inadmissible.
 ROUNDING = 1e-9
-CORRECTIONS = 25
+# Largest number of Newton corrections from an initial guess.
+MAX_CORRECTIONS = 25
 # Engine events of contact between a damper and a wall.
-_STRUCK = {
+_CONTACT_EVENTS = {
     FLOOR: FLOOR_IMPACT,
     FLOOR_BOUNCE: FLOOR_IMPACT,
     CEILING: CEILING_IMPACT,
@@ -83,7 +89,7 @@ class Orbit(Result):
     peak : ndarray, shape (bodies,)
         Half the range of each displacement [m].
     multipliers : ndarray of complex
-        Floquet multipliers: one multiplier for each state and two for each damper in flight at the start.
+        Floquet multipliers: one for each state and two for each damper in flight at the start.
     margin : float
         Distance to the nearest border, beyond which the sequence of events is impossible: gaps in g/w^2,
         accelerations in g, times in 1/w. At most 1, negative beyond the border.
@@ -126,12 +132,12 @@ class Orbit(Result):
 
     def columns(self) -> dict[str, Array]:
         """Return time over a cycle from its first event, displacement of each body, and gap of each moving damper."""
-        sequence, system = self.plan.sequence, self.problem.changed(self.setting)
-        curve = Following(self.problem, self.plan, self.setting, "frequency", self.unknowns)
-        equations, change = curve.tables(self.frequency)
+        sequence, system = self.plan.sequence, self.problem.varied_system(self.setting)
+        family = OrbitFamily(self.problem, self.plan, self.setting, "frequency", self.unknowns)
+        equations, change = family.equations(self.frequency)
         states = shoot(equations, change, sequence, self.unknowns).states
         instants = self.unknowns[len(self.unknowns) - len(sequence.kind) :]
-        track = follow(equations, sequence, instants, states)
+        track = track_orbit(equations, sequence, instants, states)
         wall = sequence.wall[len(sequence.wall) - len(track.times) :, None, :]
         gaps = np.where(wall == FLYING, np.maximum(track.guards[..., 0], 0.0), 0.0)
         gaps = np.where(wall == RIDES_CEILING, system.clearance, gaps)
@@ -145,10 +151,18 @@ class Orbit(Result):
 
     def draw(self, ax: Axes, **style: Any) -> None:
         """Draw the displacement of each body over a cycle, and the gap below each damper as a dashed line."""
+<<<<<<< HEAD
         time, *others = self.columns().items()
         for name, column in others:
             look = "--" if name.startswith("gap") else "-"
             ax.plot(1e3 * time[1], 1e3 * column, look, **complete_style(style, label=name.removesuffix("_m")))
+=======
+        columns = self.columns()
+        time = columns.pop("time_s")
+        for name, column in columns.items():
+            line_style = "--" if name.startswith("gap") else "-"
+            ax.plot(1e3 * time, 1e3 * column, line_style, **styled(style, label=name.removesuffix("_m")))
+>>>>>>> 9af3d1c2 (Names in rig/orbits are those of the quantities: segments, sensitivities, margins, families of orbits, phase factors)
         ax.set(xlabel="time / ms", ylabel="displacement, gap / mm")
 
     @property
@@ -163,32 +177,35 @@ class Orbit(Result):
 
     @property
     def flaw(self) -> str:
-        """Violated border of an inadmissible orbit, "" if it is admissible; a guess may converge beyond a border."""
+        """Violated border of an inadmissible orbit; "" if it is admissible. A guess may converge beyond a border."""
         return self.border if self.margin < -ROUNDING else ""
 
 
 def solve(
-    problem: OrbitProblem, plan: Plan, setting: OperatingPoint, unknowns: Array, most: int = CORRECTIONS
+    problem: OrbitProblem,
+    plan: Plan,
+    setting: OperatingPoint,
+    unknowns: Array,
+    max_corrections: int = MAX_CORRECTIONS,
 ) -> Orbit:
     """Solve the equations of an orbit for one setting by Newton's iteration with a limited number of corrections.
 
     Raises `RunError` if the iteration does not converge.
     """
-    curve = Following(problem, plan, setting, "frequency", unknowns)
-    equations, change = curve.tables(setting.frequency)
-    where = f"no orbit with events [{plan.label}] near {setting.frequency:.6g} Hz"
+    family = OrbitFamily(problem, plan, setting, "frequency", unknowns)
+    location = f"no orbit with events [{plan.label}] near {setting.frequency:.6g} Hz"
     try:
-        x, _, shot, last, count = correct(
-            equations, change, plan.sequence, unknowns, curve.scale[:-1], curve.rows, most
+        equations, x, _, shot, size, corrections = family.correct(
+            setting.frequency, unknowns, max_corrections
         )
     except np.linalg.LinAlgError:
-        raise RunError(f"{where}: the equations are singular here") from None
-    if count < 0:
-        raise RunError(f"{where}: Newton's method does not converge (last correction {last:.1e})")
-    return curve.describe(setting, x, equations, shot)
+        raise RunError(f"{location}: the equations are singular") from None
+    if corrections < 0:
+        raise RunError(f"{location}: Newton's method does not converge (last correction {size:.1e})")
+    return family.make_orbit(setting, x, equations, shot)
 
 
-class Following:
+class OrbitFamily:
     """The equations of an orbit with one free parameter, for `rig.numerics.continuation`.
 
     `plan`: events of the orbit; `setting`: values of all other parameters; `parameter`: 'frequency', 'force',
@@ -204,71 +221,81 @@ class Following:
         unknowns: Array,
     ) -> None:
         self.problem, self.plan, self.parameter = problem, plan, parameter
-        self.at = vary(setting, parameter)
+        self.setting_at = vary(setting, parameter)
         system = problem.system
         omega, nq = 2 * np.pi * setting.frequency, system.coordinates
         state = unknowns[: system.states]
-        size = np.abs(state[:nq]).max(initial=0.0) + np.abs(state[nq : 2 * nq]).max(initial=0.0) / omega
-        size += system.gravity / omega**2
-        further = np.abs(state[2 * nq :]) + 1e-3
-        flights = np.tile([size, omega * size], len(plan.flying))
+        length = np.abs(state[:nq]).max(initial=0.0) + np.abs(state[nq : 2 * nq]).max(initial=0.0) / omega
+        length += system.gravity / omega**2
+        other_states = np.abs(state[2 * nq :]) + 1e-3
+        flights = np.tile([length, omega * length], len(plan.flying))
         times = np.full(len(plan.sequence.kind), 1 / omega)
-        start = np.concatenate([np.full(nq, size), np.full(nq, omega * size), further, flights])
+        start = np.concatenate([np.full(nq, length), np.full(nq, omega * length), other_states, flights])
         value = getattr(setting, parameter)
         self.scale = np.concatenate(
             [start, times, [abs(value) * (0.02 if parameter == "frequency" else 0.2)]]
         )
-        sizes = {WITH_LAST: 1 / omega, SEPARATION: system.gravity or omega**2 * size}
-        guards = [sizes.get(int(kind), size) for kind in plan.sequence.kind]
-        self.rows = np.concatenate([start, guards])
+        guard_scales = {WITH_PREVIOUS: 1 / omega, SEPARATION: system.gravity or omega**2 * length}
+        event_scales = [guard_scales.get(int(kind), length) for kind in plan.sequence.kind]
+        self.residual_scale = np.concatenate([start, event_scales])
         self.borders = plan.borders
         self.bodies = problem.scene.structure.bodies
 
-    def tables(self, value: float) -> tuple[Equations, Change]:
+    def equations(self, value: float) -> tuple[Equations, Change]:
         """Return the equations at a value of the parameter, and their derivatives."""
-        return self.problem.equations(self.at(value), self.plan, self.parameter)
+        return self.problem.equations(self.setting_at(value), self.plan, self.parameter)
+
+    def correct(
+        self, value: float, guess: Array, max_corrections: int
+    ) -> tuple[Equations, Array, Array, Shot, float, int]:
+        """Return the equations at a value of the parameter and their solution, as `newton_solve` returns it."""
+        equations, change = self.equations(value)
+        scale, sequence = self.scale[:-1], self.plan.sequence
+        return equations, *newton_solve(
+            equations, change, sequence, guess, scale, self.residual_scale, max_corrections
+        )
 
     def __call__(self, x: Array) -> tuple[Array, Array]:
         """Return the scaled residual and Jacobian."""
-        shot = shoot(*self.tables(float(x[-1])), self.plan.sequence, x[:-1])
-        return shot.residual / self.rows, shot.jacobian / self.rows[:, None]
+        shot = shoot(*self.equations(float(x[-1])), self.plan.sequence, x[:-1])
+        return shot.residual / self.residual_scale, shot.jacobian / self.residual_scale[:, None]
 
     def orbit(self, x: Array) -> Orbit:
         """Return the orbit at a solution."""
-        equations, change = self.tables(float(x[-1]))
+        equations, change = self.equations(float(x[-1]))
         shot = shoot(equations, change, self.plan.sequence, x[:-1])
-        return self.describe(self.at(float(x[-1])), x[:-1], equations, shot)
+        return self.make_orbit(self.setting_at(float(x[-1])), x[:-1], equations, shot)
 
     def margins(self, x: Array) -> tuple[Array, tuple[str, ...]]:
         """Return the margin at each border and the borders' names, for `rig.numerics.continuation.trace`."""
-        equations, change = self.tables(float(x[-1]))
+        equations, change = self.equations(float(x[-1]))
         shot = shoot(equations, change, self.plan.sequence, x[:-1])
-        distances = survey(equations, self.plan.sequence, shot, self._instants(x[:-1]))[2]
+        distances = evaluate_motion(equations, self.plan.sequence, shot, self._instants(x[:-1]))[2]
         return distances + ROUNDING, self.borders
 
     def multipliers(self, x: Array) -> NDArray[np.complex128]:
         """Compute the Floquet multipliers at a solution."""
-        return self._multipliers(shoot(*self.tables(float(x[-1])), self.plan.sequence, x[:-1]))
+        return self._multipliers(shoot(*self.equations(float(x[-1])), self.plan.sequence, x[:-1]))
 
     def _multipliers(self, shot: Shot) -> NDArray[np.complex128]:
-        period_map = monodromy(shot, len(self.plan.sequence.kind), self.scale[:-1], self.rows)
+        period_map = monodromy(shot, len(self.plan.sequence.kind), self.scale[:-1], self.residual_scale)
         real, imaginary, *_ = dgeev(period_map, compute_vl=0, compute_vr=0)
         return np.asarray(real + 1j * imaginary, dtype=np.complex128)
 
     def _instants(self, unknowns: Array) -> Array:
         return unknowns[len(unknowns) - len(self.plan.sequence.kind) :]
 
-    def describe(self, setting: OperatingPoint, unknowns: Array, equations: Equations, shot: Shot) -> Orbit:
+    def make_orbit(self, setting: OperatingPoint, unknowns: Array, equations: Equations, shot: Shot) -> Orbit:
         """Return the orbit of a converged shot."""
         problem, plan = self.problem, self.plan
         instants = self._instants(unknowns)
-        reach, integral, distances = survey(equations, plan.sequence, shot, instants)
+        extremes, integral, distances = evaluate_motion(equations, plan.sequence, shot, instants)
         nearest = int(distances.argmin())
-        system = problem.changed(setting)
+        system = problem.varied_system(setting)
         dampers, kinds, times, speeds = _events(problem, plan, instants, shot.closing)
         types = tuple(
-            type_of(kinds[own], times[own], system, j, plan.repetition, equations.period)
-            for j, own in enumerate(dampers == np.arange(problem.system.dampers)[:, None])
+            type_of(kinds[is_own], times[is_own], system, j, plan.repetition, equations.period)
+            for j, is_own in enumerate(dampers == np.arange(problem.system.dampers)[:, None])
         )
         bodies = self.bodies
         harmonic = 2 / equations.period * integral
@@ -283,11 +310,11 @@ class Following:
             motion_type=overall(list(types)),
             damper_motion=types,
             compliance=harmonic[:bodies] / force,
-            peak=0.5 * (reach[:bodies, 1] - reach[:bodies, 0]),
+            peak=0.5 * (extremes[:bodies, 1] - extremes[:bodies, 0]),
             multipliers=self._multipliers(shot),
             margin=float(distances[nearest]),
             border=self.borders[nearest] if distances[nearest] < 1 else "",
-            residual=float(np.abs(shot.residual / self.rows).max()),
+            residual=float(np.abs(shot.residual / self.residual_scale).max()),
             unknowns=unknowns.copy(),
             plan=plan,
             problem=problem,
@@ -301,17 +328,17 @@ def _events(
 
     A bounce without rebound is an impact and a separation at one instant.
     """
-    rows = []
+    events = []
     for time, damper, kind, speed in zip(
         instants, plan.sequence.damper, plan.sequence.kind, closing, strict=True
     ):
-        if int(kind) in _STRUCK:
-            rows.append((damper, _STRUCK[int(kind)], time, speed))
+        if int(kind) in _CONTACT_EVENTS:
+            events.append((damper, _CONTACT_EVENTS[int(kind)], time, speed))
         if kind == RELEASE:
-            rows.append((damper, RELEASED, time, 0.0))
-        elif kind in (SEPARATION, WITH_LAST) or (
+            events.append((damper, RELEASED, time, 0.0))
+        elif kind in (SEPARATION, WITH_PREVIOUS) or (
             kind in (FLOOR_BOUNCE, CEILING_BOUNCE) and not problem.system.restitution[damper]
         ):
-            rows.append((damper, SEPARATED, time, 0.0))
-    found = np.array(rows).reshape(-1, 4)
-    return found[:, 0].astype(np.int64), found[:, 1].astype(np.int64), found[:, 2], found[:, 3]
+            events.append((damper, SEPARATED, time, 0.0))
+    table = np.array(events).reshape(-1, 4)
+    return table[:, 0].astype(np.int64), table[:, 1].astype(np.int64), table[:, 2], table[:, 3]

@@ -23,11 +23,10 @@ if TYPE_CHECKING:
 class OrbitBranch(Result):
     """Orbits with one sequence of events along a continuous curve.
 
+    `value`, shape (points,): values of the parameter (Hz, N, m, or factor on the mass ratios), not monotonic at folds.
+
     `folds`, `doublings`, `toruses`: values of the parameter at which the curve turns back, at which a multiplier
     passes -1 (period doubling), and at which a complex pair leaves the unit circle.
-
-    `value`: values of the parameter (Hz, N, m, or factor on the mass ratios); not monotonic at folds, shape
-    (points,).
     """
 
     parameter: Parameter
@@ -84,14 +83,21 @@ class OrbitBranch(Result):
     def draw(self, ax: Axes, **style: Any) -> None:
         """Draw the compliance of the body with the largest motion; unstable orbits are dashed."""
         label, factor = AXES[self.parameter]
-        size = 1e6 * abs(self.compliance)
-        body = int(size.max(axis=1).argmax())
+        magnitude = 1e6 * abs(self.compliance)
+        body = int(magnitude.max(axis=1).argmax())
         (line,) = ax.loglog(
             factor * self.value,
+<<<<<<< HEAD
             np.where(self.stable, size[body], np.nan),
             **complete_style(style, label=self.motion_type),
+=======
+            np.where(self.stable, magnitude[body], np.nan),
+            **styled(style, label=self.motion_type),
+>>>>>>> 9af3d1c2 (Names in rig/orbits are those of the quantities: segments, sensitivities, margins, families of orbits, phase factors)
         )
-        ax.plot(factor * self.value, size[body], "--", color=line.get_color(), lw=0.6 * line.get_linewidth())
+        ax.plot(
+            factor * self.value, magnitude[body], "--", color=line.get_color(), lw=0.6 * line.get_linewidth()
+        )
         ax.set(xlabel=label, ylabel=f"|compliance| of {self._labels[body]} / (µm/N)")
 
 
@@ -110,8 +116,8 @@ class OrbitCurve(Result):
 
     def summary(self) -> str:
         """Return the number of branches and their types of motion in words."""
-        kinds = ", ".join(dict.fromkeys(branch.motion_type for branch in self.branches))
-        return f"{len(self.branches)} branches: {kinds}; {len(self.failures)} not followed to their ends"
+        types = ", ".join(dict.fromkeys(branch.motion_type for branch in self.branches))
+        return f"{len(self.branches)} branches: {types}; {len(self.failures)} not followed to their ends"
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Join the columns of all branches, with the number of each."""
@@ -124,10 +130,16 @@ class OrbitCurve(Result):
 
     def draw(self, ax: Axes, **style: Any) -> None:
         """Draw every branch, with one colour for each type of motion; unstable orbits are dashed."""
-        kinds = list(dict.fromkeys(branch.motion_type for branch in self.branches))
+        types = list(dict.fromkeys(branch.motion_type for branch in self.branches))
         for branch in self.branches:
+<<<<<<< HEAD
             first = branch.motion_type not in {line.get_label() for line in ax.lines}
             colour = f"C{kinds.index(branch.motion_type)}"
             branch.draw(
                 ax, **complete_style(style, color=colour, label=branch.motion_type if first else "_again")
             )
+=======
+            is_first = branch.motion_type not in {line.get_label() for line in ax.lines}
+            color = f"C{types.index(branch.motion_type)}"
+            branch.draw(ax, **styled(style, color=color, label=branch.motion_type if is_first else "_again"))
+>>>>>>> 9af3d1c2 (Names in rig/orbits are those of the quantities: segments, sensitivities, margins, families of orbits, phase factors)

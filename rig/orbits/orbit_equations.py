@@ -9,17 +9,17 @@ from numpy.typing import NDArray
 
 from rig.arrays import Array
 
-Whole = NDArray[np.int64]
+IndexArray = NDArray[np.int64]
 
 # Kinds of events. In a bounce, a damper separates at the instant of impact, with the common velocity (osculating
-# contact) or with its rebound velocity. With `WITH_LAST`, the previous event causes the separation at the same
+# contact) or with its rebound velocity. `WITH_PREVIOUS` is a separation that the previous event causes at the same
 # instant.
-SEPARATION, FLOOR, CEILING, FLOOR_BOUNCE, CEILING_BOUNCE, WITH_LAST = 0, 1, 2, 3, 4, 5
-# Finite-duration contact: a gap falls to zero (touch), a force falls to zero (release), or a force rises from zero
-# again before the overlap has recovered (press). All conditions are linear in the state, and only the force law
-# changes.
+SEPARATION, FLOOR, CEILING, FLOOR_BOUNCE, CEILING_BOUNCE, WITH_PREVIOUS = 0, 1, 2, 3, 4, 5
+# Finite-duration contact: a gap falls to zero (touch), a contact force falls to zero (release), or it rises from zero
+# again before the overlap has recovered (press). All conditions are linear in the state. Only the force law changes.
 TOUCH_FLOOR, TOUCH_CEILING, PRESS_FLOOR, PRESS_CEILING, RELEASE = 6, 7, 8, 9, 10
-# Wall state in a stretch: in flight or riding on a wall; with finite-duration contact, forceless or pressed.
+# Wall state in a segment between events: in flight, or riding (at rest on a wall). With finite-duration contact:
+# without contact force, or pressed on a wall.
 FLYING, RIDES_FLOOR, RIDES_CEILING, FORCELESS, ON_FLOOR, ON_CEILING = 0, 1, 2, 3, 4, 5
 
 
@@ -32,13 +32,13 @@ class Equations(NamedTuple):
     """Bound on the norm of each generator [1/s]; shape (configurations,)."""
     inverse_mass: Array
     """shape (configurations, coordinates, coordinates)."""
-    position: Whole
+    body_coordinate: IndexArray
     """Coordinate of each damper's body; int64, shape (dampers,)."""
     mass: Array
     clearance: Array
     restitution: Array
     """mass, clearance, restitution: shape (dampers,)."""
-    bed: Whole
+    bed: IndexArray
     """Coordinate of the gap of a damper with finite-duration contact, otherwise -1; int64, shape (dampers,)."""
     stiffness: Array
     damping: Array
@@ -65,11 +65,11 @@ class Change(NamedTuple):
 class Sequence(NamedTuple):
     """The events of an orbit in order."""
 
-    kind: Whole
-    damper: Whole
+    kind: IndexArray
+    damper: IndexArray
     """kind, damper: int64, shape (events,)."""
-    slot: Whole
-    """Configuration of each stretch: before the first event, between events, after the last; int64, shape
-    (events + 1,)."""
-    wall: Whole
-    """Wall state in each stretch, `FLYING` to `ON_CEILING`; int64, shape (events + 1, dampers)."""
+    configuration: IndexArray
+    """Index of the configuration in each segment: before the first event, between events, after the last; int64,
+    shape (events + 1,)."""
+    wall: IndexArray
+    """Wall state in each segment, `FLYING` to `ON_CEILING`; int64, shape (events + 1, dampers)."""

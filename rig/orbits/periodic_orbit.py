@@ -9,7 +9,14 @@ from rig.engine.propagator import Propagator, tone_propagator
 from rig.engine.state import CEILING, CONFIGURATION, FLIGHT, FLOOR
 from rig.engine.trajectory import STRIKES, Trajectory
 from rig.errors import RunError
-from rig.orbits.event_sequence import Plan, configuration_of, make_plan, mode_of, plan_from, walls_of
+from rig.orbits.event_sequence import (
+    Plan,
+    configuration_of,
+    derive_plan,
+    make_plan,
+    modes_from_walls,
+    walls_from_modes,
+)
 from rig.orbits.orbit import Orbit, solve
 from rig.orbits.orbit_equations import FORCELESS
 from rig.orbits.problem import OperatingPoint, OrbitProblem
@@ -17,16 +24,18 @@ from rig.scene.loading import SceneLike, scene_of
 from rig.scene.quantities import FREQUENCY, positives
 from rig.steady_response.steady_state import LONGEST_REPETITION, settle
 
-# Largest number of simulated periods before a search classifies the motion as irregular.
-LONGEST = 4000
+# Number of simulated periods after which a search classifies the motion as irregular.
+MAX_PERIODS = 4000
 # Numbers of periods after which a search tries Newton's iteration for a nearby orbit.
-EARLY = (16, 64, 256)
-# Relative change from period to period below which a motion almost repeats.
-ALMOST = 1e-6
+EARLY_PERIODS = (16, 64, 256)
+# Largest relative change from period to period of a motion that counts as almost periodic.
+MAX_ALMOST_PERIODIC_CHANGE = 1e-6
 # Largest relative distance of a motion from the orbit to which it settles.
-NEAR = 0.05
-# Periods over which the distance must decrease, unless it is already below `CLOSE`.
-CONFIRMED, CLOSE = 16, 1e-6
+MAX_ORBIT_DISTANCE = 0.05
+# Periods over which the distance from the orbit must decrease.
+CONFIRMATION_PERIODS = 16
+# Relative distance below which the motion has reached the orbit, so that it need not decrease.
+CLOSE_DISTANCE = 1e-6
 
 
 def periodic_orbit(scene: SceneLike, frequency: float | str, start: Orbit | None = None) -> Orbit:
@@ -35,13 +44,12 @@ def periodic_orbit(scene: SceneLike, frequency: float | str, start: Orbit | None
     Parameters
     ----------
     scene : Scene, str, Path or mapping
-        A scene, or what `rig.load` takes; with a shaker and a test that gives a level. Where the test holds
-        the amplitude of the spring force, that force acts on the driven body as a pure tone, as with an ideal
-        controller.
+        A scene, or an argument of `rig.load`, with a shaker and a test that gives a level. If the test controls the
+        amplitude of the spring force, this force acts on the driven body as a pure tone, as with an ideal controller.
     frequency : float or str
         Hz, or text with a unit, such as ``"49 Hz"``.
     start : Orbit, optional
-        A nearby orbit of this scene with the same events. By default the motion is simulated from rest until it
+        A nearby orbit of this scene with the same events. Without it, the motion is simulated from rest until it
         repeats, and is then refined by Newton's iteration.
 
     Raises
@@ -50,7 +58,7 @@ def periodic_orbit(scene: SceneLike, frequency: float | str, start: Orbit | None
         If the frequency is not positive, the scene has no excitation, or its impacts are not supported by the
         method.
     RunError
-        If the motion does not repeat, or Newton's iteration does not converge; the message states where.
+        If the motion does not repeat, or Newton's iteration does not converge. The message gives the frequency.
 
     Examples
     --------
@@ -63,100 +71,107 @@ def periodic_orbit(scene: SceneLike, frequency: float | str, start: Orbit | None
     setting = problem.setting(float(positives(frequency, FREQUENCY, "frequency")[0]))
     if start is not None:
         return solve(problem, start.plan, setting, start.unknowns)
-    return search(problem, setting)
+    return search_orbit(problem, setting)
 
 
-def search(
-    problem: OrbitProblem, setting: OperatingPoint, start: Propagator | None = None, longest: int = LONGEST
+def search_orbit(
+    problem: OrbitProblem,
+    setting: OperatingPoint,
+    start: Propagator | None = None,
+    max_periods: int = MAX_PERIODS,
 ) -> Orbit:
-    """Simulate until the motion repeats, for at most `longest` periods, and refine it to an exact orbit."""
+    """Simulate until the motion repeats, for at most `max_periods` periods, and refine it to an exact orbit."""
     propagator, steps = (
-        start_march(problem, setting) if start is None else (start, period_steps(start, setting))
+        start_propagator(problem, setting) if start is None else (start, period_steps(start, setting))
     )
     propagator.start_period(1.0)
-    for periods in EARLY:
-        _run(propagator, steps, periods)
-        found = _near(problem, setting, propagator, steps, 1)
-        if found is not None:
-            return found
-    steady = settle(propagator, steps, 1.0, 1e-7, longest)
+    for periods in EARLY_PERIODS:
+        _simulate(propagator, steps, periods)
+        orbit = _nearby_orbit(problem, setting, propagator, steps, 1)
+        if orbit is not None:
+            return orbit
+    steady = settle(propagator, steps, 1.0, 1e-7, max_periods)
     if steady.repetition:
-        orbit = refine(problem, setting, propagator, steps, steady.repetition)
+        orbit = refine_orbit(problem, setting, propagator, steps, steady.repetition)
         if orbit.flaw:
             raise RunError(
                 f"the motion at {setting.frequency:.6g} Hz repeats after {steady.repetition} periods, but the orbit "
-                f"with its events [{orbit.plan.label}] is impossible: {orbit.flaw}"
+                f"with its events [{orbit.plan.label}] is inadmissible: {orbit.flaw}"
             )
         return orbit
-    if steady.residual < ALMOST:
+    if steady.residual < MAX_ALMOST_PERIODIC_CHANGE:
         # The motion repeats, but its slow decay does not determine the number of periods.
         for repetition in range(1, LONGEST_REPETITION + 1):
-            found = _near(problem, setting, propagator, steps, repetition)
-            if found is not None:
-                return found
+            orbit = _nearby_orbit(problem, setting, propagator, steps, repetition)
+            if orbit is not None:
+                return orbit
     raise RunError(
-        f"no periodic motion found at {setting.frequency:.6g} Hz: after {longest} periods the motion "
-        f"still changes by {steady.residual:.1e} of itself from period to period"
+        f"no periodic motion found at {setting.frequency:.6g} Hz: after {max_periods} periods the motion "
+        f"still changes by {steady.residual:.1e} (relative) from period to period"
     )
 
 
-def _near(
+def _nearby_orbit(
     problem: OrbitProblem, setting: OperatingPoint, propagator: Propagator, steps: float, repetition: int
 ) -> Orbit | None:
-    """Return the stable orbit to which a motion settles, if Newton's iteration converges nearby."""
+    """Return the stable orbit to which a motion settles, if Newton's iteration converges to a nearby orbit."""
     try:
-        orbit = refine(problem, setting, propagator, steps, repetition)
+        orbit = refine_orbit(problem, setting, propagator, steps, repetition)
     except RunError:
         return None
     if orbit.flaw or not orbit.stable:
         return None
-    away = _distance(propagator, orbit)
-    if away > NEAR:
+    distance = _distance_from_orbit(propagator, orbit)
+    if distance > MAX_ORBIT_DISTANCE:
         return None
     # An irregular motion may pass close to an orbit without settling, so check that the distance decreases.
-    trajectory = _run(propagator, steps, CONFIRMED * repetition)
-    struck = np.count_nonzero(np.isin(trajectory.event_kind, STRIKES)) // repetition
-    same = (
-        struck
-        == CONFIRMED
+    trajectory = _simulate(propagator, steps, CONFIRMATION_PERIODS * repetition)
+    n_impacts = np.count_nonzero(np.isin(trajectory.event_kind, STRIKES)) // repetition
+    same_impacts = (
+        n_impacts
+        == CONFIRMATION_PERIODS
         * np.count_nonzero(~np.isin(orbit.events["kind"], ("separation", "release")))
         // orbit.repetition
     )
-    return orbit if same and _distance(propagator, orbit) < max(away, CLOSE) else None
+    return (
+        orbit
+        if same_impacts and _distance_from_orbit(propagator, orbit) < max(distance, CLOSE_DISTANCE)
+        else None
+    )
 
 
-def _distance(propagator: Propagator, orbit: Orbit) -> float:
+def _distance_from_orbit(propagator: Propagator, orbit: Orbit) -> float:
     """Return the relative distance of a propagator's state from an orbit at the start of a period."""
     nq = propagator.system.coordinates
-    away = propagator.state.z[: 2 * nq] - orbit.unknowns[: 2 * nq]
-    away[nq:] /= 2 * np.pi * orbit.frequency
-    return float(np.abs(away).max() / orbit.peak.max())
+    difference = propagator.state.z[: 2 * nq] - orbit.unknowns[: 2 * nq]
+    difference[nq:] /= 2 * np.pi * orbit.frequency
+    return float(np.abs(difference).max() / orbit.peak.max())
 
 
-def _run(propagator: Propagator, steps: float, periods: int) -> Trajectory:
+def _simulate(propagator: Propagator, steps: float, periods: int) -> Trajectory:
     """Simulate whole periods."""
-    rows, anew = np.full(periods, -1), np.ones(periods, dtype=bool)
-    return propagator.through_marks(np.full(periods, steps), rows, anew)
+    rows, starts_period = np.full(periods, -1), np.ones(periods, dtype=bool)
+    return propagator.through_marks(np.full(periods, steps), rows, starts_period)
 
 
-def start_march(
-    problem: OrbitProblem, setting: OperatingPoint, moving: bool = False
+def start_propagator(
+    problem: OrbitProblem, setting: OperatingPoint, from_linear_response: bool = False
 ) -> tuple[Propagator, float]:
     """Return a propagator at the start of a period, all dampers on their floors, and its steps per period.
 
-    The initial state is rest or, if `moving`, the steady state of the linear structure with all dampers riding on
-    their floors.
+    The initial state is rest or, if `from_linear_response`, the steady state of the linear structure with all dampers
+    riding on their floors.
     """
-    system = problem.changed(setting)
+    system = problem.varied_system(setting)
     propagator, steps = tone_propagator(system, problem.amplitudes(setting), 2 * np.pi * setting.frequency)
     state = system.initial.copy()
-    if moving:
-        riding = make_plan([], [], walls_of(np.full(system.dampers, FLOOR), system), 1)
-        equations, _ = problem.equations(setting, riding)
+    if from_linear_response:
+        plan = make_plan([], [], walls_from_modes(np.full(system.dampers, FLOOR), system), 1)
+        equations, _ = problem.equations(setting, plan)
         a, n = equations.generator[0], system.states
         # x = X (cos wt, sin wt): the first column of X is the state at the start.
-        drive = (a[:n, n] - 1j * a[:n, n + 1]).astype(np.complex128)
-        state += np.linalg.solve(1j * equations.omega * np.eye(n) - a[:n, :n], drive).real
+        response = (a[:n, n] - 1j * a[:n, n + 1]).astype(np.complex128)
+        state += np.linalg.solve(1j * equations.omega * np.eye(n) - a[:n, :n], response).real
     propagator.place(state, np.array([1.0, 0.0]))
     return propagator, steps
 
@@ -166,58 +181,60 @@ def period_steps(propagator: Propagator, setting: OperatingPoint) -> float:
     return float(np.round(1 / (setting.frequency * propagator.tables.step)))
 
 
-def refine(
+def refine_orbit(
     problem: OrbitProblem, setting: OperatingPoint, propagator: Propagator, steps: float, repetition: int
 ) -> Orbit:
     """Refine the motion of a propagator at the start of a period to an exact orbit."""
-    plan, unknowns = read_cycle(propagator, steps, repetition)
+    plan, unknowns = simulate_cycle(propagator, steps, repetition)
     orbit = solve(problem, plan, setting, unknowns)
-    shorter = first_part(orbit)
-    return orbit if shorter is None else solve(problem, *shorter)
+    cycle = shortest_cycle(orbit)
+    return orbit if cycle is None else solve(problem, *cycle)
 
 
-def first_part(orbit: Orbit) -> tuple[Plan, OperatingPoint, Array] | None:
-    """Reduce an orbit that repeats the same cycle to one cycle; None if it does not repeat."""
+def shortest_cycle(orbit: Orbit) -> tuple[Plan, OperatingPoint, Array] | None:
+    """Reduce an orbit that consists of equal cycles to one cycle; return None if it does not."""
     sequence, events = orbit.plan.sequence, len(orbit.plan.sequence.kind)
     instants = orbit.unknowns[len(orbit.unknowns) - events :]
-    for rounds in range(orbit.repetition, 1, -1):
-        if orbit.repetition % rounds or events % rounds:
+    for cycles in range(orbit.repetition, 1, -1):
+        if orbit.repetition % cycles or events % cycles:
             continue
-        count = events // rounds
-        span = orbit.repetition // rounds / orbit.frequency
-        shift = np.arange(events) // max(count, 1) * span
-        pairs = np.stack([sequence.kind, sequence.damper, (instants - shift) * orbit.frequency])
-        again = np.tile(pairs[:, :count], rounds)
-        if events and (not np.array_equal(pairs[:2], again[:2]) or np.abs(pairs[2] - again[2]).max() > 1e-9):
+        cycle_events = events // cycles
+        cycle_duration = orbit.repetition // cycles / orbit.frequency
+        cycle_start = np.arange(events) // max(cycle_events, 1) * cycle_duration
+        table = np.stack([sequence.kind, sequence.damper, (instants - cycle_start) * orbit.frequency])
+        repeated = np.tile(table[:, :cycle_events], cycles)
+        if events and (
+            not np.array_equal(table[:2], repeated[:2]) or np.abs(table[2] - repeated[2]).max() > 1e-9
+        ):
             continue
-        kinds, dampers = sequence.kind[:count].tolist(), sequence.damper[:count].tolist()
-        plan = make_plan(kinds, dampers, sequence.wall[0], orbit.repetition // rounds)
-        return plan, orbit.setting, orbit.unknowns[: len(orbit.unknowns) - events + count]
+        kinds, dampers = sequence.kind[:cycle_events].tolist(), sequence.damper[:cycle_events].tolist()
+        plan = make_plan(kinds, dampers, sequence.wall[0], orbit.repetition // cycles)
+        return plan, orbit.setting, orbit.unknowns[: len(orbit.unknowns) - events + cycle_events]
     return None
 
 
-def read_cycle(propagator: Propagator, steps: float, repetition: int) -> tuple[Plan, Array]:
+def simulate_cycle(propagator: Propagator, steps: float, repetition: int) -> tuple[Plan, Array]:
     """Simulate one cycle and return its events and the unknowns at its start."""
     system, state = propagator.system, propagator.state
-    start = state.mode.astype(np.int8)
+    modes = state.mode.astype(np.int8)
     heights, speeds = state.height.copy(), state.speed.copy()
-    z = state.z[: system.states].copy()
-    trajectory = _run(propagator, steps, repetition)
-    plan, order = plan_from(trajectory, start, repetition, system)
+    initial_state = state.z[: system.states].copy()
+    trajectory = _simulate(propagator, steps, repetition)
+    plan, order = derive_plan(trajectory, modes, repetition, system)
     instants = (
         trajectory.event_segment[order] * steps * propagator.tables.step + trajectory.event_offset[order]
     )
     flights = np.array([[heights[j], speeds[j]] for j in plan.flying]).ravel()
-    return plan, np.concatenate([z, flights, instants])
+    return plan, np.concatenate([initial_state, flights, instants])
 
 
-def enter(propagator: Propagator, orbit: Orbit) -> None:
-    """Set a propagator to the state of an orbit at the start of a period."""
+def set_to_orbit(propagator: Propagator, orbit: Orbit) -> None:
+    """Set the state of a propagator to that of an orbit at the start of a period."""
     system, state = propagator.system, propagator.state
     n, walls = system.states, orbit.plan.sequence.wall[0]
     state.z[:n] = orbit.unknowns[:n]
     propagator.start_period(1.0)
-    state.mode[:], state.multiplicity[:] = mode_of(walls), 0
+    state.mode[:], state.multiplicity[:] = modes_from_walls(walls), 0
     flights = orbit.unknowns[n : n + 2 * len(orbit.plan.flying)].reshape(-1, 2)
     state.height[orbit.plan.flying], state.speed[orbit.plan.flying] = flights.T
     state.recovering[:] = FLIGHT

@@ -36,10 +36,10 @@ AXES = {
     "clearance": ("clearance / mm", 1e3),
     "mass_ratio": ("factor on the damper masses", 1.0),
 }
-# Largest number of configuration sets in the cache.
-KEPT = 200
+# Largest number of entries in a cache: sets of configurations, and systems with other damper masses.
+MAX_CACHED = 200
 # Relative step of finite differences.
-_ASIDE = 1e-6
+RELATIVE_STEP = 1e-6
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ def parameter_values(parameter: Parameter, values: ArrayLike) -> Array:
     Raises `SceneError` if the parameter does not exist or a value is invalid.
     """
     if parameter not in PARAMETERS:
-        raise SceneError(f"parameter {parameter!r}: expected one of {', '.join(PARAMETERS)}")
+        raise SceneError(f"parameter: got {parameter!r}; expected one of {', '.join(PARAMETERS)}")
     return positives(values, PARAMETERS[parameter], f"values of the {parameter}")
 
 
@@ -78,65 +78,66 @@ def base_frequency(parameter: Parameter, frequency: float | str | None, first: f
     if frequency is not None:
         return float(positives(frequency, FREQUENCY, "frequency")[0])
     if parameter != "frequency":
-        raise SceneError(f"following the {parameter} needs a frequency")
+        raise SceneError(f"frequency: missing. Give the frequency at which the {parameter} is varied.")
     return first
 
 
-class _Linear(NamedTuple):
+class _ConfigurationMatrices(NamedTuple):
     """State matrices of configurations, with input matrices whose last column is the constant forces.
 
-    `inverse` is the inverse mass matrix. `raised` is the derivative of the constant input with respect to each
-    damper's clearance while the damper is pressed on its ceiling. `rate` bounds the norm of the state matrix. The
-    last four fields are derivatives with respect to the factor on the damper masses.
+    `clearance_input` is the derivative of the constant input with respect to each damper's clearance while the damper
+    is pressed on its ceiling. `rate` bounds the norm of the state matrix. The last four fields are derivatives with
+    respect to the factor on the damper masses.
     """
 
-    matrix: Array
-    inflow: Array
-    inverse: Array
-    raised: Array
+    state_matrix: Array
+    input_matrix: Array
+    inverse_mass: Array
+    clearance_input: Array
     rate: Array
-    matrix_change: Array
-    inflow_change: Array
-    inverse_change: Array
-    raised_change: Array
+    state_matrix_change: Array
+    input_matrix_change: Array
+    inverse_mass_change: Array
+    clearance_input_change: Array
 
 
 class OrbitProblem:
-    """A scene's equations for any setting, with tables of the configurations visited.
+    """The equations of a scene at any operating point, with a cache of the contact configurations.
 
-    `scene`: with a shaker and a test that gives a level. Raises `SceneError` if the scene has no excitation.
+    The scene requires a shaker and a test that gives a level; otherwise `SceneError` is raised.
     """
 
     def __init__(self, scene: Scene) -> None:
         self.scene = with_ideal_force(scene)
         self.system = assemble(self.scene)
         self.level = level_of(self.scene)
-        self._position = self.system.damper_coordinate.astype(np.int64)
+        self._body_coordinate = self.system.damper_coordinate.astype(np.int64)
         self._bed = self.system.bed.astype(np.int64)
-        self._linear: dict[tuple[tuple[int, ...], float], _Linear] = {}
-        self._of_masses: dict[float, HybridSystem] = {}
+        self._matrices: dict[tuple[tuple[int, ...], float], _ConfigurationMatrices] = {}
+        self._systems: dict[float, HybridSystem] = {}
 
-    def changed(self, setting: OperatingPoint) -> HybridSystem:
-        """Return the compiled scene with the setting's clearance and mass ratio."""
-        system = self._of_mass(setting.mass_ratio)
+    def varied_system(self, setting: OperatingPoint) -> HybridSystem:
+        """Return the system with the clearance and mass ratio of a setting."""
+        system = self._system_at(setting.mass_ratio)
         if np.isnan(setting.clearance):
             return system
         return replace(system, clearance=np.full(system.dampers, setting.clearance))
 
-    def _of_mass(self, ratio: float) -> HybridSystem:
-        """Return the compiled scene with a factor on the damper masses."""
+    def _system_at(self, ratio: float) -> HybridSystem:
+        """Return the system with a factor on the damper masses."""
         if ratio == 1.0:
             return self.system
-        if ratio not in self._of_masses:
-            if len(self._of_masses) > KEPT:
-                self._of_masses.clear()
-            self._of_masses[ratio] = self._assembled(ratio)
-        return self._of_masses[ratio]
+        if ratio not in self._systems:
+            if len(self._systems) > MAX_CACHED:
+                self._systems.clear()
+            self._systems[ratio] = self._assemble(ratio)
+        return self._systems[ratio]
 
-    def _assembled(self, ratio: float) -> HybridSystem:
+    def _assemble(self, ratio: float) -> HybridSystem:
         if not self.system.lasting.any():
             return replace(self.system, damper_mass=ratio * self.system.damper_mass)
-        # A bed with its own coordinate is part of the mass matrix; a contact duration determines the wall parameters.
+        # A bed with its own coordinate is part of the mass matrix, and its contact duration determines the wall
+        # stiffness and damping.
         dampers = [
             damper.replace(mass=ratio * damper.mass)
             if damper.mass is not None
@@ -147,53 +148,55 @@ class OrbitProblem:
 
     def amplitudes(self, setting: OperatingPoint) -> NDArray[np.complex128]:
         """Return the complex amplitude of each input for a sine with zero phase at t = 0."""
-        found = np.zeros(len(self.system.inputs), dtype=np.complex128)
+        amplitudes = np.zeros(len(self.system.inputs), dtype=np.complex128)
         gain = drive_per_level(self.scene, self.system, 2 * np.pi * setting.frequency)
-        found[self.system.inputs.index(self.scene.at_driven("shaker"))] = -1j * setting.force * gain
-        return found
+        amplitudes[self.system.inputs.index(self.scene.at_driven("shaker"))] = -1j * setting.force * gain
+        return amplitudes
 
     def equations(
         self, setting: OperatingPoint, plan: Plan, parameter: Parameter = "frequency"
     ) -> tuple[Equations, Change]:
         """Return the equations of motion in a plan's configurations, and their derivatives."""
-        system, ratio = self.changed(setting), setting.mass_ratio
+        system, ratio = self.varied_system(setting), setting.mass_ratio
         nq, n, omega = system.coordinates, system.states, 2 * np.pi * setting.frequency
         amplitudes = self.amplitudes(setting)
         drive = np.column_stack([amplitudes.real, -amplitudes.imag])
         drive_change = self._drive_change(setting, parameter, drive)
-        linear = self._configurations(plan.configurations, ratio)
+        matrices = self._configurations(plan.configurations, ratio)
         generator, change = np.zeros((2, len(plan.configurations), n + 3, n + 3))
-        generator[:, :n, :n] = linear.matrix
-        generator[:, :n, n : n + 2] = linear.inflow[:, :, :-1] @ drive
+        generator[:, :n, :n] = matrices.state_matrix
+        generator[:, :n, n : n + 2] = matrices.input_matrix[:, :, :-1] @ drive
         pressable = system.lasting & np.isfinite(system.clearance)
-        generator[:, :n, n + 2] = linear.inflow[:, :, -1]
-        generator[:, nq : 2 * nq, n + 2] += linear.raised[:, :, pressable] @ system.clearance[pressable]
+        generator[:, :n, n + 2] = matrices.input_matrix[:, :, -1]
+        generator[:, nq : 2 * nq, n + 2] += (
+            matrices.clearance_input[:, :, pressable] @ system.clearance[pressable]
+        )
         generator[:, n, n + 1], generator[:, n + 1, n] = -omega, omega
-        inverse_change = np.zeros_like(linear.inverse)
+        inverse_mass_change = np.zeros_like(matrices.inverse_mass)
         if parameter == "frequency":
             change[:, n, n + 1], change[:, n + 1, n] = -2 * np.pi, 2 * np.pi
         if drive_change is not None:
-            change[:, :n, n : n + 2] = linear.inflow[:, :, :-1] @ drive_change
+            change[:, :n, n : n + 2] = matrices.input_matrix[:, :, :-1] @ drive_change
         if parameter == "mass_ratio":
-            change[:, :n, :n] = linear.matrix_change
-            change[:, :n, n : n + 2] = linear.inflow_change[:, :, :-1] @ drive
-            change[:, :n, n + 2] = linear.inflow_change[:, :, -1]
+            change[:, :n, :n] = matrices.state_matrix_change
+            change[:, :n, n : n + 2] = matrices.input_matrix_change[:, :, :-1] @ drive
+            change[:, :n, n + 2] = matrices.input_matrix_change[:, :, -1]
             change[:, nq : 2 * nq, n + 2] += (
-                linear.raised_change[:, :, pressable] @ system.clearance[pressable]
+                matrices.clearance_input_change[:, :, pressable] @ system.clearance[pressable]
             )
-            inverse_change = linear.inverse_change
+            inverse_mass_change = matrices.inverse_mass_change
         if parameter == "clearance":
-            change[:, nq : 2 * nq, n + 2] = linear.raised.sum(axis=2)
-        nothing, walls = np.zeros(system.dampers), np.zeros((system.dampers, 2))
+            change[:, nq : 2 * nq, n + 2] = matrices.clearance_input.sum(axis=2)
+        zeros, walls = np.zeros(system.dampers), np.zeros((system.dampers, 2))
         stiffness_change, damping_change = (
             self._wall_changes(ratio) if parameter == "mass_ratio" else (walls, walls)
         )
         period = plan.repetition / setting.frequency
         return Equations(
             generator=generator,
-            rate=np.maximum(linear.rate, omega),
-            inverse_mass=linear.inverse,
-            position=self._position,
+            rate=np.maximum(matrices.rate, omega),
+            inverse_mass=matrices.inverse_mass,
+            body_coordinate=self._body_coordinate,
             mass=system.damper_mass,
             clearance=system.clearance,
             restitution=system.restitution,
@@ -205,9 +208,9 @@ class OrbitProblem:
             period=period,
         ), Change(
             generator=change,
-            inverse_mass=inverse_change,
-            mass=self.system.damper_mass if parameter == "mass_ratio" else nothing,
-            clearance=np.ones(system.dampers) if parameter == "clearance" else nothing,
+            inverse_mass=inverse_mass_change,
+            mass=self.system.damper_mass if parameter == "mass_ratio" else zeros,
+            clearance=np.ones(system.dampers) if parameter == "clearance" else zeros,
             stiffness=stiffness_change,
             damping=damping_change,
             omega=2 * np.pi if parameter == "frequency" else 0.0,
@@ -215,75 +218,83 @@ class OrbitProblem:
         )
 
     def _drive_change(self, setting: OperatingPoint, parameter: Parameter, drive: Array) -> Array | None:
-        """Differentiate the drive's amplitudes (cosine, sine); None if they do not depend on the parameter."""
+        """Differentiate the drive amplitudes (cosine, sine); return None if they do not depend on the parameter."""
         if parameter == "force":
             return np.asarray(drive / setting.force)
         if parameter != "frequency" or isinstance(self.scene.driven_shaker, ForceShaker):
             return None
-        # The servo input is a smooth function of frequency: differences are accurate to about 1e-10.
-        step = _ASIDE * setting.frequency
-        sides = (replace(setting, frequency=setting.frequency + sign * step) for sign in (1, -1))
-        above, below = (self.amplitudes(side) for side in sides)
+        # The servo input is a smooth function of frequency: finite differences are accurate to about 1e-10.
+        step = RELATIVE_STEP * setting.frequency
+        above, below = (
+            self.amplitudes(replace(setting, frequency=setting.frequency + sign * step)) for sign in (1, -1)
+        )
         slope = (above - below) / (2 * step)
         return np.column_stack([slope.real, -slope.imag])
 
-    def _configurations(self, configurations: tuple[int, ...], mass_ratio: float) -> _Linear:
+    def _configurations(self, configurations: tuple[int, ...], mass_ratio: float) -> _ConfigurationMatrices:
         """Return the stacked equations of configurations (bit j set: damper j rides)."""
         key = (configurations, mass_ratio)
-        if key not in self._linear and len(configurations) == 1:
-            self._linear[key] = self._configuration(configurations[0], mass_ratio)
-        elif key not in self._linear:
+        if key not in self._matrices and len(configurations) == 1:
+            self._matrices[key] = self._configuration(configurations[0], mass_ratio)
+        elif key not in self._matrices:
             # During continuation in mass ratio every step has a new value: limit the size of the cache.
-            if len(self._linear) > KEPT:
-                self._linear.clear()
-            each = [self._configurations((one,), mass_ratio) for one in configurations]
-            self._linear[key] = _Linear(*(np.concatenate(parts) for parts in zip(*each, strict=True)))
-        return self._linear[key]
+            if len(self._matrices) > MAX_CACHED:
+                self._matrices.clear()
+            single = [self._configurations((configuration,), mass_ratio) for configuration in configurations]
+            fields = zip(*single, strict=True)
+            self._matrices[key] = _ConfigurationMatrices(*(np.concatenate(field) for field in fields))
+        return self._matrices[key]
 
-    def _configuration(self, configuration: int, mass_ratio: float) -> _Linear:
-        system = self._of_mass(mass_ratio)
+    def _configuration(self, configuration: int, mass_ratio: float) -> _ConfigurationMatrices:
+        system = self._system_at(mass_ratio)
         nq, n = system.coordinates, system.states
-        mass, constant = _loaded(system, configuration)
+        mass, constant = _riding_mass_and_forces(system, configuration)
         # The matrices are linear in the factor: any two values determine the slope.
-        heavy, light = (_loaded(self._of_mass(side * mass_ratio), configuration) for side in (1.5, 0.5))
+        heavier, lighter = (self._system_at(factor * mass_ratio) for factor in (1.5, 0.5))
         mass_change, constant_change = (
-            (more - less) / mass_ratio for more, less in zip(heavy, light, strict=True)
+            (above - below) / mass_ratio
+            for above, below in zip(
+                _riding_mass_and_forces(heavier, configuration),
+                _riding_mass_and_forces(lighter, configuration),
+                strict=True,
+            )
         )
-        inverse = np.asarray(np.linalg.inv(mass), dtype=np.float64)
-        inverse_change = -inverse @ mass_change @ inverse
-        walls, raised = _pressed(system, configuration)
+        inverse_mass = np.asarray(np.linalg.inv(mass), dtype=np.float64)
+        inverse_mass_change = -inverse_mass @ mass_change @ inverse_mass
+        walls, clearance_force = _finite_contact_forces(system, configuration)
         stiffness_change, damping_change = self._wall_changes(mass_ratio)
         changes = replace(system, wall_stiffness=stiffness_change, wall_damping=damping_change)
-        walls_change, raised_change = _pressed(changes, configuration)
+        walls_change, clearance_force_change = _finite_contact_forces(changes, configuration)
         force = system.force_state + walls
-        matrix, inflow = np.zeros((n, n)), np.zeros((n, len(system.inputs) + 1))
-        matrix_change, inflow_change = np.zeros_like(matrix), np.zeros_like(inflow)
-        matrix[:nq, nq : 2 * nq] = np.eye(nq)
-        matrix[nq : 2 * nq] = inverse @ force
-        matrix[2 * nq :] = system.rate_state
-        inflow[nq : 2 * nq, :-1] = inverse @ system.force_drive
-        inflow[2 * nq :, :-1] = system.rate_drive
-        inflow[nq : 2 * nq, -1] = inverse @ constant
-        matrix_change[nq : 2 * nq] = inverse_change @ force + inverse @ walls_change
-        inflow_change[nq : 2 * nq, :-1] = inverse_change @ system.force_drive
-        inflow_change[nq : 2 * nq, -1] = inverse_change @ constant + inverse @ constant_change
-        rate = np.array(float(np.linalg.norm(matrix_balance(matrix, permute=False)[0], 1)))
+        state_matrix, input_matrix = np.zeros((n, n)), np.zeros((n, len(system.inputs) + 1))
+        state_matrix_change, input_matrix_change = np.zeros_like(state_matrix), np.zeros_like(input_matrix)
+        state_matrix[:nq, nq : 2 * nq] = np.eye(nq)
+        state_matrix[nq : 2 * nq] = inverse_mass @ force
+        state_matrix[2 * nq :] = system.rate_state
+        input_matrix[nq : 2 * nq, :-1] = inverse_mass @ system.force_drive
+        input_matrix[2 * nq :, :-1] = system.rate_drive
+        input_matrix[nq : 2 * nq, -1] = inverse_mass @ constant
+        state_matrix_change[nq : 2 * nq] = inverse_mass_change @ force + inverse_mass @ walls_change
+        input_matrix_change[nq : 2 * nq, :-1] = inverse_mass_change @ system.force_drive
+        input_matrix_change[nq : 2 * nq, -1] = inverse_mass_change @ constant + inverse_mass @ constant_change
+        rate = np.array(float(np.linalg.norm(matrix_balance(state_matrix, permute=False)[0], 1)))
         parts = (
-            matrix, inflow, inverse, inverse @ raised, rate,
-            matrix_change, inflow_change, inverse_change, inverse_change @ raised + inverse @ raised_change,
+            state_matrix, input_matrix, inverse_mass, inverse_mass @ clearance_force, rate,
+            state_matrix_change, input_matrix_change, inverse_mass_change,
+            inverse_mass_change @ clearance_force + inverse_mass @ clearance_force_change,
         )  # fmt: skip
-        return _Linear(*(part[None] for part in parts))
+        return _ConfigurationMatrices(*(part[None] for part in parts))
 
     def _wall_changes(self, mass_ratio: float) -> tuple[Array, Array]:
-        """Differentiate wall stiffness and damping, which a given contact duration makes dependent on mass."""
+        """Differentiate wall stiffness and damping by the mass ratio, which matters for a given contact duration."""
         if not self.system.lasting.any():
             return np.zeros((self.system.dampers, 2)), np.zeros((self.system.dampers, 2))
-        # The functions are smooth: differences are accurate to about 1e-10.
-        more, less = (self._of_mass(side * mass_ratio) for side in (1.0 + _ASIDE, 1.0 - _ASIDE))
-        step = 2.0 * _ASIDE * mass_ratio
+        # The functions are smooth: finite differences are accurate to about 1e-10.
+        above, below = (self._system_at((1.0 + sign * RELATIVE_STEP) * mass_ratio) for sign in (1, -1))
+        step = 2.0 * RELATIVE_STEP * mass_ratio
         return (
-            np.asarray((more.wall_stiffness - less.wall_stiffness) / step),
-            np.asarray((more.wall_damping - less.wall_damping) / step),
+            np.asarray((above.wall_stiffness - below.wall_stiffness) / step),
+            np.asarray((above.wall_damping - below.wall_damping) / step),
         )
 
     def setting(self, frequency: float) -> OperatingPoint:
@@ -296,7 +307,7 @@ def vary(setting: OperatingPoint, parameter: Parameter) -> Callable[[float], Ope
     return lambda value: replace(setting, **{parameter: value})
 
 
-def _loaded(system: HybridSystem, configuration: int) -> tuple[Array, Array]:
+def _riding_mass_and_forces(system: HybridSystem, configuration: int) -> tuple[Array, Array]:
     """Return the mass matrix with the riding dampers of a configuration, and constant forces with their weight."""
     riding = np.array(
         [j for j in range(system.dampers) if configuration >> j & 1 and not system.lasting[j]], dtype=np.intp
@@ -307,9 +318,10 @@ def _loaded(system: HybridSystem, configuration: int) -> tuple[Array, Array]:
     return system.mass + added, system.force_constant - system.gravity * added.sum(axis=0)
 
 
-def _pressed(system: HybridSystem, configuration: int) -> tuple[Array, Array]:
+def _finite_contact_forces(system: HybridSystem, configuration: int) -> tuple[Array, Array]:
     """Return the forces of finite-duration contacts: rows for the state, and derivatives by clearance."""
     force, constant = replace(system, clearance=np.ones(system.dampers)).contact_forces(configuration)
-    raised, lasting = np.zeros((system.coordinates, system.dampers)), np.flatnonzero(system.lasting)
-    raised[system.bed[lasting], lasting] = constant[system.bed[lasting]]
-    return force, raised
+    clearance_force = np.zeros((system.coordinates, system.dampers))
+    lasting = np.flatnonzero(system.lasting)
+    clearance_force[system.bed[lasting], lasting] = constant[system.bed[lasting]]
+    return force, clearance_force

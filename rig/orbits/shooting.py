@@ -17,18 +17,20 @@ import numpy as np
 
 from rig.arrays import Array
 from rig.numerics.jit import stored
-from rig.orbits.matrix_exponential import drift, exponential
+from rig.orbits.matrix_exponential import exponential, exponential_derivative
 from rig.orbits.orbit_equations import (
     CEILING,
     CEILING_BOUNCE,
     FLOOR_BOUNCE,
+    FLYING,
     ON_CEILING,
     PRESS_CEILING,
     RELEASE,
+    RIDES_CEILING,
     SEPARATION,
     TOUCH_CEILING,
     TOUCH_FLOOR,
-    WITH_LAST,
+    WITH_PREVIOUS,
     Change,
     Equations,
     Sequence,
@@ -43,12 +45,12 @@ class Shot(NamedTuple):
     jacobian: Array
     """Derivatives of the residual; the last column is for the parameter; shape (unknowns, unknowns + 1)."""
     states: Array
-    """State, heights and velocities at the start of each stretch; shape (events + 1, states + 2 dampers)."""
+    """State, heights and velocities at the start of each segment; shape (events + 1, states + 2 dampers)."""
     closing: Array
     """Closing speed of each impact [m/s]; shape (events,)."""
 
 
-class Course(NamedTuple):
+class MotionState(NamedTuple):
     """Motion at the current instant, with derivatives by the unknowns and, in the last column, the parameter."""
 
     x: Array
@@ -56,120 +58,123 @@ class Course(NamedTuple):
     height: Array
     speed: Array
     """height, speed: of the dampers; shape (dampers,)."""
-    of_x: Array
+    dx: Array
     """shape (states, unknowns + 1)."""
-    of_height: Array
-    of_speed: Array
-    """of_height, of_speed: shape (dampers, unknowns + 1)."""
+    dheight: Array
+    dspeed: Array
+    """dheight, dspeed: shape (dampers, unknowns + 1)."""
 
 
 @stored
-def _start(sequence: Sequence, unknowns: Array, states: int) -> tuple[Course, int]:
+def _start(sequence: Sequence, unknowns: Array, states: int) -> tuple[MotionState, int]:
     """Return the motion at t = 0, and the index of the first instant among the unknowns."""
     dampers, size = sequence.wall.shape[1], unknowns.shape[0]
-    course = Course(
+    motion = MotionState(
         np.zeros(states + 3), np.zeros(dampers), np.zeros(dampers),
         np.zeros((states, size + 1)), np.zeros((dampers, size + 1)), np.zeros((dampers, size + 1)),
     )  # fmt: skip
-    course.x[:states] = unknowns[:states]
-    course.x[states], course.x[states + 2] = 1.0, 1.0
+    motion.x[:states] = unknowns[:states]
+    motion.x[states], motion.x[states + 2] = 1.0, 1.0
     for i in range(states):
-        course.of_x[i, i] = 1.0
-    at = states
+        motion.dx[i, i] = 1.0
+    index = states
     for j in range(dampers):
-        if sequence.wall[0, j] == 0:
-            course.height[j], course.speed[j] = unknowns[at], unknowns[at + 1]
-            course.of_height[j, at] = 1.0
-            course.of_speed[j, at + 1] = 1.0
-            at += 2
-    return course, at
+        if sequence.wall[0, j] == FLYING:
+            motion.height[j], motion.speed[j] = unknowns[index], unknowns[index + 1]
+            motion.dheight[j, index] = 1.0
+            motion.dspeed[j, index + 1] = 1.0
+            index += 2
+    return motion, index
 
 
 @stored
 def _propagate(
-    equations: Equations, change: Change, slot: int, course: Course, time: float, end: float, last: int, column: int,
-    moved: float,
+    equations: Equations, change: Change, config: int, motion: MotionState, time: float, end: float,
+    start_col: int, end_col: int, dend: float,
 ) -> None:  # fmt: skip
     """Propagate the motion between two instants: x -> exp(A (t1 - t0)) x, dampers fall freely.
 
-    `last` is the column of the instant at the start of the stretch, negative for t = 0, which is not an unknown.
-    `column` is the column of the instant at its end, whose derivative by this unknown is `moved`.
+    `start_col` is the column of the instant at the start of the segment, negative for t = 0, which is not an
+    unknown. `end_col` is the column of the unknown that determines the end of the segment. `dend` is the
+    derivative of the end with respect to it.
     """
-    n, size, length = course.of_x.shape[0], course.of_x.shape[1] - 1, end - time
-    x, sx, a = course.x, course.of_x, equations.generator[slot]
-    begun, turn = x.copy(), np.zeros(n + 3)
-    flow = exponential(a, length, equations.rate[slot])
-    x[:] = flow @ begun
-    turn[:n] = sx[:, size]
-    turn[n], turn[n + 1] = -time * change.omega * begun[n + 1], time * change.omega * begun[n]
+    n, size, duration = motion.dx.shape[0], motion.dx.shape[1] - 1, end - time
+    x, sx, a = motion.x, motion.dx, equations.generator[config]
+    initial, dinitial = x.copy(), np.zeros(n + 3)
+    flow = exponential(a, duration, equations.rate[config])
+    x[:] = flow @ initial
+    dinitial[:n] = sx[:, size]
+    dinitial[n], dinitial[n + 1] = -time * change.omega * initial[n + 1], time * change.omega * initial[n]
     sx[:] = np.ascontiguousarray(flow[:n, :n]) @ sx
-    sx[:, size] = drift(a, change.generator[slot], begun, turn, length, equations.rate[slot])[:n]
+    sx[:, size] = exponential_derivative(
+        a, change.generator[config], initial, dinitial, duration, equations.rate[config]
+    )[:n]
     for i in range(n):
         rate = 0.0
         for m in range(n + 3):
             rate += a[i, m] * x[m]
-        sx[i, column] += moved * rate
-        if last >= 0:
-            turned = equations.omega * (flow[i, n + 1] * begun[n] - flow[i, n] * begun[n + 1])
-            sx[i, last] += turned - rate
-    for j in range(course.height.shape[0]):
-        course.height[j] += (course.speed[j] - 0.5 * equations.gravity * length) * length
-        course.speed[j] -= equations.gravity * length
+        sx[i, end_col] += dend * rate
+        if start_col >= 0:
+            drive_rate = equations.omega * (flow[i, n + 1] * initial[n] - flow[i, n] * initial[n + 1])
+            sx[i, start_col] += drive_rate - rate
+    for j in range(motion.height.shape[0]):
+        motion.height[j] += (motion.speed[j] - 0.5 * equations.gravity * duration) * duration
+        motion.speed[j] -= equations.gravity * duration
         for c in range(size + 1):
-            course.of_height[j, c] += length * course.of_speed[j, c]
-        course.of_height[j, column] += moved * course.speed[j]
-        course.of_speed[j, column] -= moved * equations.gravity
-        if last >= 0:
-            course.of_height[j, last] -= course.speed[j]
-            course.of_speed[j, last] += equations.gravity
+            motion.dheight[j, c] += duration * motion.dspeed[j, c]
+        motion.dheight[j, end_col] += dend * motion.speed[j]
+        motion.dspeed[j, end_col] -= dend * equations.gravity
+        if start_col >= 0:
+            motion.dheight[j, start_col] -= motion.speed[j]
+            motion.dspeed[j, start_col] += equations.gravity
 
 
 @stored
-def _weightless(
+def _contact_force_condition(
     equations: Equations,
     change: Change,
-    slot: int,
+    config: int,
     body: int,
-    course: Course,
+    motion: MotionState,
     time: float,
     row: int,
     jacobian: Array,
 ) -> float:
     """Return body acceleration plus gravity, zero at zero contact force, and write its derivatives into a row."""
-    n, size, x, sx = course.of_x.shape[0], course.of_x.shape[1] - 1, course.x, course.of_x
-    place = equations.inverse_mass.shape[1] + body
-    force, residual = equations.generator[slot, place], equations.gravity
+    n, size, x, sx = motion.dx.shape[0], motion.dx.shape[1] - 1, motion.x, motion.dx
+    acc_row = equations.inverse_mass.shape[1] + body
+    force, residual = equations.generator[config, acc_row], equations.gravity
     for m in range(n + 3):
         residual += force[m] * x[m]
-        jacobian[row, size] += change.generator[slot, place, m] * x[m]
+        jacobian[row, size] += change.generator[config, acc_row, m] * x[m]
     for c in range(size + 1):
         for m in range(n):
             jacobian[row, c] += force[m] * sx[m, c]
-    tilt = force[n + 1] * x[n] - force[n] * x[n + 1]
-    jacobian[row, row] += equations.omega * tilt
-    jacobian[row, size] += time * change.omega * tilt
+    drive_rate = force[n + 1] * x[n] - force[n] * x[n + 1]
+    jacobian[row, row] += equations.omega * drive_rate
+    jacobian[row, size] += time * change.omega * drive_rate
     return residual
 
 
 @stored
-def _leave(equations: Equations, change: Change, wall: int, j: int, course: Course) -> None:
+def _separate(equations: Equations, change: Change, wall: int, j: int, motion: MotionState) -> None:
     """Set height and velocity of damper j at separation to those of its wall."""
-    body, nq = equations.position[j], equations.inverse_mass.shape[1]
-    course.height[j], course.speed[j] = course.x[body], course.x[nq + body]
-    course.of_height[j], course.of_speed[j] = course.of_x[body], course.of_x[nq + body]
-    if wall == 2:
-        course.height[j] += equations.clearance[j]
-        course.of_height[j, course.of_x.shape[1] - 1] += change.clearance[j]
+    body, nq = equations.body_coordinate[j], equations.inverse_mass.shape[1]
+    motion.height[j], motion.speed[j] = motion.x[body], motion.x[nq + body]
+    motion.dheight[j], motion.dspeed[j] = motion.dx[body], motion.dx[nq + body]
+    if wall == RIDES_CEILING:
+        motion.height[j] += equations.clearance[j]
+        motion.dheight[j, motion.dx.shape[1] - 1] += change.clearance[j]
 
 
 @stored
-def _hit(
+def _apply_impact(
     equations: Equations,
     change: Change,
-    slot: int,
+    config: int,
     kind: int,
     j: int,
-    course: Course,
+    motion: MotionState,
     row: int,
     jacobian: Array,
 ) -> tuple[float, float]:
@@ -177,40 +182,40 @@ def _hit(
 
     The impulse is (1 + e) v_rel / (1 / m_d + e_b M^-1 e_b) with restitution e, zero unless it bounces.
     """
-    body, nq, size = equations.position[j], equations.inverse_mass.shape[1], course.of_x.shape[1] - 1
-    x, sx, sh, sv = course.x, course.of_x, course.of_height, course.of_speed
-    offset, raised = 0.0, 0.0
+    body, nq, size = equations.body_coordinate[j], equations.inverse_mass.shape[1], motion.dx.shape[1] - 1
+    x, sx, sh, sv = motion.x, motion.dx, motion.dheight, motion.dspeed
+    offset, offset_derivative = 0.0, 0.0
     if kind in (CEILING, CEILING_BOUNCE):
-        offset, raised = equations.clearance[j], change.clearance[j]
-    gap = course.height[j] - x[body] - offset
+        offset, offset_derivative = equations.clearance[j], change.clearance[j]
+    gap = motion.height[j] - x[body] - offset
     rebound = 1.0
     if kind in (FLOOR_BOUNCE, CEILING_BOUNCE):
         rebound += equations.restitution[j]
-    inverse, inverse_change = equations.inverse_mass[slot], change.inverse_mass[slot]
-    share = rebound / (1.0 / equations.mass[j] + inverse[body, body])
-    thinner = change.mass[j] / equations.mass[j] ** 2
-    share_change = share * share / rebound * (thinner - inverse_change[body, body])
-    relative = course.speed[j] - x[nq + body]
+    inverse, inverse_change = equations.inverse_mass[config], change.inverse_mass[config]
+    gain = rebound / (1.0 / equations.mass[j] + inverse[body, body])
+    lightening = change.mass[j] / equations.mass[j] ** 2
+    gain_derivative = gain * gain / rebound * (lightening - inverse_change[body, body])
+    relative_speed = motion.speed[j] - x[nq + body]
     for c in range(size + 1):
         jacobian[row, c] = sh[j, c] - sx[body, c]
-        opened = sv[j, c] - sx[nq + body, c]
-        impulse = share * opened
+        relative_speed_derivative = sv[j, c] - sx[nq + body, c]
+        impulse = gain * relative_speed_derivative
         if c == size:
-            jacobian[row, c] -= raised
-            impulse += share_change * relative
+            jacobian[row, c] -= offset_derivative
+            impulse += gain_derivative * relative_speed
             for i in range(nq):
-                sx[nq + i, c] += inverse_change[i, body] * share * relative
-            sv[j, c] += share * relative * thinner
+                sx[nq + i, c] += inverse_change[i, body] * gain * relative_speed
+            sv[j, c] += gain * relative_speed * lightening
         for i in range(nq):
             sx[nq + i, c] += inverse[i, body] * impulse
         sv[j, c] -= impulse / equations.mass[j]
         sh[j, c] = sx[body, c]
-    course.height[j] = x[body] + offset
-    sh[j, size] += raised
+    motion.height[j] = x[body] + offset
+    sh[j, size] += offset_derivative
     for i in range(nq):
-        x[nq + i] += inverse[i, body] * share * relative
-    course.speed[j] -= share / equations.mass[j] * relative
-    return gap, relative if offset > 0.0 else -relative
+        x[nq + i] += inverse[i, body] * gain * relative_speed
+    motion.speed[j] -= gain / equations.mass[j] * relative_speed
+    return gap, relative_speed if offset > 0.0 else -relative_speed
 
 
 @stored
@@ -220,7 +225,7 @@ def _change_force(
     kind: int,
     wall: int,
     j: int,
-    course: Course,
+    motion: MotionState,
     row: int,
     jacobian: Array,
 ) -> tuple[float, float]:
@@ -229,41 +234,43 @@ def _change_force(
     The condition of a touch is z - o = 0, with gap z and wall position o. The wall's force is zero at
     z - o + (c / k) z' = 0.
     """
-    size, bed = course.of_x.shape[1] - 1, equations.bed[j]
-    place = equations.inverse_mass.shape[1] + bed
+    size, bed = motion.dx.shape[1] - 1, equations.bed[j]
+    speed_index = equations.inverse_mass.shape[1] + bed
     ceiling = kind in (TOUCH_CEILING, PRESS_CEILING) or (kind == RELEASE and wall == ON_CEILING)
-    at = 1 if ceiling else 0
-    speed, lag = course.x[place], 0.0
-    residual = course.x[bed]
+    wall_index = 1 if ceiling else 0
+    speed, decay_time = motion.x[speed_index], 0.0
+    residual = motion.x[bed]
     if kind not in (TOUCH_FLOOR, TOUCH_CEILING):
-        lag = equations.damping[j, at] / equations.stiffness[j, at]
-        thicker = change.damping[j, at] - lag * change.stiffness[j, at]
-        jacobian[row, size] += speed * thicker / equations.stiffness[j, at]
+        decay_time = equations.damping[j, wall_index] / equations.stiffness[j, wall_index]
+        damping_derivative = change.damping[j, wall_index] - decay_time * change.stiffness[j, wall_index]
+        jacobian[row, size] += speed * damping_derivative / equations.stiffness[j, wall_index]
     if ceiling:
         residual -= equations.clearance[j]
         jacobian[row, size] -= change.clearance[j]
     for c in range(size + 1):
-        jacobian[row, c] += course.of_x[bed, c] + lag * course.of_x[place, c]
+        jacobian[row, c] += motion.dx[bed, c] + decay_time * motion.dx[speed_index, c]
     closing = speed if ceiling else -speed
-    return residual + lag * speed, 0.0 if kind == RELEASE else max(closing, 0.0)
+    return residual + decay_time * speed, 0.0 if kind == RELEASE else max(closing, 0.0)
 
 
 @stored
-def _return(sequence: Sequence, unknowns: Array, course: Course, residual: Array, jacobian: Array) -> None:
+def _write_periodicity(
+    sequence: Sequence, unknowns: Array, motion: MotionState, residual: Array, jacobian: Array
+) -> None:
     """Write the rows of periodicity, for the state and for dampers in flight at the start."""
-    at = course.of_x.shape[0]
-    for i in range(at):
-        residual[i] = course.x[i] - unknowns[i]
-        jacobian[i] = course.of_x[i]
+    index = motion.dx.shape[0]
+    for i in range(index):
+        residual[i] = motion.x[i] - unknowns[i]
+        jacobian[i] = motion.dx[i]
         jacobian[i, i] -= 1.0
-    for j in range(course.height.shape[0]):
-        if sequence.wall[0, j] == 0:
-            residual[at] = course.height[j] - unknowns[at]
-            residual[at + 1] = course.speed[j] - unknowns[at + 1]
-            jacobian[at], jacobian[at + 1] = course.of_height[j], course.of_speed[j]
-            jacobian[at, at] -= 1.0
-            jacobian[at + 1, at + 1] -= 1.0
-            at += 2
+    for j in range(motion.height.shape[0]):
+        if sequence.wall[0, j] == FLYING:
+            residual[index] = motion.height[j] - unknowns[index]
+            residual[index + 1] = motion.speed[j] - unknowns[index + 1]
+            jacobian[index], jacobian[index + 1] = motion.dheight[j], motion.dspeed[j]
+            jacobian[index, index] -= 1.0
+            jacobian[index + 1, index + 1] -= 1.0
+            index += 2
 
 
 @stored
@@ -273,41 +280,48 @@ def shoot(equations: Equations, change: Change, sequence: Sequence, unknowns: Ar
     `change`: derivatives with respect to the parameter; `unknowns`, shape (unknowns,): state at t = 0, height and
     velocity of each damper in flight there (in order), instants of the events [s].
     """
-    n, nd = equations.generator.shape[1] - 3, equations.position.shape[0]
+    n, nd = equations.generator.shape[1] - 3, equations.body_coordinate.shape[0]
     events, size, omega = sequence.kind.shape[0], unknowns.shape[0], equations.omega
-    course, first = _start(sequence, unknowns, n)
+    motion, first_row = _start(sequence, unknowns, n)
     residual, jacobian = np.zeros(size), np.zeros((size, size + 1))
     states, closing = np.zeros((events + 1, n + 2 * nd)), np.zeros(events)
     time = 0.0
     for k in range(events + 1):
-        states[k, :n] = course.x[:n]
-        states[k, n : n + nd] = course.height
-        states[k, n + nd :] = course.speed
-        slot, row, last = sequence.slot[k], first + k, first + k - 1 if k > 0 else -1
+        states[k, :n] = motion.x[:n]
+        states[k, n : n + nd] = motion.height
+        states[k, n + nd :] = motion.speed
+        config, row = sequence.configuration[k], first_row + k
+        previous_row = row - 1 if k > 0 else -1
         if k == events:
-            # The last stretch ends with the period, which the parameter may change.
-            _propagate(equations, change, slot, course, time, equations.period, last, size, change.period)
+            # The last segment ends with the period, which the parameter may change.
+            _propagate(
+                equations, change, config, motion, time, equations.period, previous_row, size, change.period
+            )
             break
-        end = unknowns[row]
-        _propagate(equations, change, slot, course, time, end, last, row, 1.0)
-        time = end
-        course.x[n], course.x[n + 1], course.x[n + 2] = np.cos(omega * time), np.sin(omega * time), 1.0
+        event_time = unknowns[row]
+        _propagate(equations, change, config, motion, time, event_time, previous_row, row, 1.0)
+        time = event_time
+        motion.x[n], motion.x[n + 1], motion.x[n + 2] = np.cos(omega * time), np.sin(omega * time), 1.0
         j, kind = sequence.damper[k], sequence.kind[k]
         if kind == SEPARATION:
-            body = equations.position[j]
-            residual[row] = _weightless(equations, change, slot, body, course, time, row, jacobian)
-            _leave(equations, change, sequence.wall[k, j], j, course)
-        elif kind == WITH_LAST:
+            body = equations.body_coordinate[j]
+            residual[row] = _contact_force_condition(
+                equations, change, config, body, motion, time, row, jacobian
+            )
+            _separate(equations, change, sequence.wall[k, j], j, motion)
+        elif kind == WITH_PREVIOUS:
             residual[row] = time - (unknowns[row - 1] if k > 0 else 0.0)
             jacobian[row, row] = 1.0
             if k > 0:
                 jacobian[row, row - 1] = -1.0
-            _leave(equations, change, sequence.wall[k, j], j, course)
+            _separate(equations, change, sequence.wall[k, j], j, motion)
         elif kind >= TOUCH_FLOOR:
             residual[row], closing[k] = _change_force(
-                equations, change, kind, sequence.wall[k, j], j, course, row, jacobian
+                equations, change, kind, sequence.wall[k, j], j, motion, row, jacobian
             )
         else:
-            residual[row], closing[k] = _hit(equations, change, slot, kind, j, course, row, jacobian)
-    _return(sequence, unknowns, course, residual, jacobian)
+            residual[row], closing[k] = _apply_impact(
+                equations, change, config, kind, j, motion, row, jacobian
+            )
+    _write_periodicity(sequence, unknowns, motion, residual, jacobian)
     return Shot(residual, jacobian, states, closing)

@@ -18,9 +18,9 @@ from rig.arrays import Array
 from rig.engine.propagator import Propagator
 from rig.errors import RunError, SceneError
 from rig.numerics.jit import stored
-from rig.orbits.newton import correct, distance
-from rig.orbits.orbit import Following, Orbit
-from rig.orbits.periodic_orbit import enter, period_steps, search, start_march
+from rig.orbits.newton import distance
+from rig.orbits.orbit import Orbit, OrbitFamily
+from rig.orbits.periodic_orbit import period_steps, search_orbit, set_to_orbit, start_propagator
 from rig.orbits.problem import (
     AXES,
     PARAMETERS,
@@ -47,20 +47,20 @@ if TYPE_CHECKING:
 
 
 # Largest number of halvings of the step before the branch is considered to end.
-HALVINGS = 6
+MAX_HALVINGS = 6
 # Largest number of Newton corrections after a prediction.
-CORRECTIONS = 6
-# Largest error of a prediction, relative to the step.
-MISS = 0.3
-# Largest relative change of an unknown by a prediction. Extrapolation far from closely spaced points is unreliable,
-# and propagation to instants millions of periods ahead would not finish.
-FARTHEST = 10.0
+MAX_CORRECTIONS = 6
+# Largest error of a prediction, relative to the change from the previous point.
+MAX_PREDICTION_ERROR = 0.3
+# Largest change of an unknown by a prediction, relative to the scale of the unknown. Extrapolation far from closely
+# spaced points is unreliable, and propagation to instants millions of periods ahead would not finish.
+MAX_PREDICTION_RATIO = 10.0
 # Number of points used for extrapolation.
-POINTS = 4
+EXTRAPOLATION_POINTS = 4
 # Periods of the drive after which a motion that does not repeat is classified as irregular.
-LONGEST = 1500
+MAX_PERIODS = 1500
 # Periods over which an irregular motion is averaged.
-AVERAGED = 64
+AVERAGED_PERIODS = 64
 
 
 @dataclass(frozen=True, repr=False)
@@ -198,10 +198,10 @@ def orbit_response(
     >>> response.motion_type.tolist(), bool(response.simulated.any())
     (['III', 'II', 'II'], False)
     """
-    asked = parameter_values(parameter, values)
+    points = parameter_values(parameter, values)
     problem = OrbitProblem(scene_of(scene))
-    base = problem.setting(base_frequency(parameter, frequency, float(asked[0])))
-    return sweep(problem, base, parameter, asked, progress)
+    base = problem.setting(base_frequency(parameter, frequency, float(points[0])))
+    return sweep(problem, base, parameter, points, progress)
 
 
 def sweep(
@@ -212,12 +212,12 @@ def sweep(
     progress: Callable[[int, int], None] | None = None,
 ) -> OrbitResponse:
     """Compute `orbit_response` for an existing problem."""
-    follower = _Follower(problem, base, parameter)
+    continuation = _Continuation(problem, base, parameter)
     points = []
-    for done, value in enumerate(values.tolist(), 1):
-        points.append(follower.point(value))
+    for completed, value in enumerate(values.tolist(), 1):
+        points.append(continuation.point(value))
         if progress is not None:
-            progress(done, len(values))
+            progress(completed, len(values))
     return OrbitResponse(
         parameter=parameter,
         value=values,
@@ -243,8 +243,8 @@ class _Point:
 
 
 @dataclass(frozen=True)
-class _Known:
-    """A point of the current branch: the unknowns and their derivative with respect to the parameter."""
+class _BranchPoint:
+    """A point of the current branch: unknowns and their derivative (slope) with respect to the parameter."""
 
     value: float
     unknowns: Array
@@ -253,118 +253,111 @@ class _Known:
 
 
 @stored
-def _hermite(at: Array, values: Array, slopes: Array, x: float) -> Array:
-    """Evaluate at x the Hermite polynomial through values and slopes (points, unknowns) at given points."""
-    found = np.zeros(values.shape[1])
-    for i in range(at.size):
-        basis, steepness = 1.0, 0.0
-        for k in range(at.size):
+def _hermite(nodes: Array, values: Array, slopes: Array, x: float) -> Array:
+    """Evaluate at x the Hermite polynomial through values and slopes (points, unknowns) at the nodes."""
+    result = np.zeros(values.shape[1])
+    for i in range(nodes.size):
+        basis, basis_slope = 1.0, 0.0
+        for k in range(nodes.size):
             if k != i:
-                basis *= ((x - at[k]) / (at[i] - at[k])) ** 2
-                steepness += 2 / (at[i] - at[k])
-        step = x - at[i]
-        found += basis * ((1 - steepness * step) * values[i] + step * slopes[i])
-    return found
+                basis *= ((x - nodes[k]) / (nodes[i] - nodes[k])) ** 2
+                basis_slope += 2 / (nodes[i] - nodes[k])
+        step = x - nodes[i]
+        result += basis * ((1 - basis_slope * step) * values[i] + step * slopes[i])
+    return result
 
 
-class _Follower:
+class _Continuation:
     """Continuation of the steady motion from value to value."""
 
     def __init__(self, problem: OrbitProblem, base: OperatingPoint, parameter: Parameter) -> None:
         self.problem, self.parameter = problem, parameter
-        self.at = vary(base, parameter)
-        self.following: Following | None = None
-        self.known: list[_Known] = []
+        self.setting_at = vary(base, parameter)
+        self.family: OrbitFamily | None = None
+        self.recent: list[_BranchPoint] = []
         self.snapshot: tuple[Array, ...] | None = None
 
     def point(self, value: float) -> _Point:
         """Compute the steady motion at a value, starting from the motion at the previous value."""
-        orbit = self._followed(value) if self.known else None
+        orbit = self._continue_orbit(value) if self.recent else None
         if orbit is not None:
-            return _of_orbit(orbit)
-        return self._settled(value)
+            return _orbit_point(orbit)
+        return self._settle(value)
 
-    def _followed(self, value: float) -> Orbit | None:
-        """Follow the orbit to a value; None if it ends or loses its stability before."""
+    def _continue_orbit(self, value: float) -> Orbit | None:
+        """Continue the orbit to a value; return None if it ends or loses its stability before."""
         target = value
-        for _ in range(HALVINGS):
-            there = self._step(target)
-            if there is None:
-                target = 0.5 * (self.known[-1].value + target)
+        for _ in range(MAX_HALVINGS):
+            point = self._step(target)
+            if point is None:
+                target = 0.5 * (self.recent[-1].value + target)
                 continue
-            if there.orbit.flaw or not there.orbit.stable:
+            if point.orbit.flaw or not point.orbit.stable:
                 return None
-            self.known = [*self.known[1 - POINTS :], there]
+            self.recent = [*self.recent[1 - EXTRAPOLATION_POINTS :], point]
             if target == value:
-                return there.orbit
+                return point.orbit
             target = value
         return None
 
-    def _step(self, value: float) -> _Known | None:
-        """Predict the orbit at a value and correct it; None if this diverges or reaches another orbit."""
-        following, last = self.following, self.known[-1]
-        assert following is not None
-        guess, scale = self._predicted(value), following.scale[:-1]
-        if not distance(guess, last.unknowns, scale) < FARTHEST:
+    def _step(self, value: float) -> _BranchPoint | None:
+        """Predict the orbit at a value and correct it; return None if Newton diverges or reaches another orbit."""
+        family, last = self.family, self.recent[-1]
+        assert family is not None
+        prediction, scale = self._predict(value), family.scale[:-1]
+        if not distance(prediction, last.unknowns, scale) < MAX_PREDICTION_RATIO:
             return None
-        equations, change = following.tables(value)
         try:
-            x, slope, shot, _, count = correct(
-                equations, change, following.plan.sequence, guess, scale, following.rows, CORRECTIONS
-            )
+            equations, x, slope, shot, _, corrections = family.correct(value, prediction, MAX_CORRECTIONS)
         except np.linalg.LinAlgError:
             return None
-        if count < 0 or distance(x, guess, scale) > MISS * max(distance(x, last.unknowns, scale), 0.01):
+        max_error = MAX_PREDICTION_ERROR * max(distance(x, last.unknowns, scale), 0.01)
+        if corrections < 0 or distance(x, prediction, scale) > max_error:
             return None
-        orbit = following.describe(self.at(value), x, equations, shot)
-        return _Known(value, x, slope, orbit)
+        orbit = family.make_orbit(self.setting_at(value), x, equations, shot)
+        return _BranchPoint(value, x, slope, orbit)
 
-    def _predicted(self, value: float) -> Array:
+    def _predict(self, value: float) -> Array:
         """Predict the unknowns at a value with the Hermite polynomial through the last points."""
-        at = np.array([point.value for point in self.known])
-        unknowns = np.array([point.unknowns for point in self.known])
-        return _hermite(at, unknowns, np.array([point.slope for point in self.known]), value)
+        nodes = np.array([point.value for point in self.recent])
+        unknowns = np.array([point.unknowns for point in self.recent])
+        return _hermite(nodes, unknowns, np.array([point.slope for point in self.recent]), value)
 
-    def _settled(self, value: float) -> _Point:
-        """Simulate from the previous motion until it settles to an orbit, otherwise average it."""
-        setting = self.at(value)
-        propagator, _ = start_march(self.problem, setting)
-        if self.known:
-            enter(propagator, self.known[-1].orbit)
+    def _settle(self, value: float) -> _Point:
+        """Simulate from the previous motion until it settles to an orbit; average a motion that does not settle."""
+        setting = self.setting_at(value)
+        propagator, _ = start_propagator(self.problem, setting)
+        if self.recent:
+            set_to_orbit(propagator, self.recent[-1].orbit)
         elif self.snapshot is not None:
             propagator.resume(self.snapshot)
         try:
-            orbit = search(self.problem, setting, propagator, LONGEST)
-            reason = "" if orbit.stable and not orbit.flaw else "the orbit found here is not stable"
+            orbit = search_orbit(self.problem, setting, propagator, MAX_PERIODS)
+            reason = "" if orbit.stable and not orbit.flaw else "the computed orbit is not stable"
         except RunError as failure:
             reason = str(failure)
         if reason:
-            self.known, self.snapshot = [], propagator.snapshot()
-            return _averaged(self.problem, setting, propagator, reason)
-        self.following = following = Following(
-            self.problem, orbit.plan, setting, self.parameter, orbit.unknowns
-        )
-        equations, change = following.tables(value)
-        x, slope, *_ = correct(
-            equations, change, orbit.plan.sequence, orbit.unknowns, following.scale[:-1], following.rows, 1
-        )
-        self.known = [_Known(value, x, slope, orbit)]
-        return _of_orbit(orbit)
+            self.recent, self.snapshot = [], propagator.snapshot()
+            return _average(self.problem, setting, propagator, reason)
+        self.family = family = OrbitFamily(self.problem, orbit.plan, setting, self.parameter, orbit.unknowns)
+        _, x, slope, *_ = family.correct(value, orbit.unknowns, 1)
+        self.recent = [_BranchPoint(value, x, slope, orbit)]
+        return _orbit_point(orbit)
 
 
-def _of_orbit(orbit: Orbit) -> _Point:
+def _orbit_point(orbit: Orbit) -> _Point:
     return _Point(orbit.compliance, orbit.peak, orbit.damper_motion, orbit, "")
 
 
-def _averaged(problem: OrbitProblem, setting: OperatingPoint, propagator: Propagator, reason: str) -> _Point:
+def _average(problem: OrbitProblem, setting: OperatingPoint, propagator: Propagator, reason: str) -> _Point:
     """Compute the mean response of an irregular motion."""
     bodies = problem.scene.structure.bodies
     steps = period_steps(propagator, setting)
-    trajectory, begins = one_cycle(propagator, steps, 1.0, AVERAGED)
+    trajectory, begins = one_cycle(propagator, steps, 1.0, AVERAGED_PERIODS)
     # Mean over evenly spaced instants: kinks of the velocity cause a relative error of about 1e-5.
-    mean_period = begins.reshape(AVERAGED, MARKS, -1).mean(axis=0)
-    turns: NDArray[np.complex128] = np.exp(-2j * np.pi * np.arange(MARKS) / MARKS)
-    harmonic = 2 / MARKS * (turns @ mean_period)
+    mean_period = begins.reshape(AVERAGED_PERIODS, MARKS, -1).mean(axis=0)
+    phase_factors: NDArray[np.complex128] = np.exp(-2j * np.pi * np.arange(MARKS) / MARKS)
+    harmonic = 2 / MARKS * (phase_factors @ mean_period)
     if isinstance(problem.scene.driven_shaker, ForceShaker):
         force = -1j * setting.force
     else:

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import rig
-from rig.orbits.orbit import Following
+from rig.orbits.orbit import OrbitFamily
 from rig.orbits.orbit_equations import PRESS_FLOOR
-from rig.orbits.periodic_orbit import enter, read_cycle, start_march
+from rig.orbits.periodic_orbit import set_to_orbit, simulate_cycle, start_propagator
 from rig.orbits.problem import PARAMETERS, OperatingPoint, OrbitProblem, Parameter
 from rig.scene.scene import Scene
 
@@ -24,15 +24,15 @@ def test_finite_contact_jacobian_equals_finite_differences(
     scene = fig9(**contact)
     problem, orbit = OrbitProblem(scene), rig.periodic_orbit(scene, 49.7)
     setting = OperatingPoint(49.7, problem.level, float(problem.system.clearance[0]), 1.0)
-    following = Following(problem, orbit.plan, setting, parameter, orbit.unknowns)
+    family = OrbitFamily(problem, orbit.plan, setting, parameter, orbit.unknowns)
     x = np.append(orbit.unknowns, getattr(setting, parameter))
 
-    residual, jacobian = following(x)
+    residual, jacobian = family(x)
 
     assert np.abs(residual).max() < 1e-12
-    for column, unit in enumerate(np.diag(1e-6 * following.scale)):
-        slope = (following(x + unit)[0] - following(x - unit)[0]) / 2e-6
-        np.testing.assert_allclose(jacobian[:, column] * following.scale[column], slope, atol=5e-8)
+    for column, unit in enumerate(np.diag(1e-6 * family.scale)):
+        slope = (family(x + unit)[0] - family(x - unit)[0]) / 2e-6
+        np.testing.assert_allclose(jacobian[:, column] * family.scale[column], slope, atol=5e-8)
 
 
 def test_finite_contact_sweep_equals_settled_simulation() -> None:
@@ -49,15 +49,17 @@ def test_finite_contact_sweep_equals_settled_simulation() -> None:
 
 def test_ever_shorter_contacts_tend_to_instant_contact() -> None:
     instant = rig.periodic_orbit(rig.load("fig9"), 49.7)
-    away = [
+    deviations = [
         float(
-            np.abs(rig.periodic_orbit(fig9(duration=lasts), 49.7).compliance / instant.compliance - 1).max()
+            np.abs(
+                rig.periodic_orbit(fig9(duration=duration), 49.7).compliance / instant.compliance - 1
+            ).max()
         )
-        for lasts in (1e-3, 2.5e-4, 6.25e-5)
+        for duration in (1e-3, 2.5e-4, 6.25e-5)
     ]
-    assert away[2] < 5e-3
-    assert away[1] < 0.5 * away[0]
-    assert away[2] < 0.5 * away[1]
+    assert deviations[2] < 5e-3
+    assert deviations[1] < 0.5 * deviations[0]
+    assert deviations[2] < 0.5 * deviations[1]
 
 
 @pytest.mark.parametrize(
@@ -72,9 +74,9 @@ def test_bed_pressed_again_before_separation_returns_to_orbit(
 ) -> None:
     scene = fig9(**contact).replace(test={"kind": "sine", "frequency": frequency, "force": force})
     orbit = rig.periodic_orbit(scene, frequency)
-    march, steps = start_march(OrbitProblem(scene), orbit.setting)
-    enter(march, orbit)
-    plan, unknowns = read_cycle(march, steps, orbit.repetition)
+    propagator, steps = start_propagator(OrbitProblem(scene), orbit.setting)
+    set_to_orbit(propagator, orbit)
+    plan, unknowns = simulate_cycle(propagator, steps, orbit.repetition)
     assert PRESS_FLOOR in orbit.plan.sequence.kind
     assert orbit.margin > 1e-6
     assert plan.label == orbit.plan.label

@@ -79,8 +79,8 @@ def test_zero_clearance_response_is_linear_with_damper_masses(name: str, frequen
 
     orbit = rig.periodic_orbit(tight, frequency)
 
-    every = range(1, len(scene.dampers) + 1)
-    exact = receptance(scene, [frequency], riding=every)[:, 0]
+    all_dampers = range(1, len(scene.dampers) + 1)
+    exact = receptance(scene, [frequency], riding=all_dampers)[:, 0]
     assert np.abs(orbit.compliance - exact).max() < 1e-10 * np.abs(exact).max()
     assert orbit.motion_type == "linear"
 
@@ -89,17 +89,17 @@ def test_small_clearances_tend_to_the_linear_response() -> None:
     scene = with_ideal_force(rig.load("fig9"))
     exact = receptance(scene, [49.5], riding=[1])[:, 0]
 
-    away = []
+    deviations = []
     for clearance in (1e-5, 1e-6, 1e-7):
         orbit = rig.periodic_orbit(
             scene.replace(dampers=[scene.dampers[0].replace(clearance=clearance)]), 49.5
         )
         assert orbit.motion_type == "III"
         assert orbit.residual < 1e-11
-        away.append(np.abs(orbit.compliance - exact).max() / np.abs(exact).max())
+        deviations.append(np.abs(orbit.compliance - exact).max() / np.abs(exact).max())
 
-    assert away[2] < 0.011 * away[0]
-    assert away[2] < 1e-4
+    assert deviations[2] < 0.011 * deviations[0]
+    assert deviations[2] < 1e-4
 
 
 @pytest.mark.parametrize(("name", "frequency"), [("fig9", 30.0), ("fig8-three-dampers", 40.0)])

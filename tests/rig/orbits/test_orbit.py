@@ -10,7 +10,13 @@ from rig.engine.propagator import Propagator
 from rig.errors import RunError, SceneError
 from rig.orbits.branches import OrbitCurve, follow_orbits
 from rig.orbits.orbit import Orbit
-from rig.orbits.periodic_orbit import enter, period_steps, periodic_orbit, read_cycle, start_march
+from rig.orbits.periodic_orbit import (
+    period_steps,
+    periodic_orbit,
+    set_to_orbit,
+    simulate_cycle,
+    start_propagator,
+)
 from rig.orbits.problem import OrbitProblem, Parameter
 from rig.scene.scene import Scene
 from rig.single_mode.approximate_response import Approximation, follow_mode
@@ -24,14 +30,16 @@ def fig9_curve() -> OrbitCurve:
     return follow_orbits(rig.load("fig9"), "frequency", (48.5, 51.3), searches=2)
 
 
-def on_orbit(scene: Scene, orbit: Orbit) -> tuple[Propagator, float]:
+def propagator_on_orbit(scene: Scene, orbit: Orbit) -> tuple[Propagator, float]:
     """Put the engine on an orbit."""
-    march, steps = start_march(OrbitProblem(scene), orbit.setting)
-    enter(march, orbit)
-    return march, steps
+    propagator, steps = start_propagator(OrbitProblem(scene), orbit.setting)
+    set_to_orbit(propagator, orbit)
+    return propagator, steps
 
 
-def varied(name: str, force: float, mass_ratio: float, clearance: float, restitution: float = 0.0) -> Scene:
+def scene_with(
+    name: str, force: float, mass_ratio: float, clearance: float, restitution: float = 0.0
+) -> Scene:
     """Change what the paper's scenes have in common, on a pure force."""
     scene = with_ideal_force(rig.load(name))
     changes = {"mass": None, "mass_ratio": mass_ratio, "clearance": clearance, "restitution": restitution}
@@ -39,7 +47,7 @@ def varied(name: str, force: float, mass_ratio: float, clearance: float, restitu
     return scene.replace(dampers=[d.replace(**changes) for d in scene.dampers], test=test)
 
 
-def driven_table() -> Scene:
+def driven_table_scene() -> Scene:
     """Drive the table of Fig 9 with a fixed amplitude, through its servo."""
     return rig.load("fig9").replace(
         shaker={"kind": "table", "body": 1, "spring": 6600.0},
@@ -47,45 +55,50 @@ def driven_table() -> Scene:
     )
 
 
-def landing(name: str, contact: dict[str, object], last: bool = False, **changes: float) -> Scene:
+def finite_contact_scene(
+    name: str, contact: dict[str, object], only_last: bool = False, **changes: float
+) -> Scene:
     """A bundled scene with finite-duration contact in all dampers or in the last."""
     scene = rig.load(name)
-    given = [d.replace(contact=contact, **changes) for d in scene.dampers]
-    return scene.replace(dampers=[*scene.dampers[:-1], given[-1]] if last else given)
+    dampers = [d.replace(contact=contact, **changes) for d in scene.dampers]
+    return scene.replace(dampers=[*scene.dampers[:-1], dampers[-1]] if only_last else dampers)
 
 
-def coupled(coupling: float) -> Scene:
+def coupled_scene(coupling: float) -> Scene:
     """Two dampers in a structure whose mass matrix couples their bodies."""
     mass, damping, stiffness = structure_matrices(rig.load("fig9").structure)
     mass[[0, 1, 1, 2], [1, 0, 2, 1]] = coupling
     matrices = {"mass": mass.tolist(), "stiffness": stiffness.tolist(), "damping": damping.tolist()}
     dampers = [{"body": body, "mass_ratio": 0.1, "clearance": 1e-3} for body in (1, 2)]
-    scene = varied("fig9", 10.0, 0.1, 1e-3)
+    scene = scene_with("fig9", 10.0, 0.1, 1e-3)
     return scene.replace(structure={"matrices": matrices}, dampers=dampers)
 
 
-UNLIKE = {"floor": {"stiffness": 1e5, "damping": 300.0}, "ceiling": {"stiffness": 4e4, "damping": 60.0}}
+DIFFERENT_WALLS = {
+    "floor": {"stiffness": 1e5, "damping": 300.0},
+    "ceiling": {"stiffness": 4e4, "damping": 60.0},
+}
 CASES = {
     "fig9": (rig.load("fig9"), 49.7),
     "fig9 stays": (rig.load("fig9"), 49.1),
     "fig9 rides": (rig.load("fig9"), 46.5),
     "fig8 three": (rig.load("fig8-three-dampers"), 34.5),
     "fig5 three": (rig.load("fig5-three-dampers"), 49.5),
-    "light": (varied("fig9", 5.0, 0.02, 1.6e-3), 50.0),
-    "heavy": (varied("fig9", 12.0, 0.25, 0.6e-3), 48.5),
-    "two": (varied("fig8-two-dampers", 5.0, 0.07, 1.2e-3), 48.0),
-    "rebound": (varied("fig5-single-damper", 5.0, 0.1, 1.5e-3, 0.6), 49.5),
-    "rebounds": (varied("fig5-single-damper", 20.0, 0.1, 4e-3, 0.3), 47.5),
-    "weightless": (varied("fig5-single-damper", 20.0, 0.1, 4e-3, 0.1).replace(gravity=0.0), 49.5),
-    "weightless, without rebound": (varied("fig9", 20.0, 0.1, 4e-4).replace(gravity=0.0), 49.5),
-    "table": (driven_table(), 51.0),
-    "coupled": (coupled(-0.05), 46.5),
-    "lands": (landing("fig9", {"duration": 1e-3}), 49.1),
-    "lands slowly": (landing("fig9", {"duration": 8e-3}), 49.7),
-    "lands and rebounds": (landing("fig9", {"duration": 3e-3}, restitution=0.5), 49.7),
-    "walls that differ": (landing("fig9", UNLIKE), 49.7),
-    "three land": (landing("fig8-three-dampers", {"duration": 2e-3}), 34.5),
-    "one of two lands": (landing("fig8-two-dampers", {"duration": 2e-3}, last=True), 48.0),
+    "light": (scene_with("fig9", 5.0, 0.02, 1.6e-3), 50.0),
+    "heavy": (scene_with("fig9", 12.0, 0.25, 0.6e-3), 48.5),
+    "two": (scene_with("fig8-two-dampers", 5.0, 0.07, 1.2e-3), 48.0),
+    "rebound": (scene_with("fig5-single-damper", 5.0, 0.1, 1.5e-3, 0.6), 49.5),
+    "rebounds": (scene_with("fig5-single-damper", 20.0, 0.1, 4e-3, 0.3), 47.5),
+    "weightless": (scene_with("fig5-single-damper", 20.0, 0.1, 4e-3, 0.1).replace(gravity=0.0), 49.5),
+    "weightless, without rebound": (scene_with("fig9", 20.0, 0.1, 4e-4).replace(gravity=0.0), 49.5),
+    "table": (driven_table_scene(), 51.0),
+    "coupled": (coupled_scene(-0.05), 46.5),
+    "lands": (finite_contact_scene("fig9", {"duration": 1e-3}), 49.1),
+    "lands slowly": (finite_contact_scene("fig9", {"duration": 8e-3}), 49.7),
+    "lands and rebounds": (finite_contact_scene("fig9", {"duration": 3e-3}, restitution=0.5), 49.7),
+    "walls that differ": (finite_contact_scene("fig9", DIFFERENT_WALLS), 49.7),
+    "three land": (finite_contact_scene("fig8-three-dampers", {"duration": 2e-3}), 34.5),
+    "one of two lands": (finite_contact_scene("fig8-two-dampers", {"duration": 2e-3}, only_last=True), 48.0),
 }
 each_case = pytest.mark.parametrize(("scene", "frequency"), CASES.values(), ids=CASES)
 
@@ -94,11 +107,11 @@ each_case = pytest.mark.parametrize(("scene", "frequency"), CASES.values(), ids=
 def test_engine_returns_to_the_orbit_after_a_period(scene: Scene, frequency: float) -> None:
     orbit = periodic_orbit(scene, frequency)
 
-    march, steps = on_orbit(scene, orbit)
-    plan, unknowns = read_cycle(march, steps, orbit.repetition)
+    propagator, steps = propagator_on_orbit(scene, orbit)
+    plan, unknowns = simulate_cycle(propagator, steps, orbit.repetition)
 
-    nq, ns = march.system.coordinates, march.system.states
-    end = march.state.z[:ns]
+    nq, ns = propagator.system.coordinates, propagator.system.states
+    end = propagator.state.z[:ns]
     size = np.abs(orbit.unknowns[:nq]).max()
     assert plan.label == orbit.plan.label
     assert np.abs(end[:nq] - orbit.unknowns[:nq]).max() < 1e-11 * size
@@ -123,23 +136,23 @@ def test_disturbed_orbit_responds_by_its_multipliers(scene: Scene, frequency: fl
     def after_a_period(change: np.ndarray) -> np.ndarray:
         unknowns = orbit.unknowns.copy()
         unknowns[: len(change)] += change
-        march, steps = on_orbit(scene, Orbit(**{**vars(orbit), "unknowns": unknowns}))
-        march.through_marks(
+        propagator, steps = propagator_on_orbit(scene, Orbit(**{**vars(orbit), "unknowns": unknowns}))
+        propagator.through_marks(
             np.full(orbit.repetition, steps),
             np.full(orbit.repetition, -1),
             np.ones(orbit.repetition, dtype=bool),
         )
-        flights = [[march.state.height[j], march.state.speed[j]] for j in orbit.plan.flying]
-        return np.concatenate([march.state.z[:ns], np.ravel(flights)])
+        flights = [[propagator.state.height[j], propagator.state.speed[j]] for j in orbit.plan.flying]
+        return np.concatenate([propagator.state.z[:ns], np.ravel(flights)])
 
     step = 1e-6
     columns = [(after_a_period(step * u) - after_a_period(-step * u)) / (2 * step) for u in np.diag(units)]
     measured = np.linalg.eigvals(np.array(columns).T / units[:, None])
 
     # Multipliers near by may come in another order: each is compared with its nearest.
-    away = np.abs(measured[:, None] - orbit.multipliers)
-    assert away.min(axis=0).max() < 1e-5
-    assert away.min(axis=1).max() < 1e-5
+    distance = np.abs(measured[:, None] - orbit.multipliers)
+    assert distance.min(axis=0).max() < 1e-5
+    assert distance.min(axis=1).max() < 1e-5
 
 
 def test_stable_branches_equal_steady_simulation() -> None:
@@ -161,17 +174,17 @@ def test_stable_branches_equal_steady_simulation() -> None:
 def test_fig_9_types_follow_each_other_without_gap() -> None:
     curve = fig9_curve()
 
-    spans = sorted(
+    intervals = sorted(
         (branch.value[branch.stable].min(), branch.value[branch.stable].max(), branch.motion_type)
         for branch in curve.branches
         if branch.stable.any()
     )
-    reached = 48.5
-    for low, high, _ in spans:
-        assert low < reached + 0.03
-        reached = max(reached, high)
-    assert reached == pytest.approx(51.3, abs=1e-9)
-    assert {"I", "II", "III"} <= {kind for _, _, kind in spans}
+    covered = 48.5
+    for low, high, _ in intervals:
+        assert low < covered + 0.03
+        covered = max(covered, high)
+    assert covered == pytest.approx(51.3, abs=1e-9)
+    assert {"I", "II", "III"} <= {kind for _, _, kind in intervals}
     # A missing orbit must be reported; here the motion is not periodic.
     assert all("no periodic motion found" in failure for failure in curve.failures)
 
@@ -205,28 +218,30 @@ def test_curves_over_other_parameters_share_an_orbit() -> None:
     scene = rig.load("fig9")
     orbit = periodic_orbit(scene, 49.7)
     ranges = {"force": (3.0, 3.6), "clearance": (0.95e-3, 1.0e-3), "mass_ratio": (0.95, 1.05)}
-    own = {"force": 3.3, "clearance": 0.98e-3, "mass_ratio": 1.0}
+    scene_values = {"force": 3.3, "clearance": 0.98e-3, "mass_ratio": 1.0}
     for parameter, bounds in ranges.items():
         curve = follow_orbits(scene, parameter, bounds, frequency=49.7, searches=1)
 
         branch = curve.branches[0]
         order = np.argsort(branch.value)
-        here = np.interp(own[parameter], branch.value[order], np.abs(branch.compliance[1])[order])
+        interpolated = np.interp(
+            scene_values[parameter], branch.value[order], np.abs(branch.compliance[1])[order]
+        )
         assert branch.motion_type == "II"
-        assert here == pytest.approx(abs(orbit.compliance[1]), rel=2e-3)
+        assert interpolated == pytest.approx(abs(orbit.compliance[1]), rel=2e-3)
         assert len(branch.value) > 5
 
 
-FOLLOWED: list[tuple[Scene, Parameter, tuple[float, float], float | None]] = [
-    (varied("fig9", 5.0, 0.15, 0.5e-3), "frequency", (46.0, 50.0), None),
-    (varied("fig8-two-dampers", 3.0, 0.1, np.inf), "mass_ratio", (0.2, 2.0), 48.3),
-    (varied("fig5-three-dampers", 6.0, 0.04, 1e-3), "force", (3.0, 9.0), 50.2),
-    (varied("fig8-two-dampers", 4.0, 0.05, 0.8e-3), "clearance", (0.3e-3, 1.0e-3), 48.7),
+CURVES: list[tuple[Scene, Parameter, tuple[float, float], float | None]] = [
+    (scene_with("fig9", 5.0, 0.15, 0.5e-3), "frequency", (46.0, 50.0), None),
+    (scene_with("fig8-two-dampers", 3.0, 0.1, np.inf), "mass_ratio", (0.2, 2.0), 48.3),
+    (scene_with("fig5-three-dampers", 6.0, 0.04, 1e-3), "force", (3.0, 9.0), 50.2),
+    (scene_with("fig8-two-dampers", 4.0, 0.05, 0.8e-3), "clearance", (0.3e-3, 1.0e-3), 48.7),
 ]
 
 
 @pytest.mark.parametrize(
-    ("scene", "parameter", "bounds", "frequency"), FOLLOWED, ids=[case[1] for case in FOLLOWED]
+    ("scene", "parameter", "bounds", "frequency"), CURVES, ids=[case[1] for case in CURVES]
 )
 def test_branches_end_on_borders_without_failures(
     scene: Scene, parameter: Parameter, bounds: tuple[float, float], frequency: float | None
@@ -234,14 +249,14 @@ def test_branches_end_on_borders_without_failures(
     curve = follow_orbits(scene, parameter, bounds, frequency=frequency, searches=1)
 
     # The whole range is covered by stable orbits, from border to border.
-    spans = sorted(
+    intervals = sorted(
         (b.value[b.stable].min(), b.value[b.stable].max()) for b in curve.branches if b.stable.any()
     )
-    reached = bounds[0]
-    for low, high in spans:
-        assert low < reached + 1e-3 * bounds[1]
-        reached = max(reached, high)
-    assert reached == pytest.approx(bounds[1], rel=1e-9)
+    covered = bounds[0]
+    for low, high in intervals:
+        assert low < covered + 1e-3 * bounds[1]
+        covered = max(covered, high)
+    assert covered == pytest.approx(bounds[1], rel=1e-9)
     for branch in curve.branches:
         assert all(orbit.residual < 1e-11 and not orbit.flaw for orbit in branch.orbits)
         for end, orbit in zip(branch.ends, (branch.orbits[0], branch.orbits[-1]), strict=True):
@@ -261,7 +276,7 @@ def test_locked_damper_orbit_is_the_linear_response() -> None:
 
 @cache
 def approximation(force: float, mass_ratio: float, clearance: float) -> Approximation:
-    mode = single_mode(varied("fig5-single-damper", force, mass_ratio, clearance), 3)
+    mode = single_mode(scene_with("fig5-single-damper", force, mass_ratio, clearance), 3)
     return follow_mode(mode, (46.0, 53.0), searches=4)
 
 
@@ -293,36 +308,36 @@ def one_mode_scene(mode: SingleMode) -> Scene:
 def test_approximate_motion_repeats_in_a_one_mode_engine(
     kind: str, force: float, mass_ratio: float, clearance: float
 ) -> None:
-    found = approximation(force, mass_ratio, clearance)
-    mode, scene = found.mode, one_mode_scene(found.mode)
-    assert any(b.motion_type == kind for b in found.branches)
-    for branch in [b for b in found.branches if b.motion_type == kind]:
-        possible = np.flatnonzero(branch.valid)
-        i = int(possible[len(possible) // 2])
+    approximate = approximation(force, mass_ratio, clearance)
+    mode, scene = approximate.mode, one_mode_scene(approximate.mode)
+    assert any(b.motion_type == kind for b in approximate.branches)
+    for branch in [b for b in approximate.branches if b.motion_type == kind]:
+        valid_points = np.flatnonzero(branch.valid)
+        i = int(valid_points[len(valid_points) // 2])
         omega = 2 * np.pi * branch.frequency[i]
         length = mode.gravity / omega**2
         problem = OrbitProblem(scene)
-        march, steps = start_march(problem, problem.setting(float(branch.frequency[i])))
+        propagator, steps = start_propagator(problem, problem.setting(float(branch.frequency[i])))
         q, u, a, b = branch.unknowns[:4, i] * length * np.array([1, omega, 1, 1])
         # The floor impact is tau = 0, where the force is F sin(-phi) = b: start the tone at that phase.
         phase = np.arctan2(b, a)
-        march.place(np.array([q, u]), np.array([np.cos(phase), np.sin(phase)]))
-        course = march.through_marks(np.array([steps]), np.array([0]), np.zeros(1, dtype=bool))
+        propagator.place(np.array([q, u]), np.array([np.cos(phase), np.sin(phase)]))
+        trajectory = propagator.through_marks(np.array([steps]), np.array([0]), np.zeros(1, dtype=bool))
 
         instants = [
             branch.tau_0[i],
             branch.tau_1[i],
             *([branch.tau_2[i]] if kind == "III" else [branch.tau_1[i]]),
         ]
-        events = course.event_offset * omega
+        events = trajectory.event_offset * omega
         kinds = {"I": [0], "II": [0, 2, 0], "III": [0, 2, 0]}[kind]
-        np.testing.assert_array_equal(course.event_kind[: len(kinds)], kinds)
+        np.testing.assert_array_equal(trajectory.event_kind[: len(kinds)], kinds)
         np.testing.assert_allclose(events[: len(kinds)], instants[: len(kinds)], atol=1e-9)
         size = branch.peak[i] * mode.force
         # The landing that ends the period may fall to either side of its end by rounding.
-        end = march.state.z[:2] - np.array([q, u])
+        end = propagator.state.z[:2] - np.array([q, u])
         assert abs(end[0]) < 1e-10 * size
-        if course.event_kind[-1] == 1:
+        if trajectory.event_kind[-1] == 1:
             assert abs(end[1]) < 1e-10 * size * omega
 
 
@@ -331,7 +346,7 @@ def test_invalid_frequency_of_an_orbit_is_named() -> None:
         periodic_orbit(rig.load("fig9"), -1.0)
     with pytest.raises(SceneError, match="two rising values"):
         follow_orbits(rig.load("fig9"), "frequency", (50.0, 40.0))
-    with pytest.raises(SceneError, match="needs a frequency"):
+    with pytest.raises(SceneError, match="Give the frequency at which the force is varied"):
         follow_orbits(rig.load("fig9"), "force", (1.0, 2.0))
 
 
@@ -345,21 +360,21 @@ def test_endless_rebounds_are_rejected_with_a_remedy() -> None:
 
 def test_impact_that_kicks_a_neighbour_is_rejected() -> None:
     with pytest.raises(RunError, match="at the same instant"):
-        periodic_orbit(coupled(0.05), 51.2)
+        periodic_orbit(coupled_scene(0.05), 51.2)
 
 
 def test_far_start_reports_where_the_solution_failed() -> None:
     scene = rig.load("fig9")
-    near = periodic_orbit(scene, 49.7)
+    start = periodic_orbit(scene, 49.7)
 
     with pytest.raises(RunError, match="near 20 Hz"):
-        periodic_orbit(scene, 20.0, start=near)
+        periodic_orbit(scene, 20.0, start=start)
 
 
 def test_period_is_a_whole_number_of_steps() -> None:
     problem = OrbitProblem(rig.load("fig9"))
     setting = problem.setting(49.0)
 
-    march, steps = start_march(problem, setting)
+    propagator, steps = start_propagator(problem, setting)
 
-    assert period_steps(march, setting) == steps
+    assert period_steps(propagator, setting) == steps

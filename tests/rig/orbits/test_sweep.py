@@ -33,35 +33,35 @@ def test_orbit_sweep_equals_settled_simulation(
 ) -> None:
     scene = scene_with(name, mass_ratio, clearance, force)
 
-    swept = rig.orbit_response(scene, frequencies)
+    orbits = rig.orbit_response(scene, frequencies)
 
     simulated = rig.frequency_response(scene, frequencies, tolerance=1e-8)
-    both = simulated.converged & ~swept.simulated
-    assert both.mean() > 0.6
-    assert not swept.simulated.any()
+    both_converged = simulated.converged & ~orbits.simulated
+    assert both_converged.mean() > 0.6
+    assert not orbits.simulated.any()
     size = np.abs(simulated.compliance).max(axis=0)
-    away = np.abs(swept.compliance - simulated.compliance).max(axis=0) / size
-    assert away[both].max() < 1e-6
-    assert (swept.motion_type[both] == simulated.motion_type[both]).all()
-    assert (swept.repetition[both] == simulated.repetition[both]).all()
-    for orbit in swept.orbits:
+    deviation = np.abs(orbits.compliance - simulated.compliance).max(axis=0) / size
+    assert deviation[both_converged].max() < 1e-6
+    assert (orbits.motion_type[both_converged] == simulated.motion_type[both_converged]).all()
+    assert (orbits.repetition[both_converged] == simulated.repetition[both_converged]).all()
+    for orbit in orbits.orbits:
         assert orbit is None or (orbit.stable and not orbit.flaw and orbit.residual < 1e-11)
 
 
 def test_irregular_motion_is_averaged_with_the_reason() -> None:
     scene = with_ideal_force(rig.load("fig8-three-dampers"))
 
-    swept = rig.orbit_response(scene, [33.2, 33.3, 33.6])
+    orbits = rig.orbit_response(scene, [33.2, 33.3, 33.6])
 
-    assert swept.simulated.tolist() == [True, True, False]
-    assert "no periodic motion found at 33.2 Hz" in swept.reasons[0]
-    assert swept.reasons[2] == ""
-    assert swept.repetition.tolist() == [0, 0, 1]
-    assert np.isnan(swept.multiplier[0])
-    assert swept.multiplier[2] < 1
-    assert swept.motion_type[0] == "irregular"
-    assert np.isfinite(swept.compliance).all()
-    assert swept.peak.min() > 0
+    assert orbits.simulated.tolist() == [True, True, False]
+    assert "no periodic motion found at 33.2 Hz" in orbits.reasons[0]
+    assert orbits.reasons[2] == ""
+    assert orbits.repetition.tolist() == [0, 0, 1]
+    assert np.isnan(orbits.multiplier[0])
+    assert orbits.multiplier[2] < 1
+    assert orbits.motion_type[0] == "irregular"
+    assert np.isfinite(orbits.compliance).all()
+    assert orbits.peak.min() > 0
 
 
 @pytest.mark.parametrize(
@@ -72,9 +72,9 @@ def test_swept_parameter_orbits_are_those_of_changed_scenes(parameter: str, valu
     scene = with_ideal_force(rig.load("fig9"))
     damper = scene.dampers[0]
 
-    swept = rig.orbit_response(scene, values, parameter, frequency=49.8)
+    orbits = rig.orbit_response(scene, values, parameter, frequency=49.8)
 
-    for value, compliance in zip(values, swept.compliance.T, strict=True):
+    for value, compliance in zip(values, orbits.compliance.T, strict=True):
         changed = {
             "force": lambda v: scene.replace(test=scene.test.replace(force=v)),
             "clearance": lambda v: scene.replace(dampers=[damper.replace(clearance=v)]),
@@ -87,17 +87,17 @@ def test_swept_parameter_orbits_are_those_of_changed_scenes(parameter: str, valu
 def test_close_points_give_the_same_motion_far_away() -> None:
     scene = with_ideal_force(rig.load("fig9"))
 
-    swept = rig.orbit_response(scene, [49.2, 49.2003, 49.2006, 49.2009, 49.8])
+    orbits = rig.orbit_response(scene, [49.2, 49.2003, 49.2006, 49.2009, 49.8])
 
     orbit = rig.periodic_orbit(scene, 49.8)
-    assert np.abs(orbit.compliance - swept.compliance[:, -1]).max() < 1e-10 * np.abs(orbit.compliance).max()
+    assert np.abs(orbit.compliance - orbits.compliance[:, -1]).max() < 1e-10 * np.abs(orbit.compliance).max()
 
 
 def test_invalid_sweep_values_are_named() -> None:
     scene = rig.load("fig9")
     with pytest.raises(SceneError, match="expected a list of positive, finite numbers"):
         rig.orbit_response(scene, [49.0, -1.0])
-    with pytest.raises(SceneError, match="following the force needs a frequency"):
+    with pytest.raises(SceneError, match="Give the frequency at which the force is varied"):
         rig.orbit_response(scene, [3.0], "force")
     with pytest.raises(SceneError, match="expected one of frequency, force"):
         rig.orbit_response(scene, [3.0], "colour")

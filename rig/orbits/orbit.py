@@ -37,13 +37,8 @@ from rig.orbits.orbit_equations import (
 )
 from rig.orbits.problem import OperatingPoint, OrbitProblem, Parameter, vary
 from rig.orbits.shooting import Shot, shoot
-<<<<<<< HEAD
-from rig.orbits.track import follow
-from rig.results import Result, complete_style
-=======
 from rig.orbits.track import track_orbit
-from rig.results import Result, styled
->>>>>>> 9af3d1c2 (Names in rig/orbits are those of the quantities: segments, sensitivities, margins, families of orbits, phase factors)
+from rig.results import Result, complete_style
 from rig.scene.shaker import ForceShaker
 from rig.steady_response.motion_type import overall, type_of
 from rig.system.assembly import spring_force_row
@@ -151,18 +146,13 @@ class Orbit(Result):
 
     def draw(self, ax: Axes, **style: Any) -> None:
         """Draw the displacement of each body over a cycle, and the gap below each damper as a dashed line."""
-<<<<<<< HEAD
-        time, *others = self.columns().items()
-        for name, column in others:
-            look = "--" if name.startswith("gap") else "-"
-            ax.plot(1e3 * time[1], 1e3 * column, look, **complete_style(style, label=name.removesuffix("_m")))
-=======
         columns = self.columns()
         time = columns.pop("time_s")
         for name, column in columns.items():
             line_style = "--" if name.startswith("gap") else "-"
-            ax.plot(1e3 * time, 1e3 * column, line_style, **styled(style, label=name.removesuffix("_m")))
->>>>>>> 9af3d1c2 (Names in rig/orbits are those of the quantities: segments, sensitivities, margins, families of orbits, phase factors)
+            ax.plot(
+                1e3 * time, 1e3 * column, line_style, **complete_style(style, label=name.removesuffix("_m"))
+            )
         ax.set(xlabel="time / ms", ylabel="displacement, gap / mm")
 
     @property

@@ -87,13 +87,8 @@ class OrbitBranch(Result):
         body = int(magnitude.max(axis=1).argmax())
         (line,) = ax.loglog(
             factor * self.value,
-<<<<<<< HEAD
-            np.where(self.stable, size[body], np.nan),
-            **complete_style(style, label=self.motion_type),
-=======
             np.where(self.stable, magnitude[body], np.nan),
-            **styled(style, label=self.motion_type),
->>>>>>> 9af3d1c2 (Names in rig/orbits are those of the quantities: segments, sensitivities, margins, families of orbits, phase factors)
+            **complete_style(style, label=self.motion_type),
         )
         ax.plot(
             factor * self.value, magnitude[body], "--", color=line.get_color(), lw=0.6 * line.get_linewidth()
@@ -132,14 +127,8 @@ class OrbitCurve(Result):
         """Draw every branch, with one colour for each type of motion; unstable orbits are dashed."""
         types = list(dict.fromkeys(branch.motion_type for branch in self.branches))
         for branch in self.branches:
-<<<<<<< HEAD
-            first = branch.motion_type not in {line.get_label() for line in ax.lines}
-            colour = f"C{kinds.index(branch.motion_type)}"
-            branch.draw(
-                ax, **complete_style(style, color=colour, label=branch.motion_type if first else "_again")
-            )
-=======
             is_first = branch.motion_type not in {line.get_label() for line in ax.lines}
             color = f"C{types.index(branch.motion_type)}"
-            branch.draw(ax, **styled(style, color=color, label=branch.motion_type if is_first else "_again"))
->>>>>>> 9af3d1c2 (Names in rig/orbits are those of the quantities: segments, sensitivities, margins, families of orbits, phase factors)
+            branch.draw(
+                ax, **complete_style(style, color=color, label=branch.motion_type if is_first else "_again")
+            )

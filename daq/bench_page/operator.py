@@ -101,7 +101,7 @@ class Operator:
         """Mark the hits, and stop bench time unless a client needs it."""
         with self._chassis.changed:
             self._mark_hits()
-        self._chassis.dismiss(cast(Any, self))
+        self._chassis.unregister(cast(Any, self))
 
     def start(self) -> None:
         """Start the test of the settings; on failure `message` is the reason."""

@@ -35,13 +35,13 @@ if TYPE_CHECKING:
     from daq.virtual_bench.bench import Bench
     from daq.virtual_bench.stream import Block
 
-_BLOCK = 4096
-# The bench may be behind the wall clock by this time before its input buffers overflow, s.
-_PATIENCE = 5.0
-# The fast clock stops for up to this time so that a listener can answer an event, s of the wall clock.
+_MAX_BLOCK_TICKS = 4096
+# Delay of the bench relative to the wall clock from which its input buffers overflow, s.
+_MAX_DELAY_S = 5.0
+# Maximum pause of the fast clock for the callback of an event, s of the wall clock.
 _ANSWER_S = 0.25
 # Number of consecutive unanswered events after which the clock no longer waits for a listener.
-_SILENT = 8
+_MAX_UNANSWERED = 8
 
 
 class Runner(Protocol):
@@ -75,7 +75,7 @@ class Chassis:
     that advances the bench; `devices`: devices by name; `position`: ticks that have passed since the bench was
     switched on; `changed`: notified when samples have passed; its lock protects the whole chassis; `sleepers`:
     threads that wait for samples; `listeners`: called with every block of the bench at the bench's sample rate, for
-    example by the scope or a recording; `wired`: called with the inputs of a task immediately before they are
+    example by the scope or a recording; `wiring_listeners`: called with the inputs of a task before they are
     sampled.
     """
 
@@ -85,20 +85,20 @@ class Chassis:
         lock = threading.RLock()
         self.changed, self.sleepers = threading.Condition(lock), Sleepers(lock)
         self.listeners: list[Callable[[Bench, Block], None]] = []
-        self.wired: list[Callable[[Sequence[Channel]], None]] = []
+        self.wiring_listeners: list[Callable[[Sequence[Channel]], None]] = []
         self.inputs: dict[Runner, Acquisition] = {}
         self.outputs: dict[Runner, Generation] = {}
         self._output_taken = self._read = False
         self._alarms: list[tuple[float, Callable[[], None]]] = []
         self._reserved: dict[Runner, Mapping[Hashable, str]] = {}
-        self._awake: weakref.WeakSet[Any] = weakref.WeakSet()
-        self._silent: weakref.WeakKeyDictionary[Runner, int] = weakref.WeakKeyDictionary()
+        self._live_tasks: weakref.WeakSet[Any] = weakref.WeakSet()
+        self._unanswered: weakref.WeakKeyDictionary[Runner, int] = weakref.WeakKeyDictionary()
         self.tasks: dict[str, Runner] = {}
         self.position = 0
         # Ticks and the wall-clock times that belong to them: bench time may stop and continue later.
         self._anchors: list[tuple[int, int]] = []
         self.anchor()
-        self.held = np.zeros(len(terminals.drive_per_volt))
+        self.last_volts = np.zeros(len(terminals.drive_per_volt))
 
     def anchor(self) -> None:
         """Store the time of the next tick; see `Timeline.anchor`."""
@@ -141,7 +141,7 @@ class Chassis:
 
     # Tasks
 
-    def admit(self, task: Runner, name: str) -> str:
+    def register(self, task: Runner, name: str) -> str:
         """Register a new task and return its name."""
         with self.changed:
             if not name:
@@ -151,17 +151,17 @@ class Chassis:
                 name = f"_unnamedTask<{number:X}>"
             elif name in self.tasks:
                 raise DaqError(
-                    f"there is a task named {name!r} already: close it first, or choose another name",
+                    f"there is a task named {name!r} already. Close it first, or choose another name.",
                     Code.DUPLICATE_TASK,
                 )
             self.tasks[name] = task
             return name
 
-    def dismiss(self, task: Runner) -> None:
+    def unregister(self, task: Runner) -> None:
         """Remove a closed task."""
         with self.changed:
             self.release(task)
-            self._awake.discard(task)
+            self._live_tasks.discard(task)
             self.tasks.pop(task.name, None)
 
     def reserve(self, task: Runner, resources: Mapping[Hashable, str]) -> None:
@@ -175,8 +175,8 @@ class Chassis:
                 shared = [name for each, name in resources.items() if each in theirs]
                 if other is not task and shared:
                     raise DaqError(
-                        f"{', '.join(sorted(shared))} is in use by task {other.name!r}; stop or close that task, or "
-                        "put the channels into one task",
+                        f"{', '.join(sorted(shared))} is in use by task {other.name!r}. Stop or close that task, or "
+                        "put the channels into one task.",
                         Code.PAL_RESOURCE_RESERVED,
                     )
             if any(isinstance(each, int) for each in resources) and not self._output_taken:
@@ -206,27 +206,27 @@ class Chassis:
         with self.changed:
             self.inputs.pop(task, None)
             self.outputs.pop(task, None)
-            self._stir()
+            self._wake_all()
 
     def wake(self, task: Runner) -> None:
         """Keep bench time running from now on, until this task is closed."""
         with self.changed:
             if not self.live:
                 self.anchor()
-            self._awake.add(task)
+            self._live_tasks.add(task)
             self.clock.start(self)
 
     @property
     def live(self) -> bool:
         """Whether any task that has been started is still open."""
-        return len(self._awake) > 0
+        return len(self._live_tasks) > 0
 
     def wire(self, task: Runner, channels: Sequence[Channel]) -> None:
         """Set the couplings and supplies of a task; with -50103 for running inputs with other settings."""
         running = [each.plan.rows for other, each in self.inputs.items() if other is not task]
         self.terminals.wire(channels, {row for rows in running for row in rows})
-        for hear in self.wired:
-            hear(channels)
+        for listener in self.wiring_listeners:
+            listener(channels)
 
     def run_input(self, task: Runner, plan: InputPlan) -> Acquisition:
         """Start an acquisition."""
@@ -236,7 +236,7 @@ class Chassis:
 
     def run_output(self, task: Runner, plan: OutputPlan, buffer: OutputBuffer) -> Generation:
         """Start a generation."""
-        self.outputs[task] = Generation(plan, buffer, self.position, self.held[list(plan.rows)])
+        self.outputs[task] = Generation(plan, buffer, self.position, self.last_volts[list(plan.rows)])
         return self.outputs[task]
 
     @property
@@ -259,16 +259,16 @@ class Chassis:
 
     def _step(self, limit: int) -> None:
         terminals, tick = self.terminals, self.position
-        ticks = terminals.horizon(min(limit, _BLOCK, self._ticks_to_output()))
+        ticks = terminals.horizon(min(limit, _MAX_BLOCK_TICKS, self._ticks_to_output()))
         for task in (*self.inputs, *self.outputs):
             ticks = max(1, min(ticks, task.horizon()))
         volts = None
         if self._output_taken:
-            volts = np.repeat(self.held[:, None], ticks, axis=1)
+            volts = np.repeat(self.last_volts[:, None], ticks, axis=1)
             for generation in self.outputs.values():
                 rows = list(generation.plan.rows)
                 volts[rows] = generation.produce(tick, ticks, self.moment)
-                self.held[rows] = generation.held
+                self.last_volts[rows] = generation.last_volts
         # Include the rates of tasks that are only configured: their filters continue while the tasks do not run.
         rates = {rate for task in self.tasks.values() if (rate := task.sample_rate) is not None}
         rates |= {acquisition.plan.rate for acquisition in self.inputs.values()}
@@ -277,42 +277,42 @@ class Chassis:
         # Tasks that wait for other tasks are processed last.
         waiting = sorted(self.inputs.values(), key=lambda each: isinstance(each.plan.start, OtherTask))
         for acquisition in waiting:
-            self._give(acquisition, blocks[acquisition.plan.rate])
+            self._pass_block(acquisition, blocks[acquisition.plan.rate])
         own = blocks[self.bench.rate]
         for listener in self.listeners if own.samples.size else ():
             listener(self.bench, own)
         self.changed.notify_all()
         self.sleepers.wake(self.position)
-        curious = [task for task in (*self.inputs, *self.outputs) if task.passed()]
-        if curious and not self.clock.runs_free:
-            self._hear(curious)
+        notified = [task for task in (*self.inputs, *self.outputs) if task.passed()]
+        if notified and not self.clock.runs_free:
+            self._await_callbacks(notified)
         for alarm in [each for each in self._alarms if each[0] <= self.elapsed]:
             self._alarms.remove(alarm)
             alarm[1]()
 
-    def _hear(self, curious: Sequence[Runner]) -> None:
+    def _await_callbacks(self, notified: Sequence[Runner]) -> None:
         """Wait for callbacks of events, except those that did not answer several events in a row."""
-        awaited = [task for task in curious if self._silent.get(task, 0) < _SILENT]
+        awaited = [task for task in notified if self._unanswered.get(task, 0) < _MAX_UNANSWERED]
         self.changed.wait_for(lambda: all(task.answered for task in awaited), _ANSWER_S)
-        for task in curious:
-            self._silent[task] = 0 if task.answered else self._silent.get(task, 0) + 1
+        for task in notified:
+            self._unanswered[task] = 0 if task.answered else self._unanswered.get(task, 0) + 1
 
-    def _give(self, acquisition: Acquisition, block: Block) -> None:
+    def _pass_block(self, acquisition: Acquisition, block: Block) -> None:
         """Pass samples to an acquisition, up to the first sample lost in a buffer overflow."""
         if acquisition.done:
             return
         stop = block.first + block.samples.shape[1]
         losses = self.bench.lost_at(acquisition.plan.rate)
         lost = [first for first, last in losses if block.first <= last and first < stop]
-        kept = slice(0, max(0, min(lost) - block.first)) if lost else slice(None)
-        samples, overload = block.samples[:, kept], block.overload[:, kept]
+        valid = slice(0, max(0, min(lost) - block.first)) if lost else slice(None)
+        samples, overload = block.samples[:, valid], block.overload[:, valid]
         if samples.shape[1]:
             acquisition.take(block.first, samples, overload, self.moment)
         if lost and not acquisition.done:
             acquisition.stop(
                 DaqError(
-                    f"samples were lost on the way from the converter, from number {min(lost)} on "
-                    "(the scene's converter.dropped_blocks); stop and start the task to acquire again",
+                    f"samples from number {min(lost)} on were lost after the converter (the scene's "
+                    "converter.dropped_blocks). Stop and start the task to acquire again.",
                     Code.INPUT_FIFO_OVERFLOW_2,
                 )
             )
@@ -323,9 +323,9 @@ class Chassis:
         device = source.device.lower()
         named = [run for task, run in runs.items() if device and task.device.lower().startswith(device)]
         for run in named or runs.values():
-            found = run.start_tick(source.reference, self.position)
-            if found is not None:
-                return found
+            tick = run.start_tick(source.reference, self.position)
+            if tick is not None:
+                return tick
         return None
 
     def _ticks_to_output(self) -> int:
@@ -344,7 +344,7 @@ class Chassis:
                 for run in self.inputs.values()
                 if (source.reference or run.waits_on_data) and self.moment(source) is None
             ),
-            default=_BLOCK,
+            default=_MAX_BLOCK_TICKS,
         )
 
     def fail(self, error: BaseException) -> None:
@@ -358,23 +358,23 @@ class Chassis:
                 acquisition.stop(error)
             for generation in self.outputs.values():
                 generation.stop(error)
-            self._stir()
+            self._wake_all()
             for task in (*self.inputs, *self.outputs):
                 task.passed()
 
-    def _stir(self) -> None:
+    def _wake_all(self) -> None:
         """Wake all waiting threads: they may wait for more than time."""
         self.changed.notify_all()
         self.sleepers.wake()
 
-    def lag(self, seconds: float) -> bool:
+    def report_delay(self, seconds: float) -> bool:
         """Process the delay of the bench relative to the wall clock; a long delay overflows its buffers."""
-        if seconds < _PATIENCE:
+        if seconds < _MAX_DELAY_S:
             return False
         self._stop_all(
             DaqError(
-                f"input overflow: this machine simulates the scene {seconds:.0f} s behind real time; lower the "
-                "rates, simplify the scene or use the fast clock",
+                f"input overflow: this machine simulates the scene {seconds:.0f} s behind real time. Lower the rates, "
+                "simplify the scene or use the fast clock.",
                 Code.INPUT_FIFO_OVERFLOW_2,
             )
         )

@@ -5,7 +5,7 @@ A bench counts its time in samples, and only the clock decides when the next sam
 
 * `FastClock`: time passes only during waiting calls, as fast as the computer simulates. A run is
   deterministic: nothing happens between two calls. Repeated queries of a task's progress count as waiting
-  (see `Clock.glance`). Time pauses briefly at an event, so that its callback can respond.
+  (see `Clock.pass_query`). Time pauses briefly at an event, so that its callback can respond.
 * `RealClock`: a thread keeps the bench at wall-clock time, with or without waiting calls. The buffer of a slow
   reader overflows as with hardware.
 * `ManualClock`: time passes when `ManualClock.advance` is called. A call that waits for future samples times out
@@ -30,7 +30,7 @@ from rig.errors import SceneError
 
 _LOG = logging.getLogger("shotrig.clock")
 # Maximum sleep before a condition is checked again, s: it may have become impossible.
-_NAP = 1.0
+_MAX_SLEEP_S = 1.0
 # Linux nice value: before ordinary programs (0), after the most urgent system programs (-20).
 _NICE = -10
 
@@ -63,7 +63,7 @@ class Sleepers:
         mine = threading.Condition(self._lock)
         self._waiting[mine] = until
         try:
-            mine.wait(_NAP)
+            mine.wait(_MAX_SLEEP_S)
         finally:
             del self._waiting[mine]
 
@@ -113,7 +113,7 @@ class Timeline(Protocol):
     def anchor(self) -> None:
         """Store the wall-clock time at which bench time continues after a stop."""
 
-    def lag(self, seconds: float) -> bool:
+    def report_delay(self, seconds: float) -> bool:
         """Process the delay relative to the clock, s; return whether to skip the delayed time."""
 
 
@@ -130,7 +130,7 @@ class Clock:
         """Seconds on this clock, for timeouts."""
         return bench.position / bench.rate
 
-    def glance(self, bench: Timeline) -> None:
+    def pass_query(self, bench: Timeline) -> None:
         """Let a short time pass for a query, on a clock that advances only while a call waits."""
 
     def wait(
@@ -149,10 +149,12 @@ class Clock:
 class FastClock(Clock):
     """Time passes during waiting calls, as fast as the computer simulates."""
 
-    # Interval and duration of the pauses in which a long wait lets other threads take the lock, s of the wall clock.
-    TURN, PAUSE = 0.05, 0.002
+    # Interval of the pauses in which a long wait lets other threads take the lock, s of the wall clock.
+    TURN_S = 0.05
+    # Duration of these pauses, s.
+    PAUSE_S = 0.002
 
-    def glance(self, bench: Timeline) -> None:
+    def pass_query(self, bench: Timeline) -> None:
         """Let 10 ms pass, so that a loop which only queries the progress terminates."""
         bench.advance(max(1, int(bench.rate / 100)))
 
@@ -161,7 +163,7 @@ class FastClock(Clock):
     ) -> bool:
         """See `Clock.wait`."""
         end = math.inf if timeout < 0 else bench.position + math.ceil(timeout * bench.rate - 1e-6)
-        turn = time.monotonic() + self.TURN
+        turn = time.monotonic() + self.TURN_S
         while not ready():
             samples = min(max(1, wanted()), end - bench.position, math.ceil(bench.rate))
             if samples <= 0:
@@ -169,8 +171,8 @@ class FastClock(Clock):
             bench.advance(int(samples))
             if time.monotonic() > turn:
                 # The condition may depend on another client, or may never be met.
-                bench.changed.wait(self.PAUSE)
-                turn = time.monotonic() + self.TURN
+                bench.changed.wait(self.PAUSE_S)
+                turn = time.monotonic() + self.TURN_S
         return True
 
 
@@ -203,13 +205,13 @@ class RealClock(Clock):
 
     runs_free = True
     # Interval at which bench time is updated, s: on average a reader waits half of it for its last sample.
-    TICK = 0.004
+    TICK_S = 0.004
     # Upper limit of one step, s: other threads need the lock in between.
-    MOST = 0.04
+    MAX_STEP_S = 0.04
     # A delayed bench catches up at this multiple of real time: at a higher speed, client buffers would overflow.
     CATCH_UP = 2.0
     # Interval at which a waiting call checks its condition, s.
-    NAP = 0.02
+    NAP_S = 0.02
 
     def __init__(self) -> None:
         self._moving: weakref.WeakSet[Timeline] = weakref.WeakSet()
@@ -233,17 +235,19 @@ class RealClock(Clock):
         # Timeouts are in bench time, which is behind the wall clock during compilation.
         while not ready() and bench.position < end and bench in self._moving:
             # The run may also end early.
-            nap = min(max(1, wanted()), math.ceil(self.NAP * bench.rate), end - bench.position)
+            nap = min(max(1, wanted()), math.ceil(self.NAP_S * bench.rate), end - bench.position)
             bench.sleepers.sleep(bench.position + math.ceil(nap))
         return ready()
 
 
-# Steps of the bench longer than this time (s) are attributed to the compiler, up to this number of steps.
-_COMPILING, _COMPILATIONS = 1.0, 20
-# Shorter delays are not reported, s.
-_REPORTED_DELAY = 0.25
+# Longer steps of the bench are attributed to the compiler, s.
+_COMPILATION_S = 1.0
+# Maximum number of these steps.
+_MAX_COMPILATIONS = 20
+# Minimum delay that is reported, s.
+_REPORTED_DELAY_S = 0.25
 # Minimum interval between two reports, s.
-_REPORT_INTERVAL = 10.0
+_REPORT_INTERVAL_S = 10.0
 
 
 class _Delays:
@@ -255,8 +259,8 @@ class _Delays:
     def note(self, delay: float, now: float) -> None:
         """Add the delay of the bench at a time of the wall clock, both in s."""
         self._largest = max(self._largest, delay)
-        caught_up = delay < RealClock.MOST
-        if self._largest >= _REPORTED_DELAY and caught_up and now - self._reported >= _REPORT_INTERVAL:
+        caught_up = delay < RealClock.MAX_STEP_S
+        if self._largest >= _REPORTED_DELAY_S and caught_up and now - self._reported >= _REPORT_INTERVAL_S:
             _LOG.warning(
                 "the machine was up to %.2f s behind real time, so samples came late. Run fewer programs, or enlarge "
                 "the buffers of tasks",
@@ -273,7 +277,7 @@ def longest_step(elapsed: float) -> float:
     >>> longest_step(0.004), longest_step(1.0)
     (0.008, 0.04)
     """
-    return min(RealClock.MOST, RealClock.CATCH_UP * max(elapsed, RealClock.TICK / 4))
+    return min(RealClock.MAX_STEP_S, RealClock.CATCH_UP * max(elapsed, RealClock.TICK_S / 4))
 
 
 def _follow(reference: weakref.ref[Timeline], moving: weakref.WeakSet[Timeline]) -> None:
@@ -305,15 +309,17 @@ def _follow(reference: weakref.ref[Timeline], moving: weakref.WeakSet[Timeline])
                     bench.fail(error)
                     return
                 # Kernels used for the first time may be compiled; the scene does not cause this delay.
-                compiled = compilations < _COMPILATIONS and time.monotonic_ns() - now > _COMPILING * 1e9
+                compiled = (
+                    compilations < _MAX_COMPILATIONS and time.monotonic_ns() - now > _COMPILATION_S * 1e9
+                )
                 compilations += compiled
-                if compiled or bench.lag(due / bench.rate):
+                if compiled or bench.report_delay(due / bench.rate):
                     origin, due = None, 0
             delays.note(due / bench.rate, now * 1e-9)
-        behind = due > RealClock.MOST * bench.rate
+        behind = due > RealClock.MAX_STEP_S * bench.rate
         del bench
         # A delayed bench continues almost at once, but other threads can take the lock in between.
-        pause.wait(RealClock.TICK / 4 if behind else RealClock.TICK)
+        pause.wait(RealClock.TICK_S / 4 if behind else RealClock.TICK_S)
 
 
 CLOCKS: dict[str, Callable[[], Clock]] = {"real": RealClock, "fast": FastClock, "manual": ManualClock}

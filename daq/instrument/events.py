@@ -11,11 +11,11 @@ from daq.instrument.values import EverySamples, Signal, named
 # A function called with the value of an event: the number of samples, the status at the end, or the signal.
 Listener = Callable[[int], None]
 
-_ALREADY = {
+_ALREADY_REGISTERED = {
     EverySamples.ACQUIRED: Code.EVERY_N_SAMPS_ACQ_INTO_BUFFER_EVENT_ALREADY_REGISTERED,
     EverySamples.TRANSFERRED: Code.EVERY_N_SAMPS_TRANSFERRED_FROM_BUFFER_EVENT_ALREADY_REGISTERED,
 }
-_WRONG = {
+_NOT_SUPPORTED = {
     EverySamples.ACQUIRED: Code.EVERY_N_SAMPLES_ACQ_INTO_BUFFER_EVENT_NOT_SUPPORTED_BY_DEVICE,
     EverySamples.TRANSFERRED: Code.EVERY_N_SAMPS_TRANSFERRED_FROM_BUFFER_EVENT_NOT_SUPPORTED_BY_DEVICE,
 }
@@ -30,7 +30,7 @@ class Events:
         self._every: tuple[EverySamples, int, Listener] | None = None
         self._done: Listener | None = None
         self._signals: dict[Signal, Listener] = {}
-        self._ends: list[Callable[[None], None]] = []
+        self._end_listeners: list[Callable[[None], None]] = []
         self.begin()
 
     def listen_every(self, kind: int, samples: int, listener: Listener | None, outputs: bool = False) -> None:
@@ -47,16 +47,16 @@ class Events:
             raise DaqError(
                 f"an event for samples {chosen.name.lower()}: the task has "
                 f"{'outputs' if outputs else 'inputs'}",
-                _WRONG[chosen],
+                _NOT_SUPPORTED[chosen],
             )
         if self._every is not None:
             raise DaqError(
-                "an every-N-samples event is registered already: unregister it first by passing None",
-                _ALREADY[chosen],
+                "an every-N-samples event is registered already. Unregister it first by passing None.",
+                _ALREADY_REGISTERED[chosen],
             )
         if samples < 1:
             raise DaqError(
-                f"an event every {samples} samples: expected 1 at least",
+                f"an event every {samples} samples. Give at least 1.",
                 Code.EVERY_N_SAMPS_EVENT_INTERVAL_ZERO_NOT_SUPPORTED,
             )
         self._every = chosen, samples, listener
@@ -68,7 +68,7 @@ class Events:
             return
         if self._done is not None:
             raise DaqError(
-                "a done event is registered already: unregister it first by passing None",
+                "a done event is registered already. Unregister it first by passing None.",
                 Code.DONE_EVENT_ALREADY_REGISTERED,
             )
         self._done = listener
@@ -81,33 +81,33 @@ class Events:
             return
         if chosen in self._signals:
             raise DaqError(
-                f"an event for {chosen.name} is registered already: unregister it first by passing None",
+                f"an event for {chosen.name} is registered already. Unregister it first by passing None.",
                 Code.SIGNAL_EVENT_ALREADY_REGISTERED,
             )
         self._signals[chosen] = listener
 
-    def leave(self, listener: Callable[[Any], None]) -> None:
+    def remove_listener(self, listener: Callable[[Any], None]) -> None:
         """Remove a listener from all events."""
         if self._every is not None and self._every[2] == listener:
             self._every = None
         if self._done == listener:
             self._done = None
         self._signals = {signal: each for signal, each in self._signals.items() if each != listener}
-        self._ends = [each for each in self._ends if each != listener]
+        self._end_listeners = [each for each in self._end_listeners if each != listener]
 
     def at_end(self, listener: Callable[[None], None]) -> None:
         """Register a listener that is called with None when the task is closed."""
-        self._ends.append(listener)
+        self._end_listeners.append(listener)
 
     def close(self) -> None:
         """Notify the listeners that the task has been closed."""
-        for listener in self._ends:
+        for listener in self._end_listeners:
             listener(None)
 
     def begin(self) -> None:
         """Reset the counts at the start of a run."""
         self._sent, self._signalled, self._done_sent = 0, 0, False
-        self._come: set[Signal] = set()
+        self._triggered: set[Signal] = set()
 
     def due(self, passed: int) -> int | None:
         """Return the total number of samples at which the next event is due; None without a listener."""
@@ -132,10 +132,10 @@ class Events:
         self._signalled = passed
         if run is None:
             return sent
-        begun, found = run.first_tick is not None, getattr(run, "trigger", None) is not None
-        for signal, come in ((Signal.START_TRIGGER, begun), (Signal.REFERENCE_TRIGGER, found)):
-            if come and signal in self._signals and signal not in self._come:
-                self._come.add(signal)
+        started, triggered = run.first_tick is not None, getattr(run, "trigger", None) is not None
+        for signal, has_occurred in ((Signal.START_TRIGGER, started), (Signal.REFERENCE_TRIGGER, triggered)):
+            if has_occurred and signal in self._signals and signal not in self._triggered:
+                self._triggered.add(signal)
                 self._signals[signal](int(signal))
         if self._done is not None and not self._done_sent and run.done:
             self._done_sent = True

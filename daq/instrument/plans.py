@@ -193,11 +193,11 @@ def input_plan(
         rate=rate,
         samples=samples,
         buffer=max(size, samples or 0) if reference is not None else size,
-        keep=task.groups["read"]["overwrite"] == Overwrite.NOT_ALLOWED,
+        stops_when_full=task.groups["read"]["overwrite"] == Overwrite.NOT_ALLOWED,
         start=start,
         reference=reference,
         pretrigger=task.groups["trig"]["ref_trig_pretrig_samples"] if reference is not None else 0,
-        again=bool(
+        rearms=bool(
             task.groups["trig"]["start_trig_retriggerable"] and start is not None and samples is not None
         ),
     )

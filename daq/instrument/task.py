@@ -43,7 +43,7 @@ class Task:
         self._automatic = self._committed = self._reported = False
         self._looked: dict[str, int] = {}
         self.name = ""
-        self.name = chassis.admit(self, name)
+        self.name = chassis.register(self, name)
 
     # Description
 
@@ -138,7 +138,7 @@ class Task:
         finally:
             self.closed = True
             self.events.close()
-            self.chassis.dismiss(self)
+            self.chassis.unregister(self)
 
     def control(self, action: int) -> int:
         """Change the state of the task; COMMIT and RESERVE keep its modules reserved until UNRESERVE or close."""
@@ -201,7 +201,7 @@ class Task:
             self._reported = True
             raise self.failure
 
-    def look(self, question: str) -> None:
+    def note_query(self, question: str) -> None:
         """Note that a script queries the progress of the run.
 
         A script that repeats a query while no samples have passed is waiting in a loop: the fast clock then lets a
@@ -210,13 +210,13 @@ class Task:
         chassis = self.chassis
         again = self._looked.get(question) == chassis.position
         if again and self.running and not self.finished:
-            chassis.clock.glance(chassis)
+            chassis.clock.pass_query(chassis)
         self._looked[question] = chassis.position
 
     def is_done(self) -> bool:
         """Whether the task is done or not running; a task without a sample clock is always done."""
         with self.chassis.changed:
-            self.look("is_task_done")
+            self.note_query("is_task_done")
             self.raise_failure()
             return not self.running or self.finished or not self.settings.clocked
 
@@ -293,7 +293,7 @@ class Task:
                     return self.input.read_on_demand(rows, out, timeout, raw)
             self._begin()
             if timeout == 0:
-                self.look("read")
+                self.note_query("read")
             try:
                 reading = self.input.read(rows, out, timeout, raw)
                 self._reported |= reading.error is not None and reading.error is self.failure
@@ -350,7 +350,7 @@ class Task:
             return 1
         run = self.input.run if self.running else None
         if settings.finite and not settings.groups["read"]["read_all_avail_samp"]:
-            if run is None or run.plan.again:
+            if run is None or run.plan.rearms:
                 return settings.samples
             end = settings.samples if run.trigger is None else run.first_readable + settings.samples
             return max(end - run.position, 0) or settings.samples
@@ -359,7 +359,7 @@ class Task:
             run = self.input.run
             assert run is not None
         if run.readable <= run.position and self.running and not run.done:
-            self.chassis.clock.glance(self.chassis)
+            self.chassis.clock.pass_query(self.chassis)
         return max(0, run.readable - run.position)
 
     @property

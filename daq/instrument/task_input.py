@@ -83,7 +83,7 @@ class TaskInput:
     @property
     def retriggers(self) -> bool:
         """Whether the start trigger is re-armed after each complete record."""
-        return self.run is not None and self.run.plan.again
+        return self.run is not None and self.run.plan.rearms
 
     # Progress
 
@@ -100,7 +100,7 @@ class TaskInput:
     def missing(self) -> int:
         """Lower bound of the ticks until the acquisition is complete."""
         run = self.run
-        if run is None or run.plan.samples is None or run.plan.again:
+        if run is None or run.plan.samples is None or run.plan.rearms:
             return max(1, int(self._chassis.rate / 100))
         return run.ticks(run.missing(run.plan.samples - run.position), self._chassis.position)
 
@@ -111,13 +111,13 @@ class TaskInput:
 
     def horizon(self) -> int:
         """Return the number of ticks that may pass before the log must be written."""
-        if self.run is None or self.log is None or not self.log.by_itself or self.run.done:
+        if self.run is None or self.log is None or not self.log.logs_only or self.run.done:
             return _FOR_EVER
         return self.run.ticks(self.run.plan.buffer, self._chassis.position)
 
     def follow(self) -> None:
         """Write new samples to the log of a task that only logs."""
-        if self.run is not None and self.log is not None and self.log.by_itself:
+        if self.run is not None and self.log is not None and self.log.logs_only:
             self.log.follow(self.run)
             self.run.position = max(self.run.position, self.run.readable)
 

@@ -34,7 +34,7 @@ class TaskOutput:
         self._chassis, self._settings, self._task = chassis, settings, task
         self.run: Generation | None = None
         self.buffer: OutputBuffer | None = None
-        self._running = self._played = False
+        self._running = self._has_played = False
 
     # States
 
@@ -42,12 +42,12 @@ class TaskOutput:
         """Start to play the buffer."""
         if self.buffer is None or self.buffer.written == 0:
             raise DaqError(
-                "nothing has been written for the output to play: write samples before starting the task",
+                "the output has no samples. Write samples before starting the task.",
                 Code.OUTPUT_BUFFER_EMPTY,
             )
         plan, joins = output_plan(self._settings, self._chassis.rate, start)
         self.run = self._chassis.run_output(self._task, plan, self.buffer)
-        self._running = self._played = True
+        self._running = self._has_played = True
         if joins is not None:
             self.run.join(self._chassis.moment(joins))
 
@@ -79,7 +79,7 @@ class TaskOutput:
 
     def ticks_to(self, samples: int) -> int:
         """Count the ticks until that many samples have been generated."""
-        return _FOR_EVER if self.run is None or not self.run.begun else self.run.ticks_until(samples)
+        return _FOR_EVER if self.run is None or not self.run.has_started else self.run.ticks_until(samples)
 
     def horizon(self) -> int:
         """Count the ticks that may pass before `follow`."""
@@ -113,11 +113,11 @@ class TaskOutput:
 
     def write(self, volts: Array, timeout: float) -> int:
         """Write samples into the buffer; see `Task.write`."""
-        if not self._running and (self.buffer is None or self._played):
+        if not self._running and (self.buffer is None or self._has_played):
             # A buffer that has been played is complete: a new write starts another buffer.
             chosen = self._settings.groups["buffer"]
             size = int(chosen["output_buf_size"]) if chosen.was_set("output_buf_size") else None
-            self.buffer, self._played = OutputBuffer(volts.shape[0], size), False
+            self.buffer, self._has_played = OutputBuffer(volts.shape[0], size), False
         assert self.buffer is not None
         return self._fill(self.buffer, volts, timeout)
 
@@ -135,7 +135,7 @@ class TaskOutput:
             if run.error is not None:
                 raise run.error
         elif volts.shape[1]:
-            chassis.held[rows] = volts[:, 0]
+            chassis.last_volts[rows] = volts[:, 0]
         return volts.shape[1]
 
     def _free(self, buffer: OutputBuffer, generated: int) -> int:
@@ -160,7 +160,11 @@ class TaskOutput:
             if run is not None and run.error is not None:
                 raise DaqError(str(run.error), run.error.code, done)
             if run is not None and run.done:
-                raise DaqError("the output has ended", Code.SAMPLES_CAN_NOT_YET_BE_WRITTEN, done)
+                raise DaqError(
+                    "the output has ended. Start the task again.",
+                    Code.SAMPLES_CAN_NOT_YET_BE_WRITTEN,
+                    done,
+                )
             take = min(free(), wanted - done)
             if take > 0:
                 buffer.write(volts[:, done : done + take], run is not None)
@@ -186,7 +190,7 @@ def check_volts(channels: Sequence[Channel], volts: Array) -> None:
     """Check samples against channels; with -200524 or -200561."""
     if volts.ndim != 2 or volts.shape[0] != len(channels):
         raise DaqError(
-            f"the data have {volts.shape[0]} channels, the task has {len(channels)}: write one row for each",
+            f"the data have {volts.shape[0]} channels, the task has {len(channels)}. Write a row for each channel.",
             Code.WRITE_NUM_CHANS_MISMATCH,
         )
     for channel, row in zip(channels, volts, strict=True):
@@ -195,7 +199,7 @@ def check_volts(channels: Sequence[Channel], volts: Array) -> None:
         wrong = ~((row >= low) & (row <= high))
         if wrong.any():
             raise DaqError(
-                f"cannot put out {row[wrong][0]:g} V on {channel.name}: its limits are {low:g} to {high:g} V",
+                f"{channel.name}: {row[wrong][0]:g} V is outside its limits, {low:g} to {high:g} V. Stay within them.",
                 Code.INVALID_AO_DATA_WRITE,
                 done=0,
             )

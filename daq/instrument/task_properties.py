@@ -150,7 +150,7 @@ def full_terminal(task: Task, name: str) -> str:
 
 def _counter(question: str, value: Callable[[Task], int]) -> Callable[[Task], int]:
     def ask(task: Task) -> int:
-        task.look(question)
+        task.note_query(question)
         return value(task)
 
     return ask

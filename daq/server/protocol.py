@@ -26,9 +26,10 @@ _SESSION_FILE = next(
     each for each in nidaqmx_pb2.DESCRIPTOR.dependencies if each.name.endswith("session.proto")
 )
 SESSION_SERVICE = _SESSION_FILE.services_by_name["SessionUtilities"]
-# Maximum entries of a list other than samples, and maximum characters of a text, which may name thousands of
-# channels.
-_MOST, _LONGEST = 10_000, 1 << 16
+# Maximum number of entries of a list other than samples.
+_MAX_ENTRIES = 10_000
+# Maximum length of a text, characters: it may name thousands of channels.
+_MAX_CHARACTERS = 1 << 16
 _SAMPLES = ("write_array", "waveforms")
 _SESSION, _TIMESTAMP, _ENUM = "nidevice_grpc.Session", "google.protobuf.Timestamp", "_enum"
 
@@ -75,8 +76,8 @@ def decode(request: Any) -> dict[str, Any]:
             found[name] = 0 if given is None else getattr(request, given)
             continue
         value = getattr(request, name)
-        if repeated and name not in _SAMPLES and len(value) > _MOST:
-            raise bad(f"{name} has {len(value)} entries: expected {_MOST} at most")
+        if repeated and name not in _SAMPLES and len(value) > _MAX_ENTRIES:
+            raise bad(f"{name} has {len(value)} entries: expected {_MAX_ENTRIES} at most")
         if isinstance(value, str):
             _check_text(name, value)
         if repeated:
@@ -92,10 +93,10 @@ def decode(request: Any) -> dict[str, Any]:
 
 
 def _check_text(name: str, text: str) -> None:
-    if len(text) > _LONGEST:
-        raise bad(f"{name} is a text of {len(text)} letters: expected {_LONGEST} at most")
+    if len(text) > _MAX_CHARACTERS:
+        raise bad(f"{name} is a text of {len(text)} characters: expected {_MAX_CHARACTERS} at most")
     if "\0" in text:
-        raise bad(f"{name} has a letter of number zero in it, where a driver's texts end: leave it out")
+        raise bad(f"{name} contains a null character, which ends a driver's text. Remove it.")
 
 
 def _listed(values: Any, kind: str) -> Any:

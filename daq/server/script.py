@@ -13,9 +13,9 @@ from pathlib import Path
 from daq.instrument.connecting import connect_scene
 from daq.server.bench_time import BenchTime, TimeLimit
 from daq.server.client_defaults import FAST, LIMITED, SERVER
+from daq.server.missing_excitation import report_missing_excitation
 from daq.server.passed_signals import signals_passed_on
 from daq.server.service import Server
-from daq.server.unfed_sensors import report_unfed_sensors
 from rig.errors import SceneError
 from rig.scene.scene import Scene
 
@@ -64,7 +64,7 @@ def run_script(
     if not path.is_file():
         raise SceneError(f"there is no script {path}: give the path of a Python file")
     chassis = connect_scene(scene, clock)
-    report_unfed_sensors(chassis)
+    report_missing_excitation(chassis)
     limit = TimeLimit(chassis, seconds)
     server = Server(chassis, further=(BenchTime(chassis, limit),))
     try:

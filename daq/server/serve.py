@@ -20,10 +20,10 @@ from daq.instrument.connecting import connect_scene
 from daq.server.bench_time import BenchTime
 from daq.server.discovery import write_proto_files
 from daq.server.live import LiveRecording, LiveView
+from daq.server.missing_excitation import report_missing_excitation
 from daq.server.served_instrument import Limits
 from daq.server.service import Server
 from daq.server.starter_script import starter_script
-from daq.server.unfed_sensors import report_unfed_sensors
 from daq.signal_chain.outputs import volt_effect
 from rig.ending_signals import ENDINGS
 from rig.errors import SceneError
@@ -105,7 +105,7 @@ def serve(
         written = write_proto_files(protocol)
         print(f"{protocol}: {len(written)} files of the protocol", flush=True)
     chassis = connect_scene(scene, clock)
-    report_unfed_sensors(chassis)
+    report_missing_excitation(chassis)
     with contextlib.ExitStack() as stack:
         try:
             server = Server(chassis, _endpoint(host, port), credentials, limits, (BenchTime(chassis),))

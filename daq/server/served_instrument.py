@@ -15,7 +15,9 @@ if TYPE_CHECKING:
     from daq.instrument.chassis import Chassis
 
 # Maximum length of an error text, bytes: it is sent in a header of limited size.
-_LONGEST_TEXT, _LONGEST_NAME = 3000, 200
+_MAX_TEXT_BYTES = 3000
+# Maximum length of the name of a task in it, bytes.
+_MAX_NAME_BYTES = 200
 
 
 @dataclass(frozen=True)
@@ -55,30 +57,30 @@ class ServedInstrument:
         """Check that a response is not too large; with -200077."""
         if size > self.limits.message:
             raise bad(
-                f"an answer of {size >> 20} MB: this server sends {self.limits.message >> 20} MB at a time; read "
-                "less at once"
+                f"a response of {size >> 20} MB exceeds the maximum of this server, {self.limits.message >> 20} MB. "
+                "Read fewer samples at a time."
             )
 
-    def remember(self, peer: str, error: DaqError, task: str) -> None:
+    def store_error(self, peer: str, error: DaqError, task: str) -> None:
         """Store the text of an error that the protocol reports only by its number."""
         if len(self._reported) > 1000:
             self._reported.clear()
         self._reported[peer, error.code] = error_text(error, task)
 
-    def recall(self, peer: str, code: int) -> str:
+    def text_of_error(self, peer: str, code: int) -> str:
         """Return the latest text of an error number for this client, or its general meaning."""
         if (peer, code) in self._reported:
             return self._reported[peer, code]
         return meaning(code)
 
 
-def cut(text: str, most: int = _LONGEST_TEXT) -> str:
+def cut(text: str, most: int = _MAX_TEXT_BYTES) -> str:
     """Shorten a text to the size of a header."""
     return text.encode(errors="replace")[:most].decode(errors="ignore")
 
 
 def error_text(error: DaqError, task: str) -> str:
     """Return the text of an error in the driver's format."""
-    named = f"Task Name: {cut(task, _LONGEST_NAME)}" if task else ""
+    named = f"Task Name: {cut(task, _MAX_NAME_BYTES)}" if task else ""
     lines = [DRIVER_TEXTS.get(error.code, ""), cut(str(error)), named, f"Status Code: {error.code}"]
     return "\n\n".join(line for line in lines if line)

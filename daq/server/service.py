@@ -158,7 +158,7 @@ class Server:
         with self._counting:
             if self._answering[peer] >= self.limits.calls:
                 raise DaqError(
-                    f"this client waits for {self.limits.calls} calls, which is as many as it may: let some end",
+                    f"this client has {self.limits.calls} unfinished calls, the maximum. Wait until some have ended.",
                     Code.PAL_RESOURCE_RESERVED,
                 )
             self._answering[peer] += 1
@@ -187,7 +187,7 @@ class Server:
                     yield encode(method.response(), fields(given, value))
             finally:
                 with contextlib.suppress(DaqError), task.chassis.changed:
-                    task.events.leave(values.put)
+                    task.events.remove_listener(values.put)
 
         return events
 

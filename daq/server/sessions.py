@@ -73,7 +73,7 @@ class Sessions:
                 raise DaqError(f"there is no session {name!r} to attach to", Code.INVALID_TASK)
             if sum(each.owner == peer for each in self._open.values()) >= self._most:
                 raise DaqError(
-                    f"this client has {self._most} tasks open, which is as many as it may: close some",
+                    f"this client has {self._most} open tasks, the maximum. Close some.",
                     Code.PAL_RESOURCE_RESERVED,
                 )
             task = Task(self._chassis, name, self._storage.scales)
@@ -87,19 +87,19 @@ class Sessions:
             session = self._open.get(name)
             if session is None:
                 return
-            held = sum(each.task.memory for each in self._open.values() if each.owner == session.owner)
-        if held > most:
+            size = sum(each.task.memory for each in self._open.values() if each.owner == session.owner)
+        if size > most:
             session.task.free_memory()
             raise bad(
-                f"the buffers of this client's tasks would take {held >> 20} MB; it may have {most >> 20} MB: "
-                "take smaller buffers, or close tasks"
+                f"the buffers of this client's tasks would take {size >> 20} MB; the maximum is {most >> 20} MB. "
+                "Use smaller buffers, or close tasks."
             )
 
     def check_free(self, name: str) -> None:
         """Check that no task has the name; with -200089."""
         if name in self._chassis.tasks:
             raise DaqError(
-                f"there is a task named {name!r} already: close it first, or choose another name",
+                f"there is a task named {name!r} already. Close it first, or choose another name.",
                 Code.DUPLICATE_TASK,
             )
 
@@ -109,7 +109,7 @@ class Sessions:
             session = self._open.get(name)
             if session is None:
                 raise DaqError(
-                    "the task does not exist, or has been closed: make a new one", Code.INVALID_TASK
+                    "the task does not exist, or has been closed. Create another task.", Code.INVALID_TASK
                 )
             session.users.add(peer)
             session.left_at = None
@@ -139,7 +139,7 @@ class Sessions:
             others = [each.task.name for each in there if each.owner != peer]
             if others:
                 raise DaqError(
-                    f"{device} is in use by other clients (task {', '.join(others)}): it is not reset",
+                    f"{device} is in use by other clients (task {', '.join(others)}). End their tasks before a reset.",
                     Code.PAL_RESOURCE_RESERVED,
                 )
             for each in there:
@@ -195,20 +195,20 @@ class Reservations:
                 self._changed.wait(_LOOK_S)
             if name not in self._holders and len(self._holders) >= _MOST_NAMES:
                 raise DaqError(
-                    f"{_MOST_NAMES} names are reserved: release some before reserving {name!r}",
+                    f"{_MOST_NAMES} names are reserved, the maximum. Release some before reserving {name!r}.",
                     Code.PAL_RESOURCE_RESERVED,
                 )
             self._holders[name] = client
             return True
 
-    def held(self, name: str, client: str) -> bool:
+    def is_reserved_by(self, name: str, client: str) -> bool:
         """Return whether a client has reserved a name."""
         return self._holders.get(name) == client
 
     def release(self, name: str, client: str) -> bool:
         """Release a name; return False if the client has not reserved it."""
         with self._changed:
-            if not self.held(name, client):
+            if not self.is_reserved_by(name, client):
                 return False
             del self._holders[name]
             self._changed.notify_all()

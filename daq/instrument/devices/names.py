@@ -14,7 +14,7 @@ from typing import NamedTuple
 from daq.instrument.errors import Code, DaqError
 
 # Maximum number of names in a range, as in the driver.
-MOST_NAMES = 14_999
+MAX_NAMES = 14_999
 
 GIVEN_BY_DRIVER = re.compile(r"(Dev\d+|cDAQ\w*(-\w+)?|PXI\d+Slot\d+)", re.IGNORECASE)
 
@@ -66,9 +66,9 @@ def unflatten(names: str) -> list[str]:
             found += _expand(item)
         elif item:
             found.append(item)
-        if len(found) > MOST_NAMES:
+        if len(found) > MAX_NAMES:
             raise DaqError(
-                f"a list of more than {MOST_NAMES} names", Code.INVALID_RANGE_OF_OBJECTS_SYNTAX_IN_STRING
+                f"a list of more than {MAX_NAMES} names", Code.INVALID_RANGE_OF_OBJECTS_SYNTAX_IN_STRING
             )
     return found
 
@@ -82,9 +82,9 @@ def _expand(item: str) -> list[str]:
             Code.INVALID_RANGE_OF_OBJECTS_SYNTAX_IN_STRING,
         )
     first, last = int(match[2]), int(match[4])
-    if abs(last - first) >= MOST_NAMES:
+    if abs(last - first) >= MAX_NAMES:
         raise DaqError(
-            f"{item!r} is a range of {abs(last - first) + 1} names: expected {MOST_NAMES} at most",
+            f"{item!r} is a range of {abs(last - first) + 1} names: expected {MAX_NAMES} at most",
             Code.INVALID_RANGE_OF_OBJECTS_SYNTAX_IN_STRING,
         )
     width = len(match[2]) if match[2].startswith("0") else 0

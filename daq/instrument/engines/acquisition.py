@@ -30,11 +30,11 @@ class InputPlan:
     rate: float  # samples per second
     samples: int | None  # samples of a finite acquisition; None for a continuous acquisition
     buffer: int  # capacity of the buffer, samples per channel
-    keep: bool = False  # whether the acquisition stops before it overwrites unread samples
+    stops_when_full: bool = False  # whether it stops before it overwrites unread samples
     start: Source | None = None  # triggers
     reference: Source | None = None  # triggers
     pretrigger: int = 0  # samples before the reference trigger
-    again: bool = False  # whether the start trigger is re-armed after each complete record
+    rearms: bool = False  # whether the start trigger is re-armed after each complete record
 
     def reading(self, row: int, samples: NDArray[Any]) -> NDArray[np.float64]:
         """Convert converter samples to the units of their channel."""
@@ -72,10 +72,10 @@ class Acquisition:
         self.done = False
         self.error: DaqError | None = None
         self.overloaded = np.zeros(len(plan.rows), bool)
-        self._late = False
+        self._has_overflowed = False
         # Number of the first sample not yet reported as lost.
-        self._kept = 0
-        self._record = 0
+        self._first_unreported = 0
+        self._record_start = 0
         # Number and tick of the first sample of each record, in order of time.
         self._records: deque[tuple[int, int]] = deque(maxlen=1000)
         self._end: int | None = None
@@ -90,12 +90,12 @@ class Acquisition:
         self._start_finders = start.finders() if isinstance(start, AnalogSource) else []
 
     def _begin(self, tick: int) -> None:
-        self.first_tick, self._record = tick, self.ring.written
-        self._records.append((self._record, tick))
+        self.first_tick, self._record_start = tick, self.ring.written
+        self._records.append((self._record_start, tick))
         reference = self.plan.reference
         self._reference_finders = reference.finders() if isinstance(reference, AnalogSource) else []
         if self.plan.samples is not None and reference is None:
-            self._end = self._record + self.plan.samples
+            self._end = self._record_start + self.plan.samples
 
     @property
     def waits_on_data(self) -> bool:
@@ -110,21 +110,23 @@ class Acquisition:
     @property
     def oldest(self) -> int:
         """Number of the oldest sample that has not been lost."""
-        return max(self._kept, self.ring.written - self.plan.buffer * (2 if self._late else 1))
+        return max(
+            self._first_unreported, self.ring.written - self.plan.buffer * (2 if self._has_overflowed else 1)
+        )
 
     def skip_lost(self) -> int:
         """Move the read position past samples that have been lost, and return how many there are."""
         if not self.readable or self.position >= self.oldest:
             return 0
         at, self.position = self.position, max(0, self.ring.written - self.plan.buffer)
-        self._late, self._kept = True, self.position
+        self._has_overflowed, self._first_unreported = True, self.position
         return self.position - at
 
     def take_out(self, count: int) -> NDArray[Any]:
         """Read available samples, shape (channels, count)."""
         samples = self.ring.read(self.position, count)
         self.position += count
-        self._late &= self.ring.written - self.position > self.plan.buffer // 2
+        self._has_overflowed &= self.ring.written - self.position > self.plan.buffer // 2
         return samples
 
     @property
@@ -215,8 +217,8 @@ class Acquisition:
         if self.plan.reference is not None and self.trigger is None:
             self._look_for_reference(tick, x, moment)
         count = x.shape[1] if self._end is None else min(x.shape[1], self._end - self.ring.written)
-        if self.plan.keep:
-            count = self._fit(count)
+        if self.plan.stops_when_full:
+            count = self._fit_into_buffer(count)
         self.ring.write(x[:, :count])
         self.overloads.write(over[:, :count])
         self.overloaded |= over[:, :count].any(axis=1)
@@ -224,14 +226,13 @@ class Acquisition:
             self._complete(tick + count)
         return max(count, 1)
 
-    def _fit(self, count: int) -> int:
+    def _fit_into_buffer(self, count: int) -> int:
         room = self.plan.buffer - (self.ring.written - self.position)
         if count > room:
             self.stop(
                 DaqError(
-                    "the acquisition has stopped because the buffer was full of unread samples: read more "
-                    "often, "
-                    "enlarge in_stream.input_buf_size, or let it overwrite (in_stream.overwrite)",
+                    "the acquisition has stopped because the buffer was full of unread samples. Read more often, "
+                    "enlarge in_stream.input_buf_size, or allow it to overwrite (in_stream.overwrite).",
                     Code.ACQ_STOPPED_TO_PREVENT_INPUT_BUFFER_OVERWRITE,
                 )
             )
@@ -261,7 +262,7 @@ class Acquisition:
         return None if tick is None else first_sample(self._per_tick, tick)
 
     def _complete(self, tick: int) -> None:
-        if self.plan.again:
+        if self.plan.rearms:
             self._arm(tick)
         else:
             self.done = True

@@ -30,7 +30,7 @@ class OutputBuffer:
 
     @property
     def size(self) -> int:
-        """Samples per channel held."""
+        """Capacity, samples per channel."""
         return self.data.shape[1]
 
     def free(self, generated: int, running: bool, regenerate: bool) -> int:
@@ -66,15 +66,15 @@ class Generation:
     """The state of an output task from start to stop.
 
     `plan`: what to generate; `buffer`: samples to play; may be written during the run; `tick`: position of the bench
-    at the start; `held`, shape (channels,): output voltage before the start, V; `generated`: samples per channel
+    at the start; `last_volts`, shape (channels,): output voltage before the start, V; `generated`: samples per channel
     generated so far; `done`: whether the generation has ended; the output keeps its last value; `error`: reason of
     an early end.
     """
 
-    def __init__(self, plan: OutputPlan, buffer: OutputBuffer, tick: int, held: Array) -> None:
-        self.plan, self.buffer, self.held = plan, buffer, held
+    def __init__(self, plan: OutputPlan, buffer: OutputBuffer, tick: int, last_volts: Array) -> None:
+        self.plan, self.buffer, self.last_volts = plan, buffer, last_volts
         self.generated = 0
-        self._passed = 0
+        self._ticks = 0
         self.done = False
         self.error: DaqError | None = None
         self.armed_at = tick
@@ -86,14 +86,9 @@ class Generation:
             self.first_tick = self.armed_at
 
     @property
-    def begun(self) -> bool:
+    def has_started(self) -> bool:
         """Whether the output of samples has started."""
         return self.first_tick is not None
-
-    @property
-    def to_come(self) -> int:
-        """Samples in the buffer that have not been played yet, without regeneration."""
-        return self.buffer.written - self.generated
 
     def start_tick(self, reference: bool, tick: int) -> int | None:
         """Return the tick at which this task started or will start; an output has no reference trigger."""
@@ -112,11 +107,11 @@ class Generation:
     def ticks_until(self, samples: int) -> int:
         """Count the ticks until the total number of generated samples is `samples`."""
         assert self.first_tick is not None
-        return math.ceil(samples / self.plan.per_tick) - self._passed
+        return math.ceil(samples / self.plan.per_tick) - self._ticks
 
     def produce(self, tick: int, count: int, moment: Moment) -> Array:
         """Return the output voltages of the next ticks, V, shape (channels, count)."""
-        out = np.repeat(self.held[:, None], count, axis=1)
+        out = np.repeat(self.last_volts[:, None], count, axis=1)
         if self.done:
             return out
         if self.first_tick is None:
@@ -124,30 +119,30 @@ class Generation:
             if self.first_tick is None:
                 return out
         at = max(0, self.first_tick - tick)
-        began, self._passed = self._passed, self._passed + count - at
+        began, self._ticks = self._ticks, self._ticks + count - at
         ratio = self.plan.per_tick
         # Ticks of the bench between two samples are interpolated linearly.
-        turn, rest = np.divmod((began + np.arange(count - at)) * ratio.numerator, ratio.denominator)
-        last = self._passed * ratio.numerator // ratio.denominator
+        index, remainder = np.divmod((began + np.arange(count - at)) * ratio.numerator, ratio.denominator)
+        last = self._ticks * ratio.numerator // ratio.denominator
         ends = [] if self.plan.samples is None else [self.plan.samples]
         if not self.plan.regenerate:
             ends.append(self.buffer.written)
-        made = int(np.searchsorted(turn, min(ends))) if ends else turn.size
-        played = self.buffer.data[:, turn[:made] % self.buffer.size]
-        out[:, at : at + made] = played
-        if made and rest.any():
-            following = np.minimum(turn[:made] + 1, min(ends) - 1) if ends else turn[:made] + 1
-            ahead = self.buffer.data[:, following % self.buffer.size]
-            out[:, at : at + made] += (rest[:made] / ratio.denominator) * (ahead - played)
-        if made:
-            self.held = played[:, -1].copy()
-        out[:, at + made :] = self.held[:, None]
-        self.generated = min([int(turn[-1]) + 1, *ends]) if turn.size else self.generated
-        if made < turn.size and self.generated != self.plan.samples:
+        n_played = int(np.searchsorted(index, min(ends))) if ends else index.size
+        played = self.buffer.data[:, index[:n_played] % self.buffer.size]
+        out[:, at : at + n_played] = played
+        if n_played and remainder.any():
+            next_index = np.minimum(index[:n_played] + 1, min(ends) - 1) if ends else index[:n_played] + 1
+            next_volts = self.buffer.data[:, next_index % self.buffer.size]
+            out[:, at : at + n_played] += (remainder[:n_played] / ratio.denominator) * (next_volts - played)
+        if n_played:
+            self.last_volts = played[:, -1].copy()
+        out[:, at + n_played :] = self.last_volts[:, None]
+        self.generated = min([int(index[-1]) + 1, *ends]) if index.size else self.generated
+        if n_played < index.size and self.generated != self.plan.samples:
             self.stop(
                 DaqError(
-                    "the output has stopped because it ran out of new samples: write earlier or more at a "
-                    "time, or allow regeneration (out_stream.regen_mode)",
+                    "the output has stopped because it had no new samples. Write earlier or more at a time, or allow "
+                    "regeneration (out_stream.regen_mode).",
                     Code.GEN_STOPPED_TO_PREVENT_REGEN_OF_OLD_SAMPLES,
                 )
             )

@@ -157,7 +157,7 @@ class TaskLog:
 
     def __init__(self, open_file: Callable[[Path, int], _File], settings: Properties) -> None:
         self._open, self._settings = open_file, settings
-        self.by_itself = self._settings["logging_mode"] == LoggingMode.LOG
+        self.logs_only = self._settings["logging_mode"] == LoggingMode.LOG
         self._base, self._number = Path(self._settings["logging_file_path"]), 0
         self._file = open_file(self._base, 0)
         self._logged: int | None = None

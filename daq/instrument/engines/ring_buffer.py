@@ -10,7 +10,7 @@ from numpy.typing import DTypeLike, NDArray
 from daq.instrument.errors import bad
 
 # Maximum size of a buffer, bytes: a larger buffer could make the computer swap memory to disk.
-MOST_BYTES = 2 << 30
+MAX_BYTES = 2 << 30
 
 
 def memory(channels: int, samples: int, dtype: DTypeLike = np.float64) -> NDArray[Any]:
@@ -20,7 +20,7 @@ def memory(channels: int, samples: int, dtype: DTypeLike = np.float64) -> NDArra
     """
     if samples < 0:
         raise bad(f"{samples} samples per channel: expected 0 at least, or READ_ALL_AVAILABLE (-1)")
-    if channels * samples * np.dtype(dtype).itemsize <= MOST_BYTES:
+    if channels * samples * np.dtype(dtype).itemsize <= MAX_BYTES:
         try:
             return np.zeros((channels, samples), dtype)
         except MemoryError:

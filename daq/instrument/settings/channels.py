@@ -47,7 +47,7 @@ _INPUT: dict[str, Any] = {
     "chan_is_global": False,
 }
 # Settings of specific kinds of measurement.
-_OF_KIND: dict[str, dict[str, Any]] = {
+_OF_MEASUREMENT: dict[str, dict[str, Any]] = {
     "bridge": {
         "ai_bridge_cfg": 10182,
         "ai_bridge_nom_resistance": 350.0,
@@ -96,14 +96,14 @@ def _defaults(kind: Measurement | None) -> dict[str, Any]:
     name = next(name for name, each in MEASUREMENTS.items() if each.type == kind.type)
     own = {"bridge": "Bridge" in name or "Strain" in name or "Excit" in name}
     own |= {key: key in name.lower() for key in ("current", "pos", "microphone")}
-    found = dict(_INPUT)
+    defaults = dict(_INPUT)
     for key, wanted in own.items():
-        found |= _OF_KIND[key] if wanted else {}
-    found[kind.units] = 10348
+        defaults |= _OF_MEASUREMENT[key] if wanted else {}
+    defaults[kind.units] = 10348
     if kind.sensitivity:
-        found |= {kind.sensitivity: 1.0, f"{kind.sensitivity}_units": 0}
-        found |= {f"{kind.sensitivity.removesuffix('_sensitivity')}_db_ref": 1.0}
-    return found
+        defaults |= {kind.sensitivity: 1.0, f"{kind.sensitivity}_units": 0}
+        defaults |= {f"{kind.sensitivity.removesuffix('_sensitivity')}_db_ref": 1.0}
+    return defaults
 
 
 @dataclass
@@ -117,7 +117,7 @@ class Channel:
     kind: Measurement | None  # kind of measurement of an input; None for an output
     defaults: dict[str, Any]  # by the driver's names of the properties
     settings: dict[str, Any]
-    without: set[str] = field(default_factory=set)  # limits that a script has reset and must set again
+    unset_limits: set[str] = field(default_factory=set)  # limits that a script has reset and must set again
 
     @classmethod
     def declare(
@@ -133,8 +133,8 @@ class Channel:
             if kind.type not in module.measurements:
                 raise module.no_measurement(port.name)
             # A module whose IEPE supply requires AC coupling uses it by default where it supplies a sensor.
-            feeds = given.get("ai_excit_src") == Excitation.INTERNAL and module.supply_coupling == "AC"
-            defaults["ai_coupling"] = Coupling.AC if feeds else module.couplings[0]
+            supplies_ac = given.get("ai_excit_src") == Excitation.INTERNAL and module.supply_coupling == "AC"
+            defaults["ai_coupling"] = Coupling.AC if supplies_ac else module.couplings[0]
         if kind is not None and kind.type == MICROPHONE:
             loudest = given["ai_sound_pressure_max_sound_pressure_lvl"]
             if not -1000.0 < loudest < 1000.0:
@@ -181,7 +181,7 @@ class Channel:
 
     @property
     def scale_name(self) -> str:
-        """Name of its custom scale; empty without a custom scale."""
+        """Name of its custom scale; empty unset_limits a custom scale."""
         return str(self.settings[f"{self.side}_custom_scale_name"])
 
     def _largest_volts(self) -> float:
@@ -189,7 +189,7 @@ class Channel:
         return max(limits) * self.volts_per_unit
 
     @property
-    def fed(self) -> bool:
+    def is_supplied(self) -> bool:
         """Whether the module supplies an IEPE sensor."""
         return bool(self.settings.get("ai_excit_src") == Excitation.INTERNAL)
 
@@ -199,12 +199,12 @@ class Channel:
         Raises `DaqError` with -200695 or -200694, and with -200077.
         """
         own, module = self.settings, self.module
-        for name in self.without:
+        for name in self.unset_limits:
             self.get(name)
-        if self.fed and module.supply_coupling == "AC" and own["ai_coupling"] != Coupling.AC:
+        if self.is_supplied and module.supply_coupling == "AC" and own["ai_coupling"] != Coupling.AC:
             raise bad(
-                f"channel {self.name}: {module.product_type} feeds sensors with AC coupling only: leave "
-                "ai_coupling at AC, or set ai_excit_src to NONE"
+                f"channel {self.name}: {module.product_type} supplies sensors with AC coupling only. Leave "
+                "ai_coupling at AC, or set ai_excit_src to NONE."
             )
 
     def check(self) -> None:
@@ -216,10 +216,10 @@ class Channel:
         if not (math.isfinite(low) and math.isfinite(high)):
             raise bad(f"channel {self.name}: limits {low:g} to {high:g}: expected finite numbers")
         if not sys.float_info.min <= self.volts_per_unit < math.inf:
-            raise bad(f"channel {self.name}: the sensitivity must be positive, and finite")
+            raise bad(f"channel {self.name}: the sensitivity is not positive and finite. Correct it.")
         if not low < high:
             raise DaqError(
-                f"channel {self.name}: limits {low:g} to {high:g}: the lower one must be below the upper one",
+                f"channel {self.name}: the lower limit {low:g} is not below the upper limit {high:g}. Exchange them.",
                 Code.MIN_NOT_LESS_THAN_MAX,
             )
         full = self.module.output_range if self.kind is None else (self.module.ranges or (math.inf,))[-1]
@@ -227,8 +227,8 @@ class Channel:
         if self._largest_volts() > full * (1 + 1e-9) and in_volts:
             scale = full / self.volts_per_unit
             raise bad(
-                f"channel {self.name}: limits {low:g} to {high:g} {self.unit} go beyond what "
-                f"{self.module.product_type} can do, {-scale:g} to {scale:g} {self.unit} (±{full:g} V)"
+                f"channel {self.name}: limits {low:g} to {high:g} {self.unit} exceed the range of "
+                f"{self.module.product_type}, {-scale:g} to {scale:g} {self.unit} (±{full:g} V). Give limits within it."
             )
         if self.kind is None:
             return
@@ -246,10 +246,8 @@ class Channel:
 
     def get(self, name: str) -> Any:
         """Read a property by the driver's name; with -200452, if channels of this kind do not have it."""
-        if name in self.without:
-            raise DaqError(
-                f"channel {self.name} has no {name} since it was deleted: set it again", _NOT_SPECIFIED[name]
-            )
+        if name in self.unset_limits:
+            raise DaqError(f"channel {self.name} has no {name}: it was reset. Set it.", _NOT_SPECIFIED[name])
         computed = _INPUT_COMPUTED if self.kind is not None else _OUTPUT_COMPUTED
         if name in computed:
             return computed[name](self)
@@ -271,7 +269,7 @@ class Channel:
         except DaqError:
             self.settings = before
             raise
-        self.without.discard(name)
+        self.unset_limits.discard(name)
 
     def reset(self, name: str) -> None:
         """Reset a property to its default."""
@@ -281,7 +279,7 @@ class Channel:
         self.get(name)
         self.set(name, self.defaults[name])
         if name in _NOT_SPECIFIED:
-            self.without.add(name)
+            self.unset_limits.add(name)
 
 
 def _limit(channel: Channel, sign: float) -> float:

@@ -11,8 +11,10 @@ from daq.instrument.errors import Code, DaqError, bad
 from daq.instrument.settings.properties import alike
 from rig.arrays import Array
 
-# Maximum number of points and order: they limit the time of the least-squares fit.
-_MOST_POINTS, _HIGHEST_ORDER = 100_000, 50
+# Maximum number of points of a least-squares fit, which limits its time.
+_MAX_POINTS = 100_000
+# Maximum order of its polynomial.
+_MAX_ORDER = 50
 LINEAR, MAP_RANGES, POLYNOMIAL, TABLE = 10447, 10448, 10449, 10450
 
 
@@ -30,10 +32,10 @@ class Scale:
             "scaled_units": "",
             "pre_scaled_units": 10348,
         } | settings
-        for name, figures in self.settings.items():
-            if isinstance(figures, float | list) and not np.all(np.isfinite(figures)):
-                raise bad(f"{name} of a scale is {str(figures)[:80]}: expected finite numbers")
-            if figures == [] and name != "poly_reverse_coeff":
+        for name, value in self.settings.items():
+            if isinstance(value, float | list) and not np.all(np.isfinite(value)):
+                raise bad(f"{name} of a scale is {str(value)[:80]}: expected finite numbers")
+            if value == [] and name != "poly_reverse_coeff":
                 raise bad(f"{name} of a scale is empty: expected one number at least")
         self.convert(np.zeros(1))
 
@@ -73,7 +75,7 @@ class Scale:
         """
         own = self.settings
         if own["type"] == MAP_RANGES and own["map_pre_scaled_min"] == own["map_pre_scaled_max"]:
-            raise bad("a map scale whose range before scaling is empty: give two different limits")
+            raise bad("the range of a map scale before scaling is empty. Give two different limits.")
         if own["type"] == TABLE and len(own["table_pre_scaled_vals"]) != len(own["table_scaled_vals"]):
             raise DaqError(
                 f"a table scale with {len(own['table_pre_scaled_vals'])} values before and "
@@ -90,18 +92,18 @@ def reverse_polynomial(forward: list[float], low: float, high: float, points: in
     [-0.5, 0.5]
     """
     if not forward:
-        raise bad("no coefficients to reverse")
+        raise bad("no coefficients to reverse. Give at least one.")
     points, degree = points if points > 0 else 1000, order if order >= 0 else len(forward) - 1
-    if not degree < points <= _MOST_POINTS or degree > _HIGHEST_ORDER:
+    if not degree < points <= _MAX_POINTS or degree > _MAX_ORDER:
         raise bad(
-            f"a polynomial of order {degree} through {points} points: expected an order of {_HIGHEST_ORDER} at most "
-            f"and more points than that, up to {_MOST_POINTS}"
+            f"a polynomial of order {degree} through {points} points: expected an order of {_MAX_ORDER} at most "
+            f"and more points than that, up to {_MAX_POINTS}"
         )
     x = np.linspace(low, high, points)
     with np.errstate(all="ignore"):
         y = np.polynomial.polynomial.polyval(x, forward)
-        reach = np.abs(y).max() ** max(degree, 1)
-    if not (np.isfinite(x).all() and np.isfinite(reach)):
+        largest_power = np.abs(y).max() ** max(degree, 1)
+    if not (np.isfinite(x).all() and np.isfinite(largest_power)):
         raise bad(
             "a polynomial whose powers are not finite over the range: expected smaller coefficients and limits"
         )

@@ -13,8 +13,8 @@ from daq.instrument.settings.scales import Scale
 from daq.instrument.settings.task_settings import TaskSettings
 
 # Maximum number of saved tasks, channels or scales, so that a client cannot exhaust the memory.
-MOST_SAVED = 1000
-Kept = TypeVar("Kept")
+MAX_SAVED = 1000
+Value = TypeVar("Value")
 
 
 @dataclass
@@ -34,13 +34,11 @@ class Storage:
     scales: dict[str, Scale] = field(default_factory=dict)
     authors: dict[str, str] = field(default_factory=dict)
 
-    def keep(self, kept: dict[str, Kept], name: str, value: Kept) -> None:
+    def store(self, saved: dict[str, Value], name: str, value: Value) -> None:
         """Store a value under a name; with -200077, if the maximum number is reached."""
-        if name not in kept and len(kept) >= MOST_SAVED:
-            raise bad(
-                f"{MOST_SAVED} of these are saved already, which is as many as there may be: delete some"
-            )
-        kept[name] = value
+        if name not in saved and len(saved) >= MAX_SAVED:
+            raise bad(f"{MAX_SAVED} of these are saved already, the maximum. Delete some.")
+        saved[name] = value
 
     def scale(self, name: str) -> Scale:
         """Return a scale by name; with -200378, if it does not exist."""
@@ -50,7 +48,7 @@ class Storage:
 
     def save_task(self, task: TaskSettings, name: str, author: str) -> None:
         """Save a task's settings."""
-        self.keep(self.tasks, name, SavedTask(deepcopy(task.channels), deepcopy(task.groups)))
+        self.store(self.tasks, name, SavedTask(deepcopy(task.channels), deepcopy(task.groups)))
         self.authors[name] = author
 
     def load_task(self, task: TaskSettings, name: str) -> None:
@@ -62,9 +60,9 @@ class Storage:
 
     def save_channel(self, channel: Channel, name: str, author: str) -> None:
         """Save a channel for other tasks."""
-        kept = deepcopy(channel)
-        kept.name, kept.settings["chan_is_global"] = name, True
-        self.keep(self.channels, name, kept)
+        saved = deepcopy(channel)
+        saved.name, saved.settings["chan_is_global"] = name, True
+        self.store(self.channels, name, saved)
         self.authors[name] = author
 
     def channel(self, name: str) -> Channel:

@@ -76,7 +76,7 @@ def _with_status(call: Call, reading: Reading, answer: Answer) -> Answer:
     done = reading.samples.shape[1]
     if not done:
         raise DaqError(str(error), error.code, done=0)
-    call.instrument.remember(call.peer, error, call.task.name)
+    call.instrument.store_error(call.peer, error, call.task.name)
     return answer | {"status": error.code}
 
 

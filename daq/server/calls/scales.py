@@ -15,7 +15,7 @@ def _create_scale(kind: int, *names: tuple[str, str]) -> Callable[[Call], Answer
         settings = {key: plain(given[name]) for name, key in names}
         common = {key: given[key] for key in ("pre_scaled_units", "scaled_units")}
         storage = call.instrument.storage
-        storage.keep(storage.scales, given["name"], Scale(kind, settings | common))
+        storage.store(storage.scales, given["name"], Scale(kind, settings | common))
         return {}
 
     return create
@@ -48,7 +48,7 @@ def _save_channel(call: Call) -> Answer:
 def _save_scale(call: Call) -> Answer:
     storage, given = call.instrument.storage, call.fields
     name = given["save_as"] or given["scale_name"]
-    storage.keep(storage.scales, name, storage.scale(given["scale_name"]))
+    storage.store(storage.scales, name, storage.scale(given["scale_name"]))
     storage.authors[name] = given["author"]
     return {}
 

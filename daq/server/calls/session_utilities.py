@@ -45,7 +45,9 @@ CALLS: dict[str, Callable[[Call], Answer]] = {
     "Reserve": lambda call: {
         "is_reserved": call.instrument.reservations.reserve(*_names(call), waits=call.is_active)
     },
-    "IsReservedByClient": lambda call: {"is_reserved": call.instrument.reservations.held(*_names(call))},
+    "IsReservedByClient": lambda call: {
+        "is_reserved": call.instrument.reservations.is_reserved_by(*_names(call))
+    },
     "Unreserve": lambda call: {"is_unreserved": call.instrument.reservations.release(*_names(call))},
     "ResetServer": _reset,
 }

@@ -48,7 +48,7 @@ def _nth(values: Callable[[Task], list[str]]) -> Callable[[Call], Answer]:
 
 
 def _error_string(call: Call) -> Answer:
-    return {"error_string": call.instrument.recall(call.peer, call.fields["error_code"])}
+    return {"error_string": call.instrument.text_of_error(call.peer, call.fields["error_code"])}
 
 
 CALLS: dict[str, Callable[[Call], Answer]] = {

@@ -171,18 +171,18 @@ def test_log_states_where_it_broke(tmp_path, mode, name):
         logging(task, path, mode)
         task.start()
         pass_samples(chassis, 1000)
-        with pytest.raises(DaqError, match="lost on the way"):
+        with pytest.raises(DaqError, match="lost after the converter"):
             task.stop()
     if name.endswith(".tdms"):
         import nptdms
 
-        assert "lost on the way" in nptdms.TdmsFile.read(path)["broken"]["Dev1/ai1"].properties["error"]
+        assert "lost after the converter" in nptdms.TdmsFile.read(path)["broken"]["Dev1/ai1"].properties["error"]
         return
     with daq.open(path) as recording:
         assert (recording.status, recording.samples) == ("failed", 512)
         (abort,) = [mark for mark in recording.markers if mark.kind == "abort"]
         assert abort.first_sample == 512
-        assert "lost on the way" in abort.fields["reason"]
+        assert "lost after the converter" in abort.fields["reason"]
         assert recording.metadata["outcome"]["reason"] == abort.fields["reason"]
 
 

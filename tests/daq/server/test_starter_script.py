@@ -7,9 +7,9 @@ from nidaqmx.constants import ExcitationSource
 
 import daq
 import rig
+from daq.server.missing_excitation import report_missing_excitation
 from daq.server.script import run_script
 from daq.server.serve import announcement
-from daq.server.unfed_sensors import report_unfed_sensors
 
 SCENE = """
 structure: {masses: [1 kg, 1 kg], springs: [40 kN/m, 40 kN/m], damping: {modal: 1 %}}
@@ -53,7 +53,7 @@ def test_starter_script_reads_sensors(channels, converter, read, capsys):
     with daq.connect(scene(channels, converter), clock="fast") as connection:
         chassis = connection.chassis
         chassis.listeners.append(lambda source, block: blocks.append(source.physical(block.samples)))
-        report_unfed_sensors(chassis)
+        report_missing_excitation(chassis)
         namespace = {}
         exec(starter(connection), namespace)
         infos = connection.sensors[:read]
@@ -71,7 +71,7 @@ def test_starter_script_reads_sensors(channels, converter, read, capsys):
 
 def test_unfed_sensors_are_reported_once(capsys):
     with daq.connect(scene(FED, "preset: NI 9234"), clock="fast") as connection:
-        report_unfed_sensors(connection.chassis)
+        report_missing_excitation(connection.chassis)
 
         def read(terminals, source):
             with nidaqmx.Task(grpc_options=connection) as task:

@@ -183,13 +183,13 @@ def test_regeneration_repeats_buffer(chassis):
         driving.start()
         pass_samples(chassis, 25)
         assert driving.out_stream.total_samp_per_chan_generated == 25
-        assert chassis.held[0] == 0.4
+        assert chassis.last_volts[0] == 0.4
         driving.write(np.full(10, 0.9))
         pass_samples(chassis, 1)
-        assert chassis.held[0] == 0.9
+        assert chassis.last_volts[0] == 0.9
         driving.stop()
         pass_samples(chassis, 10)
-    assert chassis.held[0] == 0.9
+    assert chassis.last_volts[0] == 0.9
 
 
 def test_short_buffer_repeats_until_number(chassis):
@@ -198,7 +198,7 @@ def test_short_buffer_repeats_until_number(chassis):
         driving.start()
         driving.wait_until_done()
         assert driving.out_stream.total_samp_per_chan_generated == 7
-        assert chassis.held[0] == 0.1
+        assert chassis.last_volts[0] == 0.1
 
 
 def test_unregenerated_samples_play_once(chassis):
@@ -220,7 +220,7 @@ def test_single_value_is_held(chassis):
         assert driving.write(1.1) == 1
         inputs(reading, "Dev1/ai3", samps_per_chan=400)
         assert np.ptp(reading.read(READ_ALL_AVAILABLE)) > 1.0
-    assert chassis.held[0] == 1.1
+    assert chassis.last_volts[0] == 1.1
 
 
 def test_output_starts_with_input_clock(chassis):
@@ -270,7 +270,7 @@ def test_output_callbacks_run(chassis):
 
 def test_real_clock_calls_back_on_thread(monkeypatch):
     # However busy the machine is that runs the tests, its bench does not count as fallen behind.
-    monkeypatch.setattr("daq.instrument.chassis._PATIENCE", float("inf"))
+    monkeypatch.setattr("daq.instrument.chassis._MAX_DELAY_S", float("inf"))
     connect("bare-structure", "real")
     enough, names = threading.Event(), []
     with Task("live") as task:

@@ -74,8 +74,8 @@ def test_slow_machine_overflows_inputs(chassis):
     with Task() as task:
         inputs(task, sample_mode=AcquisitionType.CONTINUOUS)
         task.start()
-        assert not chassis.lag(1.0)
-        assert chassis.lag(6.0)
+        assert not chassis.report_delay(1.0)
+        assert chassis.report_delay(6.0)
         with raised(DaqReadError) as caught:
             task.read(1)
         assert caught.value.error_code == -200361
@@ -102,7 +102,7 @@ def test_empty_output_is_reported(chassis):
             with raised() as caught:
                 call()
             assert caught.value.error_code == -200290
-        assert chassis.held[0] == 0.5
+        assert chassis.last_volts[0] == 0.5
         task.stop()
         assert task.is_task_done()
         assert task.write(np.zeros(50)) == 50

@@ -150,7 +150,7 @@ def test_counts_written_are_twos_complement(bench, kind):
     width = np.iinfo(COUNTS[kind]).bits
     with nidaqmx.Task("counts", grpc_options=connection) as task:
         task.ao_channels.add_ao_voltage_chan("cDAQ1Mod2/ao0")
-        row = connection.chassis.held
+        row = connection.chassis.last_volts
 
         @settings(QUICK, max_examples=40)
         @given(st.integers(-(2 ** (bits - 1)), 2 ** (bits - 1) - 1))

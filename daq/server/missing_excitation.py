@@ -10,7 +10,7 @@ from daq.instrument.chassis import Chassis
 from daq.instrument.settings.channels import Channel
 
 
-def report_unfed_sensors(chassis: Chassis) -> None:
+def report_missing_excitation(chassis: Chassis) -> None:
     """Report on stderr, once per input, that a task samples a sensor whose supply is off."""
     reported: set[int] = set()
 
@@ -34,4 +34,4 @@ def report_unfed_sensors(chassis: Chassis) -> None:
                 flush=True,
             )
 
-    chassis.wired.append(hear)
+    chassis.wiring_listeners.append(hear)

@@ -193,7 +193,7 @@ def test_excessive_requests_are_rejected():
             inputs(mine)
         with (
             inputs(client(rig), samps_per_chan=1 << 18) as task,
-            pytest.raises(DaqError, match="less at once"),
+            pytest.raises(DaqError, match="fewer samples at a time"),
         ):
             task.read(1 << 18)
         for task in tasks:

@@ -71,23 +71,18 @@ def _contact_force(equations: Equations, j: int, ceiling: bool, overlap: float, 
 
 @stored
 def _crossing_rate(
-    equations: Equations,
-    sequence: Sequence,
-    track: Track,
-    event: int,
-    closing: float,
-    acceleration_unit: float,
+    equations: Equations, sequence: Sequence, track: Track, event: int, closing: float, acc_unit: float
 ) -> float:
     """Return the rate at which a finite-duration contact crosses its event: speed in g/w, or force slope in g w."""
     kind, j, omega = sequence.kind[event], sequence.damper[event], equations.omega
     guard = track.guards[event - 1, -1, j]
     if kind == RELEASE:
-        return min(1.0, -guard[1] / (acceleration_unit * omega))
+        return min(1.0, -guard[1] / (acc_unit * omega))
     if kind in (PRESS_FLOOR, PRESS_CEILING):
         sign = -1.0 if kind == PRESS_FLOOR else 1.0
         force_rate = _contact_force(equations, j, kind == PRESS_CEILING, sign * guard[1], sign * guard[2])
-        return min(1.0, force_rate / (equations.mass[j] * acceleration_unit * omega))
-    return min(1.0, closing * omega / acceleration_unit)
+        return min(1.0, force_rate / (equations.mass[j] * acc_unit * omega))
+    return min(1.0, closing * omega / acc_unit)
 
 
 @stored
@@ -100,7 +95,7 @@ def _finite_contact_margins(
     event. The overlap at the start of a segment follows from the previous segment. The segments are therefore passed
     twice, and only the second lap counts.
     """
-    events, acceleration_unit = sequence.kind.shape[0], length_unit * equations.omega**2
+    events, acc_unit = sequence.kind.shape[0], length_unit * equations.omega**2
     clearance = equations.clearance[j]
     overlapped_wall = 0
     for visit in range(2 * track.times.shape[0]):
@@ -116,7 +111,7 @@ def _finite_contact_margins(
             if not own_end:
                 lowest_force = min(lowest_force, guard[-1, 0])
             if lap == 1:
-                _lower(distances, LEAVES_WALL, j, lowest_force / acceleration_unit)
+                _lower(distances, LEAVES_WALL, j, lowest_force / acc_unit)
             continue
         if own_start:
             overlapped_wall = sequence.wall[s, j]
@@ -135,17 +130,15 @@ def _finite_contact_margins(
             free += 1
         if lap == 0:
             continue
-        _lower(distances, STAYS_AT_WALL, j, -highest_force / acceleration_unit)
+        _lower(distances, STAYS_AT_WALL, j, -highest_force / acc_unit)
         floor_gap, ceiling_gap = np.inf, np.inf
         if free < guard.shape[0]:
             floor_gap = _lowest_minimum(track, s, j, 0.0, 1.0, free)
             if np.isfinite(clearance):
                 ceiling_gap = _lowest_minimum(track, s, j, clearance, -1.0, free)
             if not own_start and free == 0:
-                floor_gap, ceiling_gap = (
-                    min(floor_gap, guard[0, 0]),
-                    min(ceiling_gap, clearance - guard[0, 0]),
-                )
+                floor_gap = min(floor_gap, guard[0, 0])
+                ceiling_gap = min(ceiling_gap, clearance - guard[0, 0])
         _lower(distances, HITS_FLOOR, j, floor_gap / length_unit)
         _lower(distances, HITS_CEILING, j, ceiling_gap / length_unit)
 
@@ -160,12 +153,9 @@ def margins(equations: Equations, sequence: Sequence, track: Track, instants: Ar
     """
     omega, gravity = equations.omega, equations.gravity
     length_unit = gravity / omega**2 if gravity > 0.0 else np.abs(track.extremes).max()
-    acceleration_unit = length_unit * omega**2
-    events, nd, nq = (
-        sequence.kind.shape[0],
-        equations.body_coordinate.shape[0],
-        equations.inverse_mass.shape[1],
-    )
+    acc_unit = length_unit * omega**2
+    body_of, nq = equations.body_coordinate, equations.inverse_mass.shape[1]
+    events, nd = sequence.kind.shape[0], body_of.shape[0]
     distances = np.ones((N_BORDER_KINDS, max(events, nd, 1)))
     for s in range(track.times.shape[0]):
         k = s + 1 if events > 0 else 0
@@ -195,46 +185,42 @@ def margins(equations: Equations, sequence: Sequence, track: Track, instants: Ar
             lowest = min(lowest, sign * guard[0, 0])
             if not own_end:
                 lowest = min(lowest, sign * guard[-1, 0])
-            _lower(distances, LEAVES_WALL, j, lowest / acceleration_unit)
+            _lower(distances, LEAVES_WALL, j, lowest / acc_unit)
     for event in range(events):
         kind, j = sequence.kind[event], sequence.damper[event]
         if equations.bed[j] >= 0:
             distances[MISSES_WALL if kind != RELEASE else NOT_RELEASED, event] = _crossing_rate(
-                equations, sequence, track, event, closing[event], acceleration_unit
+                equations, sequence, track, event, closing[event], acc_unit
             )
             continue
         separates = kind in (SEPARATION, WITH_PREVIOUS)
-        ceiling = kind in (CEILING, CEILING_BOUNCE) or (
-            separates and sequence.wall[event, j] == RIDES_CEILING
-        )
+        left_ceiling = separates and sequence.wall[event, j] == RIDES_CEILING
+        ceiling = kind in (CEILING, CEILING_BOUNCE) or left_ceiling
         is_bounce = kind in (CEILING_BOUNCE, FLOOR_BOUNCE)
         away = -1.0 if ceiling else 1.0
         if kind == WITH_PREVIOUS or (is_bounce and equations.restitution[j] == 0.0):
             # The gap's curvature right after the event must lead away from the wall.
-            _lower(distances, STAYS_AT_WALL, j, away * track.guards[event, 0, j, 2] / acceleration_unit)
+            _lower(distances, STAYS_AT_WALL, j, away * track.guards[event, 0, j, 2] / acc_unit)
         if kind == SEPARATION:
             jerk = track.guards[event - 1, -1, j, 1]
-            distances[NOT_RELEASED, event] = min(1.0, -away * jerk / (acceleration_unit * omega))
+            distances[NOT_RELEASED, event] = min(1.0, -away * jerk / (acc_unit * omega))
         elif kind != WITH_PREVIOUS:
-            distances[MISSES_WALL, event] = min(1.0, closing[event] * omega / acceleration_unit)
+            distances[MISSES_WALL, event] = min(1.0, closing[event] * omega / acc_unit)
             # With a full mass matrix, an impact presses riding dampers on their walls or throws them from the walls.
             for i in range(nd):
-                body = equations.body_coordinate[i]
-                coupling = equations.inverse_mass[
-                    sequence.configuration[event], body, equations.body_coordinate[j]
-                ]
+                body = body_of[i]
+                coupling = equations.inverse_mass[sequence.configuration[event], body, body_of[j]]
                 if i != j and sequence.wall[event, i] in (RIDES_FLOOR, RIDES_CEILING) and coupling != 0.0:
                     speed_change = track.motion[event, 0, nq + body] - track.motion[event - 1, -1, nq + body]
                     sign = 1.0 if sequence.wall[event, i] == RIDES_FLOOR else -1.0
-                    _lower(distances, THROWN_OFF, i, sign * speed_change * omega / acceleration_unit)
+                    _lower(distances, THROWN_OFF, i, sign * speed_change * omega / acc_unit)
         if separates:
             # At zero flight time the equations are singular, so a curve ends before.
             landing = (event + 1) % events
             while sequence.damper[landing] != j:
                 landing = (landing + 1) % events
-            flight_time = (
-                instants[landing] - instants[event] + (equations.period if landing <= event else 0.0)
-            )
+            next_period = equations.period if landing <= event else 0.0
+            flight_time = instants[landing] - instants[event] + next_period
             if sequence.kind[landing] == (CEILING if ceiling else FLOOR):
                 _lower(distances, FLIGHT_ENDS, j, flight_time * omega - MIN_FLIGHT_RAD)
     for j in range(nd):

@@ -35,7 +35,7 @@ def exponential(matrix: Array, time: float, rate: float) -> Array:
 
 
 @stored
-def exponential_derivative(
+def exponential_slope(
     matrix: Array, change: Array, start: Array, slope: Array, time: float, rate: float
 ) -> Array:
     """Differentiate exp(matrix time) start, matrix and start both changing: s' = A s + E z, s(0) = slope."""

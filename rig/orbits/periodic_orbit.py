@@ -121,26 +121,18 @@ def _nearby_orbit(
         return None
     if orbit.flaw or not orbit.stable:
         return None
-    distance = _distance_from_orbit(propagator, orbit)
+    distance = _distance(propagator, orbit)
     if distance > MAX_ORBIT_DISTANCE:
         return None
     # An irregular motion may pass close to an orbit without settling, so check that the distance decreases.
     trajectory = _simulate(propagator, steps, CONFIRMATION_PERIODS * repetition)
     n_impacts = np.count_nonzero(np.isin(trajectory.event_kind, STRIKES)) // repetition
-    same_impacts = (
-        n_impacts
-        == CONFIRMATION_PERIODS
-        * np.count_nonzero(~np.isin(orbit.events["kind"], ("separation", "release")))
-        // orbit.repetition
-    )
-    return (
-        orbit
-        if same_impacts and _distance_from_orbit(propagator, orbit) < max(distance, CLOSE_DISTANCE)
-        else None
-    )
+    n_orbit_impacts = np.count_nonzero(~np.isin(orbit.events["kind"], ("separation", "release")))
+    same_impacts = n_impacts == CONFIRMATION_PERIODS * n_orbit_impacts // orbit.repetition
+    return orbit if same_impacts and _distance(propagator, orbit) < max(distance, CLOSE_DISTANCE) else None
 
 
-def _distance_from_orbit(propagator: Propagator, orbit: Orbit) -> float:
+def _distance(propagator: Propagator, orbit: Orbit) -> float:
     """Return the relative distance of a propagator's state from an orbit at the start of a period."""
     nq = propagator.system.coordinates
     difference = propagator.state.z[: 2 * nq] - orbit.unknowns[: 2 * nq]

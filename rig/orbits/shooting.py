@@ -17,7 +17,7 @@ import numpy as np
 
 from rig.arrays import Array
 from rig.numerics.jit import stored
-from rig.orbits.matrix_exponential import exponential, exponential_derivative
+from rig.orbits.matrix_exponential import exponential, exponential_slope
 from rig.orbits.orbit_equations import (
     CEILING,
     CEILING_BOUNCE,
@@ -106,7 +106,7 @@ def _propagate(
     dinitial[:n] = sx[:, size]
     dinitial[n], dinitial[n + 1] = -time * change.omega * initial[n + 1], time * change.omega * initial[n]
     sx[:] = np.ascontiguousarray(flow[:n, :n]) @ sx
-    sx[:, size] = exponential_derivative(
+    sx[:, size] = exponential_slope(
         a, change.generator[config], initial, dinitial, duration, equations.rate[config]
     )[:n]
     for i in range(n):

@@ -96,10 +96,8 @@ def _extend_range(extremes: Array, x: Array, rate: Array, step: float) -> None:
     for i in range(x.shape[0]):
         for q in range(nq):
             displacement, velocity = x[i, q], x[i, nq + q]
-            extremes[q, 0], extremes[q, 1] = (
-                min(extremes[q, 0], displacement),
-                max(extremes[q, 1], displacement),
-            )
+            extremes[q, 0] = min(extremes[q, 0], displacement)
+            extremes[q, 1] = max(extremes[q, 1], displacement)
             if i > 0 and x[i - 1, nq + q] * velocity < 0.0:
                 slopes = np.array([x[i - 1, nq + q], velocity])
                 curvatures = np.array([rate[i - 1, nq + q], rate[i, nq + q]])

@@ -10,7 +10,7 @@ import typer
 
 from rig.arguments import Changes, Cluster, Overwrite, SceneName, loaded
 from rig.command_line import application, run
-from rig.console import counting, goes_on
+from rig.console import counting, goes_on, report_written
 from rig.provenance import overwriting
 
 if TYPE_CHECKING:
@@ -204,8 +204,7 @@ def fit(
     files_written, warnings = present_fit(files, loaded(scene, changes), free, output, overwrite, print)
     for warning in warnings:
         print(f"warning: {warning}", file=sys.stderr)
-    for path in files_written:
-        print(f"wrote {path}")
+    report_written(*files_written)
 
 
 @app.command(example="analysis report without.mcap with.mcap -o report.html")
@@ -292,7 +291,7 @@ def export(
             lines = export_stretch(stretch, output, speed, overwrite, progress)
     for line in lines:
         print(line)
-    print(f"wrote {output}")
+    report_written(output)
 
 
 @app.command(example="analysis cost fig9")
@@ -329,8 +328,7 @@ def cost(
             study = chain_study(setting, frequency, progress)
         files = write(study, output)
     print(table(study))
-    for path in files:
-        print(f"wrote {path}")
+    report_written(*files)
 
 
 @app.command(example="analysis paper -o paper")
@@ -368,7 +366,7 @@ def beds(
 
     with goes_on():
         follow(output, points, _say, cluster)
-    print(f"\nwritten: {output}")
+    report_written(output)
 
 
 @app.command(example="analysis contacts")
@@ -384,7 +382,7 @@ def contacts(
 
     with goes_on():
         follow(output, _say, cluster)
-    print(f"\nwritten: {output}")
+    report_written(output)
 
 
 def _say(line: str) -> None:
@@ -396,8 +394,7 @@ def _show(result: Result) -> None:
         print(line)
     for warning in result.warnings:
         print(f"warning: {warning}", file=sys.stderr)
-    for path in result.files:
-        print(f"wrote {path}")
+    report_written(*result.files)
 
 
 def main() -> None:

@@ -25,7 +25,7 @@ from rig.arguments import (
     loaded,
 )
 from rig.command_line import application, run
-from rig.console import counting, goes_on, progress, saying
+from rig.console import counting, goes_on, progress, report_written, saying
 from rig.errors import SceneError
 
 if TYPE_CHECKING:
@@ -180,7 +180,7 @@ def simulate(
         run = simulate_into(output, setting, seconds, samples, tone, progress)
     print(setting.structure.relabel(summary(run)))
     if output is not None:
-        print(f"\nwritten: {output}")
+        report_written(output)
 
 
 @app.command(example="rig response fig9 --from 30Hz --to 40Hz --points 21 -o response.csv")
@@ -223,7 +223,7 @@ def response(
         print(text(result, verbose))
         if output is not None:
             write(result, output)
-            print(f"\nwritten: {output}")
+            report_written(output)
 
 
 @app.command(example="rig grains fig9-grains --points 5 -o grains.csv")
@@ -261,7 +261,7 @@ def grains(
         result = rig.grains(setting, *band, points, periods, output, cluster, progress)
     print(text(result))
     if output is not None:
-        print(f"\nwritten: {output}")
+        report_written(output)
 
 
 @app.command(example="rig cost fig9")
@@ -299,7 +299,7 @@ def cost(
         result = rig.cost(setting, tone, periods, say)
         files = result.write(output)
     print(result)
-    print("\nwritten:", *files)
+    report_written(*files)
 
 
 @app.command("map", example="rig map fig9 --rows 12 --points 24")
@@ -355,7 +355,7 @@ def map_(
         files = write(found, output)
     kept.unlink()
     print(summary(found))
-    print("\nwritten:", *files)
+    report_written(*files)
 
 
 @app.command(example="rig design fig9 --budget '50 g' --bodies 3 --levels 3N -o design")
@@ -456,7 +456,7 @@ def design(
         report_progress(1.0, "writing")
         files = write(found, output)
     print(setting.structure.relabel(summary(found)))
-    print("\nwritten:", *files, table)
+    report_written(*files, table)
     print(setting.structure.relabel(next_step(found, files[0])))
     for foreseen in foresights(found.scene):
         print(f"\n{foreseen}")

@@ -9,6 +9,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
 from typing import IO, Any, ClassVar
 
 from rig.escaping import shown
@@ -110,6 +111,12 @@ def _speak(over: threading.Event, to: Any) -> None:
             with suppress(OSError, ValueError):
                 doing = doing and f": {doing}"
                 print(f"running for {time.monotonic() - since:.0f} s{doing}", file=to, flush=True)
+
+
+def report_written(*files: Path) -> None:
+    """Print the names of the files that a command wrote, one a line."""
+    for file in files:
+        print(f"wrote {file}")
 
 
 def held_up(doing: str) -> None:

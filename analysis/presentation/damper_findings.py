@@ -108,7 +108,10 @@ def describe_motions(bodies: Sequence[list[DamperMotion]], left_out: Sequence[fl
     for motions in bodies:
         rows += _motion_rows(motions, left_out)
     restitutions = [text for motions in bodies for text in _restitution(motions)]
-    limits = [f"{1e3 * max(each.threshold for each in body):.2g} mm/s ({body[0].channel})" for body in bodies]
+    limits = [
+        f"{float(f'{1e3 * max(each.threshold for each in body):.2g}'):.10g} mm/s ({body[0].channel})"
+        for body in bodies
+    ]
     return [
         *table_lines(rows, "<<<"),
         *([f"Restitution: {'; '.join(restitutions)}."] if restitutions else []),

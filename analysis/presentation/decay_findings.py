@@ -14,10 +14,21 @@ from analysis.presentation.output_names import check_outputs, output_stem
 from analysis.presentation.result import Result, noted
 from analysis.recordings.names import opened, relabelled, scene_labels
 from daq.recording.recorded_test import TestKind
-from rig.results import format_quantity
+from rig.results.text import format_interval, table_lines
 
 if TYPE_CHECKING:
     from analysis.decays.modal_decay import ModalDecay
+
+_COLUMNS = (
+    "mode / Hz",
+    "initial damping ratio / %",
+    "at / (m/s²)",
+    "final damping ratio / %",
+    "at / (m/s²)",
+    "noise / (m/s²)",
+)
+# Cells of a mode whose decay is too short, or too near its noise, for a damping ratio.
+_TOO_SHORT = ("too short", "-")
 
 
 def present_decay(
@@ -47,7 +58,7 @@ def present_decay(
 
 
 def describe_decay(one: Decay) -> list[str]:
-    """Describe a decay: the time from which it stays below 1 g, and the damping ratio of each mode."""
+    """Describe a decay: the time from which it stays below 1 g, and the damping ratio of each mode with 95 % bounds."""
     quiet = one.quiet_from
     until = "not within the recording" if np.isnan(quiet) else f"after {quiet:.3g} s"
     falls = (
@@ -55,20 +66,19 @@ def describe_decay(one: Decay) -> list[str]:
         if np.isnan(one.halving)
         else f"falls by 6 dB in {one.halving:.3g} s (slope from -1 to -11 dB)"
     )
-    out = [f"{one.label}, {one.channel}: below 1 g {until}; backward-integrated energy {falls}"]
+    rows = [_COLUMNS]
     for mode in one.modes:
-        if mode.damping.size:
-            ends = ", ".join(_damping_at(mode, index) for index in (0, -1))
-            out.append(f"  {mode.frequency_text()}: damping ratio {ends}; noise {mode.noise:.1g} m/s²")
-        else:
-            out.append(
-                f"  {mode.frequency_text()}: too short, or too near its noise of {mode.noise:.1g} m/s², for a "
-                "damping ratio"
-            )
-    return out
+        ends = [_damping_at(mode, index) for index in (0, -1)] if mode.damping.size else [_TOO_SHORT] * 2
+        frequency = format_interval(mode.frequency, 2.0 * mode.frequency_error)
+        rows.append((frequency, *ends[0], *ends[1], f"{mode.noise:.1g}"))
+    table = table_lines(rows, ">>>>>>") if one.modes else []
+    return [
+        f"{one.label}, {one.channel}: below 1 g {until}; backward-integrated energy {falls}",
+        *(f"  {line}" for line in table),
+    ]
 
 
-def _damping_at(mode: ModalDecay, index: int) -> str:
-    """Format the damping ratio at one amplitude with its 95 % bound."""
-    ratio, bound = 100.0 * mode.damping[index], 200.0 * mode.damping_error[index]
-    return f"{format_quantity(ratio, bound, '%')} at {mode.amplitude[index]:.3g} m/s²"
+def _damping_at(mode: ModalDecay, index: int) -> tuple[str, str]:
+    """Format the damping ratio in % with its 95 % bound, and the acceleration amplitude that it belongs to."""
+    ratio = format_interval(100.0 * mode.damping[index], 200.0 * mode.damping_error[index])
+    return ratio, f"{mode.amplitude[index]:.3g}"

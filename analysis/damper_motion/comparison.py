@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import inf, isinf, log10, sqrt
 
 import numpy as np
@@ -74,17 +74,16 @@ def peak(frf: Response, low: float, high: float) -> Peak | None:
         return None
     scatter = np.nan_to_num(part.random_bound()[known])
     around = np.nan_to_num(part.bound()[known])
-    top = _top(size, scatter)
+    top = _highest_local_maximum(size, scatter)
     near = np.arange(max(top - 2, 0), min(top + 3, f.size))
     if top in (0, f.size - 1):
         return Peak(float(size[top]), inf, float(f[top]), float(f[0]), float(f[-1]), at_end=True)
-    beside = f[[top - 1, top + 1]]
-    if np.any((part.omitted > beside[0]) & (part.omitted < beside[1])) or f.size < 4:
-        return Peak(float(size[top]), inf, float(f[top]), float(beside[0]), float(beside[1]))
-    predicted = _interpolated(f[near[near != top]], inverse[near[near != top]], f[[top]])
-    if abs(abs(1.0 / predicted[0]) / size[top] - 1.0) > _SMOOTH and near.size > 3:
-        return Peak(float(size[top]), inf, float(f[top]), float(f[top - 1]), float(f[top + 1]))
     three = slice(top - 1, top + 2)
+    others = near[near != top]
+    predicted = _interpolated(f[others], inverse[others], f[[top]])
+    jump = near.size > 3 and abs(abs(1.0 / predicted[0]) / size[top] - 1.0) > _SMOOTH
+    if jump or f.size < 4 or np.any((part.omitted > f[top - 1]) & (part.omitted < f[top + 1])):
+        return Peak(float(size[top]), inf, float(f[top]), float(f[top - 1]), float(f[top + 1]))
     grid = np.linspace(f[top - 1], f[top + 1], _GRID)
     curve = abs(1.0 / _interpolated(f[three], inverse[three], grid))
     other = abs(1.0 / _interpolated(f[near], inverse[near], grid))
@@ -95,12 +94,8 @@ def peak(frf: Response, low: float, high: float) -> Peak | None:
     prediction_error = _prediction_error(f, inverse, scatter / size**2, top)
     between = 2.0 * float(abs(other.max() - curve[best]) + prediction_error * curve[best])
     bound = measured + between
-    high_enough = np.concatenate(
-        [
-            grid[(curve >= curve[best] - bound) | (other >= other.max() - bound)],
-            f[size + around >= curve[best] - bound],
-        ]
-    )
+    within = grid[(curve >= curve[best] - bound) | (other >= other.max() - bound)]
+    high_enough = np.concatenate([within, f[size + around >= curve[best] - bound]])
     return Peak(
         float(curve[best]),
         bound,
@@ -113,7 +108,7 @@ def peak(frf: Response, low: float, high: float) -> Peak | None:
     )
 
 
-def _top(size: np.ndarray, scatter: np.ndarray) -> int:
+def _highest_local_maximum(size: np.ndarray, scatter: np.ndarray) -> int:
     """Index of the highest local maximum that exceeds its surroundings significantly, or of the highest point."""
     highest, found = int(np.argmax(size)), -1
     if 0 < highest < size.size - 1:
@@ -129,7 +124,7 @@ def _top(size: np.ndarray, scatter: np.ndarray) -> int:
 
 def _prediction_error(f: np.ndarray, inverse: np.ndarray, scatter: np.ndarray, top: int) -> float:
     """Relative error, beyond scatter, of the points at the peak as predicted by two neighbours on each side."""
-    misses = [0.0]
+    errors = [0.0]
     for k in (top - 1, top, top + 1):
         others = np.array([i for i in range(max(k - 2, 0), min(k + 3, f.size)) if i != k])
         if others.size < 4 and k != top:
@@ -137,8 +132,8 @@ def _prediction_error(f: np.ndarray, inverse: np.ndarray, scatter: np.ndarray, t
         weights = _interpolated(f[others], np.eye(others.size), f[[k]])[:, 0]
         predicted = weights @ inverse[others]
         explained = abs(weights) @ scatter[others] + scatter[k]
-        misses.append(float((abs(predicted - inverse[k]) - explained) / abs(predicted)))
-    return max(misses)
+        errors.append(float((abs(predicted - inverse[k]) - explained) / abs(predicted)))
+    return max(errors)
 
 
 def _interpolated(f: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
@@ -212,29 +207,24 @@ def peak_changes(
             continue
         for f, zeta, first, last in zip(frequency, damping, low, high, strict=True):
             both = by_name[curve.response], curve
-            before, after = (peak(one, first, last) for one in both)
+            before, after = (peak(each, first, last) for each in both)
             if before is None or after is None or before.at_end:
                 continue
             if after.at_end and not covers(curve, before.frequency):
                 continue
-            change = PeakChange(curve.response, float(f), float(zeta), before, after)
+            as_read = None
             if curve.response in same_sensors:
-                one, other = (peak(_as_read(each), first, last) for each in both)
-                assert one is not None
-                assert other is not None
-                change = replace(change, as_read=(one, other))
-            out.append(change)
+                left, right = (peak(each.without(SENSITIVITY), first, last) for each in both)
+                assert left is not None
+                assert right is not None
+                as_read = left, right
+            out.append(PeakChange(curve.response, float(f), float(zeta), before, after, as_read))
     return out
 
 
 def covers(curve: Response, frequency: float) -> bool:
     """Return whether a frequency lies in the band of a curve."""
     return bool(curve.frequency.min() <= frequency <= curve.frequency.max())
-
-
-def _as_read(curve: Response) -> Response:
-    """Remove the sensitivity errors of the sensors from the bounds of a curve."""
-    return curve.without(SENSITIVITY)
 
 
 def surroundings(modes: Modes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -249,7 +239,7 @@ def surroundings(modes: Modes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def highest_left_out(modes: Modes, bare: Sequence[Response]) -> list[str]:
     """Return a message for each response whose highest peak belongs to no compared mode."""
     _, low, high = surroundings(modes)
-    said = []
+    messages = []
     for curve in bare:
         part = curve.to("displacement").sorted()
         f, size = part.frequency, np.nan_to_num(abs(part.value))
@@ -257,16 +247,16 @@ def highest_left_out(modes: Modes, bare: Sequence[Response]) -> list[str]:
         near = np.any((low <= f[:, None]) & (f[:, None] <= high), axis=1)
         if near[top] or not size[top] or top in (0, f.size - 1):
             continue
-        more = (
+        ratio = (
             f", {size[top] / size[near].max():.2g} times as high as the compared peaks"
             if size[near].any()
             else ""
         )
-        said.append(
-            f"{curve.response}: the curve is highest at {f[top]:.2f} Hz{more}, where no mode was "
-            "identified and no peak is compared; see `analysis frf` for its height and uncertainty"
+        messages.append(
+            f"{curve.response}: the curve is highest at {f[top]:.2f} Hz{ratio}, where no mode was identified, so that "
+            "this peak is not compared. See `analysis frf` for its height and uncertainty."
         )
-    return said
+    return messages
 
 
 def unresolved(peaks: Sequence[tuple[float, str, Peak]]) -> list[str]:
@@ -274,17 +264,19 @@ def unresolved(peaks: Sequence[tuple[float, str, Peak]]) -> list[str]:
 
     `peaks`: natural frequency of the mode, Hz, name of the response, and the peak.
     """
-    wide = [one for one in peaks if not isinf(one[2].bound) and one[2].between > _RESOLVED * one[2].value]
-    said = []
-    for mode in sorted({mode for mode, _, _ in wide}):
-        here = {name: one for at, name, one in wide if at == mode}
-        worst = max(here.values(), key=lambda one: one.between / one.value)
-        off = worst.between / worst.value
+    coarse: dict[float, dict[str, Peak]] = {}
+    for mode, response, found in peaks:
+        if not isinf(found.bound) and found.between > _RESOLVED * found.value:
+            coarse.setdefault(mode, {})[response] = found
+    messages = []
+    for _, by_response in sorted(coarse.items()):
+        worst = max(by_response.values(), key=lambda found: found.between / found.value)
+        error = worst.between / worst.value
+        responses, deviation = ", ".join(by_response), format_number(float(f"{100 * error:.2g}"))
         # The error of interpolation falls at least with the square of the step.
-        said.append(
-            f"{', '.join(here)}, near {worst.frequency:.2f} Hz: the points are {worst.step:.2g} Hz "
-            "apart, and the peak between them may deviate by up to "
-            f"{format_number(float(f'{100 * off:.2g}'))} %, which the interval includes. Measure every "
-            f"{worst.step * sqrt(_RESOLVED / off):.1g} Hz there"
+        messages.append(
+            f"{responses}, near {worst.frequency:.2f} Hz: the points are {worst.step:.2g} Hz apart, and the peak "
+            f"between them may deviate by up to {deviation} %, which the interval includes. "
+            f"Measure every {worst.step * sqrt(_RESOLVED / error):.1g} Hz there."
         )
-    return said
+    return messages

@@ -110,11 +110,6 @@ class _Touch(NamedTuple):
         return 1.0 if self.wall == 0.0 else -1.0
 
 
-class _Estimate(NamedTuple):
-    value: float
-    uncertainty: float
-
-
 def restitution(motion: BodyMotion, damper: Damper) -> Restitution | None:
     """Estimate the restitution of the only damper on a body from the impacts in a stretch of its channel.
 
@@ -187,8 +182,8 @@ def _flight(gravity: float, left: _Touch, met: _Touch) -> tuple[float, float, fl
 
 def _after_rest(
     motion: BodyMotion, left: _Touch, met: _Touch, inelastic: float, hidden: float
-) -> _Estimate | None:
-    """Restitution from a flight that began when the body fell away from a damper at rest on a wall."""
+) -> tuple[float, float] | None:
+    """Restitution and its uncertainty from a flight that began when the body fell away from a damper at rest."""
     rate, gravity = motion.rec.rate, motion.rec.scene.gravity
     inside = slice(int(left.time * rate) + 2, int(met.time * rate) - 1)
     if inside.stop - inside.start < 3:
@@ -208,11 +203,13 @@ def _after_rest(
     # An impact that is later by d changes the end height by w d, and the relative closing speed by 2 d / duration.
     miss = 0.5 * miss + motion.tolerance * gravity * time / closing
     uncertainty = 0.5 * float(np.maximum(most - least, hidden / closing)) + miss * (1.0 + most)
-    return _Estimate(0.5 * (least + most), uncertainty) if uncertainty < _MAX_UNCERTAINTY else None
+    return (0.5 * (least + most), uncertainty) if uncertainty < _MAX_UNCERTAINTY else None
 
 
-def _after_rebound(motion: BodyMotion, left: _Touch, met: _Touch, inelastic: Array) -> _Estimate | None:
-    """Restitution from a flight that began with a rebound: rebound speed and next closing speed."""
+def _after_rebound(
+    motion: BodyMotion, left: _Touch, met: _Touch, inelastic: Array
+) -> tuple[float, float] | None:
+    """Restitution and its uncertainty from a flight that began with a rebound: its speed and the next closing speed."""
     gravity = motion.rec.scene.gravity
     time, above, closing = _flight(gravity, left, met)
     rebound = -above / time
@@ -224,7 +221,7 @@ def _after_rebound(motion: BodyMotion, left: _Touch, met: _Touch, inelastic: Arr
     if difference > _MAX_UNCERTAINTY:
         return None
     miss = motion.tolerance * gravity * time / closing * (1.0 + from_jump)
-    return _Estimate(0.5 * (from_jump + from_rebound), 0.5 * difference + miss)
+    return 0.5 * (from_jump + from_rebound), 0.5 * difference + miss
 
 
 def may_reach_ceiling(motion: BodyMotion, damper: Damper) -> bool:
@@ -243,24 +240,17 @@ def may_reach_ceiling(motion: BodyMotion, damper: Damper) -> bool:
     place, count = found.time * rate - motion.start, motion.samples.size
     chosen = (found.jump < 0.0) & (place > _ENDS_SHARE * count) & (place < (1.0 - _ENDS_SHARE) * count)
     place = place[chosen]
-    floor = _Floor(
-        largest * motion.displacement,
-        largest * motion.velocity,
-        largest * motion.acceleration + gravity,
-        rate,
-        gravity,
-    )
-    pulse = landing_pulse(motion.rec.scene, motion.info.at, rate)
+    weight = largest * motion.acceleration + gravity
+    floor = _Floor(largest * motion.displacement, largest * motion.velocity, weight, rate, gravity)
+    pulse, flights = landing_pulse(motion.rec.scene, motion.info.at, rate), pairwise(place)
     if pulse is None:
-        heights = [
-            floor.height_from_rest(int(left) + _SMEARED_SAMPLES, int(met)) for left, met in pairwise(place)
-        ]
+        heights = [floor.height_from_rest(int(left) + _SMEARED_SAMPLES, int(met)) for left, met in flights]
     else:
         speeds = inelastic_closing_speeds(motion.rec.scene, found, damper)[chosen]
-        closing = largest * speeds / (1.0 + pulse.restitution)
+        closing = largest * speeds[1:] / (1.0 + pulse.restitution)
         heights = [
             floor.height_before(int(left), met, speed)
-            for (left, met), speed in zip(pairwise(place), closing[1:], strict=True)
+            for (left, met), speed in zip(flights, closing, strict=True)
         ]
     return bool(heights) and float(np.median(heights)) > (1.0 - _CEILING_SHARE) * damper.clearance
 
@@ -299,10 +289,8 @@ class _Floor:
         # The backward computation starts at the last sample that the impact does not smear.
         last = int(met) - _SMEARED_SAMPLES
         left = (met - last) / self.rate
-        height, closing = (
-            left * closing - 0.5 * self.weight[last] * left**2,
-            closing - self.weight[last] * left,
-        )
+        height = left * closing - 0.5 * self.weight[last] * left**2
+        closing = closing - self.weight[last] * left
         time = np.arange(max(last - first, 0)) / self.rate
         own = self.place[last] + height - (self.speed[last] - closing) * time - 0.5 * self.gravity * time**2
         above = own - self.place[last - np.arange(time.size)]

@@ -7,13 +7,11 @@ jumps is chosen by a penalty for each jump (information criterion: G. Schwarz, A
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
 
 import numpy as np
 
-from analysis.damper_motion.impact_model import ImpactModel
-from analysis.damper_motion.joint_fit import Jump, Noise, fit_within
-from rig.arrays import Array
+from analysis.damper_motion.joint_fit import ITERATIONS, Jump
 
 # Number of sets that are kept at each size, of times that are tried for the next jump, and of jumps in a set.
 _BEAM_WIDTH = 3
@@ -25,71 +23,46 @@ _MIN_REDUCTION = 5.0
 _PLACE_STEP = 2.0
 
 
-@dataclass(frozen=True, eq=False)
-class Stretch:
-    """Differenced readings that are searched for several jumps; all other jumps are subtracted."""
+def search_group(
+    fit: Callable[[list[Jump], int], tuple[list[Jump], float]],
+    places: tuple[float, float],
+    min_distance: float,
+    sufficient: float,
+) -> tuple[list[Jump], float]:
+    """Search for the jumps that best explain a stretch; return them with the residual sum of squares.
 
-    residual: Array
-    model: ImpactModel
-    within: tuple[int, int]
-    """First and one-past-last difference."""
-    noise: Noise
-
-    def fit(self, jumps: list[Jump]) -> tuple[list[Jump], float]:
-        """Fit jumps jointly; return them with the residual sum of squares."""
-        return fit_within(self.residual, self.model, jumps, self.within, self.noise)
-
-    def search(
-        self, places: tuple[float, float], min_distance: float, sufficient: float
-    ) -> tuple[list[Jump], float]:
-        """Search for the jumps that best explain the stretch; return them with the residual sum of squares.
-
-        `places`: limits of the times of the jumps, samples; `min_distance`: minimum distance between two jumps,
-        samples; `sufficient`: residual sum of squares at which the search ends.
-        """
-        best: list[tuple[list[Jump], float]] = []
-        sets: list[list[Jump]] = [[]]
-        for _ in range(MAX_GROUP):
-            larger = [
-                self.fit([*known, _empty(place)])
-                for known in sets
-                for place in self._next_places(places, min_distance, known)
+    `fit`: joint fit of jumps to the stretch with a number of iterations (1: fixed times); `places`: limits of the
+    times of the jumps, samples; `min_distance`: minimum distance between two jumps, samples; `sufficient`: residual
+    sum of squares at which the search ends.
+    """
+    best: list[tuple[list[Jump], float]] = []
+    sets: list[list[Jump]] = [[]]
+    for _ in range(MAX_GROUP):
+        larger = []
+        for known in sets:
+            # The times at which one more jump reduces the residual most, from fits with fixed times.
+            tried = [
+                [*known, Jump(float(place), np.zeros(3), 1.0, 0.0)]
+                for place in np.arange(*places, _PLACE_STEP)
+                if all(abs(place - jump.place) >= min_distance for jump in known)
             ]
-            larger.sort(key=lambda fit: fit[1])
-            distinct: list[tuple[list[Jump], float]] = []
-            for fit in larger:
-                if not any(_same(fit[0], other[0]) for other in distinct):
-                    distinct.append(fit)
-            best, sets = best + distinct[:1], [fit[0] for fit in distinct[:_BEAM_WIDTH]]
-            if not distinct or distinct[0][1] < sufficient:
-                break
-        return min(best, key=lambda fit: cost(*fit), default=([], np.inf))
-
-    def _next_places(
-        self, places: tuple[float, float], min_distance: float, known: list[Jump]
-    ) -> list[float]:
-        """Choose the times at which one more jump reduces the residual most, from fits with fixed times."""
-        tried = [
-            float(place)
-            for place in np.arange(*places, _PLACE_STEP)
-            if all(abs(place - jump.place) >= min_distance for jump in known)
-        ]
-        remaining = [
-            fit_within(
-                self.residual, self.model, [*known, _empty(place)], self.within, self.noise, iterations=1
-            )[1]
-            for place in tried
-        ]
-        return [tried[k] for k in np.argsort(remaining, kind="stable")[:_PLACES_TRIED]]
+            remaining = [fit(jumps, 1)[1] for jumps in tried]
+            order = np.argsort(remaining, kind="stable")[:_PLACES_TRIED]
+            larger += [fit(tried[k], ITERATIONS) for k in order]
+        larger.sort(key=lambda each: each[1])
+        distinct: list[tuple[list[Jump], float]] = []
+        for each in larger:
+            if not any(_same(each[0], other[0]) for other in distinct):
+                distinct.append(each)
+        best, sets = best + distinct[:1], [jumps for jumps, _ in distinct[:_BEAM_WIDTH]]
+        if not distinct or distinct[0][1] < sufficient:
+            break
+    return min(best, key=lambda each: cost(*each), default=([], np.inf))
 
 
 def cost(jumps: list[Jump], remaining: float) -> float:
     """Return the logarithm of the residual sum of squares, plus a penalty for each jump."""
     return float(np.log(max(remaining, 1e-300))) + len(jumps) * np.log(_MIN_REDUCTION)
-
-
-def _empty(place: float) -> Jump:
-    return Jump(place, np.zeros(3), 1.0, 0.0)
 
 
 def _same(left: list[Jump], right: list[Jump]) -> bool:

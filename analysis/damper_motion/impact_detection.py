@@ -130,21 +130,27 @@ def impacts(
     motion or does not respond to impacts; if the stretch is too short, damaged or zero; or if the body contains
     grains, or dampers with different contact durations.
     """
-    info = _motion_channel(rec, channel)
+    info = named(rec, channel)
+    if info.quantity not in MOTIONS:
+        raise RecordingError(
+            f"{info.name}: measures {info.quantity}, but impacts show in motion channels only. Choose a channel of "
+            "acceleration, velocity or displacement."
+        )
     stop = rec.samples if stop is None else min(stop, rec.samples)
     pulse = landing_pulse(rec.scene, info.at, info.rate)
     decimation = 1 if pulse is None else max(1, int(pulse.width * info.rate / _PULSE_READINGS))
-    if decimation == 1 and _misses_impacts(info):
+    spread = info.average or info.filter or len(info.poles) > len(info.zeros)
+    if decimation == 1 and info.quantity == "acceleration" and not spread:
         raise RecordingError(
-            f"{info.name}: The converter samples the acceleration at instants, so that impacts between them leave "
-            "no trace (sampling: point). Record with sampling: average, a filter, an integrator, a sensor "
-            "resonance, or a higher rate"
+            f"{info.name}: acceleration sampled at instants (sampling: point), so that impacts between two samples "
+            "leave no trace. Record with sampling: average, a filter, an integrator, a sensor resonance, or a higher "
+            "rate."
         )
     models = impact_models(info, pulse, decimation)
     least = 4 * models[0].reach * decimation
     if stop - start < least:
         raise RecordingError(
-            f"{stop - start} samples are too few to distinguish impacts from noise. Take at least {least}"
+            f"{info.name}: too few samples to distinguish impacts from noise ({stop - start}). Take at least {least}."
         )
     if samples is None:
         samples = rec.read(info.name, start, stop)
@@ -152,7 +158,7 @@ def impacts(
     if np.sum(good) < max(least, _MIN_SEARCHED * good.size):
         raise RecordingError(
             f"{info.name}: all but {np.sum(good)} of {good.size} samples in this stretch are lost or overloaded. "
-            "Choose another stretch, or record at a lower level, with a larger converter range or longer contacts"
+            "Choose another stretch, or record at a lower level, with a larger converter range or longer contacts."
         )
     if not good.all():
         samples = np.interp(np.arange(samples.size), np.flatnonzero(good), samples[good])
@@ -160,14 +166,16 @@ def impacts(
     rounding = 0.0 if info.volts_per_count is None else info.unit_per_count / 12.0**0.5
     floor = max(rounding, 1e-14 * float(abs(samples).max()))
     if floor == 0.0:
-        raise RecordingError(f"{info.name} reads zero throughout this stretch. Check what it is connected to")
+        raise RecordingError(
+            f"{info.name}: reads zero throughout this stretch. Check what it is connected to."
+        )
     rate, floor = rec.rate / decimation, floor / decimation**0.5
     readings, valid = _means(samples, decimation), _means(good, decimation) == 1.0
     search = MatchingPursuit(models, readings, valid, floor, rate, CALM_SHARE)
     if not search.open.any():
         raise RecordingError(
             f"{info.name}: lost or overloaded samples leave no {least} samples in a row. Choose another stretch, or "
-            "record at a lower level or with a larger converter range"
+            "record at a lower level or with a larger converter range."
         )
     jumps = search.run()
     noise = search.jump_noise
@@ -178,11 +186,8 @@ def impacts(
         calmer_jumps = calmer.run()
         if calmer.jump_noise < NOISE_REDUCTION * noise:
             search, jumps, noise = calmer, calmer_jumps, calmer.jump_noise
-    place, place_error, jump, error = (
-        np.array([[each.place, each.place_error, each.sizes[0], each.error] for each in jumps])
-        .reshape(-1, 4)
-        .T
-    )
+    fitted = [(each.place, each.place_error, each.sizes[0], each.error) for each in jumps]
+    place, place_error, jump, error = np.array(fitted).reshape(-1, 4).T
     largest = float(abs(jump).max(initial=0.0))
     threshold = search.detection_limit(noise, largest)
     clear = abs(jump) > max(DETECTION_SIGMAS * noise, MODEL_ERROR * largest)
@@ -204,22 +209,20 @@ def impacts(
     place, place_error, jump, error = (each[clear] for each in (place, place_error, jump, error))
     # The time of an average is that of its last sample.
     place, unresolved = ((each + 1.0) * decimation - 1.0 for each in (place, unresolved))
+    excluded = float(np.sum(unresolved[:, 1] - unresolved[:, 0])) / rec.rate
     return Impacts(
         channel=info.name,
         time=(start + place) / rec.rate - info.delay,
         time_error=place_error / rate,
         jump=jump,
         jump_error=error,
-        acceleration=_acceleration(_without_high_pass(samples, info), place, info, duration)
-        if place.size
-        else place,
+        acceleration=_acceleration(samples, place, info, duration) if place.size else place,
         noise=noise,
         resolution=resolution,
         ringing=ringing,
         threshold=threshold,
         contact_duration=duration,
-        searched=float(search.searchable.sum()) / rate
-        - float(np.sum(unresolved[:, 1] - unresolved[:, 0])) / rec.rate,
+        searched=float(search.searchable.sum()) / rate - excluded,
         left_out=np.concatenate([lost, (start + unresolved) / rec.rate - info.delay]),
     )
 
@@ -244,15 +247,6 @@ def band(rate: float) -> tuple[float, float]:
     return _LOW_HZ, _HIGH_SHARE * rate
 
 
-def _motion_channel(rec: Recording, channel: str) -> ChannelInfo:
-    info = named(rec, channel)
-    if info.quantity not in MOTIONS:
-        raise RecordingError(
-            f"channel {info.name!r} measures {info.quantity}: impacts show in motion channels only"
-        )
-    return info
-
-
 def _good(rec: Recording, name: str, samples: Array, start: int, ring: int) -> NDArray[np.bool_]:
     """Which samples of a channel are valid: neither lost nor overloaded, and not ringing after an overload."""
     good = np.isfinite(samples)
@@ -263,24 +257,13 @@ def _good(rec: Recording, name: str, samples: Array, start: int, ring: int) -> N
     return good
 
 
-def _misses_impacts(info: ChannelInfo) -> bool:
-    """Whether an acceleration pulse between two samples does not affect the samples."""
-    spread = info.average or info.filter or len(info.poles) > len(info.zeros)
-    return info.quantity == "acceleration" and not spread
-
-
-def _without_high_pass(samples: Array, info: ChannelInfo) -> Array:
-    """Correct the high-pass filters of integrators, which distort slow motion; fast motion is not corrected."""
-    zeros, poles = (
-        tuple(root for root in roots if abs(root) < info.rate) for roots in (info.zeros, info.poles)
-    )
-    slow = replace(info, zeros=zeros, poles=poles, gain=1.0, average=False, filter={}, delay=0.0)
-    return corrected(slow, samples, info.quantity, band(info.rate)[0], info.rate)
-
-
 def _acceleration(samples: Array, places: Array, info: ChannelInfo, duration: float) -> Array:
     """Acceleration at jumps, from a polynomial through samples on both sides; `duration` of contact in s."""
     integrations = 2 - MOTIONS.index(info.quantity)
+    # The high-pass filters of integrators are corrected, because they distort slow motion.
+    zeros, poles = (tuple(r for r in roots if abs(r) < info.rate) for roots in (info.zeros, info.poles))
+    slow = replace(info, zeros=zeros, poles=poles, gain=1.0, average=False, filter={}, delay=0.0)
+    samples = corrected(slow, samples, info.quantity, _LOW_HZ, info.rate)
     # Samples during which the sensor rings are excluded. The average over an interval is assigned to its middle.
     slowest = min((-pole.real for pole in info.poles if abs(pole) > info.rate), default=np.inf)
     gap = 2 + int(np.ceil(_DECAY_TIMES * info.rate / slowest + duration * info.rate))

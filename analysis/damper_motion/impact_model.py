@@ -62,7 +62,7 @@ class Placed(NamedTuple):
     """Derivatives of `units` with respect to time, per sample; shape (3, length)."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ImpactModel:
     """Readings of unit velocity jump, acceleration step and acceleration kink, and the filters that estimate them.
 
@@ -152,21 +152,6 @@ class ImpactModel:
         row[max(placed.begin, 0) : max(placed.begin, 0) + part.size] = part
         return float(np.linalg.norm(self.readings(row)))
 
-    @cached_property
-    def equal_jumps(self) -> dict[int | None, Array]:
-        """Readings of pairs of unit jumps by distance, cached by `joint_fit.jump_error`."""
-        return {}
-
-    @cached_property
-    def _of_order(self) -> dict[int, ImpactModel]:
-        return {self.order: self}
-
-    def with_order(self, order: int) -> ImpactModel:
-        """Return this model with another polynomial order in `readings`; the filters do not change."""
-        if order not in self._of_order:
-            self._of_order[order] = replace(self, order=order)
-        return self._of_order[order]
-
     def order_over(self, length: int) -> int:
         """Return the polynomial order for a number of differences: higher if they exceed a window."""
         return self.order + max(0, (self.order - 1) * (length - self.window) // self.window)
@@ -232,6 +217,12 @@ class ImpactModel:
         return (row + toward + 0.5) / self.instants - SHIFT, sizes, error, float(explained[best])
 
 
+@lru_cache(maxsize=32)
+def with_order(model: ImpactModel, order: int) -> ImpactModel:
+    """Return a model with another polynomial order in `readings`; the filters do not change."""
+    return model if order == model.order else replace(model, order=order)
+
+
 @lru_cache(maxsize=256)
 def legendre_basis(length: int, degree: int) -> Array:
     """Return an orthonormal polynomial basis on `length` points; its leading columns span the lower degrees."""
@@ -263,17 +254,9 @@ def _impact_models(
 
     quantity, full_rate, gain, zeros, poles, average = response
     info = ChannelInfo(
-        name="",
-        at="",
-        quantity=quantity,
-        sensitivity=1.0,
-        rate=full_rate,
-        zeros=zeros,
-        poles=poles,
-        gain=gain,
-        average=average,
+        "", "", quantity, 1.0, full_rate, zeros=zeros, poles=poles, gain=gain, average=average,
         filter=dict(decimation_filter),
-    )
+    )  # fmt: skip
     integrations, rate = 2 - MOTIONS.index(quantity), full_rate / decimation
     # A decimation filter removes resonances above half the sample rate.
     fastest = np.pi * full_rate if info.filter else np.inf

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +17,7 @@ from analysis.damper_motion.impact_model import SHIFT, ImpactModel
 from rig.arrays import Array
 
 # Gauss-Newton iterations, and the largest change of a time in one iteration, samples.
-_ITERATIONS = 4
+ITERATIONS = 4
 _MAX_CHANGE = 0.5
 # Added to the diagonal of the normalized normal equations, so that they stay positive definite despite rounding.
 _ROUNDING = 1e-11
@@ -73,7 +74,7 @@ def fit_within(
     group: Sequence[Jump],
     within: tuple[int, int],
     noise: Noise,
-    iterations: int = _ITERATIONS,
+    iterations: int = ITERATIONS,
 ) -> tuple[list[Jump], float]:
     """Fit jumps as `fit_group` does, to the differences `within`; a single iteration keeps their times fixed."""
     first, last = within
@@ -135,14 +136,17 @@ def with_errors(
 
 def jump_error(model: ImpactModel, distance: int | None, noise: Noise) -> float:
     """Return the standard deviation of a 1 m/s jump `distance` samples after an equal jump (None: isolated), m/s."""
-    matrix = model.equal_jumps.get(distance)
-    if matrix is None:
-        places = np.array([0.5] if distance is None else [0.5, 0.5 + distance])
-        first, last = _around(model, places)
-        sizes = np.tile([1.0, 0.0, 0.0], (places.size, 1))
-        matrix = model.equal_jumps[distance] = model.readings(_columns(model, places, sizes, first, last))
+    matrix = _equal_jumps(model, distance)
     fit = _least_squares(matrix, matrix[0], _ridge(len(matrix), len(matrix) // 4, noise))
     return noise.readings * float(fit.error[-4])
+
+
+@lru_cache(maxsize=1024)
+def _equal_jumps(model: ImpactModel, distance: int | None) -> Array:
+    """Compute the readings of one jump of 1 m/s, or of two."""
+    places = np.array([0.5] if distance is None else [0.5, 0.5 + distance])
+    sizes = np.tile([1.0, 0.0, 0.0], (places.size, 1))
+    return model.readings(_columns(model, places, sizes, *_around(model, places)))
 
 
 class _Fit(NamedTuple):

@@ -14,7 +14,6 @@ from rig.errors import RecordingError
 from rig.scene.damper import Landing, walls_of
 
 if TYPE_CHECKING:
-    from rig.scene.damper import Damper
     from rig.scene.scene import Scene
 
 
@@ -78,20 +77,23 @@ def landing_pulse(scene: Scene, place: str, rate: float) -> Pulse | None:
     """
     from rig.system.assembly import assemble
 
-    inside = [
-        number
+    inside = {
+        number: damper
         for number, damper in enumerate(scene.dampers, 1)
         if damper.moves and place == f"body {damper.body}"
-    ]
-    dampers = [scene.dampers[number - 1] for number in inside]
+    }
+    dampers = inside.values()
     if any(damper.grains is not None for damper in dampers):
         raise RecordingError(
-            f"{place}: a bed of grains is not one mass, so that its impacts cannot be detected in a channel"
+            f"{place}: a bed of grains is not one mass, so that its impacts cannot be detected in a channel. Choose a "
+            "body without grains."
         )
-    if all(_instant(damper, rate) for damper in dampers):
+    walls = [wall for damper in dampers for wall in walls_of(damper.contact)]
+    # All impacts are much shorter than a sample interval.
+    if all(isinstance(wall, Landing) and wall.duration * rate <= _INSTANT_SHARE for wall in walls):
         return None
     system, pulses = assemble(scene), []
-    for number, damper in zip(inside, dampers, strict=True):
+    for number, damper in inside.items():
         [j] = np.flatnonzero(system.damper_number == number)
         for wall in (1, 2) if np.isfinite(damper.clearance) else (1,):
             if not system.lasting[j]:
@@ -105,9 +107,8 @@ def landing_pulse(scene: Scene, place: str, rate: float) -> Pulse | None:
     time = np.linspace(0.0, longest.duration, _INSTANTS)
     if any(abs(pulse.exchanged(time) - longest.exchanged(time)).max() > _EQUAL_SHARE for pulse in pulses):
         raise RecordingError(
-            f"{place}: contact durations or restitutions of floor, ceiling or dampers differ, and the "
-            "wall of an impact is not known beforehand. Impacts in a channel can be detected only if "
-            "all are equal."
+            f"{place}: contact durations or restitutions of floor, ceiling or dampers differ, so that the pulse of an "
+            "impact is not known beforehand. Choose a body where they are equal."
         )
     return longest
 
@@ -128,11 +129,3 @@ def transmissibility(scene: Scene, number: int, frequency: Array) -> NDArray[np.
         push = system.wall_stiffness[j, 0] + s * system.wall_damping[j, 0]
         return np.asarray(push / (push + system.damper_mass[j] * s**2))
     return np.ones(frequency.size, dtype=complex)
-
-
-def _instant(damper: Damper, rate: float) -> bool:
-    """Whether all impacts of a damper are much shorter than a sample interval."""
-    return all(
-        isinstance(wall, Landing) and wall.duration * rate <= _INSTANT_SHARE
-        for wall in walls_of(damper.contact)
-    )

@@ -15,9 +15,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.damper_motion.group_search import Stretch, cost
-from analysis.damper_motion.impact_model import SHIFT, ImpactModel, legendre_basis
-from analysis.damper_motion.joint_fit import Jump, Noise, add, fit_group, jump_error, with_errors
+from analysis.damper_motion.group_search import cost, search_group
+from analysis.damper_motion.impact_model import SHIFT, ImpactModel, legendre_basis, with_order
+from analysis.damper_motion.joint_fit import (
+    ITERATIONS,
+    Jump,
+    Noise,
+    add,
+    fit_group,
+    fit_within,
+    jump_error,
+    with_errors,
+)
 from rig.arrays import Array
 from rig.numerics.runs import runs_of
 
@@ -114,13 +123,9 @@ class MatchingPursuit:
         self.searchable = minimum_filter1d(self.open, model.window, mode="constant", cval=False)
         self.jumps: list[Jump] = []
         self._stored: dict[object, Array] = {}
-        if self.open.any():
-            self._choose_order(models)
-
-    def _choose_order(self, models: Sequence[ImpactModel]) -> None:
         quietest = np.inf
-        for model in models:
-            noise = model.gain * float(np.median(self._noise_level(model, self.calm_share)))
+        for model in models if self.open.any() else ():
+            noise = model.gain * float(np.median(self._noise_level(model, calm_share)))
             if noise < NOISE_REDUCTION * quietest:
                 quietest, self.model = noise, model
         # Model for the residual of whole windows, which may need a higher polynomial order than the jump filters.
@@ -134,10 +139,14 @@ class MatchingPursuit:
         for jump in sorted(self.jumps, key=lambda jump: abs(jump.sizes[0])):
             nearest = min(self.jumps, key=lambda other: abs(other.place - jump.place))
             self._fit_again(nearest, self.noise(self.calm_share))
-        self._choose_whole_order()
+        base, least = self.model.order, np.inf
+        for order in (base, *(base + more for more in _HIGHER_ORDERS)):
+            square = float(np.median(self._remaining(order))) / (self.model.window - order - 1)
+            if _ORDER_REDUCTION * square < least:
+                least, self.whole = square, with_order(self.model, order)
         limit = self._limit
         for first, last in self._unexplained(_GROUP_LIMITS * limit):
-            self._search_group(first, last, limit)
+            self._search_jointly(first, last, limit)
         self.jumps.sort(key=lambda jump: jump.place)
         # With finite-duration contact, kinks also have this duration: the bed is pressed or released.
         contact = self.model.contact_samples
@@ -205,15 +214,16 @@ class MatchingPursuit:
         for other in group:
             self._add(other, 1.0)
         deviation = float(noise[self.window_of(jump)])
+        prior = Noise(deviation, *self.usual)
         places = [jump.place + start for start in starts]
         tries = [
-            fit_group(self.residual, model, [replace(jump, place=place), *others], self._prior(deviation))
+            fit_group(self.residual, model, [replace(jump, place=place), *others], prior)
             for place in places
             if place == jump.place or all(abs(place - other.place) >= _MIN_DISTANCE for other in others)
         ]
         best, remaining = min(tries, key=lambda fit: fit[1])
         if any(abs(other.place - jump.place) < _SPURIOUS_DISTANCE for other in others):
-            without, more = fit_group(self.residual, model, others, self._prior(deviation))
+            without, more = fit_group(self.residual, model, others, prior)
             if more < remaining + (DETECTION_SIGMAS * deviation) ** 2:
                 best = without
         self._replace(group, best)
@@ -223,9 +233,6 @@ class MatchingPursuit:
         self.jumps = [jump for jump in self.jumps if all(jump is not other for other in old)] + new
         for jump in new:
             self._add(jump, -1.0)
-
-    def _prior(self, readings: float) -> Noise:
-        return Noise(readings, *self.usual)
 
     @property
     def jump_noise(self) -> float:
@@ -252,22 +259,12 @@ class MatchingPursuit:
 
     def resolution(self) -> int:
         """Return the distance beyond which a second jump hardly increases the error of a jump, samples."""
-        noise = self._prior(float(np.median(self.noise())))
+        noise = Noise(float(np.median(self.noise())), *self.usual)
         most = _RESOLVED_ERROR * jump_error(self.whole, None, noise)
         distance = MIN_RESOLVED
         while distance < self.whole.reach and jump_error(self.whole, distance, noise) > most:
             distance += 1
         return distance
-
-    def _choose_whole_order(self) -> None:
-        """Choose the polynomial order of the smooth motion between jumps."""
-        base = self.model.order
-        least = np.inf
-        for order in (base, *(base + more for more in _HIGHER_ORDERS)):
-            degrees = self.model.window - order - 1
-            remaining = float(np.median(self._remaining(order))) / degrees
-            if _ORDER_REDUCTION * remaining < least:
-                least, self.whole = remaining, self.model.with_order(order)
 
     def _windows(self) -> NDArray[np.int64]:
         """Index of the first difference of each window, with 50 % overlap."""
@@ -320,7 +317,7 @@ class MatchingPursuit:
         """
         return self.model.contact_samples > 0 and abs(jump.sizes[1]) > _MAX_STEP * self.usual[0]
 
-    def _search_group(self, first: int, last: int, limit: float) -> None:
+    def _search_jointly(self, first: int, last: int, limit: float) -> None:
         """Search between two windows for all jumps jointly; keep the old or the new set, whichever fits better."""
         model = self.whole
         half = model.window // 2
@@ -334,10 +331,13 @@ class MatchingPursuit:
         sufficient = _SUFFICIENT_SHARE * (limit * model.template_norm) ** 2
         # The tolerated residual is included in the noise; otherwise steps and kinks would have to explain it.
         noise = max(float(self.noise()[first]), (sufficient / model.window) ** 0.5)
-        stretch = Stretch(self.residual, model, within, self._prior(noise))
-        new, remaining = stretch.search(places, MIN_RESOLVED, sufficient)
+
+        def fit(jumps: list[Jump], iterations: int) -> tuple[list[Jump], float]:
+            return fit_within(self.residual, model, jumps, within, Noise(noise, *self.usual), iterations)
+
+        new, remaining = search_group(fit, places, MIN_RESOLVED, sufficient)
         if old:
-            new = min((new, remaining), stretch.fit(old), key=lambda fit: cost(*fit))[0]
+            new = min((new, remaining), fit(old, ITERATIONS), key=lambda each: cost(*each))[0]
         self._replace(old, new)
 
     def _usual_sizes(self, samples: Array) -> tuple[float, float]:

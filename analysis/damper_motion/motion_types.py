@@ -54,8 +54,7 @@ class DamperMotion:
     stays: bool | None
     """Whether the damper stays at the ceiling after an impact there, which it does while the body's acceleration is
     below -g. None if undetermined: the acceleration crosses -g within half a sample interval of the impact, the
-    rebound
-    may take too long, or finite-duration contact may extend the push of the ceiling."""
+    rebound may take too long, or finite-duration contact may extend the push of the ceiling."""
     threshold: float
     """Detection limit: smallest velocity jump that is reliably detected, m/s."""
     rides: bool
@@ -108,15 +107,18 @@ def damper_motion(
         if not damper.locked and f"body {damper.body}" == place
     ]
     out: list[DamperMotion] = []
-    sizes = _acceleration_amplitude(rec, sweep, channel)
+    info, lines = rec.channels[channel], sweep.lines
+    read = np.abs(lines.mean[lines.channels.index(channel)] / info.response(lines.frequency))
+    # Acceleration amplitude, m/s².
+    sizes = read * (2 * np.pi * lines.frequency) ** (2 - MOTIONS.index(info.quantity))
     for frequency, size, (first, stop) in zip(
-        sweep.lines.frequency.tolist(), sizes.tolist(), sweep.windows.tolist(), strict=True
+        lines.frequency.tolist(), sizes.tolist(), sweep.windows.tolist(), strict=True
     ):
         most = max(_MAX_SAMPLES, int(_MIN_PERIODS * rec.rate / frequency))
         motion = BodyMotion(rec, channel, first, min(stop, first + most, rec.samples))
         out.append(_motion_in_window(motion, numbers, frequency, size))
         if progress is not None:
-            progress(len(out), sweep.lines.frequency.size)
+            progress(len(out), lines.frequency.size)
     return out
 
 
@@ -159,25 +161,18 @@ def _repeats(found: Impacts, frequency: float, begin: float, end: float) -> int:
     begin, end = begin + found.ringing, end - found.ringing
     if any(wall.size and not np.any((wall > begin) & (wall < end)) for wall in walls):
         return 0
+    unsearched = found.left_out + np.array([-1.0, 1.0]) * found.resolution
     for periods in range(1, _LONGEST_PATTERN + 1):
         shift = periods / frequency
-        if all(
-            _all_near(later[(later > begin) & (later < end)], wall, found)
-            for wall in walls
-            for later in (wall + shift, wall - shift)
-        ):
+        recurs = True
+        for wall, time in ((wall, wall + sign * shift) for wall in walls for sign in (1.0, -1.0)):
+            time = time[(time > begin) & (time < end), None]
+            searched = ~((time > unsearched[:, 0]) & (time < unsearched[:, 1])).any(axis=1)
+            distance = abs(time[searched] - wall).min(axis=1, initial=np.inf)
+            recurs &= bool(np.all(distance < found.resolution))
+        if recurs:
             return periods
     return 0
-
-
-def _all_near(time: Array, others: Array, found: Impacts) -> bool:
-    """Whether each time in a searched stretch has another impact within the time resolution of the channel."""
-    near, stretches = found.resolution, found.left_out
-    unsearched = ((time[:, None] > stretches[:, 0] - near) & (time[:, None] < stretches[:, 1] + near)).any(
-        axis=1
-    )
-    apart = abs(time[~unsearched, None] - others).min(axis=1, initial=np.inf)
-    return bool(np.all(apart < near))
 
 
 def _stays(weight: Array, change: float, rebound: float, push: float) -> bool | None:
@@ -221,13 +216,6 @@ def _push_time(acceleration: Array, size: float, gravity: float, frequency: floa
     at_impact = float(np.median(known)) if known.size else 0.0
     ends = np.arcsin(np.clip([at_impact / size, -gravity / size], -1.0, 1.0))
     return max(float(ends[1] - ends[0]), 0.0) / (2 * np.pi * frequency)
-
-
-def _acceleration_amplitude(rec: Recording, sweep: Sweep, channel: str) -> Array:
-    """Acceleration amplitude of a channel at the frequencies of a sweep, m/s²; shape (n,)."""
-    info, frequency = rec.channels[channel], sweep.lines.frequency
-    read = np.abs(sweep.lines.mean[sweep.lines.channels.index(channel)] / info.response(frequency))
-    return np.asarray(read * (2 * np.pi * frequency) ** (2 - MOTIONS.index(info.quantity)), dtype=np.float64)
 
 
 def _least_acceleration(motion: BodyMotion, numbers: list[int], frequency: float) -> float:

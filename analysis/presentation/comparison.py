@@ -73,9 +73,8 @@ class Comparison(ResultBase):
 
     def summary(self) -> str:
         """Count the peaks that changed by more than their bounds."""
-        changed = sum(
-            not low <= 0.0 <= high for _, _, each in self.changes for _, low, high in [each.decibel]
-        )
+        limits = [change.decibel[1:] for _, _, change in self.changes]
+        changed = sum(not low <= 0.0 <= high for low, high in limits)
         return f"{changed} of {len(self.changes)} resonance peaks changed by more than their 95 % bounds"
 
     def draw(self, ax: Axes, **style: Any) -> None:
@@ -99,7 +98,7 @@ def compare_peaks(paths: Sequence[Path], progress: Progress | None = None) -> Co
     is only one recording, or if the recordings have no response in common.
     """
     if len(paths) < 2:
-        raise SceneError("one recording: expected at least two, first the one to compare with")
+        raise SceneError("compare: one recording. Give at least two, first the one to compare with.")
     found: list[list[list[Response]]] = []
     places: list[Places] = []
     for path, label in zip(paths, scene_labels(paths), strict=True):
@@ -115,14 +114,13 @@ def compare_peaks(paths: Sequence[Path], progress: Progress | None = None) -> Co
     lines: list[str] = []
     every: list[tuple[Response, Response, PeakChange]] = []
     jumps = False
-    for place, group in [
-        (place, group) for place, groups in zip(places[1:], found[1:], strict=True) for group in groups
-    ]:
+    others = zip(places[1:], found[1:], strict=True)
+    for place, group in ((place, group) for place, groups in others for group in groups):
         path, same = place.path, place.same_sensors(places[0])
         notes += noted(path, group[0].warnings)
         changes = peak_changes(modes, bare, group, same)
-        notes += noted(paths[0], unresolved([(one.mode, one.response, one.bare) for one in changes]))
-        notes += noted(path, unresolved([(one.mode, one.response, one.damped) for one in changes]))
+        notes += noted(paths[0], unresolved([(each.mode, each.response, each.bare) for each in changes]))
+        notes += noted(path, unresolved([(each.mode, each.response, each.damped) for each in changes]))
         lines.append(f"{bare[0].label} -> {group[0].label}, {bare[0].input}")
         lines += [f"  {line}" for line in describe_changes(changes)]
         if any(SENSITIVITY in curve.limits for curve in group if curve.response in same):
@@ -131,7 +129,7 @@ def compare_peaks(paths: Sequence[Path], progress: Progress | None = None) -> Co
                 "changes"
             )
         lines += _without_peaks(changes, ((paths[0], bare), (path, group)), modes)
-        jumps |= any(isinf(one.bare.bound + one.damped.bound) for one in changes)
+        jumps |= any(isinf(change.bare.bound + change.damped.bound) for change in changes)
         every += [(bare[0], group[0], change) for change in changes]
     return Comparison(tuple(every), tuple(lines), (*dict.fromkeys(notes), *((_JUMPS,) if jumps else ())))
 
@@ -196,7 +194,7 @@ def _without_peaks(
     compared = {(one.response, one.mode) for one in changes}
     curves = [{curve.response: curve for curve in group} for _, group in measured]
     lines = []
-    for name, mode in product((name for name in curves[1] if name in curves[0]), sorted(modes.frequency)):
+    for name, mode in product([name for name in curves[1] if name in curves[0]], sorted(modes.frequency)):
         if (name, float(mode)) in compared:
             continue
         bands = [
@@ -241,20 +239,20 @@ class Places:
         """Raise `SceneError` if the recordings share no response, or if equal names denote different points."""
         if self.force_on != first.force_on:
             raise SceneError(
-                f"{first.path} is driven at {_bodies(first.force_on)}, {self.path} at {_bodies(self.force_on)}: their "
-                "peaks are those of different responses; expected recordings with the force on the same body"
+                f"{self.path}: driven at {_bodies(self.force_on)}, {first.path} at {_bodies(first.force_on)}, so that "
+                "their responses differ. Compare recordings with the force on the same body."
             )
         both = [name for name in first.channels if name in self.channels]
         for name in both:
             if self.channels[name] != first.channels[name]:
                 raise SceneError(
-                    f"{name} is at {first.channels[name]} in {first.path} and at {self.channels[name]} in {self.path}; "
-                    "expected channels of the same names on the same bodies"
+                    f"{self.path}: {name} is at {self.channels[name]}, but at {first.channels[name]} in {first.path}. "
+                    "Give the same names to channels on the same bodies."
                 )
         if not both:
             raise SceneError(
-                f"no response is in both: {first.path} has {_listed(first.channels)}, {self.path} has "
-                f"{_listed(self.channels)}; expected channels of the same names on the same bodies"
+                f"{self.path}: has {_listed(self.channels)}, but none of the responses of {first.path}, "
+                f"{_listed(first.channels)}. Give the same names to channels on the same bodies."
             )
 
 
@@ -268,13 +266,5 @@ def _listed(channels: dict[str, str]) -> str:
 
 def _row(before: Response, after: Response, change: PeakChange) -> tuple[str | float, ...]:
     peaks = (change.bare.value, change.bare.bound, change.damped.value, change.damped.bound)
-    return (
-        before.label,
-        after.label,
-        change.response,
-        before.input,
-        change.mode,
-        *change.decibel,
-        *change.shift,
-        *peaks,
-    )
+    known = (before.label, after.label, change.response, before.input, change.mode)
+    return (*known, *change.decibel, *change.shift, *peaks)

@@ -26,21 +26,24 @@ def expect(rec: Recording, path: Path, command: str) -> None:
     states the content and a suitable command.
     """
     test, file = rec.test, shlex.quote(str(path))
-    held = f"{path} holds {test.name}"
     if command == "decay" and not test.decays and test.kind is not TestKind.NONE:
-        raise RecordingError(f"{held} and no free decay: `analysis frf {file}` shows its frequency responses")
+        raise RecordingError(
+            f"{path}: {test.name} contains no free decay. Use `analysis frf {file}` for its frequency responses."
+        )
     if command in ("frf", "modes", "dampers") and not test.drives:
-        raise RecordingError(f"{held}, which no force drives: `analysis decay {file}` shows its decay")
+        raise RecordingError(
+            f"{path}: no force drives {test.name}. Use `analysis decay {file}` for its decay."
+        )
     if command == "dampers":
         if not rec.scene.dampers:
             raise RecordingError(
-                f"{path}: its scene has no dampers; `analysis frf {file}` shows its responses"
+                f"{path}: no dampers in its scene. Use `analysis frf {file}` for its responses."
             )
         if test.kind not in (TestKind.TONES, TestKind.NONE):
             suits = "decay" if test.decays else "frf"
             raise RecordingError(
-                f"{held}: the motion of dampers needs held tones, test: {{kind: stepped_sine, ...}} or "
-                f"{{kind: sine, ...}}; `analysis {suits} {file}` shows what this recording contains"
+                f"{path}: the motion of dampers is estimated from steady tones, not from {test.name}. Record test: "
+                f"{{kind: stepped_sine, ...}} or {{kind: sine, ...}}, or use `analysis {suits} {file}`."
             )
 
 
@@ -64,16 +67,16 @@ def expect_all(
     for path in paths:
         acting: tuple[str, ...]
         if is_frf_file(path):
-            acting, why = ("unit",), "it holds what another program has estimated"
+            acting, why = ("unit",), "it contains estimates of another program"
         else:
             with opened(path) as rec:
                 expect(rec, path, command)
                 kind = rec.test.kind
             acting, why = ("theory", *BY_KIND[kind].options), BY_KIND[kind].method
         for name in idle.keys() - {*acting}:
-            idle[name].append(f"{path.name}: {why if name != 'unit' else 'a recording knows its units'}")
+            idle[name].append(f"{path.name}: {why if name != 'unit' else 'a recording states its units'}")
     for name, where in idle.items():
         if len(where) == len(paths):
-            raise SceneError(f"--{name} would change nothing; leave it out ({where[0]})")
-    unused = [f"--{name} changes nothing in {text}" for name, where in idle.items() for text in where]
+            raise SceneError(f"--{name}: without effect ({where[0]}). Leave it out.")
+    unused = [f"--{name} has no effect on {text}" for name, where in idle.items() for text in where]
     return [*repeats(paths), *unused]

@@ -75,7 +75,12 @@ def present_frf(
 def describe_frfs(curves: Sequence[Response]) -> list[str]:
     """Tabulate the highest value of each response; curves of one recording, input and range share a heading."""
     lines: list[str] = []
-    for heading, group in groupby(curves, _heading):
+
+    def heading(frf: Response) -> str:
+        size, low, high = frf.frequency.size, frf.frequency.min(), frf.frequency.max()
+        return f"{frf.label}, {frf.name}, {frf.input}: {size} points, {low:.4g} to {high:.4g} Hz"
+
+    for title, group in groupby(curves, heading):
         shown = list(group)
         unit, factor = shown[0].shown_in
         rows = [("response", f"highest / ({unit})", "at / Hz", "under / N", "largest contribution")]
@@ -92,15 +97,8 @@ def describe_frfs(curves: Sequence[Response]) -> list[str]:
                 (frf.response, format_interval(size, bound), f"{frf.frequency[top]:.4g}", force, cause)
             )
             remarks += [f"{frf.response}: {text}" for text in frf.uncertain_peak()]
-        lines += [heading, *(f"  {line}" for line in (*table_lines(rows, "<>>><"), *remarks))]
+        lines += [title, *(f"  {line}" for line in (*table_lines(rows, "<>>><"), *remarks))]
     return lines
-
-
-def _heading(frf: Response) -> str:
-    return (
-        f"{frf.label}, {frf.name}, {frf.input}: {frf.frequency.size} points, {frf.frequency.min():.4g} to "
-        f"{frf.frequency.max():.4g} Hz"
-    )
 
 
 def _drawn(curves: Sequence[Response], exact: Sequence[Response], stem: Path) -> list[Path]:
@@ -136,8 +134,7 @@ def _by_ratio(curves: Sequence[Response]) -> list[list[Response]]:
 
 def _marks(curves: Sequence[Response]) -> list[tuple[float, str]]:
     """Jumps of all curves, without duplicates."""
-    found = {(round(frequency, 6), text) for curve in curves for frequency, text in jumps(curve)}
-    return sorted(found)
+    return sorted({(round(frequency, 6), text) for curve in curves for frequency, text in jumps(curve)})
 
 
 def _once(curves: Sequence[Response]) -> list[Response]:
@@ -161,12 +158,11 @@ def stated_tolerances(rec: Recording, frfs: Sequence[Response]) -> list[str]:
             source = origin(settings.get(name), "sensitivity_tolerance")
             groups.setdefault(f"{100 * tolerance(info):.2g} %{source}", []).append(name)
     stated = "; ".join(f"{', '.join(names)} {text}" for text, names in groups.items())
-    return [
-        (
-            f"{rec.scene.name}: the tolerance of the sensors ({stated}) dominates the uncertainty. If they "
-            "are calibrated, state it in the scene: sensitivity_tolerance: 1 %"
-        )
-    ]
+    text = (
+        f"{rec.scene.name}: the tolerance of the sensors ({stated}) dominates the uncertainty. If they are calibrated, "
+        "state it in the scene: sensitivity_tolerance: 1 %"
+    )
+    return [text]
 
 
 def linear_theory(rec: Recording, frf: Response) -> Response:

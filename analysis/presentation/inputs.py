@@ -25,6 +25,6 @@ def read_curves(
     curves = read_frfs(path, None if reference == "force" else reference, unit)
     missing = [name for name in channels or () if name not in {curve.response for curve in curves}]
     if missing:
-        has = ", ".join(curve.response for curve in curves)
-        raise RecordingError(f"{path} has no response {', '.join(missing)}; it has {has[:300]}")
+        known = ", ".join(curve.response for curve in curves)
+        raise RecordingError(f"{path}: no response {', '.join(missing)}. Choose from {known[:300]}.")
     return [curve for curve in curves if not channels or curve.response in channels]

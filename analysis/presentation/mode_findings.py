@@ -20,6 +20,7 @@ from analysis.recordings.names import opened, relabelled
 from analysis.responses.frequency_responses import Blocks, frequency_responses
 from analysis.responses.frf_files import is_frf_file
 from rig.results import format_interval
+from rig.results.response import Response
 from rig.results.text import table_lines
 
 if TYPE_CHECKING:
@@ -49,27 +50,24 @@ def present_modes(
     notes = expect_all(paths, "modes", Blocks(block=block), unit=unit)
     check_outputs(paths, output, "modes", "csv")
     for path, label in zip(paths, labels(paths), strict=True):
+        identified: list[tuple[Sequence[Response], Modes, np.ndarray | None]] = []
         if is_frf_file(path):
             curves = read_curves(path, reference, None, unit)
-            modes = replace(identify(curves, count), label=label)
+            identified = [(curves, replace(identify(curves, count), label=label), None)]
+        else:
+            with opened(path) as rec:
+                acting = vars(Blocks(block=block).acting_on(rec.test.kind))
+                for sweep in frequency_responses(rec, None, reference, progress=progress, **acting):
+                    modes = relabelled(identify(sweep, count), rec.scene.name, label)
+                    theory = theoretical_shapes(rec, modes) if reference == "force" else None
+                    identified.append((sweep, modes, theory))
+        for number, (frfs, modes, theory) in enumerate(identified, 1):
             found.append(modes)
-            with output_stem([path], output, "modes", "png", "svg") as stem:
-                files += save(modes_figure(curves, modes, f"Modes: {modes.label}"), stem)
-            lines += describe_modes(modes)
-            notes += noted(path, modes.warnings)
-            continue
-        with opened(path) as rec:
-            acting = vars(Blocks(block=block).acting_on(rec.test.kind))
-            groups = frequency_responses(rec, None, reference, progress=progress, **acting)
-            for number, group in enumerate(groups):
-                modes = relabelled(identify(group, count), rec.scene.name, label)
-                found.append(modes)
-                with output_stem([path], output, "modes", "png", "svg") as first:
-                    stem = first if number == 0 else first.with_name(f"{first.name}-{number + 1}")
-                    files += save(modes_figure(group, modes, f"Modes: {modes.label}"), stem)
-                theory = theoretical_shapes(rec, modes) if reference == "force" else None
-                lines += describe_modes(modes, theory)
-                notes += noted(path, [*modes.warnings, *unlike_theory(modes, theory)])
+            with output_stem([path], output, "modes", "png", "svg") as first:
+                stem = first if number == 1 else first.with_name(f"{first.name}-{number}")
+                files += save(modes_figure(frfs, modes, f"Modes: {modes.label}"), stem)
+            lines += describe_modes(modes, theory)
+            notes += noted(path, [*modes.warnings, *unlike_theory(modes, theory)])
     with output_stem(paths, output, "modes", "csv") as stem:
         files.append(modes_table(with_ending(stem, "csv"), found))
     return Result(tuple(files), tuple(lines), tuple(notes))
@@ -105,18 +103,17 @@ def unlike_theory(modes: Modes, theory: np.ndarray | None) -> list[str]:
     nearest = nearest_mac(modes, theory)
     # Upper bound of the decrease of the MAC that the uncertainty of the shape can cause.
     uncertain = np.sum((2.0 * modes.shape_error) ** 2, axis=0) / np.sum(abs(modes.shapes) ** 2, axis=0)
-    off = nearest + uncertain < SAME_SHAPE
-    if not off.any():
+    unlike = nearest + uncertain < SAME_SHAPE
+    if not unlike.any():
         return []
-    pairs = zip(modes.frequency[off], nearest[off], strict=True)
+    pairs = zip(modes.frequency[unlike], nearest[unlike], strict=True)
     which = ", ".join(f"{f:.4g} Hz (MAC {m:.2f})" for f, m in pairs)
-    return [
-        (
-            f"{which}: the shape matches no mode of the scene's structure (MAC above {SAME_SHAPE:g}). Check "
-            "for swapped channels and wrong signs or places, check the scene (analysis fit estimates its "
-            "values), and measure at a lower level if dampers fly."
-        )
-    ]
+    text = (
+        f"{which}: the shape matches no mode of the scene's structure (MAC above {SAME_SHAPE:g}). Check for swapped "
+        "channels and wrong signs or places, check the scene (analysis fit estimates its values), and measure at a "
+        "lower level if dampers fly."
+    )
+    return [text]
 
 
 def theoretical_shapes(rec: Recording, modes: Modes) -> np.ndarray | None:

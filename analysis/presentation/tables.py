@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -48,37 +48,34 @@ def frf_table(path: Path, frfs: Sequence[Response]) -> Path:
         "phase_deg", f"magnitude_std {unit}", "coherence",
         f"systematic {unit}", "steady", "resolution_Hz",
     ]  # fmt: skip
-    return write_table(path, heading, _frf_rows(frfs))
-
-
-def _frf_rows(frfs: Sequence[Response]) -> Iterator[Row]:
+    rows: list[Row] = []
     for frf in frfs:
         systematic = frf.systematic_bound()
-        for i, value in enumerate(frf.value):
-            yield (
+        rows += [
+            (
                 frf.label, frf.response, frf.input, frf.frequency[i], value.real, value.imag, abs(value),
                 float(np.degrees(np.angle(value))), frf.error[i], frf.coherence[i],
                 systematic[i], "" if frf.unsteady is None else "no" if frf.unsteady[i] else "yes",
                 frf.resolution,
-            )  # fmt: skip
+            )
+            for i, value in enumerate(frf.value)
+        ]  # fmt: skip
+    return write_table(path, heading, rows)
 
 
 def envelope_table(path: Path, decays: Sequence[Decay]) -> Path:
     """Write a table of envelopes against time: largest magnitude and energy in each of about 400 intervals."""
     heading = ["scene", "channel", "hit", "time_s", "peak m/s^2", "envelope m/s^2", "schroeder_dB"]
-    return write_table(path, heading, _envelope_rows(decays))
-
-
-def _envelope_rows(decays: Sequence[Decay]) -> Iterator[Row]:
+    rows: list[Row] = []
     for decay in decays:
         step = max(1, decay.time.size // _ENVELOPE_ROWS)
         for start in range(0, decay.time.size - step + 1, step):
             part = slice(start, start + step)
-            yield (
-                decay.label, decay.channel, decay.hit, decay.time[start],
-                float(abs(decay.acceleration[part]).max()), float(decay.envelope[part].max()),
-                decay.energy[start],
-            )  # fmt: skip
+            largest = float(abs(decay.acceleration[part]).max()), float(decay.envelope[part].max())
+            rows.append(
+                (decay.label, decay.channel, decay.hit, decay.time[start], *largest, decay.energy[start])
+            )
+    return write_table(path, heading, rows)
 
 
 def damping_table(path: Path, decays: Sequence[Decay]) -> Path:
@@ -87,18 +84,13 @@ def damping_table(path: Path, decays: Sequence[Decay]) -> Path:
         "scene", "channel", "hit", "mode_Hz", "amplitude m/s^2", "damping_ratio", "damping_ratio_std",
         "log_decrement", "frequency_Hz", "frequency_std_Hz",
     ]  # fmt: skip
-    return write_table(path, heading, _damping_rows(decays))
-
-
-def _damping_rows(decays: Sequence[Decay]) -> Iterator[Row]:
+    rows: list[Row] = []
     for decay in decays:
         for mode in decay.modes:
-            numbers = zip(
-                mode.amplitude, mode.damping, mode.damping_error, mode.decrement, mode.natural,
-                mode.natural_error, strict=True,
-            )  # fmt: skip
-            for row in numbers:
-                yield (decay.label, decay.channel, decay.hit, mode.frequency, *row)
+            uncertain = mode.damping, mode.damping_error, mode.decrement, mode.natural, mode.natural_error
+            numbers = zip(mode.amplitude, *uncertain, strict=True)
+            rows += [(decay.label, decay.channel, decay.hit, mode.frequency, *row) for row in numbers]
+    return write_table(path, heading, rows)
 
 
 def modes_table(path: Path, found: Sequence[Modes]) -> Path:
@@ -109,18 +101,15 @@ def modes_table(path: Path, found: Sequence[Modes]) -> Path:
         "damping_ratio_std",
         *(f"shape {name}" for name in channels), *(f"shape {name} std" for name in channels), "phase_collinearity",
     ]  # fmt: skip
-    return write_table(path, heading, _mode_rows(found, channels))
-
-
-def _mode_rows(found: Sequence[Modes], channels: Sequence[str]) -> Iterator[Row]:
+    rows: list[Row] = []
     for modes in found:
         bodies = modes.of_bodies()
         for i, frequency in enumerate(modes.frequency):
             shape = dict(zip(bodies.names, bodies.shapes[:, i].real, strict=True))
             error = dict(zip(bodies.names, bodies.errors[:, i], strict=True))
-            yield (
+            rows.append((
                 modes.label, modes.input, i + 1, frequency, modes.frequency_error[i], 2 * np.pi * frequency,
                 modes.damping[i], modes.damping_error[i], *(shape.get(name, np.nan) for name in channels),
-                *(error.get(name, np.nan) for name in channels),
-                modes.collinearity[i],
-            )  # fmt: skip
+                *(error.get(name, np.nan) for name in channels), modes.collinearity[i],
+            ))  # fmt: skip
+    return write_table(path, heading, rows)

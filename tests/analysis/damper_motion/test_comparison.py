@@ -103,11 +103,9 @@ def test_narrow_peak_lies_within_bound(step, offset) -> None:
 
 def test_coarse_points_name_the_needed_spacing() -> None:
     close, wide = (Peak(1e-3, 1e-4, 18.5, 18.4, 18.6, 0.0, share * 1e-3, 0.33) for share in (0.005, 0.09))
-    reported = unresolved([(19.0, "a3", close), (19.0, "a4", wide), (44.0, "a4", close)])
-    assert reported == [
-        "a4, near 18.50 Hz: the points are 0.33 Hz apart, and the peak between them may deviate by up to 9 %, "
-        "which the interval includes. Measure every 0.1 Hz there"
-    ]
+    [reported] = unresolved([(19.0, "a3", close), (19.0, "a4", wide), (44.0, "a4", close)])
+    assert reported.startswith("a4, near 18.50 Hz: the points are 0.33 Hz apart")
+    assert "by up to 9 %" in reported and reported.endswith("Measure every 0.1 Hz there.")
     three = np.linspace(17.0, 20.0, 3)
     found = peak(measured(three, beneath_dampers(three)), 17.0, 20.0)
     assert found is not None and math.isinf(found.bound)

@@ -208,7 +208,7 @@ def test_constant_reading_gives_no_impact(tmp_path, quantity):
 def test_empty_channel_is_reported(tmp_path):
     with (
         daq.open(still(tmp_path / "a.mcap", "displacement", ticks=0)) as rec,
-        pytest.raises(RecordingError, match="body1 reads zero throughout"),
+        pytest.raises(RecordingError, match="body1: reads zero throughout"),
     ):
         impacts(rec, "body1")
 

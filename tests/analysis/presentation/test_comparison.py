@@ -19,13 +19,9 @@ def test_same_places_are_comparable() -> None:
 @pytest.mark.parametrize(
     ("force_on", "channels", "message"),
     [
-        ((3,), {"tip": "body 3"}, r"a\.mcap is driven at body 1, b\.mcap at body 3: .* on the same body"),
-        ((1,), {"tip": "body 2"}, r"tip is at body 3 in a\.mcap and at body 2 in b\.mcap"),
-        (
-            (1,),
-            {"top": "body 3"},
-            r"no response is in both: a\.mcap has base \(at body 1\), tip .*top \(at body 3\)",
-        ),
+        ((3,), {"tip": "body 3"}, r"b\.mcap: driven at body 3, a\.mcap at body 1, .* on the same body"),
+        ((1,), {"tip": "body 2"}, r"b\.mcap: tip is at body 2, but at body 3 in a\.mcap"),
+        ((1,), {"top": "body 3"}, r"b\.mcap: has .*top \(at body 3\), but none .* base \(at body 1\), tip"),
     ],
 )
 def test_other_places_are_explained(

@@ -61,9 +61,9 @@ def test_unsuitable_recording_says_what_to_change(tmp_path, case):
         (["frf", "--reference", "power"], "expected 'force' or 'table'"),
         (["frf", "--response", "bodi3"], "did you mean 'body3'"),
         (["modes", "--modes", "0"], "expected at least 1"),
-        (["frf", "--block", "2"], "--block would change nothing; leave it out (a.mcap: steady tones"),
-        (["frf", "--overlap", "0.5"], "--overlap would change nothing"),
-        (["modes", "--unit", "g/N"], "a recording knows its units"),
+        (["frf", "--block", "2"], "--block: without effect (a.mcap: steady tones"),
+        (["frf", "--overlap", "0.5"], "--overlap: without effect"),
+        (["modes", "--unit", "g/N"], "a recording states its units"),
         (["decay"], "analysis frf"),
         (["dampers"], "no dampers"),
     ],
@@ -81,7 +81,7 @@ def test_unused_option_names_its_recordings(tmp_path):
     words = ["frf", str(stepped), str(tmp_path / "b.csv"), "--unit", "mm/N", "-o", str(tmp_path)]
     run = CliRunner().invoke(app, words)
     assert run.exit_code == 0
-    assert "--unit changes nothing in a.mcap: a recording knows its units" in run.output
+    assert "--unit has no effect on a.mcap: a recording states its units" in run.output
     for options in (["--theory"], ["--block", "2"], ["--reference", "table"]):
         ended = CliRunner().invoke(app, ["frf", str(tmp_path / "b.csv"), *options])
         assert "leave" in str(ended.exception).lower()

@@ -176,7 +176,9 @@ def test_log_states_where_it_broke(tmp_path, mode, name):
     if name.endswith(".tdms"):
         import nptdms
 
-        assert "lost after the converter" in nptdms.TdmsFile.read(path)["broken"]["Dev1/ai1"].properties["error"]
+        assert (
+            "lost after the converter" in nptdms.TdmsFile.read(path)["broken"]["Dev1/ai1"].properties["error"]
+        )
         return
     with daq.open(path) as recording:
         assert (recording.status, recording.samples) == ("failed", 512)

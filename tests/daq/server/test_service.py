@@ -212,7 +212,10 @@ def test_excessive_buffers_are_rejected():
                 task.write(np.zeros(60_000), auto_start=False)
             assert len(other.read(100)) == 100
             assert task.write(np.zeros(1000), auto_start=False) == 1000
-        with inputs(greedy, samps_per_chan=1_000_000) as task, pytest.raises(DaqError, match="smaller buffers"):
+        with (
+            inputs(greedy, samps_per_chan=1_000_000) as task,
+            pytest.raises(DaqError, match="smaller buffers"),
+        ):
             task.start()
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,6 +11,7 @@ import numpy as np
 from rig.escaping import drawn
 from rig.figure_style import drawing, save_with_table
 from rig.output_files import stem
+from rig.results.text import format_number, table_lines
 from rig.scene.scene import Scene
 from rig.work_precision.motion_study import MotionStudy, Point
 from rig.work_precision.steady_study import OTHER_PACKING, SteadyStudy
@@ -43,18 +44,50 @@ _HEADER = ("quantity", "method", "setting", "cpu_s", "error", "event_time_error_
 
 
 def table(study: MotionStudy, steady: SteadyStudy) -> str:
-    """Write both studies as text."""
+    """Write both studies as text: the engine's cost next to that of the best solver, then a row for each method."""
+    rows = [("method", "setting", "ms a period", "relative error", "event times / s", "events", "note")]
+    rows += [
+        (
+            *_cells(point),
+            f"{point.event_error:.0e}" if np.isfinite(point.event_error) else "",
+            _events(point),
+            point.note,
+        )
+        for point in study.points
+    ]
     lines = [
         f"{study.scene.name}: first {study.periods} periods at {study.frequency:.6g} Hz, {study.events} events",
+        *_answer(study.points),
         "",
-        f"{'method':24}{'setting':30}{'ms a period':>12}{'error':>9}{'of times':>11}  events",
+        *table_lines(rows, "<<>>><<"),
+        "",
+        f"Reference: {study.reference}",
+        "",
+        _steady_table(steady),
     ]
-    lines += [_line(point, 1e3 * point.cpu, "right" if point.right else "wrong") for point in study.points]
-    lines += [
-        "", f"reference: {study.reference};",
-        f"           the best method's error is {study.margin:.0e} times that.", "",
-    ]  # fmt: skip
-    return "\n".join([*(line.rstrip() for line in lines), _steady_table(steady)])
+    return "\n".join(lines)
+
+
+def _answer(points: Sequence[Point]) -> list[str]:
+    """Compare the engine with the fastest other method within ten times the smallest error of the others."""
+    solved = [point for point in points if np.isfinite(point.error) and point.right]
+    engine = [point for point in solved if point.method == "engine, tone"]
+    others = [point for point in solved if not point.method.startswith("engine")]
+    if not engine:
+        return []
+    exact = min(engine, key=lambda point: point.cpu)
+    out = [f"The engine: relative error {exact.error:.0e} in {1e3 * exact.cpu:.2g} ms a period."]
+    if others:
+        least = min(point.error for point in others)
+        best = min((point for point in others if point.error <= 10.0 * least), key=lambda point: point.cpu)
+        out.append(
+            f"Best of the other methods, {best.method} ({best.setting}): {best.error:.0e} in {1e3 * best.cpu:.2g} ms, "
+            f"{format_number(float(f'{best.cpu / exact.cpu:.2g}'))} times as long."
+        )
+    wrong = sum(np.isfinite(point.error) and not point.right for point in points)
+    if wrong:
+        out.append(f"Wrong events: {wrong} of {len(points)} settings.")
+    return out
 
 
 def models_table(scene: Scene, models: SteadyStudy) -> str:
@@ -63,10 +96,10 @@ def models_table(scene: Scene, models: SteadyStudy) -> str:
 
 
 def _steady_table(steady: SteadyStudy) -> str:
-    lines = [_steady_title(steady), f"{'method':24}{'setting':30}{'ms in all':>12}{'error':>9}"]
-    lines += [_line(point, 1e3 * point.cpu, "") for point in steady.points]
-    lines += ["", f"reference: {steady.reference}"]
-    return "\n".join(line.rstrip() for line in lines)
+    rows = [("method", "setting", "ms in all", "relative error", "note")]
+    rows += [(*_cells(point), point.note) for point in steady.points]
+    table = [*table_lines(rows, "<<>><"), ""] if steady.points else []
+    return "\n".join([_steady_title(steady), *table, f"Reference: {steady.reference}"])
 
 
 def _steady_title(steady: SteadyStudy) -> str:
@@ -76,12 +109,15 @@ def _steady_title(steady: SteadyStudy) -> str:
     return f"Steady state at {steady.frequency:.4g} Hz{motion}"
 
 
-def _line(point: Point, milliseconds: float, events: str) -> str:
-    start = f"{point.method:24}{point.setting:30}"
-    if np.isnan(point.error):
-        return f"{start}  {point.note}"
-    times = f"{point.event_error:9.0e} s" if np.isfinite(point.event_error) else f"{'':11}"
-    return f"{start}{milliseconds:12.4g}{point.error:9.0e}{times}  {events}  {point.note}"
+def _cells(point: Point) -> tuple[str, str, str, str]:
+    """Return method, setting, CPU time in ms and relative error of a point; "-" without a result."""
+    known = np.isfinite(point.error)
+    cost = (f"{1e3 * point.cpu:.4g}", f"{point.error:.0e}") if known else ("-", "-")
+    return point.method, point.setting, *cost
+
+
+def _events(point: Point) -> str:
+    return ("right" if point.right else "wrong") if np.isfinite(point.error) else "-"
 
 
 def write(study: MotionStudy, steady: SteadyStudy, folder: Path) -> list[Path]:

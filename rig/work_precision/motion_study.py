@@ -137,8 +137,8 @@ def motion_study(
             "scene."
         )
     reference = (
-        f"decimal arithmetic of {DIGITS} digits, every event found again as a root of its own guard; the same with "
-        f"fewer digits differs by {exact.agreement:.0e} of the motion"
+        f"decimal arithmetic of {DIGITS} digits, with every event located again. Fewer digits change the motion by "
+        f"{exact.agreement:.0e}, relative; the error of the most accurate method is {margin:.0e} times as large."
     )
     return MotionStudy(scene, frequency, periods, len(run.events), tuple(points), reference, margin)
 

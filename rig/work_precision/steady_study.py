@@ -94,9 +94,9 @@ def steady_study(
         tuple(points),
         frequency,
         orbit.motion_type,
-        f"the periodic orbit in decimal arithmetic of {DIGITS} digits, which misses its start by {true.residual:.0e} "
-        f"of the motion; with fewer digits the compliance differs by {true.agreement:.0e};\n"
-        f"           the best method's error is {margin:.0e} times that.",
+        f"the periodic orbit in decimal arithmetic of {DIGITS} digits, which closes to {true.residual:.0e} of the "
+        f"motion. Fewer digits change the compliance by {true.agreement:.0e}, relative; the error of the most accurate "
+        f"method is {margin:.0e} times as large.",
     )
 
 

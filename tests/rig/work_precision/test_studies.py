@@ -220,4 +220,6 @@ def test_table_and_file_report_a_failure(tmp_path: Path) -> None:
     with files[2].open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert rows[1]["note"] == "failed: takes too long" and rows[1]["error"] == "nan"
-    assert "failed: takes too long" in table(study, steady)
+    text = table(study, steady)
+    assert "failed: takes too long" in text
+    assert "The engine: relative error 1e-15 in 0.001 ms a period." in text

@@ -99,7 +99,7 @@ def landing_pulse(scene: Scene, place: str, rate: float) -> Pulse | None:
             if not system.lasting[j]:
                 pulses.append(_INSTANT_PULSE)
                 continue
-            duration, _ = system.landing(int(j), wall)
+            duration, _ = system.duration_and_restitution(int(j), wall)
             angular = np.sqrt(system.wall_stiffness[j, wall - 1] / system.reduced_mass[j])
             ratio = system.wall_damping[j, wall - 1] / (2.0 * angular * system.reduced_mass[j])
             pulses.append(Pulse(float(duration), float(ratio), float(angular)))

@@ -94,9 +94,9 @@ def _model_modes(scene: Scene, group: Group) -> tuple[Array, Array, Array]:
     """Frequency [Hz], damping ratio, and 2 omega times the magnitude of the residue, shape (responses, modes)."""
     bench = on_the_bench(scene, group.curves)
     spring = getattr(bench.driven_shaker, "spring", None)
-    model = structural_model(bench).with_riding()
+    model = structural_model(bench).with_bed_masses()
     if spring is not None:
-        model = model.on_spring(driven_bodies(bench), spring)
+        model = model.with_ground_springs(driven_bodies(bench), spring)
     modes = model.modes
     shapes = modes.shapes / np.sqrt(modes.mass)
     hammer = bench.test is not None and bench.test.kind == "impulse"

@@ -162,7 +162,7 @@ class _Rig:
         if shaker.kind == "electrodynamic":
             level = "drive"
         elif self.spring:
-            held = structural_model(bench).on_spring(driven_bodies(bench), self.spring)
+            held = structural_model(bench).with_ground_springs(driven_bodies(bench), self.spring)
             matrices = Matrices(mass=held.mass, damping=held.damping, stiffness=held.stiffness)
             bench = bench.replace(
                 structure=Structure(matrices=matrices), shaker=ForceShaker(body=shaker.body)

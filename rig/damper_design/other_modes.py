@@ -34,7 +34,7 @@ class ModePeaks:
 def modes_of(question: Question) -> list[tuple[float, Question]]:
     """Return natural frequencies in and next to the band, with the question restricted to each mode."""
     nominal = question.scenes[0]
-    natural = structural_model(nominal).with_riding().modes.frequency
+    natural = structural_model(nominal).with_bed_masses().modes.frequency
     natural = natural[natural > 0.0]
     low, high = question.band
     away = np.maximum(np.log(low / natural), np.log(natural / high))

@@ -242,7 +242,7 @@ def _walls(system: HybridSystem, structure: Structure) -> Iterable[str]:
         texts = []
         for wall in (1, 2):
             stiffness, damping = system.wall_stiffness[j, wall - 1], system.wall_damping[j, wall - 1]
-            duration, restitution = system.landing(int(j), wall)
+            duration, restitution = system.duration_and_restitution(int(j), wall)
             texts.append(
                 f"{stiffness:.4g} N/m, {damping:.4g} N s/m (a landing of {1e3 * duration:.4g} ms gives back "
                 f"{100 * restitution:.3g} %)"

@@ -77,7 +77,7 @@ def natural_frequencies(scene: Scene, low: float, high: float) -> Array:
     With active dampers, each resonance is between these two values.
     """
     model = structural_model(scene)
-    loads = [model.with_riding(), model.with_riding(range(1, len(scene.dampers) + 1))]
+    loads = [model.with_bed_masses(), model.with_bed_masses(range(1, len(scene.dampers) + 1))]
     natural = np.concatenate([each.modes.frequency for each in loads])
     return np.asarray(natural[(natural > low) & (natural < high)])
 

@@ -58,7 +58,7 @@ def _stays_at_ceiling(
     if kinds[hit] == CEILING_IMPACT:
         return bool(kinds[after] == SEPARATION and times[after] != times[hit])
     stay = times[after] - times[hit] + (cycle if after < hit else 0.0)
-    return bool(stay > STAY * system.landing(damper, CEILING)[0])
+    return bool(stay > STAY * system.duration_and_restitution(damper, CEILING)[0])
 
 
 def overall(types: list[str]) -> str:

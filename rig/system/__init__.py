@@ -1,5 +1,5 @@
-"""From a scene to matrices, and to the hybrid linear system that the engine runs, with its open-loop drive.
+"""From a scene to its matrices and to the hybrid linear system that the engine simulates, with its open-loop drive.
 
-Nothing here steps through time. Start with `structural_model` for M, C, K and modes, then `assembly`, which returns a
-`HybridSystem`.
+No module of this folder integrates over time. Start with `structural_model` for M, C, K and modes, then read
+`assembly`, which returns a `HybridSystem`.
 """

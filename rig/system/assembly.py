@@ -1,4 +1,8 @@
-"""From a scene to the hybrid linear system of the kernel; parts that a scene does not name add nothing."""
+"""From a scene to the hybrid linear system of the kernel.
+
+A damper's *bed* is its particles, modelled as one mass that moves in a cavity of a body. The bed *rides* while it is
+at rest on the floor of the cavity, and moves with the body; otherwise it *flies*.
+"""
 
 from __future__ import annotations
 
@@ -16,47 +20,46 @@ from rig.system.hybrid_system import HybridSystem
 from rig.system.landing import spring_damper
 from rig.system.structural_model import StructuralModel, structural_model
 
-#: Configurations are bits of a 64-bit integer.
-MOST_DAMPERS = 62
+#: Largest number of free dampers: contact configurations are bits of a 64-bit integer.
+MAX_DAMPERS = 62
 
 
 def assemble(scene: Scene) -> HybridSystem:
     """Compile a scene.
 
-    Returns coordinates are the bodies, then the tables of the shakers that have one, then the beds of
-    finite-duration contacts. Dampers that are locked or have no clearance are part of the mass matrix. Raises
-    `SceneError` if there are more free dampers than `MOST_DAMPERS`, or the test asks for a start from the static
-    equilibrium of a structure without support.
+    The coordinates are the bodies, then the tables of the shakers that have one, then the beds with finite-duration
+    contact. Dampers that are locked or have no clearance are part of the mass matrix. Raises `SceneError` if there are
+    more free dampers than `MAX_DAMPERS`, or the test starts from the static equilibrium of a structure without support.
     """
     model = structural_model(scene)
     bodies = len(model.mass)
-    masses, at_body, held = model.bed_mass, model.bed_body, model.held
-    free = np.flatnonzero(~held)
-    lasting = any(scene.dampers[j].contact is not None for j in free)
+    masses, body, locked = model.bed_mass, model.bed_body, model.locked
+    free = np.flatnonzero(~locked)
+    finite_contact = any(scene.dampers[j].contact is not None for j in free)
     # A finite-duration contact takes a second bit, which distinguishes the ceiling from the floor.
-    most = MOST_DAMPERS // 2 if lasting else MOST_DAMPERS
-    if len(free) > most:
-        where = " where a contact lasts" if lasting else ""
-        raise SceneError(f"{len(free)} dampers that move; expected at most {most}{where}")
+    limit = MAX_DAMPERS // 2 if finite_contact else MAX_DAMPERS
+    if len(free) > limit:
+        condition = " with finite-duration contact" if finite_contact else ""
+        raise SceneError(f"{len(free)} dampers that move; expected at most {limit}{condition}")
     weight = np.zeros(bodies)
-    np.subtract.at(weight, at_body[held], masses[held] * scene.gravity)
-    parts = _Parts(bodies, model.with_riding(), weight)
+    np.subtract.at(weight, body[locked], masses[locked] * scene.gravity)
+    equations = _Equations(bodies, model.with_bed_masses(), weight)
     for number, shaker in enumerate(scene.shakers, 1):
         _add_shaker(
-            parts, shaker, *(at_shaker(what, number, len(scene.shakers)) for what in ("shaker", "table"))
+            equations, shaker, *(at_shaker(part, number, len(scene.shakers)) for part in ("shaker", "table"))
         )
     if scene.test is not None and scene.test.kind == "impulse":
-        parts.add_input("hammer", "N", {scene.test.body - 1: 1.0})
+        equations.add_input("hammer", "N", {scene.test.body - 1: 1.0})
     clearance = np.array([scene.dampers[j].clearance for j in free], dtype=np.float64)
     restitution = np.array([scene.dampers[j].restitution for j in free], dtype=np.float64)
-    walls = _walls(parts.mass, [scene.dampers[j] for j in free], masses[free])
+    walls = _walls(equations.mass, [scene.dampers[j] for j in free], masses[free])
     bed = np.full(len(free), -1, dtype=np.intp)
     for row, j in enumerate(free):
         if scene.dampers[j].contact is not None:
-            bed[row] = parts.add_bed(at_body[j], masses[j], scene.gravity)
-    system = parts.system(
+            bed[row] = equations.add_bed(body[j], masses[j], scene.gravity)
+    system = equations.system(
         gravity=scene.gravity,
-        coordinate=at_body[free],
+        coordinate=body[free],
         masses=masses[free],
         clearance=clearance,
         restitution=restitution,
@@ -65,12 +68,12 @@ def assemble(scene: Scene) -> HybridSystem:
         walls=walls,
         grains=np.array([scene.dampers[j].grains is not None for j in free], dtype=bool),
     )
-    system.initial[:] = _start(scene, system)
+    system.initial[:] = _initial_state(scene, system)
     return system
 
 
 class _Coil(NamedTuple):
-    """A coil fed by a voltage amplifier, the row of the table it moves, and the column of its drive."""
+    """A coil fed by a voltage amplifier, the row of its table, and the column of its drive."""
 
     coil: Coil
     gain: float
@@ -78,7 +81,7 @@ class _Coil(NamedTuple):
     column: int
 
 
-class _Parts:
+class _Equations:
     """The equations during assembly: rows are coordinates, columns states."""
 
     def __init__(self, bodies: int, structure: StructuralModel, weight: Array) -> None:
@@ -87,16 +90,16 @@ class _Parts:
         self.damping, self.stiffness = structure.damping.copy(), structure.stiffness.copy()
         self.inputs: list[str] = []
         self.units: list[str] = []
-        self.pushes: list[dict[int, float]] = []
+        self.input_forces: list[dict[int, float]] = []
         self.coils: list[_Coil] = []
 
     def add_table(self, name: str, mass: float) -> int:
-        """Add a table without support; returns its row."""
+        """Add a table without support; return its row."""
         self.points.append(name)
         return self._add_coordinate(mass)
 
     def add_bed(self, body: int, mass: float, gravity: float) -> int:
-        """Add the bed of a finite-duration contact, by its gap above its body, in free fall; returns its row."""
+        """Add a bed in free fall whose coordinate is the gap above its body; return its row."""
         row = self._add_coordinate(mass)
         self.mass[body, body] += mass
         self.mass[body, row] = self.mass[row, body] = mass
@@ -112,11 +115,11 @@ class _Parts:
         self.weight = np.append(self.weight, 0.0)
         return row
 
-    def add_input(self, name: str, unit: str, push: dict[int, float]) -> None:
-        """Add an input and its force on the coordinates per unit."""
+    def add_input(self, name: str, unit: str, forces: dict[int, float]) -> None:
+        """Add an input and its force on each coordinate per unit."""
         self.inputs.append(name)
         self.units.append(unit)
-        self.pushes.append(push)
+        self.input_forces.append(forces)
 
     def add_spring(self, first: int, second: int, stiffness: float) -> None:
         """Add a spring between two coordinates."""
@@ -132,8 +135,8 @@ class _Parts:
         n, extra = len(self.mass), len(self.coils)
         force_state = np.hstack([-self.stiffness, -self.damping, np.zeros((n, extra))])
         force_drive = np.zeros((n, len(self.inputs)))
-        for column, push in enumerate(self.pushes):
-            for row, value in push.items():
+        for column, forces in enumerate(self.input_forces):
+            for row, value in forces.items():
                 force_drive[row, column] = value
         rate_state = np.zeros((extra, 2 * n + extra))
         rate_drive = np.zeros((extra, len(self.inputs)))
@@ -166,38 +169,38 @@ class _Parts:
         )
 
 
-def _add_shaker(parts: _Parts, shaker: Shaker, drive: str, name: str) -> None:
-    """Add a shaker with the names of its input and its table."""
+def _add_shaker(equations: _Equations, shaker: Shaker, drive: str, table_name: str) -> None:
+    """Add a shaker; `drive` and `table_name` are the names of its input and its table."""
     match shaker:
         case ForceShaker():
-            parts.add_input(drive, "N", {body - 1: 1.0 for body in shaker.bodies})
+            equations.add_input(drive, "N", {body - 1: 1.0 for body in shaker.bodies})
         case TableShaker():
-            # A servo is not loaded: the spring acts on the body, never on the table.
-            table = parts.add_table(name, 1.0)
+            # The position servo is ideally stiff: the spring acts on the body, but not on the table.
+            table = equations.add_table(table_name, 1.0)
             body = shaker.body - 1
-            corner = 2.0 * np.pi * shaker.bandwidth
-            parts.stiffness[body, body] += shaker.spring
-            parts.stiffness[body, table] -= shaker.spring
-            parts.stiffness[table, table] = corner**2
-            parts.damping[table, table] = 2.0 * corner
-            parts.add_input(drive, "m", {table: corner**2})
+            corner_rate = 2.0 * np.pi * shaker.bandwidth
+            equations.stiffness[body, body] += shaker.spring
+            equations.stiffness[body, table] -= shaker.spring
+            equations.stiffness[table, table] = corner_rate**2
+            equations.damping[table, table] = 2.0 * corner_rate
+            equations.add_input(drive, "m", {table: corner_rate**2})
         case ElectrodynamicShaker():
             coil, armature, amplifier = shaker.coil, shaker.armature, shaker.amplifier
-            table = parts.add_table(name, armature.mass)
-            parts.add_spring(shaker.body - 1, table, shaker.spring)
-            parts.stiffness[table, table] += armature.stiffness
-            parts.damping[table, table] += armature.damping
+            table = equations.add_table(table_name, armature.mass)
+            equations.add_spring(shaker.body - 1, table, shaker.spring)
+            equations.stiffness[table, table] += armature.stiffness
+            equations.damping[table, table] += armature.damping
             if amplifier.mode == "voltage":
-                parts.coils.append(_Coil(coil, amplifier.gain, table, len(parts.inputs)))
-                parts.add_input(drive, "V", {})
+                equations.coils.append(_Coil(coil, amplifier.gain, table, len(equations.inputs)))
+                equations.add_input(drive, "V", {})
             else:
-                parts.add_input(drive, "V", {table: amplifier.gain * coil.force_factor})
+                equations.add_input(drive, "V", {table: amplifier.gain * coil.force_factor})
         case _ as never:
             assert_never(never)
 
 
 def _walls(mass: Array, dampers: list[Damper], bed_mass: Array) -> tuple[Array, Array]:
-    """Stiffness and damping of floor and ceiling of each damper, (dampers, 2); zeros where contact is instant.
+    """Return stiffness and damping of floor and ceiling of each damper, (dampers, 2); 0 for instant contact.
 
     `mass` is the mass matrix without the dampers that move.
     """
@@ -207,21 +210,22 @@ def _walls(mass: Array, dampers: list[Damper], bed_mass: Array) -> tuple[Array, 
         contact = damper.contact
         if contact is None:
             continue
-        both = (contact.floor, contact.ceiling) if isinstance(contact, Walls) else (contact, contact)
-        reduced = 1.0 / (1.0 / bed_mass[row] + mobility[damper.body - 1])
-        for side, wall in enumerate(both):
-            stiffness[row, side], damping[row, side] = _wall(wall, damper.restitution, reduced)
+        walls = (contact.floor, contact.ceiling) if isinstance(contact, Walls) else (contact, contact)
+        reduced_mass = 1.0 / (1.0 / bed_mass[row] + mobility[damper.body - 1])
+        for side, wall in enumerate(walls):
+            stiffness[row, side], damping[row, side] = _wall(wall, damper.restitution, reduced_mass)
     return stiffness, damping
 
 
 def _wall(wall: Wall, restitution: float, mass: float) -> tuple[float, float]:
+    """Return stiffness and damping of a wall; `mass` is the reduced mass of bed and body."""
     if isinstance(wall, Landing):
         return spring_damper(wall.duration, restitution, mass)
     return wall.stiffness, wall.damping
 
 
-def _start(scene: Scene, system: HybridSystem) -> Array:
-    """State at t = 0 without drive: all dampers on their floors."""
+def _initial_state(scene: Scene, system: HybridSystem) -> Array:
+    """Return the state at t = 0 without drive, with all dampers on their floors."""
     state = np.zeros(system.states)
     n = system.coordinates
     test = scene.test
@@ -240,7 +244,7 @@ def _start(scene: Scene, system: HybridSystem) -> Array:
 
 
 def static_equilibrium(scene: Scene, system: HybridSystem) -> Array:
-    """Coordinates at rest under the weight of the dampers, m.
+    """Return the coordinates at rest under the weight of the dampers, m.
 
     Raises `SceneError` if nothing supports the structure.
     """
@@ -253,14 +257,14 @@ def static_equilibrium(scene: Scene, system: HybridSystem) -> Array:
     stiffness = -(system.force_state + system.contact_forces(system.at_rest)[0])[:, :n]
     if not stiffness.any() or np.linalg.cond(stiffness) > 1e13:
         raise SceneError(
-            f"scene {scene.name!r}: the structure is free, so that there is no static equilibrium under "
+            f"scene {scene.name!r}: the structure has no support, so it has no static equilibrium under "
             "the weight of the dampers. Add springs to ground, gravity: 0, or test: {start: empty}."
         )
     return np.linalg.solve(stiffness, load)
 
 
 def spring_force_row(scene: Scene, system: HybridSystem) -> Array:
-    """Row r with F_1 = r . state: force of the driven shaker's coil spring on the body, N; zeros without one."""
+    """Return the row r for which r . state is the force F_1 of the driven shaker's coil spring, N; 0 without one."""
     row = np.zeros(system.states)
     shaker = scene.driven_shaker
     if shaker is not None and shaker.spring is not None:

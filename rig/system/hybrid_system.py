@@ -1,4 +1,7 @@
-"""A compiled scene: the linear system between contact changes, its dampers, and its drive."""
+"""A compiled scene: the linear system between contact changes, its dampers, and its drive.
+
+A damper's *bed* is its particles, modelled as one mass. A damper *rides* while its bed is at rest on the floor.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
-from rig.system.landing import landing
+from rig.system.landing import duration_and_restitution
 
 #: Name, before the damper's number, of the input that is the force of a bed of grains on its body.
 FORCE_OF_BED = "grains"
@@ -21,16 +24,17 @@ class HybridSystem:
     configuration (M + riding damper masses) q'' = F_q state + F_u u + F_1 - (riding dampers' weight), and the
     further states obey r' = R_q state + R_u u.
 
-    `inputs`, `drive_units`: what can be driven, and its unit; `force_state`, `force_drive`, `force_constant`: F_q
-    (coordinates, states), F_u (coordinates, inputs) and F_1 (coordinates,); `rate_state`, `rate_drive`: R_q (further
-    states, states) and R_u (further states, inputs); `damper_coordinate`, `damper_mass`, `clearance`, `restitution`,
-    `damper_number`: the free dampers; `damper_number` is the 1-based position in the scene's list; `wall_stiffness`,
-    `wall_damping`: of floor and ceiling where contact has a duration [N/m, N s/m]; `fastest`: bound on the fastest
-    rate in any configuration, rad/s.
-
-    `bed`: coordinate of a damper of finite-duration contact, behind those of the points: its gap. -1: instant
-    contact; `grains`: whether a damper is a bed of grains. Here it is one mass, at rest; `rig.grain_beds` computes
-    its motion.
+    `inputs`, `drive_units`: names and units of the inputs.
+    `force_state`, `force_drive`, `force_constant`: F_q (coordinates, states), F_u (coordinates, inputs) and F_1
+    (coordinates,).
+    `rate_state`, `rate_drive`: R_q (further states, states) and R_u (further states, inputs).
+    `damper_coordinate`, `damper_mass`, `clearance`, `restitution`, `damper_number`: of the free dampers;
+    `damper_number` counts from 1 in the scene's list.
+    `wall_stiffness`, `wall_damping`: of floor and ceiling with finite-duration contact, N/m and N s/m.
+    `bed`: coordinate of a damper with finite-duration contact (its gap), after those of the points; -1 for
+    instant contact.
+    `grains`: whether a damper is a bed of grains. Here the bed is one mass at rest; `rig.grain_beds` computes its
+    motion.
     """
 
     # names of the coordinates: "body 1" ... "body n", then "table" if the scene has one
@@ -72,9 +76,9 @@ class HybridSystem:
 
     @property
     def coupled(self) -> bool:
-        """Whether an impact of a damper acts at once on another in the same body, or on another coordinate."""
-        struck = self.damper_coordinate[~self.lasting]
-        return bool(np.count_nonzero(self.mass[struck]) > np.unique(struck).size)
+        """Whether an impact of a damper instantly affects another damper in the same body, or another coordinate."""
+        hit = self.damper_coordinate[~self.lasting]
+        return bool(np.count_nonzero(self.mass[hit]) > np.unique(hit).size)
 
     @property
     def lasting(self) -> np.ndarray:
@@ -83,21 +87,21 @@ class HybridSystem:
 
     @property
     def reduced_mass(self) -> np.ndarray:
-        """Reduced mass of each damper of finite-duration contact and its body, kg; NaN where contact is instant."""
+        """Reduced mass of each damper and its body for finite-duration contact, kg; NaN for instant contact."""
         mobility = np.append(np.diag(np.linalg.inv(self.mass)), np.nan)
         return np.asarray(1.0 / mobility[self.bed])
 
-    def landing(self, damper: int, wall: int) -> tuple[float, float]:
-        """Duration [s] and restitution of the contact of damper j (from 0) with its floor (1) or ceiling (2)."""
+    def duration_and_restitution(self, damper: int, wall: int) -> tuple[float, float]:
+        """Return duration [s] and restitution of the contact of a damper (from 0) with its floor (1) or ceiling (2)."""
         stiffness, damping = self.wall_stiffness[damper, wall - 1], self.wall_damping[damper, wall - 1]
-        return landing(float(stiffness), float(damping), float(self.reduced_mass[damper]))
+        return duration_and_restitution(float(stiffness), float(damping), float(self.reduced_mass[damper]))
 
     @property
     def toggles(self) -> list[int]:
-        """Changes of a configuration: every damper's contact (with its floor, if it has a duration), then ceilings.
+        """Bit masks that change a configuration: contact of each damper (with its floor), then with its ceiling.
 
-        Bit j of a configuration is set while damper j is in contact, bit `dampers` + j while a contact that has a
-        duration is with the ceiling.
+        Bit j of a configuration is set while damper j is in contact, and bit `dampers` + j while a finite-duration
+        contact is with the ceiling.
         """
         floors = [1 << j for j in range(self.dampers)]
         ceilings = [1 << j | 1 << self.dampers + j for j in range(self.dampers)]
@@ -109,7 +113,7 @@ class HybridSystem:
         return (1 << self.dampers) - 1
 
     def contact_forces(self, configuration: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the forces of closed finite-duration contacts: (coordinates, states), and constants (coordinates,)."""
+        """Return the matrix (coordinates, states) and the constant forces (coordinates,) of closed contacts."""
         n = self.coordinates
         force, constant = np.zeros((n, self.states)), np.zeros(n)
         for j in np.flatnonzero(self.lasting):
@@ -123,7 +127,7 @@ class HybridSystem:
         return force, constant
 
     def matrix(self, configuration: int = 0) -> np.ndarray:
-        """State matrix (states, states) with the given finite-duration contacts closed and no other."""
+        """Return the state matrix (states, states) with the finite-duration contacts of a configuration closed."""
         n, ns = self.coordinates, self.states
         matrix = np.zeros((ns, ns))
         matrix[:n, n : 2 * n] = np.eye(n)
@@ -140,22 +144,29 @@ class HybridSystem:
 
     @cached_property
     def fastest(self) -> float:
-        """Fastest rate of the system, rad/s: dampers at rest make it slower, finite-duration contacts faster."""
+        """Upper bound of the rates of the system in all configurations, rad/s.
+
+        Dampers at rest reduce the rates; finite-duration contacts increase them.
+        """
         configurations = {0}
         if self.lasting.any():
-            stiffer = np.argmax(self.wall_stiffness, axis=1)
-            at_once = [self.toggles[j + self.dampers * stiffer[j]] for j in np.flatnonzero(self.lasting)]
-            each = [
-                self.toggles[j + self.dampers * wall] for j in np.flatnonzero(self.lasting) for wall in (0, 1)
-            ]
-            configurations |= {sum(at_once), *each}
-        rates = [np.abs(np.linalg.eigvals(self.matrix(one))).max(initial=0.0) for one in configurations]
+            dampers = np.flatnonzero(self.lasting)
+            stiffer_wall = np.argmax(self.wall_stiffness, axis=1)
+            all_closed = sum(self.toggles[j + self.dampers * stiffer_wall[j]] for j in dampers)
+            configurations |= {
+                all_closed,
+                *(self.toggles[j + self.dampers * wall] for j in dampers for wall in (0, 1)),
+            }
+        rates = [
+            np.abs(np.linalg.eigvals(self.matrix(configuration))).max(initial=0.0)
+            for configuration in configurations
+        ]
         return float(max(rates))
 
 
 @dataclass(frozen=True)
 class Drive:
-    """How the inputs evolve inside a segment: p' = generator p, u = output p."""
+    """Evolution of the inputs within a segment: p' = generator p, u = output p."""
 
     generator: np.ndarray
     output: np.ndarray
@@ -168,7 +179,7 @@ class Drive:
 
 
 def tone(amplitudes: np.ndarray, angular_frequency: float) -> Drive:
-    """Pure tone u(t) = Re(U e^{i w t}), with p = (cos w t, sin w t).
+    """Return the drive of a pure tone u(t) = Re(U e^{i w t}), with p = (cos w t, sin w t).
 
     `amplitudes`: U of each input; `angular_frequency`: w in rad/s.
     """
@@ -178,7 +189,7 @@ def tone(amplitudes: np.ndarray, angular_frequency: float) -> Drive:
 
 
 def sampled(inputs: int, interval: float) -> Drive:
-    """First-order hold: p = (u, change of u over the sample interval)."""
+    """Return the drive of linearly interpolated samples: p = (u, change of u over the sample interval)."""
     generator = np.zeros((2 * inputs, 2 * inputs))
     generator[:inputs, inputs:] = np.eye(inputs) / interval
     return Drive(generator, np.hstack([np.eye(inputs), np.zeros((inputs, inputs))]), 0.0)

@@ -1,4 +1,7 @@
-"""The drive of a scene's test without a controller."""
+"""The drive of a scene's test without a controller.
+
+A damper *rides* while its bed of particles is at rest on its floor.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +9,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rig.arrays import Array
+from rig.arrays import Array, ComplexArray
 from rig.errors import SceneError
 from rig.scene.excitation import Impulse, Sine, SteppedSine, SweptSine
 from rig.scene.scene import Scene
@@ -16,22 +18,25 @@ from rig.scene.shaker import ForceShaker, TableShaker
 from rig.system.assembly import spring_force_row
 from rig.system.hybrid_system import HybridSystem
 
+# Number of frequencies between which the drive per level of a sweep is interpolated.
+_GAIN_FREQUENCIES = 400
+
 
 @dataclass(frozen=True)
 class ToneDrive:
-    """Complex drive amplitude of each input, frequency [Hz] and [rad/s], and the state to start from."""
+    """Complex drive amplitude of each input, frequency [Hz] and [rad/s], and initial state."""
 
-    amplitudes: NDArray[np.complex128]
+    amplitudes: ComplexArray
     frequency: float
     omega: float
     state: Array
 
 
 def tone_drive(scene: Scene, system: HybridSystem, frequency: float | None = None) -> ToneDrive | None:
-    """Tone of a sine or stepped sine test, or at a given frequency; None if the test is no tone.
+    """Return the tone of a sine or stepped sine test, or at a given frequency; None if the test is not a tone.
 
-    `frequency`: Hz; None: the test's own, the first one of a stepped sine. Raises `SceneError` if a frequency is
-    given but no level or no shaker.
+    `frequency`: Hz; None: that of the test, the first one of a stepped sine. Raises `SceneError` if a frequency is
+    given, but the scene has no level or no shaker.
     """
     test = scene.test
     if frequency is None:
@@ -49,7 +54,7 @@ def tone_drive(scene: Scene, system: HybridSystem, frequency: float | None = Non
     amplitudes[system.inputs.index(scene.at_driven("shaker"))] = amplitude
     state = system.initial.copy()
     if isinstance(scene.driven_shaker, TableShaker):
-        # The table's motion is the prescribed tone from the start, not its servo's response.
+        # The table follows the tone from the start, without the transient of its servo.
         position = amplitude / _servo_inverse(scene.driven_shaker, omega)
         table = system.points.index(scene.at_driven("table"))
         state[table] = position.real
@@ -58,49 +63,51 @@ def tone_drive(scene: Scene, system: HybridSystem, frequency: float | None = Non
 
 
 def level_of(scene: Scene) -> float:
-    """Level of the test: force [N], or drive in its own unit.
+    """Return the level of the test: force [N], or drive in the unit of the input.
 
     Raises `SceneError` if the scene has no shaker, or a test without a level.
     """
     if scene.driven_shaker is None and scene.shakers:
         raise SceneError(
-            f"scene {scene.name!r} has {len(scene.shakers)} shakers; expected a test with shaker: and "
-            "the number of the one that it drives"
+            f"scene {scene.name!r} has {len(scene.shakers)} shakers. Set test.shaker to the number of the driven one."
         )
     if scene.driven_shaker is None:
-        raise SceneError(f"scene {scene.name!r} has no shaker; expected shaker: {{kind: ...}}")
+        raise SceneError(f"scene {scene.name!r} has no shaker. Add shaker: {{kind: ...}}.")
     test = scene.test
     force, drive = getattr(test, "force", None), getattr(test, "drive", None)
     level = force if force is not None else drive
     if level is None:
-        raise SceneError(f"scene {scene.name!r} has no test with a level; expected force or drive under test")
+        raise SceneError(f"scene {scene.name!r} has no test with a level. Add force or drive under test.")
     return float(level[0] if isinstance(level, tuple) else level)
 
 
 def drive_per_level(scene: Scene, system: HybridSystem, omega: float | Array) -> Any:
-    """Complex drive amplitude for one unit of level at omega (rad/s), all dampers riding."""
+    """Return the complex drive amplitude per unit of level at omega (rad/s), with all dampers riding."""
     shaker = scene.driven_shaker
-    drives = getattr(scene.test, "drive", None) is not None
+    level_is_drive = getattr(scene.test, "drive", None) is not None
     if isinstance(shaker, ForceShaker):
         return 1.0
-    if drives:
+    if level_is_drive:
         return _servo_inverse(shaker, omega) if isinstance(shaker, TableShaker) else 1.0
     return 1.0 / force_per_drive(scene, system, omega)
 
 
 def _servo_inverse(shaker: TableShaker, omega: float | Array) -> Any:
-    """Drive for one unit of table displacement: the critically damped servo, inverted."""
+    """Return the drive per unit of table displacement: the inverse of the critically damped servo."""
     ratio = omega / (2.0 * np.pi * shaker.bandwidth)
     return (1.0 + 1j * ratio) ** 2
 
 
 def force_per_drive(scene: Scene, system: HybridSystem, omega: float | Array) -> Any:
-    """Spring force for one unit of drive, in the linear structure with all dampers riding."""
+    """Return the spring force per unit of drive, with all dampers riding."""
     return spring_force_row(scene, system) @ riding_response(system, scene.at_driven("shaker"), omega)
 
 
 def accelerations_per_level(scene: Scene, system: HybridSystem, omega: float | Array) -> Array:
-    """Amplitude of each body's acceleration per unit of level, all dampers riding; shape (bodies,) + omega.shape."""
+    """Return the acceleration amplitude of each body per unit of level; shape (bodies,) + omega.shape.
+
+    All dampers ride.
+    """
     response = riding_response(system, scene.at_driven("shaker"), omega) * drive_per_level(
         scene, system, omega
     )
@@ -110,25 +117,25 @@ def accelerations_per_level(scene: Scene, system: HybridSystem, omega: float | A
 def with_ideal_force(scene: Scene) -> Scene:
     """Replace coil spring, table and channels by the test's force as a pure tone on the body.
 
-    This needs no controller of the spring force. Scenes whose tests give a drive, or whose shaker is a force already,
-    do not change.
+    Then no controller of the spring force is needed. A scene does not change if its test has a drive, or its shaker is
+    a force.
     """
     shaker = scene.driven_shaker
     if shaker is None or isinstance(shaker, ForceShaker) or getattr(scene.test, "force", None) is None:
         return scene
     force = ForceShaker(body=shaker.bodies[0])
-    shakers = [force if number == scene.driven else each for number, each in enumerate(scene.shakers, 1)]
+    shakers = [force if number == scene.driven else other for number, other in enumerate(scene.shakers, 1)]
     return scene.replace(shaker=shakers if len(shakers) > 1 else force, channels=None)
 
 
 def riding_equations(system: HybridSystem, name: str) -> tuple[Array, Array, Array]:
-    """Matrices of the rig with all dampers riding, under the drive of a name: E dx/dt = G x + b u.
+    """Return the equations E dx/dt = G x + b u with all dampers riding, for the input u with a name.
 
-    Returns `inertia`, shape (states, states), E: identity but for the mass matrix in the rows of the velocities;
-    `matrix`, shape (states, states), G; `inflow`, shape (states,), b.
+    Returns `inertia`, shape (states, states), E: identity except for the mass matrix in the rows of the velocities;
+    `matrix`, shape (states, states), G; `input_column`, shape (states,), b.
     """
     n, ns = system.coordinates, system.states
-    inertia, matrix, inflow = np.eye(ns), np.zeros((ns, ns)), np.zeros(ns)
+    inertia, matrix, input_column = np.eye(ns), np.zeros((ns, ns)), np.zeros(ns)
     mass = system.mass.copy()
     riding = system.damper_coordinate[~system.lasting]
     np.add.at(mass, (riding, riding), system.damper_mass[~system.lasting])
@@ -138,35 +145,37 @@ def riding_equations(system: HybridSystem, name: str) -> tuple[Array, Array, Arr
     matrix[n : 2 * n] = system.force_state + force
     matrix[2 * n :] = system.rate_state
     column = system.inputs.index(name)
-    inflow[n : 2 * n] = system.force_drive[:, column]
-    inflow[2 * n :] = system.rate_drive[:, column]
-    return inertia, matrix, inflow
+    input_column[n : 2 * n] = system.force_drive[:, column]
+    input_column[2 * n :] = system.rate_drive[:, column]
+    return inertia, matrix, input_column
 
 
-def riding_response(system: HybridSystem, name: str, omega: float | Array) -> NDArray[np.complex128]:
-    """States for one unit of the drive of that name, all dampers riding; shape (states,) + that of omega in rad/s."""
+def riding_response(system: HybridSystem, name: str, omega: float | Array) -> ComplexArray:
+    """Return the states per unit of the drive with a name, with all dampers riding; shape (states,) + omega.shape.
+
+    `omega`: rad/s.
+    """
     n, ns = system.coordinates, system.states
-    inertia, matrix, column = riding_equations(system, name)
+    inertia, matrix, input_column = riding_equations(system, name)
     mass = inertia[n : 2 * n, n : 2 * n]
     matrix[n : 2 * n] = np.linalg.solve(mass, matrix[n : 2 * n])
-    inflow = column[:, None].astype(complex)
-    inflow[n : 2 * n, 0] = np.linalg.solve(mass, column[n : 2 * n])
-    at = np.asarray(omega)[..., None, None]
+    right_side = input_column[:, None].astype(complex)
+    right_side[n : 2 * n, 0] = np.linalg.solve(mass, input_column[n : 2 * n])
+    j_omega = 1j * np.asarray(omega)[..., None, None]
     try:
-        solved = np.linalg.solve(1j * at * np.eye(ns) - matrix, inflow).astype(np.complex128, copy=False)
+        states = np.linalg.solve(j_omega * np.eye(ns) - matrix, right_side).astype(np.complex128, copy=False)
     except np.linalg.LinAlgError:
         raise SceneError(
             f"the undamped rig has no steady state at {np.ravel(omega)[0] / (2 * np.pi):.6g} Hz, its "
-            "resonance. Add structure.damping, choose another frequency, or give drive in place of "
-            "force."
+            "resonance. Add structure.damping, choose another frequency, or give drive instead of force."
         ) from None
-    return np.moveaxis(solved[..., 0], -1, 0)
+    return np.moveaxis(states[..., 0], -1, 0)
 
 
 def sampled_drive(scene: Scene, system: HybridSystem, samples: int, rate: float) -> Array:
-    """Drive (inputs, samples) of a test that is not a tone.
+    """Return the drive (inputs, samples) of a test that is not a tone.
 
-    Raises `SceneError` for tests whose signal only the bench generates.
+    Raises `SceneError` for tests whose signal is generated only during a recording.
     """
     drive = np.zeros((len(system.inputs), samples))
     test = scene.test
@@ -184,27 +193,29 @@ def sampled_drive(scene: Scene, system: HybridSystem, samples: int, rate: float)
 
 
 def _hits(test: Impulse, time: Array) -> Array:
+    """Return the half-sine pulses of the hammer, N."""
     force = np.zeros_like(time)
     for hit in range(test.repeats):
-        inside = time - hit * test.interval
-        pulse = test.peak * np.sin(np.pi * inside / test.width)
-        force += np.where((inside >= 0.0) & (inside <= test.width), pulse, 0.0)
+        since_hit = time - hit * test.interval
+        pulse = test.peak * np.sin(np.pi * since_hit / test.width)
+        force += np.where((since_hit >= 0.0) & (since_hit <= test.width), pulse, 0.0)
     return force
 
 
 def _sweep(scene: Scene, system: HybridSystem, test: SweptSine, time: Array) -> Array:
+    """Return the drive of a sweep, with the amplitude that gives the level at each frequency."""
     first, last = test.from_, test.to
-    share = np.minimum(time / test.duration, 1.0)
+    progress = np.minimum(time / test.duration, 1.0)
     if test.spacing == "log":
-        ratio = np.log(last / first)
-        phase = 2.0 * np.pi * first * test.duration * np.expm1(share * ratio) / ratio
-        frequency = first * np.exp(share * ratio)
+        log_ratio = np.log(last / first)
+        phase = 2.0 * np.pi * first * test.duration * np.expm1(progress * log_ratio) / log_ratio
+        frequency = first * np.exp(progress * log_ratio)
     else:
-        phase = 2.0 * np.pi * test.duration * (first * share + 0.5 * (last - first) * share**2)
-        frequency = first + (last - first) * share
-    grid = np.linspace(min(first, last), max(first, last), 400)
+        phase = 2.0 * np.pi * test.duration * (first * progress + 0.5 * (last - first) * progress**2)
+        frequency = first + (last - first) * progress
+    grid = np.linspace(min(first, last), max(first, last), _GAIN_FREQUENCIES)
     gains = np.array([drive_per_level(scene, system, 2.0 * np.pi * f) for f in grid])
-    size = np.interp(frequency, grid, np.abs(gains))
+    magnitude = np.interp(frequency, grid, np.abs(gains))
     angle = np.interp(frequency, grid, np.unwrap(np.angle(gains)))
-    swept = level_of(scene) * size * np.sin(phase + angle)
-    return np.where(time <= test.duration, swept, 0.0)
+    sweep = level_of(scene) * magnitude * np.sin(phase + angle)
+    return np.where(time <= test.duration, sweep, 0.0)

@@ -1,4 +1,7 @@
-"""The structure as matrices with its dampers' masses: natural modes, and the linear frequency response.
+"""The structure as matrices with its dampers' masses: natural modes and the linear frequency response.
+
+A damper's *bed* is its particles, modelled as one mass. A bed that *rides* is at rest on the floor of its cavity, and
+moves with its body.
 
 Convention: x(t) = Re(X e^{i w t}), so that a phase lag is negative.
 """
@@ -18,18 +21,18 @@ from rig.errors import SceneError
 from rig.scene.scene import Scene
 from rig.scene.structure import Dashpots, ModalDamping, RayleighDamping, Structure
 
-# Dynamic stiffnesses solved at once: enough to keep LAPACK busy, little enough for any machine's memory.
-_ELEMENTS_AT_ONCE = 1_000_000
+# Matrix elements of the dynamic stiffnesses that are solved in one call: 16 MB.
+_MAX_ELEMENTS = 1_000_000
 
 
 @dataclass(frozen=True, eq=False)
 class NaturalModes:
-    """Modes of the undamped structure, and what its damping makes of each alone.
+    """Modes of the undamped structure, and their modal damping without coupling by damping.
 
     `mass`, `damping`, shape (modes,): modal mass, kg, and the diagonal of the modal damping matrix, N s/m.
     """
 
-    omega: Array  # natural frequencies, rising, rad/s; 0 for a rigid-body motion, shape (modes,)
+    omega: Array  # natural frequencies, increasing, rad/s; 0 for a rigid-body motion, shape (modes,)
     shapes: Array  # column i is the shape of mode i, its largest element +1, shape (bodies, modes)
     mass: Array
     damping: Array
@@ -41,12 +44,12 @@ class NaturalModes:
 
     @property
     def decay_rate(self) -> Array:
-        """Rate at which each mode decays as far as damping does not couple them, 1/s."""
+        """Decay rate of each mode without coupling by damping, 1/s."""
         return np.asarray(self.damping / (2.0 * self.mass))
 
     @property
     def damping_ratio(self) -> Array:
-        """Damping ratio of each mode, as far as damping does not couple them."""
+        """Damping ratio of each mode without coupling by damping."""
         return np.asarray(self.decay_rate / np.maximum(self.omega, 1e-9))
 
 
@@ -56,8 +59,8 @@ class StructuralModel:
 
     `mass`, `damping`, `stiffness`, shape (bodies, bodies): in kg, N s/m and N/m; without the masses of beds.
 
-    `bed_mass`: kg, in the scene's order, shape (dampers,); `bed_body`: position of the body of each damper, from 0,
-    shape (dampers,); `held`: dampers that are locked or have no clearance, shape (dampers,).
+    `bed_mass`: kg, in the scene's order, shape (dampers,); `bed_body`: index of the body of each damper, from 0, shape
+    (dampers,); `locked`: whether a damper is locked or has no clearance, shape (dampers,).
     """
 
     mass: Array
@@ -65,7 +68,7 @@ class StructuralModel:
     stiffness: Array
     bed_mass: Array = field(default_factory=lambda: np.zeros(0))
     bed_body: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
-    held: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    locked: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))
 
     @cached_property
     def modes(self) -> NaturalModes:
@@ -74,41 +77,43 @@ class StructuralModel:
         Raises
         ------
         SceneError
-            If the stiffness lets the structure run away.
+            If the structure is statically unstable.
         """
         omega, shapes = natural_modes(self.mass, self.stiffness)
-        mass, damping = (np.einsum("ji,jk,ki->i", shapes, each, shapes) for each in (self.mass, self.damping))
+        mass, damping = (
+            np.einsum("ji,jk,ki->i", shapes, matrix, shapes) for matrix in (self.mass, self.damping)
+        )
         return NaturalModes(omega, shapes, mass, damping)
 
     @cached_property
     def mobility(self) -> Array:
-        """Acceleration of each body for a force on each while nothing has moved, shape (bodies, bodies), 1/kg."""
+        """Accelerance at infinite frequency: the inverse of the mass matrix, shape (bodies, bodies), 1/kg."""
         return np.asarray(np.linalg.inv(self.mass))
 
-    def with_riding(self, dampers: Iterable[int] = ()) -> StructuralModel:
-        """Add the masses of the beds that are held, and of those that ride, to their bodies.
+    def with_bed_masses(self, riding: Iterable[int] = ()) -> StructuralModel:
+        """Add the masses of the locked and of the riding beds to their bodies.
 
-        `dampers`: those that ride, by their position from 1. Raises `SceneError` if a damper does not exist.
+        `riding`: numbers of the dampers that ride, from 1. Raises `SceneError` if a damper does not exist.
         """
-        count = self.held.size
-        numbers = list(dampers)
+        count = self.locked.size
+        numbers = list(riding)
         missing = [number for number in numbers if not 1 <= number <= count]
         if missing:
             raise SceneError(f"riding: damper {missing[0]} of {count}; expected 1 to {count}")
-        places = sorted({*np.flatnonzero(self.held).tolist(), *(number - 1 for number in numbers)})
+        beds = sorted({*np.flatnonzero(self.locked).tolist(), *(number - 1 for number in numbers)})
         mass = self.mass.copy()
-        bodies = self.bed_body[places]
-        np.add.at(mass, (bodies, bodies), self.bed_mass[places])
+        bodies = self.bed_body[beds]
+        np.add.at(mass, (bodies, bodies), self.bed_mass[beds])
         return replace(self, mass=mass)
 
-    def on_spring(self, bodies: Iterable[int], spring: float) -> StructuralModel:
-        """Hold bodies, by their positions from 0, to ground by a spring each, N/m."""
-        stiffness, held = self.stiffness.copy(), list(bodies)
-        stiffness[held, held] += spring
+    def with_ground_springs(self, bodies: Iterable[int], spring: float) -> StructuralModel:
+        """Connect each of some bodies (indices from 0) to ground by a spring, N/m."""
+        stiffness, supported = self.stiffness.copy(), list(bodies)
+        stiffness[supported, supported] += spring
         return replace(self, stiffness=stiffness)
 
     def response(self, frequencies_hz: Array, force: Array) -> ComplexArray:
-        """Displacement of each body under harmonic forces, shape (bodies, frequencies), m.
+        """Compute the displacement of each body under harmonic forces, shape (bodies, frequencies), m.
 
         Parameters
         ----------
@@ -119,10 +124,10 @@ class StructuralModel:
         Raises
         ------
         SceneError
-            If an undamped structure is asked for exactly at resonance.
+            If a frequency is exactly a resonance of an undamped structure.
         """
         response = np.empty((len(self.mass), frequencies_hz.size), dtype=np.complex128)
-        step = max(1, _ELEMENTS_AT_ONCE // self.mass.size)
+        step = max(1, _MAX_ELEMENTS // self.mass.size)
         for first in range(0, frequencies_hz.size, step):
             block = slice(first, first + step)
             omega = 2.0 * np.pi * frequencies_hz[block, None, None]
@@ -131,14 +136,14 @@ class StructuralModel:
                 response[:, block] = np.linalg.solve(dynamic_stiffness, force[:, None])[:, :, 0].T
             except np.linalg.LinAlgError:
                 raise SceneError(
-                    "the response is infinite at one of the frequencies: an undamped resonance, or 0 "
-                    "Hz of a free structure. Add structure.damping, or choose other frequencies."
+                    "frequencies: the response is infinite at one of them (an undamped resonance, or 0 Hz of a "
+                    "structure without support). Add structure.damping, or choose other frequencies."
                 ) from None
         return response
 
 
 def structural_model(scene: Scene) -> StructuralModel:
-    """Give the matrices of a scene's structure, without the coil spring, and the masses of its beds.
+    """Return the matrices of a scene's structure, without the coil spring, and the masses of its beds.
 
     A mass ratio refers to the body's mass, with matrices to the diagonal element of the mass matrix.
 
@@ -149,12 +154,12 @@ def structural_model(scene: Scene) -> StructuralModel:
     """
     mass, damping, stiffness = structure_matrices(scene.structure)
     body = np.array([damper.body - 1 for damper in scene.dampers], dtype=np.intp)
-    beds = [
-        damper.mass if damper.mass is not None else (damper.mass_ratio or 0.0) * mass[at, at]
-        for damper, at in zip(scene.dampers, body, strict=True)
+    bed_masses = [
+        damper.mass if damper.mass is not None else (damper.mass_ratio or 0.0) * mass[j, j]
+        for damper, j in zip(scene.dampers, body, strict=True)
     ]
-    held = np.array([not damper.moves for damper in scene.dampers], dtype=bool)
-    return StructuralModel(mass, damping, stiffness, np.array(beds, dtype=np.float64), body, held)
+    locked = np.array([not damper.moves for damper in scene.dampers], dtype=bool)
+    return StructuralModel(mass, damping, stiffness, np.array(bed_masses, dtype=np.float64), body, locked)
 
 
 def receptance(
@@ -162,13 +167,14 @@ def receptance(
 ) -> ComplexArray:
     """Compute the linear frequency response of a scene's structure.
 
-    `scene`: its shaker says where the force acts (without a shaker, its impulse test does); `frequencies_hz` has the
-    shape (frequencies,); `attached`: False: response to the force on the driven body, X / F_1. True: response to the
-    displacement of the table, X / X_0, with the coil spring between table and body; `riding`: dampers that ride, by
-    their position from 1 in the scene: their masses move with their bodies. Dampers that are locked or have no
-    clearance always do. Returns shape (bodies, frequencies), complex response of each body [m/N, or m/m]. Raises
-    `SceneError` if a frequency is negative or not finite, a damper does not exist, nothing drives the structure, the
-    scene has no coil spring to attach, or an undamped structure is asked for exactly at resonance.
+    `scene`: the force acts at its shaker, or without a shaker at its hammer. `frequencies_hz`: shape (frequencies,).
+    `attached`: False: response to the force on the driven body, X / F_1. True: response to the displacement of the
+    table, X / X_0, with the coil spring between table and body. `riding`: numbers of the dampers that ride, from 1;
+    their masses move with their bodies, as do always those of dampers that are locked or have no clearance.
+
+    Returns the complex response of each body, shape (bodies, frequencies), m/N or m/m. Raises `SceneError` if a
+    frequency is negative, not finite or exactly an undamped resonance, a damper does not exist, the scene has neither
+    shaker nor hammer, or it has no coil spring to attach.
 
     >>> import rig
     >>> scene = rig.load("bare-structure")
@@ -179,38 +185,38 @@ def receptance(
     frequencies = np.asarray(frequencies_hz, dtype=np.float64)
     if frequencies.ndim != 1 or not np.isfinite(frequencies).all() or (frequencies < 0.0).any():
         raise SceneError("frequencies: expected a list of finite frequencies in Hz, none negative")
-    model, driven = structural_model(scene).with_riding(riding), driven_bodies(scene)
+    model, driven = structural_model(scene).with_bed_masses(riding), driven_bodies(scene)
     force = np.zeros(len(model.mass))
     if not attached:
         force[driven] = 1.0
         return model.response(frequencies, force)
     spring = coil_spring(scene)
     force[driven] = spring
-    return model.on_spring(driven, spring).response(frequencies, force)
+    return model.with_ground_springs(driven, spring).response(frequencies, force)
 
 
 def driven_bodies(scene: Scene) -> list[int]:
-    """List the positions (from 0) of the bodies on which the force acts."""
+    """List the indices (from 0) of the bodies on which the force acts."""
     if len(scene.shakers) > 1 and any(shaker.kind != "force" for shaker in scene.shakers):
         raise SceneError(
-            f"scene {scene.name!r} has several shakers, and coil springs add stiffness to the "
+            f"scene {scene.name!r} has several shakers, whose coil springs add stiffness to the "
             "structure. Use one shaker, several of kind force, or rig.frequency_response, which "
-            "includes them."
+            "includes the coil springs."
         )
     if scene.driven_shaker is not None:
         return [body - 1 for body in scene.driven_shaker.bodies]
     if scene.test is not None and scene.test.kind == "impulse":
         return [scene.test.body - 1]
     raise SceneError(
-        f"scene {scene.name!r} has neither shaker nor hammer, so that the place of the force is not known"
+        f"scene {scene.name!r} has neither shaker nor hammer, so the place of the force is unknown. Add a shaker."
     )
 
 
 def coil_spring(scene: Scene) -> float:
-    """Give the stiffness of the driven shaker's coil spring, N/m."""
+    """Return the stiffness of the driven shaker's coil spring, N/m."""
     if scene.driven_shaker is None or scene.driven_shaker.spring is None:
         raise SceneError(
-            f"scene {scene.name!r} has no coil spring; expected a shaker of kind table or electrodynamic"
+            f"scene {scene.name!r} has no coil spring. Use a shaker of kind table or electrodynamic."
         )
     return scene.driven_shaker.spring
 
@@ -226,14 +232,14 @@ def structure_matrices(structure: Structure) -> tuple[Array, Array, Array]:
         stiffness = _symmetric(np.array(structure.matrices.stiffness))
     else:
         mass = np.diag(np.array(structure.masses or ()))
-        stiffness = chain(structure.springs or ())
+        stiffness = chain_matrix(structure.springs or ())
     return mass, _damping(structure, mass, stiffness), stiffness
 
 
-def chain(elements: tuple[float, ...]) -> Array:
-    """Assemble a chain: element j acts between body j and body j-1, ground for j = 1.
+def chain_matrix(elements: tuple[float, ...]) -> Array:
+    """Assemble the matrix of a chain: element j connects body j to body j-1, for j = 1 to ground.
 
-    >>> chain((3.0, 1.0))
+    >>> chain_matrix((3.0, 1.0))
     array([[ 4., -1.],
            [-1.,  1.]])
     """
@@ -242,34 +248,35 @@ def chain(elements: tuple[float, ...]) -> Array:
 
 
 def natural_modes(mass: Array, stiffness: Array) -> tuple[Array, Array]:
-    """Find natural frequencies and shapes of the undamped structure.
+    """Compute natural frequencies and mode shapes of the undamped structure.
 
     `mass`, `stiffness`, shape (bodies, bodies): symmetric; mass positive definite, stiffness positive semidefinite.
-    Returns `frequencies`, shape (bodies,), rising, in rad/s; 0 for a rigid-body motion; `shapes`, shape (bodies,
-    bodies), column i is the shape of mode i, its largest element +1. Raises `SceneError` if the stiffness lets the
-    structure run away (a negative eigenvalue beyond rounding).
+    Returns `frequencies`, shape (bodies,), increasing, in rad/s; 0 for a rigid-body motion; `shapes`, shape (bodies,
+    bodies), column i is the shape of mode i, its largest element +1. Raises `SceneError` if the structure is statically
+    unstable (a negative eigenvalue larger than rounding errors).
     """
     squares, shapes = scipy.linalg.eigh(stiffness, mass)
     rounding = 10 * len(squares) * np.finfo(float).eps * np.abs(squares).max(initial=0.0)
     if squares[0] < -rounding:
         raise SceneError(
-            f"structure: stiffness not positive semidefinite (squared frequency {squares[0]:.3g} "
-            "1/s^2), so that there are no natural modes. Add springs that stabilise it."
+            f"structure: the stiffness is not positive semidefinite (squared frequency {squares[0]:.3g} "
+            "1/s^2), so there are no natural modes. Add springs that stabilize it."
         )
-    # A rigid-body motion comes out as a square of either sign at rounding level.
+    # The computed eigenvalue of a rigid-body motion is a rounding error of either sign.
     frequencies = np.sqrt(np.where(np.abs(squares) <= rounding, 0.0, squares))
     largest = np.take_along_axis(shapes, np.argmax(np.abs(shapes), axis=0)[None, :], axis=0)
     return frequencies, shapes / largest
 
 
 def _damping(structure: Structure, mass: Array, stiffness: Array) -> Array:
+    """Assemble the damping matrix."""
     damping = structure.damping
     if structure.matrices is not None and structure.matrices.damping is not None:
         return np.array(structure.matrices.damping)
     if isinstance(damping, RayleighDamping):
         return damping.rayleigh.alpha * mass + damping.rayleigh.beta * stiffness
     if isinstance(damping, Dashpots):
-        return chain(damping.dashpots)
+        return chain_matrix(damping.dashpots)
     if isinstance(damping, ModalDamping):
         frequencies, shapes = natural_modes(mass, stiffness)
         ratios = np.broadcast_to(np.array(damping.modal), frequencies.shape)

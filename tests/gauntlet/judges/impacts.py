@@ -91,7 +91,7 @@ def true_impacts(case: Case, number: int) -> tuple[NDArray[np.float64], NDArray[
         up = case.recording.truth("gap")[number - 1, samples] > 0.5 * damper.clearance
         system = assemble(case.scene)
         [j] = np.flatnonzero(system.damper_number == number)
-        rebound[:] = system.landing(int(j), 1)[1]
+        rebound[:] = system.duration_and_restitution(int(j), 1)[1]
     share = damper.mass_ratio / (1.0 + damper.mass_ratio) * (1.0 + rebound)
     return hits["time"], np.where(up, share, -share) * hits["speed"]
 

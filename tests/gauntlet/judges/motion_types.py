@@ -82,7 +82,7 @@ def _stays(case: Case, number: int, first: int, stop: int) -> bool:
     system = assemble(case.scene)
     [j] = np.flatnonzero(system.damper_number == number)
     longest = max((last - begin for begin, last in runs_of(at_ceiling)), default=0)
-    return longest / case.recording.rate > STAY * system.landing(int(j), 2)[0]
+    return longest / case.recording.rate > STAY * system.duration_and_restitution(int(j), 2)[0]
 
 
 def _once(time: NDArray[np.float64], frequency: float, periods: float) -> bool:

@@ -32,11 +32,11 @@ def scenes(draw: st.DrawFn) -> rig.Scene:
         "damping": {"modal": draw(_log(1e-4, 0.1))},
     }
     if draw(st.booleans()):
-        from rig.system.structural_model import chain
+        from rig.system.structural_model import chain_matrix
 
         mass = np.diag(masses)
         mass = mass + 0.15 * np.sqrt(np.outer(np.diag(mass), np.diag(mass))) * (1 - np.eye(bodies))
-        stiffness = chain(tuple(springs))
+        stiffness = chain_matrix(tuple(springs))
         structure = {
             "matrices": {
                 "mass": mass.tolist(),

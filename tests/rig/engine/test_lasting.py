@@ -13,7 +13,7 @@ from scipy.linalg import expm
 
 import rig
 from rig.system.assembly import assemble
-from rig.system.landing import landing, spring_damper
+from rig.system.landing import duration_and_restitution, spring_damper
 from tests.rig.engine.lasting_exact import SwitchedMotion
 from tests.rig.landing_force import peak_force
 
@@ -99,7 +99,7 @@ def test_weak_dashpot_does_not_land_again(seed: int, ratio: float) -> None:
 
 @given(st.floats(1e-5, 0.1), st.floats(1e-3, 0.999), st.floats(1e-3, 10.0))
 def test_spring_damper_has_duration_and_restitution(duration: float, restitution: float, mass: float) -> None:
-    found = landing(*spring_damper(duration, restitution, mass), mass)
+    found = duration_and_restitution(*spring_damper(duration, restitution, mass), mass)
     np.testing.assert_allclose(found, (duration, restitution), rtol=1e-11)
 
 
@@ -115,7 +115,9 @@ def test_largest_contact_force_is_closed_form(ratio: float) -> None:
 
 
 def test_shorter_landings_without_restitution_give_less_back() -> None:
-    shares = [landing(*spring_damper(t, 0.0, 0.05), 0.05)[1] for t in (1e-2, 1e-3, 1e-4, 1e-5)]
+    shares = [
+        duration_and_restitution(*spring_damper(t, 0.0, 0.05), 0.05)[1] for t in (1e-2, 1e-3, 1e-4, 1e-5)
+    ]
     assert shares[0] == pytest.approx(math.exp(-2.0))
     assert all(later < 0.2 * earlier for earlier, later in pairwise(shares))
 

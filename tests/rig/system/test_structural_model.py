@@ -8,7 +8,7 @@ import pytest
 import rig
 from rig.errors import SceneError
 from rig.scene.structure import Structure
-from rig.system.structural_model import chain, natural_modes, structural_model, structure_matrices
+from rig.system.structural_model import chain_matrix, natural_modes, structural_model, structure_matrices
 
 MASSES = (0.74, 0.71, 0.64)
 SPRINGS = (24300.0, 21800.0, 19800.0)
@@ -35,7 +35,8 @@ def test_uniform_chain_frequencies_are_closed_form() -> None:
 
 def test_spring_joins_neighbouring_bodies() -> None:
     np.testing.assert_array_equal(
-        chain(SPRINGS), [[46100.0, -21800.0, 0.0], [-21800.0, 41600.0, -19800.0], [0.0, -19800.0, 19800.0]]
+        chain_matrix(SPRINGS),
+        [[46100.0, -21800.0, 0.0], [-21800.0, 41600.0, -19800.0], [0.0, -19800.0, 19800.0]],
     )
 
 
@@ -81,7 +82,7 @@ def test_given_matrices_are_used() -> None:
 
 
 def test_modal_damping_of_matrices_equals_the_chain() -> None:
-    inline = {"mass": np.diag(MASSES), "stiffness": chain(SPRINGS)}
+    inline = {"mass": np.diag(MASSES), "stiffness": chain_matrix(SPRINGS)}
     general = Structure(matrices=inline, damping={"modal": 0.01})
     special = Structure(masses=MASSES, springs=SPRINGS, damping={"modal": 0.01})
     np.testing.assert_array_equal(structure_matrices(general)[1], structure_matrices(special)[1])
@@ -101,7 +102,7 @@ def test_floating_uniform_chain_is_closed_form(
     n: int,
 ) -> None:
     m, k = 0.5, 2e6
-    frequencies, shapes = natural_modes(m * np.eye(n), chain((0.0, *[k] * (n - 1))))
+    frequencies, shapes = natural_modes(m * np.eye(n), chain_matrix((0.0, *[k] * (n - 1))))
     expected = 2.0 * np.sqrt(k / m) * np.sin(np.arange(n) * np.pi / (2 * n))
     assert frequencies[0] == 0.0
     np.testing.assert_allclose(frequencies[1:], expected[1:], rtol=1e-9)

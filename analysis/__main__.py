@@ -10,9 +10,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 def main() -> None:
     """Run the command."""
-    from rig.command_line import run
+    from rig.command_line import run_command
 
-    run("analysis.cli")
+    run_command("analysis.cli")
 
 
 if __name__ == "__main__":

@@ -209,9 +209,9 @@ def report(
         Replace a page that exists.
     """
     from analysis.reporting.report import write_report
-    from rig.provenance import overwriting
+    from rig.provenance import allow_overwriting
 
-    with overwriting(overwrite):
+    with allow_overwriting(overwrite):
         return write_report(_paths(recordings), None if output is None else Path(output), progress).files[0]
 
 
@@ -292,9 +292,9 @@ def paper(
         Called with lines of text.
     """
     from analysis.reproduction.reproduce import reproduce
-    from rig.provenance import overwriting
+    from rig.provenance import allow_overwriting
 
-    with overwriting(overwrite):
+    with allow_overwriting(overwrite):
         return reproduce(Path(output), progress or (lambda _: None), fresh, cluster)
 
 

@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rig.arguments import Changes, Cluster, Overwrite, SceneName, loaded
-from rig.command_line import application, run
-from rig.console import counting, goes_on, report_written
-from rig.provenance import overwriting
+from rig.arguments import Changes, Cluster, Overwrite, SceneName, load_scene
+from rig.command_line import create_application, run_command
+from rig.console import count_progress, report_written, resumable
+from rig.provenance import allow_overwriting
 
 if TYPE_CHECKING:
     from analysis.presentation.result import Result
 
-app = application("From recordings to curves, modes and reports.")
+app = create_application("From recordings to curves, modes and reports.")
 
 Files = Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings; several are overlaid.")]
 Output = Annotated[
@@ -91,7 +91,7 @@ def frf(
     """Estimate frequency responses with 95 % bounds and coherence."""
     from analysis.presentation.frf_findings import present_frf
 
-    with overwriting(overwrite), counting("analysing") as progress:
+    with allow_overwriting(overwrite), count_progress("analysing") as progress:
         result = present_frf(
             files,
             output,
@@ -122,7 +122,7 @@ def decay(
     """Estimate natural frequencies and damping from a free decay."""
     from analysis.presentation.decay_findings import present_decay
 
-    with overwriting(overwrite):
+    with allow_overwriting(overwrite):
         result = present_decay(files, output, channel, hit)
     _show(result)
 
@@ -140,7 +140,7 @@ def modes(
     """Estimate natural frequencies, damping ratios and mode shapes."""
     from analysis.presentation.mode_findings import present_modes
 
-    with overwriting(overwrite), counting("analysing") as progress:
+    with allow_overwriting(overwrite), count_progress("analysing") as progress:
         result = present_modes(files, output, reference, modes, block, progress, unit)
     _show(result)
 
@@ -153,7 +153,7 @@ def dampers(files: Files, output: Output = None, overwrite: Overwrite = False) -
     """
     from analysis.presentation.damper_findings import present_dampers
 
-    with overwriting(overwrite), counting("analysing") as progress:
+    with allow_overwriting(overwrite), count_progress("analysing") as progress:
         result = present_dampers(files, output, progress)
     _show(result)
 
@@ -166,7 +166,7 @@ def compare(files: Files, output: Output = None, overwrite: Overwrite = False) -
     """
     from analysis.presentation.comparison import present_compare
 
-    with overwriting(overwrite), counting("analysing") as progress:
+    with allow_overwriting(overwrite), count_progress("analysing") as progress:
         result = present_compare(files, output, progress)
     _show(result)
 
@@ -201,7 +201,7 @@ def fit(
     """Fit the values of a scene to recordings, with 95 % intervals."""
     from analysis.fitting.presentation import present_fit
 
-    files_written, warnings = present_fit(files, loaded(scene, changes), free, output, overwrite, print)
+    files_written, warnings = present_fit(files, load_scene(scene, changes), free, output, overwrite, print)
     for warning in warnings:
         print(f"warning: {warning}", file=sys.stderr)
     report_written(*files_written)
@@ -224,7 +224,7 @@ def report(
     """Write an interactive HTML page about recordings."""
     from analysis.reporting.report import write_report
 
-    with overwriting(overwrite), counting("analysing") as progress:
+    with allow_overwriting(overwrite), count_progress("analysing") as progress:
         result = write_report(files, output, progress)
     _show(result)
 
@@ -239,7 +239,7 @@ def demo(
     """Record the tests of the paper and draw its figures."""
     from analysis.presentation.demo import demonstrate
 
-    with overwriting(overwrite):
+    with allow_overwriting(overwrite):
         demonstrate(output, _say)
 
 
@@ -279,7 +279,7 @@ def export(
             raise typer.BadParameter(
                 "--channel, --from, --to and --speed are of samples; they do not go with --what"
             )
-        with counting("analysing") as progress:
+        with count_progress("analysing") as progress:
             lines = export_results(file, output, what, overwrite, progress)
         print(*lines, sep="\n")
         return
@@ -287,7 +287,7 @@ def export(
         stretch = Slice.of(recording, channel, start, stop)
         size = expected_bytes(stretch, kind_of(output))
         print(f"writing {output}: about {size / 1e6:.3g} MB", file=sys.stderr)
-        with counting("exporting") as progress:
+        with count_progress("exporting") as progress:
             lines = export_stretch(stretch, output, speed, overwrite, progress)
     for line in lines:
         print(line)
@@ -317,14 +317,14 @@ def cost(
     """
     from analysis.chain_cost.figure import output_files, table, write
     from analysis.chain_cost.study import chain_study
-    from rig.output_files import make_ready
-    from rig.provenance import made_from, refuse_others
+    from rig.output_files import create_folder
+    from rig.provenance import output_source, reject_foreign_files
 
-    setting = loaded(scene, changes)
-    make_ready(output)
-    with overwriting(overwrite), made_from("chain-cost", setting.to_yaml()):
-        refuse_others(*output_files(setting, output))
-        with counting("recording and analysing") as progress:
+    setting = load_scene(scene, changes)
+    create_folder(output)
+    with allow_overwriting(overwrite), output_source("chain-cost", setting.to_yaml()):
+        reject_foreign_files(*output_files(setting, output))
+        with count_progress("recording and analysing") as progress:
             study = chain_study(setting, frequency, progress)
         files = write(study, output)
     print(table(study))
@@ -345,7 +345,7 @@ def paper(
     """Reproduce the figures of the paper and judge its claims. A second call continues the first."""
     from analysis.reproduction.reproduce import reproduce
 
-    with goes_on(), overwriting(overwrite):
+    with resumable(), allow_overwriting(overwrite):
         reproduce(output, _say, fresh or (), cluster)
 
 
@@ -364,7 +364,7 @@ def beds(
     """
     from analysis.reproduction.bed_study import follow
 
-    with goes_on():
+    with resumable():
         follow(output, points, _say, cluster)
     report_written(output)
 
@@ -380,7 +380,7 @@ def contacts(
     """
     from analysis.reproduction.contact_study import follow
 
-    with goes_on():
+    with resumable():
         follow(output, _say, cluster)
     report_written(output)
 
@@ -399,4 +399,4 @@ def _show(result: Result) -> None:
 
 def main() -> None:
     """Run the `analysis` command."""
-    run("analysis.cli")
+    run_command("analysis.cli")

@@ -5,9 +5,9 @@ from __future__ import annotations
 
 def main() -> None:
     """Run the command."""
-    from rig.command_line import run
+    from rig.command_line import run_command
 
-    run("daq.cli")
+    run_command("daq.cli")
 
 
 if __name__ == "__main__":

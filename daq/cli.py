@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from rig.arguments import Changes, Overwrite, SceneName, SceneNames, loaded
-from rig.command_line import application, run
-from rig.console import handed_over, progress, waiting
+from rig.arguments import Changes, Overwrite, SceneName, SceneNames, load_scene
+from rig.command_line import create_application, run_command
+from rig.console import pause_reports, progress, user_terminal
 from rig.errors import RecordingError
 
 if TYPE_CHECKING:
     from rig.scene.scene import Scene
 
-app = application("The instrument: record, look at, repair and replay tests.")
+app = create_application("The instrument: record, look at, repair and replay tests.")
 
 # Endings of other formats.
 OTHER_FORMATS = (
@@ -78,10 +78,10 @@ def record(
 
     if dry_run:
         for scene in scenes:
-            print(f"{scene}: {foresee(loaded(scene, changes))}")
+            print(f"{scene}: {foresee(load_scene(scene, changes))}")
         return
     tests = [
-        (scene, loaded(scene, changes), path)
+        (scene, load_scene(scene, changes), path)
         for scene, path in zip(scenes, _recordings(scenes, output), strict=True)
     ]
     there = [path for _, setting, path in tests if not overwrite and is_recorded(setting, path)]
@@ -135,7 +135,7 @@ def import_recording(
         for line in listing(files):
             print(line)
         return
-    what = loaded(scene, changes)
+    what = load_scene(scene, changes)
     path = output if output is not None else files[0].with_suffix(".mcap")
     _no_other_format(path)
     import_and_report(files, what, path, table, start, stop, overwrite)
@@ -218,8 +218,10 @@ def run_scope(
 
     default = Path("recordings") / f"{Path(scene).stem}-scope.mcap"
     path = _free(output if output is not None else default, overwrite)
-    with waiting():
-        scope(loaded(scene, changes), path, frequency=frequency, force=force, web=web, overwrite=overwrite)
+    with pause_reports():
+        scope(
+            load_scene(scene, changes), path, frequency=frequency, force=force, web=web, overwrite=overwrite
+        )
     print(summary(path))
 
 
@@ -245,12 +247,12 @@ def run_a_script(
     """Run an unchanged nidaqmx script against the rig."""
     from daq.server.script import run_script
 
-    with handed_over():
+    with user_terminal():
         code = run_script(script, arguments or [], _bench(scene, changes), clock, seconds)
     if code == 1:
-        from rig.shadowing import shadowed
+        from rig.shadowing import shadowing_files
 
-        for text in shadowed(script.absolute().parent):
+        for text in shadowing_files(script.absolute().parent):
             typer.echo(f"note: {text}, if that was meant", err=True)
     raise typer.Exit(code)
 
@@ -305,7 +307,7 @@ def serve_a_rig(
         certificates = Certificates(certificate, key, client_ca)
     path = None if output is None else _free(output, overwrite)
     limits = Limits(patience=session_timeout)
-    with waiting():
+    with pause_reports():
         bench = _bench(scene, changes)
         serve(bench, clock, address, port, certificates, limits, path, overwrite, viewer, protocol)
 
@@ -337,7 +339,7 @@ def bench_in_the_browser(
     path = Path("recordings") / f"{Path(named).stem}-bench.mcap"
     if output is not None:
         path = _free(output, overwrite)
-    with waiting():
+    with pause_reports():
         bench(_bench(scene, changes), address, port, device_port, path, overwrite, browser)
 
 
@@ -346,7 +348,7 @@ def _bench(scene: str | None, changes: Sequence[str] | None) -> Scene | None:
     named = scene or os.environ.get("SHOTRIG_SCENE")
     if named is None and changes:
         raise typer.BadParameter("--set requires a scene. Name the scene too.")
-    return None if named is None else loaded(named, changes)
+    return None if named is None else load_scene(named, changes)
 
 
 def _recordings(scenes: Sequence[str], output: Path | None) -> list[Path]:
@@ -389,4 +391,4 @@ def _no_other_format(path: Path) -> None:
 
 def main() -> None:
     """Run the `daq` command."""
-    run("daq.cli")
+    run_command("daq.cli")

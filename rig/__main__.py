@@ -5,9 +5,9 @@ from __future__ import annotations
 
 def main() -> None:
     """Run the command."""
-    from rig.command_line import run
+    from rig.command_line import run_command
 
-    run("rig.cli")
+    run_command("rig.cli")
 
 
 if __name__ == "__main__":

@@ -38,7 +38,7 @@ Changes = Annotated[
 ]
 
 # Upper limit for numbers of frequencies or periods, to reject typing errors.
-MOST = 100_000
+MAX_COUNT = 100_000
 First = Annotated[
     str | None,
     typer.Option("--from", metavar="F", help="Lowest frequency, such as '8 Hz'. Default: that of the test."),
@@ -48,7 +48,9 @@ Last = Annotated[
 ]
 Points = Annotated[
     int | None,
-    typer.Option(min=2, max=MOST, metavar="N", help="Number of frequencies. Default: those of the test."),
+    typer.Option(
+        min=2, max=MAX_COUNT, metavar="N", help="Number of frequencies. Default: those of the test."
+    ),
 ]
 Cluster = Annotated[
     str | None,
@@ -66,7 +68,7 @@ Overwrite = Annotated[
 ]
 
 
-def loaded(scene: str, changes: Sequence[str] | None) -> Scene:
+def load_scene(scene: str, changes: Sequence[str] | None) -> Scene:
     """Load the scene of a command and apply its changes.
 
     Raises `SceneError` as `rig.load`.

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rig.arguments import (
-    MOST,
+    MAX_COUNT,
     Changes,
     Cluster,
     First,
@@ -22,16 +22,16 @@ from rig.arguments import (
     Points,
     SceneName,
     completions,
-    loaded,
+    load_scene,
 )
-from rig.command_line import application, run
-from rig.console import counting, goes_on, progress, report_written, saying
+from rig.command_line import create_application, run_command
+from rig.console import count_progress, progress, report_written, resumable, show_activity
 from rig.errors import SceneError
 
 if TYPE_CHECKING:
     from rig.scene.quantities import Kind
 
-app = application("The physics of the virtual vibration rig.")
+app = create_application("The physics of the virtual vibration rig.")
 
 
 @app.command(example="rig scenes --copy fig9 mine.yaml")
@@ -47,14 +47,14 @@ def scenes(
     overwrite: Overwrite = False,
 ) -> None:
     """List the bundled scenes, or print or copy the file of one."""
-    from rig.output_files import replacing
+    from rig.output_files import atomic_write
     from rig.scene.scene_files import bundled, summary, text_of
 
     if show is not None:
         print(text_of(show), end="")
     if copy is not None:
         text = text_of(copy[0])
-        with replacing(copy[1], overwrite=overwrite) as part:
+        with atomic_write(copy[1], overwrite=overwrite) as part:
             part.write_text(text, encoding="utf-8")
         print(f"{copy[1]}: change it, then: daq record {quote(str(copy[1]))}")
     if show is None and copy is None:
@@ -123,14 +123,14 @@ def explain(
     import rig
     from rig.effects.foresight import foresights
 
-    setting = loaded(scene, changes)
+    setting = load_scene(scene, changes)
     for foreseen in foresights(setting):
         print(f"{foreseen}\n")
     print(rig.explain(setting))
     if measure:
         from rig.effects.effect_cost import effect_costs, text
 
-        with saying() as say:
+        with show_activity() as say:
             costs = effect_costs(setting, say)
         print("\n" + text(costs))
 
@@ -165,17 +165,17 @@ def simulate(
 
     Without sensors and controller: the test plays its drive as it is.
     """
-    from rig.provenance import made_from, overwriting
+    from rig.provenance import allow_overwriting, output_source
     from rig.scene.quantities import FREQUENCY, TIME
     from rig.simulation.run_output import simulate_into, summary
 
-    setting = loaded(scene, changes)
+    setting = load_scene(scene, changes)
     seconds, tone = _quantity(duration, TIME, "--duration"), _quantity(frequency, FREQUENCY, "--frequency")
     samples = _quantity(rate, FREQUENCY, "--rate") or 0.0
     with (
-        overwriting(overwrite),
-        made_from("simulate", setting.to_yaml()),
-        counting("following the motion") as progress,
+        allow_overwriting(overwrite),
+        output_source("simulate", setting.to_yaml()),
+        count_progress("following the motion") as progress,
     ):
         run = simulate_into(output, setting, seconds, samples, tone, progress)
     print(setting.structure.relabel(summary(run)))
@@ -209,16 +209,16 @@ def response(
     At the level of the test.
     """
     import rig
-    from rig.provenance import made_from, overwriting, refuse_others
+    from rig.provenance import allow_overwriting, output_source, reject_foreign_files
     from rig.scene.quantities import FREQUENCY
     from rig.steady_response.response_output import text, write
 
-    setting = loaded(scene, changes)
+    setting = load_scene(scene, changes)
     band = (_quantity(first, FREQUENCY, "--from"), _quantity(last, FREQUENCY, "--to"))
-    with overwriting(overwrite), made_from("response", setting.to_yaml()):
+    with allow_overwriting(overwrite), output_source("response", setting.to_yaml()):
         if output is not None:
-            refuse_others(output)
-        with counting("following the motion") as progress:
+            reject_foreign_files(output)
+        with count_progress("following the motion") as progress:
             result = rig.response(setting, *band, points, direction, progress)
         print(text(result, verbose))
         if output is not None:
@@ -234,7 +234,8 @@ def grains(
     last: Last = None,
     points: Points = None,
     periods: Annotated[
-        int, typer.Option(min=1, max=MOST, metavar="N", help="Drive periods in each block that is averaged.")
+        int,
+        typer.Option(min=1, max=MAX_COUNT, metavar="N", help="Drive periods in each block that is averaged."),
     ] = 20,
     cluster: Cluster = None,
     output: Annotated[
@@ -255,9 +256,9 @@ def grains(
     from rig.bed_response.bed_response import text
     from rig.scene.quantities import FREQUENCY
 
-    setting = loaded(scene, changes)
+    setting = load_scene(scene, changes)
     band = (_quantity(first, FREQUENCY, "--from"), _quantity(last, FREQUENCY, "--to"))
-    with goes_on(output is not None), counting("following the grains") as progress:
+    with resumable(output is not None), count_progress("following the grains") as progress:
         result = rig.grains(setting, *band, points, periods, output, cluster, progress)
     print(text(result))
     if output is not None:
@@ -275,7 +276,7 @@ def cost(
         ),
     ] = None,
     periods: Annotated[
-        int, typer.Option(min=2, max=MOST, metavar="N", help="Number of drive periods to simulate.")
+        int, typer.Option(min=2, max=MAX_COUNT, metavar="N", help="Number of drive periods to simulate.")
     ] = 20,
     output: Annotated[
         Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the figure and the table.")
@@ -287,14 +288,14 @@ def cost(
     Of a scene with a bed of grains: what one mass, one mass with finite-duration contact, and coarser grains are worth.
     """
     import rig
-    from rig.output_files import make_ready, stem
-    from rig.provenance import made_from, overwriting, refuse_others
+    from rig.output_files import create_folder, file_stem
+    from rig.provenance import allow_overwriting, output_source, reject_foreign_files
     from rig.scene.quantities import FREQUENCY
 
-    setting = loaded(scene, changes)
-    make_ready(output)
-    with overwriting(overwrite), made_from("cost", setting.to_yaml()), saying() as say:
-        refuse_others(*_figure_and_table(output / stem("cost", setting.name)))
+    setting = load_scene(scene, changes)
+    create_folder(output)
+    with allow_overwriting(overwrite), output_source("cost", setting.to_yaml()), show_activity() as say:
+        reject_foreign_files(*_figure_and_table(output / file_stem("cost", setting.name)))
         tone = _quantity(frequency, FREQUENCY, "--frequency")
         result = rig.cost(setting, tone, periods, say)
         files = result.write(output)
@@ -336,21 +337,21 @@ def map_(
     import rig
     from rig.motion_map.figure import place, summary, write
     from rig.motion_map.grid import KIND_OF_UNIT, vertical_axis
-    from rig.output_files import make_ready
-    from rig.provenance import made_from, overwriting, refuse_others
+    from rig.output_files import create_folder
+    from rig.provenance import allow_overwriting, output_source, reject_foreign_files
     from rig.scene.quantities import FREQUENCY
 
-    setting = loaded(scene, changes)
+    setting = load_scene(scene, changes)
     over, unit = vertical_axis(setting, over)
     band = _quantity(first, FREQUENCY, "--from"), _quantity(last, FREQUENCY, "--to")
     kind = KIND_OF_UNIT[unit]
     ends = _quantity(least, kind, "--least"), _quantity(most, kind, "--most")
-    make_ready(output)
+    create_folder(output)
     name = place(setting, over, output)
     kept = name.with_suffix(".csv.kept")
-    with goes_on(), overwriting(overwrite), made_from("map", setting.to_yaml()):
-        refuse_others(*_figure_and_table(name))
-        with counting("following the motion") as progress:
+    with resumable(), allow_overwriting(overwrite), output_source("map", setting.to_yaml()):
+        reject_foreign_files(*_figure_and_table(name))
+        with count_progress("following the motion") as progress:
             found = rig.map(setting, over, *ends, rows, *band, points, cluster, kept, progress)
         files = write(found, output)
     kept.unlink()
@@ -424,20 +425,20 @@ def design(
     from rig.damper_design.design import design as search
     from rig.damper_design.figure import next_step, summary, write
     from rig.effects.foresight import foresights
-    from rig.output_files import make_ready, stem
-    from rig.provenance import made_from, overwriting, refuse_others
+    from rig.output_files import create_folder, file_stem
+    from rig.provenance import allow_overwriting, output_source, reject_foreign_files
 
-    setting = loaded(scene, changes)
-    make_ready(output)
-    name = output / stem("design", setting.name)
+    setting = load_scene(scene, changes)
+    create_folder(output)
+    name = output / file_stem("design", setting.name)
     table = name.with_suffix(".csv")
     with (
-        goes_on(),
-        overwriting(overwrite),
-        made_from("design", setting.to_yaml()),
+        resumable(),
+        allow_overwriting(overwrite),
+        output_source("design", setting.to_yaml()),
         progress("trying designs") as report_progress,
     ):
-        refuse_others(*(name.with_suffix(ending) for ending in (".yaml", ".png", ".svg")))
+        reject_foreign_files(*(name.with_suffix(ending) for ending in (".yaml", ".png", ".svg")))
         found = search(
             setting,
             budget=budget,
@@ -488,4 +489,4 @@ def _quantity(value: str | None, kind: Kind, name: str) -> float | None:
 
 def main() -> None:
     """Run the `rig` command."""
-    run("rig.cli")
+    run_command("rig.cli")

@@ -20,23 +20,23 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from rig import console
-from rig.ending_signals import ENDINGS, came
+from rig.ending_signals import TERMINATION_SIGNALS, received_signals
 from rig.errors import RunError, ShotrigError
 from rig.ranks import join
-from rig.shadowing import shadowed
+from rig.shadowing import shadowing_files
 
 if TYPE_CHECKING:
     from rig.command_help import Application
 
 # Upper limit for numeric options in any unit.
-LARGEST = 1e12
+MAX_OPTION_VALUE = 1e12
 # Number of allocations between runs of the cyclic garbage collector (Python default 700).
 _OBJECTS = 200_000
 # Exit code after Ctrl-C: 128 plus the signal number.
 _INTERRUPTED = 128 + signal.SIGINT
 
 
-def application(help_text: str) -> Application:
+def create_application(help_text: str) -> Application:
     """Create a command-line application in the style of the project."""
     import typer
 
@@ -71,7 +71,7 @@ def _version() -> str:
     return version("shotrig")
 
 
-def run(module: str) -> NoReturn:
+def run_command(module: str) -> NoReturn:
     """Run the command line `app` of a module and end the process.
 
     Parameters
@@ -81,16 +81,16 @@ def run(module: str) -> NoReturn:
     """
     # Imported objects are permanent: scanning them for garbage takes a tenth of the start-up time.
     gc.set_threshold(_OBJECTS)
-    came.clear()
+    received_signals.clear()
     words = sys.argv[1:]
     debug = words[:1] == ["--debug"]
     with ExitStack() as put_back:
         try:
             _answer_signals(put_back)
-            console.take_streams(put_back)
+            console.replace_streams(put_back)
             _take_hooks(put_back)
             join()
-            console.say_now_and_then(put_back)
+            console.report_activity(put_back)
             code = _carry_out(module, words[debug:])
             sys.stdout.flush()
             # From here on a signal ends the process immediately, also after an error.
@@ -99,7 +99,7 @@ def run(module: str) -> NoReturn:
             _set_signals(signal.SIG_DFL)
             code = _report(error, debug)
     gc.disable()
-    sys.exit(128 + came[0] if code == _INTERRUPTED and came else code)
+    sys.exit(128 + received_signals[0] if code == _INTERRUPTED and received_signals else code)
 
 
 def _carry_out(module: str, words: Sequence[str]) -> int:
@@ -132,9 +132,9 @@ def _bounded(context: Any, option: Any, value: Any) -> Any:
     for number in value if isinstance(value, list | tuple) else [value]:
         if isinstance(number, str) and not number.strip():
             raise typer.BadParameter(f"got {number!r}; expected something", ctx=context, param=option)
-        if isinstance(number, float) and not abs(number) <= LARGEST:
+        if isinstance(number, float) and not abs(number) <= MAX_OPTION_VALUE:
             raise typer.BadParameter(
-                f"got {number}; expected a number, at most {LARGEST:g}", ctx=context, param=option
+                f"got {number}; expected a number, at most {MAX_OPTION_VALUE:g}", ctx=context, param=option
             )
     return value
 
@@ -187,11 +187,11 @@ def _in_words(error: BaseException) -> tuple[int, str]:
         usage = "" if context is None else f"{context.get_usage()}\n"
         return 2, f"{usage}error: {error.format_message()}"
     # Extension modules may report an interrupt during loading as an unrelated failure.
-    if came or _comes_of_interruption(error):
+    if received_signals or _comes_of_interruption(error):
         return _INTERRUPTED, "interrupted"
-    if isinstance(error, ImportError | AttributeError) and (found := shadowed(Path(sys.path[0]))):
+    if isinstance(error, ImportError | AttributeError) and (found := shadowing_files(Path(sys.path[0]))):
         return 1, "\n".join(f"error: {text}" for text in found)
-    return 1, unexpected(error)
+    return 1, describe_unexpected(error)
 
 
 def _comes_of_interruption(error: BaseException | None) -> bool:
@@ -201,7 +201,7 @@ def _comes_of_interruption(error: BaseException | None) -> bool:
     return error is not None
 
 
-def unexpected(error: BaseException) -> str:
+def describe_unexpected(error: BaseException) -> str:
     """Describe an unexpected error, and save the details that are needed to find its cause."""
     import platform
     import tempfile
@@ -230,7 +230,7 @@ def unexpected(error: BaseException) -> str:
 
 def _answer_signals(put_back: ExitStack) -> None:
     """Handle termination signals as Ctrl-C, so that files are closed."""
-    for number in ENDINGS:
+    for number in TERMINATION_SIGNALS:
         before = signal.getsignal(number)
         # The parent may have disabled the signal on purpose (nohup).
         if before is not signal.SIG_IGN:
@@ -239,13 +239,13 @@ def _answer_signals(put_back: ExitStack) -> None:
 
 
 def _set_signals(answer: Any) -> None:
-    for number in ENDINGS:
+    for number in TERMINATION_SIGNALS:
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, answer)
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
-    came.append(number)
+    received_signals.append(number)
     raise KeyboardInterrupt
 
 
@@ -291,4 +291,4 @@ def _passed_over(what: sys.UnraisableHookArgs) -> None:
 
 def _thread_failed(what: threading.ExceptHookArgs) -> None:
     if what.exc_value is not None:
-        print(unexpected(what.exc_value), file=sys.stderr)
+        print(describe_unexpected(what.exc_value), file=sys.stderr)

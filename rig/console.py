@@ -12,10 +12,10 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any, ClassVar
 
-from rig.escaping import shown
+from rig.escaping import escape_terminal
 
 # Time without output after which a command reports that it is still running, s.
-SILENCE = 12.0
+MAX_SILENCE_S = 12.0
 # Delays separated by less than this, s, count as one delay.
 _AT_ONCE = 5.0
 
@@ -39,7 +39,9 @@ class _Shown(io.TextIOBase):
             raise TypeError(f"text is written here, not {type(text).__name__}")
         _Shown.last = time.monotonic()
         encoding = self.encoding
-        self._forward(self.terminal.write, shown(text).encode(encoding, "backslashreplace").decode(encoding))
+        self._forward(
+            self.terminal.write, escape_terminal(text).encode(encoding, "backslashreplace").decode(encoding)
+        )
         return len(text)
 
     def flush(self) -> None:
@@ -71,7 +73,7 @@ class _Shown(io.TextIOBase):
         return self.terminal.fileno()
 
 
-def take_streams(put_back: ExitStack) -> None:
+def replace_streams(put_back: ExitStack) -> None:
     """Replace the standard streams of Python; a closed stream is replaced by a null device."""
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         try:
@@ -93,7 +95,7 @@ class _Work:
     since = until = float("-inf")
 
 
-def say_now_and_then(put_back: ExitStack) -> None:
+def report_activity(put_back: ExitStack) -> None:
     """Report from time to time that a command is running, until the exit stack is closed."""
     over = threading.Event()
     put_back.callback(over.set)
@@ -107,7 +109,7 @@ def _speak(over: threading.Event, to: Any) -> None:
     while not over.wait(1.0):
         holding = next(iter(_Work.held_up), None)
         since, doing = (start, _Work.doing) if holding is None else (_Work.since, holding)
-        if doing is not None and time.monotonic() - _Shown.last > SILENCE:
+        if doing is not None and time.monotonic() - _Shown.last > MAX_SILENCE_S:
             with suppress(OSError, ValueError):
                 doing = doing and f": {doing}"
                 print(f"running for {time.monotonic() - since:.0f} s{doing}", file=to, flush=True)
@@ -134,7 +136,7 @@ def go_on() -> None:
 
 
 @contextmanager
-def waiting() -> Iterator[None]:
+def pause_reports() -> Iterator[None]:
     """Suppress reports while the body waits for user input."""
     before, _Work.doing = _Work.doing, None
     try:
@@ -144,12 +146,12 @@ def waiting() -> Iterator[None]:
 
 
 @contextmanager
-def handed_over() -> Iterator[None]:
+def user_terminal() -> Iterator[None]:
     """Release the terminal to a program of the user, whose output is not escaped."""
     ours = sys.stdout, sys.stderr
     sys.stdout, sys.stderr = (getattr(stream, "terminal", stream) for stream in ours)
     try:
-        with waiting():
+        with pause_reports():
             yield
     finally:
         sys.stdout, sys.stderr = ours
@@ -182,17 +184,17 @@ def progress(title: str) -> Iterator[Callable[[float, str], None]]:
         TextColumn("{task.fields[message]}"),
     )
     terminal = getattr(sys.stderr, "terminal", sys.stderr)
-    with waiting(), Progress(*columns, console=Console(file=terminal), transient=True) as bar:
-        task = bar.add_task(escape(shown(title)), total=1.0, message="")
+    with pause_reports(), Progress(*columns, console=Console(file=terminal), transient=True) as bar:
+        task = bar.add_task(escape(escape_terminal(title)), total=1.0, message="")
 
         def move(fraction: float, message: str = "") -> None:
-            bar.update(task, completed=fraction, message=escape(shown(message)))
+            bar.update(task, completed=fraction, message=escape(escape_terminal(message)))
 
         yield move
 
 
 @contextmanager
-def goes_on(kept: bool = True) -> Iterator[None]:
+def resumable(kept: bool = True) -> Iterator[None]:
     """Add to an interrupt message that the same command continues the work, if results are stored."""
     try:
         yield
@@ -203,7 +205,7 @@ def goes_on(kept: bool = True) -> Iterator[None]:
 
 
 @contextmanager
-def counting(title: str) -> Iterator[Callable[[int, int], None]]:
+def count_progress(title: str) -> Iterator[Callable[[int, int], None]]:
     """Show the number of finished pieces: ``report(done, total)``."""
     with progress(title) as report:
 
@@ -215,7 +217,7 @@ def counting(title: str) -> Iterator[Callable[[int, int], None]]:
 
 
 @contextmanager
-def saying() -> Iterator[Callable[[str], None]]:
+def show_activity() -> Iterator[Callable[[str], None]]:
     """Show the activity of the body: ``report(message)``."""
     with progress("") as report:
         yield lambda message: report(0.0, message)

@@ -48,7 +48,7 @@ class RunWarning(UserWarning):
 
 
 @contextmanager
-def naming(path: Path) -> Iterator[None]:
+def add_path(path: Path) -> Iterator[None]:
     """Add the path of a recording to errors of the body that do not contain it."""
     try:
         yield

@@ -16,60 +16,60 @@ _OBEYED = re.compile(
 _MARKS = re.compile(r"([\\`*_{}\[\]()<>#+\-!|~&$])")
 
 
-def shown(text: object) -> str:
+def escape_terminal(text: object) -> str:
     r"""Escape control characters for a terminal; line feeds and tabs are retained.
 
-    >>> shown("body\x1b[31m 1")
+    >>> escape_terminal("body\x1b[31m 1")
     'body\\x1b[31m 1'
     """
     return _OBEYED.sub(lambda found: ascii(found[0])[1:-1], str(text))
 
 
-def is_line(text: str) -> bool:
+def is_single_line(text: str) -> bool:
     r"""Whether text is a single line without control characters.
 
-    >>> is_line("Fig. 8, two dampers"), is_line("a\nb"), is_line("\x1b[31m")
+    >>> is_single_line("Fig. 8, two dampers"), is_single_line("a\nb"), is_single_line("\x1b[31m")
     (True, False, False)
     """
-    return shown(text) == text and not set(text) & {"\n", "\t"}
+    return escape_terminal(text) == text and not set(text) & {"\n", "\t"}
 
 
-def html(text: object) -> str:
+def escape_html(text: object) -> str:
     """Escape text for HTML, also for quoted attributes.
 
-    >>> html("<b> & 'x'")
+    >>> escape_html("<b> & 'x'")
     '&lt;b&gt; &amp; &#x27;x&#x27;'
     """
-    return _html.escape(shown(text))
+    return _html.escape(escape_terminal(text))
 
 
-def markdown(text: object) -> str:
+def escape_markdown(text: object) -> str:
     r"""Escape text for a line of Markdown.
 
-    >>> print(markdown("<b> *body*\n# 1"))
+    >>> print(escape_markdown("<b> *body*\n# 1"))
     \<b\> \*body\* \# 1
     """
-    return _MARKS.sub(r"\\\1", " ".join(shown(text).split()))
+    return _MARKS.sub(r"\\\1", " ".join(escape_terminal(text).split()))
 
 
-def drawn(text: object) -> str:
+def escape_figure(text: object) -> str:
     r"""Escape text for a figure, where dollar signs delimit mathematics.
 
-    >>> print(drawn("from $1 to $2"))
+    >>> print(escape_figure("from $1 to $2"))
     from \$1 to \$2
     """
-    return shown(text).replace("$", r"\$")
+    return escape_terminal(text).replace("$", r"\$")
 
 
-def fenced(text: object, language: str = "") -> str:
+def code_fence(text: object, language: str = "") -> str:
     r"""Enclose lines in a Markdown code fence that is longer than any fence in the text.
 
-    >>> print(fenced("a: 1\n```", "yaml"))
+    >>> print(code_fence("a: 1\n```", "yaml"))
     ````yaml
     a: 1
     ```
     ````
     """
-    lines = shown(text)
+    lines = escape_terminal(text)
     fence = "`" * max(3, 1 + max(map(len, re.findall("`+", lines)), default=0))
     return f"{fence}{language}\n{lines}\n{fence}"

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.escaping import drawn
-from rig.output_files import csv_text, make_ready, replacing
+from rig.escaping import escape_figure
+from rig.output_files import atomic_write, create_folder, csv_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 # Colors that are distinguishable with any color blindness (Okabe and Ito), darker colors first.
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#555555", "#000000")
+COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#555555", "#000000")
 WIDTH_INCH = 7.2
 # Number of title characters that fit into the default width.
 _LONGEST_LINE = 70
@@ -61,7 +61,7 @@ _STYLE: Any = {
 
 
 @contextmanager
-def drawing(height: float, width: float = WIDTH_INCH) -> Iterator[Figure]:
+def new_figure(height: float, width: float = WIDTH_INCH) -> Iterator[Figure]:
     """Provide an empty figure in the common style; draw inside the `with` block."""
     import matplotlib
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -73,43 +73,43 @@ def drawing(height: float, width: float = WIDTH_INCH) -> Iterator[Figure]:
         yield figure
 
 
-def save(figure: Figure, stem: Path) -> list[Path]:
+def save_figure(figure: Figure, stem: Path) -> list[Path]:
     """Write `stem`.png and `stem`.svg without dates or versions, and return their paths."""
     import matplotlib
 
     png, svg = stem.with_name(stem.name + ".png"), stem.with_name(stem.name + ".svg")
-    make_ready(stem.parent)
-    with matplotlib.rc_context(_STYLE), replacing(png) as part:
+    create_folder(stem.parent)
+    with matplotlib.rc_context(_STYLE), atomic_write(png) as part:
         figure.savefig(part, dpi=150, metadata={"Software": None})
     # The layout is final; computing it again takes a third of the drawing time.
     figure.set_layout_engine("none")
-    with matplotlib.rc_context(_STYLE), replacing(svg) as part:
+    with matplotlib.rc_context(_STYLE), atomic_write(svg) as part:
         figure.savefig(part, metadata={"Date": None, "Creator": None})
     return [png, svg]
 
 
-def heading(axes: Axes, text: str) -> None:
+def add_title(axes: Axes, text: str) -> None:
     """Add a title above the uppermost axes, wrapped to the width of the figure."""
-    axes.set_title("\n".join(wrap(drawn(text), _LONGEST_LINE)))
+    axes.set_title("\n".join(wrap(escape_figure(text), _LONGEST_LINE)))
 
 
-def colour(index: int) -> str:
+def color_of(index: int) -> str:
     """Return the color of the curve with this index."""
-    return COLOURS[index % len(COLOURS)]
+    return COLORS[index % len(COLORS)]
 
 
 def frequency_axis(axes: Axes, low: float, high: float, labelled: bool) -> None:
     """Set up a frequency axis with plain tick labels, logarithmic unless its range is short."""
     axes.set_xlim(low, high)
     if high / low >= 2.0:
-        plain_logarithmic(axes.xaxis, 10)
+        set_log_scale(axes.xaxis, 10)
     if labelled:
         axes.set_xlabel("frequency / Hz")
     else:
         axes.tick_params(labelbottom=False)
 
 
-def decades(axes: Axes, values: Any, most: float = 7.0, least: float = 1.0) -> None:
+def log_axis(axes: Axes, values: Any, most: float = 7.0, least: float = 1.0) -> None:
     """Set up a logarithmic vertical axis around positive values, with a limited number of decades."""
     values = np.concatenate([np.ravel(v) for v in values])
     values = np.clip(values[np.isfinite(values) & (values > 0)], *_DRAWN)
@@ -122,16 +122,16 @@ def decades(axes: Axes, values: Any, most: float = 7.0, least: float = 1.0) -> N
     low = max(values.min() / 1.6, high / 10.0**most)
     low = min(low, high / 10.0**least)
     if high < _FEW * low:
-        plain_logarithmic(axes.yaxis)
+        set_log_scale(axes.yaxis)
     axes.set_ylim(low, high)
 
 
-def plain_ticks(low: float, high: float, most: int = 8) -> list[float]:
+def round_ticks(low: float, high: float, most: int = 8) -> list[float]:
     """Select at most `most` round numbers on a logarithmic axis; even steps if there are too few.
 
-    >>> plain_ticks(0.08, 3.0), plain_ticks(0.08, 3.0, 4)
+    >>> round_ticks(0.08, 3.0), round_ticks(0.08, 3.0, 4)
     ([0.1, 0.2, 0.5, 1.0, 2.0], [0.1, 0.3, 1.0, 3.0])
-    >>> plain_ticks(0.71, 0.95)
+    >>> round_ticks(0.71, 0.95)
     [0.75, 0.8, 0.85, 0.9]
     """
     from matplotlib.ticker import MaxNLocator
@@ -147,13 +147,13 @@ def plain_ticks(low: float, high: float, most: int = 8) -> list[float]:
     return inside
 
 
-def plain_logarithmic(axis: Axis, most: int = 8, factor: float = 1.0) -> None:
+def set_log_scale(axis: Axis, most: int = 8, factor: float = 1.0) -> None:
     """Set up a logarithmic axis with few, plain tick labels; each label is the axis value times `factor`."""
     from matplotlib.ticker import Locator, NullFormatter
 
     class Plain(Locator):
         def tick_values(self, low: float, high: float) -> list[float]:
-            return [tick / factor for tick in plain_ticks(factor * low, factor * high, most)]
+            return [tick / factor for tick in round_ticks(factor * low, factor * high, most)]
 
         def __call__(self) -> list[float]:
             return self.tick_values(*sorted(axis.get_view_interval()))
@@ -179,20 +179,20 @@ def cell_edges(centres: NDArray[np.float64], logarithmic: bool) -> NDArray[np.fl
     return np.exp(borders) if logarithmic else borders
 
 
-def caption(figure: Figure, *sentences: str) -> None:
+def add_caption(figure: Figure, *sentences: str) -> None:
     """Add sentences below all axes, for elements that are not in a legend."""
     if sentences:
         figure.supxlabel(_wrapped(figure, sentences), x=0.01, ha="left", fontsize=7.5, color="#555555")
 
 
-def legend_below(figure: Figure, *sentences: str) -> None:
+def add_legend_below(figure: Figure, *sentences: str) -> None:
     """Add a common legend below all axes, with sentences above it as in `caption`."""
     entries: dict[str, Any] = {}
     for axes in figure.axes:
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
             entries.setdefault(label, handle)
     if not entries:
-        caption(figure, *sentences)
+        add_caption(figure, *sentences)
         return
     title = _wrapped(figure, sentences) or None
     wide = max(map(len, entries)) > _HALF_LINE * figure.get_figwidth() / WIDTH_INCH
@@ -213,7 +213,7 @@ def save_with_table(figure: Figure, stem: Path, rows: Iterable[Sequence[object]]
     Raises `SceneError`, `RunError` if a file cannot be written.
     """
     table = stem.with_name(stem.name + ".csv")
-    make_ready(stem.parent)
-    with replacing(table) as part:
+    create_folder(stem.parent)
+    with atomic_write(table) as part:
         part.write_text(csv_text(rows), encoding="utf-8", newline="")
-    return [*save(figure, stem), table]
+    return [*save_figure(figure, stem), table]

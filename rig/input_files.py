@@ -9,10 +9,10 @@ from pathlib import Path
 
 from rig.errors import SceneError
 
-MOST_BYTES = 64_000_000
+MAX_BYTES = 64_000_000
 
 
-def path_of(path: str | Path, name: str = "path") -> Path:
+def as_path(path: str | Path, name: str = "path") -> Path:
     """Convert an argument to the path of a file.
 
     Raises `SceneError` if it is not a valid path; the message begins with the name of the argument.
@@ -22,7 +22,7 @@ def path_of(path: str | Path, name: str = "path") -> Path:
     return Path(path)
 
 
-def read_whole(path: Path) -> bytes:
+def read_file(path: Path) -> bytes:
     """Read a regular file; pipes and devices are rejected, because reading them may never end.
 
     Raises `OSError` if the file does not exist, is not a regular file, cannot be read or is too large; `strerror`
@@ -31,13 +31,13 @@ def read_whole(path: Path) -> bytes:
     if path.exists() and not path.is_file():
         raise OSError(errno.EINVAL, "no ordinary file", str(path))
     with path.open("rb") as file:
-        data = file.read(MOST_BYTES + 1)
-    if len(data) > MOST_BYTES:
-        raise OSError(errno.EFBIG, f"larger than {MOST_BYTES // 1_000_000} MB", str(path))
+        data = file.read(MAX_BYTES + 1)
+    if len(data) > MAX_BYTES:
+        raise OSError(errno.EFBIG, f"larger than {MAX_BYTES // 1_000_000} MB", str(path))
     return data
 
 
-def repeated(paths: Sequence[Path]) -> list[tuple[Path, Path]]:
+def duplicate_files(paths: Sequence[Path]) -> list[tuple[Path, Path]]:
     """Return pairs of each repeated file and the first file with the same content."""
     by_size: dict[int, list[Path]] = {}
     for path in paths:

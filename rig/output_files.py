@@ -13,13 +13,13 @@ from pathlib import Path
 from secrets import token_hex
 
 from rig.errors import RunError, SceneError, ShotrigError
-from rig.provenance import add_mark, carries_mark, is_own, may_overwrite, refusal
+from rig.provenance import add_mark, can_contain_mark, is_unchanged_output, may_overwrite, overwrite_error
 
 #: Suffixes of output files, which are not accepted for folders.
 _OF_FILES = (".png", ".svg", ".csv", ".html", ".mcap", ".npz", ".yaml", ".pdf")
 
 
-def make_ready(folder: Path) -> None:
+def create_folder(folder: Path) -> None:
     """Create the output folder if it does not exist, before the work starts.
 
     Raises `SceneError` if it is not writable, or does not exist and has the suffix of an output file.
@@ -39,11 +39,11 @@ def make_ready(folder: Path) -> None:
         raise SceneError(f"{folder}: cannot be written; choose another place with -o")
 
 
-def destination(path: Path, overwrite: bool, refusal: type[ShotrigError] = SceneError) -> Path:
+def resolve_output(path: Path, overwrite: bool, error_type: type[ShotrigError] = SceneError) -> Path:
     """Resolve the path of an output file, and reject a file that must not be written.
 
     `path`: file to create or replace; symbolic links are followed; `overwrite`: whether an existing file may be
-    replaced; `refusal`: type of the error. Returns the resolved path. Raises `ShotrigError` if a protected file or a
+    replaced; `error_type`: type of the error. Returns the resolved path. Raises `ShotrigError` if a protected file or a
     special file exists at this path, or the folder does not exist.
     """
     try:
@@ -51,24 +51,24 @@ def destination(path: Path, overwrite: bool, refusal: type[ShotrigError] = Scene
         there = file.stat() if os.path.lexists(file) else None
         if not file.parent.is_dir():
             if file.parent.exists():
-                raise refusal(f"cannot make {path}: {file.parent} is a file, not a folder")
-            raise refusal(f"cannot make {path}: there is no folder {file.parent}; make it first")
+                raise error_type(f"cannot make {path}: {file.parent} is a file, not a folder")
+            raise error_type(f"cannot make {path}: there is no folder {file.parent}; make it first")
     except (OSError, ValueError, RuntimeError) as error:
         why = getattr(error, "strerror", None) or error
-        raise refusal(f"cannot make {path}: {why}; choose another name or place with -o") from None
+        raise error_type(f"cannot make {path}: {why}; choose another name or place with -o") from None
     if there is None:
         return file
     if not stat.S_ISREG(there.st_mode):
-        raise refusal(f"{path} is not a regular file; choose another name with -o")
+        raise error_type(f"{path} is not a regular file; choose another name with -o")
     if not overwrite:
-        raise refusal(f"{path} exists; choose another name with -o, or pass --overwrite")
+        raise error_type(f"{path} exists; choose another name with -o, or pass --overwrite")
     if not os.access(file, os.W_OK):
-        raise refusal(f"{path} is write-protected; choose another name with -o")
+        raise error_type(f"{path} is write-protected; choose another name with -o")
     return file
 
 
 @contextmanager
-def replacing(path: Path, overwrite: bool | None = None) -> Iterator[Path]:
+def atomic_write(path: Path, overwrite: bool | None = None) -> Iterator[Path]:
     """Write a temporary file, and rename it to its final name when it is complete.
 
     At any time, `path` contains either the complete old file or the complete new file. If a finished file cannot be
@@ -79,13 +79,16 @@ def replacing(path: Path, overwrite: bool | None = None) -> Iterator[Path]:
     `SceneError` if `path` must not be written, see `destination`, or a protected file of that name was created in
     the meantime. Raises `RunError` if the disk is full or fails.
     """
-    marked, unmarked = overwrite is None and carries_mark(path), overwrite is None and not carries_mark(path)
+    marked, unmarked = (
+        overwrite is None and can_contain_mark(path),
+        overwrite is None and not can_contain_mark(path),
+    )
     if overwrite is None:
-        overwrite = may_overwrite() or is_own(path)
+        overwrite = may_overwrite() or is_unchanged_output(path)
         if marked and not overwrite and path.is_file():
-            raise refusal(path)
+            raise overwrite_error(path)
     # Whether an unmarked file has the same content is known only when the new file is complete.
-    file = destination(path, overwrite or unmarked)
+    file = resolve_output(path, overwrite or unmarked)
     part = file.with_name(f".{token_hex(6)}{file.suffix}")
     try:
         yield part
@@ -93,7 +96,7 @@ def replacing(path: Path, overwrite: bool | None = None) -> Iterator[Path]:
             add_mark(part)
         elif unmarked and not overwrite and file.is_file():
             if not cmp(part, file, shallow=False):
-                raise refusal(path)
+                raise overwrite_error(path)
             part.unlink()
             return
         _sync(part)
@@ -115,7 +118,7 @@ def replacing(path: Path, overwrite: bool | None = None) -> Iterator[Path]:
         ) from error
 
 
-def put_in_place(part: Path, file: Path, overwrite: bool) -> None:
+def rename_complete(part: Path, file: Path, overwrite: bool) -> None:
     """Rename a complete file to its final name, replacing an existing file only if allowed.
 
     Raises `FileExistsError` if a protected file of that name exists. Raises `OSError` if the disk fails.
@@ -170,10 +173,10 @@ def csv_text(rows: Iterable[Sequence[object]]) -> str:
     return text.getvalue()
 
 
-def stem(study: str, scene: str) -> str:
+def file_stem(study: str, scene: str) -> str:
     """Return the file stem for a study and its scene.
 
-    >>> stem("cost", "Fig 9, a damper in body 2")
+    >>> file_stem("cost", "Fig 9, a damper in body 2")
     'cost-fig-9-a-damper-in-body-2'
     """
     words = "".join(letter if letter.isalnum() else " " for letter in scene.lower()).split()

@@ -41,11 +41,11 @@ _PNG_CHUNK = 12
 _ZIP_NO_COMMENT = b"\0\0"
 
 _source: ContextVar[str] = ContextVar("source", default="")
-_overwriting: ContextVar[bool] = ContextVar("overwriting", default=False)
+_overwriting: ContextVar[bool] = ContextVar("allow_overwriting", default=False)
 
 
 @contextmanager
-def made_from(*what: str) -> Iterator[None]:
+def output_source(*what: str) -> Iterator[None]:
     """Set the source of outputs written inside the `with` block: the command, and the identity of its input."""
     token = _source.set(_digest("\0".join(what).encode("utf-8", errors="surrogateescape")))
     try:
@@ -55,7 +55,7 @@ def made_from(*what: str) -> Iterator[None]:
 
 
 @contextmanager
-def overwriting(allowed: bool) -> Iterator[None]:
+def allow_overwriting(allowed: bool) -> Iterator[None]:
     """Allow outputs written inside the `with` block to replace any file, if `allowed`."""
     token = _overwriting.set(allowed)
     try:
@@ -64,7 +64,7 @@ def overwriting(allowed: bool) -> Iterator[None]:
         _overwriting.reset(token)
 
 
-def relative(paths: Sequence[Path], folder: Path) -> list[str]:
+def relative_paths(paths: Sequence[Path], folder: Path) -> list[str]:
     """Return input paths relative to the output folder, so that both can be moved together."""
     return [_relative(path.resolve(), folder.resolve()) for path in paths]
 
@@ -82,7 +82,7 @@ def may_overwrite() -> bool:
     return _overwriting.get()
 
 
-def is_own(path: Path) -> bool:
+def is_unchanged_output(path: Path) -> bool:
     """Whether a file was written from the current source and has not been changed since."""
     source = _mark_of(path)
     return bool(_source.get()) and source == _source.get()
@@ -93,12 +93,12 @@ def is_from_another_source(path: Path) -> bool:
     return _mark_of(path) not in ("", _source.get())
 
 
-def carries_mark(path: Path) -> bool:
+def can_contain_mark(path: Path) -> bool:
     """Whether an output with this name contains a mark."""
     return bool(_source.get()) and path.suffix.lower() in (*_FRAMES, ".png", ".npz")
 
 
-def refuse_others(*paths: Path) -> None:
+def reject_foreign_files(*paths: Path) -> None:
     """Raise an error before work whose results would replace protected files.
 
     Raises `SceneError` if one of the files exists and is not an unchanged output from the same source.
@@ -106,11 +106,11 @@ def refuse_others(*paths: Path) -> None:
     if may_overwrite():
         return
     for path in paths:
-        if path.is_file() and not is_own(path):
-            raise refusal(path)
+        if path.is_file() and not is_unchanged_output(path):
+            raise overwrite_error(path)
 
 
-def refusal(path: Path) -> SceneError:
+def overwrite_error(path: Path) -> SceneError:
     """Return the error for a file that belongs to the user, or was written from another source."""
     why = "was changed since shotrig wrote it, or another program wrote it"
     if _mark_of(path):

@@ -21,7 +21,7 @@ from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from rig.ending_signals import ENDINGS
+from rig.ending_signals import TERMINATION_SIGNALS
 from rig.errors import RunError, SceneError, ShotrigError
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ def size() -> int:
     return 1 if _world is None else int(_world.size)
 
 
-def on_this_machine() -> int:
+def ranks_on_machine() -> int:
     """Return the number of ranks on this machine."""
     return 1 if _near is None else int(_near.size)
 
@@ -98,7 +98,7 @@ def communicators() -> Any:
     return MPI
 
 
-def total(values: Array) -> Array:
+def sum_over_ranks(values: Array) -> Array:
     """Sum arrays over all ranks; a collective operation."""
     out = values.copy()
     _world.Allreduce(values, out)
@@ -161,7 +161,7 @@ def _do(gone: list[int], number: int, name: str | None, given: tuple[Any, ...] |
 def _follow() -> NoReturn:
     """Execute the operations of the first rank until it ends."""
     # The first rank handles termination signals.
-    for number in ENDINGS:
+    for number in TERMINATION_SIGNALS:
         signal.signal(number, signal.SIG_IGN)
     try:
         while (call := _world.bcast(None)) is not None:

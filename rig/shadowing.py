@@ -8,7 +8,7 @@ from importlib.machinery import PathFinder
 from pathlib import Path
 
 
-def shadowed(folder: Path) -> list[str]:
+def shadowing_files(folder: Path) -> list[str]:
     """Return the files of a folder that shadow installed or standard modules.
 
     `folder`: folder of the script, or the first folder of the module search path.

@@ -15,7 +15,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from rig.errors import RunError
-from rig.output_files import csv_text, replacing
+from rig.output_files import atomic_write, csv_text
 from rig.workers import Workers
 
 Piece = TypeVar("Piece")
@@ -145,7 +145,7 @@ class StoredValues(Generic[Piece, Value]):
         if self._path is None:
             return
         rows = [self.study.encode(key, self.values[key]) for key in sorted(self.values, key=order)]
-        with replacing(self._path, overwrite=True) as part:
+        with atomic_write(self._path, overwrite=True) as part:
             part.write_text(csv_text([self.study.columns, *rows]), encoding="utf-8", newline="")
 
     def _append(self, row: Sequence[object]) -> None:

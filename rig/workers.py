@@ -22,7 +22,7 @@ from time import monotonic, sleep
 from types import TracebackType
 from typing import Any, TypeVar
 
-from rig.ending_signals import ENDINGS
+from rig.ending_signals import TERMINATION_SIGNALS
 from rig.errors import RunError, SceneError
 from rig.ranks import size
 
@@ -192,7 +192,7 @@ def _deferred_signals() -> Iterator[None]:
         yield
         return
     received: list[int] = []
-    handlers = {number: signal.getsignal(number) for number in ENDINGS}
+    handlers = {number: signal.getsignal(number) for number in TERMINATION_SIGNALS}
     for number in handlers:
         signal.signal(number, lambda number, _: received.append(number))
     try:

@@ -18,7 +18,7 @@ settings.register_profile(
 settings.load_profile("project")
 
 # A busy machine would have commands say that they are still at work, between the lines that tests look at.
-console.SILENCE = float("inf")
+console.MAX_SILENCE_S = float("inf")
 
 # A shell starts what it runs in the background with interrupts ignored, and programs that tests start inherit it:
 # those that are to be interrupted would go on for ever.

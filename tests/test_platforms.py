@@ -16,7 +16,7 @@ import analysis
 import daq
 import rig
 from rig import command_line
-from rig.output_files import replacing
+from rig.output_files import atomic_write
 
 SCENE = {
     "test": {"kind": "free", "mode": 1, "amplitude": "1 mm", "duration": "0.7 s"},
@@ -66,9 +66,9 @@ def test_files_are_written_under_windows_rules(windows_files: None, tmp_path: Pa
     with daq.open(path) as recording:
         assert recording.read("body3", 0, 10).size == 10
     assert "closed" in repr(recording)
-    with replacing(tmp_path / "table.csv", overwrite=True) as part:
+    with atomic_write(tmp_path / "table.csv", overwrite=True) as part:
         part.write_text("1", encoding="utf-8")
-    with replacing(tmp_path / "table.csv", overwrite=True) as part:
+    with atomic_write(tmp_path / "table.csv", overwrite=True) as part:
         part.write_text("2", encoding="utf-8")
     assert (tmp_path / "table.csv").read_text(encoding="utf-8") == "2"
     with daq.open(path) as recording:
@@ -95,6 +95,6 @@ def test_commands_print_on_consoles_with_few_characters(
     monkeypatch.setattr(sys, "argv", words.format(folder=tmp_path).split())
     monkeypatch.setattr(sys, "stdout", console)
     with pytest.raises(SystemExit) as end:
-        command_line.run(f"{sys.argv[0]}.cli")
+        command_line.run_command(f"{sys.argv[0]}.cli")
     console.flush()
     assert (end.value.code, len(console.buffer.getvalue()) > 100) == (0, True)

@@ -9,16 +9,16 @@ import numpy as np
 
 from analysis.chain_cost.study import ChainStudy, Measurement
 from analysis.chain_cost.variants import GROUPS, own_setting
-from rig.escaping import drawn
-from rig.figure_style import COLOURS, drawing, save_with_table
-from rig.output_files import stem
+from rig.escaping import escape_figure
+from rig.figure_style import COLORS, new_figure, save_with_table
+from rig.output_files import file_stem
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from rig.scene.scene import Scene
 
-OWN, REST, FAINT = COLOURS[1], COLOURS[0], "#a0a0a0"
+OWN, REST, FAINT = COLORS[1], COLORS[0], "#a0a0a0"
 
 
 def table(study: ChainStudy) -> str:
@@ -54,7 +54,7 @@ def write(study: ChainStudy, folder: Path) -> list[Path]:
 
     `folder`: created if it does not exist. Raises `SceneError`, `RunError` if a file cannot be written.
     """
-    name = folder / stem("chain-cost", study.scene.name)
+    name = folder / file_stem("chain-cost", study.scene.name)
     rows = [["changed", "to", "cpu_s", "test_s", "error", "corrected_for", "note"]]
     for p in (study.own, study.quiet, *study.points):
         numbers = [f"{value:.6g}" for value in (p.cpu, p.duration, p.error, p.corrected)]
@@ -64,7 +64,7 @@ def write(study: ChainStudy, folder: Path) -> list[Path]:
 
 def output_files(scene: Scene, folder: Path) -> list[Path]:
     """Return the paths of the files of a study."""
-    name = stem("chain-cost", scene.name)
+    name = file_stem("chain-cost", scene.name)
     return [folder / f"{name}.{ending}" for ending in ("png", "svg", "csv")]
 
 
@@ -80,7 +80,7 @@ def _draw(study: ChainStudy) -> Figure:
         rows += [(f"{group}: {p.setting}{' (the scene)' * (p.setting == own)}", p, REST) for p in points]
     place = np.arange(len(rows), dtype=float)
     place[2:] += np.repeat(0.7 * np.arange(1, len(groups) + 1), [len(points) for _, points in groups])
-    with drawing(0.9 + 0.19 * place[-1], 9.0) as figure:
+    with new_figure(0.9 + 0.19 * place[-1], 9.0) as figure:
         left, right = figure.subplots(1, 2, sharey=True, width_ratios=(2.2, 1.0))
         for y, (_, point, shade) in zip(place, rows, strict=True):
             if np.isfinite(point.error):
@@ -94,7 +94,7 @@ def _draw(study: ChainStudy) -> Figure:
                               fontsize=7.5, color="#666666")  # fmt: skip
         left.axvline(study.own.error, color=OWN, lw=0.8, ls="--", zorder=0)
         left.set(xscale="log", xlabel="error, relative")
-        left.set_yticks(place, [drawn(text) for text, *_ in rows])
+        left.set_yticks(place, [escape_figure(text) for text, *_ in rows])
         left.set_ylim(place[-1] + 0.8, -0.8)
         right.set_xlabel("CPU time / (ms per s of test)")
         for axes in (left, right):
@@ -104,5 +104,5 @@ def _draw(study: ChainStudy) -> Figure:
         left.plot([], [], "o", color=FAINT, mfc="white", ms=4.5, label="displacement, not corrected")
         left.plot([], [], "--", color=OWN, lw=0.8, label="the scene as it is")
         figure.legend(loc="outside lower center", ncols=3)
-        figure.suptitle(drawn(study.scene.name))
+        figure.suptitle(escape_figure(study.scene.name))
         return figure

@@ -21,7 +21,7 @@ from analysis.exporting.uff import write_uff
 from analysis.recordings.names import takes_path
 from analysis.recordings.slices import Slice
 from rig.errors import RunError, SceneError
-from rig.output_files import replacing
+from rig.output_files import atomic_write
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
@@ -217,7 +217,7 @@ def export(
         # WAV reads all samples twice, because it needs the peak values first.
         total = (2 if kind == ".wav" else 1) * len(stretch.channels) * (stretch.stop - stretch.start)
         stretch = replace(stretch, on_read=_counter(total, progress))
-    with replacing(path, overwrite or None) as part:
+    with atomic_write(path, overwrite or None) as part:
         needed, free = expected_bytes(stretch, kind), shutil.disk_usage(part.parent).free
         # A table of short numbers needs only about a quarter of the expected size.
         if needed > 4 * free:

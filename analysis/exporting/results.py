@@ -11,7 +11,7 @@ from analysis.recordings.names import opened
 from analysis.responses.frequency_responses import frequency_responses
 from analysis.responses.frf_files import is_frf_file, read_frfs
 from rig.errors import SceneError
-from rig.output_files import destination, replacing
+from rig.output_files import atomic_write, resolve_output
 from rig.results.response import Response, stack
 
 ENDINGS = (".uff", ".unv", ".mat")
@@ -38,11 +38,11 @@ def export_results(
         raise SceneError(
             f"{path}: unknown format {kind!r} for {what}. Choose a name that ends in one of {', '.join(ENDINGS)}."
         )
-    destination(path, overwrite=True)
+    resolve_output(path, overwrite=True)
     lines = []
     for number, (curves, nodes, driven) in enumerate(_groups(file, progress), start=1):
         target = path if number == 1 else path.with_name(f"{path.stem}-{number}{path.suffix}")
-        with replacing(target, overwrite or None) as part:
+        with atomic_write(target, overwrite or None) as part:
             if what == "frfs":
                 first, names = curves[0], ", ".join(curve.response for curve in curves)
                 mat.write_frfs(curves, part) if kind == ".mat" else stack(curves).to_uff(

@@ -11,8 +11,8 @@ from analysis.damper_motion.dampers import Dampers
 from analysis.damper_motion.energy_balance import CycleEnergy
 from analysis.damper_motion.motion_types import DamperMotion
 from analysis.responses.spectral_lines import Lines
-from rig.escaping import drawn
-from rig.figure_style import COLOURS, decades, drawing, frequency_axis, heading, legend_below
+from rig.escaping import escape_figure
+from rig.figure_style import COLORS, add_legend_below, add_title, frequency_axis, log_axis, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -28,7 +28,7 @@ _KINDS = {
     "unseen": "may fly, impacts below the detection limit",
     "unsure": "impacts missed, or irregular",
 }
-_SHADES = dict(zip(_KINDS, ("#cccccc", *COLOURS[:4], "#8c8c8c", "#444444"), strict=True))
+_SHADES = dict(zip(_KINDS, ("#cccccc", *COLORS[:4], "#8c8c8c", "#444444"), strict=True))
 
 
 def dampers_figure(found: Dampers) -> Figure:
@@ -36,11 +36,11 @@ def dampers_figure(found: Dampers) -> Figure:
     motions, energy, lines = found.bodies, found.energy, found.sweep.lines
     every = np.append(lines.frequency, lines.left_out)
     low, high = 0.98 * float(every.min()), 1.02 * float(every.max())
-    with drawing(2.0 + 0.3 * len(motions) + (2.6 if energy is not None else 0.0)) as figure:
+    with new_figure(2.0 + 0.3 * len(motions) + (2.6 if energy is not None else 0.0)) as figure:
         heights = [0.45 * len(motions) + 0.15] + ([2.2] if energy is not None else [])
         rows = np.atleast_1d(figure.subplots(len(heights), 1, height_ratios=heights))
         _strip(rows[0], motions)
-        heading(rows[0], found.label)
+        add_title(rows[0], found.label)
         if energy is not None:
             _energies(rows[1], energy, lines, found.true_impact_energy)
         for place in lines.left_out:
@@ -49,7 +49,7 @@ def dampers_figure(found: Dampers) -> Figure:
             )
         for axes in rows:
             frequency_axis(axes, low, high, axes is rows[-1])
-        legend_below(figure, *_caption(energy, lines))
+        add_legend_below(figure, *_caption(energy, lines))
         return figure
 
 
@@ -65,7 +65,7 @@ def _strip(strip: Axes, motions: Sequence[Sequence[DamperMotion]]) -> None:
             strip.vlines(frequency, row - 0.35, row + 0.35, color=_SHADES[kind], lw=2.4)
         used |= places.keys()
     strip.set_ylim(len(motions) - 0.4, -0.6)
-    strip.set_yticks(range(len(motions)), [drawn(body[0].channel) for body in motions])
+    strip.set_yticks(range(len(motions)), [escape_figure(body[0].channel) for body in motions])
     strip.grid(False, axis="y")
     for kind in _KINDS:
         if kind in used:
@@ -88,25 +88,25 @@ def _energies(axes: Axes, energy: CycleEnergy, lines: Lines, true: np.ndarray | 
     curve(
         energy.structure, color="#777777", marker="o", label="into the structure's damping, as in the scene"
     )
-    curve(into, color=COLOURS[1], marker="o", label="into the dampers")
+    curve(into, color=COLORS[1], marker="o", label="into the dampers")
     axes.errorbar(
-        energy.frequency, 1e3 * into, 1e3 * energy.bound, fmt="none", ecolor=COLOURS[1], elinewidth=0.9
+        energy.frequency, 1e3 * into, 1e3 * energy.bound, fmt="none", ecolor=COLORS[1], elinewidth=0.9
     )
     limit = 1e3 * np.maximum(energy.dampers + energy.bound, 0.0)
     axes.plot(
-        energy.frequency[~determined], limit[~determined], "v", mfc="none", ms=4.5, mew=0.8, color=COLOURS[1],
+        energy.frequency[~determined], limit[~determined], "v", mfc="none", ms=4.5, mew=0.8, color=COLORS[1],
         label="into the dampers, upper limit",
     )  # fmt: skip
     shown = [1e3 * energy.supplied, 1e3 * energy.structure, 1e3 * into, limit[~determined]]
     if true is not None:
         lost = np.where(true > 0, true, np.nan)
-        curve(lost, color=COLOURS[2], ls=":", marker="o", label="true loss in impacts")
+        curve(lost, color=COLORS[2], ls=":", marker="o", label="true loss in impacts")
         shown.append(1e3 * lost)
     if lines.unsteady is not None and lines.unsteady.any():
         axes.plot(
             energy.frequency[lines.unsteady], 1e3 * energy.supplied[lines.unsteady], "x", color="black", ms=6
         )
-    decades(axes, shown)
+    log_axis(axes, shown)
     axes.set_ylabel("energy per period / mJ")
 
 

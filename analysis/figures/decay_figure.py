@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from analysis.decays.free_decay import Decay
-from rig.escaping import drawn
-from rig.figure_style import caption, colour, drawing, heading, plain_logarithmic
+from rig.escaping import escape_figure
+from rig.figure_style import add_caption, add_title, color_of, new_figure, set_log_scale
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -31,7 +31,7 @@ def decay_figure(decays: Sequence[Decay], title: str) -> Figure:
     """
     columns = _columns(decays)
     gravity = decays[0].gravity
-    with drawing(8.2) as figure:
+    with new_figure(8.2) as figure:
         rows = figure.add_gridspec(
             3, max(len(columns), 1), height_ratios=[1.25, 1.0, 1.0 if columns else 0.02]
         )
@@ -39,14 +39,14 @@ def decay_figure(decays: Sequence[Decay], title: str) -> Figure:
         level = figure.add_subplot(rows[1, :], sharex=trace)
         shown, lowest_shown = max(_interesting(decay) for decay in decays), decays[0].gravity
         for index, decay in enumerate(decays):
-            shade = colour(index)
+            shade = color_of(index)
             keep = decay.time <= shown
             trace.plot(decay.time[keep], decay.acceleration[keep], color=shade, lw=0.6, alpha=0.75)
             top = decay.outline()
             for sign in (1.0, -1.0):
                 trace.plot(
                     decay.time[keep], sign * top[keep], color=shade, lw=1.4,
-                    label=drawn(decay.label) if sign > 0 else None,
+                    label=escape_figure(decay.label) if sign > 0 else None,
                 )  # fmt: skip
             level.plot(decay.time[keep], top[keep], color=shade, lw=1.2)
             lowest_shown = min(lowest_shown, float(top[keep].min()))
@@ -60,15 +60,15 @@ def decay_figure(decays: Sequence[Decay], title: str) -> Figure:
             trace.axhline(sign * gravity, color="#777777", lw=0.8, ls=":")
         trace.set_ylabel("acceleration / (m/s²)")
         trace.tick_params(labelbottom=False)
-        heading(trace, title)
+        add_title(trace, title)
         if trace.get_legend_handles_labels()[0]:
             trace.legend(loc="upper right")
-        plain_logarithmic(level.yaxis, 5)
+        set_log_scale(level.yaxis, 5)
         level.set_ylim(max(0.6 * lowest_shown, 1e-3 * highest), 1.6 * highest)
         level.axhline(gravity, color="#777777", lw=0.8, ls=":")
         level.set_ylabel("envelope / (m/s²)")
         level.set_xlabel("time / s")
-        caption(
+        add_caption(
             figure, "Envelopes are the largest acceleration within half a period of the lowest mode on either side.",
             "Dashed: root of the backward-integrated (Schroeder) energy, from the same start. Dotted: 1 g.",
             *["Bands: 95 % bound of the damping ratio; one down to the axis includes zero."][: len(columns)],
@@ -85,14 +85,14 @@ def _damping_row(
         axes = figure.add_subplot(rows[2, column], sharey=first)  # type: ignore[index]
         first = first or axes
         for index, mode in members:
-            shade, percent = colour(index), 100.0 * mode.damping
+            shade, percent = color_of(index), 100.0 * mode.damping
             half = 200.0 * mode.damping_error
             axes.fill_between(mode.amplitude, percent - half, percent + half, color=shade, alpha=0.25, lw=0)
             axes.plot(mode.amplitude, percent, "o-", color=shade)
         every = np.concatenate([mode.amplitude for _, mode in members] + [np.array([gravity])])
         low, high = 0.8 * float(every.min()), 1.25 * float(every.max())
         axes.set_xlim(low, high)
-        plain_logarithmic(axes.xaxis, 5)
+        set_log_scale(axes.xaxis, 5)
         axes.axvline(gravity, color="#777777", lw=0.8, ls=":")
         axes.set_xlabel("amplitude / (m/s²)")
         axes.set_title(_frequencies(members), fontsize=9, fontweight="normal")
@@ -113,7 +113,7 @@ def _damping_row(
             )
             inside = edges[(edges > 0.1 * low) & (edges < 10.0 * high)]
             low, high = min(low, *inside) / 1.3, max(high, *inside) * 1.3
-            plain_logarithmic(first.yaxis, 6)
+            set_log_scale(first.yaxis, 6)
             first.set_ylim(low, high)
 
 

@@ -10,8 +10,8 @@ import scipy
 from numpy.typing import NDArray
 
 from rig.arrays import Array
-from rig.escaping import drawn
-from rig.figure_style import colour, decades, drawing, frequency_axis, heading, legend_below
+from rig.escaping import escape_figure
+from rig.figure_style import add_legend_below, add_title, color_of, frequency_axis, log_axis, new_figure
 from rig.results.response import MAX_MARKERS, Response
 
 if TYPE_CHECKING:
@@ -44,9 +44,9 @@ def frf_figure(
     low, high = float(every.min()), float(every.max())
     if high <= low:
         low, high = low / 1.2, high * 1.2
-    shades = {frf.response: colour(index) for index, frf in reversed(list(enumerate(frfs)))}
+    shades = {frf.response: color_of(index) for index, frf in reversed(list(enumerate(frfs)))}
     several = len(shades) > 1
-    with drawing(6.8) as figure:
+    with new_figure(6.8) as figure:
         upper, middle, lower = figure.subplots(3, 1, height_ratios=[3.2, 1.3, 0.9])
         for curve in theory:
             shade = shades.get(curve.response, THEORY) if several else THEORY
@@ -54,9 +54,9 @@ def frf_figure(
             upper.plot(curve.frequency, curve.shown_in[1] * abs(curve.value), **style)
             middle.plot(*_broken(curve.frequency, phase_degrees(curve)), **style)
         if theory:
-            upper.plot([], [], color=THEORY, lw=0.9, ls=(0, (5, 2)), label=drawn(theory[0].label))
+            upper.plot([], [], color=THEORY, lw=0.9, ls=(0, (5, 2)), label=escape_figure(theory[0].label))
         for index, measured in enumerate(frfs):
-            _curve(measured, colour(index), upper, middle, lower)
+            _curve(measured, color_of(index), upper, middle, lower)
         for frequency, text in marks:
             upper.axvline(frequency, color="#777777", lw=0.8, ls=":")
             upper.annotate(
@@ -64,15 +64,15 @@ def frf_figure(
                 textcoords="offset points", va="top", fontsize=7.5, color="#555555",
             )  # fmt: skip
         unit, factor = frfs[0].shown_in
-        decades(
+        log_axis(
             upper,
             [factor * abs(frf.value) for frf in [*frfs, *theory]] + [factor * _reach(frf) for frf in frfs],
         )
         for axes, last in ((upper, False), (middle, False), (lower, True)):
             frequency_axis(axes, low, high, last)
-        name = drawn(frfs[0].name)
+        name = escape_figure(frfs[0].name)
         upper.set_ylabel(f"|{name}| / ({unit})" if "/" in unit else name)
-        heading(upper, title)
+        add_title(upper, title)
         middle.set_ylabel("phase / °")
         middle.set_yticks([-270, -180, -90, 0, 90])
         middle.set_ylim(-285, 105)
@@ -85,7 +85,7 @@ def frf_figure(
                 ha="center", va="center", fontsize=8, color="#555555",
             )  # fmt: skip
         figure.align_ylabels([upper, middle, lower])
-        legend_below(figure, *_caption(frfs))
+        add_legend_below(figure, *_caption(frfs))
         return figure
 
 
@@ -132,7 +132,7 @@ def _curve(frf: Response, shade: str, upper: Axes, middle: Axes, lower: Axes) ->
         # One extra point on either side, so that the line stays continuous where it turns grey.
         noisy = ~clear | ~np.roll(clear, 1) | ~np.roll(clear, -1)
         upper.plot(frf.frequency, np.where(noisy, size, np.nan), color=NOISE, lw=0.7, zorder=2)
-    upper.plot(frf.frequency, np.where(clear, size, np.nan), label=drawn(frf.label), **look)
+    upper.plot(frf.frequency, np.where(clear, size, np.nan), label=escape_figure(frf.label), **look)
     if frf.unsteady is not None and frf.unsteady.any():
         upper.plot(frf.frequency[frf.unsteady], size[frf.unsteady], "x", color=shade, markersize=6, zorder=4)
     angle = np.where(clear, phase_degrees(frf), np.nan)

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from analysis.modal.modes import Modes
-from rig.escaping import drawn
-from rig.figure_style import colour, decades, drawing, frequency_axis, heading
+from rig.escaping import escape_figure
+from rig.figure_style import add_title, color_of, frequency_axis, log_axis, new_figure
 from rig.results import format_quantity
 from rig.results.response import MAX_MARKERS, Response
 
@@ -25,28 +25,28 @@ def modes_figure(frfs: Sequence[Response], modes: Modes, title: str) -> Figure:
     curves = [frf.to("displacement").with_gaps() for frf in frfs]
     low, high = float(curves[0].frequency[0]), float(curves[0].frequency[-1])
     count = modes.frequency.size
-    with drawing(7.6) as figure:
+    with new_figure(7.6) as figure:
         rows = figure.add_gridspec(3, max(count, 1), height_ratios=[2.2, 1.3, 1.3])
         fit = figure.add_subplot(rows[0, :])
         chart = figure.add_subplot(rows[1, :])
         dense = np.unique(np.concatenate([np.geomspace(low, high, 1500), *_around(modes)]))
         dense = dense[(dense >= low) & (dense <= high)]
         for index, curve in enumerate(curves):
-            shade = colour(index)
+            shade = color_of(index)
             # Few points are drawn as dots with the model as a line; many as a broad line with the model thin and
             # dark.
             few = curve.frequency.size <= MAX_MARKERS
             fit.plot(
                 curve.frequency, 1e6 * abs(curve.value), "o" if few else "-", ms=2.4, color=shade,
-                lw=2.4, alpha=1.0 if few else 0.35, label=drawn(curve.response),
+                lw=2.4, alpha=1.0 if few else 0.35, label=escape_figure(curve.response),
             )  # fmt: skip
             fit.plot(
                 dense, 1e6 * abs(modes.receptance(dense)[index]), color=shade if few else "black", lw=0.9
             )
-        decades(fit, [1e6 * abs(modes.receptance(dense)), *(1e6 * abs(curve.value) for curve in curves)])
+        log_axis(fit, [1e6 * abs(modes.receptance(dense)), *(1e6 * abs(curve.value) for curve in curves)])
         frequency_axis(fit, low, high, False)
         fit.set_ylabel("|compliance| / (µm/N)")
-        heading(fit, title)
+        add_title(fit, title)
         fit.legend(
             loc="best", title=f"{'dots' if few else 'broad'}: measured, thin: model", title_fontsize=8.5
         )
@@ -70,7 +70,7 @@ def modes_figure(frfs: Sequence[Response], modes: Modes, title: str) -> Figure:
             axes.plot(np.append(0, bodies.shapes[:, i].real), np.append(0, places), "o-", color="#333333")
             axes.set(xlim=(-1.25, 1.25), xlabel="shape")
             axes.axvline(0.0, color="#777777", lw=0.7)
-            names = ["ground", *map(drawn, bodies.names)] if i == 0 else [""] * (places.size + 1)
+            names = ["ground", *map(escape_figure, bodies.names)] if i == 0 else [""] * (places.size + 1)
             axes.set_yticks(np.append(0, places), names)
             axes.set_title(
                 f"{format_quantity(modes.frequency[i], 2 * modes.frequency_error[i], 'Hz')}\n{modes.damping_text(i)}",

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rig.figure_style import colour, decades, drawing, frequency_axis, heading, legend_below
+from rig.figure_style import add_legend_below, add_title, color_of, frequency_axis, log_axis, new_figure
 from rig.results import format_number
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ def fit_figure(found: Fit) -> Figure:
     rows = found.compared[:MOST_ROWS]
     bands = [(float(one.curves.frequency.min()), float(one.curves.frequency.max())) for one in rows]
     crosses = "" if all(one.used.all() for one in rows) else " Crosses: points left out of the fit."
-    with drawing(_ROW * len(rows) + 1.0, 10.0) as figure:
+    with new_figure(_ROW * len(rows) + 1.0, 10.0) as figure:
         axes = figure.subplots(len(rows), 2, squeeze=False)
         for one, band, (left, right) in zip(rows, bands, axes, strict=True):
             _draw(left, right, one)
@@ -34,7 +34,7 @@ def fit_figure(found: Fit) -> Figure:
             labelled = one is rows[-1] or any(band != other for other in bands)
             for ax in (left, right):
                 frequency_axis(ax, *band, labelled)
-        legend_below(
+        add_legend_below(
             figure,
             f"Dots: measured. Lines: the fitted scene at the same frequencies.{crosses} Grey: two standard deviations.",
         )
@@ -50,16 +50,16 @@ def _draw(left: Axes, right: Axes, one: Compared) -> None:
     gaps = np.flatnonzero(steps > _GAP * neighbours) + 1 if steps.size > 1 else np.empty(0, dtype=int)
     for k, sensor in enumerate(curves.sensors):
         for ax, size in ((left, factor * abs(curves.value[k, order])), (right, one.misses[k, order])):
-            ax.plot(frequency, np.where(used, size, np.nan), ".", color=colour(k), label=sensor.name)
-            ax.plot(frequency, np.where(used, np.nan, size), "x", color=colour(k))
+            ax.plot(frequency, np.where(used, size, np.nan), ".", color=color_of(k), label=sensor.name)
+            ax.plot(frequency, np.where(used, np.nan, size), "x", color=color_of(k))
         line = np.insert(factor * abs(one.predicted[k, order]), gaps, np.nan)
-        left.plot(np.insert(frequency, gaps, np.nan), line, "-", lw=0.8, color=colour(k))
-    decades(left, [factor * abs(curves.value)])
+        left.plot(np.insert(frequency, gaps, np.nan), line, "-", lw=0.8, color=color_of(k))
+    log_axis(left, [factor * abs(curves.value)])
     left.set_ylabel(f"|x / {curves.reference}| / ({unit})")
-    heading(left, curves.label)
-    decades(right, [one.misses], most=5.0)
+    add_title(left, curves.label)
+    log_axis(right, [one.misses], most=5.0)
     right.axhline(2.0, color="#555555", lw=0.6)
     right.set_ylabel("residual / std. deviation")
     missing = int((~used).sum())
     left_out = f", {missing} point{'s' if missing > 1 else ''} left out" if missing else ""
-    heading(right, f"Residual {format_number(100 * one.relative)} % of the curve, rms{left_out}")
+    add_title(right, f"Residual {format_number(100 * one.relative)} % of the curve, rms{left_out}")

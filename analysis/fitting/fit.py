@@ -20,7 +20,7 @@ from analysis.fitting.problem import Problem
 from analysis.recordings.names import opened
 from rig.arrays import Array, ComplexArray
 from rig.errors import RecordingError, SceneError
-from rig.input_files import repeated
+from rig.input_files import duplicate_files
 from rig.results import Result, complete_style, format_number
 from rig.scene.loading import SceneLike, scene_of
 from rig.scene.scene import Scene
@@ -231,7 +231,7 @@ def fit(
                 f"fit: {recording!r:.60} is not a recording. Give paths, or recordings from daq.open."
             )
     paths = [Path(each) if isinstance(each, str | Path) else each.path for each in several]
-    for first, again in repeated(paths):
+    for first, again in duplicate_files(paths):
         raise SceneError(
             f"{again}: the same content as {first}, which would count twice. Give each recording once."
         )

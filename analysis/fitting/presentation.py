@@ -9,9 +9,9 @@ from pathlib import Path
 from analysis.fitting.figure import fit_figure
 from analysis.fitting.fit import Fit, fit
 from rig.errors import RunError, SceneError
-from rig.figure_style import save
-from rig.output_files import make_ready, replacing
-from rig.provenance import made_from, overwriting, refuse_others, relative
+from rig.figure_style import save_figure
+from rig.output_files import atomic_write, create_folder
+from rig.provenance import allow_overwriting, output_source, reject_foreign_files, relative_paths
 from rig.results import format_quantity
 from rig.scene.scene import Scene
 
@@ -33,13 +33,16 @@ def present_fit(
         raise SceneError(
             f"--output {output}: not the name of a scene file. Choose a name such as fitted.yaml."
         )
-    with overwriting(overwrite), made_from("fit", scene.to_yaml(), *relative(recordings, output.parent)):
+    with (
+        allow_overwriting(overwrite),
+        output_source("fit", scene.to_yaml(), *relative_paths(recordings, output.parent)),
+    ):
         residuals = output.with_name(f"{output.stem}-residuals")
-        refuse_others(
+        reject_foreign_files(
             output, *(residuals.with_name(f"{residuals.name}.{ending}") for ending in ("png", "svg"))
         )
         found = fit(list(recordings), scene, free)
-        files = save(fit_figure(found), residuals)
+        files = save_figure(fit_figure(found), residuals)
         if found.misfit:
             for path in files:
                 say(f"wrote {path}")
@@ -48,8 +51,8 @@ def present_fit(
             )
         for line in describe(found):
             say(line)
-        make_ready(output.parent)
-        with replacing(output) as part:
+        create_folder(output.parent)
+        with atomic_write(output) as part:
             part.write_text(found.scene.to_yaml(), encoding="utf-8")
         return [output, *files], found.warnings
 

@@ -44,7 +44,7 @@ def present_dampers(
     folder of the first recording.
     """
     from analysis.figures.dampers_figure import dampers_figure
-    from rig.figure_style import save
+    from rig.figure_style import save_figure
 
     files: list[Path] = []
     lines: list[str] = []
@@ -61,7 +61,7 @@ def present_dampers(
             for number, each in enumerate(found, 1):
                 part = stem if number == 1 else stem.with_name(f"{stem.name}-{number}")
                 if each.bodies:
-                    files += save(dampers_figure(each), part)
+                    files += save_figure(dampers_figure(each), part)
             rows = chain.from_iterable(map(_rows, found))
             files.append(write_table(with_ending(stem, "csv"), _HEADING, rows))
     return Result(tuple(files), tuple(lines), tuple(notes))

@@ -37,7 +37,7 @@ def present_decay(
     """Draw and tabulate free decays; the curves of several recordings are overlaid."""
     from analysis.figures.decay_figure import decay_figure
     from analysis.presentation.tables import damping_table, envelope_table
-    from rig.figure_style import save
+    from rig.figure_style import save_figure
 
     decays: list[Decay] = []
     notes = repeats(paths)
@@ -51,7 +51,7 @@ def present_decay(
     first = decays[0]
     title = f"Free decay of {first.channel}{f' after hit {hit}' if struck else ''}"
     with output_stem(paths, output, "decay", "png", "svg") as stem:
-        files = save(decay_figure(decays, title), stem)
+        files = save_figure(decay_figure(decays, title), stem)
         files.append(envelope_table(stem.with_name(stem.name + "-envelope.csv"), decays))
         files.append(damping_table(stem.with_name(stem.name + "-damping.csv"), decays))
     return Result(tuple(files), tuple(line for one in decays for line in describe_decay(one)), tuple(notes))

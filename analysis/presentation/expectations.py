@@ -12,7 +12,7 @@ from analysis.responses.frequency_responses import BY_KIND, Blocks
 from analysis.responses.frf_files import is_frf_file
 from daq.recording.recorded_test import TestKind
 from rig.errors import RecordingError, SceneError
-from rig.input_files import repeated
+from rig.input_files import duplicate_files
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
@@ -51,7 +51,7 @@ def repeats(paths: Sequence[Path]) -> list[str]:
     """Return a warning for each file that was given twice: equal files are not independent measurements."""
     return [
         f"{again}: the same content as {first}. Give each measurement once."
-        for first, again in repeated(paths)
+        for first, again in duplicate_files(paths)
     ]
 
 

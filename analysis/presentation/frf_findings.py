@@ -104,14 +104,14 @@ def describe_frfs(curves: Sequence[Response]) -> list[str]:
 def _drawn(curves: Sequence[Response], exact: Sequence[Response], stem: Path) -> list[Path]:
     """Draw all curves of one recording in one figure, or those of several in one figure for each FRF."""
     from analysis.figures.frf_figure import frf_figure
-    from rig.figure_style import save
+    from rig.figure_style import save_figure
 
     settings = list(dict.fromkeys(frf.label for frf in curves))
     what = f"{curves[0].name.capitalize()}"
     groups = _by_ratio(curves)
     if len(settings) == 1:
         shown = [replace(frf, label=frf.ratio) for frf in curves]
-        return save(frf_figure(shown, f"{what}: {settings[0]}", _once(exact), _marks(shown)), stem)
+        return save_figure(frf_figure(shown, f"{what}: {settings[0]}", _once(exact), _marks(shown)), stem)
     inputs = {shown[0].input for shown in groups}
     files = []
     for shown in groups:
@@ -119,7 +119,7 @@ def _drawn(curves: Sequence[Response], exact: Sequence[Response], stem: Path) ->
         some = [frf for frf in exact if (frf.response, frf.input) == (first.response, first.input)]
         name = first.response if len(inputs) == 1 else first.ratio.replace(" / ", "-by-").replace(" ", "-")
         part = stem if len(groups) == 1 else of_part(stem, name)
-        files += save(frf_figure(shown, f"{what}, {first.ratio}", _once(some), _marks(shown)), part)
+        files += save_figure(frf_figure(shown, f"{what}, {first.ratio}", _once(some), _marks(shown)), part)
     return files
 
 

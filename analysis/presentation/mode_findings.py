@@ -42,7 +42,7 @@ def present_modes(
     """Identify, draw and tabulate the modes of recordings or of FRF files of other programs."""
     from analysis.figures.modes_figure import modes_figure
     from analysis.presentation.tables import modes_table
-    from rig.figure_style import save
+    from rig.figure_style import save_figure
 
     found: list[Modes] = []
     files: list[Path] = []
@@ -65,7 +65,7 @@ def present_modes(
             found.append(modes)
             with output_stem([path], output, "modes", "png", "svg") as first:
                 stem = first if number == 1 else first.with_name(f"{first.name}-{number}")
-                files += save(modes_figure(frfs, modes, f"Modes: {modes.label}"), stem)
+                files += save_figure(modes_figure(frfs, modes, f"Modes: {modes.label}"), stem)
             lines += describe_modes(modes, theory)
             notes += noted(path, [*modes.warnings, *unlike_theory(modes, theory)])
     with output_stem(paths, output, "modes", "csv") as stem:

@@ -9,7 +9,13 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from rig.errors import RunError
-from rig.provenance import is_from_another_source, made_from, may_overwrite, refuse_others, relative
+from rig.provenance import (
+    is_from_another_source,
+    may_overwrite,
+    output_source,
+    reject_foreign_files,
+    relative_paths,
+)
 
 # Maximum number of characters of a channel name in a file name.
 _LONGEST_PART = 40
@@ -30,12 +36,12 @@ def output_stem(paths: Sequence[Path], output: Path | None, kind: str, *endings:
     shotrig, or were changed since.
     """
     folder = output if output is not None else paths[0].parent
-    with made_from(kind, *relative(paths, folder)):
+    with output_source(kind, *relative_paths(paths, folder)):
         for name in (joined([path.stem for path in paths]), joined([_with_folder(path) for path in paths])):
             stem = folder / f"{name}-{kind}"
             files = [with_ending(stem, ending) for ending in endings]
             if may_overwrite() or not any(is_from_another_source(file) for file in files):
-                refuse_others(*files)
+                reject_foreign_files(*files)
                 yield stem
                 return
         raise RunError(

@@ -10,8 +10,8 @@ import numpy as np
 
 from analysis.decays.free_decay import Decay
 from analysis.modal.modes import Modes
-from rig.escaping import shown
-from rig.output_files import make_ready, replacing
+from rig.escaping import escape_terminal
+from rig.output_files import atomic_write, create_folder
 from rig.results.response import Response
 
 Row = Sequence[str | float | int]
@@ -22,8 +22,8 @@ _ENVELOPE_ROWS = 400
 
 def write_table(path: Path, heading: Sequence[str], rows: Iterable[Row]) -> Path:
     """Write one table: numbers with nine significant digits, empty cells for missing values."""
-    make_ready(path.parent)
-    with replacing(path) as part, part.open("w", newline="", encoding="utf-8") as file:
+    create_folder(path.parent)
+    with atomic_write(path) as part, part.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(heading)
         for row in rows:
@@ -34,7 +34,7 @@ def write_table(path: Path, heading: Sequence[str], rows: Iterable[Row]) -> Path
 def _cell(value: str | float | int) -> str:
     if isinstance(value, str):
         # The label can be a file name, which is not necessarily valid UTF-8.
-        return shown(value)
+        return escape_terminal(value)
     if isinstance(value, int | np.integer):
         return str(value)
     return "" if np.isnan(value) else f"{value:.9g}"

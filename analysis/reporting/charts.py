@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rig.escaping import html
-from rig.figure_style import COLOURS
+from rig.escaping import escape_html
+from rig.figure_style import COLORS
 
 # A frequency axis is logarithmic if the ratio of its limits exceeds this value.
 _LOGARITHMIC_FROM = 3.0
@@ -106,8 +106,9 @@ class ChartWriter:
         # The text "</script>" inside the data would end the script element.
         text = json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
         return (
-            f'<figure><div class="chart" role="img" aria-label="{html(chart.alternative)}" data-source="{name}"></div>'
-            f"<figcaption>{html(chart.caption)}</figcaption>"
+            f'<figure><div class="chart" role="img" aria-label="{escape_html(chart.alternative)}" '
+            f'data-source="{name}"></div>'
+            f"<figcaption>{escape_html(chart.caption)}</figcaption>"
             f'<script type="application/json" id="{name}">{text}</script></figure>'
         )
 
@@ -134,7 +135,7 @@ def _panel(panel: Panel) -> dict[str, Any]:
 def _curve(curve: Curve, positive: bool) -> dict[str, Any]:
     out: dict[str, Any] = {
         "label": curve.label,
-        "color": COLOURS[curve.color % len(COLOURS)],
+        "color": COLORS[curve.color % len(COLORS)],
         "x": asdict(curve.x) if isinstance(curve.x, EvenlySpaced) else _column(curve.x, exact=True),
         "y": _column(curve.y, positive),
     }

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from math import isfinite
 from typing import TYPE_CHECKING
 
-from rig.escaping import html
+from rig.escaping import escape_html
 from rig.results import format_number
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ def rig_drawing(scene: Scene) -> str:
     parts += _sensors(scene, tops)
     names = ", ".join(structure.labels)
     return (
-        f'<svg role="img" aria-label="Drawing of the rig: {html(names)}" viewBox="0 0 620 {height}" width="620" '
+        f'<svg role="img" aria-label="Drawing of the rig: {escape_html(names)}" viewBox="0 0 620 {height}" width="620" '
         f'height="{height}" stroke-width="1.3" fill="none">{"".join(parts)}</svg>'
     )
 
@@ -66,7 +66,7 @@ def _body(scene: Scene, body: int, top: float) -> Iterator[str]:
     yield (
         f'<rect class="body" x="{_LEFT}" y="{top:g}" width="{_BODY_WIDTH}" height="{_BODY_HEIGHT}" rx="3" '
         'stroke="currentColor" fill="currentColor" fill-opacity="0.07"/>'
-        f'<text x="{_LEFT + 6}" y="{top + 16:g}">{html(structure.label(body))}{mass}</text>'
+        f'<text x="{_LEFT + 6}" y="{top + 16:g}">{escape_html(structure.label(body))}{mass}</text>'
     )
     stiffness = None if structure.springs is None else structure.springs[body - 1]
     if stiffness:
@@ -106,7 +106,7 @@ def _shaker(shaker: Shaker, y: float, number: int | None) -> Iterator[str]:
     title = {"force": "force", "table": "shaker table", "electrodynamic": "electrodynamic shaker"}[
         shaker.kind
     ]
-    yield f'<text x="4" y="{y - 30:g}">{html(title)}{"" if number is None else f" {number}"}</text>'
+    yield f'<text x="4" y="{y - 30:g}">{escape_html(title)}{"" if number is None else f" {number}"}</text>'
     if shaker.kind != "force":
         coils = "".join(f"l8 {9 if k % 2 else -9}" for k in range(_COILS))
         yield f'<rect x="6" y="{y - 24:g}" width="44" height="48" rx="3" stroke="currentColor"/>'
@@ -128,18 +128,18 @@ def _sensors(scene: Scene, tops: Sequence[float]) -> Iterator[str]:
             x = _LEFT + _BODY_WIDTH
             yield (
                 f'<path stroke="#0072B2" d="M{x} {y:g}h14"/><rect x="{x + 14}" y="{y - 6:g}" width="12" height="12" '
-                f'fill="#0072B2"/><text x="{x + 32}" y="{y + 4:g}">{html(", ".join(names))}</text>'
+                f'fill="#0072B2"/><text x="{x + 32}" y="{y + 4:g}">{escape_html(", ".join(names))}</text>'
             )
         elif place in tables:
             y = tops[tables[place].bodies[0] - 1] + _BODY_HEIGHT / 2
             yield (
                 f'<rect x="22" y="{y - 6:g}" width="12" height="12" fill="#0072B2"/>'
-                f'<text x="4" y="{y + 42:g}">{html(", ".join(names))}</text>'
+                f'<text x="4" y="{y + 42:g}">{escape_html(", ".join(names))}</text>'
             )
         else:
             others.append(f"{', '.join(names)} ({place})")
     if others:
-        yield f'<text x="4" y="{_MARGIN - 6}">Other channels: {html("; ".join(others))}</text>'
+        yield f'<text x="4" y="{_MARGIN - 6}">Other channels: {escape_html("; ".join(others))}</text>'
 
 
 def mode_drawing(shapes: BodyShapes, mode: int, title: str) -> str:
@@ -155,11 +155,11 @@ def mode_drawing(shapes: BodyShapes, mode: int, title: str) -> str:
             f'<rect {box} stroke="currentColor" stroke-opacity="0.4" stroke-dasharray="3 3"/>'
             f'<g class="moving" style="--swing:{_LARGEST_SWING * element:.2f}px">'
             f'<rect {box} stroke="#0072B2" fill="#0072B2" fill-opacity="0.18"/>'
-            f'<text x="30" y="{y + 17}">{html(name)}</text></g>'
+            f'<text x="30" y="{y + 17}">{escape_html(name)}</text></g>'
             f'<text x="{_SHAPE_WIDTH + 32}" y="{y + 17}">{element:+.2f}</text>'
         )
     return (
-        f'<figure><svg role="img" aria-label="Mode shape at {html(title)}" viewBox="0 0 170 {height}" width="170" '
-        f'height="{height}" fill="none">{"".join(parts)}</svg>'
-        f"<figcaption>{html(title)}</figcaption></figure>"
+        f'<figure><svg role="img" aria-label="Mode shape at {escape_html(title)}" viewBox="0 0 170 {height}" '
+        f'width="170" height="{height}" fill="none">{"".join(parts)}</svg>'
+        f"<figcaption>{escape_html(title)}</figcaption></figure>"
     )

@@ -19,9 +19,9 @@ from analysis.reporting.histories import spectrograms, time_histories
 from analysis.reporting.measured import Measured, Measurements
 from analysis.reporting.responses import damper_chart, decay_charts, response_charts
 from analysis.reporting.tables import budget, changes_table, decays, resonances, settings
-from rig.escaping import html
-from rig.output_files import make_ready, replacing
-from rig.provenance import made_from, refuse_others, relative
+from rig.escaping import escape_html
+from rig.output_files import atomic_write, create_folder
+from rig.provenance import output_source, reject_foreign_files, relative_paths
 
 
 def write_report(
@@ -45,7 +45,7 @@ def write_report(
         return (browser / name).read_text(encoding="utf-8")
 
     page = Template(text("page.html")).substitute(
-        title=html(title),
+        title=escape_html(title),
         body=body,
         uplot_css=text("uPlot.min.css"),
         page_css=text("page.css"),
@@ -53,8 +53,8 @@ def write_report(
         charts=text("charts.js"),
     )
     with _page(paths, output) as target:
-        make_ready(target.parent)
-        with replacing(target) as part:
+        create_folder(target.parent)
+        with atomic_write(target) as part:
             part.write_text(page, encoding="utf-8")
     return Result((target,), tuple(sentences), tuple(measurements.warnings))
 
@@ -63,8 +63,8 @@ def write_report(
 def _page(paths: Sequence[Path], output: Path | None) -> Iterator[Path]:
     """Path of the page; writing inside the `with` block follows the overwriting rule of `rig.provenance`."""
     if output is not None and output.suffix.lower() in {".html", ".htm"} and not output.is_dir():
-        with made_from("report", *relative(paths, output.parent)):
-            refuse_others(output)
+        with output_source("report", *relative_paths(paths, output.parent)):
+            reject_foreign_files(output)
             yield output
         return
     with output_stem(paths, output, "report", "html") as stem:
@@ -76,10 +76,10 @@ def _body(measurements: Measurements, paths: Sequence[Path]) -> tuple[list[str],
     found, charts = measurements.all, ChartWriter()
     compared = measurements.changes()
     sentences = answer(found, compared)
-    parts = ['<section class="answer">', *(f"<p>{html(text)}</p>" for text in sentences), "</section>"]
+    parts = ['<section class="answer">', *(f"<p>{escape_html(text)}</p>" for text in sentences), "</section>"]
     parts += [changes_table(compared), resonances(found), decays(found)]
     if measurements.warnings:
-        items = "".join(f"<li>{html(note)}</li>" for note in measurements.warnings)
+        items = "".join(f"<li>{escape_html(note)}</li>" for note in measurements.warnings)
         parts.append(f'<h2>Warnings</h2><ul class="warnings">{items}</ul>')
     responses = [charts.write(chart) for chart in response_charts(found)]
     if responses:
@@ -94,7 +94,7 @@ def _body(measurements: Measurements, paths: Sequence[Path]) -> tuple[list[str],
     parts += _budgets(found)
     for each in found:
         parts += [
-            f"<h2>Recording {html(each.path.name)}</h2>",
+            f"<h2>Recording {escape_html(each.path.name)}</h2>",
             f"<figure>{rig_drawing(each.rec.scene)}</figure>",
         ]
         parts += [settings(each), charts.write(time_histories(each.rec))]
@@ -115,7 +115,7 @@ def _modes(found: Sequence[Measured]) -> list[str]:
                 mode_drawing(bodies, k, f"{frequency:.4g} Hz, damping ratio {modes.damping_text(k)}")
                 for k, frequency in enumerate(modes.frequency)
             ]
-            parts += [f"<h3>{html(each.label)}</h3>", f'<div class="shapes">{"".join(drawings)}</div>']
+            parts += [f"<h3>{escape_html(each.label)}</h3>", f'<div class="shapes">{"".join(drawings)}</div>']
     return ["<h2>Mode shapes</h2>", *parts] if parts else []
 
 
@@ -144,4 +144,8 @@ def _commands(paths: Sequence[Path], found: Sequence[Measured]) -> list[str]:
     made = (
         f"Made with shotrig {version('shotrig')}. The scene file of each recording is above, with its seed."
     )
-    return ["<h2>How to repeat this</h2>", f"<pre>{html(chr(10).join(lines))}</pre>", f"<p>{html(made)}</p>"]
+    return [
+        "<h2>How to repeat this</h2>",
+        f"<pre>{escape_html(chr(10).join(lines))}</pre>",
+        f"<p>{escape_html(made)}</p>",
+    ]

@@ -11,7 +11,7 @@ import numpy as np
 from analysis.damper_motion.comparison import Peak, PeakChange
 from analysis.reporting.measured import Measured
 from analysis.responses.systematic import tolerance
-from rig.escaping import html
+from rig.escaping import escape_html
 from rig.results import format_number, round_to_bound
 from rig.results.response import Response
 
@@ -26,15 +26,15 @@ _NAMED = 5
 def table(caption: str, heading: Sequence[str], rows: Iterable[Sequence[str]], numbers: int = 0) -> str:
     """Write an HTML table with the last `numbers` columns aligned to the right; a row of one cell is a subheading."""
     align = ["" if k < len(heading) - numbers else ' class="number"' for k in range(len(heading))]
-    head = "".join(f"<th{a}>{html(text)}</th>" for a, text in zip(align, heading, strict=True))
+    head = "".join(f"<th{a}>{escape_html(text)}</th>" for a, text in zip(align, heading, strict=True))
     body = ""
     for row in rows:
         if len(row) == 1:
-            body += f'<tr><th class="group" colspan="{len(heading)}">{html(row[0])}</th></tr>'
+            body += f'<tr><th class="group" colspan="{len(heading)}">{escape_html(row[0])}</th></tr>'
             continue
-        cells = "".join(f"<td{a}>{html(cell)}</td>" for a, cell in zip(align, row, strict=True))
+        cells = "".join(f"<td{a}>{escape_html(cell)}</td>" for a, cell in zip(align, row, strict=True))
         body += f"<tr>{cells}</tr>"
-    return f'<div class="wide"><table><caption>{html(caption)}</caption><tr>{head}</tr>{body}</table></div>'
+    return f'<div class="wide"><table><caption>{escape_html(caption)}</caption><tr>{head}</tr>{body}</table></div>'
 
 
 def resonances(measurements: Sequence[Measured]) -> str:
@@ -182,7 +182,8 @@ def settings(measured: Measured) -> str:
         ("seed", str(scene.seed)),
     ]
     about = "".join(
-        f"<tr><th>{html(key)}</th><td class='text'>{html(value)}</td></tr>" for key, value in facts
+        f"<tr><th>{escape_html(key)}</th><td class='text'>{escape_html(value)}</td></tr>"
+        for key, value in facts
     )
     middle = _middle_frequency(measured)
     channels = [
@@ -200,7 +201,7 @@ def settings(measured: Measured) -> str:
     heading = ["channel", "at", "quantity", "sensitivity", "tolerance", "range", f"gain at {middle:.3g} Hz"]
     return (
         f"<table>{about}</table>{table('Channels', heading, channels)}"
-        f"<details><summary>Scene file</summary><pre>{html(scene.to_yaml())}</pre></details>"
+        f"<details><summary>Scene file</summary><pre>{escape_html(scene.to_yaml())}</pre></details>"
     )
 
 

@@ -19,7 +19,7 @@ from analysis.reproduction.contact_study import (
     with_ceiling,
 )
 from analysis.reproduction.figures import BLACK, Parts
-from rig.figure_style import drawing
+from rig.figure_style import new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -45,7 +45,7 @@ def beds(parts: Parts) -> Figure:
             / compliance_on_contact(one, data, parts["contacts"]),
         ),
     )
-    with drawing(2.3 * len(layers), 10.0) as figure:
+    with new_figure(2.3 * len(layers), 10.0) as figure:
         panels = figure.subplots(len(layers), len(columns), squeeze=False, sharex=True, sharey=True)
         for row, depth in zip(panels, layers, strict=True):
             chosen = data["layers"] == depth
@@ -66,7 +66,7 @@ def modes(parts: Parts) -> Figure:
     """Draw the deviation of the compliance with grains from one mass at the other resonances, by depth."""
     own = select(parts["beds"], parts["beds"]["frequency"] != FREQUENCY)
     frequencies, layers = np.unique(own["frequency"]), np.unique(own["layers"])
-    with drawing(2.3 * len(layers), 4.0 * len(frequencies)) as figure:
+    with new_figure(2.3 * len(layers), 4.0 * len(frequencies)) as figure:
         panels = figure.subplots(len(layers), len(frequencies), squeeze=False)
         for (row, depth), (column, frequency) in product(enumerate(layers), enumerate(frequencies)):
             axes, data = panels[row, column], select(own, own["frequency"] == frequency)

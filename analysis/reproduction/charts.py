@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from analysis.reproduction.figures import BLACK, BLUE, GREEN, GREY, RED, Parts
-from rig.figure_style import drawing
+from rig.figure_style import new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,7 +20,7 @@ def region(parts: Parts) -> Figure:
     """Draw the region in which three dampers reduce the single damper's peak by a factor of 2.5 to 4."""
     single, three = parts["scan-single"], parts["scan-three"]
     ratio = single["peak"] / three["peak"]
-    with drawing(4.0) as figure:
+    with new_figure(4.0) as figure:
         axes = figure.subplots()
         image = _map(axes, single, ratio, "viridis", 1.0, 5.0)
         _numbers(axes, ratio, "{:.1f}")
@@ -47,7 +47,7 @@ def holds_c2(parts: Parts) -> np.ndarray:
 
 def design(parts: Parts) -> Figure:
     """Draw the design chart: peak compliance and motion type at the peak, over clearance and force."""
-    with drawing(6.8) as figure:
+    with new_figure(6.8) as figure:
         rows = figure.subplots(2, 1)
         for axes, name, title in (
             (rows[0], "scan-single", "Third mode, one damper in body 2"),
@@ -82,7 +82,7 @@ def short(types: np.ndarray) -> np.ndarray:
 def trust(parts: Parts) -> Figure:
     """Draw the error of the approximate method: its peak compared with the full simulation."""
     error = trust_error(parts)
-    with drawing(3.8) as figure:
+    with new_figure(3.8) as figure:
         axes = figure.subplots()
         image = _map(axes, parts["scan-single"], error, "RdBu_r", -30.0, 30.0)
         for (i, j), value in np.ndenumerate(error):
@@ -101,7 +101,7 @@ def trust_error(parts: Parts) -> np.ndarray:
 
 def optimum(parts: Parts) -> Figure:
     """Draw the worst peak over a range of forces against clearance, for several mass ratios."""
-    with drawing(3.8) as figure:
+    with new_figure(3.8) as figure:
         axes = figure.subplots()
         names = sorted(name for name in parts if name.startswith("best-"))
         for name, shade in zip(names, (BLUE, GREEN, RED), strict=False):

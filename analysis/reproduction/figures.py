@@ -9,7 +9,7 @@ import numpy as np
 
 from analysis.decays.free_decay import outline
 from analysis.reproduction.parts import FIGURE_5
-from rig.figure_style import COLOURS, decades, drawing, frequency_axis, plain_logarithmic
+from rig.figure_style import COLORS, frequency_axis, log_axis, new_figure, set_log_scale
 from rig.scene.scene import STANDARD_GRAVITY
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 Parts = Mapping[str, Mapping[str, np.ndarray]]
 
-BLUE, RED, GREEN, PINK, SKY, ORANGE, GREY, BLACK = COLOURS
+BLUE, RED, GREEN, PINK, SKY, ORANGE, GREY, BLACK = COLORS
 # Natural frequency of the first mode, Hz; it determines the window of the envelope.
 LOWEST = 12.4
 _UNDER_WAVES = "time / ms     (solid: body and floor; dashed: damper; shaded: cavity)"
@@ -28,19 +28,19 @@ COMPLIANCE = "compliance |X/F₁| / (µm/N)"
 def figure_4(parts: Parts) -> Figure:
     """Draw Fig 4b: frequency responses of the three bodies without dampers, per force and per table motion."""
     theory, measured = parts["structure"], parts["rec-bare"]
-    with drawing(6.6) as figure:
+    with new_figure(6.6) as figure:
         upper, lower = figure.subplots(2, 1)
         for body in range(3):
-            upper.plot(theory["frequency"], abs(theory["compliance"][body]), color=COLOURS[body], lw=0.9)
+            upper.plot(theory["frequency"], abs(theory["compliance"][body]), color=COLORS[body], lw=0.9)
             upper.plot(
-                measured["frequency"], abs(measured["compliance"][body]), "o", color=COLOURS[body], ms=2.2,
+                measured["frequency"], abs(measured["compliance"][body]), "o", color=COLORS[body], ms=2.2,
                 label=f"body {body + 1}",
             )  # fmt: skip
             lower.plot(
                 measured["frequency"],
                 abs(measured["transfer"][body]),
                 "o-",
-                color=COLOURS[body],
+                color=COLORS[body],
                 ms=2.2,
                 lw=0.7,
             )
@@ -50,9 +50,9 @@ def figure_4(parts: Parts) -> Figure:
                 f"{omega:.1f} rad/s", (omega / (2 * np.pi), 0.0), xycoords=("data", "axes fraction"),
                 xytext=(3, 4), textcoords="offset points", va="bottom", ha="left", fontsize=7.5, rotation=90,
             )  # fmt: skip
-        decades(upper, [abs(measured["compliance"])])
-        plain_logarithmic(upper.yaxis, factor=1e6)
-        decades(lower, [abs(measured["transfer"])])
+        log_axis(upper, [abs(measured["compliance"])])
+        set_log_scale(upper.yaxis, factor=1e6)
+        log_axis(lower, [abs(measured["transfer"])])
         upper.set_title("Fig 4b: no dampers. Dots: recording; lines: exact")
         upper.set_ylabel(COMPLIANCE)
         lower.set_title("The same recording, per table motion: the coil spring shifts the peaks")
@@ -66,7 +66,7 @@ def figure_4(parts: Parts) -> Figure:
 def figure_5(parts: Parts) -> Figure:
     """Draw Fig 5: one damper against three with one clearance, third mode."""
     single, three, theory = parts["sim-fig5-single"], parts["sim-fig5-three"], parts["structure"]
-    with drawing(4.4) as figure:
+    with new_figure(4.4) as figure:
         axes = figure.subplots()
         inside = (theory["frequency"] >= 45) & (theory["frequency"] <= 54)
         axes.plot(
@@ -84,10 +84,10 @@ def figure_5(parts: Parts) -> Figure:
                 f"{letter} ({wave['type']})", (float(wave["frequency"]), height), textcoords="offset points",
                 xytext=(6, 2) if letter == "a" else (-12, -14),
             )  # fmt: skip
-        decades(axes, [abs(single["compliance"][1]), abs(three["compliance"][1]), [6.5e-4]], most=2.0)
+        log_axis(axes, [abs(single["compliance"][1]), abs(three["compliance"][1]), [6.5e-4]], most=2.0)
         axes.set_xlim(45, 54)
         axes.set_xlabel("frequency / Hz")
-        plain_logarithmic(axes.yaxis, factor=1e6)
+        set_log_scale(axes.yaxis, factor=1e6)
         axes.set_ylabel("compliance of body 2 |X₂/F₁| / (µm/N)")
         force, clearance = FIGURE_5
         axes.set_title(
@@ -99,7 +99,7 @@ def figure_5(parts: Parts) -> Figure:
 
 def figure_3(parts: Parts) -> Figure:
     """Draw Fig 3: the types of motion of one body with a damper."""
-    with drawing(6.6) as figure:
+    with new_figure(6.6) as figure:
         for axes, kind in zip(figure.subplots(3, 1, sharex=True), ("I", "II", "III"), strict=True):
             _wave(axes, parts[f"type-{kind}"])
             axes.set_title(f"Type {kind}: clearance {1e3 * parts[f'type-{kind}']['clearance'][0]:g} mm")
@@ -109,7 +109,7 @@ def figure_3(parts: Parts) -> Figure:
 
 def figure_6(parts: Parts) -> Figure:
     """Draw Fig 6: waveforms at the points a, b and c of Fig 5."""
-    with drawing(6.6) as figure:
+    with new_figure(6.6) as figure:
         for axes, letter in zip(figure.subplots(3, 1), "abc", strict=True):
             wave = parts[f"wave-{letter}"]
             _wave(axes, wave)
@@ -124,7 +124,7 @@ def _wave(axes: Axes, wave: Mapping[str, np.ndarray]) -> None:
     t = 1e3 * wave["time"]
     for k, body in enumerate(wave["at"]):
         floor = 1e3 * wave["body"][body]
-        shade = COLOURS[int(body)]
+        shade = COLORS[int(body)]
         axes.fill_between(t, floor, floor + 1e3 * wave["clearance"][k], color=shade, alpha=0.10, lw=0)
         axes.plot(t, floor, color=shade, label=f"body {body + 1}: {wave['types'][k]}")
         axes.plot(t, floor + 1e3 * wave["gap"][k], color=shade, lw=0.9, ls="--")
@@ -139,7 +139,7 @@ def figure_8(parts: Parts) -> Figure:
         ("rec-bare", "A: no damper", GREY), ("rec-one", "B: one (body 1)", RED), ("rec-two", "C: two", ORANGE),
         ("rec-three", "D: three", BLUE),
     )  # fmt: skip
-    with drawing(4.8) as figure:
+    with new_figure(4.8) as figure:
         axes = figure.subplots()
         for name, label, shade in curves:
             data = parts[name]
@@ -153,9 +153,9 @@ def figure_8(parts: Parts) -> Figure:
                 label=label,
                 lw=1.2,
             )
-        decades(axes, [abs(parts["rec-bare"]["compliance"][2])])
+        log_axis(axes, [abs(parts["rec-bare"]["compliance"][2])])
         frequency_axis(axes, 8.0, 60.0, True)
-        plain_logarithmic(axes.yaxis, factor=1e6)
+        set_log_scale(axes.yaxis, factor=1e6)
         axes.set_ylabel("compliance of body 3 |X₃/F₁| / (µm/N)")
         axes.set_title("Fig 8: recordings; mass ratio 10 %, no ceiling, force 2.6 N")
         axes.legend(loc="lower left")
@@ -165,7 +165,7 @@ def figure_8(parts: Parts) -> Figure:
 def figure_9(parts: Parts) -> Figure:
     """Draw Fig 9: one damper in body 2, third mode: approximate method, exact orbits, recording."""
     approximate, exact, measured = parts["approx-fig9"], parts["orbit-fig9"], parts["rec-fig9"]
-    with drawing(7.6) as figure:
+    with new_figure(7.6) as figure:
         upper, lower = figure.subplots(2, 1, height_ratios=[1.1, 1], sharex=True)
         upper.plot(
             approximate["line"], abs(approximate["bare"]), color=GREY, lw=0.8, ls="--", label="no damper"
@@ -224,7 +224,7 @@ def figure_9(parts: Parts) -> Figure:
 def figure_10a(parts: Parts) -> Figure:
     """Draw Fig 10a: simulation against experiment, three dampers."""
     simulated, measured = parts["sim-three"], parts["rec-three"]
-    with drawing(5.4) as figure:
+    with new_figure(5.4) as figure:
         upper, lower = figure.subplots(2, 1, height_ratios=[2, 1])
         upper.plot(simulated["frequency"], abs(simulated["compliance"][0]), color=BLUE, label="simulation")
         upper.plot(
@@ -239,8 +239,8 @@ def figure_10a(parts: Parts) -> Figure:
             alpha=0.3,
             lw=0,
         )
-        decades(upper, [abs(simulated["compliance"][0])])
-        plain_logarithmic(upper.yaxis, factor=1e6)
+        log_axis(upper, [abs(simulated["compliance"][0])])
+        set_log_scale(upper.yaxis, factor=1e6)
         upper.set_ylabel("compliance of body 1 |X₁/F₁| / (µm/N)")
         upper.set_title("Fig 10a: three dampers, mass ratio 10 %, no ceiling, force 2.6 N")
         upper.legend(loc="lower left")
@@ -264,7 +264,7 @@ def figure_10a(parts: Parts) -> Figure:
 
 def figure_10b(parts: Parts) -> Figure:
     """Draw Fig 10b: free decay of body 3's acceleration after a hit on body 1."""
-    with drawing(4.2) as figure:
+    with new_figure(4.2) as figure:
         axes = figure.subplots()
         for name, shade, label in (
             ("rec-hit-none", GREY, "no damper"),

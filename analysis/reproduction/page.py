@@ -11,8 +11,8 @@ import numpy as np
 
 from analysis.reproduction.claim import Claim, Evidence
 from analysis.reproduction.figures import Parts
-from rig.escaping import html
-from rig.output_files import replacing
+from rig.escaping import escape_html
+from rig.output_files import atomic_write
 
 TITLE = "The paper, reproduced"
 INTRODUCTION = (
@@ -59,10 +59,10 @@ def write_pages(folder: Path, judged: Sequence[Claim], parts: Parts) -> list[Pat
     written = []
     for name, text in (
         ("index.md", _markdown(judged, beyond)),
-        ("index.html", page.substitute(title=html(TITLE), body=_html(judged, beyond))),
+        ("index.html", page.substitute(title=escape_html(TITLE), body=_html(judged, beyond))),
     ):
         target = folder / name
-        with replacing(target) as part:
+        with atomic_write(target) as part:
             part.write_text(text, encoding="utf-8")
         written.append(target)
     return written
@@ -165,22 +165,24 @@ def _markdown(judged: Sequence[Claim], beyond: Sequence[Evidence]) -> str:
 def _html(judged: Sequence[Claim], beyond: Sequence[Evidence]) -> str:
     def items(all_evidence: Sequence[Evidence]) -> str:
         return "".join(
-            f"<li>{html(e.text)}" + (f" <code>{html(command(e.parts))}</code>" if e.parts else "") + "</li>"
+            f"<li>{escape_html(e.text)}"
+            + (f" <code>{escape_html(command(e.parts))}</code>" if e.parts else "")
+            + "</li>"
             for e in all_evidence
         )
 
     rows = "".join(
-        f"<tr><td><a href='#{c.name}'>{c.name}</a></td><td>{html(c.verdict)}</td>"
-        f"<td><code>{html(command(_parts(c)))}</code></td></tr>"
+        f"<tr><td><a href='#{c.name}'>{c.name}</a></td><td>{escape_html(c.verdict)}</td>"
+        f"<td><code>{escape_html(command(_parts(c)))}</code></td></tr>"
         for c in judged
     )
     out = [
-        f"<p>{html(INTRODUCTION)}</p><table><tr><th>claim</th><th>verdict</th><th>command</th></tr>{rows}</table>"
+        f"<p>{escape_html(INTRODUCTION)}</p><table><tr><th>claim</th><th>verdict</th><th>command</th></tr>{rows}</table>"
     ]
     for c in judged:
         out.append(
-            f"<h2 id='{c.name}'>{c.name}</h2><blockquote>{html(c.text)}</blockquote>"
-            f"<p><strong>{html(c.verdict)}</strong></p><ul>{items(c.evidence)}</ul>{_images(c.figures)}"
+            f"<h2 id='{c.name}'>{c.name}</h2><blockquote>{escape_html(c.text)}</blockquote>"
+            f"<p><strong>{escape_html(c.verdict)}</strong></p><ul>{items(c.evidence)}</ul>{_images(c.figures)}"
         )
     out.append(f"<h2>Beyond the paper</h2><ul>{items(beyond)}</ul>{_images(BEYOND)}")
     return "\n".join(out)
@@ -189,6 +191,6 @@ def _html(judged: Sequence[Claim], beyond: Sequence[Evidence]) -> str:
 def _images(names: Sequence[str]) -> str:
     return "".join(
         f"<figure><img src='{name}.png' "
-        f"alt='{html(CAPTIONS[name])}'><figcaption>{html(CAPTIONS[name])}</figcaption></figure>"
+        f"alt='{escape_html(CAPTIONS[name])}'><figcaption>{escape_html(CAPTIONS[name])}</figcaption></figure>"
         for name in names
     )

@@ -15,8 +15,8 @@ from analysis.reproduction.page import write_pages
 from analysis.reproduction.parts import all_parts
 from analysis.reproduction.store import Arrays, PaperPart, remove_partial
 from rig.errors import SceneError
-from rig.figure_style import save
-from rig.provenance import made_from
+from rig.figure_style import save_figure
+from rig.provenance import output_source
 from rig.workers import Workers, cores
 
 if TYPE_CHECKING:
@@ -79,9 +79,9 @@ def reproduce(
             progress.add(part)
     files: list[Path] = []
     judged = claims(stored)
-    with made_from("paper"):
+    with output_source("paper"):
         for name, draw in FIGURES.items():
-            files += save(draw(stored), folder / name)
+            files += save_figure(draw(stored), folder / name)
         files += write_pages(folder, judged, stored)
     for claim in judged:
         say(f"  {claim.name}: {claim.verdict}")

@@ -18,7 +18,7 @@ from daq.importing.files import signals_of
 from daq.importing.units import meaning
 from rig.arrays import Array
 from rig.errors import RecordingError, SceneError
-from rig.input_files import path_of
+from rig.input_files import as_path
 from rig.results.response import MOTIONS, Response, stack
 from rig.results.universal_file import DEVIATION_LINE, FRF, GENERAL, RESOLUTION_LINE
 from rig.scene.quantities import FREQUENCY
@@ -79,7 +79,7 @@ def read_frfs(path: str | Path, reference: str | None = None, unit: str | None =
     >>> tip.name, tip.value.round(3).tolist()
     ('accelerance', [(9.807+0j), -19.613j])
     """
-    file = path_of(path)
+    file = as_path(path)
     if not file.is_file():
         raise RecordingError(f"{file}: no such file")
     if file.suffix.lower() in (".uff", ".unv"):

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from rig.errors import SceneError
-from rig.input_files import read_whole
+from rig.input_files import read_file
 from rig.scene.quantities import FREQUENCY, TIME, parse
 from rig.scene.yaml_reader import read
 
@@ -44,7 +44,7 @@ _KEYS = [field.name for field in fields(Column)]
 def read_table(path: Path) -> dict[str, Column]:
     """Read a YAML or CSV table into a column for each channel name; raise `SceneError` with all mistakes at once."""
     try:
-        text = read_whole(path).decode("utf-8-sig")
+        text = read_file(path).decode("utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise SceneError(f"cannot read {path}: {getattr(error, 'strerror', None) or error}") from None
     rows = _from_csv(path, text) if path.suffix.lower() == ".csv" else _from_yaml(path, text)

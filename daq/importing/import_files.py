@@ -24,9 +24,9 @@ from daq.recording.recording import open as open_recording
 from daq.recording.timebase import refuse_reversed
 from rig.arrays import Array
 from rig.errors import RecordingError, RunWarning, SceneError, ShotrigError
-from rig.input_files import path_of, repeated
+from rig.input_files import as_path, duplicate_files
 from rig.numerics.runs import runs_of
-from rig.output_files import destination, replacing
+from rig.output_files import atomic_write, resolve_output
 from rig.scene.excitation import Free, Impulse, Multisine, Random, Sine, SteppedSine, SweptSine
 from rig.scene.loading import SceneLike, load
 from rig.scene.scene import Scene
@@ -122,10 +122,10 @@ def import_files(
     """
     bench = load(scene)
     named = [files] if isinstance(files, str | Path) or not isinstance(files, Sequence) else files
-    paths = [path_of(file, "files") for file in named]
-    target = path_of(path)
+    paths = [as_path(file, "files") for file in named]
+    target = as_path(path)
     columns = table if isinstance(table, Mapping) else {} if table is None else read_table(Path(table))
-    for first, again in repeated(paths):
+    for first, again in duplicate_files(paths):
         raise RecordingError(f"{again}: the same content as {first}. Give each file once.")
     with ExitStack() as stack:
         signals = [signal for file in paths for signal in signals_of(file, stack)]
@@ -135,7 +135,7 @@ def import_files(
             # A recording of the same files may be replaced.
             names = ", ".join(file.name for file in paths)
             replaces |= bool(recording.source) and recording.source in names
-        destination(target, replaces, RecordingError)
+        resolve_output(target, replaces, RecordingError)
         chosen, notes = choose(bench, signals, columns)
         notes += contradicted_units(chosen)
         rate = _common_rate(chosen, bench)
@@ -295,7 +295,7 @@ class _Import:
         start_ns = max(each.signal.start_ns for each in self._assigned)
         start_ns += round(self._assigned[0].signal.start_s * 1e9) if start_ns else 0
         with (
-            replacing(path, overwrite or None) as part,
+            atomic_write(path, overwrite or None) as part,
             Recorder(part, self._scene, self._infos, self._rate, max(start_ns, 0), source=source) as recorder,
         ):
             for first in range(0, self._samples, _PIECE_SAMPLES):

@@ -16,7 +16,7 @@ from daq.recording.recording import Recording
 from daq.recording.recording import open as open_recording
 from rig.console import progress
 from rig.errors import RunWarning
-from rig.escaping import shown
+from rig.escaping import escape_terminal
 from rig.scene.scene import Scene
 
 
@@ -33,7 +33,7 @@ def listing(files: Sequence[Path]) -> Iterator[str]:
 
 
 def _quoted(text: str) -> str:
-    return shown(json.dumps(text, ensure_ascii=False))
+    return escape_terminal(json.dumps(text, ensure_ascii=False))
 
 
 def import_and_report(

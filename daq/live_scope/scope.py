@@ -19,7 +19,7 @@ from daq.recording.recorded_test import TestKind
 from daq.viewing.outputs import recording_stream, server, window
 from daq.virtual_bench.bench import Bench
 from rig.errors import SceneError
-from rig.input_files import path_of
+from rig.input_files import as_path
 from rig.scene.loading import SceneLike, load
 
 if TYPE_CHECKING:
@@ -151,7 +151,7 @@ def scope(
     RunError
         If there is no display, a channel exceeds its abort limit, or the recording cannot be written.
     """
-    what, target = load(scene), path_of(path)
+    what, target = load(scene), as_path(path)
     knobs = knobs_for(what, frequency, force)
 
     def obey() -> None:

@@ -14,7 +14,7 @@ from daq.drawing.rig_view import Extremes, RigPose, RigView, exaggeration
 from daq.excitation.manual_tone import ToneReading
 from daq.viewing.blueprint import live_layout
 from daq.viewing.viewer_stream import Traces, plots
-from rig.escaping import markdown
+from rig.escaping import escape_markdown
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -124,7 +124,7 @@ def page(reading: ToneReading) -> str:
         figures = f"{abs(ratio) * 1e3:.4g} mm/N | {math.degrees(cmath.phase(ratio)):.1f}°"
         if not reading.held:
             figures = "- | -"
-        lines.append(f"| {markdown(name)} | {abs(moved) * 1e3:.4g} mm | {figures} |")
+        lines.append(f"| {escape_markdown(name)} | {abs(moved) * 1e3:.4g} mm | {figures} |")
     return "\n".join(lines) + "\n"
 
 

@@ -21,10 +21,10 @@ from daq.recording.recorder import Recorder
 from daq.signal_chain.channel import ChannelInfo
 from daq.virtual_bench.stream import Block
 from rig.arrays import Array
-from rig.ending_signals import interruptible
+from rig.ending_signals import interrupt_flag
 from rig.errors import RecordingError, RunError, SceneError, ShotrigError
 from rig.errors import RunWarning as RunWarning  # public as daq.RunWarning
-from rig.input_files import path_of
+from rig.input_files import as_path
 from rig.numerics.runs import runs_of
 from rig.scene.loading import SceneLike, load
 from rig.scene.scene import Scene
@@ -90,7 +90,7 @@ def record(
     if block is not None and block < 1:
         raise SceneError(f"block: got {block} samples; expected 1 or more.")
     what = load(scene)
-    target = path_of(path)
+    target = as_path(path)
     check_resources(estimate(what), target)
     return MeasurementRun(what, target, block, progress).run(overwrite)
 
@@ -135,7 +135,7 @@ class MeasurementRun(BenchLoop):
             # Interrupts are deferred while the file is created and while it is completed: otherwise it would be
             # invalid.
             with (
-                interruptible() as self._interrupted,
+                interrupt_flag() as self._interrupted,
                 Recorder(
                     path, bench.scene, bench.channels, bench.rate, overwrite=overwrite, test_kind=self._kind
                 ) as recorder,

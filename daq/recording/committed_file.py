@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import IO
 
 from rig.errors import RecordingError, RunError
-from rig.output_files import destination, put_in_place
+from rig.output_files import rename_complete, resolve_output
 
 # Pieces that are joined for one write: all pieces of thousands of channels would be in memory twice.
 _AT_ONCE = 256
@@ -37,7 +37,7 @@ class Disk:
         self.failed = self._whole = False
         self._waiting: list[bytes] = []
         self._committed = self._end = 0
-        self._final = self.at = destination(path, overwrite, RecordingError)
+        self._final = self.at = resolve_output(path, overwrite, RecordingError)
         try:
             self._old = self._final.open("rb") if self._final.exists() else None
             if self._old is not None:
@@ -95,7 +95,7 @@ class Disk:
         # Windows cannot replace an open file: another process that locks the old file now will replace the new one.
         self.close()
         try:
-            put_in_place(self.at, self._final, overwrite=True)
+            rename_complete(self.at, self._final, overwrite=True)
         except OSError as error:
             raise RunError(
                 f"{self.path}: cannot replace ({error.strerror}). Use the new recording {self.at}."

@@ -21,9 +21,9 @@ from daq.recording.truth import dampers_of, points_of
 from daq.signal_chain.channel import UNITS, ChannelInfo
 from daq.signal_chain.field_checks import NAME, check
 from rig.arrays import Array
-from rig.errors import RecordingError, ShotrigError, naming
-from rig.escaping import html
-from rig.input_files import path_of
+from rig.errors import RecordingError, ShotrigError, add_path
+from rig.escaping import escape_html
+from rig.input_files import as_path
 from rig.results import Result, complete_style
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ class Recording(Result):
     """
 
     def __init__(self, path: str | Path) -> None:
-        self.path = path_of(path)
+        self.path = as_path(path)
         self._container = Container(self.path)
         try:
             self._find_series()
@@ -160,7 +160,7 @@ class Recording(Result):
         channels = [
             f"  {name}: {info.quantity} of {info.at}, {info.unit}" for name, info in self.channels.items()
         ]
-        return f"<pre>{html(chr(10).join([self.summary(), *channels]))}</pre>"
+        return f"<pre>{escape_html(chr(10).join([self.summary(), *channels]))}</pre>"
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Time, and all samples of each channel in its unit; lost samples are NaN."""
@@ -291,7 +291,7 @@ class Recording(Result):
     @cached_property
     def markers(self) -> list[Marker]:
         """The markers of the test, by their first samples."""
-        with naming(self.path):
+        with add_path(self.path):
             found = [Marker.from_json(data) for data in self._messages(layout.MARKERS)]
         return sorted(
             (marker for marker in found if marker.kind != "start"), key=lambda marker: marker.first_sample
@@ -303,7 +303,7 @@ class Recording(Result):
         if layout.MARKERS not in self._topics:
             holes = [(*hole, name) for name, series in self._series.items() for hole in series.holes()]
             return [Gap(first, stop - 1, (name,), "missing") for first, stop, name in sorted(holes)]
-        with naming(self.path):
+        with add_path(self.path):
             return gaps_of(self.markers, list(self.channels))
 
     @property
@@ -314,7 +314,7 @@ class Recording(Result):
     @cached_property
     def events(self) -> NDArray[Any]:
         """True changes of contact: fields `time` [s], `damper` (from 1), `kind` and `speed` [m/s]."""
-        with naming(self.path):
+        with add_path(self.path):
             found = [event_from_json(data) for data in self._messages(layout.EVENTS)]
         return np.array(found, dtype=EVENT_TYPE)
 

@@ -24,8 +24,8 @@ from daq.recording.markers import Marker
 from daq.recording.sample_block import SAMPLE_TYPE, decode
 from daq.recording.timebase import Timebase
 from rig.errors import RecordingError
-from rig.escaping import shown
-from rig.input_files import path_of
+from rig.escaping import escape_terminal
+from rig.input_files import as_path
 
 if TYPE_CHECKING:
     from mcap.records import Attachment, Channel, Metadata, Schema
@@ -99,7 +99,7 @@ def recover(path: str | Path, fixed: str | Path, overwrite: bool = False) -> Sal
     DiskError
         If the disk has no room for the new file, or fails.
     """
-    source, target = path_of(path), path_of(fixed, "fixed")
+    source, target = as_path(path), as_path(fixed, "fixed")
     if source.exists() and target.exists() and source.samefile(target):
         raise RecordingError(f"{source}: cannot be recovered into itself. Give another name with -o.")
     with DamagedFile(source) as damaged:
@@ -306,7 +306,7 @@ class _Salvage:
             earlier = {} if outcome is None else {key: outcome.get(key, "") for key in ("status", "reason")}
             outcome = checked(
                 {f"before.{key}": text for key, text in earlier.items()}
-                | {"status": "recovered", "reason": f"recovered from {shown(self._source.name)}"}
+                | {"status": "recovered", "reason": f"recovered from {escape_terminal(self._source.name)}"}
                 | {"samples": str(max(span[-1][1] for span in self._spans.values() if span))}
                 | {"report": json.dumps(list(salvage.report()))}
             )

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from types import FrameType, TracebackType
 from typing import Any, Self
 
-from rig.ending_signals import answered
+from rig.ending_signals import handle_interrupts
 
 # Time between the request to end and the kill of a script, s.
 PATIENCE = 1.0
@@ -75,7 +75,7 @@ def signals_passed_on(process: subprocess.Popen[Any]) -> Iterator[None]:
                 elif os.name == "posix" and not witness.heard():
                     process.send_signal(number)
 
-            with answered(pass_on):
+            with handle_interrupts(pass_on):
                 yield
     finally:
         end.cancel()

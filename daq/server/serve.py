@@ -25,9 +25,9 @@ from daq.server.served_instrument import Limits
 from daq.server.service import Server
 from daq.server.starter_script import starter_script
 from daq.signal_chain.outputs import volt_effect
-from rig.ending_signals import ENDINGS
+from rig.ending_signals import TERMINATION_SIGNALS
 from rig.errors import SceneError
-from rig.input_files import read_whole
+from rig.input_files import read_file
 from rig.scene.scene import Scene
 
 
@@ -49,7 +49,7 @@ class Certificates:
         texts = []
         for path in (self.key, self.certificate, *([] if self.clients is None else [self.clients])):
             try:
-                texts.append(read_whole(path))
+                texts.append(read_file(path))
             except OSError as error:
                 raise SceneError(f"cannot read {path}: {error.strerror}. Give a PEM file.") from None
         root = None if self.clients is None else texts[2]
@@ -192,7 +192,9 @@ def wait_for_signal() -> None:
     ended = threading.Event()
     # Under nohup the server must continue.
     heard = [
-        each for each in ENDINGS if each == signal.SIGINT or signal.getsignal(each) is not signal.SIG_IGN
+        each
+        for each in TERMINATION_SIGNALS
+        if each == signal.SIGINT or signal.getsignal(each) is not signal.SIG_IGN
     ]
     before = {each: signal.signal(each, lambda *_: ended.set()) for each in heard}
     try:

@@ -25,7 +25,7 @@ from daq.server.discovery import Discovery
 from daq.server.protocol import SERVICE, SESSION_SERVICE, Method, decode, encode, methods
 from daq.server.served_instrument import Limits, ServedInstrument, cut, error_text
 from daq.server.sessions import SessionExists
-from rig.command_line import unexpected
+from rig.command_line import describe_unexpected
 
 if TYPE_CHECKING:
     from daq.instrument.chassis import Chassis
@@ -143,7 +143,7 @@ class Server:
             # Details of equal errors are printed only once.
             kind = name, type(error)
             if kind not in self._faults:
-                self._faults[kind] = unexpected(error)
+                self._faults[kind] = describe_unexpected(error)
                 print(self._faults[kind], file=sys.stderr, flush=True)
             context.set_trailing_metadata((("ni-error", str(int(Code.INVALID_ATTRIBUTE_VALUE))),))
             context.abort(grpc.StatusCode.INVALID_ARGUMENT, cut(f"{name}: {self._faults[kind]}"))

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 from rig.errors import RecordingError
-from rig.escaping import is_line
+from rig.escaping import is_single_line
 
 LONGEST_NAME = 200
 # Numbers up to this are exact as floats, which sample numbers become when times are computed from them.
@@ -53,7 +53,7 @@ def is_name(value: Any) -> bool:
     >>> is_name("body 1"), is_name(""), is_name("a\x1b[31m"), is_name("a" * 1000)
     (True, False, False, False)
     """
-    return isinstance(value, str) and 0 < len(value) <= LONGEST_NAME and is_line(value)
+    return isinstance(value, str) and 0 < len(value) <= LONGEST_NAME and is_single_line(value)
 
 
 def is_count(value: Any) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from rig.escaping import fenced, markdown
+from rig.escaping import code_fence, escape_markdown
 
 if TYPE_CHECKING:
     from daq.drawing.rig_view import RigView
@@ -17,11 +17,14 @@ def about(recording: Recording, motion: RecordedMotion, view: RigView) -> str:
     """Describe a recording in Markdown."""
     scene, rate = recording.scene, recording.rate
     lines = [
-        f"# {markdown(scene.name)}",
+        f"# {escape_markdown(scene.name)}",
         f"{recording.samples / rate:.3f} s at {rate:g} Hz, {len(recording.channels)} channels",
         "",
         f"## In the drawing, motion is {view.magnification:g} times as large",
-        *[f"- {markdown(source.point)}: {markdown(source.sentence)}" for source in motion.sources],
+        *[
+            f"- {escape_markdown(source.point)}: {escape_markdown(source.sentence)}"
+            for source in motion.sources
+        ],
     ]
     if scene.dampers:
         source = "recorded truth"
@@ -45,10 +48,11 @@ def about(recording: Recording, motion: RecordedMotion, view: RigView) -> str:
     lines += ["", "## Channels", "| channel | at | quantity | unit | V per unit |", "|---|---|---|---|---|"]
     for name, info in recording.channels.items():
         lines.append(
-            f"| {markdown(name)} | {markdown(info.at)} | {info.quantity} | {info.unit} | {info.sensitivity:.4g} |"
+            f"| {escape_markdown(name)} | {escape_markdown(info.at)} | {info.quantity} | {info.unit} "
+            f"| {info.sensitivity:.4g} |"
         )
     if recording.gaps:
         lost = sum(gap.last_sample + 1 - gap.first_sample for gap in recording.gaps)
         lines += ["", f"**{lost} samples lost, in {len(recording.gaps)} gap(s)** (see the markers)"]
-    lines += ["", "## Scene", fenced(scene.to_yaml().rstrip(), "yaml")]
+    lines += ["", "## Scene", code_fence(scene.to_yaml().rstrip(), "yaml")]
     return "\n".join(lines) + "\n"

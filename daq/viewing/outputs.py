@@ -26,10 +26,10 @@ from daq.viewing.rerun_viewer import (
     picture,
     viewer,
 )
-from rig.console import waiting
+from rig.console import pause_reports
 from rig.errors import RunError, SceneError
-from rig.output_files import replacing
-from rig.provenance import made_from, may_overwrite, refuse_others, relative
+from rig.output_files import atomic_write
+from rig.provenance import may_overwrite, output_source, reject_foreign_files, relative_paths
 
 APPLICATION = "shotrig"
 WITHOUT_DISPLAY = "use --web to look with a browser, --screenshot FILE.png for a picture, or --save FILE.rrd"
@@ -48,7 +48,7 @@ def save(replay: Replay, file: Path, progress: Progress | None = None) -> None:
     """
     _need_suffix(file, ".rrd", "--save")
 
-    with replacing(file, may_overwrite()) as part, _stream_into(part) as (stream, check):
+    with atomic_write(file, may_overwrite()) as part, _stream_into(part) as (stream, check):
 
         def drain() -> None:
             stream.flush(timeout_sec=SINK_S)
@@ -119,16 +119,16 @@ def photograph(
         raise SceneError(
             f"--at {at:g} s lies outside the replay ({replay.start / rate:g} s to {replay.stop / rate:g} s)"
         )
-    source = ("replay", *relative([replay.recording.path], file.parent))
-    with made_from(*source):
-        refuse_others(file)
+    source = ("replay", *relative_paths([replay.recording.path], file.parent))
+    with output_source(*source):
+        reject_foreign_files(file)
     with tempfile.TemporaryDirectory(prefix="shotrig-") as folder:
         drawn = Path(folder) / "replay.rrd"
         save(replay, drawn, progress)
         png, views = picture(
             drawn, at - replay.start / rate, size, (replay.stop - 1 - replay.start) / rate, LAST
         )
-    with made_from(*source), replacing(file) as part:
+    with output_source(*source), atomic_write(file) as part:
         part.write_bytes(png)
     problems = [f"{view.name}: {report.summary}" for view in views for report in view.reports]
     if problems:
@@ -159,7 +159,7 @@ def show(replay: Replay, viewing: AbstractContextManager[Viewer], progress: Prog
             except RuntimeError as error:
                 if running.process.poll() is None:
                     raise RunError(f"the rerun viewer stopped taking data: {error}") from error
-        with waiting():
+        with pause_reports():
             running.process.wait()
 
 

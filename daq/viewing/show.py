@@ -10,8 +10,8 @@ from daq.recording.recording import Recording
 from daq.viewing import outputs
 from daq.viewing.replay import Progress, Replay
 from rig.errors import SceneError
-from rig.input_files import path_of
-from rig.provenance import overwriting
+from rig.input_files import as_path
+from rig.provenance import allow_overwriting
 
 
 def replay(
@@ -78,14 +78,14 @@ def replay(
                 overwrite=overwrite, announce=announce, progress=progress,
             )  # fmt: skip
     part = Replay(recording, from_s, to_s, speed)
-    with overwriting(overwrite):
+    with allow_overwriting(overwrite):
         if save is not None:
-            target = path_of(save, "save")
+            target = as_path(save, "save")
             outputs.save(part, target, progress)
             announce(f"{target}: {target.stat().st_size / 1e6:.1f} MB; to look at it: rerun {target}")
             return target
         if screenshot is not None:
-            target = path_of(screenshot, "screenshot")
+            target = as_path(screenshot, "screenshot")
             drawn = outputs.photograph(part, target, at, progress)
             announce(f"{target}: the rig at {drawn:.3f} s")
             return target

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.drawing.palette import channel_colour
-from rig.escaping import drawn
+from rig.escaping import escape_figure
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
@@ -65,7 +65,9 @@ def spectrum_picture(
         shown = (frequency >= 1.0) & (frequency <= max(100.0, 8 * natural_hz[-1]))
         for name, (_, amplitude) in spectra.items():
             colour = tuple(level / 255 for level in channel_colour(members[name].at))
-            panel.loglog(frequency[shown], amplitude[shown], color=colour, label=drawn(name), linewidth=1.0)
+            panel.loglog(
+                frequency[shown], amplitude[shown], color=colour, label=escape_figure(name), linewidth=1.0
+            )
         for line in natural_hz[natural_hz > 1.0]:
             panel.axvline(line, color=INK, linewidth=0.8, linestyle=":", alpha=0.7)
         panel.set_ylabel(f"{quantity} [{unit}]", color=INK)

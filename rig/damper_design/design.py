@@ -21,7 +21,7 @@ from rig.damper_design.ranking import equally_good, front
 from rig.damper_design.search import chart, pieces, search
 from rig.damper_design.tolerance import Tolerance, tolerance
 from rig.damper_design.worst_peak import Peak
-from rig.figure_style import COLOURS
+from rig.figure_style import COLORS
 from rig.results import Result, complete_style
 from rig.scene.loading import SceneLike, scene_of
 from rig.scene.scene import Scene
@@ -130,7 +130,7 @@ class Design(Result):
         ax.plot(factor * mass, reduction, "o", color="#a0a0a0", ms=3, label="tried")
         ax.plot(
             *zip(*best, strict=True),
-            **complete_style(style, marker="o", color=COLOURS[0], ms=5, label="best for its mass"),
+            **complete_style(style, marker="o", color=COLORS[0], ms=5, label="best for its mass"),
         )
         ax.set(xlabel=f"added mass / {unit}", ylabel="reduction of the worst peak / dB", xlim=(0.0, None))
         ax.set_title("More mass does more")

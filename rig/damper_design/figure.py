@@ -14,9 +14,9 @@ from rig.damper_design.design import Design
 from rig.damper_design.one_mass import rests_on
 from rig.damper_design.overloads import named, overloads
 from rig.damper_design.ranking import MACHINABLE
-from rig.escaping import drawn
-from rig.figure_style import COLOURS, cell_edges, drawing, plain_logarithmic, save
-from rig.output_files import replacing, stem
+from rig.escaping import escape_figure
+from rig.figure_style import COLORS, cell_edges, new_figure, save_figure, set_log_scale
+from rig.output_files import atomic_write, file_stem
 from rig.results import format_number
 from rig.scene.excitation import FORCE_HELD, SteppedSine
 from rig.scene.scene import STANDARD_GRAVITY
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-BLUE, RED, GREY = *COLOURS[:2], "#a0a0a0"
+BLUE, RED, GREY = *COLORS[:2], "#a0a0a0"
 
 
 def summary(design: Design) -> str:
@@ -126,11 +126,11 @@ def write(design: Design, folder: Path) -> list[Path]:
 
     Raises `SceneError` if a file cannot be written.
     """
-    name = folder / stem("design", design.scene.name)
+    name = folder / file_stem("design", design.scene.name)
     scene = name.with_suffix(".yaml")
-    with replacing(scene) as part:
+    with atomic_write(scene) as part:
         part.write_text(design.scene.to_yaml(), encoding="utf-8")
-    return [scene, *save(_draw(design), name)]
+    return [scene, *save_figure(_draw(design), name)]
 
 
 def next_step(design: Design, scene: Path) -> str:
@@ -192,14 +192,14 @@ def _expected(one: Expected) -> str:
 
 
 def _draw(design: Design) -> Figure:
-    with drawing(7.0, 10.0) as figure:
+    with new_figure(7.0, 10.0) as figure:
         (front, chart), (curves, backbone) = figure.subplots(2, 2)
         design.draw(front)
         front.legend()
         _chart(chart, design)
         _curves(curves, design)
         _backbone(backbone, design)
-        figure.suptitle(f"{drawn(design.scene.name)}: {design.best.choice}")
+        figure.suptitle(f"{escape_figure(design.scene.name)}: {design.best.choice}")
         return figure
 
 
@@ -218,8 +218,8 @@ def _chart(axes: Axes, design: Design) -> None:
     )  # fmt: skip
     axes.grid(False)
     axes.set(xlabel="force / N", ylabel=_clearance_label(choice))
-    plain_logarithmic(axes.xaxis)
-    plain_logarithmic(axes.yaxis, factor=1e3)
+    set_log_scale(axes.xaxis)
+    set_log_scale(axes.yaxis, factor=1e3)
     axes.set(xlim=borders[0][[0, -1]], ylim=borders[1][[0, -1]])
     # Outside the axes, because a legend inside would hide cells.
     axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
@@ -239,7 +239,7 @@ def _curves(axes: Axes, design: Design) -> None:
     chosen = int(np.argmin(np.abs(np.log(design.clearance_factors))))
     around = (chosen - 1, chosen, chosen + 1)
     bare = design.levels / design.bare.level * design.bare.acceleration / STANDARD_GRAVITY
-    for number, shade, mark in zip(around, (COLOURS[4], BLUE, COLOURS[5]), "v^o", strict=True):
+    for number, shade, mark in zip(around, (COLORS[4], BLUE, COLORS[5]), "v^o", strict=True):
         row = design.chart[number]
         choice = design.charted
         clearance = 1e3 * design.clearance_factors[number] * choice.clearances[choice.heaviest]
@@ -248,7 +248,7 @@ def _curves(axes: Axes, design: Design) -> None:
             lw=1.6 if number == chosen else 0.8, label=f"clearance {clearance:.3g} mm",
         )  # fmt: skip
     axes.set(xlabel="acceleration at the peak without dampers / g", ylabel="peak without dampers / with them")
-    plain_logarithmic(axes.xaxis)
+    set_log_scale(axes.xaxis)
     axes.set_ylim(0.0, None)
     axes.axhline(1.0, color="black", lw=0.8)
     axes.legend()
@@ -261,6 +261,6 @@ def _backbone(axes: Axes, design: Design) -> None:
     axes.plot(design.levels, [peak.frequency for peak in row], "o-", color=BLUE, ms=4, label="with dampers")
     axes.axhline(design.bare.frequency, color=GREY, ls="--", label="without")
     axes.set(xlabel="force / N", ylabel="frequency of the largest peak / Hz")
-    plain_logarithmic(axes.xaxis)
+    set_log_scale(axes.xaxis)
     axes.legend()
     axes.set_title("Where the largest peak lies")

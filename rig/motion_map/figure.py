@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rig.escaping import drawn
-from rig.figure_style import drawing, plain_logarithmic, save_with_table
+from rig.escaping import escape_figure
+from rig.figure_style import new_figure, save_with_table, set_log_scale
 from rig.motion_map.motion_map import COLOURS, KINDS, LEGEND, TOLERANCE, MotionMap
-from rig.output_files import stem
+from rig.output_files import file_stem
 from rig.scene.scene import Scene
 
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ def write(map_: MotionMap, folder: Path) -> list[Path]:
 
 def place(scene: Scene, over: str, folder: Path) -> Path:
     """Return the path of a map's files without their suffix."""
-    return folder / stem("map-clearance" if over == "clearance" else "map", scene.name)
+    return folder / file_stem("map-clearance" if over == "clearance" else "map", scene.name)
 
 
 def _draw(map_: MotionMap) -> Figure:
@@ -66,7 +66,7 @@ def _draw(map_: MotionMap) -> Figure:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    with drawing(4.6, 10.0) as figure:
+    with new_figure(4.6, 10.0) as figure:
         left, right = figure.subplots(1, 2, sharey=True)
         map_.draw(left)
         low, high = map_.periods.min(), max(map_.periods.max(), map_.periods.min() + 1)
@@ -74,7 +74,7 @@ def _draw(map_: MotionMap) -> Figure:
             *map_.borders, map_.periods, cmap="viridis", norm=LogNorm(low, high), rasterized=True
         )
         bar = figure.colorbar(mesh, ax=right, label="periods computed until steady or irregular", pad=0.02)
-        plain_logarithmic(bar.ax.yaxis)
+        set_log_scale(bar.ax.yaxis)
         map_.dress(right)
         right.set_ylabel("")
         left.set_title("What the damper does that moves most wildly")
@@ -86,5 +86,5 @@ def _draw(map_: MotionMap) -> Figure:
         if map_.own_value is not None:
             handles.append(Line2D([], [], color="black", lw=1.0, ls="--", label=f"{map_.over} of the scene"))
         figure.legend(handles=handles, loc="outside lower center", ncols=5)
-        figure.suptitle(drawn(map_.scene.name))
+        figure.suptitle(escape_figure(map_.scene.name))
         return figure

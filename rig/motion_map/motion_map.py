@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rig.arrays import Array
-from rig.figure_style import cell_edges, plain_logarithmic
+from rig.figure_style import cell_edges, set_log_scale
 from rig.motion_map.grid import KIND_OF_UNIT, columns, rows_of, take_off, vertical_axis
 from rig.results import Result
 from rig.scene.loading import SceneLike, scene_of
@@ -151,7 +151,7 @@ class MotionMap(Result):
         ax.grid(False)
         ax.set(xlim=(left, right), xlabel="frequency / Hz")
         millimetres = self.unit == "m"
-        plain_logarithmic(ax.yaxis, factor=1e3 if millimetres else 1.0)
+        set_log_scale(ax.yaxis, factor=1e3 if millimetres else 1.0)
         ax.set(ylim=(low, high), ylabel=f"{self.over} / {'mm' if millimetres else self.unit}")
         if self.over != "clearance":
             ax.plot(self.frequency, self.take_off, color="black", lw=1.2)

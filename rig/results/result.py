@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.errors import RunError
-from rig.escaping import html, shown
-from rig.figure_style import plain_logarithmic
+from rig.escaping import escape_html, escape_terminal
+from rig.figure_style import set_log_scale
 
 if TYPE_CHECKING:
     import pandas
@@ -41,15 +41,15 @@ class Result(ABC):
         """Draw into axes and label them; `style` applies to the curves."""
 
     def __repr__(self) -> str:
-        return f"<{type(self).__name__}: {shown(self.summary())}>".replace("\n", " ")
+        return f"<{type(self).__name__}: {escape_terminal(self.summary())}>".replace("\n", " ")
 
     def _repr_html_(self) -> str:
         """Return the summary and the range of each column as HTML for notebooks."""
         rows = "".join(
-            f"<tr><td>{html(name)}</td><td>{html(_range(np.asarray(column)))}</td></tr>"
+            f"<tr><td>{escape_html(name)}</td><td>{escape_html(_range(np.asarray(column)))}</td></tr>"
             for name, column in self.columns().items()
         )
-        return f"<p>{html(repr(self))}</p><table>{rows}</table>"
+        return f"<p>{escape_html(repr(self))}</p><table>{rows}</table>"
 
     def plot(self, ax: Axes | None = None, **style: Any) -> Axes:
         """Draw the result.
@@ -72,7 +72,7 @@ class Result(ABC):
         self.draw(ax, **style)
         for axis in (ax.xaxis, ax.yaxis):
             if axis.get_scale() == "log":
-                plain_logarithmic(axis)
+                set_log_scale(axis)
         if ax.get_legend_handles_labels()[0]:
             ax.legend()
         return ax

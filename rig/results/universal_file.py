@@ -9,7 +9,7 @@ import numpy as np
 
 from rig.arrays import Array, ComplexArray
 from rig.errors import RunError
-from rig.escaping import shown
+from rig.escaping import escape_terminal
 
 #: Function types of data set 58.
 FRF, GENERAL = 4, 0
@@ -74,4 +74,4 @@ def write_set(file: Any, data: dict[str, Any]) -> None:
 
 def text_line(text: str) -> str:
     """Shorten text to a line of a data set."""
-    return " ".join(shown(text).split())[:80] or "NONE"
+    return " ".join(escape_terminal(text).split())[:80] or "NONE"

@@ -7,7 +7,7 @@ from typing import Any, get_args
 from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
-from rig.escaping import is_line
+from rig.escaping import is_single_line
 from rig.scene.quantities import Kind, parse, with_a_point
 
 
@@ -146,7 +146,7 @@ def mistake(message: str, absent: str = "") -> PydanticCustomError:
 
 def printable(text: str) -> str:
     """Reject text with control characters or invisible characters."""
-    if not is_line(text):
+    if not is_single_line(text):
         raise refusal(ascii(text)[1:-1], "a line of printable characters")
     return text
 

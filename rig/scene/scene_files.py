@@ -6,7 +6,7 @@ from difflib import get_close_matches
 from pathlib import Path
 
 from rig.errors import SceneError
-from rig.input_files import read_whole
+from rig.input_files import read_file
 
 SCENES = Path(__file__).parent / "data" / "scenes"
 SUFFIXES = (".yaml", ".yml")
@@ -60,7 +60,7 @@ def read_text(path: Path) -> str:
     Raises `SceneError` if the file cannot be read or is not text.
     """
     try:
-        text = read_whole(path).decode("utf-8-sig")
+        text = read_file(path).decode("utf-8-sig")
     except OSError as error:
         raise SceneError(f"{path} cannot be read: {error.strerror or error}; expected a scene file") from None
     except UnicodeDecodeError:

@@ -11,7 +11,7 @@ import numpy as np
 
 from rig.errors import RunError
 from rig.grain_beds.coupling import CoupledState
-from rig.output_files import replacing
+from rig.output_files import atomic_write
 from rig.simulation.energy import Energy
 from rig.simulation.grains_run import Course
 from rig.study import code_digest, digest
@@ -31,7 +31,7 @@ def write(path: Path, asked: Mapping[str, Any], course: Course) -> None:
     arrays |= {f"asked_{name}": digest(value) for name, value in asked.items()}
     arrays |= {f"structure_{number}": part for number, part in enumerate(state.structure)}
     arrays |= {f"bed_{number}": np.frombuffer(bed, dtype=np.uint8) for number, bed in enumerate(state.beds)}
-    with replacing(path, overwrite=True) as part, part.open("wb") as file:
+    with atomic_write(path, overwrite=True) as part, part.open("wb") as file:
         np.savez(
             file,
             code=code_digest("rig"),

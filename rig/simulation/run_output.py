@@ -11,8 +11,8 @@ import numpy as np
 
 from rig.engine.trajectory import KINDS
 from rig.errors import SceneError
-from rig.output_files import replacing
-from rig.provenance import refuse_others
+from rig.output_files import atomic_write
+from rig.provenance import reject_foreign_files
 from rig.scene.excitation import Impulse
 from rig.scene.scene import Scene
 from rig.simulation.simulate import Run, simulate
@@ -53,7 +53,7 @@ def simulate_into(
     """
     if output is not None:
         check_name(output)
-        refuse_others(output)
+        reject_foreign_files(output)
     keep = None if output is None else output.with_name(f"{output.name}.kept")
     duration = duration_of(scene) if duration is None else duration
     try:
@@ -103,7 +103,7 @@ def write(run: Run, path: Path) -> None:
     cannot be written.
     """
     check_name(path)
-    with replacing(path) as part:
+    with atomic_write(path) as part:
         if path.suffix == ".npz":
             fields = ("time", "displacement", "velocity", "acceleration", "gap", "contact")
             arrays = {name: getattr(run, name) for name in fields}

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.errors import SceneError
-from rig.output_files import csv_text, replacing
+from rig.output_files import atomic_write, csv_text
 from rig.results.text import format_frequencies
 from rig.scene.excitation import Sine, SteppedSine, spaced
 from rig.scene.scene import Scene
@@ -80,7 +80,7 @@ def write(response: SteadyResponse, path: Path) -> None:
     Raises `SceneError` if the file cannot be written.
     """
     header, table = rows(response)
-    with replacing(path) as part:
+    with atomic_write(path) as part:
         part.write_text(csv_text([header, *table]), encoding="utf-8", newline="")
 
 

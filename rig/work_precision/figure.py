@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rig.escaping import drawn
-from rig.figure_style import drawing, save_with_table
-from rig.output_files import stem
+from rig.escaping import escape_figure
+from rig.figure_style import new_figure, save_with_table
+from rig.output_files import file_stem
 from rig.results.text import format_number, table_lines
 from rig.scene.scene import Scene
 from rig.work_precision.motion_study import MotionStudy, Point
@@ -125,7 +125,7 @@ def write(study: MotionStudy, steady: SteadyStudy, folder: Path) -> list[Path]:
 
     Raises `SceneError` if a file cannot be written.
     """
-    name = folder / stem("cost", study.scene.name)
+    name = folder / file_stem("cost", study.scene.name)
     rows = [*_rows("motion, a period", study.points), *_rows("steady state", steady.points)]
     return save_with_table(_draw(study, steady), name, [_HEADER, *rows])
 
@@ -133,7 +133,7 @@ def write(study: MotionStudy, steady: SteadyStudy, folder: Path) -> list[Path]:
 def write_models(scene: Scene, models: SteadyStudy, folder: Path) -> list[Path]:
     """Write figure and table for models of a scene's beds of grains, as `write`."""
     rows = [_HEADER, *_rows("steady state", models.points)]
-    return save_with_table(_draw_models(scene, models), folder / stem("cost", scene.name), rows)
+    return save_with_table(_draw_models(scene, models), folder / file_stem("cost", scene.name), rows)
 
 
 def _rows(quantity: str, points: Iterable[Point]) -> list[list[str]]:
@@ -148,7 +148,7 @@ def _rows(quantity: str, points: Iterable[Point]) -> list[list[str]]:
 
 def _draw(study: MotionStudy, steady: SteadyStudy) -> Figure:
     count = 1 + bool(steady.points)
-    with drawing(5.2, 10.0 if steady.points else 6.8) as figure:
+    with new_figure(5.2, 10.0 if steady.points else 6.8) as figure:
         panels = figure.subplots(1, count, squeeze=False, width_ratios=(1.5, 1.0)[:count])[0]
         draw_points(panels[0], study.points, "CPU time for a period of the drive / s")
         panels[0].set_ylabel("error of the displacement, relative")
@@ -159,12 +159,12 @@ def _draw(study: MotionStudy, steady: SteadyStudy) -> Figure:
             draw_points(panels[1], steady.points, "CPU time in all / s")
             panels[1].set_ylabel("error of the compliance, relative")
             panels[1].set_title(_steady_title(steady))
-        figure.suptitle(drawn(study.scene.name))
+        figure.suptitle(escape_figure(study.scene.name))
         return figure
 
 
 def _draw_models(scene: Scene, models: SteadyStudy) -> Figure:
-    with drawing(5.2, 6.8) as figure:
+    with new_figure(5.2, 6.8) as figure:
         axes = figure.subplots()
         draw_points(axes, models.points, "CPU time in all / s")
         axes.set_ylabel("compliance off that with grains, relative")
@@ -181,7 +181,7 @@ def _draw_models(scene: Scene, models: SteadyStudy) -> Figure:
             )
         # Leave space for the labels at the right end.
         axes.margins(x=0.25)
-        figure.suptitle(f"{drawn(scene.name)}: models of its beds of grains")
+        figure.suptitle(f"{escape_figure(scene.name)}: models of its beds of grains")
         return figure
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from rig.errors import RunError
-from rig.ranks import OneRankError, communicators, total
+from rig.ranks import OneRankError, communicators, sum_over_ranks
 
 _MPIEXEC = Path(sys.prefix) / "bin" / "mpiexec"
 
@@ -33,7 +33,7 @@ class Part:
     @property
     def whole(self) -> float:
         """What all parts are together."""
-        return float(total(np.array(self.own)))
+        return float(sum_over_ranks(np.array(self.own)))
 
     def grow(self, by: float) -> float:
         """Make every part larger; gives this rank's."""

@@ -17,8 +17,8 @@ import pytest
 import typer
 
 from rig import console
-from rig.command_line import application, run
-from rig.ending_signals import ENDINGS
+from rig.command_line import create_application, run_command
+from rig.ending_signals import TERMINATION_SIGNALS
 from rig.errors import RunError, SceneError
 
 MODULE = "rig.command_for_the_tests"
@@ -31,14 +31,14 @@ def command(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[Callable[[], 
     streams = sys.stdout, sys.stderr
 
     def carry_out(act: Callable[[], object]) -> int:
-        app = application("For the tests.")
+        app = create_application("For the tests.")
         app.command("act")(act)
         app.command("other")(lambda: None)
         module = types.ModuleType(MODULE)
         module.app = app  # type: ignore[attr-defined]
         monkeypatch.setitem(sys.modules, MODULE, module)
         with pytest.raises(SystemExit) as end:
-            run(MODULE)
+            run_command(MODULE)
         return int(end.value.code or 0)
 
     yield carry_out
@@ -87,9 +87,9 @@ def test_interrupt_prints_its_note(command, capsys) -> None:
 
 
 def test_interrupted_study_says_that_it_goes_on() -> None:
-    with pytest.raises(KeyboardInterrupt) as kept, console.goes_on():
+    with pytest.raises(KeyboardInterrupt) as kept, console.resumable():
         raise KeyboardInterrupt
-    with pytest.raises(KeyboardInterrupt) as lost, console.goes_on(kept=False):
+    with pytest.raises(KeyboardInterrupt) as lost, console.resumable(kept=False):
         raise KeyboardInterrupt
     assert "continues from there" in kept.value.__notes__[0] and not hasattr(lost.value, "__notes__")
 
@@ -146,7 +146,7 @@ def test_control_characters_are_escaped_in_a_terminal(command, capsys):
     assert capsys.readouterr().out == "red\\x1b[31m\\udcff \\u202e\n"
 
 
-@pytest.mark.parametrize("ending", ENDINGS)
+@pytest.mark.parametrize("ending", TERMINATION_SIGNALS)
 def test_signal_to_end_gives_its_exit_code(command, capsys, ending):
     assert command(lambda: os.kill(os.getpid(), ending)) == 128 + ending
     assert capsys.readouterr().err == "interrupted\n"
@@ -173,20 +173,20 @@ def test_signal_during_cleanup_prints_no_traceback():
     late = """
 import signal, sys
 from rig import command_line, console
-usual = console.say_now_and_then
-def say_now_and_then(put_back):
+usual = console.report_activity
+def report_activity(put_back):
     put_back.callback(signal.raise_signal, signal.SIGINT)
     usual(put_back)
-console.say_now_and_then = say_now_and_then
+console.report_activity = report_activity
 sys.argv = ["rig", "scenes"]
-command_line.run("rig.cli")
+command_line.run_command("rig.cli")
 """
     done = subprocess.run([sys.executable, "-c", late], capture_output=True, text=True, check=False)
     assert done.returncode == -signal.SIGINT and not done.stderr
 
 
 def test_long_silence_prints_a_notice(command, capsys, monkeypatch):
-    monkeypatch.setattr(console, "SILENCE", -1.0)
+    monkeypatch.setattr(console, "MAX_SILENCE_S", -1.0)
     reported = []
 
     def wait_for_a_word() -> None:
@@ -204,11 +204,11 @@ def test_compilation_is_reported_until_it_ends(command, capsys, monkeypatch):
 
     import rig.numerics.jit  # noqa: F401 - listens
 
-    monkeypatch.setattr(console, "SILENCE", -1.0)
+    monkeypatch.setattr(console, "MAX_SILENCE_S", -1.0)
     reported = []
 
     def wait_for_a_word() -> None:
-        with console.handed_over(), suppress(ValueError), trigger_event("numba:compile"):
+        with console.user_terminal(), suppress(ValueError), trigger_event("numba:compile"):
             while "s: compiling machine code" not in "".join(reported):
                 reported.append(capsys.readouterr().err)
             raise ValueError

@@ -11,19 +11,19 @@ from daq.importing.channel_table import read_table
 from daq.server.serve import Certificates
 from rig import input_files
 from rig.errors import SceneError
-from rig.input_files import read_whole
+from rig.input_files import read_file
 
 
 def test_file_is_read_whole_up_to_the_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "a"
     path.write_bytes(b"12345")
-    monkeypatch.setattr(input_files, "MOST_BYTES", 5)
-    assert read_whole(path) == b"12345"
+    monkeypatch.setattr(input_files, "MAX_BYTES", 5)
+    assert read_file(path) == b"12345"
     path.write_bytes(b"123456")
     with pytest.raises(OSError, match="larger than"):
-        read_whole(path)
+        read_file(path)
     with pytest.raises(FileNotFoundError):
-        read_whole(tmp_path / "b")
+        read_file(tmp_path / "b")
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="pipes with names")

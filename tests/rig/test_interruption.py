@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from rig.ending_signals import ENDINGS
+from rig.ending_signals import TERMINATION_SIGNALS
 
 # As pip's scripts begin, with a signal when a module is looked for.
 COMMAND = """
@@ -29,7 +29,7 @@ sys.exit(main())
 """
 
 
-@pytest.mark.parametrize("ending", ENDINGS)
+@pytest.mark.parametrize("ending", TERMINATION_SIGNALS)
 @pytest.mark.parametrize("program", ["rig", "daq", "analysis"])
 @pytest.mark.parametrize("moment", ["rig.interruption", "signal", "lazy_loader", "rig.command_line", "typer"])
 def test_signal_at_import_ends_without_traceback(program, moment, ending):

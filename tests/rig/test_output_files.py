@@ -8,13 +8,13 @@ from pathlib import Path
 import pytest
 
 from rig.errors import RunError, SceneError
-from rig.output_files import make_ready, replacing
+from rig.output_files import atomic_write, create_folder
 
 
 def test_failed_write_keeps_the_old_file(tmp_path: Path) -> None:
     path = tmp_path / "table.csv"
     path.write_text("old")
-    with pytest.raises(ZeroDivisionError), replacing(path) as part:
+    with pytest.raises(ZeroDivisionError), atomic_write(path) as part:
         part.write_text("half")
         raise ZeroDivisionError
     assert path.read_text(encoding="utf-8") == "old" and list(tmp_path.iterdir()) == [path]
@@ -23,7 +23,7 @@ def test_failed_write_keeps_the_old_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize("overwrite", [False, True])
 def test_written_file_is_alone_in_its_folder(tmp_path: Path, overwrite: bool) -> None:
     path = tmp_path / "table.csv"
-    with replacing(path, overwrite) as part:
+    with atomic_write(path, overwrite) as part:
         part.write_text("new")
         assert not path.exists() and part.suffix == ".csv"
     assert path.read_text(encoding="utf-8") == "new" and list(tmp_path.iterdir()) == [path]
@@ -32,7 +32,7 @@ def test_written_file_is_alone_in_its_folder(tmp_path: Path, overwrite: bool) ->
 def test_result_is_kept_where_its_name_was_taken(tmp_path: Path) -> None:
     path, taken = tmp_path / "table.csv", tmp_path / "table-2.csv"
     taken.write_text("older")
-    with pytest.raises(SceneError, match=r"table-3\.csv"), replacing(path, overwrite=False) as part:
+    with pytest.raises(SceneError, match=r"table-3\.csv"), atomic_write(path, overwrite=False) as part:
         part.write_text("new")
         path.write_text("another's")
     contents = {each.name: each.read_text(encoding="utf-8") for each in tmp_path.iterdir()}
@@ -41,7 +41,7 @@ def test_result_is_kept_where_its_name_was_taken(tmp_path: Path) -> None:
 
 def test_result_survives_a_folder_of_its_name(tmp_path: Path) -> None:
     path = tmp_path / "table.csv"
-    with pytest.raises(RunError, match=r"table-2\.csv"), replacing(path, overwrite=True) as part:
+    with pytest.raises(RunError, match=r"table-2\.csv"), atomic_write(path, overwrite=True) as part:
         part.write_text("new")
         path.mkdir()
     assert path.is_dir() and (tmp_path / "table-2.csv").read_text(encoding="utf-8") == "new"
@@ -52,7 +52,7 @@ def test_overwriting_a_link_replaces_its_target(tmp_path: Path) -> None:
     target.write_text("old")
     target.chmod(0o640)
     link.symlink_to(target)
-    with replacing(link, overwrite=True) as part:
+    with atomic_write(link, overwrite=True) as part:
         part.write_text("new")
     assert (
         link.is_symlink()
@@ -76,7 +76,7 @@ def test_protected_file_is_not_replaced(tmp_path: Path, kind: str) -> None:
         case "nowhere":
             path = tmp_path / "no" / "out.csv"
     expected = {"file": "exists", "nowhere": "no folder"}.get(kind, "not a regular file")
-    with pytest.raises(SceneError, match=expected), replacing(path, overwrite=kind != "file"):
+    with pytest.raises(SceneError, match=expected), atomic_write(path, overwrite=kind != "file"):
         pass
     assert path.exists() == (kind != "nowhere")
 
@@ -86,6 +86,6 @@ def test_folder_named_like_a_figure_is_rejected(
 ) -> None:
     folder = tmp_path / "two.png"
     with pytest.raises(SceneError, match=r"expected the name of a folder, such as -o .*two$"):
-        make_ready(folder)
+        create_folder(folder)
     folder.mkdir()
-    make_ready(folder)
+    create_folder(folder)

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from rig.errors import SceneError
-from rig.figure_style import drawing, save_with_table
-from rig.output_files import replacing
-from rig.provenance import made_from, overwriting
+from rig.figure_style import new_figure, save_with_table
+from rig.output_files import atomic_write
+from rig.provenance import allow_overwriting, output_source
 
 TEXTS = {
     ".csv": "a,b\n1,2\n",
@@ -23,7 +23,7 @@ TEXTS = {
 
 
 def written(path: Path, content: bytes, source: str = "s") -> None:
-    with made_from("test", source), replacing(path) as part:
+    with output_source("test", source), atomic_write(path) as part:
         part.write_bytes(content)
 
 
@@ -51,7 +51,7 @@ def test_an_output_from_another_source_stays(tmp_path: Path) -> None:
     written(path, b"a\n1\n", "first")
     with pytest.raises(SceneError, match="another source"):
         written(path, b"a\n2\n", "second")
-    with overwriting(True):
+    with allow_overwriting(True):
         written(path, b"a\n2\n", "second")
     assert path.read_bytes().endswith(b"\n2\n")
 
@@ -77,14 +77,14 @@ def test_marked_figures_and_archives_can_be_read(tmp_path: Path) -> None:
     from matplotlib.image import imread
 
     for value in (1.0, 2.0):
-        with made_from("test"), drawing(1.0) as figure:
+        with output_source("test"), new_figure(1.0) as figure:
             figure.subplots().plot([value])
             files = save_with_table(figure, tmp_path / "out", [["a"], [value]])
-            with replacing(tmp_path / "out.npz") as part:
+            with atomic_write(tmp_path / "out.npz") as part:
                 np.savez(part, value=value)
     assert imread(files[0]).ndim == 3 and float(np.load(tmp_path / "out.npz")["value"]) == 2.0
     (row,) = csv.DictReader(files[2].read_text(encoding="utf-8").splitlines())
     assert row["a"] == "2.0"
     files[0].write_bytes(files[0].read_bytes().replace(b"IDAT", b"IDAX", 1))
-    with pytest.raises(SceneError, match="changed"), made_from("test"), replacing(files[0]):
+    with pytest.raises(SceneError, match="changed"), output_source("test"), atomic_write(files[0]):
         pass

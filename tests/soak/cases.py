@@ -16,7 +16,7 @@ import yaml
 
 import daq
 from daq.measurement.bench_loop import RAMP_S
-from rig.ending_signals import ENDINGS
+from rig.ending_signals import TERMINATION_SIGNALS
 from rig.errors import ShotrigError
 from tests.daq.importing import files
 from tests.soak import command_lines, recordings, scenes
@@ -122,7 +122,7 @@ def kill(bench: Bench, chance: random.Random) -> tuple[Ended, list[str]]:
     overwrite = chance.random() < 0.5
     if overwrite:
         shutil.copy(bench.whole[number], folder / "r.mcap")
-    how = chance.choice((signal.SIGKILL, signal.SIGKILL, *ENDINGS))
+    how = chance.choice((signal.SIGKILL, signal.SIGKILL, *TERMINATION_SIGNALS))
     # A new process imports first, as a user's does; forks are much quicker.
     afresh = chance.random() < 0.3
     longest = bench.seconds[number] + (bench.start if afresh else 0.0)

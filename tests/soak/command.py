@@ -17,7 +17,7 @@ from typing import NoReturn
 
 import psutil
 
-from rig.ending_signals import ENDINGS
+from rig.ending_signals import TERMINATION_SIGNALS
 
 # Longest time without output before a command counts as hanging, and longest time in all, s.
 SILENCE, LONGEST = 20.0, 60.0
@@ -198,7 +198,7 @@ def _fork(folder: Path, environment: dict[str, str], act: Callable[[], None]) ->
     """Start a child that acts in a folder; return its process number and the pipe of its output."""
     reading, writing = os.pipe()
     # Block signals until the child has the default handlers of a new process.
-    signals = ENDINGS
+    signals = TERMINATION_SIGNALS
     before = signal.pthread_sigmask(signal.SIG_BLOCK, signals)
     process = os.fork()
     if process == 0:

@@ -9,7 +9,7 @@ from typing import Any
 
 from daq.instrument.devices.names import Port
 from daq.instrument.errors import Code, DaqError
-from rig.input_files import read_whole
+from rig.input_files import read_file
 
 # Fields of the basic TEDS in their order, with their bits, lowest bit first.
 _BASIC = (
@@ -94,7 +94,7 @@ class TedsMemory:
             self.sheet(port)
             return
         try:
-            data = read_whole(Path(path))
+            data = read_file(Path(path))
         except OSError as error:
             raise DaqError(f"{path}: {error.strerror}", Code.VIRTUAL_TEDS_FILE_NOT_FOUND) from None
         if not set(data) - {0, 1}:

@@ -8,7 +8,7 @@ from pathlib import Path
 from daq.instrument.devices.names import parse_port
 from daq.instrument.errors import Code, DaqError
 from daq.server.calls.call import Answer, Call
-from rig.input_files import read_whole
+from rig.input_files import read_file
 
 
 def _on_device(call: Call) -> Answer:
@@ -42,7 +42,7 @@ def _teds(action: str) -> Callable[[Call], Answer]:
 
 def _file(path: str) -> bytes:
     try:
-        return read_whole(Path(path))
+        return read_file(Path(path))
     except OSError as error:
         raise DaqError(f"{path}: {error.strerror}", Code.VIRTUAL_TEDS_FILE_NOT_FOUND) from None
 

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from analysis.presentation.tables import write_table
-from rig.escaping import shown
+from rig.escaping import escape_terminal
 
 
 @settings(max_examples=25)
@@ -19,4 +19,4 @@ def test_any_text_survives_table(text: str) -> None:
     with TemporaryDirectory() as folder:
         path = write_table(Path(folder) / "a.csv", ["label", "x"], [(text, 1.0)])
         with path.open(newline="", encoding="utf-8") as file:
-            assert list(csv.reader(file)) == [["label", "x"], [shown(text), "1"]]
+            assert list(csv.reader(file)) == [["label", "x"], [escape_terminal(text), "1"]]

@@ -20,8 +20,8 @@ from daq.recording.sample_block import decode, encode
 from daq.recording.timebase import Timebase
 from daq.signal_chain.channel import ChannelInfo
 from daq.viewing.description import describe
-from rig.errors import RecordingError, naming
-from rig.escaping import is_line
+from rig.errors import RecordingError, add_path
+from rig.escaping import is_single_line
 from tests.daq.recording.recordings import GROUP, signal, write
 
 ODD = st.recursive(
@@ -48,7 +48,7 @@ def test_odd_channel_metadata_is_sound_or_rejected(key: str, odd: Any) -> None:
         assert len(str(error)) < 400
         return
     answer = info.response(np.array([0.0, 1.0, 1e3]))
-    assert answer.shape == (3,) and info.unit_per_count != 0.0 and is_line(info.name)
+    assert answer.shape == (3,) and info.unit_per_count != 0.0 and is_single_line(info.name)
 
 
 @given(
@@ -173,6 +173,6 @@ def test_chunk_that_packs_too_well_is_rejected() -> None:
 @pytest.mark.parametrize("said", ["a message is no marker", "r.mcap is damaged"])
 def test_nested_error_names_the_file_once(said: str) -> None:
     path = Path("r.mcap")
-    with pytest.raises(RecordingError) as reported, naming(path), naming(path):
+    with pytest.raises(RecordingError) as reported, add_path(path), add_path(path):
         raise RecordingError(said)
     assert str(reported.value).count("r.mcap") == 1 and str(reported.value).endswith(said)

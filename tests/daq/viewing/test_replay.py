@@ -20,7 +20,7 @@ from daq.viewing.recorded_motion import RecordedMotion
 from daq.viewing.replay import Replay
 from daq.viewing.viewer_stream import entity
 from rig.errors import RunError, SceneError
-from rig.provenance import overwriting
+from rig.provenance import allow_overwriting
 
 FREQUENCY = 49.7
 
@@ -207,7 +207,7 @@ def test_full_disk_keeps_the_old_replay_file(recording, tmp_path, most, capfd):
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (most, before[1]))
     try:
-        with overwriting(True), pytest.raises(RunError, match=r"cannot write .*x\.rrd: File too large"):
+        with allow_overwriting(True), pytest.raises(RunError, match=r"cannot write .*x\.rrd: File too large"):
             save(Replay(recording), tmp_path / "x.rrd")
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)

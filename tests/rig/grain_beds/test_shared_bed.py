@@ -97,7 +97,12 @@ def test_two_ranks_run_a_command_once(tmp_path: Path) -> None:
     words = ["rig", "simulate", str(scene), "--duration", "2 ms", "-o", str(file)]
 
     done = on_two_ranks(
-        program("import sys", f"sys.argv = {words!r}", "from rig.command_line import run", "run('rig.cli')")
+        program(
+            "import sys",
+            f"sys.argv = {words!r}",
+            "from rig.command_line import run_command",
+            "run_command('rig.cli')",
+        )
     )
 
     assert (done.returncode, done.stderr) == (0, "")

@@ -15,7 +15,7 @@ from rig.errors import SceneError
 from rig.motion_map.figure import summary, write
 from rig.motion_map.grid import columns, rows_of, take_off, vertical_axis
 from rig.motion_map.motion_map import KINDS
-from rig.output_files import make_ready
+from rig.output_files import create_folder
 from rig.system.open_loop_drive import with_ideal_force
 from rig.system.structural_model import receptance
 
@@ -172,4 +172,4 @@ def test_unusable_place_is_rejected_before_work(tmp_path: Path) -> None:
     taken = tmp_path / "taken"
     taken.write_text("", encoding="utf-8")
     with pytest.raises(SceneError, match="choose another place"):
-        make_ready(taken / "maps")
+        create_folder(taken / "maps")

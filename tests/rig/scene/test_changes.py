@@ -9,7 +9,7 @@ import pytest
 import typer
 
 import rig
-from rig.arguments import loaded
+from rig.arguments import load_scene
 from rig.errors import SceneError
 
 SHARED = """
@@ -34,10 +34,10 @@ def test_changes_load_as_if_written_in_the_file(file) -> None:
         "dampers.clearance=.inf",
         "recording.truth=true",
     ]
-    scene = loaded(file, changes)
+    scene = load_scene(file, changes)
     text = SHARED.replace("2 kg]", "3 kg]").replace("1 mm", ".inf") + "recording: {truth: true}\nname: mine\n"
     assert scene == rig.loads(text.replace("*one", "{body: 2, mass: 10 g, clearance: .inf}"))
-    assert loaded(file, ["dampers="]).dampers == () == rig.load(file, {"dampers": None}).dampers
+    assert load_scene(file, ["dampers="]).dampers == () == rig.load(file, {"dampers": None}).dampers
 
 
 def test_changing_an_alias_keeps_its_other_place(file) -> None:
@@ -64,7 +64,7 @@ def test_changing_an_alias_keeps_its_other_place(file) -> None:
 )
 def test_wrong_change_is_named_with_the_expected_value(file, change, said) -> None:
     with pytest.raises(SceneError) as wrong:
-        loaded(file, [change])
+        load_scene(file, [change])
     assert said in str(wrong.value)
 
 
@@ -91,14 +91,14 @@ def test_scene_commands_take_changes(package) -> None:
 )
 def test_mistake_of_an_option_names_the_option(file, change, said) -> None:
     with pytest.raises(SceneError) as raised:
-        loaded(file, [change])
+        load_scene(file, [change])
     assert said in str(raised.value) and "mine.yaml:" not in str(raised.value)
 
 
 def test_mistake_of_the_file_keeps_its_line(file) -> None:
     Path(file).write_text(SHARED + "seed: many\n")
     with pytest.raises(SceneError, match=r"mine.yaml:6: seed"):
-        loaded(file, ["gravity=1 kg"])
+        load_scene(file, ["gravity=1 kg"])
 
 
 def test_scene_loads_from_mapping_or_scene(file) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from escape_html.parser import HTMLParser
+from html.parser import HTMLParser
 from hypothesis import given
 from hypothesis import strategies as st
 

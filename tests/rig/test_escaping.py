@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from html.parser import HTMLParser
 from typing import Any
 
-from html.parser import HTMLParser
 from hypothesis import given
 from hypothesis import strategies as st
 

@@ -50,11 +50,11 @@ def response(
         If neither the arguments nor the test give frequencies, or the scene has no shaker or no level.
     """
     from rig.steady_response.frequency_response import frequency_response
-    from rig.steady_response.response_output import frequencies_of
+    from rig.steady_response.response_output import sweep_frequencies
 
     scene = scene_of(scene)
     ends = number(first, FREQUENCY, "first"), number(last, FREQUENCY, "last")
-    frequencies, order = frequencies_of(scene, *ends, points, direction)
+    frequencies, order = sweep_frequencies(scene, *ends, points, direction)
     return frequency_response(scene, frequencies, direction=order, progress=progress)
 
 
@@ -87,11 +87,11 @@ def grains(
         As `rig.response`, or if no bed of grains can move.
     """
     from rig.bed_response.bed_response import bed_response
-    from rig.steady_response.response_output import frequencies_of
+    from rig.steady_response.response_output import sweep_frequencies
 
     scene = scene_of(scene)
     ends = number(first, FREQUENCY, "first"), number(last, FREQUENCY, "last")
-    frequencies, _ = frequencies_of(scene, *ends, points, None)
+    frequencies, _ = sweep_frequencies(scene, *ends, points, None)
     return bed_response(
         scene, frequencies, periods, None if table is None else Path(table), cluster, progress
     )

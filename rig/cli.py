@@ -37,8 +37,7 @@ app = create_application("The physics of the virtual vibration rig.")
 @app.command(example="rig scenes --copy fig9 mine.yaml")
 def scenes(
     show: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="Print this scene's file.", autocompletion=completions),
+        str | None, typer.Option(metavar="NAME", help="Print this scene's file.", autocompletion=completions)
     ] = None,
     copy: Annotated[
         tuple[str, Path] | None,
@@ -140,8 +139,7 @@ def simulate(
     scene: SceneName,
     changes: Changes = None,
     duration: Annotated[
-        str | None,
-        typer.Option(metavar="TIME", help="Duration, such as '2 s'. Default: that of the test."),
+        str | None, typer.Option(metavar="TIME", help="Duration, such as '2 s'. Default: that of the test.")
     ] = None,
     rate: Annotated[
         str, typer.Option(metavar="RATE", help="Sample rate of the motion, such as '5120 Hz'.")
@@ -167,7 +165,7 @@ def simulate(
     """
     from rig.provenance import allow_overwriting, output_source
     from rig.scene.quantities import FREQUENCY, TIME
-    from rig.simulation.run_output import simulate_into, summary
+    from rig.simulation.run_output import simulate_to_file, summary
 
     setting = load_scene(scene, changes)
     seconds, tone = _quantity(duration, TIME, "--duration"), _quantity(frequency, FREQUENCY, "--frequency")
@@ -177,7 +175,7 @@ def simulate(
         output_source("simulate", setting.to_yaml()),
         count_progress("following the motion") as progress,
     ):
-        run = simulate_into(output, setting, seconds, samples, tone, progress)
+        run = simulate_to_file(output, setting, seconds, samples, tone, progress)
     print(setting.structure.relabel(summary(run)))
     if output is not None:
         report_written(output)
@@ -211,7 +209,7 @@ def response(
     import rig
     from rig.provenance import allow_overwriting, output_source, reject_foreign_files
     from rig.scene.quantities import FREQUENCY
-    from rig.steady_response.response_output import text, write
+    from rig.steady_response.response_output import format_response, write_csv
 
     setting = load_scene(scene, changes)
     band = (_quantity(first, FREQUENCY, "--from"), _quantity(last, FREQUENCY, "--to"))
@@ -220,9 +218,9 @@ def response(
             reject_foreign_files(output)
         with count_progress("following the motion") as progress:
             result = rig.response(setting, *band, points, direction, progress)
-        print(text(result, verbose))
+        print(format_response(result, verbose))
         if output is not None:
-            write(result, output)
+            write_csv(result, output)
             report_written(output)
 
 

@@ -14,7 +14,7 @@ from daq.signal_chain.outputs import Outputs
 from daq.signal_chain.oversampling import DriveLine, oversampling
 from daq.virtual_bench.stream import Block, Stream, samples_per_tick
 from rig.arrays import Array
-from rig.simulation.drive import checked_drive
+from rig.simulation.drive import validate_drive
 from rig.simulation.plant import Plant
 
 if TYPE_CHECKING:
@@ -91,7 +91,7 @@ class Bench:
 
     def acquire(self, drive: Array) -> Block:
         """Drive the rig, (inputs, samples) in `drive_units`, and return the samples at `rate`; lines join the drive."""
-        drive = checked_drive(drive, self.inputs)
+        drive = validate_drive(drive, self.inputs)
         line = self._line.through(self._outputs.put_out(drive))
         return self._own.take(self._plant.advance(line), line)
 

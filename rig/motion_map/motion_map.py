@@ -19,7 +19,7 @@ from rig.results import Result
 from rig.scene.loading import SceneLike, scene_of
 from rig.scene.quantities import FREQUENCY, positives
 from rig.scene.scene import Scene
-from rig.steady_response.frequency_response import Follower
+from rig.steady_response.frequency_response import SteadyContinuation
 from rig.study import Study, digest
 from rig.system.open_loop_drive import level_of, with_ideal_force
 from rig.system.structural_model import structural_model
@@ -267,8 +267,8 @@ class _Point(NamedTuple):
 def _followed(row: _Row) -> list[_Point]:
     """Compute all points of a row, with the CPU time of each."""
     # Run once without measurement, so that compilation and loading are not included in the CPU time.
-    Follower(row.scene, TOLERANCE, 1).point(float(row.frequency[0]), None)
-    found, points = [], Follower(row.scene, TOLERANCE, row.longest).follow(row.frequency)
+    SteadyContinuation(row.scene, TOLERANCE, 1).point(float(row.frequency[0]), None)
+    found, points = [], SteadyContinuation(row.scene, TOLERANCE, row.longest).points(row.frequency)
     for _ in row.frequency:
         begun = time.thread_time()
         point = next(points)

@@ -13,38 +13,38 @@ from rig.errors import RunError
 from rig.grain_beds.coupling import CoupledState
 from rig.output_files import atomic_write
 from rig.simulation.energy import Energy
-from rig.simulation.grains_run import Course
+from rig.simulation.grains_run import GrainsState
 from rig.study import code_digest, digest
 
-#: Arrays of a course that are stored unchanged.
-_AS_THEY_ARE = ("rows", "contact", "events")
+#: Fields of `GrainsState` that are stored unchanged.
+_PLAIN_ARRAYS = ("rows", "contact", "events")
 
 
-def write(path: Path, asked: Mapping[str, Any], course: Course) -> None:
+def write_checkpoint(path: Path, settings: Mapping[str, Any], state: GrainsState) -> None:
     """Write a checkpoint and replace the previous one atomically.
 
-    `asked`: all parameters of the run, with their names in messages. Raises `ShotrigError` if the file cannot be
+    `settings`: all parameters of the run, with their names in messages. Raises `ShotrigError` if the file cannot be
     written.
     """
-    state = course.state
-    arrays = {name: getattr(course, name) for name in _AS_THEY_ARE}
-    arrays |= {f"asked_{name}": digest(value) for name, value in asked.items()}
-    arrays |= {f"structure_{number}": part for number, part in enumerate(state.structure)}
-    arrays |= {f"bed_{number}": np.frombuffer(bed, dtype=np.uint8) for number, bed in enumerate(state.beds)}
-    with atomic_write(path, overwrite=True) as part, part.open("wb") as file:
+    coupled = state.coupled
+    arrays = {name: getattr(state, name) for name in _PLAIN_ARRAYS}
+    arrays |= {f"asked_{name}": digest(value) for name, value in settings.items()}
+    arrays |= {f"structure_{number}": array for number, array in enumerate(coupled.structure)}
+    arrays |= {f"bed_{number}": np.frombuffer(bed, dtype=np.uint8) for number, bed in enumerate(coupled.beds)}
+    with atomic_write(path, overwrite=True) as temporary, temporary.open("wb") as file:
         np.savez(
             file,
             code=code_digest("rig"),
-            begin=state.begin,
-            impulse=state.impulse,
-            counts=(state.fallen, course.ambiguous),
-            energy=[astuple(each) for each in course.energy],
+            begin=coupled.begin,
+            impulse=coupled.impulse,
+            counts=(coupled.fallen, state.ambiguous),
+            energy=[astuple(energy) for energy in state.energy],
             **arrays,
         )
 
 
-def read(path: Path, asked: Mapping[str, Any]) -> Course | None:
-    """Read a checkpoint; None if the file does not exist.
+def read_checkpoint(path: Path, settings: Mapping[str, Any]) -> GrainsState | None:
+    """Read a checkpoint; return None if the file does not exist.
 
     Raises `RunError` if the file belongs to another run or is not a checkpoint.
     """
@@ -53,8 +53,10 @@ def read(path: Path, asked: Mapping[str, Any]) -> Course | None:
             stored = dict(arrays)
         if str(stored["code"]) != code_digest("rig"):
             raise ValueError(stored["code"])
-        others = [name for name, value in asked.items() if str(stored[f"asked_{name}"]) != digest(value)]
-        course = _course(stored)
+        different = [
+            name for name, value in settings.items() if str(stored[f"asked_{name}"]) != digest(value)
+        ]
+        state = _restore_state(stored)
     except FileNotFoundError:
         return None
     # A damaged file can cause an exception of almost any type in the reader.
@@ -63,26 +65,26 @@ def read(path: Path, asked: Mapping[str, Any]) -> Course | None:
             f"{path}: is not an interrupted run with grains of this version. Delete it to start again, "
             "or choose another name with -o."
         ) from None
-    if others:
+    if different:
         raise RunError(
-            f"{path}: contains an interrupted run with another {', '.join(others)}. Use the same "
+            f"{path}: contains an interrupted run with another {', '.join(different)}. Use the same "
             "settings to continue it, delete the file to start again, or choose another name with -o."
         )
-    return course
+    return state
 
 
-def _course(stored: Mapping[str, Any]) -> Course:
+def _restore_state(stored: Mapping[str, Any]) -> GrainsState:
     fallen, ambiguous = stored["counts"].tolist()
-    state = CoupledState(
+    coupled = CoupledState(
         _numbered(stored, "structure"),
         tuple(bed.tobytes() for bed in _numbered(stored, "bed")),
         stored["begin"],
         stored["impulse"],
         fallen,
     )
-    energy = tuple(Energy(*each) for each in stored["energy"].tolist())
-    return Course(
-        state=state, energy=energy, ambiguous=ambiguous, **{name: stored[name] for name in _AS_THEY_ARE}
+    energy = tuple(Energy(*values) for values in stored["energy"].tolist())
+    return GrainsState(
+        coupled=coupled, energy=energy, ambiguous=ambiguous, **{name: stored[name] for name in _PLAIN_ARRAYS}
     )
 
 

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from rig.errors import RunError
 
 
-def checked_drive(drive: ArrayLike, inputs: Sequence[str], first: int = 0) -> NDArray[np.float64]:
+def validate_drive(drive: ArrayLike, inputs: Sequence[str], first: int = 0) -> NDArray[np.float64]:
     """Return a drive as an array of shape (inputs, samples).
 
     `inputs`: names of the drive inputs; `first`: number of the first sample, for error messages. Raises `RunError`

@@ -1,8 +1,8 @@
 """The energy balance of a run: work of the drive, stored energy, and dissipated energy.
 
-Work and dissipation are quadratic forms of the state, integrated over every stretch between samples and breaks
-by Gauss-Legendre quadrature of the exact flow; losses in impacts are the jumps of kinetic energy. No
-term is computed as the difference of the others, so the residual is a test of the engine.
+Work and dissipation are quadratic forms of the state. They are integrated over every interval between samples and
+breaks by Gauss-Legendre quadrature of the exact flow. Losses in impacts are the jumps of kinetic energy. No term is
+computed as the difference of the others, so the residual is a test of the engine.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from rig.system.hybrid_system import FORCE_OF_BED, HybridSystem
 
 #: Gauss-Legendre nodes and weights on [0, 1]; within a step 8 of them integrate a product of two solutions to
 #: rounding.
-_GAUSS = tuple(0.5 * part for part in np.polynomial.legendre.leggauss(8) + np.array([[1.0], [0.0]]))
-# Numbers of a power series in memory at a time.
-_NUMBERS = 1 << 21
+_GAUSS_NODES = tuple(0.5 * part for part in np.polynomial.legendre.leggauss(8) + np.array([[1.0], [0.0]]))
+# Largest number of values of a power series in memory.
+_MAX_VALUES = 1 << 21
 
 
 @dataclass(frozen=True)
@@ -36,9 +36,8 @@ class Energy:
     """Energy balance over a run, J.
 
     `stored`, `stored_before`: kinetic, elastic (including contacts), gravitational (dampers) and magnetic energy at
-    the end and at the start.
-
-    `contacts`: energy lost in finite-duration contacts: in dashpots, and remaining in contact springs at release.
+    the end and at the start. `contacts`: energy lost in finite-duration contacts, by dashpots and by contact springs
+    that are still compressed at release.
     """
 
     work: float  # work of the drive: of the force, of the table on the coil spring, or of the amplifier on the coil
@@ -56,15 +55,15 @@ class Energy:
         return self.work - (self.stored - self.stored_before) - lost
 
 
-def total(stretches: Sequence[Energy]) -> Energy:
-    """Add the energy balances of successive stretches."""
-    flows = ("work", "dissipated", "impacts", "contacts", "grains")
-    ends = {"stored": stretches[-1].stored, "stored_before": stretches[0].stored_before}
-    return Energy(**ends, **{name: sum(getattr(each, name) for each in stretches) for name in flows})
+def total_energy(balances: Sequence[Energy]) -> Energy:
+    """Add the energy balances of successive sections of a run."""
+    summed = ("work", "dissipated", "impacts", "contacts", "grains")
+    ends = {"stored": balances[-1].stored, "stored_before": balances[0].stored_before}
+    return Energy(**ends, **{name: sum(getattr(balance, name) for balance in balances) for name in summed})
 
 
 @dataclass(frozen=True)
-class Forms:
+class QuadraticForms:
     """Quadratic forms of the augmented state z (states, then drive), as symmetric matrices."""
 
     stored: Array
@@ -73,7 +72,7 @@ class Forms:
     to_grains: Array
 
 
-def forms(scene: Scene, system: HybridSystem, output: Array) -> Forms:
+def quadratic_forms(scene: Scene, system: HybridSystem, output: Array) -> QuadraticForms:
     """Return stored energy, dissipation, and power of the drive and into beds of grains as quadratic forms.
 
     `output`: u = output p.
@@ -83,11 +82,11 @@ def forms(scene: Scene, system: HybridSystem, output: Array) -> Forms:
     mass = system.mass.copy()
     stiffness = -system.force_state[:, :n]
     damping = -system.force_state[:, n : 2 * n]
-    push = np.zeros((n, size))
-    beds = np.array([name.startswith(f"{FORCE_OF_BED} ") for name in system.inputs], dtype=bool)
-    push[:, ns:] = system.force_drive[:, ~beds] @ output[~beds]
+    input_force = np.zeros((n, size))
+    is_bed_input = np.array([name.startswith(f"{FORCE_OF_BED} ") for name in system.inputs], dtype=bool)
+    input_force[:, ns:] = system.force_drive[:, ~is_bed_input] @ output[~is_bed_input]
     to_grains = np.zeros((size, size))
-    to_grains[n : 2 * n, ns:] = -system.force_drive[:, beds] @ output[beds]
+    to_grains[n : 2 * n, ns:] = -system.force_drive[:, is_bed_input] @ output[is_bed_input]
     power = np.zeros((size, size))
     for number, shaker in enumerate(scene.shakers, 1):
         if isinstance(shaker, TableShaker):
@@ -95,13 +94,13 @@ def forms(scene: Scene, system: HybridSystem, output: Array) -> Forms:
             table = system.points.index(at_shaker("table", number, len(scene.shakers)))
             body = shaker.body - 1
             mass[table, table] = damping[table, table] = 0.0
-            push[table] = 0.0
+            input_force[table] = 0.0
             stiffness[table, table] = shaker.spring
             stiffness[table, body] = -shaker.spring
             force = np.zeros(size)
             force[table], force[body] = shaker.spring, -shaker.spring
             power[n + table] += force
-    power[n : 2 * n] += push
+    power[n : 2 * n] += input_force
     stored = np.zeros((size, size))
     stored[:n, :n] = stiffness
     stored[n : 2 * n, n : 2 * n] = mass
@@ -115,7 +114,9 @@ def forms(scene: Scene, system: HybridSystem, output: Array) -> Forms:
             drive = output[system.inputs.index(at_shaker("shaker", number, len(scene.shakers)))]
             power[current, ns:] = shaker.amplifier.gain * drive
             current += 1
-    return Forms(0.5 * _symmetric(stored), _symmetric(dissipated), _symmetric(power), _symmetric(to_grains))
+    return QuadraticForms(
+        0.5 * _symmetric(stored), _symmetric(dissipated), _symmetric(power), _symmetric(to_grains)
+    )
 
 
 def _symmetric(matrix: Array) -> Array:
@@ -127,7 +128,7 @@ def _quadratic(form: Array, states: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class Ends:
+class CompleteState:
     """Complete state at one instant: augmented state, and height, velocity and mode of every damper."""
 
     state: Array
@@ -136,135 +137,136 @@ class Ends:
     mode: NDArray[Any]
 
 
-def ends_of(propagator: Propagator) -> Ends:
+def complete_state(propagator: Propagator) -> CompleteState:
     """Copy the complete state of a propagator."""
     state = propagator.state
-    return Ends(state.z.copy(), state.height.copy(), state.speed.copy(), state.mode.copy())
+    return CompleteState(state.z.copy(), state.height.copy(), state.speed.copy(), state.mode.copy())
 
 
-def ledger(
+def energy_balance(
     scene: Scene,
     tables: FlowTables,
-    start: Ends,
-    end: Ends,
+    start: CompleteState,
+    end: CompleteState,
     trajectory: Trajectory,
-    begins: Array,
+    segment_states: Array,
     durations: Array,
 ) -> Energy:
     """Compute the energy balance of a simulated motion.
 
     `scene`, `tables`: the scene and the flow tables of its simulation; `start`, `end`: the complete state before and
-    after; `begins`: states at which the segments begin; `durations`: lengths of the segments, s.
+    after; `segment_states`: states at which the segments begin; `durations`: lengths of the segments, s.
     """
-    quadratic = forms(scene, tables.system, tables.drive.output)
-    states, slots, lengths, _ = _stretches(tables, trajectory, begins, durations)
-    work, dissipated, dashpots, to_grains = _integrals(tables, quadratic, states, slots, lengths)
+    forms = quadratic_forms(scene, tables.system, tables.drive.output)
+    states, slots, lengths, _ = _intervals(tables, trajectory, segment_states, durations)
+    work, dissipated, dashpots, to_grains = _integrate(tables, forms, states, slots, lengths)
     return Energy(
         work=work,
-        stored=_stored(tables, quadratic, end),
-        stored_before=_stored(tables, quadratic, start),
+        stored=_stored_energy(tables, forms, end),
+        stored_before=_stored_energy(tables, forms, start),
         dissipated=dissipated,
         impacts=_impact_losses(tables.system, trajectory),
-        contacts=dashpots + _relaxed(tables, trajectory),
+        contacts=dashpots + _release_losses(tables, trajectory),
         grains=to_grains,
     )
 
 
-def fourier(
-    tables: FlowTables, trajectory: Trajectory, begins: Array, durations: Array, omega: float
+def fourier_integral(
+    tables: FlowTables, trajectory: Trajectory, segment_states: Array, durations: Array, omega: float
 ) -> NDArray[np.complex128]:
     """Integrate z(t) e^{-i omega t} over a motion with segments no longer than a step, shape (size,).
 
-    Kinks at impacts are boundaries of stretches, so quadrature has its full order.
+    The jumps at impacts are ends of intervals, so quadrature has its full order.
     """
-    states, slots, lengths, starts = _stretches(tables, trajectory, begins, durations)
+    states, slots, lengths, starts = _intervals(tables, trajectory, segment_states, durations)
     total = np.zeros(tables.size, dtype=np.complex128)
-    nodes, at_nodes = _GAUSS
-    powers = np.vander(nodes, LENGTH + 1, increasing=True).T * at_nodes
-    part, most = lengths / tables.step, max(1, _NUMBERS // (tables.size * (LENGTH + 1)))
+    nodes, node_weights = _GAUSS_NODES
+    powers = np.vander(nodes, LENGTH + 1, increasing=True).T * node_weights
+    ratio, max_rows = lengths / tables.step, max(1, _MAX_VALUES // (tables.size * (LENGTH + 1)))
     for slot in np.unique(slots):
-        every = np.flatnonzero(slots == slot)
-        for rows in np.split(every, range(most, every.size, most)):
+        indices = np.flatnonzero(slots == slot)
+        for rows in np.split(indices, range(max_rows, indices.size, max_rows)):
             # Sum over the nodes first, because the series has many terms but few weights.
-            turns = np.exp(-1j * omega * (starts[rows] + nodes[:, None] * lengths[rows]))
-            weights = (powers @ turns) * (
-                np.vander(part[rows], LENGTH + 1, increasing=True).T * lengths[rows]
+            phase_factors = np.exp(-1j * omega * (starts[rows] + nodes[:, None] * lengths[rows]))
+            weights = (powers @ phase_factors) * (
+                np.vander(ratio[rows], LENGTH + 1, increasing=True).T * lengths[rows]
             )
-            both = np.stack([weights.real, weights.imag], axis=1) @ _series(tables, int(slot), states[rows])
-            total += [1.0, 1.0j] @ both.sum(axis=0)
+            integrals = np.stack([weights.real, weights.imag], axis=1) @ _series(
+                tables, int(slot), states[rows]
+            )
+            total += [1.0, 1.0j] @ integrals.sum(axis=0)
     return total
 
 
-def _stretches(
-    tables: FlowTables, trajectory: Trajectory, begins: Array, durations: Array
+def _intervals(
+    tables: FlowTables, trajectory: Trajectory, segment_states: Array, durations: Array
 ) -> tuple[Array, NDArray[np.int64], Array, Array]:
-    """Return start states, slots, lengths and start times of the stretches between segment ends and breaks."""
+    """Return initial states, slots, durations and start times of the intervals between segment ends and breaks."""
     size = tables.size
     segments = len(durations)
     segment = np.concatenate([np.arange(segments), trajectory.break_segment])
     offset = np.concatenate([np.zeros(segments), trajectory.break_offset])
-    states = np.concatenate([begins[:, :size], trajectory.after[:, :size]])
+    states = np.concatenate([segment_states[:, :size], trajectory.after[:, :size]])
     # Preserve the order of breaks, because several may occur at one instant.
     order = np.lexsort((np.arange(len(segment)), offset, segment))
     segment, offset = segment[order], offset[order]
     first_slot = trajectory.before_slot[0] if len(trajectory.before_slot) else trajectory.slot[0]
-    known = np.concatenate([np.full(segments, -1), trajectory.after_slot])[order]
-    known[0] = first_slot if known[0] < 0 else known[0]
-    slots = known[np.maximum.accumulate(np.where(known >= 0, np.arange(len(known)), 0))]
-    following = np.append(offset[1:], 0.0)
-    same = np.append(segment[1:] == segment[:-1], False)
-    lengths = np.where(same, following, durations[segment]) - offset
-    begin = np.concatenate([[0.0], np.cumsum(durations)[:-1]])
-    return states[order], slots, np.maximum(lengths, 0.0), begin[segment] + offset
+    segment_slots = np.concatenate([np.full(segments, -1), trajectory.after_slot])[order]
+    segment_slots[0] = first_slot if segment_slots[0] < 0 else segment_slots[0]
+    source = np.where(segment_slots >= 0, np.arange(len(segment_slots)), 0)
+    slots = segment_slots[np.maximum.accumulate(source)]
+    next_offset = np.append(offset[1:], 0.0)
+    has_next = np.append(segment[1:] == segment[:-1], False)
+    lengths = np.where(has_next, next_offset, durations[segment]) - offset
+    segment_starts = np.concatenate([[0.0], np.cumsum(durations)[:-1]])
+    return states[order], slots, np.maximum(lengths, 0.0), segment_starts[segment] + offset
 
 
-def _integrals(
-    tables: FlowTables, quadratic: Forms, states: Array, slots: NDArray[np.int64], lengths: Array
+def _integrate(
+    tables: FlowTables, forms: QuadraticForms, states: Array, slots: NDArray[np.int64], lengths: Array
 ) -> tuple[float, float, float, float]:
-    """Integrate power, dissipation in structure and contacts, and power into grains over stretches."""
+    """Integrate power, dissipation in structure and contacts, and power into grains over the intervals."""
     h = tables.step
-    # Split stretches that are longer than a step, and propagate the state.
+    # Split intervals that are longer than a step, and propagate the state.
     work = dissipated = dashpots = to_grains = 0.0
     system = tables.system
     walls = _walls(tables)
     while len(states):
-        part = np.minimum(lengths, h) / h
+        ratio = np.minimum(lengths, h) / h
         ends = np.empty_like(states)
         for slot in np.unique(slots):
             rows = slots == slot
             terms = _series(tables, int(slot), states[rows])
-            closed = np.flatnonzero(system.lasting & (walls[slot] != FLIGHT))
-            damping = system.wall_damping[closed, walls[slot, closed] - 1]
-            for node, weight in zip(*_GAUSS, strict=True):
-                at_node = _sum_series(terms, part[rows] * node)
-                share = weight * part[rows] * h
-                work += float(share @ _quadratic(quadratic.power, at_node))
-                dissipated += float(share @ _quadratic(quadratic.dissipated, at_node))
-                if quadratic.to_grains.any():
-                    to_grains += float(share @ _quadratic(quadratic.to_grains, at_node))
+            in_contact = np.flatnonzero(system.lasting & (walls[slot] != FLIGHT))
+            damping = system.wall_damping[in_contact, walls[slot, in_contact] - 1]
+            for node, weight in zip(*_GAUSS_NODES, strict=True):
+                at_node = _sum_series(terms, ratio[rows] * node)
+                node_weights = weight * ratio[rows] * h
+                work += float(node_weights @ _quadratic(forms.power, at_node))
+                dissipated += float(node_weights @ _quadratic(forms.dissipated, at_node))
+                if forms.to_grains.any():
+                    to_grains += float(node_weights @ _quadratic(forms.to_grains, at_node))
                 dashpots += float(
-                    share @ (at_node[:, system.coordinates + system.bed[closed]] ** 2 @ damping)
+                    node_weights @ (at_node[:, system.coordinates + system.bed[in_contact]] ** 2 @ damping)
                 )
-            ends[rows] = _sum_series(terms, part[rows])
-        more = lengths > h * (1.0 + 1e-12)
-        states, slots, lengths = ends[more], slots[more], lengths[more] - h
+            ends[rows] = _sum_series(terms, ratio[rows])
+        remaining = lengths > h * (1.0 + 1e-12)
+        states, slots, lengths = ends[remaining], slots[remaining], lengths[remaining] - h
     return work, dissipated, dashpots, to_grains
 
 
 def _walls(tables: FlowTables) -> NDArray[np.int64]:
     """Return each damper's finite-duration contact (slots, dampers): FLIGHT, FLOOR or CEILING."""
     system = tables.system
-    configurations = np.array(sorted(tables.slots, key=lambda each: tables.slots[each]), dtype=np.int64)[
-        :, None
-    ]
+    configurations = np.array(sorted(tables.slots, key=tables.slots.__getitem__), dtype=np.int64)[:, None]
     bits = np.arange(system.dampers)
-    closed = configurations >> bits & 1
+    in_contact = configurations >> bits & 1
     if not system.lasting.any():
-        return closed
-    return np.asarray(closed * np.where(configurations >> system.dampers + bits & 1, CEILING, FLOOR))
+        return in_contact
+    return np.asarray(in_contact * np.where(configurations >> system.dampers + bits & 1, CEILING, FLOOR))
 
 
-def _elastic(system: HybridSystem, walls: NDArray[Any], states: Array) -> Array:
+def _contact_energy(system: HybridSystem, walls: NDArray[Any], states: Array) -> Array:
     """Return the energy in contact springs, J; walls (states, dampers) as in `_walls`."""
     energy = np.zeros(len(states))
     for j in np.flatnonzero(system.lasting):
@@ -274,11 +276,11 @@ def _elastic(system: HybridSystem, walls: NDArray[Any], states: Array) -> Array:
     return energy
 
 
-def _relaxed(tables: FlowTables, trajectory: Trajectory) -> float:
-    """Return the energy that contact springs lose at breaks, J: after release a wall recovers without force."""
+def _release_losses(tables: FlowTables, trajectory: Trajectory) -> float:
+    """Return the energy that contact springs lose at breaks [J]: after release, a wall recovers without force."""
     walls = _walls(tables)
-    before = _elastic(tables.system, walls[trajectory.before_slot], trajectory.before)
-    after = _elastic(tables.system, walls[trajectory.after_slot], trajectory.after)
+    before = _contact_energy(tables.system, walls[trajectory.before_slot], trajectory.before)
+    after = _contact_energy(tables.system, walls[trajectory.after_slot], trajectory.after)
     return float((before - after).sum())
 
 
@@ -309,32 +311,32 @@ def _sum_series(terms: Array, tau: Array) -> Array:
     return total
 
 
-def _stored(tables: FlowTables, quadratic: Forms, ends: Ends) -> float:
+def _stored_energy(tables: FlowTables, forms: QuadraticForms, complete: CompleteState) -> float:
     """Return the energy stored in one state of the whole system, J."""
     system = tables.system
     n, body = system.coordinates, system.damper_coordinate
-    state = ends.state[: tables.size]
-    flying = ends.mode == FLIGHT
-    position = state[body] + np.where(ends.mode == CEILING, system.clearance, 0.0)
-    height = np.where(flying, ends.height, position)
-    speed = np.where(flying, ends.speed, state[n + body])
-    energy = float(_quadratic(quadratic.stored, state)) - float(system.force_constant @ state[:n])
-    energy += float(_elastic(system, ends.mode[None], state[None])[0])
+    state = complete.state[: tables.size]
+    flying = complete.mode == FLIGHT
+    position = state[body] + np.where(complete.mode == CEILING, system.clearance, 0.0)
+    height = np.where(flying, complete.height, position)
+    speed = np.where(flying, complete.speed, state[n + body])
+    energy = float(_quadratic(forms.stored, state)) - float(system.force_constant @ state[:n])
+    energy += float(_contact_energy(system, complete.mode[None], state[None])[0])
     # Beds with finite-duration contact are part of the mass matrix.
-    own = np.where(system.lasting, 0.0, system.damper_mass)
-    return energy + float(own @ (system.gravity * height + 0.5 * speed**2))
+    masses = np.where(system.lasting, 0.0, system.damper_mass)
+    return energy + float(masses @ (system.gravity * height + 0.5 * speed**2))
 
 
 def _impact_losses(system: HybridSystem, trajectory: Trajectory) -> float:
     """Return the kinetic energy lost at the breaks, J."""
     n = system.coordinates
-    bed_mass = np.where(system.lasting, 0.0, system.damper_mass)
+    masses = np.where(system.lasting, 0.0, system.damper_mass)
     loss = 0.0
-    for sign, states, own in (
+    for sign, states, damper_speeds in (
         (1.0, trajectory.before, trajectory.speed_before),
         (-1.0, trajectory.after, trajectory.speed_after),
     ):
         velocity = states[:, n : 2 * n]
         loss += sign * 0.5 * float(np.einsum("bi,ij,bj->", velocity, system.mass, velocity))
-        loss += sign * 0.5 * float((own**2 @ bed_mass).sum())
+        loss += sign * 0.5 * float((damper_speeds**2 @ masses).sum())
     return loss

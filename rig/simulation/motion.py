@@ -63,17 +63,17 @@ class Motion:
         interval : float
             Sample interval of this motion, s.
         """
-        kept = slice(-self.first % step, None, step)
+        selected = slice(-self.first % step, None, step)
         before = -(-self.break_sample // step) - 1
         skipped = (self.break_sample - 1 - before * step) * interval
         return replace(
             self,
             first=-(-self.first // step),
-            displacement=self.displacement[:, kept],
-            velocity=self.velocity[:, kept],
-            acceleration=self.acceleration[:, kept],
-            gap=self.gap[:, kept],
-            contact=self.contact[:, kept],
+            displacement=self.displacement[:, selected],
+            velocity=self.velocity[:, selected],
+            acceleration=self.acceleration[:, selected],
+            gap=self.gap[:, selected],
+            contact=self.contact[:, selected],
             break_sample=before + 1,
             break_offset=self.break_offset + skipped,
         )

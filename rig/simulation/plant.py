@@ -15,7 +15,7 @@ from rig.engine.trajectory import Trajectory, event_table
 from rig.errors import SceneError
 from rig.scene.scene import Scene
 from rig.scene.shaker import at_shaker
-from rig.simulation.drive import checked_drive
+from rig.simulation.drive import validate_drive
 from rig.simulation.motion import Motion
 from rig.system.assembly import assemble
 from rig.system.hybrid_system import HybridSystem
@@ -78,54 +78,54 @@ class Plant:
         RunError
             If the drive has the wrong shape, or is not finite.
         """
-        block = checked_drive(drive, self.inputs, self._next)
+        block = validate_drive(drive, self.inputs, self._next)
         if np.isfinite(self._limit).any():
             block = np.clip(block, -self._limit, self._limit)
         first, samples = self._next, block.shape[1]
-        seen = self._propagator.motion_samples(samples)
-        lifted = np.zeros(0, dtype=np.int64)
-        lead = 0
+        buffer = self._propagator.motion_samples(samples)
+        separated = np.zeros(0, dtype=np.int64)
+        offset = 0
         if first == 0 and samples:
-            lead = 1
+            offset = 1
             self._last = block[:, :1].copy()
-            lifted = self._propagator.place(
+            separated = self._propagator.place(
                 self.system.initial, np.concatenate([block[:, 0], np.zeros(len(self.inputs))])
             )
-            self._propagator.sample_present(seen, 0)
-        drive_in = np.concatenate([self._last, block[:, lead:]], axis=1)
-        trajectory = self._propagator.sample_motion(drive_in, self._steps, seen, lead)
+            self._propagator.sample_present(buffer, 0)
+        drive_in = np.concatenate([self._last, block[:, offset:]], axis=1)
+        trajectory = self._propagator.sample_motion(drive_in, self._steps, buffer, offset)
         self._last = drive_in[:, -1:].copy()
         self._next += samples
-        return self._motion(seen, trajectory, first + lead, first, lifted)
+        return self._motion(buffer, trajectory, first + offset, first, separated)
 
     def _motion(
         self,
-        seen: MotionSamples,
+        buffer: MotionSamples,
         trajectory: Trajectory,
         first_end: int,
         first: int,
-        lifted: NDArray[np.int64],
+        separated: NDArray[np.int64],
     ) -> Motion:
-        """Return the motion of a block; segment s of the course ends at sample `first_end` + s."""
+        """Return the motion of a block; segment s of the trajectory ends at sample `first_end` + s."""
         system, n, points = self.system, self.system.coordinates, len(self.system.points)
         interval = 1.0 / self.rate
-        displacement, velocity, acceleration, gap = self._propagator.parts(seen)
+        displacement, velocity, acceleration, gap = self._propagator.parts(buffer)
         before, after = trajectory.before, trajectory.after
         times = (first_end + trajectory.event_segment - 1) * interval + trajectory.event_offset
         events = event_table(
             times, trajectory.event_damper, trajectory.event_kind, trajectory.event_speed, system
         )
-        if len(lifted):
-            at_once = np.zeros(len(lifted))
-            early = event_table(at_once, lifted, at_once.astype(np.int64), at_once, system)
-            events = np.concatenate([early, events])
+        if len(separated):
+            zeros = np.zeros(len(separated))
+            initial_events = event_table(zeros, separated, zeros.astype(np.int64), zeros, system)
+            events = np.concatenate([initial_events, events])
         return Motion(
             first=first,
             displacement=displacement,
             velocity=velocity,
             acceleration=acceleration,
-            gap=self._of_all_dampers(gap, 0.0),
-            contact=self._of_all_dampers(seen.contact, FLOOR),
+            gap=self._for_all_dampers(gap, 0.0),
+            contact=self._for_all_dampers(buffer.contact, FLOOR),
             break_sample=first_end + trajectory.break_segment,
             break_offset=np.minimum(trajectory.break_offset, interval),
             break_displacement=np.ascontiguousarray(before[:, :points].T),
@@ -139,13 +139,13 @@ class Plant:
             events=events,
         )
 
-    def _of_all_dampers(self, rows: NDArray[Any], held: float) -> NDArray[Any]:
-        """Combine rows of moving dampers with a constant for held dampers; shape (dampers, samples)."""
+    def _for_all_dampers(self, rows: NDArray[Any], constant: float) -> NDArray[Any]:
+        """Combine rows of moving dampers with a constant for dampers that cannot move; shape (dampers, samples)."""
         if len(rows) == self._dampers:
             return rows
-        every = np.full((self._dampers, rows.shape[1]), held, dtype=rows.dtype)
-        every[self.system.damper_number - 1] = rows
-        return every
+        all_dampers = np.full((self._dampers, rows.shape[1]), constant, dtype=rows.dtype)
+        all_dampers[self.system.damper_number - 1] = rows
+        return all_dampers
 
 
 def _propagator(

@@ -17,28 +17,28 @@ from rig.scene.excitation import Impulse
 from rig.scene.scene import Scene
 from rig.simulation.simulate import Run, simulate
 
-#: File name extensions that `write` supports.
-ENDINGS = (".npz", ".csv")
+#: File name extensions that `write_run` supports.
+SUFFIXES = (".npz", ".csv")
 
 
-def duration_of(scene: Scene) -> float:
-    """Return the open-loop duration of a scene's test, s; two seconds if the test has none."""
+def default_duration(scene: Scene) -> float:
+    """Return the open-loop duration of a scene's test [s]; two seconds if the test has none."""
     test = scene.test
     if isinstance(test, Impulse):
         return test.repeats * test.interval
     return float(getattr(test, "duration", 2.0))
 
 
-def check_name(path: Path) -> None:
+def check_suffix(path: Path) -> None:
     """Reject a file name with an unknown extension before the simulation.
 
     Raises `SceneError` if the extension is unknown.
     """
-    if path.suffix not in ENDINGS:
-        raise SceneError(f"{path}: expected a name that ends in {' or '.join(ENDINGS)}")
+    if path.suffix not in SUFFIXES:
+        raise SceneError(f"{path}: unknown extension {path.suffix!r}; expected {' or '.join(SUFFIXES)}")
 
 
-def simulate_into(
+def simulate_to_file(
     output: Path | None,
     scene: Scene,
     duration: float | None,
@@ -48,23 +48,25 @@ def simulate_into(
 ) -> Run:
     """Simulate a scene and write the run; runs with grains keep a checkpoint next to the file until it is written.
 
-    `output`: file for `write`; None: no file and no checkpoint are written. Raises `ShotrigError` if `simulate`
+    `output`: file for `write_run`; None: no file and no checkpoint are written. Raises `ShotrigError` if `simulate`
     raises an error, or a file cannot be written.
     """
     if output is not None:
-        check_name(output)
+        check_suffix(output)
         reject_foreign_files(output)
-    keep = None if output is None else output.with_name(f"{output.name}.kept")
-    duration = duration_of(scene) if duration is None else duration
+    checkpoint = None if output is None else output.with_name(f"{output.name}.kept")
+    duration = default_duration(scene) if duration is None else duration
     try:
-        run = simulate(scene, duration, rate, frequency=frequency, keep=keep, progress=progress)
+        run = simulate(scene, duration, rate, frequency=frequency, keep=checkpoint, progress=progress)
     except KeyboardInterrupt as interrupt:
-        if keep is not None and keep.exists():
-            interrupt.add_note(f"{keep} holds what has been computed; the same command goes on from there")
+        if checkpoint is not None and checkpoint.exists():
+            interrupt.add_note(
+                f"{checkpoint} contains the computed part. The same command continues from it."
+            )
         raise
-    if output is not None and keep is not None:
-        write(run, output)
-        keep.unlink(missing_ok=True)
+    if output is not None and checkpoint is not None:
+        write_run(run, output)
+        checkpoint.unlink(missing_ok=True)
     return run
 
 
@@ -77,10 +79,10 @@ def summary(run: Run) -> str:
         lines.append(f"{point:10}" + "".join(f"{peak:12.4g}" for peak in peaks))
     lines.append("")
     for damper in sorted({int(number) for number in run.events["damper"]}):
-        own = run.events[run.events["damper"] == damper]
-        counts = Counter(str(kind) for kind in own["kind"])
+        events = run.events[run.events["damper"] == damper]
+        counts = Counter(str(kind) for kind in events["kind"])
         parts = [f"{kind} {counts[kind]}" for kind in dict.fromkeys(KINDS.tolist()) if counts[kind]]
-        lines.append(f"damper {damper}: {', '.join(parts)}; hardest impact {own['speed'].max():.4g} m/s")
+        lines.append(f"damper {damper}: {', '.join(parts)}; hardest impact {events['speed'].max():.4g} m/s")
     lines.append(f"events: {len(run.events)}, decided within rounding: {run.ambiguous}")
     energy = run.energy
     lines += [
@@ -88,32 +90,32 @@ def summary(run: Run) -> str:
         f"work of the drive      {energy.work:12.6g} J",
         f"dissipated in damping  {energy.dissipated:12.6g} J",
         f"lost in impacts        {energy.impacts:12.6g} J",
-        f"lost in lasting contact {energy.contacts:11.6g} J",
-        *([f"handed to grains       {energy.grains:12.6g} J"] if energy.grains else []),
-        f"still stored           {energy.stored - energy.stored_before:12.6g} J",
-        f"unaccounted for        {energy.residual:12.2g} J",
+        f"lost in contacts       {energy.contacts:12.6g} J",
+        *([f"transferred to grains  {energy.grains:12.6g} J"] if energy.grains else []),
+        f"increase of stored     {energy.stored - energy.stored_before:12.6g} J",
+        f"residual               {energy.residual:12.2g} J",
     ]
     return "\n".join(lines)
 
 
-def write(run: Run, path: Path) -> None:
+def write_run(run: Run, path: Path) -> None:
     """Write a run: everything as .npz, or time, motion and gaps as columns of a .csv.
 
     `path`: the extension selects the format. Raises `SceneError` if the extension is not supported, or the file
     cannot be written.
     """
-    check_name(path)
-    with atomic_write(path) as part:
+    check_suffix(path)
+    with atomic_write(path) as temporary:
         if path.suffix == ".npz":
             fields = ("time", "displacement", "velocity", "acceleration", "gap", "contact")
             arrays = {name: getattr(run, name) for name in fields}
             # Files do not store the metadata of record arrays, so the count is a separate array.
             events = run.events.astype(np.dtype(run.events.dtype.descr))
             np.savez_compressed(
-                part, points=np.array(run.points), events=events, ambiguous=run.ambiguous, **arrays
+                temporary, points=np.array(run.points), events=events, ambiguous=run.ambiguous, **arrays
             )
         else:
-            _write_columns(run, part)
+            _write_columns(run, temporary)
 
 
 def _write_columns(run: Run, path: Path) -> None:

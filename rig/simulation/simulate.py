@@ -21,8 +21,8 @@ from rig.results import Result, complete_style
 from rig.scene.loading import SceneLike, scene_of
 from rig.scene.quantities import FREQUENCY, TIME, number
 from rig.scene.scene import Scene
-from rig.simulation.drive import checked_drive
-from rig.simulation.energy import Energy, ends_of, ledger, total
+from rig.simulation.drive import validate_drive
+from rig.simulation.energy import Energy, complete_state, energy_balance, total_energy
 from rig.system.assembly import assemble
 from rig.system.hybrid_system import HybridSystem
 from rig.system.open_loop_drive import ToneDrive, sampled_drive, tone_drive
@@ -30,8 +30,8 @@ from rig.system.open_loop_drive import ToneDrive, sampled_drive, tone_drive
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-#: Samples per period from which time steps end at samples instead of at periods.
-DENSE = 10
+#: Samples per period of a tone above which time steps end at samples instead of at periods.
+MIN_DENSE_SAMPLES = 10
 
 
 @dataclass(frozen=True, repr=False)
@@ -70,7 +70,7 @@ class Run(Result):
     contact: NDArray[np.int8]
     events: NDArray[Any]
     ambiguous: int
-    _ledger: Callable[[], Energy] = field(repr=False, compare=False)
+    _energy_balance: Callable[[], Energy] = field(repr=False, compare=False)
 
     def summary(self) -> str:
         """Return the duration and the largest motion in words."""
@@ -102,7 +102,7 @@ class Run(Result):
     @cached_property
     def energy(self) -> Energy:
         """The energy balance of the run, J."""
-        return self._ledger()
+        return self._energy_balance()
 
 
 def simulate(
@@ -119,7 +119,7 @@ def simulate(
     Parameters
     ----------
     scene : Scene, str, Path or mapping
-        A scene, or what `rig.load` takes.
+        A scene, or an argument of `rig.load`.
     duration : float or str
         Seconds, or text with a unit, such as ``"2 s"``.
     rate : float or str
@@ -127,7 +127,7 @@ def simulate(
     drive : array_like, shape (inputs, samples), optional
         A sampled drive at `rate`, with first-order hold, instead of the scene's test.
     frequency : float or str, optional
-        Hz: a tone of this frequency at the test's level, instead of the test's own frequencies.
+        Hz, or text with a unit: a tone of this frequency at the test's level, instead of the test's own frequencies.
     keep : Path, optional
         Checkpoint file for a run with grains, which takes long. The same run continues from it after an interruption
         with bit-identical results. The file is not deleted at the end.
@@ -144,8 +144,9 @@ def simulate(
     Notes
     -----
     Without `drive` and `frequency` the scene's test is run open loop: a sine unchanged, a stepped sine at
-    its first frequency, a swept sine, hammer hits, or free vibration. Where the test holds the amplitude of a
-    spring force, the drive is that which produces it in the linear structure with riding dampers.
+    its first frequency, a swept sine, hammer hits, or free vibration. If the test controls the amplitude of a
+    spring force, the drive is the one that produces it in the linear structure with riding dampers (at rest on
+    their floors).
 
     Examples
     --------
@@ -161,60 +162,62 @@ def simulate(
         if value is None or not (np.isfinite(value) and value > 0.0):
             raise SceneError(f"{name}: got {value!r}; expected a positive number")
     system = assemble(scene)
-    _need_memory(system, duration * rate)
+    _check_memory(system, duration * rate)
     samples = int(np.floor(duration * rate * (1.0 + 1e-12))) + 1
     grains = bool(system.grains.any())
     tone = None if drive is not None else tone_drive(scene, system, frequency)
     if tone is not None and not grains:
-        _need_memory(system, duration * (rate + tone.frequency))
-        return _tone_run(scene, system, tone, duration, samples, rate)
+        _check_memory(system, duration * (rate + tone.frequency))
+        return _simulate_tone(scene, system, tone, duration, samples, rate)
     if drive is None and samples < 2:
         raise SceneError(
             f"duration: got {duration:g} s, less than a sample at {rate:g} Hz; expected at least {1.0 / rate:g} s"
         )
     if grains and tone is not None:
-        return _grains_run(scene, tone, samples, rate, keep, progress)
-    sampled = sampled_drive(scene, system, samples, rate) if drive is None else _checked_drive(drive, system)
+        return _simulate_grains(scene, tone, samples, rate, keep, progress)
+    sampled = sampled_drive(scene, system, samples, rate) if drive is None else _sampled_drive(drive, system)
     if grains:
-        return _grains_run(scene, sampled, sampled.shape[1], rate, keep, progress)
-    return _sampled_run(scene, system, sampled, rate)
+        return _simulate_grains(scene, sampled, sampled.shape[1], rate, keep, progress)
+    return _simulate_sampled(scene, system, sampled, rate)
 
 
-def _need_memory(system: HybridSystem, instants: float) -> None:
+def _check_memory(system: HybridSystem, instants: float) -> None:
     """Reject a run whose motion exceeds the memory: states, points, dampers and extended-precision times."""
     numbers = 3 * system.states + 3 * len(system.points) + 4 * len(system.damper_mass) + 16
     need(8.0 * numbers * instants, f"a motion of {instants:.3g} instants")
 
 
-def _checked_drive(drive: ArrayLike, system: HybridSystem) -> Array:
-    block = checked_drive(drive, system.inputs)
+def _sampled_drive(drive: ArrayLike, system: HybridSystem) -> Array:
+    block = validate_drive(drive, system.inputs)
     if block.shape[1] < 2:
         raise RunError(f"drive: {block.shape[1]} samples are too few. Give two samples or more.")
     return block
 
 
-def _tone_run(
+def _simulate_tone(
     scene: Scene, system: HybridSystem, tone: ToneDrive, duration: float, samples: int, rate: float
 ) -> Run:
-    is_dense = rate > DENSE * tone.frequency
+    is_dense = rate > MIN_DENSE_SAMPLES * tone.frequency
     propagator, steps = tone_propagator(system, tone.amplitudes, tone.omega, 1.0 / rate if is_dense else None)
-    lifted = propagator.place(tone.state, np.array([1.0, 0.0]))
-    times, is_sample, new_period = _marks(duration, samples, rate, tone.frequency)
-    start = ends_of(propagator)
-    first = propagator.present()
+    separated = propagator.place(tone.state, np.array([1.0, 0.0]))
+    times, is_sample, new_period = _mark_times(duration, samples, rate, tone.frequency)
+    start = complete_state(propagator)
+    initial = propagator.present()
     durations = np.diff(times).astype(np.float64)
-    lengths = durations / propagator.tables.step
+    segment_steps = durations / propagator.tables.step
     if is_dense:
-        lengths[is_sample[:-1] & is_sample[1:]] = steps
-    trajectory = propagator.through_marks(lengths, np.arange(len(durations)), new_period[:-1])
+        segment_steps[is_sample[:-1] & is_sample[1:]] = steps
+    trajectory = propagator.through_marks(segment_steps, np.arange(len(durations)), new_period[:-1])
     starts = times[:-1].astype(np.float64)
-    begins = np.concatenate([first.state, trajectory.state[:-1]])
-    books = (scene, propagator.tables, start, ends_of(propagator), trajectory, begins, durations)
-    keep = np.flatnonzero(is_sample[1:])
-    return _run(scene, system, propagator, rate, samples, first, trajectory, keep, starts, lifted, books)
+    begins = np.concatenate([initial.state, trajectory.state[:-1]])
+    balance = (scene, propagator.tables, start, complete_state(propagator), trajectory, begins, durations)
+    sample_rows = np.flatnonzero(is_sample[1:])
+    return _assemble_run(
+        scene, system, propagator, rate, samples, initial, trajectory, sample_rows, starts, separated, balance
+    )
 
 
-def _marks(
+def _mark_times(
     duration: float, samples: int, rate: float, frequency: float
 ) -> tuple[NDArray[np.longdouble], NDArray[np.bool_], NDArray[np.bool_]]:
     """Return the sorted times of samples, period starts and the end, with masks of samples and period starts."""
@@ -223,42 +226,42 @@ def _marks(
     # Computed from the frequency in Hz, because the rounding of omega causes a phase error over a million periods.
     period = 1 / np.longdouble(frequency)
     periods = np.arange(1, int(end / period) + 1, dtype=np.longdouble) * period
-    times, back = np.unique(np.concatenate([sample_times, periods, [end]]), return_inverse=True)
+    times, positions = np.unique(np.concatenate([sample_times, periods, [end]]), return_inverse=True)
     is_sample, new_period = np.zeros(len(times), dtype=bool), np.zeros(len(times), dtype=bool)
-    is_sample[back[:samples]] = True
-    new_period[back[samples:-1]] = True
+    is_sample[positions[:samples]] = True
+    new_period[positions[samples:-1]] = True
     return times, is_sample, new_period
 
 
-def _sampled_run(scene: Scene, system: HybridSystem, drive: Array, rate: float) -> Run:
+def _simulate_sampled(scene: Scene, system: HybridSystem, drive: Array, rate: float) -> Run:
     propagator, steps = sampled_propagator(system, 1.0 / rate)
-    lifted = propagator.place(system.initial, np.concatenate([drive[:, 0], np.zeros(len(system.inputs))]))
-    start = ends_of(propagator)
-    first = propagator.present()
+    separated = propagator.place(system.initial, np.concatenate([drive[:, 0], np.zeros(len(system.inputs))]))
+    start = complete_state(propagator)
+    initial = propagator.present()
     trajectory = propagator.through_samples(drive, steps)
     intervals = drive.shape[1] - 1
-    begins = np.concatenate([first.state, trajectory.state[:-1]])
+    begins = np.concatenate([initial.state, trajectory.state[:-1]])
     inputs, ns = len(system.inputs), system.states
     begins[:, ns + inputs : ns + 2 * inputs] = np.diff(drive, axis=1).T
     durations = np.full(intervals, 1.0 / rate)
     starts = np.arange(intervals) / rate
-    books = (scene, propagator.tables, start, ends_of(propagator), trajectory, begins, durations)
-    return _run(
+    balance = (scene, propagator.tables, start, complete_state(propagator), trajectory, begins, durations)
+    return _assemble_run(
         scene,
         system,
         propagator,
         rate,
         drive.shape[1],
-        first,
+        initial,
         trajectory,
         np.arange(intervals),
         starts,
-        lifted,
-        books,
+        separated,
+        balance,
     )
 
 
-def _grains_run(
+def _simulate_grains(
     scene: Scene,
     drive: ToneDrive | Array,
     samples: int,
@@ -268,11 +271,11 @@ def _grains_run(
 ) -> Run:
     """Simulate beds of grains, starting from the checkpoint if it exists."""
     from rig.grain_beds.lammps_library import lammps_version
-    from rig.simulation.checkpoint import read, write
+    from rig.simulation.checkpoint import read_checkpoint, write_checkpoint
     from rig.simulation.grains_run import GrainsRun
 
     tone = (drive.frequency, drive.amplitudes.tolist()) if isinstance(drive, ToneDrive) else None
-    asked = {
+    settings = {
         "scene": scene.to_si_yaml(),
         "duration": samples,
         "rate": rate,
@@ -280,16 +283,16 @@ def _grains_run(
         "version of LAMMPS": lammps_version(),
         "number of ranks": size(),
     }
-    stored = None if keep is None else read(keep, asked)
+    checkpoint = None if keep is None else read_checkpoint(keep, settings)
     run = GrainsRun(scene, samples, rate, drive)
-    course = run.begun() if stored is None else run.resumed(stored)
-    while course.samples < samples:
-        course = run.longer(course)
+    state = run.start() if checkpoint is None else run.resume(checkpoint)
+    while state.samples < samples:
+        state = run.advance(state)
         if keep is not None:
-            write(keep, asked, course)
+            write_checkpoint(keep, settings, state)
         if progress is not None:
-            progress(course.samples, samples)
-    displacement, velocity, acceleration, gap = run.parts(course)
+            progress(state.samples, samples)
+    displacement, velocity, acceleration, gap = run.motion(state)
     return Run(
         scene=scene,
         points=run.coupled.system.points,
@@ -298,36 +301,36 @@ def _grains_run(
         velocity=velocity,
         acceleration=acceleration,
         gap=gap,
-        contact=course.contact,
-        events=course.events.astype(np.dtype(EVENT.descr, metadata={"ambiguous": course.ambiguous})),
-        ambiguous=course.ambiguous,
-        _ledger=partial(total, course.energy),
+        contact=state.contact,
+        events=state.events.astype(np.dtype(EVENT.descr, metadata={"ambiguous": state.ambiguous})),
+        ambiguous=state.ambiguous,
+        _energy_balance=partial(total_energy, state.energy),
     )
 
 
-def _run(
+def _assemble_run(
     scene: Scene,
     system: HybridSystem,
     propagator: Propagator,
     rate: float,
     samples: int,
-    first: Trajectory,
+    initial: Trajectory,
     trajectory: Trajectory,
-    keep: NDArray[np.int64],
+    sample_rows: NDArray[np.int64],
     starts: Array,
-    lifted: NDArray[np.int64],
-    books: tuple[Any, ...],
+    separated: NDArray[np.int64],
+    balance: tuple[Any, ...],
 ) -> Run:
-    """Return the run from the initial state and a course of which only the rows `keep` are samples."""
+    """Return the run from the initial state and a trajectory of which only the rows `sample_rows` are samples."""
     n, points = system.coordinates, len(system.points)
-    states = np.concatenate([first.state, trajectory.state[keep]])
-    slots = np.concatenate([first.slot, trajectory.slot[keep]])
-    gap_before, contact_before = gaps_and_contacts(first, system)
+    states = np.concatenate([initial.state, trajectory.state[sample_rows]])
+    slots = np.concatenate([initial.slot, trajectory.slot[sample_rows]])
+    initial_gap, initial_contact = gaps_and_contacts(initial, system)
     gap, contact = gaps_and_contacts(trajectory, system)
-    zeros = np.zeros(len(lifted))
+    zeros = np.zeros(len(separated))
     events = event_table(
         np.concatenate([zeros, starts[trajectory.event_segment] + trajectory.event_offset]),
-        np.concatenate([lifted, trajectory.event_damper]),
+        np.concatenate([separated, trajectory.event_damper]),
         np.concatenate([zeros.astype(np.int64), trajectory.event_kind]),
         np.concatenate([zeros, trajectory.event_speed]),
         system,
@@ -339,9 +342,9 @@ def _run(
         displacement=np.ascontiguousarray(states[:, :points].T),
         velocity=np.ascontiguousarray(states[:, n : n + points].T),
         acceleration=propagator.accelerations(states, slots)[:points],
-        gap=np.concatenate([gap_before, gap[:, keep]], axis=1),
-        contact=np.concatenate([contact_before, contact[:, keep]], axis=1),
+        gap=np.concatenate([initial_gap, gap[:, sample_rows]], axis=1),
+        contact=np.concatenate([initial_contact, contact[:, sample_rows]], axis=1),
         events=events.astype(np.dtype(EVENT.descr, metadata={"ambiguous": propagator.ambiguous})),
         ambiguous=propagator.ambiguous,
-        _ledger=partial(ledger, *books),
+        _energy_balance=partial(energy_balance, *balance),
     )

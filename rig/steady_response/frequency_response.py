@@ -20,7 +20,7 @@ from rig.scene.loading import SceneLike, scene_of
 from rig.scene.quantities import FREQUENCY, positives
 from rig.scene.scene import Scene
 from rig.scene.shaker import ForceShaker
-from rig.simulation.energy import fourier
+from rig.simulation.energy import fourier_integral
 from rig.steady_response.motion_type import motion_types, overall
 from rig.steady_response.steady_state import MARKS, Steady, one_cycle, settle
 from rig.system.assembly import assemble, spring_force_row
@@ -34,7 +34,8 @@ if TYPE_CHECKING:
 
 #: Relative tolerance of the controlled spring force.
 LEVEL_TOLERANCE = 1e-6
-LEVEL_TRIALS = 25
+#: Largest number of drive levels tried for one point.
+MAX_LEVEL_TRIALS = 25
 
 
 @dataclass(frozen=True, repr=False)
@@ -140,19 +141,19 @@ def compliance_response(
 
 def draw_compliance(
     ax: Axes,
-    over: Array,
+    abscissa: Array,
     labels: Sequence[str],
     compliance: NDArray[np.complex128],
-    marked: NDArray[np.bool_],
-    mark: str,
+    is_marked: NDArray[np.bool_],
+    marker_label: str,
     **style: Any,
 ) -> None:
     """Draw the compliance of each body, (bodies, points), in the order of the points, with optional markers."""
     for label, row in zip(labels, 1e6 * abs(compliance), strict=True):
-        (line,) = ax.loglog(over, row, **complete_style(style, label=label))
-        ax.plot(over[marked], row[marked], "o", mfc="white", mec=line.get_color(), ms=4)
-    if marked.any():
-        ax.plot([], [], "o", mfc="white", mec="black", ms=4, label=mark)
+        (line,) = ax.loglog(abscissa, row, **complete_style(style, label=label))
+        ax.plot(abscissa[is_marked], row[is_marked], "o", mfc="white", mec=line.get_color(), ms=4)
+    if is_marked.any():
+        ax.plot([], [], "o", mfc="white", mec="black", ms=4, label=marker_label)
     ax.set(ylabel="|compliance| / (µm/N)")
 
 
@@ -198,7 +199,7 @@ def frequency_response(
     tolerance : float
         Largest distance from steady state, relative to the motion, for a point to count as converged.
     longest : int
-        Largest number of periods per point; the point is then returned as not converged.
+        Largest number of periods per point; a point that takes longer is returned as not converged.
     progress : callable, optional
         Called with the number of points done and the total.
 
@@ -222,57 +223,62 @@ def frequency_response(
     ('II', True)
     """
     scene = scene_of(scene)
-    asked = positives(frequencies, FREQUENCY, "frequencies")
+    requested = positives(frequencies, FREQUENCY, "frequencies")
     if direction not in ("up", "down", "both"):
         raise SceneError(f"direction: got {direction!r}; expected up, down or both")
     level_of(scene)
-    rising = np.sort(asked)
-    tasks = {"up": [rising], "down": [rising[::-1]], "both": [rising, rising[::-1]]}[direction]
-    follower = Follower(scene, tolerance, longest)
-    counter = _Counter(progress, sum(len(task) for task in tasks))
+    ascending = np.sort(requested)
+    tasks = {"up": [ascending], "down": [ascending[::-1]], "both": [ascending, ascending[::-1]]}[direction]
+    continuation = SteadyContinuation(scene, tolerance, longest)
+    counter = _ProgressCounter(progress, sum(len(task) for task in tasks))
 
-    def follow(order: Array) -> list[SteadyPoint]:
-        return [point for point in follower.follow(order) if counter.add()]
+    def compute_section(order: Array) -> list[SteadyPoint]:
+        return [point for point in continuation.points(order) if counter.add()]
 
     with ThreadPoolExecutor(2) as pool:
         try:
             if len(tasks) == 2:
-                points = [point for part in pool.map(follow, tasks) for point in part]
+                points = [point for section in pool.map(compute_section, tasks) for point in section]
             else:
-                points = _in_two_halves(pool, follower, follow, tasks[0])
+                points = _compute_in_two_sections(pool, continuation, compute_section, tasks[0])
         except BaseException:
             # Leaving the pool waits for the other section, so stop it first.
-            follower.stopped.set()
+            continuation.stopped.set()
             raise
-    return _response(points, follower.system, scene.structure.names)
+    return _response(points, continuation.system, scene.structure.names)
 
 
-def _in_two_halves(
-    pool: ThreadPoolExecutor, follower: Follower, follow: Callable[[Array], list[SteadyPoint]], order: Array
+def _compute_in_two_sections(
+    pool: ThreadPoolExecutor,
+    continuation: SteadyContinuation,
+    compute_section: Callable[[Array], list[SteadyPoint]],
+    order: Array,
 ) -> list[SteadyPoint]:
     middle = len(order) // 2
     if middle == 0:
-        return follow(order)
-    second = pool.submit(follow, order[middle:])
-    first = follow(order[:middle])
-    rest = second.result()
+        return compute_section(order)
+    pending = pool.submit(compute_section, order[middle:])
+    first = compute_section(order[:middle])
+    second = pending.result()
     # The motion that continues the first section may differ from the motion computed from rest.
-    last = first[-1]
-    for k, known in enumerate(rest):
-        point = follower.point(known.frequency, last)
-        rest[k] = point
-        if _same(point, known):
+    previous = first[-1]
+    for k, estimate in enumerate(second):
+        point = continuation.point(estimate.frequency, previous)
+        second[k] = point
+        if _same_motion(point, estimate):
             break
-        last = point
-    return first + rest
+        previous = point
+    return first + second
 
 
-def _same(one: SteadyPoint, other: SteadyPoint) -> bool:
-    size = np.abs(other.compliance).max()
-    return one.types == other.types and bool(np.abs(one.compliance - other.compliance).max() < 1e-5 * size)
+def _same_motion(first: SteadyPoint, second: SteadyPoint) -> bool:
+    magnitude = np.abs(second.compliance).max()
+    return first.types == second.types and bool(
+        np.abs(first.compliance - second.compliance).max() < 1e-5 * magnitude
+    )
 
 
-class _Counter:
+class _ProgressCounter:
     """Counter of finished points."""
 
     def __init__(self, report: Callable[[int, int], None] | None, total: int) -> None:
@@ -285,7 +291,7 @@ class _Counter:
         return True
 
 
-class Follower:
+class SteadyContinuation:
     """Continuation of the steady motion of a scene in frequency."""
 
     def __init__(self, scene: Scene, tolerance: float, longest: int) -> None:
@@ -297,48 +303,53 @@ class Follower:
             getattr(scene.test, "force", None) is not None
         )
 
-    def follow(self, order: Sequence[float] | Array) -> Iterator[SteadyPoint]:
+    def points(self, order: Sequence[float] | Array) -> Iterator[SteadyPoint]:
         """Yield points at the given frequencies, each from the previous point; the first from rest."""
-        last = None
+        previous = None
         for frequency in order:
-            last = self.point(float(frequency), last)
-            yield last
+            previous = self.point(float(frequency), previous)
+            yield previous
 
-    def point(self, frequency: float, last: SteadyPoint | None) -> SteadyPoint:
+    def point(self, frequency: float, previous: SteadyPoint | None) -> SteadyPoint:
         """Compute the steady motion at one frequency, from the motion at another or from rest."""
         tone = tone_drive(self.scene, self.system, frequency)
         assert tone is not None
         propagator, steps = tone_propagator(self.system, tone.amplitudes, tone.omega)
-        if last is None:
+        if previous is None:
             propagator.place(tone.state, np.array([1.0, 0.0]))
         else:
-            propagator.resume(last.end)
+            propagator.resume(previous.end)
         if not self.holds_spring_force:
-            return self._measured(propagator, steps, tone.omega, frequency, 1.0, self.tolerance)
-        return self._held(propagator, steps, tone.omega, frequency, last)
+            return self._measure(propagator, steps, tone.omega, frequency, 1.0, self.tolerance)
+        return self._reach_spring_force(propagator, steps, tone.omega, frequency, previous)
 
-    def _held(
-        self, propagator: Propagator, steps: float, omega: float, frequency: float, last: SteadyPoint | None
+    def _reach_spring_force(
+        self,
+        propagator: Propagator,
+        steps: float,
+        omega: float,
+        frequency: float,
+        previous: SteadyPoint | None,
     ) -> SteadyPoint:
         """Compute the drive level for the required spring force, by the secant method in logarithms."""
-        wanted = level_of(self.scene)
-        level = abs(last.level) if last is not None else 1.0
-        tried: list[tuple[float, float]] = []
+        target_force = level_of(self.scene)
+        level = abs(previous.level) if previous is not None else 1.0
+        trials: list[tuple[float, float]] = []
         point = None
-        for _ in range(LEVEL_TRIALS):
-            error = abs(tried[-1][1]) if tried else 1.0
+        for _ in range(MAX_LEVEL_TRIALS):
+            error = abs(trials[-1][1]) if trials else 1.0
             tolerance = max(self.tolerance, min(1e-4, 1e-2 * error))
-            point = self._measured(propagator, steps, omega, frequency, level, tolerance)
-            miss = float(np.log(point.force / wanted)) if point.force > 0.0 else -1.0
-            tried.append((float(np.log(level)), miss))
-            if abs(miss) < LEVEL_TOLERANCE and tolerance <= self.tolerance * 1.001:
+            point = self._measure(propagator, steps, omega, frequency, level, tolerance)
+            log_error = float(np.log(point.force / target_force)) if point.force > 0.0 else -1.0
+            trials.append((float(np.log(level)), log_error))
+            if abs(log_error) < LEVEL_TOLERANCE and tolerance <= self.tolerance * 1.001:
                 break
-            level = float(np.exp(_next_level(tried)))
+            level = float(np.exp(_next_level(trials)))
         assert point is not None
-        on_level = abs(tried[-1][1]) < 10.0 * LEVEL_TOLERANCE
-        return point if on_level else replace(point, steady=replace(point.steady, converged=False))
+        converged = abs(trials[-1][1]) < 10.0 * LEVEL_TOLERANCE
+        return point if converged else replace(point, steady=replace(point.steady, converged=False))
 
-    def _measured(
+    def _measure(
         self,
         propagator: Propagator,
         steps: float,
@@ -354,7 +365,7 @@ class Follower:
         trajectory, begins = one_cycle(propagator, steps, level, repetition)
         end = propagator.snapshot()
         durations = np.full(len(begins), steps / MARKS * propagator.tables.step)
-        harmonic = fourier(propagator.tables, trajectory, begins, durations, omega) / (
+        harmonic = fourier_integral(propagator.tables, trajectory, begins, durations, omega) / (
             np.pi * repetition / omega
         )
         positions = trajectory.state[:, :n]
@@ -363,9 +374,9 @@ class Follower:
         else:
             force = complex(spring_force_row(self.scene, system) @ harmonic[: system.states])
         types = motion_types(trajectory, system, steady.repetition, float(durations[0]))
-        strikes = np.isin(trajectory.event_kind, STRIKES)
-        struck, closing_speed = trajectory.event_damper[strikes], np.zeros(system.dampers)
-        np.maximum.at(closing_speed, struck, trajectory.event_speed[strikes])
+        is_impact = np.isin(trajectory.event_kind, STRIKES)
+        impact_dampers, closing_speed = trajectory.event_damper[is_impact], np.zeros(system.dampers)
+        np.maximum.at(closing_speed, impact_dampers, trajectory.event_speed[is_impact])
         bodies = self.scene.structure.bodies
         return SteadyPoint(
             frequency=frequency,
@@ -373,7 +384,7 @@ class Follower:
             peak=0.5 * np.ptp(positions[:, :bodies], axis=0),
             force=abs(force),
             types=types,
-            impacts=np.bincount(struck, minlength=system.dampers)[: system.dampers] / repetition,
+            impacts=np.bincount(impact_dampers, minlength=system.dampers)[: system.dampers] / repetition,
             closing_speed=closing_speed,
             steady=steady,
             end=end,
@@ -381,16 +392,20 @@ class Follower:
         )
 
 
-def _next_level(tried: list[tuple[float, float]]) -> float:
+def _next_level(trials: list[tuple[float, float]]) -> float:
     """Compute the next logarithm of the level, limited to a factor of two."""
-    last, miss = tried[-1]
-    step = -miss
-    if len(tried) > 1:
-        before, miss_before = tried[-2]
-        slope = (miss - miss_before) / (last - before) if last != before else 1.0
+    log_level, log_error = trials[-1]
+    step = -log_error
+    if len(trials) > 1:
+        previous_level, previous_error = trials[-2]
+        slope = (
+            (log_error - previous_error) / (log_level - previous_level)
+            if log_level != previous_level
+            else 1.0
+        )
         if slope > 0.1:
-            step = -miss / slope
-    return last + float(np.clip(step, -np.log(2.0), np.log(2.0)))
+            step = -log_error / slope
+    return log_level + float(np.clip(step, -np.log(2.0), np.log(2.0)))
 
 
 def _response(points: list[SteadyPoint], system: HybridSystem, names: Sequence[str] | None) -> SteadyResponse:

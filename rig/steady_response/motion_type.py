@@ -10,25 +10,25 @@ from rig.engine.state import CEILING, CEILING_IMPACT, CEILING_TOUCH, FLOOR_IMPAC
 from rig.engine.trajectory import Trajectory
 from rig.system.hybrid_system import HybridSystem
 
-#: Shortest stay on a wall in finite-duration contact, relative to the duration of a landing.
-STAY = 2.0
+#: Shortest stay on a wall in finite-duration contact, relative to the duration of an isolated contact.
+MIN_STAY_RATIO = 2.0
 
 
 def motion_types(trajectory: Trajectory, system: HybridSystem, repetition: int, duration: float) -> list[str]:
     """Classify the motion of every damper over one repetition of a steady motion.
 
-    `trajectory`: one repetition; `repetition`: length of the repetition in periods of the drive; 0 if the motion
-    does not repeat; `duration`: length of the segments of the trajectory, s. Returns "riding"; "I" (one floor impact
-    a period), "II" (one floor and one ceiling impact, no stay at the ceiling), "III" (the same with a stay); "k per
-    n" for k impacts in n periods; "irregular". In finite-duration contact, a touch counts as an impact, and contact
-    longer than `STAY` times a landing counts as a stay.
+    `trajectory`: one repetition; `repetition`: its length in periods of the drive, 0 if the motion does not repeat;
+    `duration`: duration of the segments of the trajectory, s. Returns "riding" (always at rest on the floor), "I" (one
+    floor impact a period), "II" (one floor and one ceiling impact, no stay at the ceiling), "III" (the same with a
+    stay), "k per n" for k impacts in n periods, or "irregular". In finite-duration contact, a touch counts as an
+    impact, and contact longer than `MIN_STAY_RATIO` times an isolated contact counts as a stay.
     """
     times = trajectory.event_segment * duration + trajectory.event_offset
     cycle = len(trajectory.state) * duration
-    own = [trajectory.event_damper == j for j in range(system.dampers)]
+    is_own = [trajectory.event_damper == j for j in range(system.dampers)]
     return [
-        type_of(trajectory.event_kind[mine], times[mine], system, j, repetition, cycle)
-        for j, mine in enumerate(own)
+        type_of(trajectory.event_kind[events], times[events], system, j, repetition, cycle)
+        for j, events in enumerate(is_own)
     ]
 
 
@@ -52,13 +52,13 @@ def type_of(
 def _stays_at_ceiling(
     kinds: NDArray[np.int64], times: Array, system: HybridSystem, damper: int, cycle: float
 ) -> bool:
-    """Whether the damper stays at the ceiling after the impact, or after the landing in finite-duration contact."""
-    hit = int(np.flatnonzero(np.isin(kinds, (CEILING_IMPACT, CEILING_TOUCH)))[0])
-    after = (hit + 1) % len(kinds)
-    if kinds[hit] == CEILING_IMPACT:
-        return bool(kinds[after] == SEPARATION and times[after] != times[hit])
-    stay = times[after] - times[hit] + (cycle if after < hit else 0.0)
-    return bool(stay > STAY * system.duration_and_restitution(damper, CEILING)[0])
+    """Return whether the damper stays at the ceiling after its impact."""
+    impact = int(np.flatnonzero(np.isin(kinds, (CEILING_IMPACT, CEILING_TOUCH)))[0])
+    following = (impact + 1) % len(kinds)
+    if kinds[impact] == CEILING_IMPACT:
+        return bool(kinds[following] == SEPARATION and times[following] != times[impact])
+    stay = times[following] - times[impact] + (cycle if following < impact else 0.0)
+    return bool(stay > MIN_STAY_RATIO * system.duration_and_restitution(damper, CEILING)[0])
 
 
 def overall(types: list[str]) -> str:

@@ -15,16 +15,16 @@ from rig.scene.scene import Scene
 from rig.steady_response.frequency_response import SteadyResponse
 
 
-def frequencies_of(
+def sweep_frequencies(
     scene: Scene, first: float | None, last: float | None, points: int | None, direction: str | None
 ) -> tuple[tuple[float, ...], str]:
-    """Return rising frequencies in Hz and the direction, as given or from the scene's test.
+    """Return ascending frequencies in Hz and the direction, from the options or from the scene's test.
 
     Raises `SceneError` if neither specifies the frequencies.
     """
     test = scene.test
-    given = (first, last, points)
-    if any(part is not None for part in given):
+    options = (first, last, points)
+    if any(option is not None for option in options):
         stepped = test if isinstance(test, SteppedSine) else None
         first = first if first is not None else getattr(stepped, "from_", None)
         last = last if last is not None else getattr(stepped, "to", None)
@@ -38,10 +38,10 @@ def frequencies_of(
         return tuple(sorted(set(test.order))), direction or test.direction
     if isinstance(test, Sine):
         return (test.frequency,), direction or "up"
-    raise SceneError(f"scene {scene.name!r} names no frequencies; expected --from and --to")
+    raise SceneError(f"scene {scene.name!r}: the test has no frequencies. Give --from and --to.")
 
 
-def rows(response: SteadyResponse) -> tuple[list[str], list[list[str]]]:
+def csv_rows(response: SteadyResponse) -> tuple[list[str], list[list[str]]]:
     """Return column names and rows of a response, with all digits."""
     bodies, dampers = len(response.compliance), len(response.impacts)
     header = ["frequency_hz"]
@@ -49,7 +49,7 @@ def rows(response: SteadyResponse) -> tuple[list[str], list[list[str]]]:
         header += [f"body{body}_compliance_m_per_n", f"body{body}_phase_deg", f"body{body}_peak_m"]
     header += ["force_n", "motion_type", *(f"damper{k}_impacts_per_period" for k in range(1, dampers + 1))]
     header += ["repetition_periods", "converged", "residual", "direction"]
-    table, sweep = [], directions(response.frequency)
+    table, sweep_directions = [], directions(response.frequency)
     for k, frequency in enumerate(response.frequency):
         row = [repr(float(frequency))]
         for body in range(bodies):
@@ -59,7 +59,7 @@ def rows(response: SteadyResponse) -> tuple[list[str], list[list[str]]]:
         row += [repr(float(response.force[k])), str(response.motion_type[k])]
         row += [repr(float(count)) for count in response.impacts[:, k]]
         row += [str(response.repetition[k]), str(bool(response.converged[k])).lower()]
-        row += [repr(float(response.residual[k])), sweep[k]]
+        row += [repr(float(response.residual[k])), sweep_directions[k]]
         table.append(row)
     return header, table
 
@@ -74,63 +74,63 @@ def directions(frequency: NDArray[np.float64]) -> list[str]:
     return [*(steps[:1] or ["up"]), *steps]
 
 
-def write(response: SteadyResponse, path: Path) -> None:
+def write_csv(response: SteadyResponse, path: Path) -> None:
     """Write a response as CSV.
 
     Raises `SceneError` if the file cannot be written.
     """
-    header, table = rows(response)
+    header, table = csv_rows(response)
     with atomic_write(path) as part:
         part.write_text(csv_text([header, *table]), encoding="utf-8", newline="")
 
 
-def text(response: SteadyResponse, every_frequency: bool = False) -> str:
-    """Format the answer: range, motion of the dampers, peaks of each body; on request every frequency as well."""
+def format_response(response: SteadyResponse, every_frequency: bool = False) -> str:
+    """Format the range, the motion of the dampers and the peaks of each body; on request every frequency as well."""
     lines = [response.summary()]
     kinds = list(dict.fromkeys(map(str, response.motion_type)))
     if len(kinds) > 1:
         for kind in kinds:
-            where = format_frequencies(response.frequency.tolist(), (response.motion_type == kind).tolist())
-            lines.append(f"  motion {kind}: {where}")
+            ranges = format_frequencies(response.frequency.tolist(), (response.motion_type == kind).tolist())
+            lines.append(f"  motion {kind}: {ranges}")
     if not response.converged.all():
-        where = format_frequencies(response.frequency.tolist(), (~response.converged).tolist())
-        lines.append(f"  not steady: {where}. A longer wait may help; irregular motion has no steady state.")
-    motion = _motion(response)
+        ranges = format_frequencies(response.frequency.tolist(), (~response.converged).tolist())
+        lines.append(f"  not steady: {ranges}. A longer wait may help. Irregular motion has no steady state.")
+    motion = _motion_labels(response)
     lines += ["", *_peak_table(response, motion)]
     if every_frequency:
         lines += ["", *_frequency_table(response, motion)]
     return "\n".join(lines)
 
 
-def _motion(response: SteadyResponse) -> list[str]:
-    """Motion type at each frequency, with the direction of the sweep if it goes both up and down."""
-    sweep = directions(response.frequency)
-    both = len(set(sweep)) > 1
+def _motion_labels(response: SteadyResponse) -> list[str]:
+    """Return the motion type at each frequency, with the direction of the sweep if it goes both up and down."""
+    sweep_directions = directions(response.frequency)
+    is_both = len(set(sweep_directions)) > 1
     return [
-        f"{kind}, {direction}" if both else str(kind)
-        for kind, direction in zip(response.motion_type, sweep, strict=True)
+        f"{kind}, {direction}" if is_both else str(kind)
+        for kind, direction in zip(response.motion_type, sweep_directions, strict=True)
     ]
 
 
 def _peak_table(response: SteadyResponse, motion: list[str]) -> list[str]:
-    """Local maxima of the compliance of each body, at least 10 % above the minima on both sides."""
+    """Return the lines of local maxima of each body's compliance, at least 10 % above the minima on both sides."""
     from scipy.signal import find_peaks
 
-    rows = [
+    csv_rows = [
         f"{label:<12}{response.frequency[k]:>14.4f}{1e6 * row[k]:>20.4g}  {motion[k]}"
         for label, row in zip(response.labels, abs(response.compliance), strict=True)
         for k in find_peaks(np.log(row), prominence=0.1)[0].tolist() or [int(np.argmax(row))]
     ]
-    return [f"{'body':<12}{'frequency / Hz':>14}{'peak / (µm/N)':>20}  motion", *rows]
+    return [f"{'body':<12}{'frequency / Hz':>14}{'peak / (µm/N)':>20}  motion", *csv_rows]
 
 
 def _frequency_table(response: SteadyResponse, motion: list[str]) -> list[str]:
-    """Compliance of each body, impacts per period and motion type at each frequency."""
-    heads = [f"{label} / (µm/N)" for label in response.labels]
-    lines = [f"{'frequency / Hz':>14}" + "".join(f"{head:>18}" for head in heads) + "  impacts  motion"]
+    """Return the lines of compliance, impacts per period and motion type at each frequency."""
+    headers = [f"{label} / (µm/N)" for label in response.labels]
+    lines = [f"{'frequency / Hz':>14}" + "".join(f"{header:>18}" for header in headers) + "  impacts  motion"]
     for k, frequency in enumerate(response.frequency):
-        sizes = "".join(f"{1e6 * abs(value):18.4g}" for value in response.compliance[:, k])
-        note = "" if response.converged[k] else f"  not steady (residual {response.residual[k]:.1g})"
+        columns = "".join(f"{1e6 * abs(value):18.4g}" for value in response.compliance[:, k])
+        remark = "" if response.converged[k] else f"  not steady (residual {response.residual[k]:.1g})"
         impacts = float(response.impacts[:, k].sum())
-        lines.append(f"{frequency:14.4f}{sizes}  {impacts:7.3g}  {motion[k]}{note}")
+        lines.append(f"{frequency:14.4f}{columns}  {impacts:7.3g}  {motion[k]}{remark}")
     return lines

@@ -24,16 +24,16 @@ from rig.numerics.jit import stored
 
 #: Longest repetition that is detected, in periods of the drive.
 LONGEST_REPETITION = 8
-#: Periods in a comparison; more than four times the longest repetition.
-LOOK = 40
+#: Number of periods in a comparison; more than four times the longest repetition.
+COMPARED_PERIODS = 40
 #: Largest number of periods between two comparisons.
-MOST_SKIPPED = 400
-#: A motion within this many tolerances of a repetition is assumed to converge to it.
-SETTLING = 1e4
+MAX_SKIPPED_PERIODS = 400
+#: A motion whose change over a repetition is less than this many tolerances is assumed to converge to it.
+SETTLING_TOLERANCES = 1e4
 #: Relative changes below this value are rounding errors.
 ROUNDING = 2e-14
-#: Multiplications in one call, about 0.1 s, so that interrupts are handled between calls.
-_HEARD = 1e8
+#: Largest number of multiplications in one call, about 0.1 s: interrupts are handled between calls.
+MAX_WORK_PER_CALL = 1e8
 #: Stored states per period, for first harmonic and peak.
 MARKS = 256
 
@@ -47,7 +47,8 @@ class Steady:
     """Periods of the drive after which the motion repeats; 0 if it does not."""
     residual: float
     """Estimated distance from the steady state, relative to the motion."""
-    periods: int  # Periods that were followed
+    periods: int
+    """Number of periods integrated."""
 
 
 def settle(
@@ -55,33 +56,33 @@ def settle(
     steps: float,
     level: float,
     tolerance: float,
-    longest: int,
-    stopped: Callable[[], bool] = lambda: False,
+    max_periods: int,
+    is_stopped: Callable[[], bool] = lambda: False,
 ) -> Steady:
     """Integrate the motion from the start of a period until it is steady.
 
-    `march`: propagator at the start of a period; `steps`: period of the drive in step lengths; `level`: level of the
-    drive; `tolerance`: largest distance from the steady state, relative to the motion; `longest`: largest number of
-    periods; `stopped`: called at intervals; returns whether to stop. Raises `RunError` if `stopped` returns true.
+    `propagator`: at the start of a period; `steps`: period of the drive in steps; `level`: level of the drive;
+    `tolerance`: largest distance from the steady state, relative to the motion. `is_stopped` is called at intervals;
+    `RunError` is raised if it returns true.
     """
-    done, units = 0, _units(propagator)
+    completed, units = 0, _units(propagator)
     while True:
         # A comparison costs as much as many periods of motion, so the intervals grow.
-        skipped = min(done // 4, MOST_SKIPPED)
-        count = skipped + LOOK
-        looked = _follow(propagator, steps, level, skipped, stopped)
-        done += count
-        changes, left = _distances(looked, units)
-        steady = np.flatnonzero(left < tolerance)
-        # Before it settles to a short repetition, a motion first satisfies the tolerance for a longer repetition.
-        settling = np.flatnonzero(changes < SETTLING * tolerance)
+        skipped = min(completed // 4, MAX_SKIPPED_PERIODS)
+        count = skipped + COMPARED_PERIODS
+        comparison = _integrate(propagator, steps, level, skipped, is_stopped)
+        completed += count
+        changes, distances = _distances(comparison, units)
+        steady = np.flatnonzero(distances < tolerance)
+        # A motion that settles to a short repetition satisfies the tolerance for a longer repetition first.
+        settling = np.flatnonzero(changes < SETTLING_TOLERANCES * tolerance)
         if len(steady) and steady[0] == settling[0]:
-            return Steady(True, int(steady[0]) + 1, float(left[steady[0]]), done)
-        if done >= longest:
-            return Steady(False, 0, float(changes.min()), done)
+            return Steady(True, int(steady[0]) + 1, float(distances[steady[0]]), completed)
+        if completed >= max_periods:
+            return Steady(False, 0, float(changes.min()), completed)
 
 
-class _Look(NamedTuple):
+class _Comparison(NamedTuple):
     """States at the ends of periods; shape (periods, ...)."""
 
     state: Array
@@ -89,38 +90,38 @@ class _Look(NamedTuple):
     mode: NDArray[np.int8]
 
 
-def _follow(
-    propagator: Propagator, steps: float, level: float, skipped: int, stopped: Callable[[], bool]
-) -> _Look:
+def _integrate(
+    propagator: Propagator, steps: float, level: float, skipped: int, is_stopped: Callable[[], bool]
+) -> _Comparison:
     """Integrate the skipped periods and those of a comparison, in calls short enough for interrupts."""
-    at_once = max(1, int(_HEARD / (steps * propagator.work)))
-    seen: list[_Look] = []
-    for begin in range(0, skipped + LOOK, at_once):
-        if stopped():
+    max_count = max(1, int(MAX_WORK_PER_CALL / (steps * propagator.work)))
+    comparisons: list[_Comparison] = []
+    for begin in range(0, skipped + COMPARED_PERIODS, max_count):
+        if is_stopped():
             raise RunError("stopped")
-        count = min(at_once, skipped + LOOK - begin)
+        count = min(max_count, skipped + COMPARED_PERIODS - begin)
         rows = np.maximum(np.arange(count) + min(begin - skipped, 0), -1)
-        found = propagator.through_marks(np.full(count, steps), rows, np.ones(count, dtype=bool), level)
-        seen.append(_Look(found.state, found.height, found.mode))
-    return _Look(*(np.concatenate(parts) for parts in zip(*seen, strict=True)))
+        trajectory = propagator.through_marks(np.full(count, steps), rows, np.ones(count, dtype=bool), level)
+        comparisons.append(_Comparison(trajectory.state, trajectory.height, trajectory.mode))
+    return _Comparison(*(np.concatenate(field) for field in zip(*comparisons, strict=True)))
 
 
-def _distances(look: _Look, units: Array) -> tuple[Array, Array]:
+def _distances(comparison: _Comparison, units: Array) -> tuple[Array, Array]:
     """Compute relative changes over 1, 2, ... periods, and estimated distances from motions with that repetition."""
-    vectors = _vectors(look, units)
+    vectors = _vectors(comparison, units)
     scale = max(float(np.abs(vectors).max()), 1e-300)
-    present, left = [], []
-    for p, (change, earlier) in enumerate((_changes(vectors, look.mode) / scale).tolist(), 1):
-        present.append(change)
+    changes, distances = [], []
+    for p, (change, earlier_change) in enumerate((_changes(vectors, comparison.mode) / scale).tolist(), 1):
+        changes.append(change)
         if change < ROUNDING:
-            left.append(change)
-        elif not earlier > change:
-            left.append(np.inf)
+            distances.append(change)
+        elif not earlier_change > change:
+            distances.append(np.inf)
         else:
-            fall = log(change / earlier) * p / (LOOK // 2)
+            log_ratio = log(change / earlier_change) * p / (COMPARED_PERIODS // 2)
             # expm1 avoids the rounding of a ratio just below 1.
-            left.append(max(change, change * exp(fall) / -expm1(fall)))
-    return np.array(present), np.array(left)
+            distances.append(max(change, change * exp(log_ratio) / -expm1(log_ratio)))
+    return np.array(changes), np.array(distances)
 
 
 @stored
@@ -130,12 +131,12 @@ def _changes(vectors: Array, modes: NDArray[np.int8]) -> Array:
     changes = np.zeros((LONGEST_REPETITION, 2))
     rows = vectors.shape[0]
     for p in range(1, LONGEST_REPETITION + 1):
-        for when in range(2):
-            end = rows - when * (LOOK // 2)
+        for position in range(2):
+            end = rows - position * (COMPARED_PERIODS // 2)
             for row in range(end - p, end):
                 for column in range(vectors.shape[1]):
                     change = abs(vectors[row, column] - vectors[row - p, column])
-                    changes[p - 1, when] = max(changes[p - 1, when], change)
+                    changes[p - 1, position] = max(changes[p - 1, position], change)
         for j in range(modes.shape[1]):
             if modes[rows - 1, j] != modes[rows - 1 - p, j]:
                 changes[p - 1] = np.inf
@@ -154,10 +155,10 @@ def _units(propagator: Propagator) -> Array:
     return units
 
 
-def _vectors(look: _Look, units: Array) -> Array:
+def _vectors(comparison: _Comparison, units: Array) -> Array:
     """Return scaled states at the starts of periods, and heights of dampers in flight."""
-    heights = np.where(look.mode == FLIGHT, look.height, 0.0)
-    return np.concatenate([look.state[:, : units.size] * units, heights], axis=1)
+    heights = np.where(comparison.mode == FLIGHT, comparison.height, 0.0)
+    return np.concatenate([comparison.state[:, : units.size] * units, heights], axis=1)
 
 
 def one_cycle(
@@ -168,8 +169,10 @@ def one_cycle(
     Returns `begins`, initial states of the segments.
     """
     count = MARKS * repetition
-    anew = np.zeros(count, dtype=bool)
-    anew[::MARKS] = True
-    first = propagator.state.z.copy()
-    trajectory = propagator.through_marks(np.full(count, steps / MARKS), np.arange(count), anew, level)
-    return trajectory, np.concatenate([first[None], trajectory.state[:-1]])
+    starts_period = np.zeros(count, dtype=bool)
+    starts_period[::MARKS] = True
+    initial = propagator.state.z.copy()
+    trajectory = propagator.through_marks(
+        np.full(count, steps / MARKS), np.arange(count), starts_period, level
+    )
+    return trajectory, np.concatenate([initial[None], trajectory.state[:-1]])

@@ -9,7 +9,7 @@ from analysis.damper_motion.impact_detection import impacts, score
 from analysis.damper_motion.motion_types import damper_motion
 from analysis.responses.stepped_sine import sweeps
 from rig.numerics.runs import runs_of
-from rig.steady_response.motion_type import STAY
+from rig.steady_response.motion_type import MIN_STAY_RATIO
 from rig.system.assembly import assemble
 from tests.gauntlet.cavities import STEPS
 from tests.gauntlet.judges.impacts import APART, detectable, true_impacts
@@ -75,14 +75,14 @@ def _true_type(case: Case, number: int, frequency: float, first: int, stop: int)
 
 
 def _stays(case: Case, number: int, first: int, stop: int) -> bool:
-    """Whether a damper stays at the ceiling: at all, or for more than `STAY` durations of a finite-duration contact."""
+    """Return whether a damper stays at the ceiling; finite-duration contact must exceed `MIN_STAY_RATIO` landings."""
     at_ceiling = case.recording.truth("contact")[number - 1, first:stop] == 2
     if case.scene.dampers[number - 1].contact is None:
         return bool(at_ceiling.any())
     system = assemble(case.scene)
     [j] = np.flatnonzero(system.damper_number == number)
     longest = max((last - begin for begin, last in runs_of(at_ceiling)), default=0)
-    return longest / case.recording.rate > STAY * system.duration_and_restitution(int(j), 2)[0]
+    return longest / case.recording.rate > MIN_STAY_RATIO * system.duration_and_restitution(int(j), 2)[0]
 
 
 def _once(time: NDArray[np.float64], frequency: float, periods: float) -> bool:

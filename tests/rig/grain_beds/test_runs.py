@@ -11,7 +11,7 @@ import rig
 from rig.errors import RunError
 from rig.grain_beds.coupling import CoupledPropagator
 from rig.simulation import grains_run
-from rig.simulation.run_output import simulate_into
+from rig.simulation.run_output import simulate_to_file
 from rig.simulation.simulate import Run
 from tests.rig.grain_beds.scenes import with_grains
 
@@ -20,9 +20,9 @@ SWEEP = {"kind": "swept_sine", "from": "20 Hz", "to": "60 Hz", "duration": "0.03
 
 
 @pytest.fixture(autouse=True)
-def short_stretches(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Cut runs into stretches of so many steps that several are in each."""
-    monkeypatch.setattr(grains_run, "STRETCH", 400)
+def short_sections(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Shorten the sections of a run, so that every run has several."""
+    monkeypatch.setattr(grains_run, "STEPS_PER_SECTION", 400)
 
 
 def beside_a_mass(**changes: object) -> rig.Scene:
@@ -105,14 +105,14 @@ def test_read_bed_remembers_contact_stretch() -> None:
 
 def test_stopped_run_continues_and_keeps_its_output(tmp_path: Path) -> None:
     scene = with_grains()
-    simulate_into(tmp_path / "whole.npz", scene, DURATION, RATE, None, Stop(0))
+    simulate_to_file(tmp_path / "whole.npz", scene, DURATION, RATE, None, Stop(0))
     with pytest.raises(KeyboardInterrupt) as stopped:
-        simulate_into(tmp_path / "run.npz", scene, DURATION, RATE, None, Stop(2))
-    assert "run.npz.kept holds what has been computed; the same command goes on" in stopped.value.__notes__[0]
+        simulate_to_file(tmp_path / "run.npz", scene, DURATION, RATE, None, Stop(2))
+    assert "run.npz.kept contains the computed part" in stopped.value.__notes__[0]
     assert [file.name for file in tmp_path.glob("run*")] == ["run.npz.kept"]
     reported: list[int] = []
 
-    simulate_into(
+    simulate_to_file(
         tmp_path / "run.npz", scene, DURATION, RATE, None, lambda done, total: reported.append(done)
     )
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rig.steady_response.frequency_response import SteadyResponse
-from rig.steady_response.response_output import text
+from rig.steady_response.response_output import format_response
 
 
 @pytest.fixture
@@ -33,14 +33,21 @@ def response() -> SteadyResponse:
 
 
 def test_every_peak_has_a_row(response: SteadyResponse) -> None:
-    rows = [line.split()[:3] for line in text(response).splitlines() if line.startswith(("base", "arm"))]
+    rows = [
+        line.split()[:3]
+        for line in format_response(response).splitlines()
+        if line.startswith(("base", "arm"))
+    ]
     assert rows == [["base", "12.0000", "9"], ["base", "17.0000", "5"], ["arm", "17.0000", "4"]]
 
 
 def test_motion_types_are_given_as_ranges(response: SteadyResponse) -> None:
-    assert "motion riding: 10 to 15 and 19 Hz" in text(response)
-    assert "not steady: 18 Hz" in text(response)
+    assert "motion riding: 10 to 15 and 19 Hz" in format_response(response)
+    assert "not steady: 18 Hz" in format_response(response)
 
 
 def test_every_frequency_is_printed_on_request(response: SteadyResponse) -> None:
-    assert len(text(response, every_frequency=True).splitlines()) == len(text(response).splitlines()) + 12
+    assert (
+        len(format_response(response, every_frequency=True).splitlines())
+        == len(format_response(response).splitlines()) + 12
+    )

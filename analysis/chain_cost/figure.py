@@ -12,41 +12,51 @@ from analysis.chain_cost.variants import GROUPS, own_setting
 from rig.escaping import escape_figure
 from rig.figure_style import COLORS, new_figure, save_with_table
 from rig.output_files import file_stem
+from rig.results.text import table_lines
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from rig.scene.scene import Scene
 
-OWN, REST, FAINT = COLORS[1], COLORS[0], "#a0a0a0"
+OWN, CHANGED, FAINT = COLORS[1], COLORS[0], "#a0a0a0"
 
 
 def table(study: ChainStudy) -> str:
-    """Format a study as a text table."""
+    """Format a study as text: the error of the scene and its largest change first, then a row for each measurement."""
     frequencies = ", ".join(f"{frequency:g}" for frequency in study.frequency)
-    lines = [
-        f"{study.scene.name}: compliance measured at {frequencies} Hz",
-        "",
-        f"{'changed':20}{'to':26}{'ms a second':>12}{'error':>9}{'corrected for':>15}",
-        _line(study.own),
-        _line(study.quiet),
-    ]
-    lines += [_line(point) for group in GROUPS for point in study.points if point.group == group]
-    lines += [
-        "",
-        "ms a second: CPU time to record and analyse a second of the test. error: of the compliance, corrected by the",
-        "data sheets, relative. corrected for: the error of a displacement without that. One thing is changed at a",
-        "time in the scene without what no data sheet can correct: noise, counts, sensors' tolerances and bias.",
-        f"reference: {study.reference}",
-    ]
-    return "\n".join(line.rstrip() for line in lines)
+    changes = [point for group in GROUPS for point in study.points if point.group == group]
+    answer = f"The scene: relative error {study.own.error:.0e}, {_milliseconds(study.own)} ms for a second of the test."
+    measured = [point for point in changes if np.isfinite(point.error)]
+    if measured:
+        worst = max(measured, key=lambda point: point.error)
+        answer += f" Largest error of the changes: {worst.error:.0e} ({worst.group}: {worst.setting})."
+    rows = [("changed", "to", "ms for a second", "relative error", "correction", "note")]
+    rows += [_row(point) for point in (study.own, study.quiet, *changes)]
+    return "\n".join(
+        [
+            f"{study.scene.name}: compliance measured at {frequencies} Hz",
+            answer,
+            "",
+            *table_lines(rows, "<<>>><"),
+            "",
+            "ms for a second: CPU time to record and analyse a second of the test. Relative error: of the compliance,",
+            "corrected by the data sheets. Correction: relative error of a displacement without it. Changes are made in",
+            "the scene without noise, rounding to counts, sensor tolerances and bias, which no sheet corrects.",
+            f"Reference: {study.reference}.",
+        ]
+    )
 
 
-def _line(point: Measurement) -> str:
-    start = f"{point.group or 'the scene':20}{point.setting:26}"
+def _milliseconds(point: Measurement) -> str:
+    return f"{1e3 * point.cpu / point.duration:.3g}"
+
+
+def _row(point: Measurement) -> tuple[str, ...]:
+    start = point.group or "the scene", point.setting
     if np.isnan(point.error):
-        return f"{start}  failed: {point.note}"
-    return f"{start}{1e3 * point.cpu / point.duration:12.4g}{point.error:9.0e}{point.corrected:15.0e}  {point.note}"
+        return *start, "-", "-", "-", f"failed: {point.note}"
+    return *start, _milliseconds(point), f"{point.error:.0e}", f"{point.corrected:.0e}", point.note
 
 
 def write(study: ChainStudy, folder: Path) -> list[Path]:
@@ -77,7 +87,7 @@ def _draw(study: ChainStudy) -> Figure:
     ]
     for group, points in groups:
         own = own_setting(study.scene, group)
-        rows += [(f"{group}: {p.setting}{' (the scene)' * (p.setting == own)}", p, REST) for p in points]
+        rows += [(f"{group}: {p.setting}{' (the scene)' * (p.setting == own)}", p, CHANGED) for p in points]
     place = np.arange(len(rows), dtype=float)
     place[2:] += np.repeat(0.7 * np.arange(1, len(groups) + 1), [len(points) for _, points in groups])
     with new_figure(0.9 + 0.19 * place[-1], 9.0) as figure:
@@ -100,7 +110,7 @@ def _draw(study: ChainStudy) -> Figure:
         for axes in (left, right):
             axes.grid(False, axis="y")
             axes.tick_params(axis="y", length=0)
-        left.plot([], [], "o", color=REST, ms=6, label="compliance, corrected by the data sheets")
+        left.plot([], [], "o", color=CHANGED, ms=6, label="compliance, corrected by the data sheets")
         left.plot([], [], "o", color=FAINT, mfc="white", ms=4.5, label="displacement, not corrected")
         left.plot([], [], "--", color=OWN, lw=0.8, label="the scene as it is")
         figure.legend(loc="outside lower center", ncols=3)

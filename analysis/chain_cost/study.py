@@ -132,7 +132,7 @@ def chain_study(
             raise type(error)(f"the scene as it is cannot be measured: {error}") from None
         todo = [
             Variant("", "as it is", base),
-            Variant("", "without the uncorrectable", quiet(base)),
+            Variant("", "without noise and tolerances", quiet(base)),
             *variants(base, min(chosen), hardest, max(chosen), volts),
         ]
         found: list[Measurement] = []
@@ -145,7 +145,7 @@ def chain_study(
     reference = (
         "the exact solution of the linear equations"
         if linear
-        else f"the engine's steady motion under the drive that the recording notes, repeating within {EXACT:.0e}"
+        else f"the engine's steady motion under the drive stated in the recording, repeating within {EXACT:.0e}"
     )
     return ChainStudy(base, chosen, found[0], found[1], tuple(found[2:]), reference)
 

@@ -31,7 +31,9 @@ def table(study: ChainStudy) -> str:
     if measured:
         worst = max(measured, key=lambda point: point.error)
         answer += f" Largest error of the changes: {worst.error:.0e} ({worst.group}: {worst.setting})."
-    rows = [("changed", "to", "ms for a second", "relative error", "correction", "note")]
+    rows: list[tuple[str, ...]] = [
+        ("changed", "to", "ms for a second", "relative error", "correction", "note")
+    ]
     rows += [_row(point) for point in (study.own, study.quiet, *changes)]
     return "\n".join(
         [

@@ -16,7 +16,7 @@ from rig.provenance import allow_overwriting
 if TYPE_CHECKING:
     from analysis.presentation.result import Result
 
-app = create_application("From recordings to curves, modes and reports.")
+app = create_application("Curves, modes and reports from recordings.")
 
 Files = Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings; several are overlaid.")]
 Output = Annotated[
@@ -149,7 +149,7 @@ def modes(
 def dampers(files: Files, output: Output = None, overwrite: Overwrite = False) -> None:
     """Estimate impacts and dissipated energy of dampers.
 
-    At each frequency of a sine or stepped sine.
+    It evaluates each frequency of a sine or stepped sine test.
     """
     from analysis.presentation.damper_findings import present_dampers
 
@@ -162,7 +162,7 @@ def dampers(files: Files, output: Output = None, overwrite: Overwrite = False) -
 def compare(files: Files, output: Output = None, overwrite: Overwrite = False) -> None:
     """Compare height and frequency of resonance peaks.
 
-    Changes against the first recording, with 95 % bounds.
+    Changes relative to the first recording, with 95 % bounds.
     """
     from analysis.presentation.comparison import present_compare
 
@@ -193,7 +193,10 @@ def fit(
     output: Annotated[
         Path,
         typer.Option(
-            "--output", "-o", metavar="FILE", help="Fitted scene to write; the figures are written beside it."
+            "--output",
+            "-o",
+            metavar="FILE",
+            help="Fitted scene to write; the figures are written next to it.",
         ),
     ] = Path("fitted.yaml"),
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace FILE if it exists.")] = False,
@@ -302,7 +305,7 @@ def cost(
         list[float] | None,
         typer.Option(
             metavar="HZ",
-            help="Frequency to measure at. May be repeated. Default: both ends of the test and the hardest.",
+            help="Test frequency. May be repeated. Default: both ends of the test and the largest acceleration.",
         ),
     ] = None,
     output: Annotated[
@@ -360,7 +363,7 @@ def beds(
 ) -> None:
     """Compare beds of grains with one mass.
 
-    For the claim of the paper. Takes over half an hour.
+    It tests the claim of the paper and takes over half an hour.
     """
     from analysis.reproduction.bed_study import follow
 
@@ -376,7 +379,7 @@ def contacts(
 ) -> None:
     """Compare beds of grains with one mass on compliant walls.
 
-    At the settings of `analysis beds`. Takes minutes.
+    It uses the settings of `analysis beds` and takes minutes.
     """
     from analysis.reproduction.contact_study import follow
 

@@ -18,7 +18,7 @@ from rig.errors import RecordingError
 if TYPE_CHECKING:
     from rig.scene.scene import Scene
 
-app = create_application("The instrument: record, look at, repair and replay tests.")
+app = create_application("The instrument: record, inspect, repair and replay tests.")
 
 # Endings of other formats.
 OTHER_FORMATS = (
@@ -108,7 +108,8 @@ def import_recording(
         ),
     ],
     scene: Annotated[
-        str | None, _option("SCENE", "The bench and its channels. Omitted, the contents of FILE are listed.")
+        str | None,
+        _option("SCENE", "The bench and its channels. Without it, the contents of FILE are listed."),
     ] = None,
     changes: Changes = None,
     table: Annotated[
@@ -174,7 +175,7 @@ def describe_recordings(
     files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings.")],
     check: Annotated[bool, _option(None, "Read the whole file and verify every record.", "--check")] = False,
 ) -> None:
-    """Describe recordings, and name the commands that suit them."""
+    """Describe recordings and list the commands that can analyse them."""
     from daq.viewing.description import info
 
     for file in files:
@@ -191,7 +192,7 @@ def recover(
 ) -> None:
     """Repair an incomplete or damaged recording.
 
-    What was lost is listed exactly.
+    It lists the lost samples exactly.
     """
     from daq.recording.recovery import recover as recover_recording
 
@@ -241,7 +242,7 @@ def run_a_script(
     changes: Changes = None,
     clock: Clock = None,
     seconds: Annotated[
-        float | None, _option("S", "Send Ctrl-C, or Enter at a prompt, after this time on the bench.")
+        float | None, _option("S", "Bench time after which Ctrl-C, or Enter at a prompt, is sent.")
     ] = None,
 ) -> None:
     """Run an unchanged nidaqmx script against the rig."""
@@ -331,7 +332,8 @@ def bench_in_the_browser(
 ) -> None:
     """Run a rig live in the browser.
 
-    The page shows all channels, starts tests, judges hammer hits and records. NI clients find the device meanwhile.
+    The page shows all channels, starts tests, assesses hammer hits and records.
+    NI clients can use the device at the same time.
     """
     from daq.bench_page.bench import bench
 

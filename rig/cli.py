@@ -161,7 +161,7 @@ def simulate(
 ) -> None:
     """Simulate the motion of a scene; print peaks, events and energy.
 
-    Without sensors and controller: the test plays its drive as it is.
+    The test plays its drive without sensors and controller.
     """
     from rig.provenance import allow_overwriting, output_source
     from rig.scene.quantities import FREQUENCY, TIME
@@ -202,10 +202,7 @@ def response(
     overwrite: Overwrite = False,
     verbose: Annotated[bool, typer.Option("--verbose", help="Print every frequency.")] = False,
 ) -> None:
-    """Compute the steady response over frequency.
-
-    At the level of the test.
-    """
+    """Compute the steady response over frequency, at the level of the test."""
     import rig
     from rig.provenance import allow_overwriting, output_source, reject_foreign_files
     from rig.scene.quantities import FREQUENCY
@@ -248,7 +245,7 @@ def grains(
 ) -> None:
     """Compare beds of grains with the same beds as one mass.
 
-    Each is followed to its steady motion at each frequency.
+    Each bed is simulated to its steady motion at each frequency.
     """
     import rig
     from rig.bed_response.bed_response import text
@@ -283,7 +280,7 @@ def cost(
 ) -> None:
     """Measure error and computing time of every method on a scene.
 
-    Of a scene with a bed of grains: what one mass, one mass with finite-duration contact, and coarser grains are worth.
+    For a scene with a bed of grains, it compares one mass, one mass with finite-duration contact, and coarser grains.
     """
     import rig
     from rig.output_files import create_folder, file_stem
@@ -330,7 +327,7 @@ def map_(
 ) -> None:
     """Map motion types and settling time over level and frequency.
 
-    Started again after an interruption, it goes on where it stopped.
+    An interrupted run continues when it is started again.
     """
     import rig
     from rig.motion_map.figure import place, summary, write
@@ -389,15 +386,15 @@ def design(
         str | None,
         typer.Option(
             metavar="F,F,...",
-            help="Force amplitudes that count. Default: half, once and twice that of the test.",
+            help="Force amplitudes to consider. Default: half, once and twice that of the test.",
         ),
     ] = None,
     band: Annotated[
         str | None,
-        typer.Option(metavar="LOW,HIGH", help="Frequency band that counts. Default: that of the test."),
+        typer.Option(metavar="LOW,HIGH", help="Frequency band to consider. Default: that of the test."),
     ] = None,
     watched: Annotated[
-        str | None, typer.Option(metavar="BODY,...", help="Bodies whose peaks count. Default: all.")
+        str | None, typer.Option(metavar="BODY,...", help="Bodies whose peaks to consider. Default: all.")
     ] = None,
     damping_off: Annotated[
         str, typer.Option(metavar="SHARE", help="Uncertainty of the structure's damping, such as '30 %'.")
@@ -418,7 +415,7 @@ def design(
 
     The choice has the smallest worst peak over all levels. A second call continues the first.
 
-    New dampers land as the scene's: with their restitution and contact, those of the first where they differ.
+    New dampers have the restitution and contact of the scene's dampers, or of the first one where they differ.
     """
     from rig.damper_design.design import design as search
     from rig.damper_design.figure import next_step, summary, write

@@ -10,7 +10,7 @@ from typer.core import TyperCommand
 
 _SCENE, _TEST, _FREQUENCIES, _OUTPUT, _COMPUTING = "Scene", "Test", "Frequencies", "Output", "Computing"
 _DAMPERS, _CRITERION, _CURVES, _BLOCKS, _NETWORK = (
-    "Dampers to choose from", "What counts", "Curves", "Averages of blocks", "Network",
+    "Dampers to choose from", "Criterion", "Curves", "Averages of blocks", "Network",
 )  # fmt: skip
 # Group by parameter name, for options that do not specify their group.
 _GROUPS = {

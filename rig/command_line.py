@@ -55,7 +55,7 @@ def create_application(help_text: str) -> Application:
             raise typer.Exit
 
     option = typer.Option(
-        False, "--version", callback=print_version, is_eager=True, help="Say which version it is."
+        False, "--version", callback=print_version, is_eager=True, help="Print the version."
     )
 
     @app.callback()

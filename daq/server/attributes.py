@@ -37,14 +37,14 @@ _GROUPS = {
 DRIVER_VERSION = (26, 0, 0)
 
 
-def attribute_call(name: str) -> Callable[[Call], dict[str, Any]] | None:
+def attribute_call(name: str) -> Callable[[Call], dict[str, Any] | None] | None:
     """Return the handler of a call that reads, sets or resets an attribute; None for other calls."""
     match = _CALL.fullmatch(name)
     if not match:
         return None
     action, owner, per_device, kind = match[1], match[2], bool(match[3]), match[4]
 
-    def answer(call: Call) -> dict[str, Any]:
+    def answer(call: Call) -> dict[str, Any] | None:
         named = attribute_name(call.message)
         if named is None:
             raise unsupported(f"attribute {decode(call.message).get('attribute', 0)}")
@@ -64,11 +64,11 @@ def attribute_call(name: str) -> Callable[[Call], dict[str, Any]] | None:
         elif owner == "Scale" and sets:
             storage, scale = call.instrument.storage, call.fields["scale_name"]
             storage.scales[scale] = storage.scale(scale).changed(named, call.fields["value"])
-            return {}
+            return None
         else:
             raise unsupported(f"{'setting' if sets else 'resetting'} {named}")
         change(call.task, place, named, *([call.fields["value"]] if sets else []))
-        return {}
+        return None
 
     return answer
 

@@ -17,9 +17,8 @@ from google.protobuf.message import DecodeError
 from daq.instrument.clock import raise_priority
 from daq.instrument.errors import Code, DaqError
 from daq.instrument.task import Task
-from daq.server.calls.answers import answer_to
+from daq.server.calls.answers import answer_to, refusal
 from daq.server.calls.call import Call
-from daq.server.calls.unsupported import refusal
 from daq.server.client_defaults import STRICT
 from daq.server.discovery import Discovery
 from daq.server.protocol import SERVICE, SESSION_SERVICE, Method, decode, encode, methods
@@ -109,7 +108,7 @@ class Server:
                 answer = act(call)
                 if method.name.startswith(("Read", "Write", "Start")):
                     self.sessions.check_memory(call.fields["task"], self.limits.memory)
-                return encode(method.response(), answer)
+                return encode(method.response(), answer or {})
 
         return grpc.unary_unary_rpc_method_handler(respond)
 

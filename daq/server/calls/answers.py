@@ -1,24 +1,72 @@
-"""The table of handlers of remote calls."""
+"""The handlers of remote calls; calls that no device on a bench supports return the same error as hardware."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
+from typing import NoReturn
 
 from daq.instrument.devices.measurements import MEASUREMENTS
+from daq.instrument.devices.names import parse_port, unflatten
+from daq.instrument.errors import Code, DaqError, unsupported
 from daq.server.attributes import attribute_call
-from daq.server.calls import channels, devices, samples, scales, session_utilities, tasks, timing
-from daq.server.calls.call import Answer, Call
-from daq.server.calls.channels import create_input, create_teds_input
+from daq.server.calls import channels, samples, settings, tasks
+from daq.server.calls.call import Call, Handler
+
+_CHANNEL = re.compile(r"Create(TEDS)?([ACD][IO])(\w*Chan\w*)")
+_WORDS = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
 
 
-def answer_to(name: str) -> Callable[[Call], Answer] | None:
+def answer_to(name: str) -> Handler | None:
     """Return the handler of a call of the service; None if the instrument does not support the call."""
-    for group in (tasks, channels, timing, samples, scales, devices, session_utilities):
+    for group in (tasks, channels, settings, samples):
         if name in group.CALLS:
             return group.CALLS[name]
     kind = name.replace("ChanWithExcit", "WithExcitChan").removesuffix("Chan")
-    for prefix, make in (("CreateTEDSAI", create_teds_input), ("CreateAI", create_input)):
+    for prefix in ("CreateTEDSAI", "CreateAI"):
         wanted = kind.removeprefix(prefix)
         if kind.startswith(prefix) and (wanted in MEASUREMENTS or "Bridge" in wanted):
-            return make(wanted)
+            return channels.create_input(wanted, teds="TEDS" in prefix)
     return attribute_call(name)
+
+
+def script_function(method: str) -> str:
+    """Return the function name in a script: for channels and timing that of the package nidaqmx, else the driver's.
+
+    >>> script_function("CreateTEDSAIRTDChan"), script_function("ReadDigitalU32")
+    ('add_teds_ai_rtd_chan', 'DAQmxReadDigitalU32')
+    """
+    channel = _CHANNEL.fullmatch(method)
+    if channel:
+        words = filter(None, (channel[1], channel[2], _WORDS.sub("_", channel[3])))
+        return f"add_{'_'.join(words).lower()}"
+    return _WORDS.sub("_", method).lower() if method.startswith("Cfg") else f"DAQmx{method}"
+
+
+def refusal(method: str) -> Callable[[Call], NoReturn]:
+    """Return the handler of a call that the instrument does not support.
+
+    The error is -200220 for a device that is not on the bench, -200170 for a counter or a digital line, -200431 for a
+    measurement that no input supports, and -200452 for anything else.
+    """
+    function = script_function(method)
+
+    def refuse(call: Call) -> NoReturn:
+        fields, modules = call.fields, call.instrument.chassis.devices
+        for name in ("lines", "counter"):
+            if name in fields:
+                module = modules.module(fields[name])
+                raise DaqError(
+                    f"{function}: {module.name} has no {fields[name]!r}; the devices of the rig have analog inputs and "
+                    "outputs only",
+                    Code.PHYSICAL_CHAN_DOES_NOT_EXIST,
+                )
+        terminals = next((fields[name] for name in fields if name.endswith("physical_channel")), "")
+        for terminal in unflatten(terminals):
+            port = parse_port(terminal)
+            module = modules.module(port.device)
+            module.row(port.kind, port.number)
+            raise module.no_measurement(f"{port.name}: {function}")
+        raise unsupported(function)
+
+    return refuse

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from daq.server.served_instrument import ServedInstrument
 
 Answer = dict[str, Any]
+Handler = Callable[["Call"], Answer | None]  # None: an empty answer
 
 
 @dataclass
@@ -42,7 +43,7 @@ def plain(value: Any) -> Any:
     return value.tolist() if isinstance(value, np.ndarray) else value
 
 
-def does(action: Callable[[Task, dict[str, Any]], Any]) -> Callable[[Call], Answer]:
+def does(action: Callable[[Task, dict[str, Any]], Any]) -> Handler:
     """Return the handler for an action of a task; a number that the action returns is the status."""
 
     def act(call: Call) -> Answer:

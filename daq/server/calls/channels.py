@@ -2,50 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 from daq.instrument.devices.measurements import Measurement, measurement
 from daq.instrument.devices.names import numbered, parse_port, unflatten
 from daq.instrument.devices.teds import sensitivity
 from daq.instrument.errors import Code, DaqError
-from daq.server.calls.call import Answer, Call, plain
+from daq.server.calls.call import Call, Handler, plain
 
 
-def create_input(kind: str) -> Callable[[Call], Answer]:
-    """Return the handler that creates inputs of a kind, by its name in the driver's calls."""
+def create_input(kind: str, teds: bool) -> Handler:
+    """Return the handler that creates inputs of a kind, by its name in the driver's calls.
+
+    `teds`: whether the sensors' electronic data sheets give their sensitivities.
+    """
     chosen, implied = measurement(kind)
 
-    def create(call: Call) -> Answer:
-        physical, name, settings = _declared(call, chosen)
-        call.task.settings.add(physical, name, chosen, settings | implied)
-        return {}
-
-    return create
-
-
-def create_teds_input(kind: str) -> Callable[[Call], Answer]:
-    """Return the handler that creates inputs of a kind with the settings of the sensors' TEDS."""
-    chosen, implied = measurement(kind)
-
-    def create(call: Call) -> Answer:
-        physical, name, settings = _declared(call, chosen)
+    def create(call: Call) -> None:
+        call.task.check_idle("adding channels")
+        given = {key: plain(value) for key, value in call.fields.items() if key != "task"}
+        physical, name = given.pop("physical_channel"), given.pop("name_to_assign_to_channel")
+        settings = chosen.settings(given) | implied
+        if not teds:
+            call.task.settings.add(physical, name, chosen, settings)
+            return
         terminals = unflatten(physical)
         names = numbered(name, len(terminals)) if name else [""] * len(terminals)
         for each, virtual in zip(terminals, names, strict=True):
-            own = settings | implied | _settings_of_sensor(call, each, chosen) | {"ai_is_teds": True}
+            own = settings | _settings_of_sensor(call, each, chosen) | {"ai_is_teds": True}
             call.task.settings.add(each, virtual, chosen, own)
-        return {}
 
     return create
-
-
-def _declared(call: Call, kind: Measurement) -> tuple[str, str, dict[str, Any]]:
-    """Return the terminals, the name and the settings in a call that creates inputs."""
-    call.task.check_idle("adding channels")
-    given = {key: plain(value) for key, value in call.fields.items() if key != "task"}
-    physical, name = given.pop("physical_channel"), given.pop("name_to_assign_to_channel")
-    return physical, name, kind.settings(given)
 
 
 def _settings_of_sensor(call: Call, physical: str, kind: Measurement) -> dict[str, Any]:
@@ -63,7 +50,7 @@ def _settings_of_sensor(call: Call, physical: str, kind: Measurement) -> dict[st
     return kind.sensitivity_settings(volts)
 
 
-def _create_output(call: Call) -> Answer:
+def _create_output(call: Call) -> None:
     given = call.fields
     call.task.check_idle("adding channels")
     settings = {
@@ -73,18 +60,15 @@ def _create_output(call: Call) -> Answer:
         "ao_custom_scale_name": given["custom_scale_name"],
     }
     call.task.settings.add(given["physical_channel"], given["name_to_assign_to_channel"], None, settings)
-    return {}
 
 
-def _add_saved_channels(call: Call) -> Answer:
-    task = call.task
-    task.check_idle("adding channels")
-    for name in unflatten(call.fields["channel_names"]):
-        task.settings.channels.append(call.instrument.storage.channel(name))
-    return {}
+def _add_saved_channels(call: Call) -> None:
+    call.task.check_idle("adding channels")
+    saved = [call.instrument.storage.channel(name) for name in unflatten(call.fields["channel_names"])]
+    call.task.settings.channels += saved
 
 
-CALLS: dict[str, Callable[[Call], Answer]] = {
+CALLS: dict[str, Handler] = {
     "AddGlobalChansToTask": _add_saved_channels,
     "CreateAOVoltageChan": _create_output,
 }

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 from daq.instrument.errors import Code, DaqError, unsupported
 from daq.instrument.task import Task
 from daq.instrument.task_input import Reading
-from daq.server.calls.call import Answer, Call
+from daq.server.calls.call import Answer, Call, Handler
 
 _BY_CHANNEL = 0
 
@@ -42,7 +41,7 @@ def _check_room(room: int, needed: int, what: str) -> None:
         )
 
 
-def _read(counts: _Counts | None = None) -> Callable[[Call], Answer]:
+def _read(counts: _Counts | None = None) -> Handler:
     def read(call: Call) -> Answer:
         given, task = call.fields, call.task
         task.settings.require("ai")
@@ -145,7 +144,7 @@ def _table(task: Task, data: NDArray[np.float64], samples: int, by_channel: bool
     return data.reshape(channels, samples) if by_channel else data.reshape(samples, channels).T
 
 
-def _write(counts: _Counts | None = None) -> Callable[[Call], Answer]:
+def _write(counts: _Counts | None = None) -> Handler:
     def write(call: Call) -> Answer:
         given, task = call.fields, call.task
         if counts is None:
@@ -184,10 +183,9 @@ def _volts_per_count(task: Task) -> NDArray[np.float64]:
     return np.array(sizes)
 
 
-def _write_scalar(call: Call) -> Answer:
+def _write_scalar(call: Call) -> None:
     given = call.fields
     call.task.write(np.array([[given["value"]]]), given["auto_start"], given["timeout"])
-    return {}
 
 
 def _write_raw(call: Call) -> Answer:
@@ -211,7 +209,7 @@ def _write_waveforms(call: Call) -> Answer:
     return {"samps_per_chan_written": call.task.write(volts, given["auto_start"], given["timeout"])}
 
 
-CALLS: dict[str, Callable[[Call], Answer]] = {
+CALLS: dict[str, Handler] = {
     "ReadAnalogF64": _read(),
     "ReadAnalogScalarF64": _read_scalar,
     **{f"ReadBinary{kind}": _read(counts) for kind, counts in _COUNTS.items()},

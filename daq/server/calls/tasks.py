@@ -1,60 +1,110 @@
-"""Calls about a task as a whole: sessions, states, events."""
+"""Calls about tasks as a whole, devices, and the names that clients reserve."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
+from daq.instrument.devices.names import parse_port
 from daq.instrument.errors import Code, DaqError, bad
 from daq.instrument.task import Task
-from daq.server.calls.call import Answer, Call, does
+from daq.server.calls.call import Answer, Call, Handler, does
+from daq.server.protocol import DeviceProperties
+from rig.input_files import read_file
 
 
 def _create_task(call: Call) -> Answer:
-    return _session(call, call.fields["session_name"])
+    name, sessions = call.fields["session_name"], call.instrument.sessions
+    if call.strict and name:
+        sessions.check_free(name)
+    session, new = sessions.open(name, call.fields.get("initialization_behavior", 0), call.peer)
+    return {"task": session, "new_session_initialized": new}
 
 
 def _load_task(call: Call) -> Answer:
     name = call.fields["session_name"]
     if name not in call.instrument.storage.tasks:
         raise DaqError(f"there is no saved task {name!r}", Code.TASK_NOT_IN_DATA_NEIGHBORHOOD)
-    answer = _session(call, name)
+    answer = _create_task(call)
     if answer["new_session_initialized"]:
         task = call.instrument.sessions.find(answer["task"], call.peer)
         call.instrument.storage.load_task(task.settings, name)
     return answer
 
 
-def _session(call: Call, name: str) -> Answer:
-    behavior = call.fields.get("initialization_behavior", 0)
-    if call.strict and name:
-        call.instrument.sessions.check_free(name)
-    session, new = call.instrument.sessions.open(name, behavior, call.peer)
-    return {"task": session, "new_session_initialized": new}
-
-
-def _clear_task(call: Call) -> Answer:
-    call.instrument.sessions.close(call.fields["task"], call.peer)
-    return {}
-
-
-def _nth(values: Callable[[Task], list[str]]) -> Callable[[Call], Answer]:
+def _nth(values: Callable[[Task], list[str]]) -> Handler:
     def ask(call: Call) -> Answer:
-        found, index = values(call.task), call.fields["index"]
-        if not 1 <= index <= len(found):
-            raise bad(f"number {index}: expected 1 to {len(found)}")
-        return {"buffer": found[index - 1]}
+        names, index = values(call.task), call.fields["index"]
+        if not 1 <= index <= len(names):
+            raise bad(f"number {index}: expected 1 to {len(names)}")
+        return {"buffer": names[index - 1]}
 
     return ask
 
 
-def _error_string(call: Call) -> Answer:
-    return {"error_string": call.instrument.text_of_error(call.peer, call.fields["error_code"])}
+def _on_device(call: Call) -> Answer:
+    call.instrument.chassis.devices.module(call.fields["device_name"])
+    return {}
 
 
-CALLS: dict[str, Callable[[Call], Answer]] = {
+def _reset_device(call: Call) -> None:
+    module = call.instrument.chassis.devices.module(call.fields["device_name"])
+    call.instrument.sessions.end_on(module.name, call.peer)
+
+
+def _teds(action: str) -> Handler:
+    def act(call: Call) -> None:
+        teds, port = call.instrument.teds, parse_port(call.fields["physical_channel"])
+        call.instrument.chassis.devices.module(port.device).row(port.kind, port.number)
+        path = call.fields.get("file_path", "")
+        if action == "configure":
+            teds.configure(port, path)
+        elif action == "clear":
+            teds.clear(port)
+        elif action == "write_file":
+            try:
+                teds.write(port, read_file(Path(path)) if path else b"")
+            except OSError as error:
+                raise DaqError(f"{path}: {error.strerror}", Code.VIRTUAL_TEDS_FILE_NOT_FOUND) from None
+        else:
+            teds.write(port, call.fields["bit_stream"])
+
+    return act
+
+
+def _devices(call: Call) -> Answer:
+    devices = call.instrument.chassis.devices
+    return {
+        "devices": [
+            DeviceProperties(
+                name=module.name,
+                model=module.product_type,
+                vendor="National Instruments",
+                serial_number=f"{module.attributes()['serial_num']:08X}",
+                product_id=module.number,
+            )
+            for module in map(devices.module, devices.names)
+        ]
+    }
+
+
+def _names(call: Call) -> tuple[str, str]:
+    name, client = call.fields["reservation_id"], call.fields["client_id"]
+    if not (name and client):
+        raise bad("a reservation needs a reservation_id and a client_id: give both")
+    return name, client
+
+
+def _reset_server(call: Call) -> Answer:
+    call.instrument.sessions.close_all()
+    call.instrument.reservations.clear()
+    return {"is_server_reset": True}
+
+
+CALLS: dict[str, Handler] = {
     "CreateTask": _create_task,
     "LoadTask": _load_task,
-    "ClearTask": _clear_task,
+    "ClearTask": lambda call: call.instrument.sessions.close(call.fields["task"], call.peer),
     "StartTask": does(lambda task, given: task.start()),
     "StopTask": does(lambda task, given: task.stop()),
     "TaskControl": does(lambda task, given: task.control(given["action"])),
@@ -65,10 +115,32 @@ CALLS: dict[str, Callable[[Call], Answer]] = {
     "GetNthTaskReadChannel": _nth(
         lambda task: [task.settings.channels[row].name for row in task.settings.rows_to_read()]
     ),
-    "GetErrorString": _error_string,
+    "GetErrorString": lambda call: {
+        "error_string": call.instrument.text_of_error(call.peer, call.fields["error_code"])
+    },
     "UnregisterEveryNSamplesEvent": does(
         lambda task, given: task.events.listen_every(given["every_n_samples_event_type"], 0, None)
     ),
     "UnregisterDoneEvent": does(lambda task, given: task.events.listen_done(None)),
     "UnregisterSignalEvent": does(lambda task, given: task.events.listen_signal(given["signal_id"], None)),
+    "SelfTestDevice": _on_device,
+    "SelfCal": _on_device,
+    "RestoreLastExtCalConst": _on_device,
+    "ResetDevice": _reset_device,
+    "UnreserveNetworkDevice": _on_device,
+    "ReserveNetworkDevice": _on_device,
+    "DeviceSupportsCal": lambda call: _on_device(call) | {"cal_supported": False},
+    "ConfigureTEDS": _teds("configure"),
+    "ClearTEDS": _teds("clear"),
+    "WriteToTEDSFromArray": _teds("write"),
+    "WriteToTEDSFromFile": _teds("write_file"),
+    "EnumerateDevices": _devices,
+    "Reserve": lambda call: {
+        "is_reserved": call.instrument.reservations.reserve(*_names(call), waits=call.is_active)
+    },
+    "IsReservedByClient": lambda call: {
+        "is_reserved": call.instrument.reservations.is_reserved_by(*_names(call))
+    },
+    "Unreserve": lambda call: {"is_unreserved": call.instrument.reservations.release(*_names(call))},
+    "ResetServer": _reset_server,
 }

@@ -17,8 +17,7 @@ from nidaqmx.errors import DaqError, DaqReadError, DaqResourceWarning, DaqWriteE
 
 import rig
 from daq.instrument.clock import ManualClock
-from daq.server.calls.answers import answer_to
-from daq.server.calls.unsupported import script_function
+from daq.server.calls.answers import answer_to, script_function
 from daq.server.protocol import methods
 from tests.daq.client import Task, connect, options, pass_samples
 

@@ -1,0 +1,190 @@
+"""Calls about timing, triggers, buffers and logs of a task, custom scales, and saved tasks, channels and scales."""
+
+from __future__ import annotations
+
+from daq.instrument.errors import bad, unsupported
+from daq.instrument.settings.scales import LINEAR, MAP_RANGES, POLYNOMIAL, TABLE, Scale, reverse_polynomial
+from daq.instrument.task_properties import get_value, set_value, set_values, time_of
+from daq.instrument.values import Signal, TimestampEvent, TimingType, TriggerType, named
+from daq.server.calls.call import Answer, Call, Handler, does, plain
+
+# Kinds of triggers that calls configure, by the driver's prefix of their settings.
+_TRIGGERS = {
+    "anlg_edge": TriggerType.ANALOG_EDGE,
+    "anlg_win": TriggerType.ANALOG_WINDOW,
+    "anlg_multi_edge": TriggerType.ANALOG_MULTI_EDGE,
+    "dig_edge": TriggerType.DIGITAL_EDGE,
+}
+
+
+def _trigger(which: str, prefix: str, **names: str) -> Handler:
+    """Return the handler that configures a trigger; `names` maps fields to settings."""
+
+    def configure(call: Call) -> None:
+        settings = {
+            f"{prefix}_{which}_trig_{key}": plain(call.fields[field_name])
+            for field_name, key in names.items()
+        }
+        if "pretrigger_samples" in call.fields:
+            settings["ref_trig_pretrig_samples"] = call.fields["pretrigger_samples"]
+        set_values(call.task, "trig", **settings, **{f"{which}_trig_type": _TRIGGERS[prefix]})
+
+    return configure
+
+
+def _triggers(which: str) -> dict[str, Handler]:
+    name = which.capitalize()
+    source, when = {"trigger_source": "src"}, {"trigger_when": "when"}
+    slope = {"trigger_slope": "slope", "trigger_level": "lvl"}
+    window = {"window_top": "top", "window_bottom": "btm"}
+    several = {"trigger_sources": "srcs", "trigger_slope_array": "slopes", "trigger_level_array": "lvls"}
+    return {
+        f"CfgAnlgEdge{name}Trig": _trigger(which, "anlg_edge", **source, **slope),
+        f"CfgAnlgWindow{name}Trig": _trigger(which, "anlg_win", **source, **when, **window),
+        f"CfgAnlgMultiEdge{name}Trig": _trigger(which, "anlg_multi_edge", **several),
+        f"CfgDigEdge{name}Trig": _trigger(which, "dig_edge", **source, trigger_edge="edge"),
+        f"Disable{name}Trig": does(
+            lambda task, given: set_value(task, "trig", f"{which}_trig_type", TriggerType.NONE)
+        ),
+    }
+
+
+def _export_signal(call: Call) -> None:
+    names = {
+        Signal.SAMPLE_CLOCK: "samp_clk_output_term",
+        Signal.START_TRIGGER: "start_trig_output_term",
+        Signal.REFERENCE_TRIGGER: "ref_trig_output_term",
+    }
+    if call.fields["signal_id"] not in names:
+        raise unsupported(f"exporting signal {call.fields['signal_id']}")
+    set_value(call.task, "exported_signal", names[call.fields["signal_id"]], call.fields["output_terminal"])
+
+
+def _timestamp(event: TimestampEvent | None) -> Handler:
+    def ask(call: Call) -> Answer:
+        chosen = event
+        if chosen is None:
+            chosen = named(TimestampEvent, call.fields["timestamp_event"], "timestamp_event")
+        seconds = time_of(call.task, chosen, call.fields.get("timeout", 0.0)) * 1e-9
+        return {"data" if event is not None else "timestamp": seconds}
+
+    return ask
+
+
+def _create_scale(kind: int, *names: tuple[str, str]) -> Handler:
+    def create(call: Call) -> None:
+        given = call.fields
+        settings = {key: plain(given[name]) for name, key in names}
+        common = {key: given[key] for key in ("pre_scaled_units", "scaled_units")}
+        storage = call.instrument.storage
+        storage.store(storage.scales, given["name"], Scale(kind, settings | common))
+
+    return create
+
+
+def _reverse(call: Call) -> Answer:
+    given = call.fields
+    order = ("forward_coeffs", "min_val_x", "max_val_x", "num_points_to_compute", "reverse_poly_order")
+    return {"reverse_coeffs": reverse_polynomial(*(plain(given[name]) for name in order))}
+
+
+def _save_task(call: Call) -> None:
+    name = call.fields["save_as"] or call.task.name
+    call.instrument.storage.save_task(call.task.settings, name, call.fields["author"])
+
+
+def _save_channel(call: Call) -> None:
+    channels = call.task.settings.find(call.fields["channel_name"])
+    if not channels:
+        raise bad("there is no channel to save. Add a channel, and name it.")
+    name = call.fields["save_as"] or channels[0].name
+    call.instrument.storage.save_channel(channels[0], name, call.fields["author"])
+
+
+def _save_scale(call: Call) -> None:
+    storage, given = call.instrument.storage, call.fields
+    name = given["save_as"] or given["scale_name"]
+    storage.store(storage.scales, name, storage.scale(given["scale_name"]))
+    storage.authors[name] = given["author"]
+
+
+def _forget(group: str, field_name: str) -> Handler:
+    def forget(call: Call) -> None:
+        for each in (getattr(call.instrument.storage, group), call.instrument.storage.authors):
+            each.pop(call.fields[field_name], None)
+
+    return forget
+
+
+CALLS: dict[str, Handler] = {
+    "CfgSampClkTiming": does(
+        lambda task, given: set_values(
+            task,
+            "timing",
+            samp_clk_rate=given["rate"],
+            samp_clk_src=given["source"],
+            samp_clk_active_edge=given["active_edge"],
+            samp_quant_samp_mode=given["sample_mode"],
+            samp_quant_samp_per_chan=given["samps_per_chan"],
+            samp_timing_type=TimingType.SAMPLE_CLOCK,
+        )
+    ),
+    **_triggers("start"),
+    **_triggers("ref"),
+    "CfgTimeStartTrig": does(
+        lambda task, given: set_values(
+            task,
+            "trig",
+            start_trig_type=TriggerType.TIME,
+            start_trig_trig_when=given["when"],
+            start_trig_timescale=given["timescale"],
+        )
+    ),
+    "GetStartTrigTrigWhen": lambda call: {"data": get_value(call.task, "trig", "start_trig_trig_when")},
+    "SetStartTrigTrigWhen": does(
+        lambda task, given: set_value(task, "trig", "start_trig_trig_when", given["data"])
+    ),
+    "GetStartTrigTimestampVal": _timestamp(TimestampEvent.START_TRIGGER),
+    "GetRefTrigTimestampVal": _timestamp(TimestampEvent.REFERENCE_TRIGGER),
+    "GetFirstSampTimestampVal": _timestamp(TimestampEvent.FIRST_SAMPLE),
+    "WaitForValidTimestamp": _timestamp(None),
+    "ExportSignal": _export_signal,
+    "CfgInputBuffer": does(
+        lambda task, given: set_value(task, "buffer", "input_buf_size", given["num_samps_per_chan"])
+    ),
+    "CfgOutputBuffer": does(
+        lambda task, given: set_value(task, "buffer", "output_buf_size", given["num_samps_per_chan"])
+    ),
+    "ConfigureLogging": does(
+        lambda task, given: set_values(
+            task,
+            "read",
+            logging_file_path=given["file_path"],
+            logging_mode=given["logging_mode"],
+            logging_tdms_group_name=given["group_name"],
+            logging_tdms_operation=given["operation"],
+        )
+    ),
+    "StartNewFile": does(lambda task, given: task.start_new_file(given["file_path"])),
+    "CreateLinScale": _create_scale(LINEAR, ("slope", "lin_slope"), ("y_intercept", "lin_y_intercept")),
+    "CreateMapScale": _create_scale(
+        MAP_RANGES,
+        ("prescaled_min", "map_pre_scaled_min"),
+        ("prescaled_max", "map_pre_scaled_max"),
+        ("scaled_min", "map_scaled_min"),
+        ("scaled_max", "map_scaled_max"),
+    ),
+    "CreatePolynomialScale": _create_scale(
+        POLYNOMIAL, ("forward_coeffs", "poly_forward_coeff"), ("reverse_coeffs", "poly_reverse_coeff")
+    ),
+    "CreateTableScale": _create_scale(
+        TABLE, ("prescaled_vals", "table_pre_scaled_vals"), ("scaled_vals", "table_scaled_vals")
+    ),
+    "CalculateReversePolyCoeff": _reverse,
+    "SaveTask": _save_task,
+    "SaveGlobalChan": _save_channel,
+    "SaveScale": _save_scale,
+    "DeleteSavedTask": _forget("tasks", "task_name"),
+    "DeleteSavedGlobalChan": _forget("channels", "channel_name"),
+    "DeleteSavedScale": _forget("scales", "scale_name"),
+}

@@ -1,4 +1,4 @@
-"""How the rig is drawn: geometry, shapes, palette, and the picture of it at a moment.
+"""The drawing of the rig: geometry, shapes, palette, and poses.
 
-This room does not depend on recordings and viewers. Start with `rig_view`.
+This package does not depend on recordings and viewers. Start with `rig_view`.
 """

@@ -1,4 +1,4 @@
-"""Colours of the instrument's displays: one for each body, shared by its drawing, channels and damper."""
+"""Colours of the displays: one for each body, shared by its drawing, channels and damper."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def body_colour(body: int) -> Colour:
 
 
 def channel_colour(at: str) -> Colour:
-    """Colour of a channel, by where its sensor sits.
+    """Colour of a channel, by the position of its sensor.
 
     >>> channel_colour("body 2") == body_colour(2)
     True

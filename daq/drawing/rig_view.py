@@ -1,4 +1,4 @@
-"""The rig as a drawing in space: its parts, and how they move with the displacements.
+"""The rig as a drawing in space: its parts, and their motion.
 
 Every displacement and gap is multiplied by one exaggeration. z points up, x to the right, y away.
 """
@@ -47,10 +47,10 @@ if TYPE_CHECKING:
 
     from rig.scene.scene import Scene
 
-# Share of a spring's length that the largest motion may take.
-FILL = 0.6
+# Ratio of the largest motion across a spring to its drawn length.
+_MAX_STRETCH_RATIO = 0.6
 # A larger exaggeration would show the noise of a rig at rest.
-MOST_EXAGGERATION = 1e4
+_MAX_EXAGGERATION = 1e4
 
 
 @dataclass(frozen=True)
@@ -73,27 +73,31 @@ class Extremes:
     coil: float = 0.0
     gap: float = 0.0
 
-    def widened(self, motion: RigPose, hung: Sequence[int]) -> Extremes:
-        """Extremes of this and of a further stretch of motion; `hung` are the bodies (from 1) on the coil springs."""
+    def widened(self, motion: RigPose, shaker_bodies: Sequence[int]) -> Extremes:
+        """Return the extremes of this and another segment; `shaker_bodies`: bodies (from 1) on coil springs."""
         ends = np.vstack([np.zeros((1, motion.displacement.shape[1])), motion.displacement])
-        coil = _largest(motion.displacement[[body - 1 for body in hung]] - motion.tables) if hung else 0.0
+        coil = (
+            _max_magnitude(motion.displacement[[body - 1 for body in shaker_bodies]] - motion.tables)
+            if shaker_bodies
+            else 0.0
+        )
         return Extremes(
-            body=max(self.body, _largest(motion.displacement)),
-            spring=max(self.spring, _largest(np.diff(ends, axis=0))),
+            body=max(self.body, _max_magnitude(motion.displacement)),
+            spring=max(self.spring, _max_magnitude(np.diff(ends, axis=0))),
             coil=max(self.coil, coil),
-            gap=max(self.gap, 0.0 if motion.gap is None else _largest(motion.gap)),
+            gap=max(self.gap, 0.0 if motion.gap is None else _max_magnitude(motion.gap)),
         )
 
 
-def _largest(values: Array) -> float:
+def _max_magnitude(values: Array) -> float:
     finite = np.abs(values[np.isfinite(values)])
     return float(finite.max()) if finite.size else 0.0
 
 
 def exaggeration(extremes: Extremes) -> float:
-    """Choose the factor that makes the motion visible without letting parts pass through each other.
+    """Return the factor that makes the motion visible without collisions of drawn parts.
 
-    The largest 1-2-5 number for which springs stretch by less than `FILL` of their length and dampers stay
+    It is the largest 1-2-5 number for which springs stretch by less than 60 % of their length and dampers stay
     inside the drawn headroom.
 
     >>> exaggeration(Extremes(spring=0.8e-3))
@@ -102,26 +106,26 @@ def exaggeration(extremes: Extremes) -> float:
     1.0
     """
     room = (
-        (extremes.spring, FILL * SPRING_LENGTH),
-        (extremes.coil, FILL * COIL_LENGTH),
+        (extremes.spring, _MAX_STRETCH_RATIO * SPRING_LENGTH),
+        (extremes.coil, _MAX_STRETCH_RATIO * COIL_LENGTH),
         (extremes.gap, HEADROOM),
     )
     limits = [space / motion for motion, space in room if motion > 0]
     if not limits:
         return 1.0
-    return round_factor(min(*limits, MOST_EXAGGERATION))
+    return round_factor(min(*limits, _MAX_EXAGGERATION))
 
 
 def _label_place(text: str, height: float) -> Point:
-    """Place of a centred text next to a body, without covering it."""
+    """Return the position of a centred text next to a body."""
     return (WIDTH / 2 + 0.06 + 0.0045 * len(text), -DEPTH / 2, height)
 
 
 class RigView:
     """The drawing of one scene's rig.
 
-    `extremes` set the exaggeration. Unknown damper gaps, and the points in `unknown` (``body 1``, ..., ``table``), are
-    drawn pale and at rest, with a remark.
+    `extremes` set the exaggeration. Dampers with unknown gaps, and points in `unknown` (``body 1``, ...), are
+    drawn pale and at rest, with a note.
     """
 
     def __init__(
@@ -141,8 +145,6 @@ class RigView:
         # Matrices do not state which bodies are connected; a spring of no stiffness is not drawn.
         self.sprung = [stiffness > 0 for stiffness in scene.structure.springs or [0.0] * self.bodies]
 
-    # -- parts at rest -----------------------------------------------------------------------------------
-
     def still_parts(self) -> Iterator[tuple[str, rr.AsComponents]]:
         """Yield entity paths and archetypes that are logged once."""
         import rerun as rr
@@ -157,12 +159,14 @@ class RigView:
         for table in self.shaker_tables:
             yield from self._shaker(table)
         # Arrows on the bodies on which a force acts directly: kind force, and the hammer.
-        pushed = [body for shaker in self.scene.shakers if shaker.kind == "force" for body in shaker.bodies]
-        for body in dict.fromkeys(pushed):
-            yield from self._push(f"rig/body_{body}/drive", 0.045, "force", DRIVE)
+        forced_bodies = [
+            body for shaker in self.scene.shakers if shaker.kind == "force" for body in shaker.bodies
+        ]
+        for body in dict.fromkeys(forced_bodies):
+            yield from self._force_arrow(f"rig/body_{body}/drive", 0.045, "force", DRIVE)
         test = self.scene.test
         if test is not None and test.kind == "impulse":
-            yield from self._push(f"rig/body_{test.body}/hammer", -0.045, "hammer", HAMMER)
+            yield from self._force_arrow(f"rig/body_{test.body}/hammer", -0.045, "hammer", HAMMER)
         yield from self._rest_marks()
 
     def _body(self, body: int) -> Iterator[tuple[str, rr.AsComponents]]:
@@ -170,7 +174,7 @@ class RigView:
         name = f"rig/body_{body}"
         masses = self.scene.structure.masses
         text = self.scene.structure.label(body) + (f"  {masses[body - 1]:g} kg" if masses is not None else "")
-        text += self._remark(f"body {body}")
+        text += self._note(f"body {body}")
         inside = self.stack.cavities[body - 1]
         if inside:
             yield f"{name}/frame", boxes(walls(inside), colour)
@@ -178,11 +182,11 @@ class RigView:
                 yield from self._damper(body, number)
         else:
             yield f"{name}/frame", boxes([((0, 0, height / 2), (WIDTH, DEPTH, height))], colour)
-        reach = max(
+        lug_end = max(
             (table.x + LUG / 2 for table in self.shaker_tables if table.body == body and table.x), default=0.0
         )
-        if reach:
-            middle, length = (reach + WIDTH / 2) / 2, reach - WIDTH / 2
+        if lug_end:
+            middle, length = (lug_end + WIDTH / 2) / 2, lug_end - WIDTH / 2
             yield f"{name}/lug", boxes([((middle, 0, WALL / 2), (length, DEPTH / 2, WALL))], colour)
         yield f"{name}/name", label(_label_place(text, 0.75 * height), text, colour)
         pointer: list[Point] = [(-WIDTH / 2 - out, -DEPTH / 2, height / 2) for out in (0.0, 0.028)]
@@ -191,11 +195,11 @@ class RigView:
     def _colour(self, point: str, colour: Colour) -> Colour:
         return GLUED if point in self._unknown else colour
 
-    def _remark(self, point: str) -> str:
+    def _note(self, point: str) -> str:
         return ", not measured" if point in self._unknown else ""
 
     def damper_entity(self, place: int) -> str:
-        """Path of a damper: numbered where its body has several."""
+        """Return the path of a damper, with a number if its body has several."""
         body = self.scene.dampers[place].body
         inside = [cavity.place for cavity in self.stack.cavities[body - 1]]
         return f"rig/body_{body}/damper" + (f"_{inside.index(place) + 1}" if len(inside) > 1 else "")
@@ -230,18 +234,20 @@ class RigView:
         yield f"{table.entity('table')}/plate", boxes([plate, stem], colour)
         text_at = (table.x + 0.055, -0.09, -PLATE)
         text = table.point if table.kind == "table" else table.point.replace("table", "armature")
-        yield f"{table.entity('table')}/name", label(text_at, text + self._remark(table.point), colour)
+        yield f"{table.entity('table')}/name", label(text_at, text + self._note(table.point), colour)
         yield table.entity("coil_spring"), coils([table.x], COIL_LENGTH, DRIVE)
 
     @staticmethod
-    def _push(entity: str, x: float, text: str, colour: Colour) -> Iterator[tuple[str, rr.AsComponents]]:
-        """Draw an arrow from below against the front of a body's underside, and its name at its foot."""
+    def _force_arrow(
+        entity: str, x: float, text: str, colour: Colour
+    ) -> Iterator[tuple[str, rr.AsComponents]]:
+        """Draw an upward arrow at the front of a body's underside, with its name."""
         foot = (x, -DEPTH / 2 - 0.02, -0.055)
         yield entity, arrow(foot, 0.055, colour)
         yield f"{entity}/name", label(foot, text, colour)
 
     def _rest_marks(self) -> Iterator[tuple[str, rr.AsComponents]]:
-        """Scale at the left: where each body rests, how long a millimetre is drawn, and the exaggeration."""
+        """Draw the scale at the left: rest positions of the bodies, a drawn length, and the exaggeration."""
         x, y = -WIDTH / 2 - 0.032, -DEPTH / 2
         middles = [
             bottom + height / 2 for bottom, height in zip(self.stack.bottoms, self.stack.heights, strict=True)
@@ -256,12 +262,10 @@ class RigView:
         text = f"{length * 1e3:g} mm, drawn × {self.magnification:g}"
         yield "rig/scale/text", label((x, y, z - 0.006), text, MARK)
 
-    # -- parts in motion ---------------------------------------------------------------------------------
-
     def moving_parts(self, motion: RigPose) -> Iterator[tuple[str, Array, Array | None]]:
         """Yield (entity, translation, scale), each (instants, 3), in drawing metres; no scale for bodies.
 
-        Springs are drawn once at their rest length; stretching one is scaling it along z.
+        Springs are drawn once at their rest length; a stretched spring is scaled along z.
         """
         moved = motion.displacement * self.magnification
         below = np.zeros(moved.shape[1])
@@ -296,7 +300,7 @@ def _along_z(values: Array, others: float = 0.0) -> Array:
 
 
 def _scale_bar(magnification: float) -> float:
-    """Length of the scale, metres: a power of ten that is drawn between 8 and 80 mm long.
+    """Return the length of the scale, m: a power of ten that is drawn 8 mm to 80 mm long.
 
     >>> _scale_bar(50.0), _scale_bar(500.0)
     (0.001, 0.0001)

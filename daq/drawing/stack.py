@@ -25,8 +25,8 @@ DAMPER_HEIGHT = 0.030
 HEADROOM = 0.100
 # Height of a body with cavities.
 HOLLOW_HEIGHT = WALL + DAMPER_HEIGHT + HEADROOM + WALL
-# Between a damper and the sides and the back of its cavity.
-_PLAY = 0.003
+# Distance of a damper from the sides and the back of its cavity.
+_CLEARANCE = 0.003
 SOLID_HEIGHT = 0.060
 SPRING_LENGTH = 0.080
 COIL_LENGTH = 0.110
@@ -49,12 +49,12 @@ class Cavity:
     @property
     def damper(self) -> Box:
         """Centre and size of the damper on its floor."""
-        size = (self.width - 2 * _PLAY, DEPTH - WALL - _PLAY - 0.001, DAMPER_HEIGHT)
+        size = (self.width - 2 * _CLEARANCE, DEPTH - WALL - _CLEARANCE - 0.001, DAMPER_HEIGHT)
         return (self.x, -WALL / 2, WALL + DAMPER_HEIGHT / 2), size
 
 
 def cavities(dampers: Sequence[Damper], body: int, magnification: float) -> list[Cavity]:
-    """Give the cavities of a body (from 1), from left to right in the scene's order."""
+    """Return the cavities of a body (from 1), from left to right in the scene's order."""
     inside = [place for place, damper in enumerate(dampers) if damper.body == body]
     pitch = (WIDTH - WALL) / max(len(inside), 1)
     found = []
@@ -66,7 +66,7 @@ def cavities(dampers: Sequence[Damper], body: int, magnification: float) -> list
 
 
 def walls(inside: Sequence[Cavity]) -> list[Box]:
-    """Boxes (centre, size) of a body with cavities, open to the front; ceilings where in sight."""
+    """Return the boxes (centre, size) of a body with cavities, open to the front, with the visible ceilings."""
     height = HOLLOW_HEIGHT
     parts: list[Box] = [
         ((0, 0, WALL / 2), (WIDTH, DEPTH, WALL)),
@@ -83,7 +83,7 @@ def walls(inside: Sequence[Cavity]) -> list[Box]:
 
 
 class Table(NamedTuple):
-    """A shaker's table: its name, kind of shaker, the body (from 1) on its coil spring, and its place, metres."""
+    """A shaker's table: its name, kind of shaker, the body (from 1) on its coil spring, and its position, m."""
 
     point: str
     kind: str
@@ -92,7 +92,7 @@ class Table(NamedTuple):
     top: float
 
     def entity(self, part: str) -> str:
-        """Path of a part of the shaker: with its number, where the table has one."""
+        """Return the path of a part of the shaker, with the number of the table if there are several."""
         return "_".join([f"rig/{part}", *self.point.split()[1:]])
 
 
@@ -103,21 +103,21 @@ class Stack:
         bodies = range(1, scene.structure.bodies + 1)
         self.cavities: list[list[Cavity]] = [cavities(scene.dampers, body, magnification) for body in bodies]
         self.heights = [HOLLOW_HEIGHT if inside else SOLID_HEIGHT for inside in self.cavities]
-        hung = [shaker.body for _, shaker in scene.tables]
+        shaker_bodies = [shaker.body for _, shaker in scene.tables]
         # A table under body 1 needs room for itself and its coil spring.
-        first = PLINTH + PLATE + COIL_LENGTH if 1 in hung else SPRING_LENGTH
+        first = PLINTH + PLATE + COIL_LENGTH if 1 in shaker_bodies else SPRING_LENGTH
         self.lengths = [first] + [SPRING_LENGTH] * (len(bodies) - 1)
         self.bottoms: list[float] = []
         self.top = 0.0
         for length, height in zip(self.lengths, self.heights, strict=True):
             self.bottoms.append(self.top + length)
             self.top += length + height
-        # One table fits under body 1; all others are at the right, each under a lug of its body.
-        aside = iter(range(len(hung)))
+        # A table fits under body 1; all others are at the right, each under a lug of its body.
+        right_places = iter(range(len(shaker_bodies)))
         self.tables: list[Table] = []
-        for (point, shaker), body in zip(scene.tables, hung, strict=True):
-            under = body == 1 and hung.index(1) == len(self.tables)
-            x = 0.0 if under else WIDTH / 2 + LUG / 2 + SHAKER_PITCH * next(aside)
+        for (point, shaker), body in zip(scene.tables, shaker_bodies, strict=True):
+            under = body == 1 and shaker_bodies.index(1) == len(self.tables)
+            x = 0.0 if under else WIDTH / 2 + LUG / 2 + SHAKER_PITCH * next(right_places)
             self.tables.append(Table(point, shaker.kind, body, x, self.bottoms[body - 1] - COIL_LENGTH))
 
 
@@ -128,5 +128,5 @@ def round_factor(limit: float) -> float:
     (50.0, 0.2)
     """
     decade = 10.0 ** math.floor(math.log10(limit))
-    # A limit that is a round number itself must not fall below it by rounding.
+    # The tolerance prevents that a round limit is rounded down.
     return next(step * decade for step in (5.0, 2.0, 1.0, 0.5) if step * decade <= limit * (1 + 1e-9))

@@ -28,23 +28,23 @@ if TYPE_CHECKING:
     from daq.virtual_bench.stream import Block
     from rig.scene.scene import Scene
 
-BLOCK_S = 0.04
+_BLOCK_S = 0.04
 # A longer delay, s, is reported and skipped: the bench then continues without catching up.
-LATE_S = 0.5
+_MAX_DELAY_S = 0.5
 # Minimum number of samples per period of the drive.
-FEWEST_SAMPLES = 10.0
+_MIN_SAMPLES_PER_PERIOD = 10.0
 
 
 class Pace:
     """Synchronizes samples with the wall clock.
 
-    `report`: called once if the computer is too slow; `given_up_s`: total skipped wall-clock time, s.
+    `report`: called once if the computer is too slow; `skipped_s`: total skipped wall-clock time, s.
     """
 
     def __init__(self, rate: float, report: Callable[[str], None]) -> None:
         self._rate, self._report = rate, report
         self._origin: float | None = None
-        self.given_up_s = 0.0
+        self.skipped_s = 0.0
 
     def keep(self, position: int) -> None:
         """Wait until the sample at `position` is due."""
@@ -55,11 +55,11 @@ class Pace:
         early = self._origin + position / self._rate - now
         if early > 0:
             time.sleep(early)
-        elif early < -LATE_S:
+        elif early < -_MAX_DELAY_S:
             self._origin -= early
-            if not self.given_up_s:
-                self._report("the machine is too slow for real time: what you see runs slower than it would")
-            self.given_up_s -= early
+            if not self.skipped_s:
+                self._report("the machine is too slow for real time. The display runs slower than real time.")
+            self.skipped_s -= early
 
 
 def record_live(
@@ -80,21 +80,21 @@ def record_live(
     spring force. Raises `RunError` if a channel exceeded its abort limit, or the recording could not be written.
     Raises `KeyboardInterrupt` if the operator pressed Ctrl-C; the recording up to this time is closed.
     """
-    was: list[tuple[float, float, bool]] = [(0.0, 0.0, False)]
+    last: list[tuple[float, float, bool]] = [(0.0, 0.0, False)]
 
     def read(reading: ToneReading) -> None:
         screen.read(reading)
         state = reading.frequency, reading.level, reading.held
-        if reading.held and state != was[0]:
+        if reading.held and state != last[0]:
             report(sentence(reading))
-        was[0] = state
+        last[0] = state
 
     def listener(block: Block, readings: NDArray[np.float64]) -> None:
         screen.show(block, readings)
         keep(block.motion.first + block.motion.displacement.shape[1])
 
     rate = float(scene.converter.sample_rate)
-    block = max(1, round(BLOCK_S * rate))
+    block = max(1, round(_BLOCK_S * rate))
     run = MeasurementRun(
         scene, path, block, excite=HandTone(knobs, read).excite, listener=listener, kind=TestKind.TONES
     )
@@ -110,7 +110,7 @@ def knobs_for(scene: Scene, frequency: float | None, force: float) -> Knobs:
         frequency = getattr(scene.test, "frequency", None) or getattr(scene.test, "from_", None)
     if frequency is None:
         frequency = max(1.0, float(structural_model(scene).modes.frequency[0]))
-    return Knobs(frequency, force, highest=float(scene.converter.sample_rate) / FEWEST_SAMPLES)
+    return Knobs(frequency, force, highest=float(scene.converter.sample_rate) / _MIN_SAMPLES_PER_PERIOD)
 
 
 def scope(
@@ -186,8 +186,8 @@ def scope(
             # Ctrl-C is a regular end, because the recording has been closed.
             if not interrupt.args:
                 raise
-        if pace.given_up_s:
-            say(f"the bench fell behind the wall clock by {pace.given_up_s:.1f} s; no sample is missing")
+        if pace.skipped_s:
+            say(f"the bench fell behind the wall clock by {pace.skipped_s:.1f} s; no sample is missing")
     return target
 
 

@@ -23,12 +23,12 @@ if TYPE_CHECKING:
     from daq.virtual_bench.stream import Block
     from rig.scene.scene import Scene
 
-FRAMES_PER_S = 200.0
+_FRAMES_PER_S = 200.0
 # The exaggeration adapts to the motion: it decreases at once, and increases after the motion has been smaller by this
 # factor for a while.
-QUIETER = 4.0
-REMEMBERED_S = 2.0
-READINGS_PER_S = 5.0
+_QUIETER_RATIO = 4.0
+_MEMORY_S = 2.0
+_READINGS_PER_S = 5.0
 
 
 class Screen:
@@ -46,7 +46,7 @@ class Screen:
         self._stream, self._scene, self._rate = stream, scene, rate
         self._names = [info.name for info in channels]
         by_name = {info.name: info for info in channels}
-        self._step = max(1, round(rate / FRAMES_PER_S))
+        self._step = max(1, round(rate / _FRAMES_PER_S))
         self._recent: list[tuple[int, Extremes]] = []
         self._draw(Extremes(body=1e-3, spring=1e-3, coil=1e-3, gap=1e-3))
         stream.send_blueprint(
@@ -67,17 +67,17 @@ class Screen:
         if self._scene.dampers:
             self._traces.dampers(true.first, true.gap, true.contact)
         size = true.displacement.shape[1]
-        picked = np.arange((-true.first) % self._step, size, self._step)
+        drawn = np.arange((-true.first) % self._step, size, self._step)
         bodies = self._scene.structure.bodies
         motion = RigPose(
-            true.displacement[:bodies, picked],
-            true.displacement[bodies : bodies + len(self._scene.tables), picked],
-            true.gap[:, picked] if self._scene.dampers else None,
+            true.displacement[:bodies, drawn],
+            true.displacement[bodies : bodies + len(self._scene.tables), drawn],
+            true.gap[:, drawn] if self._scene.dampers else None,
         )
         self._position = true.first + size
-        if picked.size:
+        if drawn.size:
             self._fit(motion)
-            self._traces.motion(self._view, true.first + picked, motion)
+            self._traces.motion(self._view, true.first + drawn, motion)
 
     def read(self, reading: ToneReading) -> None:
         """Show the readings of the tone, a few times per second."""
@@ -85,7 +85,7 @@ class Screen:
 
         if self._position < self._next_reading:
             return
-        self._next_reading = self._position + round(self._rate / READINGS_PER_S)
+        self._next_reading = self._position + round(self._rate / _READINGS_PER_S)
         self._stream.set_time("time", duration=np.timedelta64(round(self._position / self._rate * 1e9), "ns"))
         self._stream.log("reading", rr.TextDocument(page(reading), media_type="text/markdown"))
 
@@ -97,15 +97,15 @@ class Screen:
     def _fit(self, motion: RigPose) -> None:
         """Redraw the rig if its exaggeration has become too large or much too small."""
         seen = Extremes().widened(motion, [shaker.body for _, shaker in self._scene.tables])
-        since = self._position - round(REMEMBERED_S * self._rate)
+        since = self._position - round(_MEMORY_S * self._rate)
         self._recent = [(at, extremes) for at, extremes in self._recent if at >= since]
         self._recent.append((self._position, seen))
         largest = Extremes(
             *(max(values) for values in zip(*(vars(e).values() for _, e in self._recent), strict=True))
         )
         fit = exaggeration(largest)
-        settled = self._position - self._recent[0][0] >= 0.9 * REMEMBERED_S * self._rate
-        if fit < self._view.magnification or (settled and fit > QUIETER * self._view.magnification):
+        settled = self._position - self._recent[0][0] >= 0.9 * _MEMORY_S * self._rate
+        if fit < self._view.magnification or (settled and fit > _QUIETER_RATIO * self._view.magnification):
             self._draw(largest)
 
 

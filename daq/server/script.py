@@ -13,9 +13,9 @@ from pathlib import Path
 from daq.instrument.connecting import connect_scene
 from daq.server.bench_time import BenchTime, TimeLimit
 from daq.server.client_defaults import FAST, LIMITED, SERVER
-from daq.server.missing_excitation import report_missing_excitation
 from daq.server.passed_signals import signals_passed_on
 from daq.server.service import Server
+from daq.server.starter_script import report_missing_excitation
 from rig.errors import SceneError
 from rig.scene.scene import Scene
 

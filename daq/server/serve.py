@@ -20,10 +20,9 @@ from daq.instrument.connecting import connect_scene
 from daq.server.bench_time import BenchTime
 from daq.server.discovery import write_proto_files
 from daq.server.live import LiveRecording, LiveView
-from daq.server.missing_excitation import report_missing_excitation
 from daq.server.served_instrument import Limits
 from daq.server.service import Server
-from daq.server.starter_script import starter_script
+from daq.server.starter_script import report_missing_excitation, starter_script
 from daq.signal_chain.outputs import volt_effect
 from rig.ending_signals import TERMINATION_SIGNALS
 from rig.errors import SceneError

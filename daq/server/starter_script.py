@@ -1,16 +1,20 @@
-"""A script for NI's client that reads the inputs of a bench, with settings that suit the sensors."""
+"""Help for clients: a script that reads the inputs of a bench, and a note on sensors without excitation current."""
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Sequence
+from contextlib import suppress
 from itertools import groupby
 
 from daq.instrument.chassis import Chassis
 from daq.instrument.devices.modules import Module
+from daq.instrument.settings.channels import Channel
 from daq.signal_chain.channel import ChannelInfo
 from rig.scene.scene import STANDARD_GRAVITY
 
-# Relative margin of limits below full scale, so that rounded limits do not exceed it.
-_BELOW = 1 - 1e-5
+# Ratio of limits to full scale: rounded limits do not exceed it.
+_LIMIT_RATIO = 1 - 1e-5
 # Channels by quantity: the driver's call, the unit, and the factor from V per SI unit to the unit of sensitivity.
 _SENSORS = {
     "acceleration": ("add_ai_accel_chan", "AccelUnits.METERS_PER_SECOND_SQUARED", 1e3 * STANDARD_GRAVITY),
@@ -30,17 +34,19 @@ def starter_script(chassis: Chassis, channel: str) -> list[str]:
     """
     modules = [each for name in chassis.devices.names if (each := chassis.devices.module(name)).inputs]
     first = modules[0]
-    together = [each for each in modules if each is first or (each.chassis and each.chassis == first.chassis)]
-    made: list[str] = []
-    for module in together:
+    in_task = [each for each in modules if each is first or (each.chassis and each.chassis == first.chassis)]
+    statements: list[str] = []
+    for module in in_task:
         # Equal neighbors are one statement.
-        numbered = [(_making(chassis, module, row), number) for number, row in enumerate(module.inputs)]
+        numbered = [
+            (_create_channel(chassis, module, row), number) for number, row in enumerate(module.inputs)
+        ]
         for statement, group in groupby(numbered, key=lambda each: each[0]):
             numbers = [number for _, number in group]
             span = f"{numbers[0]}:{numbers[-1]}" if len(numbers) > 1 else f"{numbers[0]}"
             lines = statement.replace(_TERMINAL, f"{module.name}/ai{span}").splitlines()
-            made += [f"    {line}" for line in lines]
-    used = [each for each in _CONSTANTS if any(f"{each}." in line for line in made)]
+            statements += [f"    {line}" for line in lines]
+    used = [each for each in _CONSTANTS if any(f"{each}." in line for line in statements)]
     return [
         "",
         "import grpc, nidaqmx, numpy",
@@ -48,38 +54,68 @@ def starter_script(chassis: Chassis, channel: str) -> list[str]:
         f"channel = {channel}",
         'options = nidaqmx.GrpcSessionOptions(channel, session_name="")',
         "with nidaqmx.Task(grpc_options=options) as task:",
-        *made,
+        *statements,
         f"    task.timing.cfg_samp_clk_timing({chassis.bench.rate!r}, samps_per_chan=1000)",
         "    data = numpy.array(task.read(1000))",
         "print(data)",
     ]
 
 
-def _making(chassis: Chassis, module: Module, row: int) -> str:
+def _create_channel(chassis: Chassis, module: Module, row: int) -> str:
     """Return the statement that creates a channel, with a placeholder for the terminal, and further settings."""
     info = chassis.bench.channels[row]
-    fed, current = chassis.terminals.supply(row) is not None, module.currents[0]
+    needs_supply, current = chassis.terminals.supply(row) is not None, module.currents[0]
     if info.quantity in _SENSORS:
         maker, unit, size = _SENSORS[info.quantity]
-        supply = f"INTERNAL, current_excit_val={current!r}" if fed else "NONE"
+        supply = f"INTERNAL, current_excit_val={current!r}" if needs_supply else "NONE"
         return (
             f'task.ai_channels.{maker}(\n    "{_TERMINAL}"{_limits(info, info.sensitivity)}, units={unit},\n'
             f"    sensitivity={info.sensitivity * size:.9g}, current_excit_source=ExcitationSource.{supply})"
         )
     call = f'task.ai_channels.add_ai_voltage_chan("{_TERMINAL}"{_limits(info, 1.0)})'
-    if not fed:
+    if not needs_supply:
         return call
-    # The sensor is connected through an integrating amplifier: calls for voltage channels have no excitation
-    # argument.
-    after = ["made.ai_excit_src = ExcitationSource.INTERNAL", f"made.ai_excit_val = {current!r}"]
+    # With an integrating amplifier the channel is a voltage, whose call has no argument for the excitation.
+    lines = [
+        f"made = {call}",
+        "made.ai_excit_src = ExcitationSource.INTERNAL",
+        f"made.ai_excit_val = {current!r}",
+    ]
     if module.supply_coupling == "AC":
-        after.append("made.ai_coupling = Coupling.AC")
-    return "\n".join([f"made = {call}", *after])
+        lines.append("made.ai_coupling = Coupling.AC")
+    return "\n".join(lines)
 
 
 def _limits(info: ChannelInfo, volts_per_unit: float) -> str:
     """Return limits for the full range; an empty text without a range."""
     if info.range is None:
         return ""
-    largest = info.range if volts_per_unit == 1.0 else _BELOW * info.range / volts_per_unit
+    largest = info.range if volts_per_unit == 1.0 else _LIMIT_RATIO * info.range / volts_per_unit
     return f", min_val={-largest:.6g}, max_val={largest:.6g}"
+
+
+def report_missing_excitation(chassis: Chassis) -> None:
+    """Report on stderr, once per input, that a task samples a sensor whose supply is off."""
+    reported: set[int] = set()
+
+    def check(channels: Sequence[Channel]) -> None:
+        unsupplied = [each for each in channels if chassis.terminals.supply(each.row) == 0.0]
+        unreported = {each.row: each for each in unsupplied if each.row not in reported}
+        if not unreported:
+            return
+        reported.update(unreported)
+        infos = chassis.bench.channels
+        inputs = ", ".join(f"{each.port.name} ({infos[row].name})" for row, each in unreported.items())
+        current = next(iter(unreported.values())).module.currents[0]
+        # A closed terminal must not cause an error in the client.
+        with suppress(OSError):
+            print(
+                f"note: no excitation for {inputs}: an IEPE sensor without it gives no more than noise; make the "
+                "channel with add_ai_accel_chan or add_ai_force_iepe_chan, or set its ai_excit_src to "
+                f"ExcitationSource.INTERNAL and its ai_excit_val to {current!r} "
+                "(`daq serve SCENE` prints a script that does)",
+                file=sys.stderr,
+                flush=True,
+            )
+
+    chassis.wiring_listeners.append(check)

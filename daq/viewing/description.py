@@ -20,7 +20,7 @@ from rig.results import Result
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-MOST_LINES = 10
+_MAX_GAPS = 10
 _SAMPLING = {
     "point": "samples at instants",
     "average": "samples are averages over their intervals",
@@ -39,7 +39,7 @@ class Info(Result):
         The description, a fact a line.
     channels : dict of str to ChannelInfo
     next_steps : tuple of str
-        Commands that have something to work on in the recording, the most informative first.
+        Applicable commands for the recording, the most informative first.
     checked : bool
         Whether every record of the file was verified.
     """
@@ -110,7 +110,7 @@ def info(path: str | Path, check: bool = False) -> Info:
 
 
 def describe(recording: Recording) -> Iterator[str]:
-    """Yield lines that describe an open recording; facts that another program left out are left out here."""
+    """Yield lines that describe an open recording; facts that are missing in the file are omitted."""
     size = recording.path.stat().st_size
     run, outcome = recording.metadata.get("run", {}), recording.metadata.get("outcome", {})
     yield f"{recording.path}: {_duration(recording)}, {size / 1e6:.1f} MB, {recording.status}"
@@ -127,28 +127,28 @@ def describe(recording: Recording) -> Iterator[str]:
     for place, (name, info) in enumerate(recording.channels.items()):
         label = "channels" if place == 0 else ""
         sensor = f"{info.quantity}, {info.sensitivity:.6g} V per {info.unit}"
-        yield f"  {label:9} {name:{wide}}  {_place(recording, info.at)}, {sensor}, {_SAMPLING[info.sampling]}"
+        yield f"  {label:9} {name:{wide}}  {_position(recording, info.at)}, {sensor}, {_SAMPLING[info.sampling]}"
     if recording.truth_points:
         points, events = ", ".join(recording.truth_points), recording.events.size
         yield f"  truth     of {points}; {events} changes of contact"
     counts = Counter(marker.kind for marker in recording.markers)
     yield f"  markers   {', '.join(f'{count} {kind}' for kind, count in counts.items()) or 'none'}"
     gaps = recording.gaps
-    yield f"  lost      {_stretches(len(gaps))}{_void(recording)}"
-    for gap in gaps[:MOST_LINES]:
+    yield f"  lost      {_segments(len(gaps))}{_reason_of_loss(recording)}"
+    for gap in gaps[:_MAX_GAPS]:
         first, last = gap.first_sample / recording.rate, (gap.last_sample + 1) / recording.rate
         yield f"            {first:.6g} s to {last:.6g} s of {', '.join(gap.channels)}: {gap.reason}"
-    if len(gaps) > MOST_LINES:
-        yield f"            and {len(gaps) - MOST_LINES} more"
+    if len(gaps) > _MAX_GAPS:
+        yield f"            and {len(gaps) - _MAX_GAPS} more"
 
 
-def _stretches(count: int) -> str:
+def _segments(count: int) -> str:
     if count == 0:
         return "none noted"
     return "1 stretch of samples" if count == 1 else f"{count} stretches of samples"
 
 
-def _void(recording: Recording) -> str:
+def _reason_of_loss(recording: Recording) -> str:
     try:
         recording.refuse_void(0, recording.samples)
     except RecordingError as error:
@@ -163,8 +163,8 @@ def _duration(recording: Recording) -> str:
     return f"{int(seconds // 60)} min {seconds % 60:.1f} s"
 
 
-def _place(recording: Recording, at: str) -> str:
-    """Name the place of a channel, a body by its name if the scene has one."""
+def _position(recording: Recording, at: str) -> str:
+    """Return the position of a channel; a body has its name if the scene states it."""
     try:
         return recording.outline.label(at)
     except ShotrigError:

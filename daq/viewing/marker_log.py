@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 UNITS = {"frequency": "Hz", "force": "N", "peak": "N", "width": "s", "amplitude": "m"}
 WARNINGS = ("overload", "gap", "lost", "abort", "double_hit", "level")
-NO_PHASES = ("overload", "alarm", "level")
+NOT_PHASES = ("overload", "alarm", "level")
 COLOURS = {
     "settle": 0x55606EFF,
     "measure": 0x3D8B5FFF,
@@ -18,7 +18,8 @@ COLOURS = {
     "gap": 0xC4453BFF,
     "lost": 0xC4453BFF,
 }
-OTHER, OVERLOADED = 0x7A6AA8FF, 0xC4453BFF
+OTHER_COLOUR = 0x7A6AA8FF
+OVERLOAD_COLOUR = 0xC4453BFF
 
 
 class Line(NamedTuple):
@@ -30,7 +31,7 @@ class Line(NamedTuple):
 
 
 class MarkedSlice(NamedTuple):
-    """A stretch of samples with its label and colour (0xRRGGBBAA); `stop` is the first sample after it."""
+    """A segment of samples with its label and colour (0xRRGGBBAA); `stop` is the first sample after it."""
 
     start: int
     stop: int
@@ -48,21 +49,21 @@ def log_lines(recording: Recording, start: int, stop: int) -> list[Line]:
         if mark.last_sample is not None:
             stretches = f"for {(mark.stop - mark.first_sample) / recording.rate:.3f} s"
         text = ", ".join(
-            part for part in (f"{mark.kind} {stretches}".strip(), described(mark.fields)) if part
+            part for part in (f"{mark.kind} {stretches}".strip(), format_fields(mark.fields)) if part
         )
         lines.append(Line(mark.first_sample, "WARN" if mark.kind in WARNINGS else "INFO", text))
     return sorted(lines)
 
 
 def phases(recording: Recording, start: int, stop: int) -> list[MarkedSlice]:
-    """Give the markers of stretches, cut to [start, stop), in order of time and without overlap.
+    """Return the markers of segments, cut to [start, stop), in order of time and without overlap.
 
-    Of two that overlap the later is shown from its start on. A hit is shown with its decay, up to the next hit.
+    Of two overlapping segments the later is shown from its start on. A hit is shown with its decay, to the next hit.
     Overloads, alarms and levels are not phases of the test.
     """
     slices: list[MarkedSlice] = []
     stretches = [
-        mark for mark in recording.markers if mark.last_sample is not None and mark.kind not in NO_PHASES
+        mark for mark in recording.markers if mark.last_sample is not None and mark.kind not in NOT_PHASES
     ]
     hits = sorted(mark.first_sample for mark in stretches if mark.kind == "hit")
     for mark in sorted(stretches, key=lambda mark: mark.first_sample):
@@ -78,25 +79,25 @@ def phases(recording: Recording, start: int, stop: int) -> list[MarkedSlice]:
         first, last = max(start, mark.first_sample), min(stop, end)
         if slices and slices[-1].stop > first:
             slices[-1] = slices[-1]._replace(stop=first)
-        slices.append(MarkedSlice(first, last, label, COLOURS.get(mark.kind, OTHER)))
+        slices.append(MarkedSlice(first, last, label, COLOURS.get(mark.kind, OTHER_COLOUR)))
     return [phase for phase in slices if phase.stop > phase.start]
 
 
 def overloads(recording: Recording, start: int, stop: int) -> dict[str, list[MarkedSlice]]:
-    """Give the stretches of [start, stop) in which each channel was overloaded, those of a channel in order of time."""
+    """Return the segments of [start, stop) in which each channel was overloaded, in order of time."""
     found: dict[str, list[MarkedSlice]] = {}
     for mark in sorted(recording.overloads, key=lambda mark: mark.first_sample):
         first, last = max(start, mark.first_sample), min(stop, mark.stop)
         if first < last:
             name = str(mark.fields.get("channel", ""))
-            found.setdefault(name, []).append(MarkedSlice(first, last, f"{name} overloaded", OVERLOADED))
+            found.setdefault(name, []).append(MarkedSlice(first, last, f"{name} overloaded", OVERLOAD_COLOUR))
     return found
 
 
-def described(fields: Mapping[str, Any]) -> str:
-    """Write a marker's own fields with their units.
+def format_fields(fields: Mapping[str, Any]) -> str:
+    """Format the fields of a marker with their units.
 
-    >>> described({"frequency": 13.0366, "force": 2.6, "step": 4})
+    >>> format_fields({"frequency": 13.0366, "force": 2.6, "step": 4})
     'frequency 13.0366 Hz, force 2.6 N, step 4'
     """
     parts = []

@@ -33,12 +33,14 @@ from rig.provenance import may_overwrite, output_source, reject_foreign_files, r
 
 APPLICATION = "shotrig"
 WITHOUT_DISPLAY = "use --web to look with a browser, --screenshot FILE.png for a picture, or --save FILE.rrd"
-# Value, time and index.
-BYTES_A_VALUE = 20
-LAST = "complete"
-LIGHT_GB = 2.0
-# Longest wait for a viewer or a file to take a block.
-SINK_S = 60.0
+# Memory of the viewer per value: value, time and index, bytes.
+_BYTES_PER_VALUE = 20
+# Entity that is sent last.
+_LAST_ENTITY = "complete"
+# Memory of the viewer above which a note is printed, GB.
+_MAX_LIGHT_GB = 2.0
+# Maximum wait for a viewer or a file to accept a block, s.
+_MAX_SINK_WAIT_S = 60.0
 
 
 def save(replay: Replay, file: Path, progress: Progress | None = None) -> None:
@@ -46,12 +48,12 @@ def save(replay: Replay, file: Path, progress: Progress | None = None) -> None:
 
     Raises `SceneError` for another suffix, `RunError` if the file cannot be written.
     """
-    _need_suffix(file, ".rrd", "--save")
+    _check_suffix(file, ".rrd", "--save")
 
     with atomic_write(file, may_overwrite()) as part, _stream_into(part) as (stream, check):
 
         def drain() -> None:
-            stream.flush(timeout_sec=SINK_S)
+            stream.flush(timeout_sec=_MAX_SINK_WAIT_S)
             check()
 
         _fill(replay, stream, drain, progress)
@@ -59,9 +61,9 @@ def save(replay: Replay, file: Path, progress: Progress | None = None) -> None:
 
 @contextmanager
 def _stream_into(file: Path) -> Iterator[tuple[rr.RecordingStream, Callable[[], None]]]:
-    """Make a stream into a file, and a function that raises `OSError` once writing has failed.
+    """Yield a stream into a file, and a function that raises `OSError` after a failure of writing.
 
-    Rerun's writer waits for ever when a disk is full, so it writes into a pipe.
+    Rerun's writer would wait for ever on a full disk; therefore it writes into a pipe.
     """
     if sys.platform == "win32":
         # On Windows a pipe has no path.
@@ -100,7 +102,7 @@ def _stream_into(file: Path) -> Iterator[tuple[rr.RecordingStream, Callable[[], 
     check()
 
 
-def photograph(
+def draw_picture(
     replay: Replay,
     file: Path,
     at_s: float | None = None,
@@ -109,15 +111,15 @@ def photograph(
 ) -> float:
     """Draw a replay into a PNG file without a window; return the instant that was drawn, s.
 
-    `at_s` counts from the start of the recording; None takes `liveliest_s`. `size` is in pixels. Raises `SceneError`
+    `at_s` counts from the start of the recording; None takes `most_motion_s`. `size` is in pixels. Raises `SceneError`
     for another suffix or an instant outside the replay, `RunError` if no picture can be drawn or written.
     """
-    _need_suffix(file, ".png", "--screenshot")
+    _check_suffix(file, ".png", "--screenshot")
     rate = replay.recording.rate
-    at = replay.liveliest_s if at_s is None else at_s
+    at = replay.most_motion_s if at_s is None else at_s
     if not replay.start / rate <= at <= replay.stop / rate:
         raise SceneError(
-            f"--at {at:g} s lies outside the replay ({replay.start / rate:g} s to {replay.stop / rate:g} s)"
+            f"--at {at:g} s is outside the replay. Give {replay.start / rate:g} s to {replay.stop / rate:g} s."
         )
     source = ("replay", *relative_paths([replay.recording.path], file.parent))
     with output_source(*source):
@@ -126,7 +128,7 @@ def photograph(
         drawn = Path(folder) / "replay.rrd"
         save(replay, drawn, progress)
         png, views = picture(
-            drawn, at - replay.start / rate, size, (replay.stop - 1 - replay.start) / rate, LAST
+            drawn, at - replay.start / rate, size, (replay.stop - 1 - replay.start) / rate, _LAST_ENTITY
         )
     with output_source(*source), atomic_write(file) as part:
         part.write_bytes(png)
@@ -146,8 +148,8 @@ def show(replay: Replay, viewing: AbstractContextManager[Viewer], progress: Prog
     """Show a replay in a `window` or on a `server` until the viewer ends; raise `RunError` if it does not start."""
     with viewing as running:
         # The viewer holds every value or drops the oldest.
-        gigabytes = replay.values * BYTES_A_VALUE / 1e9
-        if gigabytes > LIGHT_GB:
+        gigabytes = replay.values * _BYTES_PER_VALUE / 1e9
+        if gigabytes > _MAX_LIGHT_GB:
             print(
                 f"note: the viewer will take about {gigabytes:.0f} GB of memory. Show a part with --from and --to.",
                 file=sys.stderr,
@@ -155,7 +157,7 @@ def show(replay: Replay, viewing: AbstractContextManager[Viewer], progress: Prog
         with recording_stream() as stream:
             stream.connect_grpc(running.url)
             try:
-                _fill(replay, stream, lambda: stream.flush(timeout_sec=SINK_S), progress)
+                _fill(replay, stream, lambda: stream.flush(timeout_sec=_MAX_SINK_WAIT_S), progress)
             except RuntimeError as error:
                 if running.process.poll() is None:
                     raise RunError(f"the rerun viewer stopped taking data: {error}") from error
@@ -193,12 +195,12 @@ def _fill(
     # As the active layout: a viewer remembers the layout of an application and would ignore a default.
     stream.send_blueprint(replay.blueprint(), make_active=True, make_default=True)
     replay.send(stream, drain, progress)
-    # A viewer with this text has received everything before it.
-    stream.log(LAST, rr.TextDocument("all of the replay was sent"), static=True)
+    # A viewer that has received this text has received everything.
+    stream.log(_LAST_ENTITY, rr.TextDocument("all of the replay was sent"), static=True)
     drain()
 
 
-def _need_suffix(file: Path, suffix: str, option: str) -> None:
+def _check_suffix(file: Path, suffix: str, option: str) -> None:
     if file.suffix.lower() != suffix:
         raise SceneError(f"{option} {file}: expected a file name that ends in {suffix}")
     if not file.parent.is_dir():

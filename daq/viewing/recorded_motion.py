@@ -15,12 +15,12 @@ from daq.recording.truth import points_of
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
-# Samples read at a time: a second or so at common rates, whatever the length of the recording.
+# Samples that are read at a time: about a second at common rates.
 BLOCK = 1 << 16
 
 
 class RecordedMotion:
-    """Displacements of bodies and table, and the dampers' gaps, read from a recording in stretches."""
+    """Displacements of bodies and table, and the dampers' gaps, read from a recording in segments."""
 
     def __init__(self, recording: Recording) -> None:
         self.recording = recording
@@ -43,15 +43,15 @@ class RecordedMotion:
             last = min(first + BLOCK, stop)
             instants = np.arange(first + (-first) % step, last, step, dtype=np.int64)
             rows = self._displacements(estimates, first, last)
-            picked = rows[:, instants - first]
+            motion = rows[:, instants - first]
             gap = self.recording.truth("gap", first, last)[:, instants - first] if self.gaps_known else None
-            kept = np.isfinite(picked).all(axis=0)
+            complete = np.isfinite(motion).all(axis=0)
             if gap is not None:
-                kept &= np.isfinite(gap).all(axis=0)
-                gap = gap[:, kept]
-            picked = picked[:, kept]
+                complete &= np.isfinite(gap).all(axis=0)
+                gap = gap[:, complete]
+            motion = motion[:, complete]
             bodies = self.recording.scene.structure.bodies
-            yield instants[kept], RigPose(picked[:bodies], picked[bodies:], gap)
+            yield instants[complete], RigPose(motion[:bodies], motion[bodies:], gap)
 
     def _displacements(
         self, estimates: dict[str, DisplacementEstimate], first: int, last: int

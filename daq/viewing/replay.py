@@ -24,19 +24,21 @@ if TYPE_CHECKING:
 
     from daq.recording.recording import Recording
 
-# Instants drawn in 3D: enough for slow motion of a 50 Hz tone in a short recording, fewer in a long one.
-MOST_FRAMES_PER_S = 1000.0
-LEAST_FRAMES_PER_S = 100.0
-SLOWEST_HZ = 1.0
-FRAMES = 60_000
+# Rate of the drawn poses: enough for slow motion of a 50 Hz tone in a short recording, lower in a long recording.
+_MAX_FRAMES_PER_S = 1000.0
+_MIN_FRAMES_PER_S = 100.0
+# Lower limit of the lowest natural frequency, Hz.
+_MIN_MODE_HZ = 1.0
+# Number of poses above which their rate decreases.
+_MAX_FRAMES = 60_000
 
 Progress = Callable[[float, str], None]
 
 
 class Replay:
-    """The stretch [begin_s, end_s] of a recording, s from its start, ready to be sent to a viewer or a file.
+    """The segment [begin_s, end_s] of a recording, s from its start, to be sent to a viewer or a file.
 
-    Raises `SceneError` if the stretch holds no sample, or the playback speed (1 is real time) is not positive.
+    Raises `SceneError` if the segment contains no sample, or the playback speed (1 is real time) is not positive.
     """
 
     def __init__(
@@ -64,38 +66,38 @@ class Replay:
                 f"{recording.samples / rate:.3f} s. Choose times within it."
             )
         seconds = (self.stop - self.start) / rate
-        frames_per_s = min(MOST_FRAMES_PER_S, max(LEAST_FRAMES_PER_S, FRAMES / seconds))
+        frames_per_s = min(_MAX_FRAMES_PER_S, max(_MIN_FRAMES_PER_S, _MAX_FRAMES / seconds))
         self.step = max(1, round(rate / frames_per_s))
         scene = recording.scene
         natural_hz = structural_model(scene).modes.frequency
         # A free structure has modes at 0 Hz, which give no time scale.
-        self.lowest_hz = float(min(natural_hz[natural_hz > SLOWEST_HZ], default=SLOWEST_HZ))
+        self.lowest_hz = float(min(natural_hz[natural_hz > _MIN_MODE_HZ], default=_MIN_MODE_HZ))
         self.motion = RecordedMotion(recording)
 
     @cached_property
     def _survey(self) -> tuple[Extremes, int]:
-        """Largest motions, and the sample with the most motion; reads the whole stretch."""
-        hung = [shaker.body for _, shaker in self.recording.scene.tables]
-        extremes, liveliest, most = Extremes(), self.start, 0.0
+        """Largest motions, and the sample with the largest motion; reads the whole segment."""
+        shaker_bodies = [shaker.body for _, shaker in self.recording.scene.tables]
+        extremes, most_motion, largest = Extremes(), self.start, 0.0
         for instants, motion in self.motion.stretches(self.start, self.stop, self.step):
-            extremes = extremes.widened(motion, hung)
+            extremes = extremes.widened(motion, shaker_bodies)
             # A picture should show dampers in flight; without dampers, large displacements.
             motion_samples = (
                 np.abs(motion.displacement).max(axis=0) if motion.gap is None else motion.gap.sum(axis=0)
             )
-            if instants.size and motion_samples.max() > most:
-                most, liveliest = float(motion_samples.max()), int(instants[motion_samples.argmax()])
-        return extremes, liveliest
+            if instants.size and motion_samples.max() > largest:
+                largest, most_motion = float(motion_samples.max()), int(instants[motion_samples.argmax()])
+        return extremes, most_motion
 
     @cached_property
     def view(self) -> RigView:
-        """The drawing of the rig, with an exaggeration for the motion of this stretch."""
+        """The drawing of the rig, with an exaggeration for the motion of this segment."""
         unknown = [source.point for source in self.motion.sources if source.quantity == "nothing"]
         return RigView(self.recording.scene, self._survey[0], self.motion.gaps_known, unknown)
 
     @property
-    def liveliest_s(self) -> float:
-        """Time at which dampers fly highest or bodies are displaced most, s from the start of the recording."""
+    def most_motion_s(self) -> float:
+        """Time of the largest gaps or displacements, s from the start of the recording."""
         return self._survey[1] / self.recording.rate
 
     @property
@@ -159,7 +161,7 @@ class Replay:
     def _send_lane(
         self, stream: rr.RecordingStream, traces: Traces, path: str, spans: Sequence[MarkedSlice]
     ) -> None:
-        # Each stretch is a separate state, so that it can have a label; between them the lane is empty.
+        # Each segment is a separate state with a label; between segments the lane is empty.
         states = [str(number) for number in range(len(spans))]
         lane = rr.StateConfiguration(
             values=[*states, "none"],

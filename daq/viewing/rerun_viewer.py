@@ -29,15 +29,19 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 LOOPBACK = "127.0.0.1"
-START_S = 30.0
-LOAD_S = 300.0
-POLL_S = 0.1
-# A picture is complete when it has not changed for this time, s, and for a multiple of its drawing time.
-QUIET_S = 2.0
-_PICTURES = 5
-_COMPARED = 800
-# The last instant drawn lies up to so much before the last sample.
-_A_FRAME_S = 0.02
+# Maximum time for the start of the viewer, s.
+_MAX_START_S = 30.0
+# Maximum time for loading and drawing, s.
+_MAX_LOAD_S = 300.0
+# Interval of the checks, s.
+_POLL_S = 0.1
+# A picture is complete if it has not changed for this time, s, and for this multiple of its drawing time.
+_MIN_STILL_S = 2.0
+_STILL_DRAWING_TIMES = 5
+# Size of the compared pictures, points.
+_COMPARED_POINTS = 800
+# Maximum time between the last drawn instant and the last sample, s.
+_FRAME_S = 0.02
 _SHORTER = "show a part of it with --from and --to"
 
 
@@ -60,24 +64,24 @@ class Viewer:
 
     def ready(self) -> None:
         """Return once the viewer accepts connections; raise `RunError` if it does not start."""
-        deadline = time.monotonic() + START_S
+        deadline = time.monotonic() + _MAX_START_S
         while time.monotonic() < deadline:
             if self.process.poll() is not None:
-                raise RunError(_why_it_ended(self.output()))
+                raise RunError(_reason_of_end(self.output()))
             with socket.socket() as probe:
                 if probe.connect_ex((LOOPBACK, self.port)) == 0:
                     return
-            time.sleep(POLL_S)
+            time.sleep(_POLL_S)
         raise RunError(
-            f"the rerun viewer did not answer within {START_S:g} s; its output:\n{_tail(self.output())}"
+            f"the rerun viewer did not answer within {_MAX_START_S:g} s; its output:\n{_tail(self.output())}"
         )
 
     @contextmanager
-    def driven(self) -> Iterator[ViewerClient]:
+    def connected_client(self) -> Iterator[ViewerClient]:
         """Yield a connection that drives the viewer; raise `RunError` if the viewer ends or stops answering."""
         from rerun.experimental import ViewerClient
 
-        deadline = time.monotonic() + START_S
+        deadline = time.monotonic() + _MAX_START_S
         try:
             while True:
                 try:
@@ -88,7 +92,7 @@ class Viewer:
                     # The exception depends on the progress of the viewer's start.
                     if self.process.poll() is not None or time.monotonic() > deadline:
                         raise
-                    time.sleep(POLL_S)
+                    time.sleep(_POLL_S)
             yield client
         except ShotrigError:
             raise
@@ -98,7 +102,7 @@ class Viewer:
                 self.process.wait(timeout=2.0)
             except subprocess.TimeoutExpired:
                 raise RunError(f"the rerun viewer stopped answering: {error}") from error
-            raise RunError(_why_it_ended(self.output())) from error
+            raise RunError(_reason_of_end(self.output())) from error
 
 
 @contextmanager
@@ -109,7 +113,7 @@ def viewer(*options: str) -> Iterator[Viewer]:
     # The viewer sends usage data to its makers unless it runs under CI.
     environment = {**os.environ, "CI": "true", "NO_COLOR": "1"}
     with (
-        _terminable(),
+        _sigterm_exits(),
         tempfile.TemporaryDirectory(prefix="shotrig-viewer-") as folder,
         (Path(folder) / "log").open("w", encoding="utf-8") as log,
     ):
@@ -128,8 +132,8 @@ def viewer(*options: str) -> Iterator[Viewer]:
 
 
 @contextmanager
-def _terminable() -> Iterator[None]:
-    """Let SIGTERM end this process as Ctrl-C does, so that the viewer ends as well."""
+def _sigterm_exits() -> Iterator[None]:
+    """Let SIGTERM exit this process regularly, so that the viewer is ended as well."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -175,17 +179,17 @@ def picture(
     file: Path,
     after_s: float | None,
     size: tuple[int, int] = (1600, 1000),
-    lasts_s: float = 0.0,
+    duration_s: float = 0.0,
     last: str | None = None,
 ) -> tuple[bytes, list[View]]:
     """Draw an .rrd or .mcap file without a window; return the rerun views with what each could not draw.
 
-    The time cursor is put `after_s` after the first datum; the content is at least `lasts_s` long, and the viewer waits
+    The time cursor is `after_s` after the first datum; the content is at least `duration_s` long, and the viewer waits
     for the entity `last`. `size` is in points. Raises `RunError` if the file does not load or not all of it is shown.
     """
     window = ("--headless", "--window-size", f"{size[0]}x{size[1]}")
-    with viewer(*window, str(file.resolve())) as running, running.driven() as client:
-        recording = _loaded(client, lasts_s, last).recordings[0]
+    with viewer(*window, str(file.resolve())) as running, running.connected_client() as client:
+        recording = _await_loading(client, duration_s, last).recordings[0]
         line = next((each for each in recording.timelines if each.name == recording.current_timeline), None)
         if after_s is not None and line is not None and line.start is not None:
             instant = line.start + round(after_s * 1e9)
@@ -193,33 +197,33 @@ def picture(
                 client.set_time(line.name, timestamp=np.datetime64(instant, "ns"), play_state="paused")
             else:
                 client.set_time(line.name, duration=np.timedelta64(instant, "ns"), play_state="paused")
-        _settled(client)
-        shot = _patiently(client.take_screenshot)
+        _await_still_picture(client)
+        png = _retry(client.take_screenshot)
         # A viewer that is short of memory drops the oldest data.
-        state = _patiently(client.get_state)
-        if not _holds(state, lasts_s):
-            raise RunError(f"the viewer ran out of memory for {lasts_s:.0f} s; {_SHORTER}")
-        return shot, state.views
+        state = _retry(client.get_state)
+        if not _has_duration(state, duration_s):
+            raise RunError(f"the viewer ran out of memory for {duration_s:.0f} s; {_SHORTER}")
+        return png, state.views
 
 
-def _loaded(client: ViewerClient, lasts_s: float, last: str | None) -> ViewerState:
+def _await_loading(client: ViewerClient, duration_s: float, last: str | None) -> ViewerState:
     """Wait until the viewer has the whole recording: its first and last instants, and its last entity."""
-    deadline = time.monotonic() + LOAD_S
+    deadline = time.monotonic() + _MAX_LOAD_S
     while time.monotonic() < deadline:
-        state = _patiently(client.get_state)
-        if not state.loading and _holds(state, lasts_s):
+        state = _retry(client.get_state)
+        if not state.loading and _has_duration(state, duration_s):
             if last is None:
                 return state
-            schema = _patiently(lambda: client.get_recording_schema(entity_path=f"/{last}"))
+            schema = _retry(lambda: client.get_recording_schema(entity_path=f"/{last}"))
             if any(entity.entity_path.strip("/") == last for entity in schema.entities):
                 return state
-        time.sleep(POLL_S)
-    raise RunError(f"the viewer did not load the recording within {LOAD_S:g} s; {_SHORTER}")
+        time.sleep(_POLL_S)
+    raise RunError(f"the viewer did not load the recording within {_MAX_LOAD_S:g} s; {_SHORTER}")
 
 
-def _patiently(ask: Callable[[], T]) -> T:
+def _retry(ask: Callable[[], T]) -> T:
     """Repeat a request that timed out: drawing without a graphics card is slow."""
-    deadline = time.monotonic() + LOAD_S
+    deadline = time.monotonic() + _MAX_LOAD_S
     while True:
         try:
             return ask()
@@ -228,34 +232,34 @@ def _patiently(ask: Callable[[], T]) -> T:
                 raise
 
 
-def _holds(state: ViewerState, lasts_s: float) -> bool:
-    """Whether the recording's times have the expected range."""
+def _has_duration(state: ViewerState, duration_s: float) -> bool:
+    """Return whether the times of the recording have the expected range."""
     return bool(state.recordings) and any(
-        line.start is not None and line.end and line.end - line.start >= (lasts_s - _A_FRAME_S) * 1e9
+        line.start is not None and line.end and line.end - line.start >= (duration_s - _FRAME_S) * 1e9
         for line in state.recordings[0].timelines
     )
 
 
-def _settled(client: ViewerClient) -> None:
+def _await_still_picture(client: ViewerClient) -> None:
     """Wait until the picture does not change any more: fonts, plots and images appear over several frames.
 
-    On a busy machine a long trace arrives piece by piece, with pictures in between that look finished.
+    On a busy machine a long trace arrives in pieces, with pictures in between that look complete.
     """
     before, since = b"", time.monotonic()
-    deadline = time.monotonic() + LOAD_S
+    deadline = time.monotonic() + _MAX_LOAD_S
     while time.monotonic() < deadline:
         began = time.monotonic()
-        now = _patiently(lambda: client.take_screenshot(max_size=_COMPARED))
+        now = _retry(lambda: client.take_screenshot(max_size=_COMPARED_POINTS))
         if now != before:
             before, since = now, began
         # A viewer that draws slowly also needs longer for the next part of the picture.
-        elif began - since >= max(QUIET_S, _PICTURES * (time.monotonic() - began)):
+        elif began - since >= max(_MIN_STILL_S, _STILL_DRAWING_TIMES * (time.monotonic() - began)):
             return
-        time.sleep(POLL_S)
-    raise RunError(f"the viewer's picture did not come to rest within {LOAD_S:g} s; {_SHORTER}")
+        time.sleep(_POLL_S)
+    raise RunError(f"the viewer's picture did not come to rest within {_MAX_LOAD_S:g} s; {_SHORTER}")
 
 
-def _why_it_ended(output: str) -> str:
+def _reason_of_end(output: str) -> str:
     if "graphics adapter" in output or "render context" in output:
         return (
             "the viewer found no graphics device (Vulkan); on Debian and Ubuntu "

@@ -86,7 +86,7 @@ def replay(
             return target
         if screenshot is not None:
             target = as_path(screenshot, "screenshot")
-            drawn = outputs.photograph(part, target, at, progress)
+            drawn = outputs.draw_picture(part, target, at, progress)
             announce(f"{target}: the rig at {drawn:.3f} s")
             return target
     if web:

@@ -14,10 +14,10 @@ from rig.escaping import escape_figure
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
-SEGMENT_S = 4.0
-MOST_SEGMENTS = 200
-PAPER = "#16181d"
-INK = "#c8ccd4"
+_SEGMENT_S = 4.0
+_MAX_SEGMENTS = 200
+_BACKGROUND = "#16181d"
+_FOREGROUND = "#c8ccd4"
 
 
 def peak_spectrum(
@@ -25,12 +25,12 @@ def peak_spectrum(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return frequencies (Hz, without 0) and the largest peak amplitude over Hann-windowed segments of a channel.
 
-    A tone of amplitude A gives A, a sweep its envelope over frequency. Segments of up to `SEGMENT_S` seconds overlap by
-    half; of a long recording `MOST_SEGMENTS` are used, evenly spread. The amplitude is NaN if every segment has lost
+    A tone of amplitude A gives A, a sweep its envelope over frequency. Segments of up to 4 s overlap by half; of a long
+    recording `_MAX_SEGMENTS` are used, evenly spread. The amplitude is NaN if every segment has lost
     samples.
     """
-    length = max(8, min(stop - start, round(SEGMENT_S * recording.rate)))
-    segments = min(MOST_SEGMENTS, max(1, 2 * (stop - start) // length - 1))
+    length = max(8, min(stop - start, round(_SEGMENT_S * recording.rate)))
+    segments = min(_MAX_SEGMENTS, max(1, 2 * (stop - start) // length - 1))
     firsts = np.linspace(start, max(start, stop - length), segments).astype(np.int64)
     window = np.hanning(length + 1)[:-1]
     largest = np.full(length // 2, np.nan)
@@ -56,7 +56,9 @@ def spectrum_picture(
 
     natural_hz = structural_model(recording.scene).modes.frequency
     quantities = sorted({(info.quantity, info.unit) for info in recording.channels.values()})
-    figure = Figure(figsize=(size[0] / 100, size[1] / 100), dpi=100, facecolor=PAPER, layout="constrained")
+    figure = Figure(
+        figsize=(size[0] / 100, size[1] / 100), dpi=100, facecolor=_BACKGROUND, layout="constrained"
+    )
     panels = figure.subplots(len(quantities), 1, sharex=True, squeeze=False)[:, 0]
     for panel, (quantity, unit) in zip(panels, quantities, strict=True):
         members = {name: info for name, info in recording.channels.items() if info.quantity == quantity}
@@ -69,18 +71,20 @@ def spectrum_picture(
                 frequency[shown], amplitude[shown], color=colour, label=escape_figure(name), linewidth=1.0
             )
         for line in natural_hz[natural_hz > 1.0]:
-            panel.axvline(line, color=INK, linewidth=0.8, linestyle=":", alpha=0.7)
-        panel.set_ylabel(f"{quantity} [{unit}]", color=INK)
-        panel.set_facecolor(PAPER)
-        panel.grid(which="both", color=INK, alpha=0.10)
-        panel.tick_params(colors=INK, which="both")
-        panel.spines[:].set_color(INK)
-        panel.legend(facecolor=PAPER, edgecolor="none", labelcolor=INK, fontsize="small", framealpha=0.6)
-    panels[-1].set_xlabel("frequency [Hz]", color=INK)
+            panel.axvline(line, color=_FOREGROUND, linewidth=0.8, linestyle=":", alpha=0.7)
+        panel.set_ylabel(f"{quantity} [{unit}]", color=_FOREGROUND)
+        panel.set_facecolor(_BACKGROUND)
+        panel.grid(which="both", color=_FOREGROUND, alpha=0.10)
+        panel.tick_params(colors=_FOREGROUND, which="both")
+        panel.spines[:].set_color(_FOREGROUND)
+        panel.legend(
+            facecolor=_BACKGROUND, edgecolor="none", labelcolor=_FOREGROUND, fontsize="small", framealpha=0.6
+        )
+    panels[-1].set_xlabel("frequency [Hz]", color=_FOREGROUND)
     panels[0].set_title(
         "largest amplitude (Hann); dotted: natural frequencies, no dampers",
-        color=INK, fontsize="medium",
+        color=_FOREGROUND, fontsize="medium",
     )  # fmt: skip
     picture = io.BytesIO()
-    figure.savefig(picture, format="png", facecolor=PAPER)
+    figure.savefig(picture, format="png", facecolor=_BACKGROUND)
     return picture.getvalue()

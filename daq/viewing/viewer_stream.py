@@ -1,4 +1,4 @@
-"""The stream to a viewer: channels, dampers and motion of the rig, stretch by stretch."""
+"""The stream to a viewer: channels, dampers and motion of the rig, segment by segment."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 CONTACTS = ("flight", "floor", "ceiling", "lost")
 CONTACT_COLOURS = (0x3B82C4FF, 0x8A5A2BFF, 0xC4453BFF, 0x404040FF)
 # Quantities in the order of the plots, with the factor to the shown unit.
-SHOWN = {
+DISPLAY_UNITS = {
     "displacement": (1e3, "mm"),
     "acceleration": (1.0, "m/s²"),
     "velocity": (1.0, "m/s"),
@@ -32,7 +32,11 @@ SHOWN = {
 def plots(channels: Mapping[str, ChannelInfo]) -> list[tuple[str, str]]:
     """Entity and title of the plot of each quantity."""
     present = {info.quantity for info in channels.values()}
-    return [(f"channels/{each}", f"{each} [{unit}]") for each, (_, unit) in SHOWN.items() if each in present]
+    return [
+        (f"channels/{each}", f"{each} [{unit}]")
+        for each, (_, unit) in DISPLAY_UNITS.items()
+        if each in present
+    ]
 
 
 class Traces:
@@ -63,7 +67,7 @@ class Traces:
             stream.log(f"dampers/contact/damper_{place}", lane, static=True)
 
     def times(self, samples: NDArray[np.int64]) -> rr.TimeColumn:
-        """Give the times of samples from the start of the recording."""
+        """Return the times of samples from the start of the recording."""
         # Durations stay far below the 2^53 ns up to which a double holds every nanosecond.
         nanoseconds = np.round(samples * (1e9 / self._rate)).astype("timedelta64[ns]")
         return rr.TimeColumn(TIMELINE, duration=nanoseconds)
@@ -72,7 +76,7 @@ class Traces:
         """Send the next samples of a channel, in its unit; NaN is a gap in the curve."""
         quantity = self._channels[name].quantity
         times = self.times(np.arange(first, first + samples.size))
-        columns = rr.Scalars.columns(scalars=samples * SHOWN[quantity][0])
+        columns = rr.Scalars.columns(scalars=samples * DISPLAY_UNITS[quantity][0])
         self._stream.send_columns(entity(quantity, name), [times], columns)
 
     def dampers(self, first: int, gap: NDArray[np.float64], contact: NDArray[np.float64 | np.int8]) -> None:
@@ -91,7 +95,7 @@ class Traces:
             self._contact[place] = int(states[place, -1])
 
     def motion(self, view: RigView, samples: NDArray[np.int64], motion: RigPose) -> None:
-        """Move the rig; `motion` is given at some sample numbers."""
+        """Send the motion of the rig at some sample numbers."""
         if not samples.size:
             return
         times = [self.times(samples)]
@@ -101,5 +105,5 @@ class Traces:
 
 
 def entity(quantity: str, name: str) -> str:
-    """Path of a channel; a name may hold spaces and slashes."""
+    """Return the path of a channel; its name may contain spaces and slashes."""
     return rr.new_entity_path(["channels", quantity, name])

@@ -7,9 +7,9 @@ from nidaqmx.constants import ExcitationSource
 
 import daq
 import rig
-from daq.server.missing_excitation import report_missing_excitation
 from daq.server.script import run_script
 from daq.server.serve import announcement
+from daq.server.starter_script import report_missing_excitation
 
 SCENE = """
 structure: {masses: [1 kg, 1 kg], springs: [40 kN/m, 40 kN/m], damping: {modal: 1 %}}
@@ -19,7 +19,7 @@ channels: [CHANNELS]
 converter: {CONVERTER, rate: 5120 Hz}
 """
 IEPE = "accelerometer: {preset: PCB 352C33}"
-FED = """{name: one, at: body 1, IEPE}, {name: two, at: body 2, IEPE},
+SUPPLIED = """{name: one, at: body 1, IEPE}, {name: two, at: body 2, IEPE},
   {name: rough, at: body 2, accelerometer: {sensitivity: 13.7 mV/g, iepe: true}},
   {name: plain, at: body 2, accelerometer: {sensitivity: 10 mV/g}},
   {name: speed, at: body 2, IEPE, integrator: {order: 1, gain: 10}},
@@ -31,24 +31,24 @@ def scene(channels, converter):
 
 
 def starter(connection):
-    """Give the script that is printed for those who connect from another process."""
+    """Return the script that `daq serve` prints for clients."""
     port = int(connection.address.rpartition(":")[2])
     return announcement(connection.chassis, "127.0.0.1", port, encrypted=False).rpartition("\n\n")[2]
 
 
 @pytest.mark.parametrize(
-    ("channels", "converter", "read"),
+    ("channels", "converter", "n_channels"),
     [
-        (FED, "preset: NI 9234", 6),
-        (FED, "preset: NI 9234, coupling: DC", 6),
-        # Devices of their own do not share a task.
-        (FED, "preset: USB-4431", 4),
+        (SUPPLIED, "preset: NI 9234", 6),
+        (SUPPLIED, "preset: NI 9234, coupling: DC", 6),
+        # Channels of separate devices cannot be in one task.
+        (SUPPLIED, "preset: USB-4431", 4),
         ("{name: one, at: body 1}, {name: two, at: body 2}", "bits: 24, range: 500 V", 2),
         ("{name: one, at: body 1}", "sampling: point", 1),
     ],
-    ids=["IEPE", "coupled for other sensors", "a device of its own", "ideal sensors", "one channel"],
+    ids=["IEPE", "DC coupling", "separate device", "ideal sensors", "one channel"],
 )
-def test_starter_script_reads_sensors(channels, converter, read, capsys):
+def test_starter_script_reads_sensors(channels, converter, n_channels, capsys):
     blocks = []
     with daq.connect(scene(channels, converter), clock="fast") as connection:
         chassis = connection.chassis
@@ -56,11 +56,12 @@ def test_starter_script_reads_sensors(channels, converter, read, capsys):
         report_missing_excitation(chassis)
         namespace = {}
         exec(starter(connection), namespace)
-        infos = connection.sensors[:read]
+        infos = connection.sensors[:n_channels]
     data = np.atleast_2d(namespace["data"])
-    expected = np.concatenate(blocks, axis=1)[:read, :1000]
-    in_volts = [info.sensitivity if info.quantity == "velocity" else 1.0 for info in infos]
-    np.testing.assert_allclose(data, expected * np.array(in_volts)[:, None], rtol=1e-6, atol=1e-9)
+    expected = np.concatenate(blocks, axis=1)[:n_channels, :1000]
+    # Velocity channels are read in volts.
+    volts_per_unit = [info.sensitivity if info.quantity == "velocity" else 1.0 for info in infos]
+    np.testing.assert_allclose(data, expected * np.array(volts_per_unit)[:, None], rtol=1e-6, atol=1e-9)
     # The lower mode at a millimetre is 9 m/s^2 at body 1 and 15 m/s^2 at body 2.
     moving = [row for row, info in enumerate(infos) if info.quantity == "acceleration"]
     assert np.all(np.ptp(data[moving], axis=1) > 10.0)
@@ -69,8 +70,8 @@ def test_starter_script_reads_sensors(channels, converter, read, capsys):
     assert err == ""
 
 
-def test_unfed_sensors_are_reported_once(capsys):
-    with daq.connect(scene(FED, "preset: NI 9234"), clock="fast") as connection:
+def test_sensors_without_excitation_are_reported_once(capsys):
+    with daq.connect(scene(SUPPLIED, "preset: NI 9234"), clock="fast") as connection:
         report_missing_excitation(connection.chassis)
 
         def read(terminals, source):
@@ -83,9 +84,9 @@ def test_unfed_sensors_are_reported_once(capsys):
             return capsys.readouterr().err
 
         assert read("cDAQ1Mod1/ai0", ExcitationSource.INTERNAL) == ""
-        told = read("cDAQ1Mod1/ai0,cDAQ1Mod1/ai3", ExcitationSource.NONE)
-        assert "no excitation for cDAQ1Mod1/ai0 (one): " in told
-        assert "ai_excit_val to 0.002" in told
+        message = read("cDAQ1Mod1/ai0,cDAQ1Mod1/ai3", ExcitationSource.NONE)
+        assert "no excitation for cDAQ1Mod1/ai0 (one): " in message
+        assert "ai_excit_val to 0.002" in message
         assert "no excitation for cDAQ1Mod1/ai1 (two): " in read("cDAQ1Mod1/ai0:1", ExcitationSource.NONE)
         assert read("cDAQ1Mod1/ai0:1", ExcitationSource.NONE) == ""
 
@@ -99,7 +100,7 @@ with nidaqmx.Task() as task:
     task.timing.cfg_samp_clk_timing(5120.0, samps_per_chan=10)
     print(len(task.read(10)))
 """)
-    assert run_script(script, scene=scene(FED, "preset: NI 9234"), clock="fast") == 0
+    assert run_script(script, scene=scene(SUPPLIED, "preset: NI 9234"), clock="fast") == 0
     out, err = capfd.readouterr()
     assert out == "4\n"
     assert "no excitation for cDAQ1Mod1/ai0 (one), cDAQ1Mod1/ai1 (two), cDAQ1Mod1/ai2 (rough): " in err

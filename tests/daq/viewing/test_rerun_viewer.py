@@ -15,7 +15,7 @@ import pytest
 
 import daq
 import rig
-from daq.viewing.outputs import photograph
+from daq.viewing.outputs import draw_picture
 from daq.viewing.replay import Replay
 from daq.viewing.rerun_viewer import LOOPBACK, free_port, picture, viewer
 from rig.errors import RunError, SceneError
@@ -57,15 +57,15 @@ def png_size(png):
 
 
 @pytest.mark.thorough
-def test_photograph_draws_every_view(recorded, tmp_path):
+def test_picture_draws_every_view(recorded, tmp_path):
     file = tmp_path / "replay.png"
     with daq.open(recorded) as recording:
         replay = Replay(recording)
         if not has_vulkan():
             with pytest.raises(RunError, match=NAMED):
-                photograph(replay, file, size=(1200, 800))
+                draw_picture(replay, file, size=(1200, 800))
             return
-        photograph(replay, file, size=(1200, 800))
+        draw_picture(replay, file, size=(1200, 800))
     assert png_size(file.read_bytes()) == (1200, 800)
 
 
@@ -156,5 +156,5 @@ def test_two_outputs_at_once_are_rejected(recorded, tmp_path):
 
 
 def test_instant_outside_the_recording_is_rejected(recorded, tmp_path):
-    with daq.open(recorded) as recording, pytest.raises(SceneError, match=r"outside the replay .*0\.5 s"):
-        photograph(Replay(recording), tmp_path / "x.png", at_s=9.0)
+    with daq.open(recorded) as recording, pytest.raises(SceneError, match=r"outside the replay.*0\.5 s"):
+        draw_picture(Replay(recording), tmp_path / "x.png", at_s=9.0)

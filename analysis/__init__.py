@@ -2,9 +2,9 @@
 
 # A command that is interrupted while it is imported has nothing to say, and least of all a traceback.
 try:
-    from rig.interruption import end_silently
+    from rig.interruption import restore_default_interrupt
 
-    end_silently()
+    restore_default_interrupt()
 except KeyboardInterrupt:
     raise SystemExit(130) from None
 

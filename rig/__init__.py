@@ -2,9 +2,9 @@
 
 # An interrupt during import must end the command without a traceback.
 try:
-    from rig.interruption import end_silently
+    from rig.interruption import restore_default_interrupt
 
-    end_silently()
+    restore_default_interrupt()
 except KeyboardInterrupt:
     raise SystemExit(130) from None
 

@@ -53,8 +53,8 @@ def response(
     from rig.steady_response.response_output import sweep_frequencies
 
     scene = scene_of(scene)
-    ends = number(first, FREQUENCY, "first"), number(last, FREQUENCY, "last")
-    frequencies, order = sweep_frequencies(scene, *ends, points, direction)
+    band = number(first, FREQUENCY, "first"), number(last, FREQUENCY, "last")
+    frequencies, order = sweep_frequencies(scene, *band, points, direction)
     return frequency_response(scene, frequencies, direction=order, progress=progress)
 
 
@@ -90,8 +90,8 @@ def grains(
     from rig.steady_response.response_output import sweep_frequencies
 
     scene = scene_of(scene)
-    ends = number(first, FREQUENCY, "first"), number(last, FREQUENCY, "last")
-    frequencies, _ = sweep_frequencies(scene, *ends, points, None)
+    band = number(first, FREQUENCY, "first"), number(last, FREQUENCY, "last")
+    frequencies, _ = sweep_frequencies(scene, *band, points, None)
     return bed_response(
         scene, frequencies, periods, None if table is None else Path(table), cluster, progress
     )
@@ -152,7 +152,7 @@ def cost(
     periods: int = 20,
     say: Callable[[str], None] | None = None,
 ) -> Cost:
-    """Measure error and computing time of every method on a scene; with beds of grains, of every model of them.
+    """Measure error and computing time of every method on a scene; with beds of grains, of every model of the beds.
 
     Parameters
     ----------

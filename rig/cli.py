@@ -77,9 +77,9 @@ def presets(
 
 def _list(rows: Sequence[tuple[str, str]]) -> None:
     """Print names with descriptions; separated by a tab if the output is a pipe."""
-    wide = max(len(name) for name, _ in rows) if sys.stdout.isatty() else 0
-    for name, what in rows:
-        print(f"{name:{wide}}  {what}" if wide else f"{name}\t{what}")
+    width = max(len(name) for name, _ in rows) if sys.stdout.isatty() else 0
+    for name, description in rows:
+        print(f"{name:{width}}  {description}" if width else f"{name}\t{description}")
 
 
 @app.command(example="rig schema --explain")
@@ -123,14 +123,14 @@ def explain(
     from rig.effects.foresight import foresights
 
     setting = load_scene(scene, changes)
-    for foreseen in foresights(setting):
-        print(f"{foreseen}\n")
+    for prediction in foresights(setting):
+        print(f"{prediction}\n")
     print(rig.explain(setting))
     if measure:
         from rig.effects.effect_cost import effect_costs, text
 
-        with show_activity() as say:
-            costs = effect_costs(setting, say)
+        with show_activity() as report:
+            costs = effect_costs(setting, report)
         print("\n" + text(costs))
 
 
@@ -168,14 +168,17 @@ def simulate(
     from rig.simulation.run_output import simulate_to_file, summary
 
     setting = load_scene(scene, changes)
-    seconds, tone = _quantity(duration, TIME, "--duration"), _quantity(frequency, FREQUENCY, "--frequency")
-    samples = _quantity(rate, FREQUENCY, "--rate") or 0.0
+    duration_s, tone_hz = (
+        _quantity(duration, TIME, "--duration"),
+        _quantity(frequency, FREQUENCY, "--frequency"),
+    )
+    sample_rate = _quantity(rate, FREQUENCY, "--rate") or 0.0
     with (
         allow_overwriting(overwrite),
         output_source("simulate", setting.to_yaml()),
         count_progress("following the motion") as progress,
     ):
-        run = simulate_to_file(output, setting, seconds, samples, tone, progress)
+        run = simulate_to_file(output, setting, duration_s, sample_rate, tone_hz, progress)
     print(setting.structure.relabel(summary(run)))
     if output is not None:
         report_written(output)
@@ -267,7 +270,8 @@ def cost(
     frequency: Annotated[
         str | None,
         typer.Option(
-            metavar="F", help="Drive frequency. Default: where the linear structure accelerates most."
+            metavar="F",
+            help="Drive frequency. Default: frequency of the largest acceleration without impacts.",
         ),
     ] = None,
     periods: Annotated[
@@ -289,10 +293,10 @@ def cost(
 
     setting = load_scene(scene, changes)
     create_folder(output)
-    with allow_overwriting(overwrite), output_source("cost", setting.to_yaml()), show_activity() as say:
+    with allow_overwriting(overwrite), output_source("cost", setting.to_yaml()), show_activity() as report:
         reject_foreign_files(*_figure_and_table(output / file_stem("cost", setting.name)))
-        tone = _quantity(frequency, FREQUENCY, "--frequency")
-        result = rig.cost(setting, tone, periods, say)
+        tone_hz = _quantity(frequency, FREQUENCY, "--frequency")
+        result = rig.cost(setting, tone_hz, periods, report)
         files = result.write(output)
     print(result)
     report_written(*files)
@@ -343,14 +347,14 @@ def map_(
     ends = _quantity(least, kind, "--least"), _quantity(most, kind, "--most")
     create_folder(output)
     name = place(setting, over, output)
-    kept = name.with_suffix(".csv.kept")
+    finished_points = name.with_suffix(".csv.kept")
     with resumable(), allow_overwriting(overwrite), output_source("map", setting.to_yaml()):
         reject_foreign_files(*_figure_and_table(name))
         with count_progress("following the motion") as progress:
-            found = rig.map(setting, over, *ends, rows, *band, points, cluster, kept, progress)
-        files = write(found, output)
-    kept.unlink()
-    print(summary(found))
+            result = rig.map(setting, over, *ends, rows, *band, points, cluster, finished_points, progress)
+        files = write(result, output)
+    finished_points.unlink()
+    print(summary(result))
     report_written(*files)
 
 
@@ -375,7 +379,7 @@ def design(
     dampers: Annotated[
         int,
         typer.Option(
-            min=1, metavar="N", help="Largest number of dampers; fewer are chosen where they do as well."
+            min=1, metavar="N", help="Largest number of dampers; fewer are chosen if they are as good."
         ),
     ] = 1,
     clearance: Annotated[
@@ -417,7 +421,7 @@ def design(
 
     New dampers have the restitution and contact of the scene's dampers, or of the first one where they differ.
     """
-    from rig.damper_design.design import design as search
+    from rig.damper_design.design import design as find_design
     from rig.damper_design.figure import next_step, summary, write
     from rig.effects.foresight import foresights
     from rig.output_files import create_folder, file_stem
@@ -434,15 +438,15 @@ def design(
         progress("trying designs") as report_progress,
     ):
         reject_foreign_files(*(name.with_suffix(ending) for ending in (".yaml", ".png", ".svg")))
-        found = search(
+        result = find_design(
             setting,
             budget=budget,
-            bodies=_listed(bodies),
+            bodies=_split_list(bodies),
             dampers=dampers,
-            clearance=_listed(clearance),
-            levels=_listed(levels),
-            band=_listed(band),
-            watched=_listed(watched),
+            clearance=_split_list(clearance),
+            levels=_split_list(levels),
+            band=_split_list(band),
+            watched=_split_list(watched),
             uncertain=(damping_off, stiffness_off),
             cluster=cluster,
             table=table,
@@ -450,19 +454,19 @@ def design(
             say=partial(report_progress, 1.0),
         )
         report_progress(1.0, "writing")
-        files = write(found, output)
-    print(setting.structure.relabel(summary(found)))
+        files = write(result, output)
+    print(setting.structure.relabel(summary(result)))
     report_written(*files, table)
-    print(setting.structure.relabel(next_step(found, files[0])))
-    for foreseen in foresights(found.scene):
-        print(f"\n{foreseen}")
+    print(setting.structure.relabel(next_step(result, files[0])))
+    for prediction in foresights(result.scene):
+        print(f"\n{prediction}")
 
 
 def _figure_and_table(name: Path) -> list[Path]:
     return [name.with_name(f"{name.name}.{ending}") for ending in ("png", "svg", "csv")]
 
 
-def _listed(text: str | None) -> list[str] | None:
+def _split_list(text: str | None) -> list[str] | None:
     """Split the comma-separated values of an option."""
     return None if text is None else [word.strip() for word in text.split(",")]
 

@@ -8,31 +8,28 @@ from typing import Any
 import typer
 from typer.core import TyperCommand
 
-_SCENE, _TEST, _FREQUENCIES, _OUTPUT, _COMPUTING = "Scene", "Test", "Frequencies", "Output", "Computing"
-_DAMPERS, _CRITERION, _CURVES, _BLOCKS, _NETWORK = (
-    "Dampers to choose from", "Criterion", "Curves", "Averages of blocks", "Network",
-)  # fmt: skip
-# Group by parameter name, for options that do not specify their group.
+# Titles of groups, and the parameter names of their options, for options that do not specify their group.
 _GROUPS = {
-    _SCENE: ("changes", "scene", "clock", "table"),
-    _TEST: ("duration", "rate", "force", "drive", "block_samples", "dry_run", "anyway", "measure"),
-    _FREQUENCIES: (
+    "Scene": ("changes", "scene", "clock", "table"),
+    "Test": ("duration", "rate", "force", "drive", "block_samples", "dry_run", "anyway", "measure"),
+    "Frequencies": (
         "frequency", "frequencies", "first", "last", "points", "direction", "periods", "over", "least", "most", "rows",
     ),
-    _DAMPERS: ("budget", "bodies", "dampers", "clearance"),
-    _CRITERION: ("levels", "band", "watched", "damping_off", "stiffness_off"),
-    _CURVES: ("response", "reference", "motion", "unit", "theory", "modes", "channel", "hit", "free"),
-    _BLOCKS: ("estimator", "block", "overlap", "window"),
-    _NETWORK: ("address", "port", "certificate", "key", "client_ca", "session_timeout", "proto"),
-    _OUTPUT: (
+    "Dampers to choose from": ("budget", "bodies", "dampers", "clearance"),
+    "Criterion": ("levels", "band", "watched", "damping_off", "stiffness_off"),
+    "Curves": ("response", "reference", "motion", "unit", "theory", "modes", "channel", "hit", "free"),
+    "Averages of blocks": ("estimator", "block", "overlap", "window"),
+    "Network": ("address", "port", "certificate", "key", "client_ca", "session_timeout", "proto"),
+    "Output": (
         "output", "overwrite", "save", "web", "viewer", "screenshot", "at", "begin", "end", "speed", "what", "fresh",
     ),
-    _COMPUTING: ("cluster",),
+    "Computing": ("cluster",),
 }  # fmt: skip
 _GROUP_OF = {name: group for group, names in _GROUPS.items() for name in names}
+# Title of options without a group.
 _OTHER = "Options"
-# Number of options below which groups are not used.
-_FEW = 5
+# Largest number of options that are listed without groups.
+_MAX_UNGROUPED = 5
 
 
 class GroupedCommand(TyperCommand):
@@ -40,18 +37,20 @@ class GroupedCommand(TyperCommand):
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Write arguments, then options by group, then all other options."""
-        parameters = [(each, each.get_help_record(ctx)) for each in self.get_params(ctx)]
+        parameters = [(parameter, parameter.get_help_record(ctx)) for parameter in self.get_params(ctx)]
         options = [
-            (each, record) for each, record in parameters if each.param_type_name == "option" and record
+            (parameter, record)
+            for parameter, record in parameters
+            if parameter.param_type_name == "option" and record
         ]
         sections: dict[str, list[tuple[str, str]]] = {
             "Arguments": [
-                record for each, record in parameters if each.param_type_name != "option" and record
+                record for parameter, record in parameters if parameter.param_type_name != "option" and record
             ]
         }
-        for each, record in options:
-            group = getattr(each, "rich_help_panel", None) or _GROUP_OF.get(each.name or "", _OTHER)
-            sections.setdefault(group if len(options) > _FEW else _OTHER, []).append(record)
+        for parameter, record in options:
+            group = getattr(parameter, "rich_help_panel", None) or _GROUP_OF.get(parameter.name or "", _OTHER)
+            sections.setdefault(group if len(options) > _MAX_UNGROUPED else _OTHER, []).append(record)
         order = ["Arguments", *_GROUPS, _OTHER]
         for title in sorted(sections, key=order.index):
             if sections[title]:

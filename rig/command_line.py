@@ -28,12 +28,12 @@ from rig.shadowing import shadowing_files
 if TYPE_CHECKING:
     from rig.command_help import Application
 
-# Upper limit for numeric options in any unit.
+# Upper limit of numeric options in any unit.
 MAX_OPTION_VALUE = 1e12
 # Number of allocations between runs of the cyclic garbage collector (Python default 700).
-_OBJECTS = 200_000
+_GC_THRESHOLD = 200_000
 # Exit code after Ctrl-C: 128 plus the signal number.
-_INTERRUPTED = 128 + signal.SIGINT
+_INTERRUPTED_CODE = 128 + signal.SIGINT
 
 
 def create_application(help_text: str) -> Application:
@@ -49,8 +49,8 @@ def create_application(help_text: str) -> Application:
         rich_markup_mode=None,
     )
 
-    def print_version(asked: bool) -> None:
-        if asked:
+    def print_version(requested: bool) -> None:
+        if requested:
             print(f"shotrig {_version()}")
             raise typer.Exit
 
@@ -80,29 +80,29 @@ def run_command(module: str) -> NoReturn:
         Imported inside this function, so that an interrupted import is also reported.
     """
     # Imported objects are permanent: scanning them for garbage takes a tenth of the start-up time.
-    gc.set_threshold(_OBJECTS)
+    gc.set_threshold(_GC_THRESHOLD)
     received_signals.clear()
     words = sys.argv[1:]
     debug = words[:1] == ["--debug"]
-    with ExitStack() as put_back:
+    with ExitStack() as cleanup:
         try:
-            _answer_signals(put_back)
-            console.replace_streams(put_back)
-            _take_hooks(put_back)
+            _handle_signals(cleanup)
+            console.replace_streams(cleanup)
+            _replace_hooks(cleanup)
             join()
-            console.report_activity(put_back)
-            code = _carry_out(module, words[debug:])
+            console.report_activity(cleanup)
+            code = _execute(module, words[debug:])
             sys.stdout.flush()
-            # From here on a signal ends the process immediately, also after an error.
+            # From here on, also after an error, a signal ends the process immediately.
             _set_signals(signal.SIG_DFL)
         except BaseException as error:
             _set_signals(signal.SIG_DFL)
             code = _report(error, debug)
     gc.disable()
-    sys.exit(128 + received_signals[0] if code == _INTERRUPTED and received_signals else code)
+    sys.exit(128 + received_signals[0] if code == _INTERRUPTED_CODE and received_signals else code)
 
 
-def _carry_out(module: str, words: Sequence[str]) -> int:
+def _execute(module: str, words: Sequence[str]) -> int:
     """Run a command and return its exit code; errors are raised."""
     import typer
 
@@ -114,9 +114,9 @@ def _carry_out(module: str, words: Sequence[str]) -> int:
     if f"_{program.upper()}_COMPLETE" in os.environ:
         # The shell requests completions of the typed words.
         command.main([], program)
-    for each in (command, *getattr(command, "commands", {}).values()):
-        for option in each.params:
-            option.callback = option.callback or _bounded
+    for subcommand in (command, *getattr(command, "commands", {}).values()):
+        for option in subcommand.params:
+            option.callback = option.callback or _check_option
     try:
         with command.make_context(program, list(words)) as context:
             command.invoke(context)
@@ -125,13 +125,13 @@ def _carry_out(module: str, words: Sequence[str]) -> int:
     return 0
 
 
-def _bounded(context: Any, option: Any, value: Any) -> Any:
+def _check_option(context: Any, option: Any, value: Any) -> Any:
     """Reject an option that is empty, not a number or out of range, before any work."""
     import typer
 
     for number in value if isinstance(value, list | tuple) else [value]:
         if isinstance(number, str) and not number.strip():
-            raise typer.BadParameter(f"got {number!r}; expected something", ctx=context, param=option)
+            raise typer.BadParameter(f"got {number!r}; expected a value", ctx=context, param=option)
         if isinstance(number, float) and not abs(number) <= MAX_OPTION_VALUE:
             raise typer.BadParameter(
                 f"got {number}; expected a number, at most {MAX_OPTION_VALUE:g}", ctx=context, param=option
@@ -141,7 +141,7 @@ def _bounded(context: Any, option: Any, value: Any) -> Any:
 
 def _report(error: BaseException, debug: bool) -> int:
     """Report why a command ended, and return its exit code."""
-    code, text = _in_words(error)
+    code, text = _describe(error)
     with suppress(OSError):
         if debug and not isinstance(error, SystemExit):
             import traceback
@@ -157,14 +157,14 @@ def _report(error: BaseException, debug: bool) -> int:
     return code
 
 
-def _in_words(error: BaseException) -> tuple[int, str]:
+def _describe(error: BaseException) -> tuple[int, str]:
     """Return the exit code and the message for an exception that ended a command."""
     notes = getattr(error, "__notes__", ())
     match error:
         case SystemExit(code=int() | None):
             return int(error.code or 0), ""
         case KeyboardInterrupt():
-            return _INTERRUPTED, "\n".join(["interrupted", *notes])
+            return _INTERRUPTED_CODE, "\n".join(["interrupted", *notes])
         case ShotrigError():
             return error.exit_code, "\n".join(f"error: {text}" for text in (error, *notes))
         case BrokenPipeError():
@@ -173,7 +173,7 @@ def _in_words(error: BaseException) -> tuple[int, str]:
         case console.Unwritable():
             return 1, f"error: standard output cannot be written: {error.strerror}"
         case MemoryError():
-            return 1, f"error: there is not enough memory for this: {error or 'none is left'}"
+            return 1, f"error: not enough memory: {error or 'none is left'}"
         case OSError(filename=str() | bytes()):
             return 1, f"error: {os.fsdecode(error.filename)}: {error.strerror}"
         case OSError(strerror=str()):
@@ -187,15 +187,15 @@ def _in_words(error: BaseException) -> tuple[int, str]:
         usage = "" if context is None else f"{context.get_usage()}\n"
         return 2, f"{usage}error: {error.format_message()}"
     # Extension modules may report an interrupt during loading as an unrelated failure.
-    if received_signals or _comes_of_interruption(error):
-        return _INTERRUPTED, "interrupted"
-    if isinstance(error, ImportError | AttributeError) and (found := shadowing_files(Path(sys.path[0]))):
-        return 1, "\n".join(f"error: {text}" for text in found)
+    if received_signals or _is_caused_by_interrupt(error):
+        return _INTERRUPTED_CODE, "interrupted"
+    if isinstance(error, ImportError | AttributeError) and (messages := shadowing_files(Path(sys.path[0]))):
+        return 1, "\n".join(f"error: {text}" for text in messages)
     return 1, describe_unexpected(error)
 
 
-def _comes_of_interruption(error: BaseException | None) -> bool:
-    """Whether an exception was caused by Ctrl-C, for example while an extension module was loaded."""
+def _is_caused_by_interrupt(error: BaseException | None) -> bool:
+    """Return whether an exception was caused by Ctrl-C, for example while an extension module was loaded."""
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__cause__ or error.__context__
     return error is not None
@@ -207,8 +207,8 @@ def describe_unexpected(error: BaseException) -> str:
     import tempfile
     import traceback
 
-    what = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
-    begin = f"error: unexpected error ({what[:300]}); this is a fault of shotrig"
+    name = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+    beginning = f"error: unexpected error ({name[:300]}); this is a fault of shotrig"
     details = "\n".join(
         [
             f"shotrig {_version()}, Python {platform.python_version()}, {platform.platform()}",
@@ -217,31 +217,31 @@ def describe_unexpected(error: BaseException) -> str:
         ]
     )
     try:
-        number, name = tempfile.mkstemp(prefix="shotrig-error-", suffix=".txt")
-        with open(number, "w", encoding="utf-8", errors="backslashreplace") as file:  # noqa: PTH123
+        descriptor, path = tempfile.mkstemp(prefix="shotrig-error-", suffix=".txt")
+        with open(descriptor, "w", encoding="utf-8", errors="backslashreplace") as file:  # noqa: PTH123
             file.write(details)
     except OSError:
-        return f"{begin}: please report it, with the output of the command with --debug before its first word"
-    return f"{begin}: please report it, with the details in {name}"
+        return f"{beginning}: please report it, with the output of the command with --debug before its first word"
+    return f"{beginning}: please report it, with the details in {path}"
 
 
 # -- signals ---------------------------------------------------------------------------------------------
 
 
-def _answer_signals(put_back: ExitStack) -> None:
+def _handle_signals(cleanup: ExitStack) -> None:
     """Handle termination signals as Ctrl-C, so that files are closed."""
     for number in TERMINATION_SIGNALS:
-        before = signal.getsignal(number)
+        previous = signal.getsignal(number)
         # The parent may have disabled the signal on purpose (nohup).
-        if before is not signal.SIG_IGN:
-            put_back.callback(signal.signal, number, before)
+        if previous is not signal.SIG_IGN:
+            cleanup.callback(signal.signal, number, previous)
             signal.signal(number, _interrupt)
 
 
-def _set_signals(answer: Any) -> None:
+def _set_signals(handler: Any) -> None:
     for number in TERMINATION_SIGNALS:
         if signal.getsignal(number) is not signal.SIG_IGN:
-            signal.signal(number, answer)
+            signal.signal(number, handler)
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
@@ -249,30 +249,30 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
     raise KeyboardInterrupt
 
 
-# -- what is said ----------------------------------------------------------------------------------------
+# -- messages --------------------------------------------------------------------------------------------
 
 
-def _take_hooks(put_back: ExitStack) -> None:
-    """Report in one line what Python would report in a traceback."""
-    for module, name, ours in (
+def _replace_hooks(cleanup: ExitStack) -> None:
+    """Report warnings and errors of threads in one line instead of a traceback."""
+    for module, name, hook in (
         (warnings, "showwarning", _warn),
-        (sys, "unraisablehook", _passed_over),
-        (threading, "excepthook", _thread_failed),
+        (sys, "unraisablehook", _report_ignored),
+        (threading, "excepthook", _report_thread),
     ):
-        put_back.callback(setattr, module, name, getattr(module, name))
-        setattr(module, name, ours)
+        cleanup.callback(setattr, module, name, getattr(module, name))
+        setattr(module, name, hook)
     import logging
 
     # Without a handler, Python prints warnings that other packages log.
-    silent = logging.NullHandler()
-    logging.getLogger().addHandler(silent)
-    put_back.callback(logging.getLogger().removeHandler, silent)
+    null_handler = logging.NullHandler()
+    logging.getLogger().addHandler(null_handler)
+    cleanup.callback(logging.getLogger().removeHandler, null_handler)
     log = logging.getLogger("shotrig")
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(logging.Formatter("%(message)s"))
     log.addHandler(handler)
-    put_back.callback(log.removeHandler, handler)
-    put_back.callback(log.setLevel, log.level)
+    cleanup.callback(log.removeHandler, handler)
+    cleanup.callback(log.setLevel, log.level)
     log.setLevel(logging.INFO)
 
 
@@ -280,15 +280,15 @@ def _warn(message: Warning | str, *_: Any, **__: Any) -> None:
     print(f"warning: {message}", file=sys.stderr)
 
 
-def _passed_over(what: sys.UnraisableHookArgs) -> None:
-    """Handle an error that cannot be raised, for example in a destructor."""
-    if isinstance(what.exc_value, KeyboardInterrupt):
+def _report_ignored(unraisable: sys.UnraisableHookArgs) -> None:
+    """Report an error that cannot be raised, for example in a destructor."""
+    if isinstance(unraisable.exc_value, KeyboardInterrupt):
         # Ctrl-C arrived at that moment; forward it to the command.
         threading.Timer(0.01, signal.raise_signal, [signal.SIGINT]).start()
     else:
-        print(f"warning: an unexpected error was ignored ({what.exc_value!r})", file=sys.stderr)
+        print(f"warning: an unexpected error was ignored ({unraisable.exc_value!r})", file=sys.stderr)
 
 
-def _thread_failed(what: threading.ExceptHookArgs) -> None:
-    if what.exc_value is not None:
-        print(describe_unexpected(what.exc_value), file=sys.stderr)
+def _report_thread(failure: threading.ExceptHookArgs) -> None:
+    if failure.exc_value is not None:
+        print(describe_unexpected(failure.exc_value), file=sys.stderr)

@@ -1,4 +1,4 @@
-"""Compile machine code ahead of its use, so that the first result on a machine is not delayed."""
+"""Compile machine code in advance, so that the first result on a machine is not delayed."""
 
 from __future__ import annotations
 
@@ -33,4 +33,4 @@ def warm_up(*parts: Part) -> None:
         elif part == "orbits":
             orbit_response(scene, [49.0])
         else:
-            raise SceneError(f"warm_up: there is no part {part!r}. Name engine or orbits.")
+            raise SceneError(f"warm_up: unknown part {part!r}. Give engine or orbits.")

@@ -14,20 +14,20 @@ from typing import IO, Any, ClassVar
 
 from rig.escaping import escape_terminal
 
-# Time without output after which a command reports that it is still running, s.
+# Time without output after which a command reports that it is still running.
 MAX_SILENCE_S = 12.0
-# Delays separated by less than this, s, count as one delay.
-_AT_ONCE = 5.0
+# Delays separated by less than this count as one delay.
+_MAX_DELAY_GAP_S = 5.0
 
 
 class Unwritable(OSError):
     """Standard output cannot be written because its disk is full."""
 
 
-class _Shown(io.TextIOBase):
+class _EscapingStream(io.TextIOBase):
     """A stream that escapes control characters of text; a progress bar writes to `terminal` directly."""
 
-    last = time.monotonic()
+    last_output_s = time.monotonic()
 
     def __init__(self, terminal: IO[str]) -> None:
         self.terminal = terminal
@@ -35,9 +35,9 @@ class _Shown(io.TextIOBase):
     def write(self, text: str) -> int:
         """Write text with control characters escaped."""
         if not isinstance(text, str):
-            # click tests by a write whether a stream accepts bytes.
-            raise TypeError(f"text is written here, not {type(text).__name__}")
-        _Shown.last = time.monotonic()
+            # click writes bytes to test whether a stream accepts them.
+            raise TypeError(f"this stream accepts text, not {type(text).__name__}")
+        _EscapingStream.last_output_s = time.monotonic()
         encoding = self.encoding
         self._forward(
             self.terminal.write, escape_terminal(text).encode(encoding, "backslashreplace").decode(encoding)
@@ -51,9 +51,10 @@ class _Shown(io.TextIOBase):
     def close(self) -> None:
         """Do nothing: Python owns the terminal and may close it first, which is an error in Python 3.13."""
 
-    def _forward(self, act: Callable[..., object], *given: str) -> None:
+    def _forward(self, operation: Callable[..., object], *arguments: str) -> None:
+        """Write to the terminal; a full disk raises `Unwritable`."""
         try:
-            act(*given)
+            operation(*arguments)
         except BrokenPipeError:
             raise
         except OSError as error:
@@ -65,7 +66,7 @@ class _Shown(io.TextIOBase):
         return getattr(self.terminal, "encoding", None) or "utf-8"
 
     def isatty(self) -> bool:
-        """Whether the stream is a terminal."""
+        """Return whether the stream is a terminal."""
         return self.terminal.isatty()
 
     def fileno(self) -> int:
@@ -73,7 +74,7 @@ class _Shown(io.TextIOBase):
         return self.terminal.fileno()
 
 
-def replace_streams(put_back: ExitStack) -> None:
+def replace_streams(cleanup: ExitStack) -> None:
     """Replace the standard streams of Python; a closed stream is replaced by a null device."""
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         try:
@@ -83,36 +84,47 @@ def replace_streams(put_back: ExitStack) -> None:
             os.open(os.devnull, os.O_RDWR)
         stream = getattr(sys, name)
         if number > 0:
-            put_back.callback(setattr, sys, name, stream)
-            setattr(sys, name, _Shown(stream or open(os.devnull, "w", encoding="utf-8")))  # noqa: PTH123, SIM115
+            cleanup.callback(setattr, sys, name, stream)
+            setattr(sys, name, _EscapingStream(stream or open(os.devnull, "w", encoding="utf-8")))  # noqa: PTH123, SIM115
 
 
-class _Work:
-    """Current activity of a command, None while it waits for input; and the current delay with its start and end."""
+class _Activity:
+    """Current activity and delays of a command.
 
-    doing: str | None = ""
-    held_up: ClassVar[list[str]] = []
-    since = until = float("-inf")
+    `description`: None while the command waits for input. `delays`: causes of the current delay. `delay_start_s`,
+    `delay_end_s`: of the last delay, on the monotonic clock.
+    """
+
+    description: str | None = ""
+    delays: ClassVar[list[str]] = []
+    delay_start_s = delay_end_s = float("-inf")
 
 
-def report_activity(put_back: ExitStack) -> None:
+def report_activity(cleanup: ExitStack) -> None:
     """Report from time to time that a command is running, until the exit stack is closed."""
-    over = threading.Event()
-    put_back.callback(over.set)
-    _Work.doing = ""
-    threading.Thread(target=_speak, args=(over, sys.stderr), name="words", daemon=True).start()
+    ended = threading.Event()
+    cleanup.callback(ended.set)
+    _Activity.description = ""
+    threading.Thread(
+        target=_report_periodically, args=(ended, sys.stderr), name="activity", daemon=True
+    ).start()
 
 
-def _speak(over: threading.Event, to: Any) -> None:
-    start = time.monotonic()
-    _Shown.last = start
-    while not over.wait(1.0):
-        holding = next(iter(_Work.held_up), None)
-        since, doing = (start, _Work.doing) if holding is None else (_Work.since, holding)
-        if doing is not None and time.monotonic() - _Shown.last > MAX_SILENCE_S:
+def _report_periodically(ended: threading.Event, stream: Any) -> None:
+    """Report the activity or the delay whenever there was no output for `MAX_SILENCE_S`."""
+    command_start_s = time.monotonic()
+    _EscapingStream.last_output_s = command_start_s
+    while not ended.wait(1.0):
+        delay = next(iter(_Activity.delays), None)
+        if delay is None:
+            start_s, description = command_start_s, _Activity.description
+        else:
+            start_s, description = _Activity.delay_start_s, delay
+        silence_s = time.monotonic() - _EscapingStream.last_output_s
+        if description is not None and silence_s > MAX_SILENCE_S:
             with suppress(OSError, ValueError):
-                doing = doing and f": {doing}"
-                print(f"running for {time.monotonic() - since:.0f} s{doing}", file=to, flush=True)
+                detail = description and f": {description}"
+                print(f"running for {time.monotonic() - start_s:.0f} s{detail}", file=stream, flush=True)
 
 
 def report_written(*files: Path) -> None:
@@ -121,40 +133,40 @@ def report_written(*files: Path) -> None:
         print(f"wrote {file}")
 
 
-def held_up(doing: str) -> None:
+def held_up(cause: str) -> None:
     """Report a delay from time to time until `go_on`, also while a user program runs."""
-    now = time.monotonic()
-    if not _Work.held_up and now - _Work.until > _AT_ONCE:
-        _Work.since = now
-    _Work.held_up.append(doing)
+    now_s = time.monotonic()
+    if not _Activity.delays and now_s - _Activity.delay_end_s > _MAX_DELAY_GAP_S:
+        _Activity.delay_start_s = now_s
+    _Activity.delays.append(cause)
 
 
 def go_on() -> None:
     """End the delay that `held_up` began."""
-    _Work.held_up.pop()
-    _Work.until = time.monotonic()
+    _Activity.delays.pop()
+    _Activity.delay_end_s = time.monotonic()
 
 
 @contextmanager
 def pause_reports() -> Iterator[None]:
     """Suppress reports while the body waits for user input."""
-    before, _Work.doing = _Work.doing, None
+    description, _Activity.description = _Activity.description, None
     try:
         yield
     finally:
-        _Work.doing = before
+        _Activity.description = description
 
 
 @contextmanager
 def user_terminal() -> Iterator[None]:
     """Release the terminal to a program of the user, whose output is not escaped."""
-    ours = sys.stdout, sys.stderr
-    sys.stdout, sys.stderr = (getattr(stream, "terminal", stream) for stream in ours)
+    escaping = sys.stdout, sys.stderr
+    sys.stdout, sys.stderr = (getattr(stream, "terminal", stream) for stream in escaping)
     try:
         with pause_reports():
             yield
     finally:
-        sys.stdout, sys.stderr = ours
+        sys.stdout, sys.stderr = escaping
 
 
 @contextmanager
@@ -167,10 +179,10 @@ def progress(title: str) -> Iterator[Callable[[float, str], None]]:
 
         def report(fraction: float, message: str = "") -> None:
             parts = (title, title and f"{100 * fraction:.0f} %", message)
-            _Work.doing = ", ".join(filter(None, parts))
+            _Activity.description = ", ".join(filter(None, parts))
 
         yield report
-        _Work.doing = ""
+        _Activity.description = ""
         return
     from rich.console import Console
     from rich.markup import escape
@@ -187,19 +199,19 @@ def progress(title: str) -> Iterator[Callable[[float, str], None]]:
     with pause_reports(), Progress(*columns, console=Console(file=terminal), transient=True) as bar:
         task = bar.add_task(escape(escape_terminal(title)), total=1.0, message="")
 
-        def move(fraction: float, message: str = "") -> None:
+        def update_bar(fraction: float, message: str = "") -> None:
             bar.update(task, completed=fraction, message=escape(escape_terminal(message)))
 
-        yield move
+        yield update_bar
 
 
 @contextmanager
-def resumable(kept: bool = True) -> Iterator[None]:
+def resumable(stored: bool = True) -> Iterator[None]:
     """Add to an interrupt message that the same command continues the work, if results are stored."""
     try:
         yield
     except KeyboardInterrupt as interruption:
-        if kept:
+        if stored:
             interruption.add_note("completed results are stored: the same command continues from there")
         raise
 

@@ -13,7 +13,7 @@ TERMINATION_SIGNALS = tuple(
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
 )
 
-# Termination signals received by this command, in order.
+# Numbers of the termination signals that this command has received, in order.
 received_signals: list[int] = []
 
 
@@ -21,38 +21,39 @@ received_signals: list[int] = []
 def delayed_interrupt() -> Iterator[None]:
     """Delay an interrupt during the body until the body has ended."""
     received: list[tuple[int, FrameType | None]] = []
-    with handle_interrupts(lambda number, frame: received.append((number, frame))) as before:
+    with handle_interrupts(lambda number, frame: received.append((number, frame))) as previous:
         yield
     if received:
-        before[received[0][0]](*received[0])
+        number, frame = received[0]
+        previous[number](number, frame)
 
 
 @contextmanager
-def handle_interrupts(answer: Handler) -> Iterator[dict[int, Handler]]:
-    """Handle interrupts in the body; give the handlers before."""
-    before: dict[int, Handler] = {}
-    with ExitStack() as restored:
+def handle_interrupts(handler: Handler) -> Iterator[dict[int, Handler]]:
+    """Handle interrupts in the body; provide the previous handlers by signal number."""
+    previous: dict[int, Handler] = {}
+    with ExitStack() as cleanup:
         # Python delivers signals to its main thread only, and cannot restore handlers that it did not install.
         if threading.current_thread() is threading.main_thread():
             for number in TERMINATION_SIGNALS:
-                earlier = signal.getsignal(number)
-                if callable(earlier):
-                    before[number] = earlier
-                    restored.callback(signal.signal, number, earlier)
-                    signal.signal(number, answer)
-        yield before
+                previous_handler = signal.getsignal(number)
+                if callable(previous_handler):
+                    previous[number] = previous_handler
+                    cleanup.callback(signal.signal, number, previous_handler)
+                    signal.signal(number, handler)
+        yield previous
 
 
 @contextmanager
 def interrupt_flag() -> Iterator[Callable[[], bool]]:
     """Convert the first Ctrl-C into a flag, so that blocks stay complete; the second Ctrl-C interrupts as usual."""
-    pressed = threading.Event()
+    interrupted = threading.Event()
 
-    def press(number: int, frame: FrameType | None) -> None:
-        pressed.set()
+    def set_flag(number: int, frame: FrameType | None) -> None:
+        interrupted.set()
         received_signals.append(number)
-        for each, earlier in before.items():
-            signal.signal(each, earlier)
+        for other, previous_handler in previous.items():
+            signal.signal(other, previous_handler)
 
-    with handle_interrupts(press) as before:
-        yield pressed.is_set
+    with handle_interrupts(set_flag) as previous:
+        yield interrupted.is_set

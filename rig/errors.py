@@ -1,4 +1,4 @@
-"""Errors that state what was wrong, where, what was expected and what to do."""
+"""Errors and warnings; their messages state where and what was wrong, and what to do."""
 
 from __future__ import annotations
 
@@ -35,8 +35,7 @@ class UncoveredMotionError(RunError):
     """A motion for which orbits are not computed; its only argument describes the reason."""
 
     def __str__(self) -> str:
-        instead = "a settled simulation (rig.frequency_response) covers it"
-        return f"{self.args[0]}, for which orbits are not computed; {instead}"
+        return f"{self.args[0]}, for which orbits are not computed. Use a settled simulation (rig.frequency_response)."
 
 
 class SceneWarning(UserWarning):

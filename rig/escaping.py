@@ -10,10 +10,10 @@ import re
 
 # Control characters except line feed and tab; bidirectional, invisible and line-ending characters; surrogates, which
 # represent bytes of a file name that is not valid UTF-8.
-_OBEYED = re.compile(
+_CONTROL_CHARACTERS = re.compile(
     "[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff\ufff9-\ufffb\ud800-\udfff]"
 )
-_MARKS = re.compile(r"([\\`*_{}\[\]()<>#+\-!|~&$])")
+_MARKDOWN_SYNTAX = re.compile(r"([\\`*_{}\[\]()<>#+\-!|~&$])")
 
 
 def escape_terminal(text: object) -> str:
@@ -22,11 +22,11 @@ def escape_terminal(text: object) -> str:
     >>> escape_terminal("body\x1b[31m 1")
     'body\\x1b[31m 1'
     """
-    return _OBEYED.sub(lambda found: ascii(found[0])[1:-1], str(text))
+    return _CONTROL_CHARACTERS.sub(lambda match: ascii(match[0])[1:-1], str(text))
 
 
 def is_single_line(text: str) -> bool:
-    r"""Whether text is a single line without control characters.
+    r"""Return whether text is a single line without control characters.
 
     >>> is_single_line("Fig. 8, two dampers"), is_single_line("a\nb"), is_single_line("\x1b[31m")
     (True, False, False)
@@ -49,7 +49,7 @@ def escape_markdown(text: object) -> str:
     >>> print(escape_markdown("<b> *body*\n# 1"))
     \<b\> \*body\* \# 1
     """
-    return _MARKS.sub(r"\\\1", " ".join(escape_terminal(text).split()))
+    return _MARKDOWN_SYNTAX.sub(r"\\\1", " ".join(escape_terminal(text).split()))
 
 
 def escape_figure(text: object) -> str:

@@ -9,8 +9,8 @@ from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig.arrays import Array
 from rig.escaping import escape_figure
 from rig.output_files import atomic_write, create_folder, csv_text
 
@@ -23,15 +23,15 @@ if TYPE_CHECKING:
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#555555", "#000000")
 WIDTH_INCH = 7.2
 # Number of title characters that fit into the default width.
-_LONGEST_LINE = 70
+_TITLE_CHARACTERS = 70
 # Ratio of the ends of a logarithmic axis below which powers of ten give too few labels.
-_FEW = 50.0
-# Numeric limits of a logarithmic axis.
-_DRAWN = 1e-250, 1e250
+_MIN_DECADE_RATIO = 50.0
+# Smallest and largest value of a logarithmic axis that matplotlib can draw.
+_DRAWABLE_RANGE = 1e-250, 1e250
 # Number of characters per line of a note below a figure of the default width.
-_NOTE_LINE = 112
-# Number of characters of a legend entry for two columns.
-_HALF_LINE = 46
+_NOTE_CHARACTERS = 112
+# Largest number of characters of a legend entry in two columns.
+_LEGEND_CHARACTERS = 46
 
 _STYLE: Any = {
     "font.family": "DejaVu Sans",
@@ -90,7 +90,7 @@ def save_figure(figure: Figure, stem: Path) -> list[Path]:
 
 def add_title(axes: Axes, text: str) -> None:
     """Add a title above the uppermost axes, wrapped to the width of the figure."""
-    axes.set_title("\n".join(wrap(escape_figure(text), _LONGEST_LINE)))
+    axes.set_title("\n".join(wrap(escape_figure(text), _TITLE_CHARACTERS)))
 
 
 def color_of(index: int) -> str:
@@ -109,25 +109,25 @@ def frequency_axis(axes: Axes, low: float, high: float, labelled: bool) -> None:
         axes.tick_params(labelbottom=False)
 
 
-def log_axis(axes: Axes, values: Any, most: float = 7.0, least: float = 1.0) -> None:
+def log_axis(axes: Axes, values: Any, max_decades: float = 7.0, min_decades: float = 1.0) -> None:
     """Set up a logarithmic vertical axis around positive values, with a limited number of decades."""
     values = np.concatenate([np.ravel(v) for v in values])
-    values = np.clip(values[np.isfinite(values) & (values > 0)], *_DRAWN)
+    values = np.clip(values[np.isfinite(values) & (values > 0)], *_DRAWABLE_RANGE)
     if not values.size:
         # There are no positive values to show.
         axes.set_yticks([])
         return
     axes.set_yscale("log")
     high = values.max() * 1.6
-    low = max(values.min() / 1.6, high / 10.0**most)
-    low = min(low, high / 10.0**least)
-    if high < _FEW * low:
+    low = max(values.min() / 1.6, high / 10.0**max_decades)
+    low = min(low, high / 10.0**min_decades)
+    if high < _MIN_DECADE_RATIO * low:
         set_log_scale(axes.yaxis)
     axes.set_ylim(low, high)
 
 
-def round_ticks(low: float, high: float, most: int = 8) -> list[float]:
-    """Select at most `most` round numbers on a logarithmic axis; even steps if there are too few.
+def round_ticks(low: float, high: float, max_ticks: int = 8) -> list[float]:
+    """Select at most `max_ticks` round numbers on a logarithmic axis; even steps if there are too few.
 
     >>> round_ticks(0.08, 3.0), round_ticks(0.08, 3.0, 4)
     ([0.1, 0.2, 0.5, 1.0, 2.0], [0.1, 0.3, 1.0, 3.0])
@@ -137,46 +137,46 @@ def round_ticks(low: float, high: float, most: int = 8) -> list[float]:
     from matplotlib.ticker import MaxNLocator
 
     for digits in ((1, 1.5, 2, 3, 4, 5, 6, 8), (1, 2, 5), (1, 3), (1,)):
-        every = [float(f"{d}e{e}") for e in range(-12, 13) for d in digits]
-        inside = [tick for tick in every if low <= tick <= high]
-        if len(inside) <= most:
+        candidates = [float(f"{d}e{e}") for e in range(-12, 13) for d in digits]
+        ticks = [tick for tick in candidates if low <= tick <= high]
+        if len(ticks) <= max_ticks:
             break
-    if len(inside) < 3:
-        even = MaxNLocator(5).tick_values(low, high)
-        inside = [round(float(tick), 12) for tick in even if low <= tick <= high]
-    return inside
+    if len(ticks) < 3:
+        even_steps = MaxNLocator(5).tick_values(low, high)
+        ticks = [round(float(tick), 12) for tick in even_steps if low <= tick <= high]
+    return ticks
 
 
-def set_log_scale(axis: Axis, most: int = 8, factor: float = 1.0) -> None:
+def set_log_scale(axis: Axis, max_ticks: int = 8, factor: float = 1.0) -> None:
     """Set up a logarithmic axis with few, plain tick labels; each label is the axis value times `factor`."""
     from matplotlib.ticker import Locator, NullFormatter
 
-    class Plain(Locator):
+    class RoundTicks(Locator):
         def tick_values(self, low: float, high: float) -> list[float]:
-            return [tick / factor for tick in round_ticks(factor * low, factor * high, most)]
+            return [tick / factor for tick in round_ticks(factor * low, factor * high, max_ticks)]
 
         def __call__(self) -> list[float]:
             return self.tick_values(*sorted(axis.get_view_interval()))
 
     axis.axes.set(**{f"{axis.axis_name}scale": "log"})  # type: ignore[attr-defined]
-    axis.set_major_locator(Plain())
+    axis.set_major_locator(RoundTicks())
     axis.set_major_formatter(lambda value, _: f"{factor * value:g}")
     axis.set_minor_formatter(NullFormatter())
 
 
-def cell_edges(centres: NDArray[np.float64], logarithmic: bool) -> NDArray[np.float64]:
+def cell_edges(centers: Array, logarithmic: bool) -> Array:
     """Compute the edges of cells from their centers.
 
     >>> cell_edges(np.array([1.0, 2.0, 4.0]), False).tolist()
     [0.5, 1.5, 3.0, 5.0]
     """
-    at = np.log(centres) if logarithmic else centres
-    if len(at) == 1:
-        borders = np.array([at[0] - 0.05 * abs(at[0]) - 1e-9, at[0] + 0.05 * abs(at[0]) + 1e-9])
+    x = np.log(centers) if logarithmic else centers
+    if len(x) == 1:
+        edges = np.array([x[0] - 0.05 * abs(x[0]) - 1e-9, x[0] + 0.05 * abs(x[0]) + 1e-9])
     else:
-        middle = 0.5 * (at[1:] + at[:-1])
-        borders = np.concatenate([[2 * at[0] - middle[0]], middle, [2 * at[-1] - middle[-1]]])
-    return np.exp(borders) if logarithmic else borders
+        inner = 0.5 * (x[1:] + x[:-1])
+        edges = np.concatenate([[2 * x[0] - inner[0]], inner, [2 * x[-1] - inner[-1]]])
+    return np.exp(edges) if logarithmic else edges
 
 
 def add_caption(figure: Figure, *sentences: str) -> None:
@@ -195,16 +195,16 @@ def add_legend_below(figure: Figure, *sentences: str) -> None:
         add_caption(figure, *sentences)
         return
     title = _wrapped(figure, sentences) or None
-    wide = max(map(len, entries)) > _HALF_LINE * figure.get_figwidth() / WIDTH_INCH
+    long_entries = max(map(len, entries)) > _LEGEND_CHARACTERS * figure.get_figwidth() / WIDTH_INCH
     legend = figure.legend(
-        list(entries.values()), list(entries), loc="outside lower left", ncols=1 if wide else 2,
+        list(entries.values()), list(entries), loc="outside lower left", ncols=1 if long_entries else 2,
         title=title, title_fontsize=7.5, alignment="left",
     )  # fmt: skip
     legend.get_title().set_color("#555555")
 
 
 def _wrapped(figure: Figure, sentences: Sequence[str]) -> str:
-    return "\n".join(wrap(" ".join(sentences), int(_NOTE_LINE * figure.get_figwidth() / WIDTH_INCH)))
+    return "\n".join(wrap(" ".join(sentences), int(_NOTE_CHARACTERS * figure.get_figwidth() / WIDTH_INCH)))
 
 
 def save_with_table(figure: Figure, stem: Path, rows: Iterable[Sequence[object]]) -> list[Path]:

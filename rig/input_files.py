@@ -9,6 +9,7 @@ from pathlib import Path
 
 from rig.errors import SceneError
 
+# Largest size of a file that is read completely.
 MAX_BYTES = 64_000_000
 
 
@@ -29,7 +30,7 @@ def read_file(path: Path) -> bytes:
     gives the reason.
     """
     if path.exists() and not path.is_file():
-        raise OSError(errno.EINVAL, "no ordinary file", str(path))
+        raise OSError(errno.EINVAL, "not a regular file", str(path))
     with path.open("rb") as file:
         data = file.read(MAX_BYTES + 1)
     if len(data) > MAX_BYTES:
@@ -44,14 +45,14 @@ def duplicate_files(paths: Sequence[Path]) -> list[tuple[Path, Path]]:
         if path.is_file():
             by_size.setdefault(path.stat().st_size, []).append(path)
     pairs = []
-    for alike in by_size.values():
-        if len(alike) == 1:
+    for candidates in by_size.values():
+        if len(candidates) == 1:
             continue
-        first: dict[bytes, Path] = {}
-        for path in alike:
+        first_of_digest: dict[bytes, Path] = {}
+        for path in candidates:
             with path.open("rb") as file:
                 digest = hashlib.file_digest(file, "sha256").digest()
-            if digest in first:
-                pairs.append((first[digest], path))
-            first.setdefault(digest, path)
+            if digest in first_of_digest:
+                pairs.append((first_of_digest[digest], path))
+            first_of_digest.setdefault(digest, path)
     return pairs

@@ -8,7 +8,7 @@ import sys
 _COMMANDS = ("rig", "daq", "analysis")
 
 
-def end_silently() -> None:
+def restore_default_interrupt() -> None:
     """Restore the default action of Ctrl-C, if this process runs one of the commands.
 
     Scripts and notebooks that import the packages keep their own handlers.
@@ -23,7 +23,7 @@ def end_silently() -> None:
 
 
 def is_command(words: list[str], all_words: list[str]) -> bool:
-    """Whether a process runs one of the commands.
+    """Return whether a process runs one of the commands.
 
     `words`: `sys.argv`; its first element is ``-m`` until Python has located the module; `all_words`:
     `sys.orig_argv`, which includes the options of Python.

@@ -16,7 +16,7 @@ from rig.errors import RunError, SceneError, ShotrigError
 from rig.provenance import add_mark, can_contain_mark, is_unchanged_output, may_overwrite, overwrite_error
 
 #: Suffixes of output files, which are not accepted for folders.
-_OF_FILES = (".png", ".svg", ".csv", ".html", ".mcap", ".npz", ".yaml", ".pdf")
+_FILE_SUFFIXES = (".png", ".svg", ".csv", ".html", ".mcap", ".npz", ".yaml", ".pdf")
 
 
 def create_folder(folder: Path) -> None:
@@ -24,19 +24,19 @@ def create_folder(folder: Path) -> None:
 
     Raises `SceneError` if it is not writable, or does not exist and has the suffix of an output file.
     """
-    if folder.suffix.lower() in _OF_FILES and not folder.exists():
+    if folder.suffix.lower() in _FILE_SUFFIXES and not folder.exists():
         raise SceneError(
-            f"{folder}: several files are written there; expected the name of a folder, such as -o "
-            f"{folder.with_suffix('')}"
+            f"{folder}: the name of a file, but several files are written. Give the name of a folder, such as -o "
+            f"{folder.with_suffix('')}."
         )
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise SceneError(
-            f"{folder}: cannot be written ({error.strerror}); choose another place with -o"
+            f"{folder}: cannot be written ({error.strerror}). Choose another folder with -o."
         ) from None
     if not os.access(folder, os.W_OK):
-        raise SceneError(f"{folder}: cannot be written; choose another place with -o")
+        raise SceneError(f"{folder}: cannot be written. Choose another folder with -o.")
 
 
 def resolve_output(path: Path, overwrite: bool, error_type: type[ShotrigError] = SceneError) -> Path:
@@ -48,22 +48,26 @@ def resolve_output(path: Path, overwrite: bool, error_type: type[ShotrigError] =
     """
     try:
         file = path.resolve()
-        there = file.stat() if os.path.lexists(file) else None
+        existing = file.stat() if os.path.lexists(file) else None
         if not file.parent.is_dir():
             if file.parent.exists():
-                raise error_type(f"cannot make {path}: {file.parent} is a file, not a folder")
-            raise error_type(f"cannot make {path}: there is no folder {file.parent}; make it first")
+                raise error_type(
+                    f"cannot create {path}: {file.parent} is a file, not a folder. Choose another folder."
+                )
+            raise error_type(
+                f"cannot create {path}: the folder {file.parent} does not exist. Create it first."
+            )
     except (OSError, ValueError, RuntimeError) as error:
-        why = getattr(error, "strerror", None) or error
-        raise error_type(f"cannot make {path}: {why}; choose another name or place with -o") from None
-    if there is None:
+        reason = getattr(error, "strerror", None) or error
+        raise error_type(f"cannot create {path}: {reason}. Choose another name or folder with -o.") from None
+    if existing is None:
         return file
-    if not stat.S_ISREG(there.st_mode):
-        raise error_type(f"{path} is not a regular file; choose another name with -o")
+    if not stat.S_ISREG(existing.st_mode):
+        raise error_type(f"{path} is not a regular file. Choose another name with -o.")
     if not overwrite:
-        raise error_type(f"{path} exists; choose another name with -o, or pass --overwrite")
+        raise error_type(f"{path} exists. Choose another name with -o, or pass --overwrite.")
     if not os.access(file, os.W_OK):
-        raise error_type(f"{path} is write-protected; choose another name with -o")
+        raise error_type(f"{path} is write-protected. Choose another name with -o.")
     return file
 
 
@@ -107,14 +111,14 @@ def atomic_write(path: Path, overwrite: bool | None = None) -> Iterator[Path]:
             raise RunError(f"cannot write {path}: {error.strerror or error}") from error
         raise
     try:
-        _name(part, file, overwrite)
+        _rename(part, file, overwrite)
     except FileExistsError:
         raise SceneError(
-            f"{path}: this file was created in the meantime and is left as it is. The result is in {_kept(part, file)}."
+            f"{path}: another program created this file in the meantime. The result is in {_save_beside(part, file)}."
         ) from None
     except OSError as error:
         raise RunError(
-            f"cannot write {path}: {error.strerror or error}. The result is in {_kept(part, file)}."
+            f"cannot write {path}: {error.strerror or error}. The result is in {_save_beside(part, file)}."
         ) from error
 
 
@@ -124,16 +128,16 @@ def rename_complete(part: Path, file: Path, overwrite: bool) -> None:
     Raises `FileExistsError` if a protected file of that name exists. Raises `OSError` if the disk fails.
     """
     _sync(part)
-    _name(part, file, overwrite)
+    _rename(part, file, overwrite)
 
 
 def _sync(part: Path) -> None:
     """Flush the new file to disk before the old file is replaced; Windows requires write access for this."""
-    with part.open("r+b") as written:
-        os.fsync(written.fileno())
+    with part.open("r+b") as file:
+        os.fsync(file.fileno())
 
 
-def _name(part: Path, file: Path, overwrite: bool) -> None:
+def _rename(part: Path, file: Path, overwrite: bool) -> None:
     if overwrite:
         with suppress(FileNotFoundError):
             part.chmod(stat.S_IMODE(file.stat().st_mode))
@@ -152,12 +156,12 @@ def _name(part: Path, file: Path, overwrite: bool) -> None:
     part.unlink()
 
 
-def _kept(part: Path, file: Path) -> Path:
+def _save_beside(part: Path, file: Path) -> Path:
     """Rename a finished file to the first free name next to the intended name, if possible."""
     for number in range(2, 100):
         free = file.with_name(f"{file.stem}-{number}{file.suffix}")
         try:
-            _name(part, free, overwrite=False)
+            _rename(part, free, overwrite=False)
         except FileExistsError:
             continue
         except OSError:

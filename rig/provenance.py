@@ -25,7 +25,7 @@ _DIGITS = 16
 _MARK = re.compile(rb"shotrig ([0-9a-f]{16}) ([0-9a-f]{16})")
 _MARK_BYTES = len("shotrig ") + _DIGITS + 1 + _DIGITS
 # Text before and after the mark in text formats.
-_FRAMES = {
+_DELIMITERS = {
     ".csv": (b",", b""),
     ".svg": (b"<!-- ", b" -->\n"),
     ".html": (b"<!-- ", b" -->\n"),
@@ -45,9 +45,9 @@ _overwriting: ContextVar[bool] = ContextVar("allow_overwriting", default=False)
 
 
 @contextmanager
-def output_source(*what: str) -> Iterator[None]:
+def output_source(*identity: str) -> Iterator[None]:
     """Set the source of outputs written inside the `with` block: the command, and the identity of its input."""
-    token = _source.set(_digest("\0".join(what).encode("utf-8", errors="surrogateescape")))
+    token = _source.set(_digest("\0".join(identity).encode("utf-8", errors="surrogateescape")))
     try:
         yield
     finally:
@@ -78,28 +78,28 @@ def _relative(path: Path, folder: Path) -> str:
 
 
 def may_overwrite() -> bool:
-    """Whether outputs may replace any file here."""
+    """Return whether outputs may replace any file."""
     return _overwriting.get()
 
 
 def is_unchanged_output(path: Path) -> bool:
-    """Whether a file was written from the current source and has not been changed since."""
+    """Return whether a file was written from the current source and has not been changed since."""
     source = _mark_of(path)
     return bool(_source.get()) and source == _source.get()
 
 
 def is_from_another_source(path: Path) -> bool:
-    """Whether a file was written by shotrig from another source, and has not been changed since."""
+    """Return whether a file was written by shotrig from another source, and has not been changed since."""
     return _mark_of(path) not in ("", _source.get())
 
 
 def can_contain_mark(path: Path) -> bool:
-    """Whether an output with this name contains a mark."""
-    return bool(_source.get()) and path.suffix.lower() in (*_FRAMES, ".png", ".npz")
+    """Return whether an output with this name contains a mark."""
+    return bool(_source.get()) and path.suffix.lower() in (*_DELIMITERS, ".png", ".npz")
 
 
 def reject_foreign_files(*paths: Path) -> None:
-    """Raise an error before work whose results would replace protected files.
+    """Reject output paths of protected files before the work starts.
 
     Raises `SceneError` if one of the files exists and is not an unchanged output from the same source.
     """
@@ -112,11 +112,11 @@ def reject_foreign_files(*paths: Path) -> None:
 
 def overwrite_error(path: Path) -> SceneError:
     """Return the error for a file that belongs to the user, or was written from another source."""
-    why = "was changed since shotrig wrote it, or another program wrote it"
+    reason = "was changed since shotrig wrote it, or another program wrote it"
     if _mark_of(path):
-        why = "was made from another source"
+        reason = "was made from another source"
     return SceneError(
-        f"{path} exists and {why}: it is left as it is. Choose another name or folder with -o, or pass --overwrite"
+        f"{path} exists and {reason}: it is left as it is. Choose another name or folder with -o, or pass --overwrite."
     )
 
 
@@ -125,29 +125,31 @@ def add_mark(path: Path) -> None:
     content = path.read_bytes()
     mark = f"shotrig {_source.get()} {_digest(content)}".encode()
     ending = path.suffix.lower()
-    place = _place(ending, content)
-    path.write_bytes(content[: place - _replaced(ending)] + _framed(ending, mark) + content[place:])
+    position = _mark_position(ending, content)
+    path.write_bytes(
+        content[: position - _replaced_bytes(ending)] + _delimited(ending, mark) + content[position:]
+    )
 
 
 def _mark_of(path: Path) -> str:
     """Return the source in the mark of an unchanged file; empty without a mark."""
     ending = path.suffix.lower()
     try:
-        if ending not in (*_FRAMES, ".png", ".npz") or not path.is_file():
+        if ending not in (*_DELIMITERS, ".png", ".npz") or not path.is_file():
             return ""
         content = path.read_bytes()
     except OSError:
         return ""
-    stop = _place(ending, content)
-    start = stop - len(_framed(ending, bytes(_MARK_BYTES)))
-    found = _MARK.search(content, max(start, 0), stop)
-    if start < 0 or found is None or content[start:stop] != _framed(ending, found[0]):
+    stop = _mark_position(ending, content)
+    start = stop - len(_delimited(ending, bytes(_MARK_BYTES)))
+    match = _MARK.search(content, max(start, 0), stop)
+    if start < 0 or match is None or content[start:stop] != _delimited(ending, match[0]):
         return ""
-    rest = content[:start] + _ZIP_NO_COMMENT[: _replaced(ending)] + content[stop:]
-    return found[1].decode() if _digest(rest) == found[2].decode() else ""
+    unmarked = content[:start] + _ZIP_NO_COMMENT[: _replaced_bytes(ending)] + content[stop:]
+    return match[1].decode() if _digest(unmarked) == match[2].decode() else ""
 
 
-def _place(ending: str, content: bytes) -> int:
+def _mark_position(ending: str, content: bytes) -> int:
     """Return the position at which the mark of a file ends or is inserted."""
     if ending == ".csv":
         line = content.partition(b"\n")[0]
@@ -155,18 +157,18 @@ def _place(ending: str, content: bytes) -> int:
     return len(content) - (_PNG_CHUNK if ending == ".png" else 0)
 
 
-def _framed(ending: str, mark: bytes) -> bytes:
-    """Return the bytes that contain a mark."""
+def _delimited(ending: str, mark: bytes) -> bytes:
+    """Return a mark with the bytes that the format needs around it."""
     if ending == ".png":
         data = b"tEXt" + _PNG_KEYWORD + mark
         return struct.pack(">I", len(data) - 4) + data + struct.pack(">I", zlib.crc32(data))
     if ending == ".npz":
         return struct.pack("<H", len(mark)) + mark
-    before, after = _FRAMES[ending]
+    before, after = _DELIMITERS[ending]
     return before + mark + after
 
 
-def _replaced(ending: str) -> int:
+def _replaced_bytes(ending: str) -> int:
     """Return the number of bytes of an unmarked file that the mark replaces."""
     return len(_ZIP_NO_COMMENT) if ending == ".npz" else 0
 

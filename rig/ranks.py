@@ -25,24 +25,21 @@ from rig.ending_signals import TERMINATION_SIGNALS
 from rig.errors import RunError, SceneError, ShotrigError
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    Array = NDArray[np.float64]
+    from rig.arrays import Array
 
 #: Environment variables with the number of processes: MPICH and its derivatives, and Open MPI.
-_STARTED = ("PMI_SIZE", "OMPI_COMM_WORLD_SIZE")
+_SIZE_VARIABLES = ("PMI_SIZE", "OMPI_COMM_WORLD_SIZE")
 #: Communicator of all ranks in mpi4py; None in a single process.
 _world: Any = None
 #: Communicator of the ranks on this machine.
-_near: Any = None
+_machine: Any = None
 #: This rank's parts of shared objects, by number.
 _parts: dict[int, Any] = {}
 _numbers: Iterator[int] = count()
 #: Numbers of shared objects that the first rank has released.
-_gone: list[int] = []
+_released: list[int] = []
 #: Exit code if the first rank ends during a collective operation; 0 outside collective operations.
-_midway = 0
+_abort_code = 0
 
 
 class OneRankError(RunError):
@@ -56,17 +53,17 @@ def size() -> int:
 
 def ranks_on_machine() -> int:
     """Return the number of ranks on this machine."""
-    return 1 if _near is None else int(_near.size)
+    return 1 if _machine is None else int(_machine.size)
 
 
 def join() -> None:
-    """Join ranks started by mpiexec, if any: the first rank returns, the others end here when it ends.
+    """Join ranks started by mpiexec, if any. The first rank returns; the others serve it, and end when it ends.
 
     Raises `SceneError` if mpiexec belongs to another MPI implementation.
     """
-    global _world, _near
-    said = [os.environ.get(name, "") for name in _STARTED]
-    started = max((int(number) for number in said if number.isdecimal()), default=1)
+    global _world, _machine
+    sizes = [os.environ.get(name, "") for name in _SIZE_VARIABLES]
+    started = max((int(text) for text in sizes if text.isdecimal()), default=1)
     # Without mpi4py, objects cannot be shared: each process runs the command separately; only grains need MPI.
     if started < 2 or _world is not None or find_spec("mpi4py") is None:
         return
@@ -74,15 +71,15 @@ def join() -> None:
     world = mpi.COMM_WORLD
     if world.size != started:
         raise SceneError(
-            f"mpiexec has started {started} processes, which the MPI of this environment cannot join; expected its "
-            f"own, {Path(sys.prefix) / 'bin' / 'mpiexec'}"
+            f"mpiexec has started {started} processes, which the MPI of this environment cannot join. Use its own "
+            f"mpiexec, {Path(sys.prefix) / 'bin' / 'mpiexec'}."
         )
-    _world, _near = world, world.Split_type(mpi.COMM_TYPE_SHARED)
+    _world, _machine = world, world.Split_type(mpi.COMM_TYPE_SHARED)
     # Child processes must not join the ranks.
     for name in [name for name in os.environ if name.startswith(("PMI_", "OMPI_"))]:
         del os.environ[name]
     if world.rank > 0:
-        _follow()
+        _serve_first_rank()
     atexit.register(_end)
 
 
@@ -92,73 +89,73 @@ def communicators() -> Any:
         from mpi4py import MPI
     except ImportError as error:
         raise SceneError(
-            f"one bed of grains on several ranks needs mpi4py ({error}); expected: pip install 'shotrig[grains]', or "
-            "the command without mpiexec"
+            f"one bed of grains on several ranks needs mpi4py ({error}). Run pip install 'shotrig[grains]', or the "
+            "command without mpiexec."
         ) from None
     return MPI
 
 
 def sum_over_ranks(values: Array) -> Array:
     """Sum arrays over all ranks; a collective operation."""
-    out = values.copy()
-    _world.Allreduce(values, out)
-    return out
+    result = values.copy()
+    _world.Allreduce(values, result)
+    return result
 
 
 class Shared:
     """An object with a part on each rank; calls and attribute accesses are executed on every rank.
 
-    `make`: returns the part of a rank. It must be picklable, as must all arguments of calls; `*given`: arguments of
-    `make`.
+    `make`: returns the part of a rank. It must be picklable, as must all arguments of calls; `*arguments`: arguments
+    of `make`.
     """
 
-    def __init__(self, make: Callable[..., Any], *given: Any) -> None:
+    def __init__(self, make: Callable[..., Any], *arguments: Any) -> None:
         self._number = next(_numbers)
-        _on_all(self._number, None, (make, *given))
-        weakref.finalize(self, _gone.append, self._number).atexit = False
+        _on_all(self._number, None, (make, *arguments))
+        weakref.finalize(self, _released.append, self._number).atexit = False
 
     def __getattr__(self, name: str) -> Any:
         number = self._number
         if callable(getattr(type(_parts[number]), name, None)):
-            return lambda *given: _on_all(number, name, given)
+            return lambda *arguments: _on_all(number, name, arguments)
         return _on_all(number, name, None)
 
 
-def _on_all(number: int, name: str | None, given: tuple[Any, ...] | None) -> Any:
+def _on_all(number: int, name: str | None, arguments: tuple[Any, ...] | None) -> Any:
     """Execute an operation on the parts of all ranks; return the result of this rank."""
-    global _midway
-    call = (list(_gone), number, name, given)
+    global _abort_code
+    call = (list(_released), number, name, arguments)
     try:
-        _midway = 1
+        _abort_code = 1
         _world.bcast(call)
-        del _gone[: len(call[0])]
-        answer = _do(*call)
+        del _released[: len(call[0])]
+        result = _execute(*call)
     except OneRankError:
         raise
     except ShotrigError:
-        _midway = 0
+        _abort_code = 0
         raise
     except KeyboardInterrupt:
-        _midway = 130
+        _abort_code = 130
         raise
-    _midway = 0
-    return answer
+    _abort_code = 0
+    return result
 
 
-def _do(gone: list[int], number: int, name: str | None, given: tuple[Any, ...] | None) -> Any:
+def _execute(released: list[int], number: int, name: str | None, arguments: tuple[Any, ...] | None) -> Any:
     """Execute an operation on the part of this rank: create it, call a method, or read an attribute."""
-    for each in gone:
-        del _parts[each]
-    if given is None:
+    for released_number in released:
+        del _parts[released_number]
+    if arguments is None:
         return getattr(_parts[number], str(name))
     if name is not None:
-        return getattr(_parts[number], name)(*given)
-    make, *settings = given
+        return getattr(_parts[number], name)(*arguments)
+    make, *settings = arguments
     _parts[number] = make(*settings)
     return None
 
 
-def _follow() -> NoReturn:
+def _serve_first_rank() -> NoReturn:
     """Execute the operations of the first rank until it ends."""
     # The first rank handles termination signals.
     for number in TERMINATION_SIGNALS:
@@ -166,7 +163,7 @@ def _follow() -> NoReturn:
     try:
         while (call := _world.bcast(None)) is not None:
             try:
-                _do(*call)
+                _execute(*call)
             except OneRankError:
                 raise
             except ShotrigError:
@@ -186,8 +183,8 @@ def _follow() -> NoReturn:
 
 def _end() -> None:
     """End the other ranks normally, or abort them if they wait in an incomplete collective operation."""
-    if _midway:
-        _abort(_midway)
+    if _abort_code:
+        _abort(_abort_code)
     _world.bcast(None)
 
 
@@ -200,8 +197,8 @@ def _abort(code: int) -> None:
     _world.Abort(code)
 
 
-def await_reader(descriptor: int, longest: float = 60.0) -> None:
-    """Wait until all data in a pipe has been read or its reader has closed it, for at most `longest` seconds.
+def await_reader(descriptor: int, timeout_s: float = 60.0) -> None:
+    """Wait until all data in a pipe has been read or its reader has closed it, for at most `timeout_s` seconds.
 
     Returns immediately for files and terminals.
     """
@@ -216,8 +213,8 @@ def await_reader(descriptor: int, longest: float = 60.0) -> None:
             return
         poll = select.poll()
         poll.register(descriptor, 0)
-        end = time.monotonic() + longest
-        while any(fcntl.ioctl(descriptor, termios.FIONREAD, bytes(4))) and time.monotonic() < end:
+        deadline = time.monotonic() + timeout_s
+        while any(fcntl.ioctl(descriptor, termios.FIONREAD, bytes(4))) and time.monotonic() < deadline:
             # poll returns before its timeout of 1 ms only if the reader has closed the pipe.
             if poll.poll(1):
                 return

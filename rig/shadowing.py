@@ -13,18 +13,19 @@ def shadowing_files(folder: Path) -> list[str]:
 
     `folder`: folder of the script, or the first folder of the module search path.
     """
-    out = []
-    elsewhere = [entry for entry in sys.path if entry and Path(entry).absolute() != folder.absolute()]
+    messages = []
+    search_path = [entry for entry in sys.path if entry and Path(entry).absolute() != folder.absolute()]
     with suppress(OSError):
         for file in sorted(folder.iterdir()):
-            inside = file / "__init__.py"
-            if not (file.suffix == ".py" or inside.is_file()) or not file.stem.isidentifier():
+            package_file = file / "__init__.py"
+            if not (file.suffix == ".py" or package_file.is_file()) or not file.stem.isidentifier():
                 continue
-            meant = PathFinder.find_spec(file.stem, elsewhere)
-            places = [] if meant is None else [meant.origin, *(meant.submodule_search_locations or ())]
-            if not any(places) or any(Path(place) in (file, inside) for place in places if place):
+            module = PathFinder.find_spec(file.stem, search_path)
+            locations = [] if module is None else [module.origin, *(module.submodule_search_locations or ())]
+            paths = [Path(location) for location in locations if location]
+            if not paths or file in paths or package_file in paths:
                 continue
-            out.append(
-                f"{file} is found in the place of the module {file.stem} ({next(filter(None, places))}): rename it"
+            messages.append(
+                f"{file} is imported instead of the module {file.stem} ({paths[0]}). Rename the file."
             )
-    return out
+    return messages

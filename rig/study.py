@@ -26,7 +26,7 @@ Progress = Callable[[int, int], None]
 
 @functools.cache
 def code_digest(*packages: str) -> str:
-    """Digest the version and all sources of packages of shotrig: what identifies the code of a stored result."""
+    """Return a digest of the version and all sources of packages of shotrig, which identifies the code of a result."""
     digest = hashlib.sha256(version("shotrig").encode())
     for package in packages:
         spec = find_spec(package)
@@ -103,12 +103,12 @@ class StoredValues(Generic[Piece, Value]):
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             content = path.read_bytes() if path.exists() else b""
-            rows = _rows(path, content, study.columns, study.name) if content else []
+            rows = _parse_rows(path, content, study.columns, study.name) if content else []
             with path.open("ab") as file:
-                file.truncate(_whole_lines(content))
+                file.truncate(_complete_length(content))
         except OSError as error:
             raise RunError(
-                f"{path}: cannot write this table ({error.strerror}). Choose another place with -o."
+                f"{path}: cannot write this table ({error.strerror}). Choose another folder with -o."
             ) from None
         if not content:
             self._append(study.columns)
@@ -149,13 +149,13 @@ class StoredValues(Generic[Piece, Value]):
             part.write_text(csv_text([self.study.columns, *rows]), encoding="utf-8", newline="")
 
     def _append(self, row: Sequence[object]) -> None:
-        # A single write: an interruption leaves a complete line or nothing, unless the disk is full.
+        # A single write: after an interruption the line is complete or missing, unless the disk is full.
         if self._path is not None:
             with self._path.open("a", newline="", encoding="utf-8") as file:
                 file.write(csv_text([row]))
 
 
-def rows_of(path: Path, header: Sequence[str], what: str) -> list[list[str]]:
+def read_rows(path: Path, header: Sequence[str], name: str) -> list[list[str]]:
     """Read the rows of a table without changing it.
 
     Raises `RunError` if the file is not such a table, or cannot be read.
@@ -163,22 +163,20 @@ def rows_of(path: Path, header: Sequence[str], what: str) -> list[list[str]]:
     try:
         content = path.read_bytes()
     except OSError as error:
-        raise RunError(
-            f"{path}: cannot read this table ({error.strerror}). Name a file that can be read."
-        ) from None
-    return _rows(path, content, header, what)
+        raise RunError(f"{path}: cannot read this table ({error.strerror}). Give a readable file.") from None
+    return _parse_rows(path, content, header, name)
 
 
-def _whole_lines(content: bytes) -> int:
-    """Return the length of complete lines; a truncated number could be read as a number."""
+def _complete_length(content: bytes) -> int:
+    """Return the length of the complete lines; a truncated number would be a wrong number."""
     return content.rfind(b"\n") + 1
 
 
-def _rows(path: Path, content: bytes, header: Sequence[str], what: str) -> list[list[str]]:
-    lines = content[: _whole_lines(content)].decode("utf-8", errors="replace").splitlines()
+def _parse_rows(path: Path, content: bytes, header: Sequence[str], name: str) -> list[list[str]]:
+    lines = content[: _complete_length(content)].decode("utf-8", errors="replace").splitlines()
     rows = [_cells(line) for line in lines]
     if rows[:1] != [list(header)]:
-        raise RunError(f"{path}: is not a table of {what}. Move it, or choose another name with -o.")
+        raise RunError(f"{path}: this is not a table of {name}. Move it, or choose another name with -o.")
     return [row for row in rows[1:] if len(row) == len(header)]
 
 

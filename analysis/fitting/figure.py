@@ -57,7 +57,7 @@ def _draw(left: Axes, right: Axes, one: Compared) -> None:
     log_axis(left, [factor * abs(curves.value)])
     left.set_ylabel(f"|x / {curves.reference}| / ({unit})")
     add_title(left, curves.label)
-    log_axis(right, [one.misses], most=5.0)
+    log_axis(right, [one.misses], max_decades=5.0)
     right.axhline(2.0, color="#555555", lw=0.6)
     right.set_ylabel("residual / std. deviation")
     missing = int((~used).sum())

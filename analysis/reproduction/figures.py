@@ -84,7 +84,7 @@ def figure_5(parts: Parts) -> Figure:
                 f"{letter} ({wave['type']})", (float(wave["frequency"]), height), textcoords="offset points",
                 xytext=(6, 2) if letter == "a" else (-12, -14),
             )  # fmt: skip
-        log_axis(axes, [abs(single["compliance"][1]), abs(three["compliance"][1]), [6.5e-4]], most=2.0)
+        log_axis(axes, [abs(single["compliance"][1]), abs(three["compliance"][1]), [6.5e-4]], max_decades=2.0)
         axes.set_xlim(45, 54)
         axes.set_xlabel("frequency / Hz")
         set_log_scale(axes.yaxis, factor=1e6)

@@ -8,7 +8,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
-from rig.study import StoredValues, Study, rows_of
+from rig.study import StoredValues, Study, read_rows
 
 Row = dict[str, str]
 Piece = TypeVar("Piece", bound=tuple[object, ...])
@@ -54,7 +54,7 @@ class Table(NamedTuple):
     def read(self, path: Path | None = None) -> list[Row]:
         """Read the rows of a table, by default the bundled table; damaged rows are skipped."""
         rows = []
-        for line in rows_of(path or self.bundled, self.header, self.what):
+        for line in read_rows(path or self.bundled, self.header, self.what):
             with suppress(ValueError):
                 rows.append(self.row(line))
         return rows

@@ -89,7 +89,7 @@ def test_interrupt_prints_its_note(command, capsys) -> None:
 def test_interrupted_study_says_that_it_goes_on() -> None:
     with pytest.raises(KeyboardInterrupt) as kept, console.resumable():
         raise KeyboardInterrupt
-    with pytest.raises(KeyboardInterrupt) as lost, console.resumable(kept=False):
+    with pytest.raises(KeyboardInterrupt) as lost, console.resumable(stored=False):
         raise KeyboardInterrupt
     assert "continues from there" in kept.value.__notes__[0] and not hasattr(lost.value, "__notes__")
 
@@ -138,7 +138,7 @@ def test_empty_option_is_rejected(command, capsys, monkeypatch, words):
 
     monkeypatch.setattr(sys, "argv", ["rig", "act", *words])
     assert command(act) == 2
-    assert "expected something" in capsys.readouterr().err
+    assert "expected a value" in capsys.readouterr().err
 
 
 def test_control_characters_are_escaped_in_a_terminal(command, capsys):
@@ -214,7 +214,7 @@ def test_compilation_is_reported_until_it_ends(command, capsys, monkeypatch):
             raise ValueError
 
     assert command(wait_for_a_word) == 0
-    assert "once" in "".join(reported) and not console._Work.held_up
+    assert "once" in "".join(reported) and not console._Activity.delays
 
 
 def outcome(code: str, **how: object) -> tuple[int, str]:

@@ -35,5 +35,5 @@ def test_pipe_or_device_is_rejected_without_waiting(
     endless.symlink_to("/dev/zero")
     for path in (pipe, endless, tmp_path):
         for read in (read_table, lambda path: Certificates(path, path).credentials()):
-            with pytest.raises(SceneError, match=f"cannot read {path}: no ordinary file"):
+            with pytest.raises(SceneError, match=f"cannot read {path}: not a regular file"):
                 read(path)

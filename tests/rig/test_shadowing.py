@@ -12,5 +12,9 @@ def test_only_shadowing_files_are_listed(
     assert [text.partition(" is ")[0] for text in shadowing_files(tmp_path)] == [str(tmp_path / "json.py")]
     (tmp_path / "numpy" / "__init__.py").touch()
     first, second = shadowing_files(tmp_path)
-    assert "the module json (" in first and "the module numpy (" in second and second.endswith("rename it")
+    assert (
+        "the module json (" in first
+        and "the module numpy (" in second
+        and second.endswith("Rename the file.")
+    )
     assert shadowing_files(tmp_path / "none") == []

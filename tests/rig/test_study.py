@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from rig.errors import RunError
-from rig.study import StoredValues, Study, code_digest, digest, rows_of
+from rig.study import StoredValues, Study, code_digest, digest, read_rows
 
 HEADER = ("level", "gap, m", "found")
 
@@ -29,7 +29,7 @@ def test_stored_rows_are_read_again(tmp_path: Path) -> None:
     path = tmp_path / "new" / "table.csv"
     stored(path, ["1", "0.5, about", "[1.5, 2]"])
 
-    assert stored(path) == rows_of(path, HEADER, "gaps") == [["1", "0.5, about", "[1.5, 2]"]]
+    assert stored(path) == read_rows(path, HEADER, "gaps") == [["1", "0.5, about", "[1.5, 2]"]]
 
 
 @pytest.mark.parametrize("cut", range(1, 6))
@@ -38,7 +38,7 @@ def test_torn_line_is_never_a_row(tmp_path: Path, cut: int) -> None:
     stored(path, "123", ["4", "5", "678"])
     path.write_bytes(path.read_bytes()[:-cut])
 
-    assert rows_of(path, HEADER, "gaps") == [["1", "2", "3"]]
+    assert read_rows(path, HEADER, "gaps") == [["1", "2", "3"]]
     assert stored(path, "789") == stored(path) == [["1", "2", "3"], ["7", "8", "9"]]
 
 
@@ -57,7 +57,7 @@ def test_empty_file_becomes_a_table(tmp_path: Path) -> None:
     path.touch()
     stored(path, "123")
 
-    assert rows_of(path, HEADER, "gaps") == [["1", "2", "3"]]
+    assert read_rows(path, HEADER, "gaps") == [["1", "2", "3"]]
 
 
 @pytest.mark.parametrize("content", [b"mine", b"mine\n", b"level,gap\n1,2\n", b"\x00\xff\n\x00", b"\n"])
@@ -77,7 +77,7 @@ def test_unusable_place_is_reported(tmp_path: Path) -> None:
     with pytest.raises(RunError, match=r"table.csv: cannot write .*-o"):
         stored(tmp_path / "file" / "table.csv")
     with pytest.raises(RunError, match=r"table.csv: cannot read"):
-        rows_of(tmp_path / "table.csv", HEADER, "gaps")
+        read_rows(tmp_path / "table.csv", HEADER, "gaps")
 
 
 def test_sorted_rows_replace_the_table(tmp_path: Path) -> None:

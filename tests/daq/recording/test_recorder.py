@@ -122,7 +122,7 @@ def test_missing_folder_is_named_by_the_recorder(tmp_path):
 
 def test_file_as_folder_is_rejected(tmp_path):
     (tmp_path / "file").touch()
-    with pytest.raises(RecordingError, match=r"cannot make .*folder"):
+    with pytest.raises(RecordingError, match=r"cannot create .*folder"):
         Recorder(tmp_path / "file" / "a.mcap", scene(), channels(), RATE)
 
 
@@ -134,7 +134,7 @@ def test_write_protected_folder_is_rejected(tmp_path):
     if mighty:
         os.seteuid(65534)
     try:
-        with pytest.raises(RecordingError, match=r"cannot make .*ermission denied"):
+        with pytest.raises(RecordingError, match=r"cannot create .*ermission denied"):
             Recorder(tmp_path / "a.mcap", *given, RATE)
     finally:
         if mighty:

@@ -171,5 +171,5 @@ def test_level_and_clearance_maps_coexist(fig9_map: rig.MotionMap, tmp_path: Pat
 def test_unusable_place_is_rejected_before_work(tmp_path: Path) -> None:
     taken = tmp_path / "taken"
     taken.write_text("", encoding="utf-8")
-    with pytest.raises(SceneError, match="choose another place"):
+    with pytest.raises(SceneError, match="Choose another folder"):
         create_folder(taken / "maps")

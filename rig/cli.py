@@ -205,7 +205,10 @@ def response(
     overwrite: Overwrite = False,
     verbose: Annotated[bool, typer.Option("--verbose", help="Print every frequency.")] = False,
 ) -> None:
-    """Compute the steady response over frequency, at the level of the test."""
+    """Compute the steady response over frequency.
+
+    The amplitude is the level of the test.
+    """
     import rig
     from rig.provenance import allow_overwriting, output_source, reject_foreign_files
     from rig.scene.quantities import FREQUENCY

@@ -85,7 +85,7 @@ def test_folder_named_like_a_figure_is_rejected(
     tmp_path: Path,
 ) -> None:
     folder = tmp_path / "two.png"
-    with pytest.raises(SceneError, match=r"expected the name of a folder, such as -o .*two$"):
+    with pytest.raises(SceneError, match=r"Give the name of a folder, such as -o .*two\.$"):
         create_folder(folder)
     folder.mkdir()
     create_folder(folder)

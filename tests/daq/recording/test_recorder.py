@@ -116,7 +116,7 @@ def test_existing_file_is_kept_unless_asked(tmp_path):
 
 
 def test_missing_folder_is_named_by_the_recorder(tmp_path):
-    with pytest.raises(RecordingError, match=r"no folder .*missing"):
+    with pytest.raises(RecordingError, match=r"folder .*missing does not exist"):
         Recorder(tmp_path / "missing" / "a.mcap", scene(), channels(), RATE)
 
 

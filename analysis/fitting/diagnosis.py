@@ -28,32 +28,38 @@ _EXPLAINED = 0.02
 _FULLY_EXPLAINED = 4.0
 # Factors of common mistakes of units, with the mistake.
 _FACTORS = {
-    -1.0: "its sign is turned",
+    -1.0: "its sign is reversed",
     9.80665: "m/s² read as g, or the other way round",
     1.0 / 9.80665: "g read as m/s²",
-    1000.0: "a thousandth taken for the unit, as mV for V or mm for m",
-    0.001: "the unit taken for a thousandth, as V for mV or m for mm",
-    39.3701: "inches for metres",
-    0.0254: "metres for inches",
-    4.44822: "pounds for newtons",
-    1.0 / 4.44822: "newtons for pounds",
+    1000.0: "a factor of 1000, such as mV instead of V",
+    0.001: "a factor of 1/1000, such as V instead of mV",
+    39.3701: "inches instead of metres",
+    0.0254: "metres instead of inches",
+    4.44822: "pounds instead of newtons",
+    1.0 / 4.44822: "newtons instead of pounds",
 }
-_NEAR = 0.06
-_NO_UNIT = " (no usual mistake of units has this factor: the structure may differ from the scene)"
-# Delays of a channel that are tried, s, the smallest that is reported, and the largest error of a first guess.
-_DELAYS, _LEAST_DELAY = np.arange(-1.2e-3, 1.21e-3, 2e-5), 5e-6
-_DELAY_RANGE = 1e-4
-# Tolerance of a suspected sensor, and the common factor of all masses from which on a unit is suspected.
-_FREED, _SCALE_OFF = 1e4, 2.5
-_MOST_PAIRS = 15
-# A fit to fewer responses than this agrees with any of them.
-_FEWEST_LEFT = 2
+# Relative deviation within which a factor is attributed to a mistake of units.
+_FACTOR_TOLERANCE = 0.06
+_NO_UNIT = " (not a common mistake of units: the structure may differ from the scene)"
+# Delays of a channel that are tried, s.
+_DELAYS = np.arange(-1.2e-3, 1.21e-3, 2e-5)
+# Smallest reported delay, and maximum error of the first guess, s.
+_MIN_DELAY = 5e-6
+_MAX_DELAY_ERROR = 1e-4
+# Sensitivity tolerance of a suspected sensor during its trial fit.
+_SUSPECT_TOLERANCE = 1e4
+# If all masses change by at least this factor, a unit is suspected.
+_SUSPICIOUS_MASS_FACTOR = 2.5
+# Maximum number of pairs of channels that are swapped.
+_MAX_PAIRS = 15
+# With fewer responses, a fit always succeeds, so that a trial without a sensor is not conclusive.
+_MIN_RESPONSES = 2
 
 
 def cause(problem: Problem) -> tuple[bool, str]:
     """Try single mistakes in the recordings without moving dampers, and name the one that explains the misfit best.
 
-    Returns `explains`, whether one of them explains the misfit; `text`, the mistake, or what was tried.
+    Returns whether a mistake explains the misfit, and a text that names it or lists the mistakes that were tried.
     """
     bare = [group.curves for group in problem.groups if group.tones is None]
     if not bare:
@@ -68,17 +74,17 @@ def cause(problem: Problem) -> tuple[bool, str]:
         )
     limit = max(_FULLY_EXPLAINED, _EXPLAINED * before)
     found: list[tuple[float, str, bool]] = []
-    for kind in (_reversed_signs, _swaps, _factors, _dampings, _delays):
+    for kind in (_reverse_signs, _swap_channels, _free_sensitivities, _change_damping, _remove_delays):
         found += [each for each in kind(problem, bare) if each[0] < limit]
-        if any(left < _FULLY_EXPLAINED and is_named for left, _, is_named in found):
+        if any(left < _FULLY_EXPLAINED and is_certain for left, _, is_certain in found):
             break
     if found:
-        _, text, is_named = min(found)
-        return is_named, f"{text}: corrected, the rest fits."
+        _, text, is_certain = min(found)
+        return is_certain, f"{text}: corrected, the rest fits."
     alone = [
         sensor.name
         for sensor in _sensors(bare)
-        if (rest := _without(bare, sensor)) and _refit(problem, rest).variance < limit
+        if (rest := _leave_out(bare, sensor)) and _refit(problem, rest).variance < limit
     ]
     if len(alone) == 1:
         return True, (
@@ -91,16 +97,16 @@ def cause(problem: Problem) -> tuple[bool, str]:
     )
 
 
-def scale_off(problem: Problem, x: Array) -> str:
+def report_mass_scale(problem: Problem, x: Array) -> str:
     """Say whether all masses are off their guess by so much that a unit must be wrong."""
     masses = [k for k, one in enumerate(problem.parameters) if one.what == "masses"]
     if not masses:
         return ""
     factor = float(np.exp(np.mean((x - problem.start)[masses])))
-    if 1.0 / _SCALE_OFF < factor < _SCALE_OFF:
+    if 1.0 / _SUSPICIOUS_MASS_FACTOR < factor < _SUSPICIOUS_MASS_FACTOR:
         return ""
     return (
-        f"The curves fit with {factor:.4g} times the masses of the scene{_meaning(1.0 / factor)}: the "
+        f"The curves fit with {factor:.4g} times the masses of the scene{_unit_mistake(1.0 / factor)}: the "
         "unit of force or motion differs from that in the recording, or the masses of the scene are "
         "wrong. Correct either."
     )
@@ -110,19 +116,19 @@ def scale_off(problem: Problem, x: Array) -> str:
 _Explanations = Iterator[tuple[float, str, bool]]
 
 
-def _reversed_signs(problem: Problem, bare: list[Curves]) -> _Explanations:
+def _reverse_signs(problem: Problem, bare: list[Curves]) -> _Explanations:
     references = dict.fromkeys(curves.reference_sensor for curves in bare)
     for sensor in (*references, *_sensors(bare)):
         reversed_sign = []
         for curves in bare:
             signs = np.array([-1.0 if each == sensor else 1.0 for each in curves.sensors])[:, None]
-            reversed_sign.append(_multiplied(curves, -signs if curves.reference_sensor == sensor else signs))
+            reversed_sign.append(_multiply(curves, -signs if curves.reference_sensor == sensor else signs))
         yield _refit(problem, reversed_sign).variance, f"The sign of {sensor.name} is reversed", True
 
 
-def _swaps(problem: Problem, bare: list[Curves]) -> _Explanations:
+def _swap_channels(problem: Problem, bare: list[Curves]) -> _Explanations:
     names = dict.fromkeys(sensor.name for curves in bare for sensor in curves.sensors)
-    for pair in islice(combinations(names, 2), _MOST_PAIRS):
+    for pair in islice(combinations(names, 2), _MAX_PAIRS):
         other = dict(zip(pair, reversed(pair), strict=True))
         swapped = []
         for curves in bare:
@@ -133,12 +139,12 @@ def _swaps(problem: Problem, bare: list[Curves]) -> _Explanations:
         yield _refit(problem, swapped).variance, f"{pair[0]} and {pair[1]} are swapped", True
 
 
-def _factors(problem: Problem, bare: list[Curves]) -> _Explanations:
+def _free_sensitivities(problem: Problem, bare: list[Curves]) -> _Explanations:
     """Yield the factor of each sensor that fits best; a factor that is no unit may also mean another structure."""
     references = [curves.reference_sensor for curves in bare]
     for sensor in dict.fromkeys((*_sensors(bare), *references)):
-        free = replace(sensor, tolerance=_FREED)
-        freed = _refit(
+        free = replace(sensor, tolerance=_SUSPECT_TOLERANCE)
+        trial = _refit(
             problem,
             [
                 replace(
@@ -149,13 +155,13 @@ def _factors(problem: Problem, bare: list[Curves]) -> _Explanations:
                 for curves in bare
             ],
         )
-        factor = 1.0 + freed.problem.deviation(freed.x, free)
-        meaning = _meaning(factor)
+        factor = 1.0 + trial.problem.deviation(trial.x, free)
+        meaning = _unit_mistake(factor)
         text = f"{sensor.name} reads {factor:.4g} times what fits{meaning or _NO_UNIT}"
-        yield freed.variance, text, bool(meaning)
+        yield trial.variance, text, bool(meaning)
 
 
-def _dampings(problem: Problem, bare: list[Curves]) -> _Explanations:
+def _change_damping(problem: Problem, bare: list[Curves]) -> _Explanations:
     """Try the other form of damping of a chain, of the same strength."""
     structure = problem.model.structure
     if structure.masses is None or structure.springs is None:
@@ -173,21 +179,25 @@ def _dampings(problem: Problem, bare: list[Curves]) -> _Explanations:
     yield _refit(problem, bare, model).variance, f"The damping is not of the scene's form; {text}", True
 
 
-def _delays(problem: Problem, bare: list[Curves]) -> _Explanations:
-    in_time = _refit(problem, bare)
+def _remove_delays(problem: Problem, bare: list[Curves]) -> _Explanations:
+    undelayed = _refit(problem, bare)
     for sensor in dict.fromkeys((*_sensors(bare), *(curves.reference_sensor for curves in bare))):
-        guess = _phase_delay(bare, sensor)
-        near = _refit(problem, [_in_time(curves, sensor, guess) for curves in bare]) if guess else in_time
-        if near.variance > in_time.variance:
-            near, guess = in_time, 0.0
+        guess = _estimate_delay(bare, sensor)
+        trial_fit = (
+            _refit(problem, [_compensate_delay(curves, sensor, guess) for curves in bare])
+            if guess
+            else undelayed
+        )
+        if trial_fit.variance > undelayed.variance:
+            trial_fit, guess = undelayed, 0.0
 
-        def variance(delay: float, near: _Refit = near, sensor: Sensor = sensor) -> float:
-            return near.adjusted([_in_time(curves, sensor, delay) for curves in bare]).variance
+        def variance(delay: float, trial_fit: _Refit = trial_fit, sensor: Sensor = sensor) -> float:
+            return trial_fit.adjusted([_compensate_delay(curves, sensor, delay) for curves in bare]).variance
 
-        bounds = (guess - _DELAY_RANGE, guess + _DELAY_RANGE)
+        bounds = (guess - _MAX_DELAY_ERROR, guess + _MAX_DELAY_ERROR)
         best = scipy.optimize.minimize_scalar(variance, bounds=bounds, options={"xatol": 1e-6})
         delay = float(best.x)
-        if abs(delay) > _LEAST_DELAY:
+        if abs(delay) > _MIN_DELAY:
             late = "late" if delay > 0.0 else "early"
             text = f"{sensor.name} reads {format_number(abs(delay) * 1e6)} µs {late} (delay in the table)"
             yield float(best.fun), text, True
@@ -198,21 +208,21 @@ def _sensors(bare: list[Curves]) -> list[Sensor]:
     return list(dict.fromkeys(sensor for curves in bare for sensor in curves.sensors))
 
 
-def _multiplied(curves: Curves, factor: float | ComplexArray | Array) -> Curves:
-    """Multiply responses by factors of magnitude 1, shape (responses, n) or broadcastable to it."""
-    turns = np.broadcast_to(np.asarray(factor, dtype=complex), curves.value.shape)
+def _multiply(curves: Curves, factor: float | ComplexArray | Array) -> Curves:
+    """Multiply responses by phase factors, shape (responses, n) or broadcastable to it."""
+    factors = np.broadcast_to(np.asarray(factor, dtype=complex), curves.value.shape)
     return replace(
         curves,
-        value=curves.value * turns,
-        whiten=curves.whiten * turns.conj().T[:, None],
-        frfs=tuple(frf.scaled(turn) for frf, turn in zip(curves.frfs, turns, strict=True)),
+        value=curves.value * factors,
+        whiten=curves.whiten * factors.conj().T[:, None],
+        frfs=tuple(frf.scaled(row) for frf, row in zip(curves.frfs, factors, strict=True)),
     )
 
 
-def _phase_delay(bare: list[Curves], sensor: Sensor) -> float:
+def _estimate_delay(bare: list[Curves], sensor: Sensor) -> float:
     """Return the delay of a sensor, s, that aligns its phase best with the others.
 
-    A delay adds a phase proportional to frequency; without it the phase is near 0 or 180 degrees away from modes.
+    A delay adds a phase proportional to frequency; without it the phase is trial_fit 0 or 180 degrees away from modes.
     """
     alignment = np.zeros(_DELAYS.size)
     sign = -1.0 if any(curves.reference_sensor == sensor for curves in bare) else 1.0
@@ -220,27 +230,27 @@ def _phase_delay(bare: list[Curves], sensor: Sensor) -> float:
         reference = curves.reference_sensor == sensor
         rows = [k for k, one in enumerate(curves.sensors) if reference or one == sensor]
         # The doubled phase does not depend on the sign.
-        turn = np.exp(sign * 4j * np.pi * np.outer(_DELAYS, curves.frequency))
+        phase_factors = np.exp(sign * 4j * np.pi * np.outer(_DELAYS, curves.frequency))
         for k in rows:
             unit = (curves.value[k] / np.maximum(abs(curves.value[k]), 1e-300)) ** 2
             weight = np.minimum(abs(curves.whiten[:, k, k] * curves.value[k]), 30.0)
-            alignment += (turn @ (weight * unit)).real
+            alignment += (phase_factors @ (weight * unit)).real
     return float(_DELAYS[int(np.argmax(alignment))]) if alignment.any() else 0.0
 
 
-def _in_time(curves: Curves, sensor: Sensor, delay: float) -> Curves:
+def _compensate_delay(curves: Curves, sensor: Sensor, delay: float) -> Curves:
     """Remove a delay from the readings of a sensor."""
-    late = np.array([float(each == sensor) for each in curves.sensors])
-    late -= float(curves.reference_sensor == sensor)
-    return _multiplied(curves, np.exp(2j * np.pi * delay * np.outer(late, curves.frequency)))
+    delayed = np.array([float(each == sensor) for each in curves.sensors])
+    delayed -= float(curves.reference_sensor == sensor)
+    return _multiply(curves, np.exp(2j * np.pi * delay * np.outer(delayed, curves.frequency)))
 
 
-def _without(bare: list[Curves], sensor: Sensor) -> list[Curves]:
+def _leave_out(bare: list[Curves], sensor: Sensor) -> list[Curves]:
     """Leave out the responses of a sensor; empty if fewer than two responses would remain."""
     out = []
     for curves in bare:
         rows = [k for k, each in enumerate(curves.sensors) if each != sensor]
-        if len(rows) < _FEWEST_LEFT:
+        if len(rows) < _MIN_RESPONSES:
             return []
         color = np.linalg.inv(curves.whiten)
         covariance = (color @ color.conj().swapaxes(1, 2))[:, rows][:, :, rows]
@@ -253,7 +263,7 @@ def _without(bare: list[Curves], sensor: Sensor) -> list[Curves]:
     return out
 
 
-def left_out(curves: Curves, used: NDArray[np.bool_], uncovered: Mapping[int, str]) -> list[str]:
+def omitted_points(curves: Curves, used: NDArray[np.bool_], uncovered: Mapping[int, str]) -> list[str]:
     """List the points that were left out of a fit, with the reasons.
 
     `used` has the shape (n,); `uncovered`: reason why no orbit can be computed for the motion at a point.
@@ -281,8 +291,8 @@ class _Refit:
     def variance(self) -> float:
         """Residual variance, or the squared deviation of a sensor in tolerances if that is larger."""
         problem = self.problem
-        strain = ((self.x - problem.start) / problem.spread)[len(problem.parameters) :]
-        return max(mean_square(problem, self.x, problem.groups), *(strain**2), 0.0)
+        deviations = ((self.x - problem.start) / problem.spread)[len(problem.parameters) :]
+        return max(mean_square(problem, self.x, problem.groups), *(deviations**2), 0.0)
 
     def adjusted(self, curves: list[Curves]) -> _Refit:
         """Fit slightly different curves, starting from these values."""
@@ -305,8 +315,8 @@ def _refit(problem: Problem, curves: list[Curves], model: Scene | None = None) -
     return _Refit(trial, x)
 
 
-def _meaning(factor: float) -> str:
+def _unit_mistake(factor: float) -> str:
     for known, text in _FACTORS.items():
-        if abs(factor / known - 1.0) < _NEAR:
+        if abs(factor / known - 1.0) < _FACTOR_TOLERANCE:
             return f" ({text})"
     return ""

@@ -16,7 +16,7 @@ from rig.arrays import Array, ComplexArray
 Report = Callable[[str], None]
 
 # Half width of a 95 % interval in standard deviations.
-CONFIDENCE = 1.96
+COVERAGE_FACTOR = 1.96
 # Model errors, relative to the peaks around, that are assumed in successive fits: without them, the fit of a narrow
 # resonance far from the solution has no slope toward its neighbours.
 _DISTRUST = (0.1, 0.01, 0.0)

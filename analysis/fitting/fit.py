@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.fitting.diagnosis import cause, left_out, scale_off
-from analysis.fitting.estimate import CONFIDENCE, Estimate, estimate
+from analysis.fitting.diagnosis import cause, omitted_points, report_mass_scale
+from analysis.fitting.estimate import COVERAGE_FACTOR, Estimate, estimate
 from analysis.fitting.identifiability import LevelDamping, coupled_values, damping_by_level
 from analysis.fitting.measured import Curves, measured
 from analysis.fitting.parameters import Parameter, free_parameters, spelt_out
@@ -34,17 +34,19 @@ if TYPE_CHECKING:
 Progress = Callable[[str], None]
 
 # Largest relative half width of the 95 % interval of a value that is determined at all.
-_UNDETERMINED = 0.5
+_MAX_HALF_WIDTH = 0.5
 # Clearance of a ceiling that is not reached, as a multiple of the largest gap.
-_ABOVE = 1.2
-# Residuals with a larger variance are not noise; residuals larger than this share of the curves show another
-# structure.
-NOT_NOISE, ANOTHER = 4.0, 0.02
+_CLEARANCE_MARGIN = 1.2
+# Residuals with a larger variance are not noise.
+_MAX_NOISE_VARIANCE = 4.0
+# If the residuals also exceed this ratio to the curves, the structure differs from the scene.
+_MAX_RELATIVE_RESIDUAL = 0.02
 # Largest plausible deviation of a sensor, in tolerances of its data sheet.
-_BEYOND = 2.0
-# Largest share of the points with a steady motion in the model that may be left out, and of all points that may
-# have none: dampers without a ceiling move irregularly over wide ranges, in the model as on the rig.
-_MOST_ELSEWHERE, _MOST_IRREGULAR = 0.25, 0.5
+_MAX_SENSOR_DEVIATION = 2.0
+# Maximum share of omitted points among the points with a steady motion in the model.
+_MAX_OMITTED_SHARE = 0.25
+# Maximum share of points without a steady motion: dampers without a ceiling move irregularly over wide ranges.
+_MAX_IRREGULAR_SHARE = 0.5
 
 
 @dataclass(frozen=True)
@@ -53,8 +55,8 @@ class Fitted:
 
     `key`, `unit`: key as in `--set`, and unit; `start`, `value`: before and after the fit, in SI.
 
-    `status`: 'determined', 'roughly' or 'undetermined'. Whether the recordings determine it within a few per cent,
-    within 50 %, or not at all. No value counts as determined if the residuals exceed the errors of the curves.
+    `status`: 'determined' (within a few per cent), 'roughly' (within 50 %) or 'undetermined'. No value is
+    'determined' if the residuals exceed the errors of the curves.
     """
 
     key: str
@@ -121,7 +123,7 @@ class Fit(Result):
     variance : float
         Mean square of the residuals in standard deviations: at most about 1 where the stated errors explain them.
     misfit : str
-        Why the scene does not fit the recordings; "" where it does. Then no value is determined.
+        Reason why the scene does not fit the recordings, so that no value is 'determined'; "" if it fits.
     together : tuple of str
         Combinations of values that the recordings cannot separate.
     warnings : tuple of str
@@ -181,7 +183,7 @@ def fit(
     The responses of each sweep to the force or the table motion are compared, weighted by their stated errors; the
     sensitivities of sensors are free within their tolerances. Where dampers move, the model computes exact periodic
     motions. Initial values come from modes. The prior of a free value is its value in the scene within a factor of
-    e: it matters only where the recordings do not determine the value, which is then reported.
+    e; this prior matters only where the recordings do not determine the value, which is then reported.
 
     Parameters
     ----------
@@ -256,18 +258,18 @@ def _result(problem: Problem, found: Estimate, report: Progress) -> Fit:
     x = found.x.copy()
     for k, limit in limits.items():
         clearance = problem.parameters[k]
-        x[k] = clearance.unknown(max(clearance.start, _ABOVE * limit))
+        x[k] = clearance.unknown(max(clearance.start, _CLEARANCE_MARGIN * limit))
     scene = problem.scene(x)
-    compared = tuple(_compared(problem, x, scene, number) for number in range(len(problem.groups)))
+    compared = tuple(_compare(problem, x, scene, number) for number in range(len(problem.groups)))
     warnings = [f"{one.curves.label}: {note}" for one in compared for note in one.curves.warnings]
-    misfit = _misfit(found, compared) or _beyond(problem, x)
+    misfit = _misfit(found, compared) or _intolerable_sensors(problem, x)
     if misfit:
         report("searching the cause of the misfit")
         explains, text = cause(problem)
         misfit = text if explains else f"{misfit} {text}"
     else:
-        misfit = scale_off(problem, x)
-    if not misfit and found.variance > NOT_NOISE:
+        misfit = report_mass_scale(problem, x)
+    if not misfit and found.variance > _MAX_NOISE_VARIANCE:
         worst = max(one.relative for one in compared)
         warnings.append(
             f"The residuals reach {worst:.2%} of the curves, more than their errors explain (variance "
@@ -275,11 +277,11 @@ def _result(problem: Problem, found: Estimate, report: Progress) -> Fit:
             "The intervals are widened accordingly."
         )
     for one, group in zip(compared, problem.groups, strict=True):
-        warnings += left_out(one.curves, one.used, {} if group.tones is None else group.tones.uncovered)
-    names = range(len(problem.parameters))
+        warnings += omitted_points(one.curves, one.used, {} if group.tones is None else group.tones.uncovered)
+    indices = range(len(problem.parameters))
     deviation = found.deviation
     each = tuple(
-        _fitted(one, x[k], deviation[k], bool(misfit) or found.variance > NOT_NOISE)
+        _fitted_value(one, x[k], deviation[k], bool(misfit) or found.variance > _MAX_NOISE_VARIANCE)
         for k, one in enumerate(problem.parameters)
     )
     if not misfit and all(one.status == "undetermined" for one in each):
@@ -292,9 +294,9 @@ def _result(problem: Problem, found: Estimate, report: Progress) -> Fit:
     return Fit(
         scene=scene,
         parameters=each,
-        correlation=found.correlation[np.ix_(names, names)],
+        correlation=found.correlation[np.ix_(indices, indices)],
         sensitivities={
-            sensor.name: (problem.deviation(x, sensor), CONFIDENCE * float(deviation[len(names) + k]))
+            sensor.name: (problem.deviation(x, sensor), COVERAGE_FACTOR * float(deviation[len(indices) + k]))
             for k, sensor in enumerate(problem.sensors)
         },
         modes=_modes(problem, found),
@@ -313,21 +315,21 @@ def _clearance_limits(problem: Problem, found: Estimate) -> dict[int, float]:
     limits = {
         k: problem.clearance_limit(found.x, one)
         for k, one in enumerate(problem.parameters)
-        if one.what == "clearance" and CONFIDENCE * deviation[k] > _UNDETERMINED
+        if one.what == "clearance" and COVERAGE_FACTOR * deviation[k] > _MAX_HALF_WIDTH
     }
     return {k: limit for k, limit in limits.items() if limit > 0.0}
 
 
-def _fitted(one: Parameter, x: float, deviation: float, missed: bool) -> Fitted:
-    low, value, high = (one.value(x + step * CONFIDENCE * deviation) for step in (-1.0, 0.0, 1.0))
-    half_width = CONFIDENCE * deviation * one.slope(value)
+def _fitted_value(one: Parameter, x: float, deviation: float, missed: bool) -> Fitted:
+    low, value, high = (one.value(x + step * COVERAGE_FACTOR * deviation) for step in (-1.0, 0.0, 1.0))
+    half_width = COVERAGE_FACTOR * deviation * one.slope(value)
     status = "determined" if half_width <= one.limit and not missed else "roughly"
-    if half_width > _UNDETERMINED:
+    if half_width > _MAX_HALF_WIDTH:
         status = "undetermined"
     return Fitted(one.key, one.unit, one.start, value, low, high, status)
 
 
-def _compared(problem: Problem, x: Array, scene: Scene, number: int) -> Compared:
+def _compare(problem: Problem, x: Array, scene: Scene, number: int) -> Compared:
     group = problem.groups[number]
     curves = group.curves
     predicted = problem.predicted(x, group, scene)
@@ -345,14 +347,14 @@ def _misfit(found: Estimate, compared: Sequence[Compared]) -> str:
     """Say how far a scene is from recordings that it does not fit."""
     for one in compared:
         regular = np.isfinite(one.predicted).all(axis=0)
-        elsewhere = int((regular & ~one.used).sum())
-        if elsewhere > _MOST_ELSEWHERE * regular.sum() or regular.mean() < 1.0 - _MOST_IRREGULAR:
+        omitted = int((regular & ~one.used).sum())
+        if omitted > _MAX_OMITTED_SHARE * regular.sum() or regular.mean() < 1.0 - _MAX_IRREGULAR_SHARE:
             return (
                 f"{one.curves.label}: the scene does not reproduce the measured motion at {int((~one.used).sum())} "
                 f"of {one.used.size} points."
             )
     worst = max(compared, key=lambda one: one.relative)
-    if found.variance > NOT_NOISE and worst.relative > ANOTHER:
+    if found.variance > _MAX_NOISE_VARIANCE and worst.relative > _MAX_RELATIVE_RESIDUAL:
         return (
             f"{worst.curves.label}: the best fit leaves a residual of {worst.relative:.1%} of the curves (rms), "
             f"{format_number(np.sqrt(found.variance))} times their stated errors."
@@ -360,17 +362,17 @@ def _misfit(found: Estimate, compared: Sequence[Compared]) -> str:
     return ""
 
 
-def _beyond(problem: Problem, x: Array) -> str:
+def _intolerable_sensors(problem: Problem, x: Array) -> str:
     """Name the sensors whose fitted errors exceed by far what their data sheets allow."""
-    beyond = [
+    sensors = [
         f"{sensor.name} would need an error of {100.0 * error:.3g} %, but its data sheet allows "
         f"{100.0 * sensor.tolerance:.3g} %"
         for sensor in problem.sensors
-        if abs(error := problem.deviation(x, sensor)) > _BEYOND * sensor.tolerance
+        if abs(error := problem.deviation(x, sensor)) > _MAX_SENSOR_DEVIATION * sensor.tolerance
     ]
     return (
-        f"The curves fit only with sensors outside their tolerance: {', and '.join(beyond)}."
-        if beyond
+        f"The curves fit only with sensors outside their tolerance: {', and '.join(sensors)}."
+        if sensors
         else ""
     )
 
@@ -385,7 +387,7 @@ def _modes(problem: Problem, found: Estimate) -> tuple[Mode, ...]:
     here, step = at(found.x), 1e-6
     columns = [(at(found.x + step * row) - here) / step for row in np.eye(problem.size)]
     jacobian = np.stack(columns, axis=1)
-    bound = CONFIDENCE * np.linalg.norm(jacobian @ found.factor, axis=1)
+    bound = COVERAGE_FACTOR * np.linalg.norm(jacobian @ found.factor, axis=1)
     count = here.size // 2
     rows = np.transpose([here[:count], bound[:count], here[count:], bound[count:]])
     return tuple(Mode(*row) for row in rows.tolist())

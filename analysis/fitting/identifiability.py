@@ -7,15 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from analysis.fitting.estimate import CONFIDENCE, Estimate, solved
+from analysis.fitting.estimate import COVERAGE_FACTOR, Estimate, solved
 from analysis.fitting.problem import Problem
 from rig.arrays import Array
 
-# Smallest half width of a 95 % interval along a principal axis that is reported, and the smallest component,
-# relative to the largest, of a value that is named.
-_WIDE, _SHARE = 0.02, 0.3
-# A sensor limits a value if their errors have at least this correlation.
-_CORRELATED = 0.7
+# Minimum half width of a 95 % interval along a principal axis that is reported, relative to the values.
+_MIN_HALF_WIDTH = 0.02
+# Values are named if their components of the axis exceed this ratio to the largest component.
+_MIN_COMPONENT_RATIO = 0.3
+# A sensor limits a value if the correlation of their errors is at least this.
+_MIN_CORRELATION = 0.7
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,7 @@ def damping_by_level(problem: Problem, found: Estimate) -> tuple[LevelDamping, .
         residuals = problem.residual(x, [group])[: -problem.size]
         variance = max(float(np.mean(residuals**2)), 1.0)
         root = np.linalg.inv(np.linalg.qr(jacobian, mode="r"))
-        half = CONFIDENCE * np.sqrt(variance) * np.linalg.norm(root, axis=1)
+        half = COVERAGE_FACTOR * np.sqrt(variance) * np.linalg.norm(root, axis=1)
         value, known = problem.values(x)[active], half < 0.5
         size = (2.0 * np.pi * curves.frequency) ** (2 if curves.reference in ("table", "force") else 0)
         acceleration = float((size * curves.level * abs(curves.value)).max())
@@ -75,21 +76,21 @@ def coupled_values(problem: Problem, found: Estimate, statuses: Sequence[str]) -
         )
     if not known:
         return tuple(lines)
-    axes, size, _ = np.linalg.svd(found.factor[known], full_matrices=False)
-    for deviation, axis in zip(size, axes.T, strict=True):
-        half = CONFIDENCE * float(deviation) * float(abs(axis).max())
-        members = [k for k, share in zip(known, abs(axis), strict=True) if share > _SHARE * abs(axis).max()]
-        if half < _WIDE:
-            break
-        if len(members) == 1:
+    axes, deviations, _ = np.linalg.svd(found.factor[known], full_matrices=False)
+    half_widths = COVERAGE_FACTOR * deviations * abs(axes).max(axis=0)
+    for k in np.argsort(-half_widths, kind="stable"):
+        axis = axes[:, k]
+        named = np.flatnonzero(abs(axis) > _MIN_COMPONENT_RATIO * abs(axis).max())
+        if half_widths[k] < _MIN_HALF_WIDTH or named.size == 1:
             continue
-        signs = axis[[known.index(k) for k in members]]
-        relation = "by one factor" if (signs > 0).all() or (signs < 0).all() else "against each other"
-        related = found.correlation[members[0]][count:]
-        sensors = [s.name for s, r in zip(problem.sensors, related, strict=False) if abs(r) > _CORRELATED]
+        relation = "by one factor" if abs(np.sign(axis[named]).sum()) == named.size else "against each other"
+        correlation = found.correlation[known[named[0]], count:]
+        sensors = [
+            s.name for s, r in zip(problem.sensors, correlation, strict=False) if abs(r) > _MIN_CORRELATION
+        ]
         cause = f" (only the calibration of {', '.join(sensors)} decides)" if sensors else ""
-        names = ", ".join(problem.parameters[k].key for k in members)
+        names = ", ".join(problem.parameters[known[index]].key for index in named)
         lines.append(
-            f"{names} may change together, {relation}, by {half:.1%} without the curves showing it{cause}."
+            f"{names} may change together, {relation}, by {half_widths[k]:.1%} without the curves showing it{cause}."
         )
     return tuple(lines)

@@ -38,6 +38,7 @@ def present_fit(
         output_source("fit", scene.to_yaml(), *relative_paths(recordings, output.parent)),
     ):
         residuals = output.with_name(f"{output.stem}-residuals")
+        create_folder(output.parent)
         reject_foreign_files(
             output, *(residuals.with_name(f"{residuals.name}.{ending}") for ending in ("png", "svg"))
         )
@@ -51,7 +52,6 @@ def present_fit(
             )
         for line in describe(found):
             say(line)
-        create_folder(output.parent)
         with atomic_write(output) as part:
             part.write_text(found.scene.to_yaml(), encoding="utf-8")
         return [output, *files], found.warnings

@@ -163,7 +163,7 @@ class Problem:
             for number, damper in enumerate(bench.dampers):
                 if damper.body == body and damper.moves:
                     points = self.operating_points(x, group.curves)
-                    limit = max(limit, group.tones.rise(bench, *points, number))
+                    limit = max(limit, group.tones.largest_gap(bench, *points, number))
         return limit if np.isfinite(limit) else 0.0
 
     def predicted(self, x: Array, group: Group, scene: Scene, settle: bool = True) -> ComplexArray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
-from itertools import combinations
+from itertools import combinations, islice
 
 import numpy as np
 import scipy
@@ -19,79 +19,81 @@ from rig.results.response import Response
 from rig.scene.scene import Scene
 from rig.system.structural_model import driven_bodies, structural_model
 
-# Standard deviations of the identified modes as targets: frequency and damping relative, shapes relative to the
-# largest.
-_FREQUENCY, _DAMPING, _SHAPE = 3e-4, 0.05, 0.05
-# Assignments of identified modes to modes of the model: the number tried, most likely first, and the number compared.
-_TRIED = 4
-_MOST_ASSIGNMENTS = 2000
+# Assumed standard deviations of the identified modes: frequency and damping relative, shapes relative to the largest.
+_FREQUENCY_SD = 3e-4
+_DAMPING_SD = 0.05
+_SHAPE_SD = 0.05
+# Maximum number of assignments of identified modes to modes of the model that are fitted, and that are ranked.
+_MAX_FITTED_ASSIGNMENTS = 4
+_MAX_RANKED_ASSIGNMENTS = 2000
 
 
 def start(problem: Problem, groups: Sequence[Group]) -> Array:
-    """Return unknowns with which the model has the modes of some linear groups, or those of the scene without modes.
+    """Return unknowns for which the model has the modes of linear groups; the scene's values if none are identified.
 
-    Where the test's band contains only some of the modes, the assignment with the smallest residual is used.
+    If the test's band contains only some of the modes, the assignment with the smallest residual is used. All groups
+    use assignments of the same rank.
     """
-    shown = [(group, _modes(group.curves.frfs, group.curves.scene.structure.bodies)) for group in groups]
-    seen = [(group, modes) for group, modes in shown if modes is not None]
+    by_group = [(group, _modes(group.curves.frfs, group.curves.scene.structure.bodies)) for group in groups]
+    identified = [(group, modes) for group, modes in by_group if modes is not None]
     x = problem.start.copy()
-    if not seen:
+    active = [k for k, parameter in enumerate(problem.parameters) if parameter.place[0] == "structure"]
+    if not identified or not active:
         return x
-    active = [k for k, one in enumerate(problem.parameters) if one.place[0] == "structure"]
-    if not active:
-        return x
-    assignments = [_assignments(problem.scene(x), *each) for each in seen]
+    assignments = [_assignments(problem.scene(x), *each) for each in identified]
     best, smallest = x, np.inf
-    for turn in range(min(_TRIED, max(len(ranked) for ranked in assignments))):
-        chosen = [ranked[min(turn, len(ranked) - 1)] for ranked in assignments]
-        found = _fitted(problem, x, active, seen, chosen)
-        cost = float(np.sum(np.minimum(abs(problem.residual(found, groups, 0.1)), 30.0) ** 2))
+    for rank in range(min(_MAX_FITTED_ASSIGNMENTS, max(len(ranked) for ranked in assignments))):
+        chosen = [ranked[min(rank, len(ranked) - 1)] for ranked in assignments]
+        trial = _fit_modes(problem, x, active, identified, chosen)
+        cost = float(np.sum(np.minimum(abs(problem.residual(trial, groups, 0.1)), 30.0) ** 2))
         if cost < smallest:
-            best, smallest = found, cost
+            best, smallest = trial, cost
     return best
 
 
 @lru_cache(maxsize=16)
 def _modes(frfs: tuple[Response, ...], bodies: int) -> Modes | None:
-    """Modes of curves, stored because all hypotheses about a misfit use them."""
+    """Modes of curves, cached because every trial of `diagnosis` identifies the same curves."""
     try:
         return identify(frfs, bodies)
     except (RecordingError, SceneError, np.linalg.LinAlgError):
         return None
 
 
-def _fitted(
+def _fit_modes(
     problem: Problem,
     x: Array,
     active: list[int],
-    seen: Sequence[tuple[Group, Modes]],
+    identified: Sequence[tuple[Group, Modes]],
     chosen: Sequence[tuple[int, ...]],
 ) -> Array:
+    """Fit the active unknowns to the identified modes, which are assigned to the `chosen` modes of the model."""
+
     def residual(inner: Array) -> Array:
         full = x.copy()
         full[active] = inner
         scene = problem.scene(full)
         parts = [(inner - problem.start[active]) / problem.spread[active]]
-        for (group, modes), which in zip(seen, chosen, strict=True):
+        for (group, modes), assignment in zip(identified, chosen, strict=True):
             frequency, damping, residue = _model_modes(scene, group)
-            at = list(which)
+            at = list(assignment)
             measured = (modes.residue * (-2.0 * 2.0 * np.pi * modes.frequency)).imag
             scale = abs(measured).max(axis=0)
             parts += [
-                np.log(frequency[at] / modes.frequency) / _FREQUENCY,
-                np.log(np.maximum(damping[at], 1e-9) / modes.damping) / _DAMPING,
-                ((residue[:, at] - measured) / scale / _SHAPE).ravel(),
+                np.log(frequency[at] / modes.frequency) / _FREQUENCY_SD,
+                np.log(np.maximum(damping[at], 1e-9) / modes.damping) / _DAMPING_SD,
+                ((residue[:, at] - measured) / scale / _SHAPE_SD).ravel(),
             ]
         return np.concatenate(parts)
 
-    solution = scipy.optimize.least_squares(residual, x[active], x_scale=1.0, max_nfev=60)
-    found = x.copy()
-    found[active] = solution.x
-    return found
+    solution = scipy.optimize.least_squares(residual, x[active], max_nfev=60)
+    fitted = x.copy()
+    fitted[active] = solution.x
+    return fitted
 
 
 def _model_modes(scene: Scene, group: Group) -> tuple[Array, Array, Array]:
-    """Frequency [Hz], damping ratio, and 2 omega times the magnitude of the residue, shape (responses, modes)."""
+    """Frequency [Hz], damping ratio, and modal constants, shape (responses, modes)."""
     bench = on_the_bench(scene, group.curves)
     spring = getattr(bench.driven_shaker, "spring", None)
     model = structural_model(bench).with_bed_masses()
@@ -112,10 +114,8 @@ def _assignments(scene: Scene, group: Group, modes: Modes) -> list[tuple[int, ..
     count = modes.frequency.size
     shapes = mac(residue, modes.shapes)
     ranked = []
-    for number, which in enumerate(combinations(range(frequency.size), count)):
-        if number == _MOST_ASSIGNMENTS:
-            break
-        distance = np.log(frequency[list(which)] / modes.frequency) / 0.1
-        dissimilarity = 1.0 - shapes[list(which), range(count)]
-        ranked.append((float(np.sum(distance**2 + 4.0 * dissimilarity)), which))
-    return [which for _, which in sorted(ranked)]
+    for assignment in islice(combinations(range(frequency.size), count), _MAX_RANKED_ASSIGNMENTS):
+        distance = np.log(frequency[list(assignment)] / modes.frequency) / 0.1
+        dissimilarity = 1.0 - shapes[list(assignment), range(count)]
+        ranked.append((float(np.sum(distance**2 + 4.0 * dissimilarity)), assignment))
+    return [assignment for _, assignment in sorted(ranked)]

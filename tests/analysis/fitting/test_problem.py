@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +11,8 @@ import pytest
 import analysis
 import daq
 import rig
+from analysis.fitting.estimate import Estimate
+from analysis.fitting.identifiability import coupled_values
 from analysis.fitting.measured import measured
 from analysis.fitting.parameters import free_parameters, spelt_out
 from analysis.fitting.problem import Problem
@@ -46,3 +49,13 @@ converter: {{rate: 2048 Hz}}
     assert found.low < 0.21 < found.high
     # Evenly distributed within the tolerance.
     assert found.half_width == pytest.approx(1.96 * FORCE_KNOWN_TO / 3**0.5, rel=0.1)
+
+
+def test_narrower_axis_of_fewer_values_is_reported():
+    # The largest singular value belongs to nine values, each of which changes by less than 2 %.
+    many, pair = np.full(9, 1.0 / 3.0), np.append([0.5**0.5, -(0.5**0.5)], np.zeros(7))
+    estimate = Estimate(np.zeros(9), np.stack([0.03 * many, 0.029 * pair], axis=1), 1.0)
+    parameters = [SimpleNamespace(key=f"mass {k}", damper=None) for k in range(9)]
+    problem = SimpleNamespace(parameters=parameters, groups=[], sensors=[])
+    [text] = coupled_values(problem, estimate, ["determined"] * 9)  # type: ignore[arg-type]
+    assert text.startswith("mass 0, mass 1 may change together, against each other")

@@ -6,10 +6,11 @@ from pathlib import Path
 import numpy as np
 
 import daq
-from analysis.fitting.diagnosis import left_out
+from analysis.fitting.diagnosis import omitted_points
 from analysis.fitting.measured import measured
 from analysis.fitting.predicted import on_the_bench
 from analysis.fitting.steady_tones import SteadyTones
+from rig.orbits.orbit import OrbitFamily
 
 DAMPED = Path(__file__).parents[3] / "recordings" / "demo-sweep-three-dampers.mcap"
 
@@ -56,9 +57,23 @@ def test_endless_rebounds_are_recorded():
     tones = SteadyTones(one)
     assert np.isnan(tones.at(on_the_bench(bouncy, one), level, frequency)).all()
     assert "rebounds infinitely often" in tones.uncovered[0]
-    [said] = left_out(one, np.array([False]), tones.uncovered)
+    [said] = omitted_points(one, np.array([False]), tones.uncovered)
     assert "another kind of motion" not in said and "which a fit cannot compute" in said
-    assert "of another type than that of the model" in left_out(one, np.array([False]), {})[0]
+    assert "of another type than that of the model" in omitted_points(one, np.array([False]), {})[0]
     tones.given_up.clear()
     assert np.isfinite(tones.at(on_the_bench(curves.scene, curves), level, frequency)).all()
     assert not tones.uncovered
+
+
+def test_singular_matrix_yields_no_gap(monkeypatch):
+    curves, frequency, level = nearest(49.66)
+    tones = SteadyTones(replace(curves, frequency=frequency, level=level))
+    bench = on_the_bench(curves.scene, curves)
+    tones.at(bench, level, frequency)
+    assert tones.known[0] is not None and tones.largest_gap(bench, level, frequency, 0) > 0.0
+
+    def fail(*_):
+        raise np.linalg.LinAlgError
+
+    monkeypatch.setattr(OrbitFamily, "correct", fail)
+    assert tones.largest_gap(bench, level, frequency, 0) == 0.0

@@ -11,7 +11,7 @@ from typing import Any
 from daq.recording.recorder import Recorder
 from daq.recording.sample_block import stored_as
 from daq.signal_chain.chain import Chain
-from daq.signal_chain.outputs import volt_effect
+from daq.signal_chain.converter import volt_effect
 from daq.signal_chain.oversampling import oversampling
 from daq.virtual_bench.bench import Bench
 from rig.arrays import Array

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.recording.timebase import refuse_reversed
+from daq.recording.layout import refuse_reversed
 from rig.errors import RecordingError, SceneError
 
 if TYPE_CHECKING:

@@ -20,12 +20,23 @@ def excite(station: Station, test: Sine) -> Excitation:
 
     With a controlled spring force, the duration of the test begins when the force is steady at its level.
     """
-    tone = SteadyTone(station, test.frequency, station.controlled)
-    yield from _controlled(station, test, tone) if station.controlled else _open_loop(station, test, tone)
-
-
-def _open_loop(station: Station, test: Sine, tone: SteadyTone) -> Excitation:
-    tone.amplitude = level = station.level
+    tone, level = SteadyTone(station, test.frequency, station.controlled), station.level
+    if station.controlled:
+        facts = {"frequency": test.frequency, "level": level}
+        station.report(0.0, f"{test.frequency:.2f} Hz, settling at {level:g} N")
+        settled = yield from tone.settle_and_mark(
+            test.frequency, tone.start(level), _TOLERANCE, _LONGEST, facts
+        )
+        if not settled:
+            station.warn(
+                f"{test.frequency:.3f} Hz, {level:g} N: no steady state within {_LONGEST:g} s. "
+                "The measurement is marked as not settled."
+            )
+        station.report(0.5, f"{test.frequency:.2f} Hz, measuring")
+        yield from tone.measure(station.samples(test.duration), settled, facts)
+        yield tone.end()
+        return
+    tone.amplitude = level
     detector = Settling(_TOLERANCE)
     window = whole_periods(test.frequency, station.rate, WINDOW_S)
     first, total, steady = station.now, station.samples(test.duration), None
@@ -38,21 +49,6 @@ def _open_loop(station: Station, test: Sine, tone: SteadyTone) -> Excitation:
             steady = station.now if detector.settled else None
     settled = steady is not None and station.now - steady >= window
     begin = steady if settled else first + total // 2
-    facts = {"frequency": test.frequency, "level": level, "drive": level, "settled": settled}
-    station.mark("measure", begin, station.now, **facts)
-
-
-def _controlled(station: Station, test: Sine, tone: SteadyTone) -> Excitation:
-    force = station.level
-    drive = tone.start(force)
-    facts = {"frequency": test.frequency, "level": force}
-    station.report(0.0, f"{test.frequency:.2f} Hz, settling at {force:g} N")
-    settled = yield from tone.settle_and_mark(test.frequency, drive, _TOLERANCE, _LONGEST, facts)
-    if not settled:
-        station.warn(
-            f"{test.frequency:.3f} Hz, {force:g} N: no steady state within {_LONGEST:g} s. "
-            "The measurement is marked as not settled."
-        )
-    station.report(0.5, f"{test.frequency:.2f} Hz, measuring")
-    yield from tone.measure(station.samples(test.duration), settled, facts)
-    yield tone.end()
+    station.mark(
+        "measure", begin, station.now, frequency=test.frequency, level=level, drive=level, settled=settled
+    )

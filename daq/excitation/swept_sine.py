@@ -66,24 +66,19 @@ def excite(station: Station, test: SweptSine) -> Excitation:
                 f"{station.channels[station.spring_rows[0]].name} at the {station.scene.at_driven('table')} "
                 f"read nothing of the pretest, less than one count of the converter. {_READABLE}"
             )
-        yield from _sweep_open(station, test, start, amplitude)
+        total, done = station.samples(test.duration), 0
+        while done < total:
+            size = min(total - done, station.samples(_WINDOW))
+            phase = _phase(test, start, done, size, total)
+            yield station.drive((amplitude * np.exp(1j * phase)).real)
+            done += size
+            station.report(done / total, f"{sweep_frequency(test, done / total):.2f} Hz")
     tone.amplitude, tone.frequency = abs(amplitude), test.to
     turns = float(sweep_turns(test, np.ones(1))[0])
     tone.phase = float(np.fmod(start + 2 * np.pi * turns + np.angle(1j * amplitude), 2 * np.pi))
     facts = {"from": test.from_, "to": test.to, "spacing": test.spacing, "level": level, **extremes}
     station.mark("measure", first, station.now, duration=test.duration, settled=settled, **facts)
     yield tone.end()
-
-
-def _sweep_open(station: Station, test: SweptSine, start: float, amplitude: complex) -> Excitation:
-    """Sweep with a constant drive amplitude."""
-    total, done = station.samples(test.duration), 0
-    while done < total:
-        size = min(total - done, station.samples(_WINDOW))
-        phase = _phase(test, start, done, size, total)
-        yield station.drive((amplitude * np.exp(1j * phase)).real)
-        done += size
-        station.report(done / total, f"{sweep_frequency(test, done / total):.2f} Hz")
 
 
 def _sweep_controlled(

@@ -16,8 +16,7 @@ from daq.excitation import excitation
 from daq.excitation.swept_sine import sweep_frequency
 from daq.measurement.bench_loop import BenchLoop, LimitReached
 from daq.recording.recorder import Recorder
-from daq.virtual_bench.bench import Bench
-from daq.virtual_bench.stream import Block
+from daq.virtual_bench.bench import Bench, Block
 from rig.arrays import Array
 from rig.scene.excitation import SweptSine
 from rig.scene.scene import Scene

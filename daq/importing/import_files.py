@@ -19,9 +19,9 @@ from daq.importing.force_pulses import ForcePulses
 from daq.importing.overloads import Overloads, joined
 from daq.importing.signal import Signal
 from daq.importing.steps import StepFinder
+from daq.recording.layout import refuse_reversed
 from daq.recording.recorder import Recorder
 from daq.recording.recording import open as open_recording
-from daq.recording.timebase import refuse_reversed
 from rig.arrays import Array
 from rig.errors import RecordingError, RunWarning, SceneError, ShotrigError
 from rig.input_files import as_path, duplicate_files

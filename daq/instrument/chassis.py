@@ -32,8 +32,7 @@ from daq.instrument.errors import Code, DaqError
 if TYPE_CHECKING:
     from daq.instrument.settings.channels import Channel
     from daq.instrument.terminals import Terminals
-    from daq.virtual_bench.bench import Bench
-    from daq.virtual_bench.stream import Block
+    from daq.virtual_bench.bench import Bench, Block
 
 _MAX_BLOCK_TICKS = 4096
 # Delay of the bench relative to the wall clock from which its input buffers overflow, s.

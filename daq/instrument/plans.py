@@ -22,7 +22,7 @@ from daq.instrument.engines.triggers import (
 )
 from daq.instrument.errors import Code, DaqError, bad, unsupported
 from daq.instrument.values import Overwrite, Slope, TriggerType, WindowCondition, named
-from daq.virtual_bench.stream import samples_per_tick
+from daq.virtual_bench.bench import samples_per_tick
 
 if TYPE_CHECKING:
     from daq.instrument.chassis import Chassis

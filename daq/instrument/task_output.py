@@ -9,7 +9,7 @@ from daq.instrument.chassis import Chassis, Runner
 from daq.instrument.engines.generation import Generation, OutputBuffer, OutputPlan
 from daq.instrument.errors import Code, DaqError
 from daq.instrument.plans import output_plan
-from daq.virtual_bench.stream import samples_per_tick
+from daq.virtual_bench.bench import samples_per_tick
 from rig.arrays import Array
 
 if TYPE_CHECKING:

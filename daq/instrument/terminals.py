@@ -17,8 +17,7 @@ from daq.instrument.devices.teds import with_sensitivity
 from daq.instrument.errors import Code, DaqError
 from daq.instrument.values import Coupling, Excitation
 from daq.signal_chain.oversampling import oversampling
-from daq.virtual_bench.bench import Bench
-from daq.virtual_bench.stream import at_rate
+from daq.virtual_bench.bench import Bench, at_rate
 from rig.scene.modules import module
 from rig.scene.presets import filled_in, input_settings, needs_supply
 from rig.scene.shaker import DRIVE_PER_VOLT
@@ -26,7 +25,7 @@ from rig.scene.teds import electronic_data_sheet
 
 if TYPE_CHECKING:
     from daq.instrument.settings.channels import Channel
-    from daq.virtual_bench.stream import Block
+    from daq.virtual_bench.bench import Block
     from rig.scene.scene import Scene
 
 

@@ -25,7 +25,7 @@ from rig.scene.loading import SceneLike, load
 if TYPE_CHECKING:
     import rerun as rr
 
-    from daq.virtual_bench.stream import Block
+    from daq.virtual_bench.bench import Block
     from rig.scene.scene import Scene
 
 _BLOCK_S = 0.04

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import rerun as rr
 
     from daq.signal_chain.channel import ChannelInfo
-    from daq.virtual_bench.stream import Block
+    from daq.virtual_bench.bench import Block
     from rig.scene.scene import Scene
 
 _FRAMES_PER_S = 200.0

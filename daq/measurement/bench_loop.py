@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from daq.excitation.station import Excitation, Station
 from daq.measurement.limits import ControlLoss, Limits
-from daq.virtual_bench.bench import Bench
-from daq.virtual_bench.stream import Block
+from daq.virtual_bench.bench import Bench, Block
 from rig.arrays import Array
 from rig.errors import RunError
 from rig.scene.scene import Scene

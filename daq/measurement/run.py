@@ -19,7 +19,7 @@ from daq.recording.committed_file import DiskError
 from daq.recording.recorded_test import SceneOutline, TestKind, kind_of_settings
 from daq.recording.recorder import Recorder
 from daq.signal_chain.channel import ChannelInfo
-from daq.virtual_bench.stream import Block
+from daq.virtual_bench.bench import Block
 from rig.arrays import Array
 from rig.ending_signals import interrupt_flag
 from rig.errors import RecordingError, RunError, SceneError, ShotrigError

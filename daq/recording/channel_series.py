@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.mcap_file.reader import Container
+from daq.recording.layout import CLOCK, Timebase
 from daq.recording.sample_block import SCHEMAS, SampleBlock, decode
-from daq.recording.timebase import CLOCK, Timebase
 from daq.signal_chain.field_checks import MOST_SAMPLES, NOT_ZERO, check
 from rig.arrays import Array
 from rig.errors import RecordingError

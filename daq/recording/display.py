@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 
 from daq.mcap_file.writer import Message, Messages
 from daq.recording.displacement import DisplacementEstimate, motion_sources
-from daq.recording.layout import DISPLAY, ROBOT, TRANSFORMS
+from daq.recording.layout import DISPLAY, ROBOT, TRANSFORMS, Timebase
 from daq.recording.protobuf import Schema
-from daq.recording.timebase import Timebase
 from rig.arrays import Array
 
 if TYPE_CHECKING:

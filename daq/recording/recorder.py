@@ -19,12 +19,12 @@ from daq.mcap_file.summary import checked
 from daq.mcap_file.writer import Message, Messages
 from daq.recording import layout
 from daq.recording.committed_file import RESERVE, Disk, DiskError
+from daq.recording.layout import Timebase
 from daq.recording.markers import MARKER_SCHEMA, Marker
 from daq.recording.protobuf import Schema
 from daq.recording.recorded_test import SceneOutline
 from daq.recording.sample_block import SCHEMAS, block_schema, encode, scale_of, stored_as
 from daq.recording.sample_groups import Group, Grouping
-from daq.recording.timebase import Timebase
 from rig.arrays import Array
 from rig.ending_signals import delayed_interrupt
 from rig.errors import RunError

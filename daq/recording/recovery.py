@@ -20,9 +20,9 @@ from daq.mcap_file.summary import checked, parse
 from daq.mcap_file.writer import Message
 from daq.recording import layout
 from daq.recording.committed_file import Disk, DiskError
+from daq.recording.layout import Timebase
 from daq.recording.markers import Marker
 from daq.recording.sample_block import SAMPLE_TYPE, decode
-from daq.recording.timebase import Timebase
 from rig.errors import RecordingError
 from rig.escaping import escape_terminal
 from rig.input_files import as_path

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.recording.layout import Timebase
 from daq.recording.protobuf import Schema, descriptors, message_class, varint
-from daq.recording.timebase import Timebase
 from rig.errors import RecordingError
 
 if TYPE_CHECKING:

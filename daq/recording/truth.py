@@ -11,12 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.mcap_file.writer import Message
-from daq.recording.layout import EVENTS, SHOWN_GROUPS, TRUTH
+from daq.recording.layout import EVENTS, SHOWN_GROUPS, TRUTH, Timebase
 from daq.recording.markers import EVENT_SCHEMA, event_to_json
 from daq.recording.protobuf import Schema
 from daq.recording.sample_block import SCHEMAS, block_schema
 from daq.recording.sample_groups import Group, Grouping
-from daq.recording.timebase import Timebase
 from daq.signal_chain.channel import UNITS
 from rig.arrays import Array
 

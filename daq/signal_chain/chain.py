@@ -98,16 +98,15 @@ class Chain:
             if isinstance(cutter, MotionInterpolator):
                 pieces = cutter.cut(motion)
             else:
-                pieces = cutter.cut(self._external(*self._sources[row], forces, count))
+                # The force or voltage at a channel is a factor times an input; zero of a hammer that is not used.
+                name, factor = self._sources[row]
+                external = np.zeros(count)
+                if forces is not None and name in self._inputs:
+                    external = np.ascontiguousarray(factor * forces[self._inputs.index(name)], dtype=float)
+                pieces = cutter.cut(external)
             volts[row], overload[row] = path.measure(pieces, jitter)
         self.overload = overload[:, max(self.latency - first, 0) :]
         return volts[:, max(self.latency - first, 0) :]
-
-    def _external(self, name: str, factor: float, forces: Array | None, count: int) -> Array:
-        """Return the force or voltage at a channel, a factor times an input; zero of a hammer that is not used."""
-        if forces is None or name not in self._inputs:
-            return np.zeros(count)
-        return np.ascontiguousarray(factor * forces[self._inputs.index(name)], dtype=float)
 
 
 def default_channels(scene: Scene, points: Sequence[str]) -> tuple[Channel, ...]:

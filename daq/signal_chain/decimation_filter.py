@@ -76,17 +76,13 @@ class Decimation:
         angle = 2 * np.pi * np.asarray(frequency, dtype=float) / (self.rate * points)
         return np.asarray(chebyshev.chebval(np.cos(angle), values / values.sum()))
 
-    def taps(self, oversampling: int) -> Array:
-        """Return the weights (oversampling, MOMENTS, length) of the moments.
-
-        Entry (p, k, j) weighs moment k of the interval that ends p intervals and j samples before the output.
-        """
-        return _taps(self, oversampling)
-
 
 @lru_cache(maxsize=8)
-def _taps(low_pass: Decimation, oversampling: int) -> Array:
-    """Project the impulse response on the Legendre polynomials of every interval."""
+def taps_of(low_pass: Decimation, oversampling: int) -> Array:
+    """Project the impulse response on the Legendre polynomials of every interval; (oversampling, MOMENTS, length).
+
+    Entry (p, k, j) weighs moment k of the interval that ends p intervals and j samples before the output.
+    """
     nodes, weights = legendre.leggauss(32)
     interval = np.arange(low_pass.length * oversampling)[:, None]
     # Time before the output, of places in each interval from -1, its start, to 1, its end.

@@ -9,7 +9,7 @@ import numpy as np
 from daq.dsp.block_buffers import BlockBuffers, History
 from daq.dsp.circuit import Circuit
 from daq.dsp.decimator import Decimator
-from daq.signal_chain.decimation_filter import MOMENTS, Decimation
+from daq.signal_chain.decimation_filter import MOMENTS, Decimation, taps_of
 from rig.arrays import Array
 from rig.numerics.fma import TOGETHER
 from rig.numerics.simd import LANES
@@ -89,7 +89,7 @@ class FilteredSampler:
         self, circuit: Circuit, low_pass: Decimation, oversampling: int, late: int, buffers: BlockBuffers
     ) -> None:
         self.rows, self.rows_input = np.zeros((0, circuit.c.size)), np.zeros(0)
-        self._filter = Decimator(low_pass.taps(oversampling), late, buffers)
+        self._filter = Decimator(taps_of(low_pass, oversampling), late, buffers)
         self.intervals = low_pass.length * oversampling + late
 
     def place(self, intervals: int) -> Array:

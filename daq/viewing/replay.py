@@ -11,7 +11,7 @@ import numpy as np
 import rerun as rr
 
 from daq.drawing.rig_view import Extremes, RigView
-from daq.recording.timebase import refuse_reversed
+from daq.recording.layout import refuse_reversed
 from daq.viewing.blueprint import OVERLOADS, layout
 from daq.viewing.info_page import about
 from daq.viewing.marker_log import MarkedSlice, log_lines, overloads, phases

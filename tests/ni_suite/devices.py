@@ -18,7 +18,7 @@ from daq.instrument.settings.storage import Storage
 from daq.instrument.task import Task
 from daq.instrument.values import Coupling, SampleMode, TimingType, Wiring
 from daq.signal_chain.channel import ChannelInfo
-from daq.virtual_bench.stream import samples_per_tick
+from daq.virtual_bench.bench import samples_per_tick
 from rig.scene.modules import Rates
 
 _EVERYTHING = frozenset(each.type for each in MEASUREMENTS.values())

@@ -174,8 +174,8 @@ def _odd_object(data: bytes, chance: random.Random) -> bytes:
 
 def _late(data: bytes, times: list[int], shift: int) -> tuple[bytes, list[int]]:
     """Move a block to a sample far behind, consistently."""
+    from daq.recording.layout import Timebase
     from daq.recording.sample_block import decode, encode
-    from daq.recording.timebase import Timebase
 
     for schema in ("shotrig.BlockFloat64", "shotrig.BlockCounts", "shotrig.BlockFloat32"):
         try:

@@ -14,7 +14,7 @@ from daq.instrument.engines.ring_buffer import RingBuffer
 from daq.instrument.engines.triggers import AnalogSource, AtTime, CrossingFinder, OtherTask, Source, SyncPulse
 from daq.instrument.errors import Code, DaqError
 from daq.instrument.settings.scales import Scale
-from daq.virtual_bench.stream import first_sample, first_tick, samples_per_tick
+from daq.virtual_bench.bench import first_sample, first_tick, samples_per_tick
 
 # A function that returns the tick at which another task started or was triggered; None before that.
 Moment = Callable[[OtherTask], int | None]

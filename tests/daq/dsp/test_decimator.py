@@ -8,7 +8,7 @@ from scipy.integrate import quad, trapezoid
 
 from daq.dsp.block_buffers import BlockBuffers
 from daq.dsp.decimator import Decimator
-from daq.signal_chain.decimation_filter import DELAY, MOMENTS, PASS, STOP, Decimation
+from daq.signal_chain.decimation_filter import DELAY, MOMENTS, PASS, STOP, Decimation, taps_of
 
 
 @pytest.mark.parametrize(("oversampling", "late"), [(1, 0), (1, 3), (3, 0), (4, 5)])
@@ -39,7 +39,7 @@ def test_filtered_sample_is_the_weighted_sum(oversampling, late):
 @pytest.mark.parametrize("oversampling", [1, 3])
 def test_weighed_polynomial_is_the_integral(oversampling):
     low_pass = Decimation.standard(1000.0)
-    taps = low_pass.taps(oversampling)
+    taps = taps_of(low_pass, oversampling)
     assert taps.shape == (oversampling, MOMENTS, 2 * DELAY)
     # Constants are unchanged, and the delay is as stated: t is read as t - 38 samples.
     assert taps[:, 0].sum() == pytest.approx(1.0, rel=1e-12)

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from daq.excitation.amplitude_control import AmplitudeControl
+from daq.excitation.steady_tone import AmplitudeControl
 from rig.scene.excitation import FORCE_HELD
 
 LEVEL = 2.6

@@ -9,12 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from daq.recording.display import FLOAT_SCHEMA, encode_floats, encode_text
-from daq.recording.layout import block_length, flush_length
+from daq.recording.layout import Timebase, block_length, flush_length
 from daq.recording.markers import EVENT_SCHEMA, MARKER_SCHEMA, Marker, event_from_json, event_to_json
 from daq.recording.protobuf import message_class, varint
 from daq.recording.robot_description import TRANSFORMS_SCHEMA
 from daq.recording.sample_block import _HEAD, SAMPLE_TYPE, SCHEMAS, _size_prefix, block_schema, decode, encode
-from daq.recording.timebase import Timebase
 from rig.errors import RecordingError
 
 

@@ -15,9 +15,9 @@ import daq
 from daq.mcap_file.chunk import Damage, messages_in, unpack_chunk
 from daq.mcap_file.reader import Container
 from daq.mcap_file.writer import ChunkedFile
+from daq.recording.layout import Timebase
 from daq.recording.markers import Marker, event_from_json
 from daq.recording.sample_block import decode, encode
-from daq.recording.timebase import Timebase
 from daq.signal_chain.channel import ChannelInfo
 from daq.viewing.description import describe
 from rig.errors import RecordingError, add_path

@@ -16,7 +16,7 @@ class Decimator:
 
     def __init__(self, taps: Array, late: int, buffers: BlockBuffers) -> None:
         self._oversampling, moments, length = taps.shape
-        self._weights = _beside(taps, late)
+        self._weights = _lane_weights(taps, late)
         self._buffers = buffers
         # The last moments of the previous block; in a block, they come first.
         self._last = zeros(length * self._oversampling + late - 1, moments)
@@ -26,13 +26,13 @@ class Decimator:
 
     def place(self, count: int) -> Array:
         """Return the place for the moments of the next intervals, shape (count and TOGETHER or more, MOMENTS)."""
-        kept = len(self._last)
-        end = kept + count + WEIGHED * self._oversampling
+        past = len(self._last)
+        end = past + count + WEIGHED * self._oversampling
         self._moments = self._buffers.rows(end)
-        self._moments[:kept] = self._last
+        self._moments[:past] = self._last
         # These have no weight, but must be numbers.
-        self._moments[kept + count : end] = 0.0
-        return self._moments[kept:]
+        self._moments[past + count : end] = 0.0
+        return self._moments[past:]
 
     def filter(self, count: int) -> Array:
         """Return the samples that end with the next `count` intervals, whose moments are in `place`."""
@@ -47,7 +47,7 @@ class Decimator:
         return self._samples[:due]
 
 
-def _beside(taps: Array, late: int) -> Array:
+def _lane_weights(taps: Array, late: int) -> Array:
     """Arrange the taps as weights (intervals x MOMENTS, LANES) for as many samples at a time as a register holds."""
     oversampling, moments, _ = taps.shape
     # Row (p, j) of the taps weighs the interval j samples and p intervals before the sample.

@@ -67,43 +67,45 @@ class Disturbances:
         self._interval, self._drawn = 0, 0
         self._last = np.zeros((len(sources), 1))
 
-    def hold(self, intervals: int) -> Array:
+    def draw(self, intervals: int) -> Array:
         """Draw the disturbances of the next intervals, polynomials over each; shape (disturbances, intervals), V."""
         first, stop = self._interval, self._interval + intervals
         self._interval = stop
         if not self._sources or intervals == 0:
             return np.zeros((len(self._sources), intervals))
         count = -(-(stop - 1) // self._each) + 1 - self._drawn
-        held = np.empty((len(self._sources), count))
-        for row, source in zip(held, self._sources, strict=True):
+        voltages = np.empty((len(self._sources), count))
+        for row, source in zip(voltages, self._sources, strict=True):
             source.fill(row)
         if self._each > 1:
             # The sample at or after the end of each interval; an interval of a sample that began in the last block
             # continues with the numbers drawn there.
             sample = -(-np.arange(first, stop) // self._each)
-            drawn = np.concatenate([self._last, held], axis=1)
-            held, self._last = drawn[:, sample - (self._drawn - 1)], drawn[:, -1:]
-            self._cut(held, (np.arange(first, stop) - 1) % self._each)
+            drawn = np.concatenate([self._last, voltages], axis=1)
+            voltages, self._last = drawn[:, sample - (self._drawn - 1)], drawn[:, -1:]
+            self._split(voltages, (np.arange(first, stop) - 1) % self._each)
         self._drawn += count
-        return held
+        return voltages
 
-    def _cut(self, held: Array, place: NDArray[np.int64]) -> None:
+    def _split(self, voltages: Array, place: NDArray[np.int64]) -> None:
         """Write polynomials over samples for the interval at a place in each sample."""
         length = 1.0 / self._each
         middle = (2 * place + 1) * length - 1.0
         for row, degree in enumerate(self._degrees):
             if degree == 1:
-                held[row - 1] += middle * held[row]
-                held[row] *= length
+                voltages[row - 1] += middle * voltages[row]
+                voltages[row] *= length
             elif degree == 2:
-                held[row - 2] += (0.5 * (3.0 * middle * middle - 1.0) + 0.5 * length * length) * held[row]
-                held[row - 1] += 3.0 * middle * length * held[row]
-                held[row] *= length * length
+                voltages[row - 2] += (0.5 * (3.0 * middle * middle - 1.0) + 0.5 * length * length) * voltages[
+                    row
+                ]
+                voltages[row - 1] += 3.0 * middle * length * voltages[row]
+                voltages[row] *= length * length
 
-    def add_direct(self, held: Array, volts: Array) -> None:
-        """Add the direct feedthrough of the disturbances of `hold`, at intervals that end at a sample, to the volts."""
+    def add_direct(self, voltages: Array, volts: Array) -> None:
+        """Add the direct feedthrough of the disturbances of `draw`, at intervals that end at a sample, to the volts."""
         if self._any_direct:
-            _sum_up(self._direct, held, volts)
+            _sum_up(self._direct, voltages, volts)
 
 
 @unfused

@@ -58,12 +58,12 @@ class MotionInterpolator:
         displacement = motion.displacement[row]
         smooth = np.empty((4, acceleration.size))
         if acceleration.size == 0:
-            return CubicInput(smooth, *_NO_PARTS)
+            return CubicInput(smooth, *_WITHOUT_PARTS)
         if motion.first == 0:
             self._last[2] = displacement[0]
         # Each break ends a part and every broken interval has a last part more; a run begins with one.
         breaks = motion.break_sample.size
-        broken, parts = no_parts(2 * breaks + 1) if breaks or motion.first == 0 else _NO_PARTS
+        broken, parts = empty_parts(2 * breaks + 1) if breaks or motion.first == 0 else _WITHOUT_PARTS
         count = 0
         if motion.first == 0:
             parts[0, JUMP] = velocity[0] * self._rate
@@ -86,13 +86,13 @@ class MotionInterpolator:
         return CubicInput(smooth, broken[:count], parts[:count])
 
 
-def no_parts(count: int) -> tuple[NDArray[np.int64], Array]:
+def empty_parts(count: int) -> tuple[NDArray[np.int64], Array]:
     """Make room for parts of broken intervals: the intervals, and the parts."""
     return np.zeros(count, np.int64), np.zeros((count, 6))
 
 
 # Of a block without breaks; nothing is written into them.
-_NO_PARTS = no_parts(0)
+_WITHOUT_PARTS = empty_parts(0)
 
 
 class ForceInterpolator:
@@ -106,11 +106,11 @@ class ForceInterpolator:
         """Return the pieces of the next block; force is zero before sample 0 and may jump there."""
         smooth = np.empty((4, force.size))
         if force.size == 0:
-            return CubicInput(smooth, *_NO_PARTS)
+            return CubicInput(smooth, *_WITHOUT_PARTS)
         smooth[0, 0], smooth[0, 1:], smooth[1] = self._last, force[:-1], force
         smooth[2] = 0.5 * (smooth[0] + force)
         smooth[3] = smooth[0] / 3.0 + force / 6.0
-        pieces = CubicInput(smooth, *(no_parts(1) if self._fresh else _NO_PARTS))
+        pieces = CubicInput(smooth, *(empty_parts(1) if self._fresh else _WITHOUT_PARTS))
         self._last, self._fresh = float(force[-1]), False
         return pieces
 

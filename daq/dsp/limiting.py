@@ -1,10 +1,9 @@
-"""Limits of a sensor's output and of integrators, on the signal itself and not on its samples.
+"""Limits of a sensor's output and of integrators act on the signal itself, not on its samples.
 
-An accelerometer's shock is over in microseconds, long before a slow converter takes its next sample. So the voltages
-that have a limit are looked at many times a period of the circuit's fastest part, whatever the sample rate. That costs
-little as long as no limit is near. An interval in which one may be reached is followed in steps: the linear circuit
-exactly, an integrator that has reached its supply held there; and where the sensor's output may reach its limit in yet
-smaller ones, what it lacks as straight lines from step to step.
+A shock lasts microseconds in an accelerometer, much less than the sample interval of a slow converter. Limited voltages
+are therefore checked many times per period of the circuit's fastest part, at any sample rate. An interval in which a
+limit may be reached is propagated in steps: the linear circuit exactly, an integrator at its rail, and in finer steps
+the excess of the sensor's output, linear from step to step.
 """
 
 from __future__ import annotations
@@ -25,14 +24,14 @@ from rig.numerics.fma import weigh
 from rig.numerics.jit import unfused
 from rig.numerics.simd import copy, multiply, padded, zeros
 
-# Looks per period of the circuit's fastest part, and at least per interval: a sine's peak is missed by 2 % between two.
-LOOKS, FEWEST_LOOKS = 16, 8
-# The same of steps where a limit is near: of an integrator, and of the sensor.
+# Checks per period of the circuit's fastest part, and at least per interval: between two, a sine's peak is 2 % higher.
+CHECKS, FEWEST_CHECKS = 16, 8
+# Steps per period and interval where a limit is near: of an integrator, and of the sensor.
 STEPS, FEWEST_STEPS = (32, 128), (8, 32)
 COARSE, FINE = 0, 1
-# Below this share of a limit at every look or coarse step it is not reached in between.
-NEAR = float(np.cos(np.pi / LOOKS))
-# An impulse that would be at the limit for less than this time, s, is no impact but rounding.
+# Below this share of the limit at every check or coarse step, the limit is not reached in between.
+NEAR_LIMIT = float(np.cos(np.pi / CHECKS))
+# An impulse that would reach the limit for less than this time, s, is rounding.
 SHORTEST = 1e-9
 
 
@@ -40,11 +39,11 @@ class Limits(NamedTuple):
     """Tables to detect where limits are reached, and to propagate the circuit there."""
 
     # Contributions of input, disturbances and states, in the order of `Tables.weights`, to each limited voltage at
-    # each look in an interval; (looks, 4 + disturbances + states).
+    # each check in an interval; (checks, 4 + disturbances + states).
     checks: Array
-    most: Array  # magnitude of these voltages up to which no limit is reached; (looks,)
-    safe: Array  # weights of the magnitudes of the same; where the sum is below 1 no limit is reached at any look
-    steps: NDArray[np.int64]  # coarse and fine steps in an interval that is followed closely; int64; (2,)
+    most: Array  # magnitude of these voltages up to which no limit is reached; (checks,)
+    safe: Array  # weights of the magnitudes of the same; if their sum is below 1, no check reaches a limit
+    steps: NDArray[np.int64]  # coarse and fine steps in an interval propagated in steps; int64; (2,)
     step: Array  # the vector's transition over one of each; (2, size, size), as `Tables.coarse`
     # Contribution of 1 V of each steady disturbance to the vector over a step, and zeros; (2, disturbances, width).
     held: Array
@@ -52,13 +51,13 @@ class Limits(NamedTuple):
     varying: Array
     limit: float  # of the sensor's output, V
     output: Array  # the sensor's output from the vector; (size,)
-    # Contribution of 1 V beyond the limit to the vector, at a step's start and at its end; (2, 2, width).
-    lacking: Array
-    # What is beyond the limit at a step's end, as a share of what would be without its own effect on the shift; (2,).
+    # Contribution of an excess of 1 V to the vector, at a step's start and at its end; (2, 2, width).
+    excess_ramps: Array
+    # Excess at a step's end, relative to the excess without its own effect on the shift; (2,).
     relief: Array
-    impulse: Array  # remaining effect of a unit impulse beyond the limit; (width,)
-    least: float  # smallest impulse that does, as `CubicInput` has them; none does behind a resonance
-    shift: int  # state that holds the shift of zero after an overload; -1: there is none
+    impulse: Array  # remaining effect of a unit impulse over the limit; (width,)
+    least: float  # smallest impulse over the limit, as in `CubicInput`; none behind a resonance
+    shift: int  # state of the zero shift after an overload; -1: none
     rails: Array  # largest magnitude of each state, V; (states,)
     # Contribution of an even input that adds 1 V to each state over a step to the vector; (2, states, width).
     holding: Array
@@ -85,22 +84,22 @@ def limits_of(
     output = zeros(padded(size))
     output[: leading.c.size], output[width] = leading.c, leading.d[0] * gain
     fastest = float(np.abs(np.linalg.eigvals(circuit.a)).max(initial=0.0)) / (2 * np.pi * rate)
-    looks = max(FEWEST_LOOKS, int(np.ceil(LOOKS * fastest)))
+    count = max(FEWEST_CHECKS, int(np.ceil(CHECKS * fastest)))
     steps = np.array(
         [max(least, int(np.ceil(each * fastest))) for each, least in zip(STEPS, FEWEST_STEPS, strict=True)]
     )
 
-    # The part beyond the limit is missing behind the sensor, and shifts its zero.
-    beyond = np.zeros(width)
-    beyond[:states] = -circuit.b[sensor] / rate
+    # The excess over the limit is missing behind the sensor, and shifts its zero.
+    excess_input = np.zeros(width)
+    excess_input[:states] = -circuit.b[sensor] / rate
     if integrals:
-        beyond[states] = -circuit.d[sensor]
+        excess_input[states] = -circuit.d[sensor]
     shift = -1
     for section, first in zip(sections[:sensor], circuit.sections, strict=False):
         if section.name == RECOVERY:
             shift = first
-            beyond[shift] = -section.a[0, 0] / rate
-    lacking = np.array([_ramps(generator, beyond, count) for count in steps])
+            excess_input[shift] = -section.a[0, 0] / rate
+    excess_ramps = np.array([_ramps(generator, excess_input, count) for count in steps])
     everything, start = with_disturbances(generator, circuit, rate, tables.integrals, entries)
     held = np.array([(expm(everything / count) @ start)[:width, states + 4 :].T for count in steps])
     steady = np.array([entry.degree == 0 for entry in entries], dtype=bool)
@@ -111,7 +110,7 @@ def limits_of(
     watched = [(np.concatenate([output[:size], np.zeros(len(everything) - size)]), reach)]
     watched += [(np.eye(len(everything))[state], rails[state]) for state in range(states)]
     watched = [(row, most) for row, most in watched if np.isfinite(most)]
-    checks, most = _looked_at(watched, everything, start, states, looks)
+    checks, most = _check_rows(watched, everything, start, states, count)
     return Limits(
         checks=checks,
         most=most,
@@ -123,48 +122,48 @@ def limits_of(
         varying=varying,
         limit=reach,
         output=output,
-        lacking=lacking,
-        relief=1.0 / (1.0 - lacking[:, 1] @ output[:width]),
-        impulse=generator[:width, width] + through * beyond,
+        excess_ramps=excess_ramps,
+        relief=1.0 / (1.0 - excess_ramps[:, 1] @ output[:width]),
+        impulse=generator[:width, width] + through * excess_input,
         least=float(reach * SHORTEST * rate / abs(through)) if through else np.inf,
         shift=shift,
         rails=rails,
-        holding=np.array([_pushes(generator, states, count) for count in steps]),
+        holding=np.array([_holding_inputs(generator, states, count) for count in steps]),
     )
 
 
-def _ramps(generator: Array, beyond: Array, steps: int) -> Array:
-    """Return what an input that falls from 1 to 0 over a step adds to the vector, and one that rises: (2, width)."""
-    size, width = len(generator), beyond.size
+def _ramps(generator: Array, excess_input: Array, steps: int) -> Array:
+    """Return the contributions of inputs that fall from 1 to 0 and rise from 0 to 1 over a step; (2, width)."""
+    size, width = len(generator), excess_input.size
     ramp = np.zeros((size + 2, size + 2))
     ramp[:size, :size] = generator
-    ramp[:width, size], ramp[size, size + 1] = beyond, 1.0
+    ramp[:width, size], ramp[size, size + 1] = excess_input, 1.0
     ramp = expm(ramp / steps)
     rising = ramp[:width, size + 1] * steps
     return np.array([ramp[:width, size] - rising, rising])
 
 
-def _pushes(generator: Array, states: int, steps: int) -> Array:
-    """Return what adds 1 to each state over a step, evenly, adds to the vector; shape (states, width)."""
+def _holding_inputs(generator: Array, states: int, steps: int) -> Array:
+    """Return the contributions of even inputs that add 1 to each state over a step; (states, width)."""
     size = len(generator)
-    pushes = np.zeros((size + states, size + states))
-    pushes[:size, :size], pushes[:states, size:] = generator, np.eye(states)
-    added = expm(pushes / steps)[: size - 4, size:].T
+    inputs = np.zeros((size + states, size + states))
+    inputs[:size, :size], inputs[:states, size:] = generator, np.eye(states)
+    added = expm(inputs / steps)[: size - 4, size:].T
     return np.asarray(added / np.diagonal(added)[:, None])
 
 
-def _looked_at(
-    watched: Sequence[tuple[Array, float]], everything: Array, start: Array, states: int, looks: int
+def _check_rows(
+    watched: Sequence[tuple[Array, float]], everything: Array, start: Array, states: int, count: int
 ) -> tuple[Array, Array]:
-    """Rows of the limited voltages at each look, and the magnitudes that prove them within their limits in between."""
-    over_look = expm(everything / looks)
-    checks = np.zeros((len(watched) * looks, start.shape[1]))
+    """Rows of the limited voltages at each check, and the magnitudes that prove them within their limits in between."""
+    over_check = expm(everything / count)
+    checks = np.zeros((len(watched) * count, start.shape[1]))
     most = np.zeros(len(checks))
     for number, (row, largest) in enumerate(watched):
-        for look in range(looks):
-            row = row @ over_look
-            checks[number * looks + look] = row @ start
-        most[number * looks : (number + 1) * looks] = largest * NEAR
+        for check in range(count):
+            row = row @ over_check
+            checks[number * count + check] = row @ start
+        most[number * count : (number + 1) * count] = largest * NEAR_LIMIT
     return np.ascontiguousarray(input_first(checks, states)), most
 
 
@@ -179,20 +178,20 @@ def within(limits: Limits, course: Array, sizes: Array, sums: Array, count: int)
         for k in range(count):
             sizes[r, k] = abs(course[r, k])
     weigh(sizes, 0, 0, limits.safe, course.shape[0], sums, count)
-    if not _beyond(sums[:count], 1.0):
+    if not _exceeds(sums[:count], 1.0):
         return count
-    for look in range(limits.most.size):
-        weigh(course, 0, 0, limits.checks[look], course.shape[0], sums, count)
-        if _beyond(sums[:count], limits.most[look]):
+    for check in range(limits.most.size):
+        weigh(course, 0, 0, limits.checks[check], course.shape[0], sums, count)
+        if _exceeds(sums[:count], limits.most[check]):
             for k in range(count):
-                if abs(sums[k]) > limits.most[look]:
+                if abs(sums[k]) > limits.most[check]:
                     count = k
                     break
     return count
 
 
 @unfused
-def _beyond(values: Array, limit: float) -> bool:
+def _exceeds(values: Array, limit: float) -> bool:
     """Whether any magnitude exceeds a limit; without branches, so that several are compared at a time."""
     count = 0
     for k in range(values.size):
@@ -267,7 +266,7 @@ def _in_steps(
         if whole[LENGTH] > 0.0:
             begin_part(tables, whole, vector)
         if node == 0:
-            near |= abs(_sensed(limits, vector)) > limits.limit * NEAR
+            near |= abs(_sensor_output(limits, vector)) > limits.limit * NEAR_LIMIT
             excess = _excess(limits, vector)
         while node < steps and (node + 1) / steps <= end:
             if place == node / steps:
@@ -278,21 +277,21 @@ def _in_steps(
             node += 1
             place = node / steps
             for r in range(tables.width):
-                vector[r] += excess * limits.lacking[size, 0, r] + workspace.steady[r]
-            near |= abs(_sensed(limits, vector)) > limits.limit * NEAR
+                vector[r] += excess * limits.excess_ramps[size, 0, r] + workspace.steady[r]
+            near |= abs(_sensor_output(limits, vector)) > limits.limit * NEAR_LIMIT
             excess = limits.relief[size] * _excess(limits, vector)
             if excess != 0.0:
                 for r in range(tables.width):
-                    vector[r] += excess * limits.lacking[size, 1, r]
+                    vector[r] += excess * limits.excess_ramps[size, 1, r]
                 reached = True
-            reached |= _hold(limits, size, vector)
+            reached |= _clip_states(limits, size, vector)
         if end > place:
             advance(tables, end - place, workspace)
             place = end
-        beyond = abs(whole[JUMP]) > limits.least
-        reached |= beyond
+        limited = abs(whole[JUMP]) > limits.least
+        reached |= limited
         for r in range(tables.width):
-            vector[r] += (limits.impulse[r] if beyond else tables.impulse[r]) * whole[JUMP]
+            vector[r] += (limits.impulse[r] if limited else tables.impulse[r]) * whole[JUMP]
     return part, excess, near, reached
 
 
@@ -321,7 +320,7 @@ def _next_part(pieces: CubicInput, part: int, interval: int, out: Array) -> bool
 
 
 @unfused
-def _sensed(limits: Limits, vector: Array) -> float:
+def _sensor_output(limits: Limits, vector: Array) -> float:
     """Return the sensor's output without its limit, V."""
     free = 0.0
     for r in range(limits.output.size):
@@ -331,21 +330,21 @@ def _sensed(limits: Limits, vector: Array) -> float:
 
 @unfused
 def _excess(limits: Limits, vector: Array) -> float:
-    """How far the sensor's output is beyond its limit, V."""
-    free = _sensed(limits, vector)
+    """Return the excess of the sensor's output over its limit, V."""
+    free = _sensor_output(limits, vector)
     return free - min(max(free, -limits.limit), limits.limit)
 
 
 @unfused
-def _hold(limits: Limits, size: int, vector: Array) -> bool:
-    """Keep the states within their largest magnitude over a step; return whether any was beyond."""
-    held = False
+def _clip_states(limits: Limits, size: int, vector: Array) -> bool:
+    """Clip the states at their rails, evenly over a step; return whether any was clipped."""
+    any_clipped = False
     for j in range(limits.rails.size):
-        kept = min(max(vector[j], -limits.rails[j]), limits.rails[j])
-        beyond = vector[j] - kept
-        if beyond != 0.0:
+        clipped = min(max(vector[j], -limits.rails[j]), limits.rails[j])
+        excess = vector[j] - clipped
+        if excess != 0.0:
             for r in range(limits.holding.shape[2]):
-                vector[r] -= beyond * limits.holding[size, j, r]
-            vector[j] = kept
-            held = True
-    return held
+                vector[r] -= excess * limits.holding[size, j, r]
+            vector[j] = clipped
+            any_clipped = True
+    return any_clipped

@@ -51,17 +51,17 @@ class Noise:
         # Of the filter that colours it.
         self.states = 0
         if corner is not None:
-            loss, weight, self._gain = shape(corner, rate)
+            loss, weight, self._gain = flicker_filter(corner, rate)
             self.states = loss.size
-            self._keep, self._weight, self._kept = (zeros(padded(loss.size)) for _ in range(3))
-            self._keep[: loss.size], self._weight[: loss.size] = 1.0 - loss, weight
+            self._retained, self._weight, self._states = (zeros(padded(loss.size)) for _ in range(3))
+            self._retained[: loss.size], self._weight[: loss.size] = 1.0 - loss, weight
 
     def fill(self, samples: Array) -> None:
         """Fill in the next samples, V, shape (samples,)."""
         self._random.standard_normal(out=samples)
         samples *= self._deviation
         if self.states:
-            _colour(samples, self._keep, self._weight, self._gain, self._kept)
+            _colour(samples, self._retained, self._weight, self._gain, self._states)
 
 
 class FastNoise:
@@ -86,7 +86,7 @@ class FastNoise:
 
 # Sensors of one kind share the same.
 @lru_cache(maxsize=16)
-def shape(corner: float, rate: float) -> tuple[Array, Array, float]:
+def flicker_filter(corner: float, rate: float) -> tuple[Array, Array, float]:
     """Return loss, weight and gain of the filter from white noise to a density ``sqrt(1 + corner / f)`` times.
 
     A sum of first-order low-pass spectra, their corners spread evenly over the logarithm of frequency, makes the
@@ -140,8 +140,8 @@ def _loss(y: Array) -> Array:
 
 
 @unfused
-def _colour(samples: Array, keep: Array, weight: Array, gain: float, states: Array) -> None:
+def _colour(samples: Array, retained: Array, weight: Array, gain: float, states: Array) -> None:
     """Pass samples through first-order states in parallel, in place."""
     for i in range(samples.size):
         white = samples[i]
-        samples[i] = gain * (white + follow(states, keep, weight, white))
+        samples[i] = gain * (white + follow(states, retained, weight, white))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.dsp.interpolation import JUMP, LENGTH, CubicInput, no_parts, put
+from daq.dsp.interpolation import JUMP, LENGTH, CubicInput, empty_parts, put
 from rig.arrays import Array
 from rig.errors import SceneError
 from rig.numerics.fma import fused
@@ -59,7 +59,7 @@ class Delay:
         # more.
         waiting = len(self._tail)
         room = waiting + 4 * pieces.broken.size + 4
-        broken, parts = no_parts(room)
+        broken, parts = empty_parts(room)
         tail = np.zeros((room, 6))
         tail[:waiting] = self._tail
         count, waiting = _shift(
@@ -169,17 +169,17 @@ def _shift(
 def _join(pieces: Array, weights: Array, last: Array, out: Array) -> None:
     """Join every interval with the previous interval as if both were whole; one quantity of the result."""
     start, end, mean, moment = pieces[0], pieces[1], pieces[2], pieces[3]
-    out[0] = _joined_up(
+    out[0] = _weighted_sum(
         weights, last[0], last[1], last[2], last[3], start[0], end[0], mean[0], moment[0],
     )  # fmt: skip
     for i in range(1, out.size):
-        out[i] = _joined_up(
+        out[i] = _weighted_sum(
             weights, start[i - 1], end[i - 1], mean[i - 1], moment[i - 1], start[i], end[i], mean[i], moment[i],
         )  # fmt: skip
 
 
 @unfused
-def _joined_up(
+def _weighted_sum(
     weights: Array,
     a: float, b: float, c: float, d: float, e: float, f: float, g: float, h: float,
 ) -> float:  # fmt: skip

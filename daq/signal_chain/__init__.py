@@ -1,5 +1,4 @@
-"""From motion to samples: sensor, amplifier, converter, and the bench that holds them all beside the rig.
+"""Signal chain from motion to volts at the converter: sensor, amplifier, coupling, sampling, quantisation.
 
-Nothing here knows tests or files. Start with `bench`; `sensors`, `amplifier` and `converter` turn data sheets into
-stages, and `chain` carries all channels.
+This room does not depend on tests or files. Start with `chain`; `devices` turns data sheets into stages.
 """

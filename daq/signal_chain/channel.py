@@ -1,4 +1,4 @@
-"""What a channel measures and how its readings relate to the quantity that was there."""
+"""Description of a channel: its quantity, and the frequency response from the true quantity to its readings."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class ChannelInfo:
 
     @property
     def sampling(self) -> Literal["point", "average", "filter"]:
-        """What a sample is: the voltage at its instant, its average over the interval before, or what a filter gave."""
+        """Kind of sample: voltage at its instant, average over the interval before it, or output of the filter."""
         return "filter" if self.filter else "average" if self.average else "point"
 
     @property

@@ -88,7 +88,7 @@ class Outputs:
             self._rows.append((row, full, None if settings.bits is None else 2.0 * full / 2.0**settings.bits))
 
     def put_out(self, drive: Array) -> Array:
-        """Give what becomes of a drive, shape (inputs, samples)."""
+        """Return the output for a drive, shape (inputs, samples)."""
         if not self._rows:
             return drive
         given = drive.copy()

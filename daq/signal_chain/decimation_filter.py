@@ -1,11 +1,9 @@
 """The decimation filter of a delta-sigma converter.
 
-Such a converter samples many times faster than it reports and computes what it reports with a long symmetric
-filter, so that nothing beyond half the sample rate comes through. Here the filter acts on the signal itself,
-not on a faster sampled version of it: over every sample interval the chain knows the signal's first Legendre
-moments exactly, impacts included, and the filter, cut into sample intervals and each piece written in
-Legendre polynomials, weighs those. That is an integral of signal times filter, as quick as a filter with as
-many taps.
+Such a converter oversamples and reports the output of a long symmetric low-pass filter, which removes content above
+half the sample rate. Here the filter acts on the continuous signal: the chain provides the exact Legendre moments of
+the signal over every sample interval, impacts included, and the filter, divided into sample intervals and expanded in
+Legendre polynomials, weights these moments. The sum is the integral of signal times filter.
 """
 
 from __future__ import annotations
@@ -19,9 +17,9 @@ from numpy.typing import ArrayLike
 
 from rig.arrays import Array
 
-# Eight moments follow any signal through a piece one sample long to 3e-6 of what the filter lets through.
+# Eight moments represent any signal over a sample interval with an error of 3e-6 of the filter's output.
 MOMENTS = 8
-# Design of the one filter there is: edges of the pass and stop band as shares of the sample rate, and the
+# Design of the filter: edges of the pass and stop band as shares of the sample rate, and the
 # delay in samples. A Kaiser window of this length falls by over 100 dB between them.
 PASS, STOP = 0.4535, 0.5465
 DELAY = 38
@@ -52,12 +50,12 @@ class Decimation:
 
     @property
     def design(self) -> dict[str, float]:
-        """What it is made from, for metadata."""
+        """Parameters, for metadata."""
         return asdict(self)
 
     @property
     def length(self) -> int:
-        """Number of sample intervals it extends over."""
+        """Length in sample intervals."""
         return int(np.ceil(2 * self.delay))
 
     def impulse_response(self, time: Array) -> Array:
@@ -68,7 +66,7 @@ class Decimation:
 
     def magnitude(self, frequency: ArrayLike) -> Array:
         """Response without the delay; real, as the filter is symmetric. Frequencies in Hz, any shape."""
-        # A sum over 16 points a sample instead of the integral: right within 1e-6 up to 15 times the sample
+        # A sum over 16 points a sample instead of the integral: accurate to 1e-6 up to 15 times the sample
         # rate.
         points = 16
         values = self.impulse_response(np.arange(self.delay * points) / points)

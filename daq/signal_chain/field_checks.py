@@ -1,4 +1,4 @@
-"""Checks of the fields that a file states about itself, where it is read; they are trusted from there on."""
+"""Checks of the fields that a file states about itself, where it is read; later code trusts them."""
 
 from __future__ import annotations
 

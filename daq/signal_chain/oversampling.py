@@ -1,4 +1,4 @@
-"""How much faster than its sample clock a delta-sigma converter looks at the rig, and the drive in between."""
+"""Oversampling of the rig by a delta-sigma converter, and interpolation of the drive."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from rig.scene.scene import Scene
 from rig.scene.shaker import TableShaker
 from rig.system.assembly import assemble
 
-#: Up to here, Hz, every rig is followed, however slowly it oscillates by itself.
+#: Frequency up to which the motion of every rig is resolved, Hz.
 BAND = 1000.0
-#: A motion is followed up to this share of the rate at which it is looked at: cubics through what is seen
-#: there (`daq.dsp.interpolation`) are right within 0.0001 dB.
-FOLLOWED = 0.1
-#: Fastest rate, Hz, at which a modulator looks. What oscillates faster still folds, as in a real one.
-FASTEST = 1.024e6
+#: Motion is resolved up to this share of the oversampled rate: cubics through its samples (`daq.dsp.interpolation`)
+#: are accurate to 0.0001 dB.
+RESOLVED = 0.1
+#: Largest oversampled rate, Hz. Faster oscillations are aliased, as in a real modulator.
+FASTEST_RATE = 1.024e6
 
 
 def oversampling(scene: Scene) -> int:
@@ -50,20 +50,20 @@ def oversampling(scene: Scene) -> int:
     if filtered or limited:
         fastest = float(np.abs(system.poles.imag).max(initial=0.0)) / (2 * np.pi)
     if system.lasting.any():
-        # A landing may be over between two samples, and the sensor still has to feel all of it.
+        # A landing may end between two samples, and still acts on the sensor.
         fastest = max(fastest, system.fastest / (2 * np.pi))
-    followed = fastest / rate / FOLLOWED
+    needed = fastest / rate / RESOLVED
     for spheres in spheres_of(scene).values():
-        # A contact of grains is half a period of what they do, and their forces are the body's.
+        # A contact of grains lasts half a period of their oscillation, and its force acts on the body.
         fastest = max(fastest, 0.5 / contact_time(spheres.settings))
     if filtered:
-        seen = fastest / rate + STOP
+        images = fastest / rate + STOP
         band = max(fastest, BAND) / rate
-        followed = max(seen, (band if limited else min(band, PASS)) / FOLLOWED)
-        # The drive's straight lines end in corners, which a table follows as far as it can.
+        needed = max(images, (band if limited else min(band, PASS)) / RESOLVED)
+        # The drive is piecewise linear; its corners excite a table up to its bandwidth.
         tables = (each.bandwidth for each in scene.shakers if isinstance(each, TableShaker))
-        followed = max(followed, max(tables, default=0.0) / rate / FOLLOWED)
-    return max(1, min(math.ceil(followed), int(FASTEST / rate)))
+        needed = max(needed, max(tables, default=0.0) / rate / RESOLVED)
+    return max(1, min(math.ceil(needed), int(FASTEST_RATE / rate)))
 
 
 class DriveLine:

@@ -1,4 +1,4 @@
-"""How a converter takes a sample of the voltage at its input."""
+"""Sampling of the voltage at the converter's input."""
 
 from __future__ import annotations
 

@@ -102,7 +102,7 @@ class SignalPath:
         intervals = pieces.smooth.shape[1]
         ends = slice(-self._interval % self._oversampling, intervals, self._oversampling)
         self._interval += intervals
-        held = self._disturbances.hold(intervals)
+        held = self._disturbances.draw(intervals)
         points = np.empty((self._rows_input.size, intervals))
         propagate(
             pieces, self._tables, self._limits, self._state, held, self._rows, self._rows_input,

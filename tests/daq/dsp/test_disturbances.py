@@ -7,7 +7,7 @@ import pytest
 from numpy.polynomial.legendre import legval
 
 from daq.dsp.disturbances import Disturbances, Offset
-from daq.dsp.noise import LOWEST, FastNoise, Noise, generator, shape
+from daq.dsp.noise import LOWEST, FastNoise, Noise, flicker_filter, generator
 
 
 class Given:
@@ -26,7 +26,7 @@ class Given:
 def test_cut_polynomials_are_the_same_curves(each, cuts):
     samples = np.random.default_rng(each).standard_normal((4, 30))
     of = Disturbances([Given(row) for row in samples], np.zeros(4), (0, 1, 2, 0), each)
-    held = np.concatenate([of.hold(int(n)) for n in np.diff([0, *cuts, 29 * each + 1])], axis=1)
+    held = np.concatenate([of.draw(int(n)) for n in np.diff([0, *cuts, 29 * each + 1])], axis=1)
     inside = np.linspace(-1.0, 1.0, 5)
     # Interval 0 ends at sample 0; a sample's polynomials reach over the time since the sample before.
     for interval in range(29 * each + 1):
@@ -44,10 +44,10 @@ def test_direct_disturbances_are_added():
         [Offset(level, None, 1.0) for level in (1.0, 2.0, 5.0)], np.array([0.5, 0.0, -1.0]), (0, 0, 0), 1
     )
     volts = np.array([10.0, 20.0])
-    of.add_direct(of.hold(2), volts)
+    of.add_direct(of.draw(2), volts)
     assert volts.tolist() == [5.5, 15.5]
     none = Disturbances([], np.zeros(0), (), 4)
-    assert none.hold(3).shape == (0, 3)
+    assert none.draw(3).shape == (0, 3)
 
 
 def test_settling_offset_is_exponential():
@@ -69,7 +69,7 @@ def test_settling_offset_is_exponential():
     ],
 )
 def test_shaped_noise_density_follows_the_corner(corner, rate, near, at_the_end):
-    loss, weight, gain = shape(corner, rate)
+    loss, weight, gain = flicker_filter(corner, rate)
     frequency = np.geomspace(10 * min(LOWEST, 0.1 * corner, 0.01 * rate), 0.5 * rate, 200)
     delay = np.exp(-2j * np.pi * frequency / rate)[:, None]
     density = gain * abs(1.0 + np.sum(weight * delay / (1.0 - (1.0 - loss) * delay), axis=1))
@@ -83,7 +83,7 @@ def test_shaped_noise_density_follows_the_corner(corner, rate, near, at_the_end)
 
 def test_shaping_states_follow_their_design():
     corner, rate = 20.0, 5120.0
-    loss, weight, gain = shape(corner, rate)
+    loss, weight, gain = flicker_filter(corner, rate)
     samples = np.empty(500)
     Noise(3e-6, corner, rate, generator(4, "c", "noise")).fill(samples)
     white = generator(4, "c", "noise").standard_normal(500) * 3e-6 * np.sqrt(0.5 * rate)

@@ -17,8 +17,8 @@ from daq.signal_chain.converter import Outputs, Quantiser
 from daq.signal_chain.oversampling import DriveLine, oversampling
 from daq.virtual_bench.motion_rate import MotionAtRate
 from rig.arrays import Array
-from rig.simulation.drive import validate_drive
 from rig.errors import SceneError
+from rig.simulation.drive import validate_drive
 from rig.simulation.plant import Plant
 
 if TYPE_CHECKING:

@@ -23,7 +23,7 @@ from daq.server.live import LiveRecording, LiveView
 from daq.server.served_instrument import Limits
 from daq.server.service import Server
 from daq.server.starter_script import report_missing_excitation, starter_script
-from daq.signal_chain.outputs import volt_effect
+from daq.signal_chain.converter import volt_effect
 from rig.ending_signals import TERMINATION_SIGNALS
 from rig.errors import SceneError
 from rig.input_files import read_file

@@ -53,6 +53,10 @@ REPEATS = 2
 EXACT = 1e-10
 #: Largest relative difference of two motions that agree, for the choice of frequencies.
 SAME = 1e-4
+#: Message for a scene whose unchanged chain gives no result.
+UNMEASURABLE = (
+    "the scene as it is cannot be measured: {}. Run `daq record` with it and remove what it reports."
+)
 
 
 @dataclass(frozen=True)
@@ -60,10 +64,8 @@ class Measurement:
     """Measured error and time of a chain variant."""
 
     group: str
-    setting: str
-    """Changed part of the chain, and its setting."""
-    cpu: float
-    """CPU time of recording and analysis, s; NaN after a failure."""
+    setting: str  # Changed part of the chain, and its setting
+    cpu: float  # CPU time of recording and analysis, s; NaN after a failure
     duration: float  # Length of the test, s
     error: float
     """Largest error of the compliance over measured bodies and frequencies, relative to the largest compliance.
@@ -71,8 +73,7 @@ class Measurement:
     corrected: float
     """Size of that correction: largest relative error of a displacement computed with nominal sensitivities
     only. In a compliance most of it cancels if all channels are identical."""
-    note: str = ""
-    """Warnings of test and analysis, or the reason for a failure."""
+    note: str = ""  # Warnings of test and analysis, or the reason for a failure
 
 
 @dataclass(frozen=True)
@@ -85,10 +86,8 @@ class ChainStudy:
     quiet: Measurement
     """The scene without noise, quantization, sensor tolerances and bias, which no data sheet can correct; the
     baseline of all changes."""
-    points: tuple[Measurement, ...]
-    """Results with one part of the chain changed at a time."""
-    reference: str
-    """Reference of the errors, and its origin."""
+    points: tuple[Measurement, ...]  # Results with one part of the chain changed at a time
+    reference: str  # Reference of the errors, and its origin
 
 
 def chain_study(
@@ -129,25 +128,25 @@ def chain_study(
         try:
             volts = bench.largest_volts(base)
         except ShotrigError as error:
-            raise type(error)(f"the scene as it is cannot be measured: {error}") from None
+            raise type(error)(UNMEASURABLE.format(error)) from None
         todo = [
             Variant("", "as it is", base),
             Variant("", "without noise and tolerances", quiet(base)),
             *variants(base, min(chosen), hardest, max(chosen), volts),
         ]
-        found: list[Measurement] = []
+        measured: list[Measurement] = []
         for number, variant in enumerate(todo):
             if progress is not None:
                 progress(number, len(todo))
-            found.append(bench.measurement(variant))
-            if np.isnan(found[0].error):
-                raise RunError(f"the scene as it is cannot be measured: {found[0].note}")
+            measured.append(bench.measurement(variant))
+            if np.isnan(measured[0].error):
+                raise RunError(UNMEASURABLE.format(measured[0].note))
     reference = (
         "the exact solution of the linear equations"
         if linear
         else f"the engine's steady motion under the drive stated in the recording, repeating within {EXACT:.0e}"
     )
-    return ChainStudy(base, chosen, found[0], found[1], tuple(found[2:]), reference)
+    return ChainStudy(base, chosen, measured[0], measured[1], tuple(measured[2:]), reference)
 
 
 def steady_frequencies(scene: Scene) -> tuple[float, ...]:
@@ -162,21 +161,19 @@ def steady_frequencies(scene: Scene) -> tuple[float, ...]:
         good = np.ones(len(candidates), dtype=bool)
     else:
         response = frequency_response(motion, candidates, direction="both", tolerance=1e-6, longest=6000)
-        up, down = (
-            response.compliance[:, : len(candidates)],
-            response.compliance[:, : len(candidates) - 1 : -1],
-        )
+        upward, downward = slice(len(candidates)), slice(None, len(candidates) - 1, -1)
+        up, down = response.compliance[:, upward], response.compliance[:, downward]
         repeats = response.converged & (response.repetition == 1)
-        good = repeats[: len(candidates)] & repeats[: len(candidates) - 1 : -1]
+        good = repeats[upward] & repeats[downward]
         good &= np.abs(up - down).max(axis=0) < SAME * np.abs(up).max(axis=0)
     if not good.any():
         raise RunError(
             "the motion is periodic at none of the frequencies tried, so that there is no reference "
             "compliance. Choose others with --frequency, or another level."
         )
-    kept = candidates[good]
-    hardest = kept[int(np.argmax(_accelerations(motion, kept)))]
-    return tuple(sorted({float(f"{f:.4g}") for f in (kept[0], hardest, kept[-1])}))
+    steady = candidates[good]
+    hardest = steady[int(np.argmax(_accelerations(motion, steady)))]
+    return tuple(sorted({float(f"{f:.4g}") for f in (steady[0], hardest, steady[-1])}))
 
 
 def _accelerations(scene: Scene, frequencies: Sequence[float] | NDArray[np.float64]) -> NDArray[np.float64]:
@@ -231,22 +228,23 @@ class _Bench:
             with open_recording(path) as rec:
                 true = self._truth(rec)
                 measured = np.array([curve.value for curve in curves])
-                corrected = _correction(rec)
+                frequencies = [
+                    float(mark.fields["frequency"]) for mark in rec.markers if mark.kind == "measure"
+                ]
+                corrected = max(
+                    float(np.abs(info.response(frequencies) - 1.0).max()) for info in rec.channels.values()
+                )
                 duration = rec.samples / rec.rate
                 if measured.shape != true.shape or not np.isfinite(measured).all():
-                    raise RunError("; ".join(dict.fromkeys(notes)) or "the channels read nothing")
+                    raise RunError(
+                        "; ".join(dict.fromkeys(notes))
+                        or "the channels read nothing. Check their sensitivities"
+                    )
         except ShotrigError as error:
             nan = float("nan")
             return Measurement(variant.group, variant.setting, nan, nan, nan, nan, str(error))
-        return Measurement(
-            variant.group,
-            variant.setting,
-            min(times),
-            duration,
-            _miss(measured, true),
-            corrected,
-            " ".join(dict.fromkeys(notes)),
-        )
+        deviation, note = _largest_error(measured, true), " ".join(dict.fromkeys(notes))
+        return Measurement(variant.group, variant.setting, min(times), duration, deviation, corrected, note)
 
     def _record(self, scene: Scene) -> Path:
         return record(scene, self._folder / "chain.mcap", overwrite=True)
@@ -279,16 +277,13 @@ def _driven(scene: Scene, frequency: float, drive: float) -> ComplexArray:
     scene = scene.replace(test=test.replace(**{name: drive * smaller}))
     response = frequency_response(scene, [frequency], tolerance=EXACT)
     if not response.converged[0]:
-        raise RunError(f"no steady state at {frequency:g} Hz as a reference")
+        raise RunError(
+            f"no steady state at {frequency:g} Hz, so that there is no reference. Choose other frequencies with "
+            "--frequency."
+        )
     return response.compliance[:, 0]
 
 
-def _correction(rec: Recording) -> float:
-    """Compute the largest relative error of any channel from its data sheet, at the measured frequencies."""
-    frequencies = [float(mark.fields["frequency"]) for mark in rec.markers if mark.kind == "measure"]
-    return max(float(np.abs(info.response(frequencies) - 1.0).max()) for info in rec.channels.values())
-
-
-def _miss(value: ComplexArray, true: ComplexArray) -> float:
+def _largest_error(value: ComplexArray, true: ComplexArray) -> float:
     """Compute the largest error of any body, relative to the largest compliance at that frequency."""
     return float((np.abs(value - true).max(axis=0) / np.abs(true).max(axis=0)).max())

@@ -40,8 +40,7 @@ GROUPS = ("sensor", "noise", "integrator", "anti-alias filter", "sample rate", "
 class Variant:
     """A scene with one part of its chain changed."""
 
-    group: str
-    """Changed part, one of `GROUPS`; "" for the scene itself."""
+    group: str  # Changed part, one of `GROUPS`; "" for the scene itself
     setting: str  # New setting of that part
     scene: Scene
 
@@ -91,18 +90,18 @@ def own_setting(scene: Scene, group: str) -> str:
     if group == "anti-alias filter":
         return "off" if converter.filter is None else "on"
     if group == "integrator":
-        found = [
+        texts = [
             NAMES[0 if c.integrator is None else c.integrator.order] for c in channels if not c.measures_force
         ]
     elif group == "sensor":
         sensors = [channel.accelerometer for channel in channels if not channel.measures_force]
-        found = [
+        texts = [
             "no resonance" if s is None or s.resonance is None else f"resonance {s.resonance:.6g} Hz"
             for s in sensors
         ]
     else:
-        found = []
-    return " and ".join(dict.fromkeys(found))
+        texts = []
+    return " and ".join(dict.fromkeys(texts))
 
 
 def quiet(scene: Scene) -> Scene:
@@ -113,8 +112,7 @@ def quiet(scene: Scene) -> Scene:
 def _exact_sensors(scene: Scene) -> Scene:
     if scene.channels is None:
         return scene
-    off = dict.fromkeys(UNCORRECTABLE)
-    scene = _sensors(scene, **off)
+    scene = _sensors(scene, **dict.fromkeys(UNCORRECTABLE))
     exact = [
         channel
         if channel.hammer is None
@@ -125,7 +123,7 @@ def _exact_sensors(scene: Scene) -> Scene:
 
 
 def _without_counts(scene: Scene) -> Scene:
-    return _converter(scene, bits=None).replace(recording=_floats(scene))
+    return _converter(scene, bits=None).replace(recording=scene.recording.replace(samples=None))
 
 
 def variants(
@@ -158,11 +156,6 @@ def variants(
 
 def _converter(scene: Scene, **changes: Any) -> Scene:
     return scene.replace(converter=scene.converter.replace(**changes))
-
-
-def _floats(scene: Scene) -> Any:
-    """Return recording settings for samples without quantization."""
-    return scene.recording.replace(samples=None)
 
 
 def _sensors(scene: Scene, **changes: Any) -> Scene:

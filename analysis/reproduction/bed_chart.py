@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from itertools import product
 from typing import TYPE_CHECKING
 
@@ -18,7 +17,7 @@ from analysis.reproduction.contact_study import (
     select,
     with_ceiling,
 )
-from analysis.reproduction.figures import BLACK, Parts
+from analysis.reproduction.figures import BLACK, Columns, Parts
 from rig.figure_style import new_figure
 
 if TYPE_CHECKING:
@@ -81,9 +80,7 @@ def modes(parts: Parts) -> Figure:
     return figure
 
 
-def _panel(
-    axes: Axes, data: Mapping[str, np.ndarray], chosen: np.ndarray, off: np.ndarray, error: np.ndarray
-) -> AxesImage:
+def _panel(axes: Axes, data: Columns, chosen: np.ndarray, off: np.ndarray, error: np.ndarray) -> AxesImage:
     levels, clearances = np.unique(data["level"]), np.unique(data["clearance"])
     values = np.full((len(levels), len(clearances)), np.nan)
     for k in np.flatnonzero(chosen):

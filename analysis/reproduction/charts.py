@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.reproduction.figures import BLACK, BLUE, GREEN, GREY, RED, Parts
+from analysis.reproduction.figures import BLACK, BLUE, GREEN, GREY, RED, Columns, Parts
 from rig.figure_style import new_figure
 
 if TYPE_CHECKING:
@@ -18,14 +17,16 @@ if TYPE_CHECKING:
 
 def region(parts: Parts) -> Figure:
     """Draw the region in which three dampers reduce the single damper's peak by a factor of 2.5 to 4."""
+    from matplotlib.patches import Rectangle
+
     single, three = parts["scan-single"], parts["scan-three"]
     ratio = single["peak"] / three["peak"]
     with new_figure(4.0) as figure:
         axes = figure.subplots()
-        image = _map(axes, single, ratio, "viridis", 1.0, 5.0)
-        _numbers(axes, ratio, "{:.1f}")
-        holds = holds_c2(parts)
-        _frame(axes, holds)
+        texts = np.vectorize("{:.1f}".format)(ratio)
+        image = _map(axes, single, ratio, "viridis", 1.0, 5.0, texts, ratio < 3.4, 8)
+        for i, j in np.argwhere(holds_c2(parts)):
+            axes.add_patch(Rectangle((j - 0.47, i - 0.45), 0.94, 0.90, fill=False, ec=RED, lw=2))
         axes.set_title("C2: peak with one damper over peak with three (framed: the claim holds)")
         figure.colorbar(image, ax=axes, label="ratio of peaks, body 2", extend="max")
     return figure
@@ -39,10 +40,14 @@ def holds_c2(parts: Parts) -> np.ndarray:
     """
     single, three = parts["scan-single"], parts["scan-three"]
     ratio = single["peak"] / three["peak"]
-    third = np.vectorize(lambda text: "III" in text.split())(single["types"])
     both = np.vectorize(lambda text: {"I", "II"} <= set(text.split()))(three["types"])
     plain = np.vectorize(lambda text: set(text.split("/")) <= {"I", "II", "riding"})(three["type_there"])
-    return (ratio >= 2.5) & (ratio <= 4.0) & third & both & plain
+    return (ratio >= 2.5) & (ratio <= 4.0) & shows_third(single) & both & plain
+
+
+def shows_third(scan: Columns) -> np.ndarray:
+    """Return the cells in which a damper shows Type III at some frequency."""
+    return np.vectorize(lambda text: "III" in text.split())(scan["types"])
 
 
 def design(parts: Parts) -> Figure:
@@ -54,14 +59,11 @@ def design(parts: Parts) -> Figure:
             (rows[1], "scan-three", "Third mode, three dampers"),
         ):  # fmt: skip
             data = parts[name]
-            image = _map(axes, data, 1e6 * data["peak"], "magma_r", 40.0, 450.0)
             # A tilde marks peaks of irregular motion, which are simulated and averaged; all others are exact orbits.
             cells = zip(data["peak"].flat, short(data["type_there"]).flat, data["exact"].flat, strict=True)
             labels = [f"{'' if exact else '~'}{1e6 * peak:.0f}\n{kind}" for peak, kind, exact in cells]
-            texts = np.array(labels).reshape(data["peak"].shape)
-            for (i, j), text in np.ndenumerate(texts):
-                dark = data["peak"][i, j] > 2.4e-4
-                axes.text(j, i, text, ha="center", va="center", fontsize=7, color="white" if dark else BLACK)
+            texts, peak = np.array(labels).reshape(data["peak"].shape), data["peak"]
+            image = _map(axes, data, 1e6 * peak, "magma_r", 40.0, 450.0, texts, peak > 2.4e-4, 7)
             axes.set_title(f"{title}: peak |X₂/F₁|, and the motion there (~ irregular)")
             figure.colorbar(image, ax=axes, label="µm/N", extend="max")
     return figure
@@ -73,8 +75,8 @@ def short(types: np.ndarray) -> np.ndarray:
     def one(text: str) -> str:
         parts = text.split("/")
         known = [p for p in parts if p in ("I", "II", "III", "riding")]
-        kept = known if len(known) == len(parts) else [*known, "other"]
-        return "/".join("r" if p == "riding" else p for p in dict.fromkeys(kept))
+        shown = known if len(known) == len(parts) else [*known, "other"]
+        return "/".join("r" if p == "riding" else p for p in dict.fromkeys(shown))
 
     return np.vectorize(one)(types)
 
@@ -84,11 +86,8 @@ def trust(parts: Parts) -> Figure:
     error = trust_error(parts)
     with new_figure(3.8) as figure:
         axes = figure.subplots()
-        image = _map(axes, parts["scan-single"], error, "RdBu_r", -30.0, 30.0)
-        for (i, j), value in np.ndenumerate(error):
-            text = f"{value:+.0f} %" if np.isfinite(value) else "none"
-            dark = np.isfinite(value) and abs(value) > 18
-            axes.text(j, i, text, ha="center", va="center", fontsize=7.5, color="white" if dark else BLACK)
+        texts = np.where(np.isfinite(error), np.vectorize("{:+.0f} %".format)(error), "none")
+        image = _map(axes, parts["scan-single"], error, "RdBu_r", -30.0, 30.0, texts, abs(error) > 18, 7.5)
         axes.set_title("Approximate method: error of its peak (one damper in body 2, third mode)")
         figure.colorbar(image, ax=axes, label="% of the simulated peak", extend="both")
     return figure
@@ -122,40 +121,31 @@ def optimum(parts: Parts) -> Figure:
         ticks = [0.3, 0.5, 0.7, 1.0, 1.4, 2.0, 3.0]
         axes.set_xticks(ticks, [f"{t:g}" for t in ticks])
         axes.set_xticks([], minor=True)
-        axes.set_xlabel("clearance / mm")
-        axes.set_ylabel("worst peak of |X₂/F₁| / (µm/N)")
+        axes.set(xlabel="clearance / mm", ylabel="worst peak of |X₂/F₁| / (µm/N)")
         axes.set_title("Best clearance for the third mode, robust for 0.8 to 1.25 times 3.3 N")
         axes.legend()
     return figure
 
 
 def _map(
-    axes: Axes, data: Mapping[str, np.ndarray], values: np.ndarray, colours: str, low: float, high: float
+    axes: Axes,
+    data: Columns,
+    values: np.ndarray,
+    colours: str,
+    low: float,
+    high: float,
+    texts: np.ndarray,
+    light: np.ndarray,
+    size: float,
 ) -> AxesImage:
+    """Draw values as colors over clearance and force, with a text in each cell, white where `light` is true."""
     image = axes.imshow(values, origin="lower", aspect="auto", cmap=colours, vmin=low, vmax=high)
+    for (i, j), text in np.ndenumerate(texts):
+        axes.text(
+            j, i, text, ha="center", va="center", fontsize=size, color="white" if light[i, j] else BLACK
+        )
     axes.grid(False)
     axes.set_xticks(range(values.shape[1]), [f"{1e3 * c:g}" for c in data["clearance"]])
     axes.set_yticks(range(values.shape[0]), [f"{f:g}" for f in data["force"]])
-    axes.set_xlabel("clearance / mm")
-    axes.set_ylabel("force F₁ / N")
+    axes.set(xlabel="clearance / mm", ylabel="force F₁ / N")
     return image
-
-
-def _numbers(axes: Axes, values: np.ndarray, form: str) -> None:
-    for (i, j), value in np.ndenumerate(values):
-        axes.text(
-            j,
-            i,
-            form.format(value),
-            ha="center",
-            va="center",
-            fontsize=8,
-            color="white" if value < 3.4 else BLACK,
-        )
-
-
-def _frame(axes: Axes, cells: np.ndarray) -> None:
-    from matplotlib.patches import Rectangle
-
-    for i, j in np.argwhere(cells):
-        axes.add_patch(Rectangle((j - 0.47, i - 0.45), 0.94, 0.90, fill=False, ec=RED, lw=2))

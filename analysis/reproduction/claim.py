@@ -17,10 +17,8 @@ class Evidence(NamedTuple):
 class Claim:
     """A claim and its verdict."""
 
-    name: str
-    """C1 to C7, or a title for results beyond the paper."""
+    name: str  # C1 to C7, or a title for results beyond the paper
     text: str
     evidence: tuple[Evidence, ...]
-    verdict: str
-    """"holds", "holds for these parameters", "holds in part" or "does not hold", with the reason."""
+    verdict: str  # "holds", "holds for these parameters", "holds in part" or "does not hold", with the reason
     figures: tuple[str, ...]

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from analysis.reproduction.bed_claim import bed_claim
-from analysis.reproduction.charts import holds_c2
+from analysis.reproduction.charts import holds_c2, shows_third
 from analysis.reproduction.claim import Claim, Evidence
 from analysis.reproduction.fig9_claim import fig9_claim
-from analysis.reproduction.figures import Parts
+from analysis.reproduction.figures import Columns, Parts
 from analysis.reproduction.parts import FIGURE_5, NOISES
 from rig.scene.scene import STANDARD_GRAVITY
-
-Arrays = Mapping[str, np.ndarray]
 
 PAPER_OMEGA = np.array([81.9, 218.8, 312.4])
 FORCE_C3 = 2.6
@@ -75,8 +71,13 @@ def _c2(parts: Parts) -> Claim:
     single, three = parts["scan-single"], parts["scan-three"]
     ratio = single["peak"] / three["peak"]
     within = (ratio >= 2.5) & (ratio <= 4)
-    held = [f"{f:g} N with {1e3 * c:g} mm" for f, c in _cells(cells, single)]
-    third = np.vectorize(lambda text: "III" in text.split())
+    force, clearance = single["force"], single["clearance"]
+    true = [f"{force[i]:g} N with {1e3 * clearance[j]:g} mm" for i, j in np.argwhere(cells)]
+    middle = [np.median(clearance[row]) for row in cells if row.any()]
+    rises = ": the clearance grows with the force" if len(middle) > 1 and (np.diff(middle) > 0).all() else ""
+    own = [
+        int(np.abs(grid - value).argmin()) for grid, value in zip((force, clearance), FIGURE_5, strict=True)
+    ]
     verdict = (
         f"holds for these parameters: {int(cells.sum())} of {cells.size} combinations of force and clearance"
         if cells.any()
@@ -88,24 +89,24 @@ def _c2(parts: Parts) -> Claim:
         "single damper shows Type III, the three show Types I and II.",
         (
             Evidence(
-                f"Force and clearance are not in the text. Scanned: {single['force'].min():g} to "
-                f"{single['force'].max():g} N with {1e3 * single['clearance'].min():g} to "
-                f"{1e3 * single['clearance'].max():g} mm, mass ratio 10 %. The ratio of the peaks runs from "
-                f"{ratio.min():.2f} to {ratio.max():.2f}; it lies in 2.5 to 4 in {int(within.sum())} of {within.size} "
-                f"cells and above 4, better than claimed, in {int((ratio > 4).sum())}.",
+                f"Force and clearance are not in the text. Scanned: {force.min():g} to {force.max():g} N with "
+                f"{1e3 * clearance.min():g} to {1e3 * clearance.max():g} mm, mass ratio 10 %. The ratio of the peaks "
+                f"runs from {ratio.min():.2f} to {ratio.max():.2f}; it lies in 2.5 to 4 in {int(within.sum())} of "
+                f"{within.size} cells and above 4, better than claimed, in {int((ratio > 4).sum())}.",
                 ("scan-single", "scan-three"),
             ),
             Evidence(
                 "All of the claim, with Types I and II alone at the peak that three dampers leave, holds for "
-                f"{', '.join(held) if held else 'no cell'}{_ridge(cells, single)}. Figs 5 and 6 are drawn "
-                f"{'there' if _cell(single, FIGURE_5) in np.argwhere(cells).tolist() else 'elsewhere'}, at "
-                f"{FIGURE_5[0]:g} N with {1e3 * FIGURE_5[1]:g} mm.",
+                f"{', '.join(true) or 'no cell'}{rises}. Figs 5 and 6 are drawn "
+                f"{'there' if own in np.argwhere(cells).tolist() else 'elsewhere'}, at {FIGURE_5[0]:g} N with "
+                f"{1e3 * FIGURE_5[1]:g} mm.",
                 ("scan-single", "scan-three"),
             ),
             Evidence(
-                f"With one damper Type III appears in {int(third(single['types']).sum())} cells, with three in "
-                f"{int(third(three['types']).sum())}: with a common clearance the damper in body 2, which moves most, "
-                "may still show it at some frequencies, beside Types I and II. The paper shows two of them, b and c.",
+                f"With one damper Type III appears in {int(shows_third(single).sum())} cells, with three in "
+                f"{int(shows_third(three).sum())}: with a common clearance the damper in body 2, which moves most, "
+                "may still show it at some frequencies, in addition to Types I and II. The paper shows two of "
+                "them, b and c.",
                 ("scan-single", "scan-three"),
             ),
             Evidence(_enhanced(single), ("scan-single",)),
@@ -115,7 +116,7 @@ def _c2(parts: Parts) -> Claim:
     )
 
 
-def _enhanced(single: Arrays) -> str:
+def _enhanced(single: Columns) -> str:
     """Compare peaks of Type III with other types at the same force (paper: Type III enhances the motion)."""
     factors = []
     for peak, kind in zip(single["peak"], single["type_there"], strict=True):
@@ -135,23 +136,7 @@ def _enhanced(single: Arrays) -> str:
     )
 
 
-def _ridge(cells: np.ndarray, data: Arrays) -> str:
-    """Report whether the clearances at which a property is true increase with force."""
-    middle = [np.median(data["clearance"][row]) for row in cells if row.any()]
-    return ": the clearance grows with the force" if len(middle) > 1 and (np.diff(middle) > 0).all() else ""
-
-
-def _cell(data: Arrays, setting: tuple[float, float]) -> list[int]:
-    """Return row and column of the cell nearest to a force and a clearance."""
-    force, clearance = setting
-    return [int(np.abs(data["force"] - force).argmin()), int(np.abs(data["clearance"] - clearance).argmin())]
-
-
-def _cells(cells: np.ndarray, data: Arrays) -> list[tuple[float, float]]:
-    return [(float(data["force"][i]), float(data["clearance"][j])) for i, j in np.argwhere(cells)]
-
-
-def resonance_peaks(data: Arrays, body: int = 2) -> np.ndarray:
+def resonance_peaks(data: Columns, body: int = 2) -> np.ndarray:
     """Compute the largest compliance of a body around each resonance [m/N]."""
     frequency, size = data["frequency"], np.abs(data["compliance"][body])
     bands = ((10.5, 15.0), (30.0, 37.0), (45.0, 52.0))
@@ -172,6 +157,15 @@ def _c3(parts: Parts) -> Claim:
     scanned = parts["least-affected"]
     first = scanned["share"][..., 0] > scanned["share"][..., 1:].max(axis=-1)
     at_level = first[:, :, int(np.abs(scanned["force"] - FORCE_C3).argmin())]
+    whole = np.logical_and.accumulate(first.all(axis=(0, 1)))
+    largest = f"up to {scanned['force'][whole].max():g} N" if whole.any() else "at none of the forces tried"
+    by_force = ", ".join(
+        f"{force:g} N {int(cells.sum())} of {cells.size}"
+        for force, cells in zip(scanned["force"], np.moveaxis(first, 2, 0), strict=True)
+    )
+    dampings, ratios = (
+        ", ".join(f"{100 * value:g}" for value in scanned[name]) for name in ("damping", "mass_ratio")
+    )
     parts_that_fail = [
         text
         for ok, text in (
@@ -179,7 +173,7 @@ def _c3(parts: Parts) -> Claim:
             (adds, "a further damper does not lower every peak"),
             (
                 bool(at_level.all()),
-                f"the first mode is the least affected whatever the damping {_largest_force(scanned, first)}, at "
+                f"the first mode is the least affected whatever the damping {largest}, at "
                 f"{FORCE_C3:g} N in {int(at_level.sum())} of {at_level.size} settings",
             ),
         )
@@ -201,29 +195,13 @@ def _c3(parts: Parts) -> Claim:
             ),
             Evidence(
                 f"With three dampers the first mode is the least affected in {int(first.sum())} of {first.size} "
-                f"combinations of damping ratio ({_percents(scanned['damping'])} %), mass ratio "
-                f"({_percents(scanned['mass_ratio'])} %) and force: {_by_force(scanned, first)}.",
+                f"combinations of damping ratio ({dampings} %), mass ratio ({ratios} %) and force: {by_force}.",
                 ("least-affected",),
             ),
         ),
         "holds" if not parts_that_fail else "holds in part: " + "; ".join(parts_that_fail),
         ("fig8",),
     )
-
-
-def _by_force(scanned: Arrays, held: np.ndarray) -> str:
-    """Report, for each force, in how many of the other settings a property is true."""
-    counts = [
-        f"{force:g} N {int(cells.sum())} of {cells.size}"
-        for force, cells in zip(scanned["force"], np.moveaxis(held, 2, 0), strict=True)
-    ]
-    return ", ".join(counts)
-
-
-def _largest_force(scanned: Arrays, held: np.ndarray) -> str:
-    """Report the largest force up to which a property is true in all other settings."""
-    whole = np.logical_and.accumulate(held.all(axis=(0, 1)))
-    return f"up to {scanned['force'][whole].max():g} N" if whole.any() else "at none of the forces tried"
 
 
 def _c5(parts: Parts) -> Claim:
@@ -257,7 +235,7 @@ def _c5(parts: Parts) -> Claim:
     )
 
 
-def differences(true: Arrays, measured: Arrays) -> tuple[float, float]:
+def differences(true: Columns, measured: Columns) -> tuple[float, float]:
     """Compute the median relative difference of compliances near antiresonances, and near peaks.
 
     Near means the fifth of the frequencies with the smallest, or the largest, compliance of bodies 1 and 2.
@@ -290,10 +268,6 @@ def _c6(parts: Parts) -> Claim:
         "holds" if faster > 1.2 else "does not hold",
         ("fig10b",),
     )
-
-
-def _percents(values: np.ndarray) -> str:
-    return ", ".join(f"{100 * value:g}" for value in values)
 
 
 def _list(values: np.ndarray, digits: int) -> str:

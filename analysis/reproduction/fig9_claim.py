@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from analysis.reproduction.claim import Claim, Evidence
-from analysis.reproduction.figures import Parts
-
-Arrays = Mapping[str, np.ndarray]
+from analysis.reproduction.figures import Columns, Parts
 
 # Largest relative difference of peaks that agree: the reading accuracy of a figure.
 AGREE = 0.05
@@ -29,6 +25,9 @@ def fig9_claim(parts: Parts) -> Claim:
     phi, tau = _phase_distance(exact, measured, "phi"), _phase_distance(exact, measured, "tau_1")
     only_two = not ((exact["type"] == "III") & exact["stable"]).any()
     damped = parts["fig9-damping"]
+    column = int(np.abs(damped["clearance"] - 0.98e-3).argmin())
+    free = damped["damping"][~damped["third"][:, column]]
+    least = f"damping of {100 * free.min():g} % and more" if free.size else "none of the damping ratios tried"
     evidence = (
         Evidence(
             f"Type II: approximate method {spans['II'][0]}, exact orbits {spans['II'][1]}. Type III: approximate "
@@ -54,52 +53,45 @@ def fig9_claim(parts: Parts) -> Claim:
             ("fig9-damping",),
         ),
     )
-    off = {"approximate method": abs(peak_a / peak_e - 1), "recording": abs(peak_m / peak_e - 1)}
-    apart = [
-        f"the {name}'s peak is {100 * far:.0f} % off the exact one"
-        for name, far in off.items()
-        if far > AGREE
+    errors = {"approximate method": abs(peak_a / peak_e - 1), "recording": abs(peak_m / peak_e - 1)}
+    wrong = [
+        f"the {name}'s peak deviates by {100 * error:.0f} % from the exact one"
+        for name, error in errors.items()
+        if error > AGREE
     ]
-    agreed = [name for name, far in off.items() if far <= AGREE]
+    agreed = [name for name, error in errors.items() if error <= AGREE]
     reasons = [
         "only Type II appears inside the resonance"
         if only_two
         else "Type III, with a short stay at the ceiling, takes the top of the resonance at 0.98 mm for our damping of "
-        f"0.5 %, but is absent there for {_least_damping(damped)}",
+        f"0.5 %, but is absent there for {least}",
         *(f"the {name}'s peak is that of exact motion within {100 * AGREE:g} %" for name in agreed),
-        *apart,
+        *wrong,
     ]
     return Claim(
         "C4",
         "One damper on body 2, 6 %, 0.98 mm, 3.3 N: only Type II inside the third resonance; approximate method, "
         "simulation and experiment agree.",
         evidence,
-        ("holds: " if only_two and not apart else "holds in part: ") + "; ".join(reasons),
+        ("holds: " if only_two and not wrong else "holds in part: ") + "; ".join(reasons),
         ("fig9",),
     )
 
 
-def both_ways(up: Arrays, down: Arrays) -> str:
+def both_ways(up: Columns, down: Columns) -> str:
     """Compare a downward sweep with an upward sweep, body 2."""
     rising, falling = np.argsort(up["frequency"]), np.argsort(down["frequency"])
     there, back = abs(up["compliance"][1][rising]), abs(down["compliance"][1][falling])
-    apart = 100.0 * abs(back / there - 1.0)
-    parted = up["frequency"][rising][apart > 100.0 * AGREE]
-    where = f"more than {100 * AGREE:g} % at {', '.join(f'{f:.2f}' for f in parted)} Hz, where two motions are possible"
+    change = 100.0 * abs(back / there - 1.0)
+    two = up["frequency"][rising][change > 100.0 * AGREE]
+    where = f"more than {100 * AGREE:g} % at {', '.join(f'{f:.2f}' for f in two)} Hz, where two motions are possible"
     return (
-        f"Swept downward the compliance of body 2 differs from that swept upward by {np.median(apart):.2f} % in the "
-        f"median, {where if parted.size else f'at most {apart.max():.1f} %: no branch depends on the direction'}."
+        f"Swept downward the compliance of body 2 differs from that swept upward by {np.median(change):.2f} % in the "
+        f"median, {where if two.size else f'at most {change.max():.1f} %: no branch depends on the direction'}."
     )
 
 
-def _least_damping(damped: Arrays) -> str:
-    """Report the smallest computed damping ratio without Type III at the paper's clearance."""
-    column = int(np.abs(damped["clearance"] - 0.98e-3).argmin())
-    free = damped["damping"][~damped["third"][:, column]]
-    return f"damping of {100 * free.min():g} % and more" if free.size else "none of the damping ratios tried"
-
-
-def _free_of_third(damped: Arrays) -> str:
+def _free_of_third(damped: Columns) -> str:
     """Report the clearances without Type III, by damping ratio."""
     rows = []
     for damping, third in zip(damped["damping"], damped["third"], strict=True):
@@ -110,12 +102,12 @@ def _free_of_third(damped: Arrays) -> str:
     return "; ".join(rows)
 
 
-def _span(data: Arrays, keep: np.ndarray, kind: str) -> str:
+def _span(data: Columns, keep: np.ndarray, kind: str) -> str:
     inside = data["frequency"][keep & (data["type"] == kind)]
     return f"{inside.min():.2f} to {inside.max():.2f} Hz" if inside.size else "nowhere"
 
 
-def _nearest(exact: Arrays, frequency: float, value: complex) -> tuple[int, float]:
+def _nearest(exact: Columns, frequency: float, value: complex) -> tuple[int, float]:
     """Return the stable exact orbit nearest to a measured compliance of body 2, and the relative distance."""
     near = exact["stable"] & (np.abs(exact["frequency"] - frequency) < 0.06)
     if not near.any():
@@ -126,12 +118,12 @@ def _nearest(exact: Arrays, frequency: float, value: complex) -> tuple[int, floa
     return int(index[best]), float(away[best])
 
 
-def _distance(exact: Arrays, measured: Arrays) -> float:
+def _distance(exact: Columns, measured: Columns) -> float:
     pairs = zip(measured["frequency"], measured["compliance"][1], strict=True)
     return float(np.nanmedian([_nearest(exact, f, value)[1] for f, value in pairs]))
 
 
-def _phase_distance(exact: Arrays, measured: Arrays, what: str) -> float:
+def _phase_distance(exact: Columns, measured: Columns, what: str) -> float:
     away = []
     rows = zip(measured["frequency"], measured["compliance"][1], measured[f"impact_{what}"], strict=True)
     for frequency, value, phase in rows:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from analysis.decays.free_decay import outline
-from analysis.reproduction.parts import FIGURE_5
+from analysis.reproduction.parts import FIGURE_5, NOISES
 from rig.figure_style import COLORS, frequency_axis, log_axis, new_figure, set_log_scale
 from rig.scene.scene import STANDARD_GRAVITY
 
@@ -16,7 +16,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Parts = Mapping[str, Mapping[str, np.ndarray]]
+Columns = Mapping[str, np.ndarray]
+Parts = Mapping[str, Columns]
 
 BLUE, RED, GREEN, PINK, SKY, ORANGE, GREY, BLACK = COLORS
 # Natural frequency of the first mode, Hz; it determines the window of the envelope.
@@ -25,24 +26,21 @@ _UNDER_WAVES = "time / ms     (solid: body and floor; dashed: damper; shaded: ca
 COMPLIANCE = "compliance |X/F₁| / (µm/N)"
 
 
+def plot_body(axes: Axes, data: Columns, body: int, mark: str = "-", **style: Any) -> None:
+    """Draw the compliance of a body (from 0) over frequency."""
+    axes.plot(data["frequency"], abs(data["compliance"][body]), mark, **style)
+
+
 def figure_4(parts: Parts) -> Figure:
     """Draw Fig 4b: frequency responses of the three bodies without dampers, per force and per table motion."""
     theory, measured = parts["structure"], parts["rec-bare"]
     with new_figure(6.6) as figure:
         upper, lower = figure.subplots(2, 1)
-        for body in range(3):
-            upper.plot(theory["frequency"], abs(theory["compliance"][body]), color=COLORS[body], lw=0.9)
-            upper.plot(
-                measured["frequency"], abs(measured["compliance"][body]), "o", color=COLORS[body], ms=2.2,
-                label=f"body {body + 1}",
-            )  # fmt: skip
+        for body, shade in enumerate(COLORS[:3]):
+            plot_body(upper, theory, body, color=shade, lw=0.9)
+            plot_body(upper, measured, body, "o", color=shade, ms=2.2, label=f"body {body + 1}")
             lower.plot(
-                measured["frequency"],
-                abs(measured["transfer"][body]),
-                "o-",
-                color=COLORS[body],
-                ms=2.2,
-                lw=0.7,
+                measured["frequency"], abs(measured["transfer"][body]), "o-", color=shade, ms=2.2, lw=0.7
             )
         for omega in theory["omega"]:
             upper.axvline(omega / (2 * np.pi), color=GREY, lw=0.7, ls=":")
@@ -74,7 +72,7 @@ def figure_5(parts: Parts) -> Figure:
             label="no damper",
         )  # fmt: skip
         for data, shade, label in ((single, RED, "one damper, body 2"), (three, BLUE, "three dampers")):
-            axes.plot(data["frequency"], abs(data["compliance"][1]), color=shade, label=label)
+            plot_body(axes, data, 1, color=shade, label=label)
         for letter in "abc":
             wave = parts[f"wave-{letter}"]
             data = single if letter == "a" else three
@@ -119,7 +117,7 @@ def figure_6(parts: Parts) -> Figure:
     return figure
 
 
-def _wave(axes: Axes, wave: Mapping[str, np.ndarray]) -> None:
+def _wave(axes: Axes, wave: Columns) -> None:
     """Draw the displacements of bodies and damper masses over time."""
     t = 1e3 * wave["time"]
     for k, body in enumerate(wave["at"]):
@@ -142,17 +140,9 @@ def figure_8(parts: Parts) -> Figure:
     with new_figure(4.8) as figure:
         axes = figure.subplots()
         for name, label, shade in curves:
-            data = parts[name]
-            order = np.argsort(data["frequency"])
-            style = ":" if name == "rec-bare" else "-"
-            axes.plot(
-                data["frequency"][order],
-                abs(data["compliance"][2][order]),
-                style,
-                color=shade,
-                label=label,
-                lw=1.2,
-            )
+            order = np.argsort(parts[name]["frequency"])
+            rising = {key: parts[name][key][..., order] for key in ("frequency", "compliance")}
+            plot_body(axes, rising, 2, ":" if name == "rec-bare" else "-", color=shade, label=label, lw=1.2)
         log_axis(axes, [abs(parts["rec-bare"]["compliance"][2])])
         frequency_axis(axes, 8.0, 60.0, True)
         set_log_scale(axes.yaxis, factor=1e6)
@@ -167,36 +157,15 @@ def figure_9(parts: Parts) -> Figure:
     approximate, exact, measured = parts["approx-fig9"], parts["orbit-fig9"], parts["rec-fig9"]
     with new_figure(7.6) as figure:
         upper, lower = figure.subplots(2, 1, height_ratios=[1.1, 1], sharex=True)
-        upper.plot(
-            approximate["line"], abs(approximate["bare"]), color=GREY, lw=0.8, ls="--", label="no damper"
-        )
-        upper.plot(
-            approximate["line"], abs(approximate["riding"]), color=GREY, lw=0.8, ls=":", label="mⱼ + mdⱼ"
-        )
+        for name, mark, label in (("bare", "--", "no damper"), ("riding", ":", "mⱼ + mdⱼ")):
+            upper.plot(approximate["line"], abs(approximate[name]), mark, color=GREY, lw=0.8, label=label)
         size = abs(approximate["compliance"])
         _runs(upper, approximate, size, ORANGE, "approximate method", approximate["valid"])
-        _runs(
-            upper,
-            exact,
-            abs(exact["compliance"][:, 1]),
-            BLUE,
-            "exact orbits",
-            np.isfinite(exact["frequency"]),
-        )
-        upper.plot(
-            measured["frequency"], abs(measured["compliance"][1]), "o", color=BLACK, ms=2.4, label="recording"
-        )
-        down = parts["rec-fig9-down"]
-        upper.plot(
-            down["frequency"],
-            abs(down["compliance"][1]),
-            "o",
-            mfc="none",
-            color=RED,
-            ms=4.5,
-            mew=0.7,
-            label="recording, swept down",
-        )
+        size = abs(exact["compliance"][:, 1])
+        _runs(upper, exact, size, BLUE, "exact orbits", np.isfinite(exact["frequency"]))
+        plot_body(upper, measured, 1, "o", color=BLACK, ms=2.4, label="recording")
+        hollow = {"mfc": "none", "color": RED, "ms": 4.5, "mew": 0.7}
+        plot_body(upper, parts["rec-fig9-down"], 1, "o", label="recording, swept down", **hollow)
         upper.set_ylim(0, 2.4e-4)
         upper.yaxis.set_major_formatter(lambda value, _: f"{1e6 * value:g}")
         upper.set_ylabel("compliance of body 2 |X₂/F₁| / (µm/N)")
@@ -205,9 +174,8 @@ def figure_9(parts: Parts) -> Figure:
         for data, shade, keep in (
             (approximate, ORANGE, approximate["valid"]), (exact, BLUE, np.isin(exact["type"], ["I", "II", "III"]))
         ):  # fmt: skip
-            _runs(lower, data, data["phi"], shade, "", keep)
-            _runs(lower, data, data["tau"][:, 0], shade, "", keep)
-            _runs(lower, data, data["tau"][:, 1], shade, "", keep)
+            for phase in (data["phi"], data["tau"][:, 0], data["tau"][:, 1]):
+                _runs(lower, data, phase, shade, "", keep)
         lower.plot(measured["impact_frequency"], measured["impact_phi"], "o", color=BLACK, ms=2.4)
         lower.plot(measured["impact_frequency"], measured["impact_tau_1"], "s", color=BLACK, ms=2.4)
         for text, place in (("φ, force phase lag at floor impact", (46.1, 5.4)), ("τ₁, ceiling impact", (49.6, 4.35)),
@@ -226,19 +194,11 @@ def figure_10a(parts: Parts) -> Figure:
     simulated, measured = parts["sim-three"], parts["rec-three"]
     with new_figure(5.4) as figure:
         upper, lower = figure.subplots(2, 1, height_ratios=[2, 1])
-        upper.plot(simulated["frequency"], abs(simulated["compliance"][0]), color=BLUE, label="simulation")
-        upper.plot(
-            measured["frequency"], abs(measured["compliance"][0]), "o", color=BLACK, ms=2.2, label="recording"
-        )
+        plot_body(upper, simulated, 0, color=BLUE, label="simulation")
+        plot_body(upper, measured, 0, "o", color=BLACK, ms=2.2, label="recording")
         size, error = abs(measured["compliance"][0]), np.nan_to_num(measured["error"][0])
-        upper.fill_between(
-            measured["frequency"],
-            np.maximum(size - 2 * error, 1e-3 * size),
-            size + 2 * error,
-            color=GREY,
-            alpha=0.3,
-            lw=0,
-        )
+        low, high = np.maximum(size - 2 * error, 1e-3 * size), size + 2 * error
+        upper.fill_between(measured["frequency"], low, high, color=GREY, alpha=0.3, lw=0)
         log_axis(upper, [abs(simulated["compliance"][0])])
         set_log_scale(upper.yaxis, factor=1e6)
         upper.set_ylabel("compliance of body 1 |X₁/F₁| / (µm/N)")
@@ -246,12 +206,9 @@ def figure_10a(parts: Parts) -> Figure:
         upper.legend(loc="lower left")
         true = parts["sim-noise"]
         size = abs(true["compliance"][0])
-        noisy = sorted(
-            (name for name in parts if name.startswith("rec-noise-")), key=lambda name: int(name[10:])
-        )
-        for name, shade, mark in zip(noisy, (BLUE, GREEN, RED), "o^s", strict=True):
-            away = 100 * abs(abs(parts[name]["compliance"][0]) / size - 1.0)
-            lower.semilogy(true["frequency"], away, mark, color=shade, ms=3, label=f"{name[10:]} µg/√Hz")
+        for noise, shade, mark in zip(NOISES, (BLUE, GREEN, RED), "o^s", strict=True):
+            deviation = 100 * abs(abs(parts[f"rec-noise-{noise}"]["compliance"][0]) / size - 1.0)
+            lower.semilogy(true["frequency"], deviation, mark, color=shade, ms=3, label=f"{noise} µg/√Hz")
         lower.set_ylabel("difference / %")
         lower.set_title("Recordings less exact motion, by the noise of the accelerometers")
         # Leave space for the legend above the points.
@@ -266,34 +223,21 @@ def figure_10b(parts: Parts) -> Figure:
     """Draw Fig 10b: free decay of body 3's acceleration after a hit on body 1."""
     with new_figure(4.2) as figure:
         axes = figure.subplots()
-        for name, shade, label in (
-            ("rec-hit-none", GREY, "no damper"),
-            ("rec-hit-three", BLUE, "three dampers"),
-        ):
-            data = parts[name]
+        for name, shade, label in (("none", GREY, "no damper"), ("three", BLUE, "three dampers")):
+            data = parts[f"rec-hit-{name}"]
             axes.plot(data["time"], data["acceleration"], color=shade, lw=0.5)
             top = outline(data["acceleration"], 1.0 / (LOWEST * (data["time"][1] - data["time"][0])))
-            axes.plot(data["time"], top, color=shade, lw=1.4, label=label)
-            axes.plot(data["time"], -top, color=shade, lw=1.4)
-        axes.axhspan(
-            -STANDARD_GRAVITY,
-            STANDARD_GRAVITY,
-            color=ORANGE,
-            alpha=0.2,
-            lw=0,
-            label="within 1 g: dampers rest",
-        )
-        axes.set_xlim(0, 2.0)
-        axes.set_xlabel("time / s")
-        axes.set_ylabel("acceleration of body 3 / (m/s²)")
+            for side, entry in ((top, label), (-top, "")):
+                axes.plot(data["time"], side, color=shade, lw=1.4, label=entry)
+        rest: dict[str, Any] = {"color": ORANGE, "alpha": 0.2, "lw": 0, "label": "within 1 g: dampers rest"}
+        axes.axhspan(-STANDARD_GRAVITY, STANDARD_GRAVITY, **rest)
+        axes.set(xlim=(0, 2.0), xlabel="time / s", ylabel="acceleration of body 3 / (m/s²)")
         axes.set_title("Fig 10b: impulse response, mass ratio 10 %, no ceiling")
         axes.legend(loc="upper right")
     return figure
 
 
-def _runs(
-    axes: Axes, data: Mapping[str, np.ndarray], values: np.ndarray, shade: str, label: str, keep: Any
-) -> None:
+def _runs(axes: Axes, data: Columns, values: np.ndarray, shade: str, label: str, keep: Any) -> None:
     """Draw each branch, stable sections bold and unstable sections thin; wrapped phases are not joined."""
     for number in np.unique(data["branch"]):
         own = data["branch"] == number

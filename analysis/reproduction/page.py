@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
 from string import Template
@@ -10,7 +10,7 @@ from string import Template
 import numpy as np
 
 from analysis.reproduction.claim import Claim, Evidence
-from analysis.reproduction.figures import Parts
+from analysis.reproduction.figures import Columns, Parts
 from rig.escaping import escape_html
 from rig.output_files import atomic_write
 
@@ -41,7 +41,7 @@ BEYOND = ("design", "optimum", "trust")
 COMMAND = "analysis paper"
 
 
-def _more_mass(both: Mapping[str, np.ndarray]) -> str:
+def _more_mass(both: Columns) -> str:
     """Note that no optimum mass ratio exists if the heaviest computed damper is the best."""
     ratios = both["mass_ratios"]
     if both["mass_ratio"] < ratios.max():

@@ -132,7 +132,7 @@ class _Worst:
             self.trials[key] = max(peaks)
         return self.trials[key]
 
-    def found(self) -> Arrays:
+    def arrays(self) -> Arrays:
         """Return trials in the order of the search, and the best of them."""
         best = min(self.trials, key=lambda key: self.trials[key])
         return {
@@ -167,7 +167,7 @@ def best_clearance(
         method="bounded",
         options={"maxiter": 9},
     )
-    return worst.found()
+    return worst.arrays()
 
 
 def best_damper(
@@ -201,4 +201,4 @@ def best_damper(
         bounds=[(None, None), (low, high)],
         options={"initial_simplex": corners, "maxfev": trials, "xatol": 1e-3, "fatol": 0.0},
     )
-    return worst.found()
+    return worst.arrays()

@@ -13,10 +13,9 @@ from rig.orbits.branches import follow_orbits
 from rig.orbits.orbit import Orbit
 from rig.orbits.periodic_orbit import periodic_orbit
 from rig.orbits.problem import OrbitProblem
-from rig.orbits.shooting import shoot
-from rig.orbits.track import track_orbit
+from rig.results import join_columns
 from rig.scene.scene import Scene
-from rig.single_mode.approximate_response import Branch, follow_mode
+from rig.single_mode.approximate_response import follow_mode
 from rig.single_mode.reduction import Weighting, single_mode
 from rig.steady_response.frequency_response import frequency_response
 from rig.system.open_loop_drive import with_ideal_force
@@ -54,121 +53,90 @@ def simulated(scene: Scene, frequencies: Array, direction: str = "up", tolerance
 def exact_orbits(scene: Scene, band: tuple[float, float], searches: int = 5) -> Arrays:
     """Compute exact orbits over frequency, stable and unstable, in one table with a branch number."""
     curve = follow_orbits(with_ideal_force(scene), "frequency", band, searches=searches)
-    rows: dict[str, list[np.ndarray]] = {}
+    rows = []
     for number, branch in enumerate(curve.branches):
         omega = 2 * np.pi * branch.value
         instants = np.array([_fig9_instants(orbit) for orbit in branch.orbits]) * omega[:, None]
-        # The force is sin(w t), and sin(-phi) at the floor impact.
-        row = {
-            "branch": np.full(branch.value.size, number),
-            "frequency": branch.value,
-            "compliance": branch.compliance.T,
-            "stable": branch.stable,
-            "type": np.full(branch.value.size, branch.motion_type, dtype="U24"),
-            "phi": (-instants[:, 0]) % (2 * np.pi),
-            "tau": (instants[:, 1:] - instants[:, :1]) % (2 * np.pi),
-        }
-        for key, values in row.items():
-            rows.setdefault(key, []).append(values)
-    arrays = {key: np.concatenate(values) for key, values in rows.items()}
+        rows.append(
+            {
+                "branch": np.full(branch.value.size, number),
+                "frequency": branch.value,
+                "compliance": branch.compliance.T,
+                "stable": branch.stable,
+                "type": np.full(branch.value.size, branch.motion_type, dtype="U24"),
+                # The force is sin(w t), and sin(-phi) at the floor impact.
+                "phi": (-instants[:, 0]) % (2 * np.pi),
+                "tau": (instants[:, 1:] - instants[:, :1]) % (2 * np.pi),
+            }
+        )
     specials = [
         (name, value)
         for branch in curve.branches
-        for name, values in (
-            ("fold", branch.folds),
-            ("doubling", branch.doublings),
-            ("torus", branch.toruses),
-        )
-        for value in values
+        for name in ("fold", "doubling", "torus")
+        for value in {"fold": branch.folds, "doubling": branch.doublings, "torus": branch.toruses}[name]
     ]
-    arrays["special"] = np.array([name for name, _ in specials], dtype="U10")
-    arrays["special_frequency"] = np.array([value for _, value in specials])
-    arrays["failures"] = np.array(curve.failures, dtype=np.str_)
-    return arrays
+    return join_columns(rows) | {
+        "special": np.array([name for name, _ in specials], dtype="U10"),
+        "special_frequency": np.array([value for _, value in specials]),
+        "failures": np.array(curve.failures, dtype=np.str_),
+    }
 
 
 def _fig9_instants(orbit: Orbit) -> list[float]:
     """Return floor impact, take-off, ceiling impact and ceiling take-off of a Type I-III motion [s]."""
-    events = orbit.events
-    nothing = [np.nan] * 4
     if orbit.motion_type not in ("I", "II", "III"):
-        return nothing
-    floor = events["time"][events["kind"] == "floor"]
-    ceiling = events["time"][events["kind"] == "ceiling"]
-    after = (
-        np.sort((events["time"][events["kind"] == "separation"] - floor[0]) % (1 / orbit.frequency))
-        + floor[0]
+        return [np.nan] * 4
+    floor, ceiling, left = (
+        orbit.events["time"][orbit.events["kind"] == kind] for kind in ("floor", "ceiling", "separation")
     )
+    after = np.sort((left - floor[0]) % (1 / orbit.frequency)) + floor[0]
     last = after[-1] if orbit.motion_type == "III" else np.nan
     return [floor[0], after[0], ceiling[0] if len(ceiling) else np.nan, last]
 
 
 def approximated(
-    scene: Scene,
-    mode: int,
-    band: tuple[float, float],
-    weighting: Weighting,
-    at: int | None = None,
-    searches: int = 13,
+    scene: Scene, mode: int, band: tuple[float, float], weighting: Weighting, searches: int = 13
 ) -> Arrays:
     """Compute the branches of the approximate method in one table, with the compliances of all bodies."""
-    kept = single_mode(with_ideal_force(scene), mode, weighting=weighting, at=at)
-    found = follow_mode(kept, band, searches)
-    rows: dict[str, list[np.ndarray]] = {}
-    for number, branch in enumerate(found.branches):
-        for key, values in _branch_rows(number, branch).items():
-            rows.setdefault(key, []).append(values)
-    arrays = {key: np.concatenate(values) for key, values in rows.items()}
-    frequencies = np.linspace(*band, 801)
-    arrays["shape"] = kept.shape
-    arrays["mass_ratio"] = np.array(kept.mass_ratio)
-    arrays["line"] = frequencies
-    arrays["bare"], arrays["riding"] = kept.receptance(frequencies), kept.receptance(frequencies, riding=True)
-    arrays["failures"] = np.array(found.failures, dtype=np.str_)
-    return arrays
-
-
-def _branch_rows(number: int, branch: Branch) -> Arrays:
-    return {
-        "branch": np.full(branch.frequency.size, number),
-        "frequency": branch.frequency,
-        "compliance": branch.compliance,
-        "stable": branch.stable,
-        "valid": branch.valid,
-        "type": np.full(branch.frequency.size, branch.motion_type, dtype="U4"),
-        "phi": branch.phi,
-        "tau": np.array([branch.tau_0, branch.tau_1, branch.tau_2]).T,
+    reduced = single_mode(with_ideal_force(scene), mode, weighting=weighting)
+    response, line = follow_mode(reduced, band, searches), np.linspace(*band, 801)
+    rows = [
+        {
+            "branch": np.full(branch.frequency.size, number),
+            "frequency": branch.frequency,
+            "compliance": branch.compliance,
+            "stable": branch.stable,
+            "valid": branch.valid,
+            "type": np.full(branch.frequency.size, branch.motion_type, dtype="U4"),
+            "phi": branch.phi,
+            "tau": np.array([branch.tau_0, branch.tau_1, branch.tau_2]).T,
+        }
+        for number, branch in enumerate(response.branches)
+    ]
+    return join_columns(rows) | {
+        "shape": reduced.shape,
+        "mass_ratio": np.array(reduced.mass_ratio),
+        "line": line,
+        "bare": reduced.receptance(line),
+        "riding": reduced.receptance(line, riding=True),
+        "failures": np.array(response.failures, dtype=np.str_),
     }
 
 
-def waveforms(scene: Scene, frequency: float, periods: float = 2.0) -> Arrays:
+def waveforms(scene: Scene, frequency: float, periods: int = 2) -> Arrays:
     """Compute displacements of bodies and damper masses over some periods of the orbit at a frequency."""
-    problem = OrbitProblem(scene)
     orbit = periodic_orbit(scene, frequency)
-    sequence = orbit.plan.sequence
-    equations, change = problem.equations(orbit.setting, orbit.plan)
-    period = orbit.repetition / frequency
-    states = shoot(equations, change, sequence, orbit.unknowns).states
-    events = len(sequence.kind)
-    times, motion, guards, *_ = track_orbit(
-        equations, sequence, orbit.unknowns[len(orbit.unknowns) - events :], states
-    )
-    bodies = problem.scene.structure.bodies
-    gap = guards[..., 0].copy()
-    for stretch in range(len(times)):
-        wall = sequence.wall[stretch + 1 if events else 0]
-        gap[stretch][:, wall == 1] = 0.0
-        gap[stretch][:, wall == 2] = equations.clearance[wall == 2]
-    t = np.concatenate([times.ravel() + k * period for k in range(-1, int(np.ceil(periods)) + 1)])
-    q = np.tile(motion.reshape(-1, motion.shape[2])[:, :bodies], (int(np.ceil(periods)) + 2, 1))
-    z = np.tile(gap.reshape(-1, gap.shape[2]), (int(np.ceil(periods)) + 2, 1))
-    inside = (t >= 0) & (t <= periods / frequency)
+    time, *motion = orbit.columns().values()
+    period, turns = orbit.repetition / frequency, range(-1, periods + 1)
+    t = np.concatenate([time + k * period for k in turns])
+    q = np.tile(motion, len(turns))[:, (t >= 0) & (t <= periods / frequency)]
+    bodies, system = scene.structure.bodies, orbit.problem.system
     return {
-        "time": t[inside],
-        "body": q[inside].T,
-        "gap": z[inside].T,
-        "at": problem.system.damper_coordinate,
-        "clearance": equations.clearance,
+        "time": t[(t >= 0) & (t <= periods / frequency)],
+        "body": q[:bodies],
+        "gap": q[bodies:],
+        "at": system.damper_coordinate,
+        "clearance": system.clearance,
         "type": np.array(orbit.motion_type),
         "types": np.array(orbit.damper_motion),
         "frequency": np.array(frequency),
@@ -191,12 +159,12 @@ def weightings(scene: Scene, bands: dict[int, tuple[float, float]]) -> Arrays:
         body = 0
         for row, weighting in enumerate(weights, 1):
             try:
-                kept = single_mode(forced, mode, weighting=weighting)
+                reduced = single_mode(forced, mode, weighting=weighting)
             except SceneError:
                 continue
-            body = int(np.abs(kept.shape).argmax())
-            ratio[row, column] = kept.mass_ratio
-            for branch in follow_mode(kept, band, searches=5).branches:
+            body = int(np.abs(reduced.shape).argmax())
+            ratio[row, column] = reduced.mass_ratio
+            for branch in follow_mode(reduced, band, searches=5).branches:
                 size = np.where(branch.valid & branch.stable, np.abs(branch.compliance), 0)
                 if not peak[row, column] >= size.max():
                     peak[row, column], where[row, column] = size.max(), branch.frequency[size.argmax()]
@@ -215,12 +183,12 @@ def approximate_peaks(
         dampers = [d.replace(clearance=float(clearance)) for d in scene.dampers]
         narrowed = with_ideal_force(scene.replace(dampers=dampers))
         for row, force in enumerate(forces):
-            kept = single_mode(narrowed, 3, force=float(force), weighting="energy")
-            for branch in follow_mode(kept, band, searches=5).branches:
+            reduced = single_mode(narrowed, 3, force=float(force), weighting="energy")
+            for branch in follow_mode(reduced, band, searches=5).branches:
                 real = branch.valid & branch.stable
                 if not real.any():
                     continue
-                size = np.abs(kept.shape[body - 1] * branch.compliance[real]).max()
+                size = np.abs(reduced.shape[body - 1] * branch.compliance[real]).max()
                 if not peak[row, column] >= size:
                     peak[row, column], types[row, column] = size, branch.motion_type
     return {"force": forces, "clearance": clearances, "peak": peak, "type": types}

@@ -38,12 +38,10 @@ class PaperPart:
     """A part of the reproduction that can be computed independently."""
 
     name: str  # File stem of its results
-    depends: str
-    """All inputs of its results: scenes, grids, choices."""
+    depends: str  # All inputs of its results: scenes, grids, choices
     compute: Callable[..., Arrays]
     """Takes `arguments` and returns arrays by name; a module-level function, for use in other processes."""
-    arguments: Mapping[str, Any]
-    """Arguments of `compute`."""
+    arguments: Mapping[str, Any]  # Arguments of `compute`
     title: str  # For the progress report
     effort: float = 1.0
     """Approximate time relative to other parts, for the order and the estimate of the remaining time."""

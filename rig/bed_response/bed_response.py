@@ -1,4 +1,4 @@
-"""Beds of grains over frequency, beside the same beds as one mass; pieces by workers, kept in a table as they come."""
+"""Beds of grains over frequency, compared with the same beds as one mass; workers compute and store each frequency."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 #: Periods of a block over which a motion is averaged.
 PERIODS = 20
-#: Most blocks to wait for a steady motion.
+#: Largest number of blocks until the motion is steady.
 MOST_BLOCKS = 20
 
 
@@ -54,19 +54,20 @@ class BedResponse(Result):
     mass: tuple[SteadyBed, ...]
 
     def summary(self) -> str:
-        """Say how far the two are apart."""
+        """Return the largest difference of the two in words."""
         grains, mass = (np.abs([each.compliance for each in motions]) for motions in (self.grains, self.mass))
-        off = mass / grains - 1.0
-        at, body = np.unravel_index(np.argmax(np.abs(off)), off.shape)
+        deviation = mass / grains - 1.0
+        at, body = np.unravel_index(np.argmax(np.abs(deviation)), deviation.shape)
         steady = [sum(each.steady for each in motions) for motions in (self.grains, self.mass)]
         return (
-            f"{len(off)} frequencies, steady at {steady[0]} of them with grains and at {steady[1]} as one mass; as one "
-            f"mass the compliance is {100 * abs(off[at, body]):.3g} % {'below' if off[at, body] < 0 else 'above'} that "
-            f"with grains at most (body {body + 1}, {self.frequency[at]:.6g} Hz)"
+            f"{len(deviation)} frequencies, steady at {steady[0]} of them with grains and at {steady[1]} as one mass; "
+            f"as one mass the compliance is at most {100 * abs(deviation[at, body]):.3g} % "
+            f"{'below' if deviation[at, body] < 0 else 'above'} that with grains (body {body + 1}, "
+            f"{self.frequency[at]:.6g} Hz)"
         )
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """Everything of both, named with its unit and the number of body or bed."""
+        """Return all quantities of both models, named with unit and number of the body or bed."""
         table: dict[str, NDArray[Any]] = {"frequency_Hz": self.frequency}
         for who, motions in (("grains", self.grains), ("mass", self.mass)):
             for name, attribute in (
@@ -85,7 +86,7 @@ class BedResponse(Result):
         return table
 
     def draw(self, ax: Axes, **style: Any) -> None:
-        """Compliance of each body, of grains as points and of one mass as a line."""
+        """Draw the compliance of each body, with grains as points and with one mass as a line."""
         for body in range(len(self.mass[0].compliance)):
             mass = [1e6 * abs(each.compliance[body]) for each in self.mass]
             (line,) = ax.semilogy(
@@ -104,33 +105,34 @@ def bed_response(
     cluster: str | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> BedResponse:
-    """Follow beds of grains at each frequency until their motion is steady, and the same beds as one mass.
+    """Simulate beds of grains at each frequency until their motion is steady, and the same beds as one mass.
 
     `scene`: with a bed of grains that can move, and a test that gives the level; `frequencies`: Hz, or text with
-    units; `periods`: of a block; the motion is steady once the compliances of two blocks agree within 1 %. The
-    result is their mean; `table`: CSV file with every frequency as soon as it is there; what stands in it of the
-    same scene is not done again; `cluster`: see `rig.workers.Workers`. Raises `SceneError` if no damper is a bed of
-    grains that can move, or LAMMPS is not installed. Raises `RunError` if the table cannot be read or written.
+    units; `periods`: of a block; the motion is steady when the compliances of two blocks agree within 1 %. The
+    result is their mean; `table`: CSV file to which each frequency is added when it is computed; frequencies of the
+    same scene in this file are not recomputed; `cluster`: see `rig.workers.Workers`. Raises `SceneError` if no damper
+    is a bed of grains that can move, or LAMMPS is not installed. Raises `RunError` if the table cannot be read or
+    written.
     """
     scene = scene_of(scene)
     asked = np.asarray(positives(frequencies, FREQUENCY, "frequencies"), dtype=np.float64)
     if not spheres_of(scene):
         raise SceneError(
-            f"scene {scene.name!r} has no bed of grains that can move; expected dampers with grains: {{diameter: 2 mm}}"
+            f"scene {scene.name!r} has no bed of grains that can move. Add grains: {{diameter: 2 mm}} to a damper."
         )
     pieces = [_Piece(scene, float(frequency), periods) for frequency in asked]
 
     def pack() -> None:
-        # Packed here, once and kept, the beds are available to all workers.
+        # Packed here once and stored, the beds are available to all workers.
         for spheres in spheres_of(scene).values():
             settled(spheres)
 
-    found = _STUDY.run(pieces, table, cluster, progress, pack)
-    return BedResponse(asked, tuple(grains for grains, _ in found), tuple(mass for _, mass in found))
+    motions = _STUDY.run(pieces, table, cluster, progress, pack)
+    return BedResponse(asked, tuple(grains for grains, _ in motions), tuple(mass for _, mass in motions))
 
 
 def text(response: BedResponse) -> str:
-    """Write a response as lines of text: grains, and one mass below, for the first bed and the body that moves most."""
+    """Return a response as text: grains, and one mass below, for the first bed and the body that moves most."""
     titles = ("floor N s", 12), ("ceiling N s", 12), ("J/period", 11), ("landing", 9), ("flies", 7)
     lines = [f"{'Hz':>9}  {'bed':6}{'m/N':>11}{''.join(f'{title:>{wide}}' for title, wide in titles)}  type"]
     for frequency, *both in zip(response.frequency, response.grains, response.mass, strict=True):
@@ -146,7 +148,7 @@ def text(response: BedResponse) -> str:
     )
 
 
-def _followed(piece: _Piece) -> tuple[SteadyBed, SteadyBed]:
+def _compute(piece: _Piece) -> tuple[SteadyBed, SteadyBed]:
     scene, frequency, periods = piece
     return steady_grains(scene, frequency, periods, MOST_BLOCKS), steady_mass(scene, frequency)
 
@@ -172,7 +174,7 @@ def _motion(stored: str) -> SteadyBed:
 _STUDY: Study[_Piece, tuple[SteadyBed, SteadyBed]] = Study(
     "beds",
     ("question", "frequency_hz", "grains", "mass"),
-    _followed,
+    _compute,
     _key,
     lambda key, both: [key[0], repr(key[1]), *(json.dumps(_stored(each)) for each in both)],
     lambda row: ((row[0], float(row[1])), (_motion(row[2]), _motion(row[3]))),

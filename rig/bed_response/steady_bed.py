@@ -1,4 +1,4 @@
-"""The steady motion of a bed under a tone: what it does to the structure, grain by grain and as one mass."""
+"""Steady motion of a bed under a tone, and its effect on the structure: as grains, and as one mass."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from rig.system.open_loop_drive import tone_drive, with_ideal_force
 
 #: Sample intervals in a period.
 _MARKS = 50
-#: Two blocks of periods are one steady motion if their compliances agree as well as that.
+#: Largest relative difference of the compliances of two blocks of periods in steady motion.
 STEADY = 0.01
 #: Periods in which the transient of the mass decays.
 _SETTLING = 200
-#: Periods that are averaged then.
-_WATCHED = 100
-#: A bed flies, or is at the ceiling, from this share of a period or of its weight on.
-_SEEN = 0.01
+#: Periods that are averaged after that.
+_AVERAGED = 100
+#: Smallest share of a period in flight, or of the weight at a wall, that determines the motion type.
+_SIGNIFICANT = 0.01
 
 
 @dataclass(frozen=True)
 class SteadyBed:
-    """Steady motion at one frequency; per period of the drive where not said otherwise.
+    """Steady motion at one frequency; impulses and energy per period of the drive.
 
     `landing`: phase of the drive at which the floor receives its impulse (mean over the impulse), degrees from the
     force's rising zero, shape (beds,).
@@ -41,12 +41,12 @@ class SteadyBed:
     compliance: ComplexArray
     floor_impulse: Array  # of the wall on the bed, N s, shape (beds,)
     ceiling_impulse: Array  # of the wall on the bed, N s, shape (beds,)
-    energy: Array  # taken from the structure, J, shape (beds,)
+    energy: Array  # dissipated by the bed, J, shape (beds,)
     landing: Array
-    flight: Array  # share of the time with neither wall touched, shape (beds,)
+    flight: Array  # share of the time without contact with a wall, shape (beds,)
     motion_type: NDArray[np.str_]  # shape (beds,)
     spread: float  # relative difference of the last two blocks' compliances
-    periods: int  # followed in all
+    periods: int  # simulated in total
 
     @property
     def steady(self) -> bool:
@@ -55,15 +55,15 @@ class SteadyBed:
 
 
 def as_one_mass(scene: Scene) -> Scene:
-    """Give the scene with its beds of grains as one mass each."""
+    """Return the scene with each of its beds of grains as one mass."""
     return scene.replace(dampers=[damper.replace(grains=None) for damper in scene.dampers])
 
 
 def steady_grains(scene: Scene, frequency: float, block: int, most: int, least: int = 2) -> SteadyBed:
-    """Follow beds of grains under a tone until two blocks of periods agree.
+    """Simulate beds of grains under a tone until two blocks of periods agree.
 
-    `scene`: its test gives the level; a force that its test holds acts on the body itself; `frequency`: Hz; `block`:
-    periods in a block; `most`, `least`: blocks at most and at least; the last two are averaged.
+    `scene`: its test gives the level; a controlled force acts directly on the body; `frequency`: Hz; `block`:
+    periods in a block; `most`, `least`: largest and smallest number of blocks; the last two are averaged.
     """
     scene = with_ideal_force(scene)
     coupled = CoupledPropagator(scene, 1.0 / (_MARKS * frequency))
@@ -75,8 +75,8 @@ def steady_grains(scene: Scene, frequency: float, block: int, most: int, least: 
     turn: ComplexArray = np.exp(2j * np.pi * turns)
     drive = np.real(tone.amplitudes[:, None] * turn)
     coupled.place(_near_steady(scene, system, frequency, tone.state), drive[:, 0])
-    found: list[SteadyBed] = []
-    while len(found) < least or (not found[-1].steady and len(found) < most):
+    blocks: list[SteadyBed] = []
+    while len(blocks) < least or (not blocks[-1].steady and len(blocks) < most):
         trajectory, beds = coupled.march(drive)
         states, back = trajectory.state[:, : system.states], turn[1:].conj()
         harmonics = 2.0 * (states.T @ back) / steps
@@ -86,7 +86,7 @@ def steady_grains(scene: Scene, frequency: float, block: int, most: int, least: 
         velocity = states[:, system.coordinates + coupled.bodies].T
         weight = (system.damper_mass * system.gravity)[system.grains]
         compliance = harmonics[: scene.structure.bodies] / _force(scene, system, harmonics, tone.amplitudes)
-        found.append(
+        blocks.append(
             SteadyBed(
                 compliance=compliance,
                 floor_impulse=force[:, FLOOR].sum(axis=1) * coupled.step / block,
@@ -95,64 +95,59 @@ def steady_grains(scene: Scene, frequency: float, block: int, most: int, least: 
                 landing=_phase(force[:, FLOOR] @ turn[1:], tone.amplitudes),
                 flight=np.mean((force[:, FLOOR] == 0.0) & (force[:, CEILING] == 0.0), axis=1),
                 motion_type=_types(force, weight),
-                spread=_change(found[-1].compliance if found else None, compliance),
-                periods=block * (len(found) + 1),
+                spread=_change(blocks[-1].compliance if blocks else None, compliance),
+                periods=block * (len(blocks) + 1),
             )
         )
-    return _mean(found[-2], found[-1])
+    return _mean(blocks[-2], blocks[-1])
 
 
 def steady_mass(scene: Scene, frequency: float) -> SteadyBed:
-    """Give the same with each bed of the scene as one mass."""
+    """Compute the steady motion with each bed of the scene as one mass."""
     grains = assemble(scene).grains
     scene = with_ideal_force(as_one_mass(scene))
     response = frequency_response(scene, [frequency])
     system = assemble(scene)
     run = simulate(
-        scene, (_SETTLING + _WATCHED) / frequency, rate=8.0 * _MARKS * frequency, frequency=frequency
+        scene, (_SETTLING + _AVERAGED) / frequency, rate=8.0 * _MARKS * frequency, frequency=frequency
     )
-    watched = slice(-_WATCHED * 8 * _MARKS, None)
-    turn = np.exp(2j * np.pi * frequency * run.time[watched])
+    averaged = slice(-_AVERAGED * 8 * _MARKS, None)
+    turn = np.exp(2j * np.pi * frequency * run.time[averaged])
     tone = tone_drive(scene, system, frequency)
     assert tone is not None
-    mobility = np.diag(np.linalg.inv(system.mass))
-    rows = np.flatnonzero(grains)
-    impulse, landed, energy = (
-        np.zeros((2, len(rows))),
-        np.zeros(len(rows), dtype=complex),
-        np.zeros(len(rows)),
-    )
-    flight = np.empty(len(rows))
-    begin = run.time[-1] - _WATCHED / frequency
+    mobility, rows = np.diag(np.linalg.inv(system.mass)), np.flatnonzero(grains)
+    impulse, energy, flight = np.zeros((2, len(rows))), np.zeros(len(rows)), np.empty(len(rows))
+    moment = np.zeros(len(rows), dtype=complex)
+    begin = run.time[-1] - _AVERAGED / frequency
     for k, row in enumerate(rows):
         body, mass = system.damper_coordinate[row], system.damper_mass[row]
         reduced, rebound = 1.0 / (1.0 / mass + mobility[body]), system.restitution[row]
-        carried = mass * (run.acceleration[body, watched] + system.gravity) / (8.0 * _MARKS * frequency)
+        load = mass * (run.acceleration[body, averaged] + system.gravity) / (8.0 * _MARKS * frequency)
         own = run.events[(run.events["damper"] == system.damper_number[row]) & (run.events["time"] >= begin)]
         for wall, kind, sign in ((FLOOR, "floor", 1.0), (CEILING, "ceiling", -1.0)):
             hits = own[own["kind"] == kind]
-            blows = (1.0 + rebound) * reduced * hits["speed"]
-            riding = np.where(run.contact[row, watched] == wall + 1, carried, 0.0)
-            impulse[wall, k] = (blows.sum() + sign * riding.sum()) / _WATCHED
-            energy[k] += 0.5 * reduced * (1.0 - rebound**2) * float((hits["speed"] ** 2).sum()) / _WATCHED
+            impacts = (1.0 + rebound) * reduced * hits["speed"]
+            riding = np.where(run.contact[row, averaged] == wall + 1, load, 0.0)
+            impulse[wall, k] = (impacts.sum() + sign * riding.sum()) / _AVERAGED
+            energy[k] += 0.5 * reduced * (1.0 - rebound**2) * float((hits["speed"] ** 2).sum()) / _AVERAGED
             if wall == FLOOR:
-                landed[k] = blows @ np.exp(2j * np.pi * frequency * hits["time"]) + riding @ turn
-        flight[k] = np.mean(run.contact[row, watched] == 0)
+                moment[k] = impacts @ np.exp(2j * np.pi * frequency * hits["time"]) + riding @ turn
+        flight[k] = np.mean(run.contact[row, averaged] == 0)
     return SteadyBed(
         compliance=response.compliance[:, 0],
         floor_impulse=impulse[FLOOR],
         ceiling_impulse=impulse[CEILING],
         energy=energy,
-        landing=_phase(landed, tone.amplitudes),
+        landing=_phase(moment, tone.amplitudes),
         flight=flight,
         motion_type=response.damper_motion[rows, 0],
         spread=0.0 if response.converged[0] else np.inf,
-        periods=_SETTLING + _WATCHED,
+        periods=_SETTLING + _AVERAGED,
     )
 
 
 def _near_steady(scene: Scene, system: HybridSystem, frequency: float, state: Array) -> Array:
-    """Start where the structure would be if the beds were masses: what is to settle then is only the difference."""
+    """Return the steady state with each bed as one mass, to shorten the transient."""
     compliance = frequency_response(as_one_mass(scene), [frequency])
     bodies, n = scene.structure.bodies, system.coordinates
     harmonic = -1j * compliance.force[0] * compliance.compliance[:, 0]
@@ -169,15 +164,15 @@ def _force(scene: Scene, system: HybridSystem, harmonics: ComplexArray, amplitud
 
 
 def _phase(moment: ComplexArray, amplitudes: ComplexArray) -> Array:
-    """Degrees after the rising zero of a drive A e^{i w t} at which something with such a moment e^{i w t} is."""
+    """Return the phase of a moment (sum times e^{i w t}) after the rising zero of the drive A e^{i w t}, degrees."""
     zero = amplitudes[np.argmax(np.abs(amplitudes))] * 1j
     return np.asarray(np.degrees(np.angle(moment * zero)) % 360.0)
 
 
 def _types(force: Array, weight: Array) -> NDArray[np.str_]:
-    """Name the motion of beds from their walls' forces (beds, walls, steps), as that of a mass would be."""
-    ceiling = -force[:, CEILING].mean(axis=1) > _SEEN * weight
-    resting = np.mean(force[:, FLOOR] > _SEEN * weight[:, None], axis=1) > 1.0 - _SEEN
+    """Classify the motion of beds by the forces of their walls (beds, walls, steps), in the terms for one mass."""
+    ceiling = -force[:, CEILING].mean(axis=1) > _SIGNIFICANT * weight
+    resting = np.mean(force[:, FLOOR] > _SIGNIFICANT * weight[:, None], axis=1) > 1.0 - _SIGNIFICANT
     return np.where(ceiling, "II/III", np.where(resting, "riding", "I"))
 
 
@@ -188,7 +183,7 @@ def _change(before: ComplexArray | None, now: ComplexArray) -> float:
 
 
 def _mean(first: SteadyBed, second: SteadyBed) -> SteadyBed:
-    """Average two blocks; types and what is counted are the later one's."""
+    """Average two blocks; motion types and counts are those of the second."""
     mean = {field.name: getattr(second, field.name) for field in fields(SteadyBed)}
     for name in ("compliance", "floor_impulse", "ceiling_impulse", "energy", "flight"):
         mean[name] = 0.5 * (getattr(first, name) + getattr(second, name))

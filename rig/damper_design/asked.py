@@ -74,8 +74,7 @@ def _under_force(scene: Scene, levels: Sequence[float | str] | None) -> Scene:
         return scene
     if levels is None:
         raise SceneError(
-            "levels: not given, and the test of the scene states a drive, not a force. Give forces, "
-            "such as --levels 3N"
+            "levels: not given, and the test of the scene states a drive, not a force. Give forces, as in --levels 3N."
         )
     assert scene.test is not None
     return scene.replace(test=scene.test.replace(drive=None, force=levels[0]))
@@ -113,13 +112,11 @@ def asked(
     total, most = total_mass(scene), mass_of(budget, scene)
     if not 0.0 < most < total:
         raise SceneError(
-            f"budget: got {most:g} kg; expected more than 0 and less than the mass of the structure, "
-            f"{total:g} kg"
+            f"budget: got {most:g} kg; expected more than 0 and less than the structure's mass of {total:g} kg"
         )
     if scene.gravity == 0.0:
         raise SceneError(
-            "gravity: got 0; expected more than 0, because dampers without weight do not return to their "
-            "floor"
+            "gravity: got 0; expected more than 0, because dampers without weight do not return to their floor"
         )
     landings = landings_of(scene.dampers)
     plain = with_ideal_force(_under_force(scene.replace(dampers=[], channels=None), levels))

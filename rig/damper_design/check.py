@@ -83,19 +83,16 @@ def missing_channels(scene: Scene, body: int) -> list[Channel]:
         name = at.replace("shaker", "force").replace(" ", "")
         name = name if name not in names else f"{name}.check"
         if at.startswith("shaker"):
-            found.append(Channel(name=name, at=at, hammer=_force_sensor(scene)))
+            converter = None if scene.converter is None else filled_in(scene.converter)
+            sensor = None
+            if converter is not None and converter.range is not None:
+                assert isinstance(scene.test, SteppedSine)
+                sensor = Hammer(sensitivity=float(f"{0.5 * converter.range / max(scene.test.levels):.2g}"))
+            found.append(Channel(name=name, at=at, hammer=sensor))
         else:
             sensors = (None, None) if like is None else (like.accelerometer, like.integrator)
             found.append(Channel(name=name, at=at, accelerometer=sensors[0], integrator=sensors[1]))
     return found
-
-
-def _force_sensor(scene: Scene) -> Hammer | None:
-    converter = None if scene.converter is None else filled_in(scene.converter)
-    if converter is None or converter.range is None:
-        return None
-    assert isinstance(scene.test, SteppedSine)
-    return Hammer(sensitivity=float(f"{0.5 * converter.range / max(scene.test.levels):.2g}"))
 
 
 def _around(peaks: Sequence[float], band: tuple[float, float]) -> Array:

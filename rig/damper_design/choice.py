@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations, product
@@ -32,10 +31,6 @@ def mass_unit(mass: float) -> tuple[float, str]:
     return (1e3, "g") if mass < 1.0 else (1.0, "kg")
 
 
-def _clearance(clearance: float) -> str:
-    return "no ceiling" if np.isinf(clearance) else f"clearance {format_number(1e3 * clearance)} mm"
-
-
 @dataclass(frozen=True, order=True)
 class Choice:
     """A candidate design: body (from 1), mass [kg] and clearance [m, infinite without a ceiling] of each damper.
@@ -49,12 +44,14 @@ class Choice:
     clearances: tuple[float, ...]
 
     def __str__(self) -> str:
-        each = zip(self.masses, self.bodies, self.clearances, strict=True)
-        rows = [(*mass_unit(m), m, b, c) for m, b, c in each]
-        return "; ".join(
-            f"{format_number(factor * m)} {unit} in body {b}, {_clearance(c)}"
-            for factor, unit, m, b, c in rows
-        )
+        texts = []
+        for mass, body, clearance in zip(self.masses, self.bodies, self.clearances, strict=True):
+            factor, unit = mass_unit(mass)
+            ceiling = (
+                "no ceiling" if np.isinf(clearance) else f"clearance {format_number(1e3 * clearance)} mm"
+            )
+            texts.append(f"{format_number(factor * mass)} {unit} in body {body}, {ceiling}")
+        return "; ".join(texts)
 
     @property
     def mass(self) -> float:
@@ -89,14 +86,11 @@ class Choice:
         >>> print(Choice((3, 4), (0.0002, 0.0698), (8e-3, 7e-3)).without_lightest())
         70 g in body 4, clearance 7 mm
         """
-        light = self.masses.index(min(self.masses))
-        kept = [damper for damper in range(len(self.bodies)) if damper != light]
-        factor = self.mass / sum(self.masses[damper] for damper in kept)
-        return Choice(
-            tuple(self.bodies[damper] for damper in kept),
-            tuple(factor * self.masses[damper] for damper in kept),
-            tuple(self.clearances[damper] for damper in kept),
-        )
+        each = list(zip(self.bodies, self.masses, self.clearances, strict=True))
+        del each[self.masses.index(min(self.masses))]
+        bodies, masses, clearances = zip(*each, strict=True)
+        factor = self.mass / sum(masses)
+        return Choice(bodies, tuple(factor * mass for mass in masses), clearances)
 
     def dampers(self, landings: Landings) -> list[Damper]:
         """Return the dampers as objects of a scene."""
@@ -185,12 +179,12 @@ class Question:
 
     def worst(self, choice: Choice) -> Peak:
         """Compute the worst peak of a design over levels and structures."""
-        dampers = choice.dampers(self.landings)
-        return max(self._peak(scene.replace(dampers=dampers), self.levels) for scene in self.scenes)
-
-    def _peak(self, scene: Scene, levels: Sequence[float]) -> Peak:
-        problem, frequencies = OrbitProblem(scene), self._frequencies(scene)
-        return max(peak_at(problem, level, frequencies, self.bodies) for level in levels)
+        peaks = []
+        for scene in self.scenes:
+            damped = scene.replace(dampers=choice.dampers(self.landings))
+            problem, frequencies = OrbitProblem(damped), self._frequencies(damped)
+            peaks += [peak_at(problem, level, frequencies, self.bodies) for level in self.levels]
+        return max(peaks)
 
     def _frequencies(self, scene: Scene) -> Array:
         """Frequencies, closely spaced between the resonances without dampers and with all dampers riding."""

@@ -18,7 +18,7 @@ from rig.damper_design.choice import FINE, Choice, Question, Space, Trial, mass_
 from rig.damper_design.flight import Flight, flight, idle_levels, shortfall
 from rig.damper_design.other_modes import ModePeaks, best_outside, mode_peaks
 from rig.damper_design.ranking import equally_good, front
-from rig.damper_design.search import chart, pieces, search
+from rig.damper_design.search import pieces, search
 from rig.damper_design.tolerance import Tolerance, tolerance
 from rig.damper_design.worst_peak import Peak
 from rig.figure_style import COLORS
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 #: Clearances of the chart, relative to the best design.
 CHART_CLEARANCES = np.geomspace(0.25, 4.0, 7)
-#: The chart extends beyond the requested levels by this factor.
+#: Factor by which the chart extends beyond the requested levels.
 BEYOND = 2.0
 #: Smallest ratio of the outermost levels to the middle level.
 AT_LEAST = 4.0
@@ -142,7 +142,7 @@ class Design(Result):
 
     def reduction(self, peak: Peak) -> float:
         """Reduction of a peak relative to the bare structure, dB."""
-        return 20.0 * float(np.log10(self.bare.size / peak.size))
+        return peak.reduction_from(self.bare)
 
 
 def design(
@@ -222,7 +222,8 @@ def design(
         modes = mode_peaks(question, best, answers)
         interval = tolerance(question, space, best, trials, answers)
         charted = best.choice if best.choice.has_ceiling else best.choice.with_clearance(space.clearance[1])
-        found = chart(question, charted, CHART_CLEARANCES.tolist(), forces.tolist(), answers)
+        at_levels = replace(question, scenes=question.scenes[:1], levels=tuple(forces.tolist()))
+        chart = answers.of(at_levels, [charted.wider(factor) for factor in CHART_CLEARANCES.tolist()])
         nominal = replace(question, scenes=question.scenes[:1], density=FINE)
         (likely,) = answers.of(nominal, [best.choice])
     answers.sort()
@@ -246,7 +247,7 @@ def design(
         levels=forces,
         clearance_factors=CHART_CLEARANCES,
         charted=charted,
-        chart=tuple(map(tuple, found)),
+        chart=tuple(trial.peaks for trial in chart),
     )
 
 

@@ -43,18 +43,11 @@ def summary(design: Design) -> str:
         "",
         *_verdict(design),
         "",
-        *_masses(design),
-        "",
-        *_modes(design),
+        *_tables(design),
     ]
     if best.peak.simulated > 0.0:
-        lines += [
-            "",
-            (
-                f"{best.peak.simulated:.0%} of that curve is irregular motion, averaged over periods, "
-                "accurate to a few percent"
-            ),
-        ]
+        share = f"{best.peak.simulated:.0%} of that curve is irregular motion"
+        lines += ["", f"{share}, averaged over periods, accurate to a few percent"]
     for bound, name in zip(space.clearance, ("smallest", "largest"), strict=True):
         if any(abs(np.log(clearance / bound)) < 0.02 for clearance in best.choice.clearances):
             lines += ["", f"the clearance chosen is the {name} that was allowed: allow more (--clearance)"]
@@ -72,8 +65,8 @@ def _verdict(design: Design) -> list[str]:
     lines = [
         f"{heading}: {design.best.choice}",
         f"worst peak {1e6 * peak.size:.4g} µm/N (body {peak.body}, {peak.frequency:.2f} Hz, "
-        f"{format_number(peak.level)} N): {abs(reduction):.1f} dB {side} "
-        f"the bare structure's {1e6 * bare.size:.4g} µm/N",
+        f"{format_number(peak.level)} N): {abs(reduction):.1f} dB {side} the bare structure's "
+        f"{1e6 * bare.size:.4g} µm/N",
         *design.shortfall,
     ]
     if design.serves:
@@ -91,34 +84,20 @@ def _verdict(design: Design) -> list[str]:
     return lines
 
 
-def _masses(design: Design) -> list[str]:
-    """Write the reduction of the best dampers of each mass at each level."""
+def _tables(design: Design) -> list[str]:
+    """Write the reductions of the best dampers of each mass, and the peaks of each mode, at each level."""
     factor, unit = mass_unit(max(trial.choice.mass for trial in design.front))
     forces = "".join(f"{f'{format_number(level)} N':>9}" for level in design.question.levels)
-    return [
-        f"{'':14}  reduction in dB at",
-        f"{f'added mass, {unit}':>14}{forces}  dampers",
-        *(
-            f"{factor * trial.choice.mass:14.1f}"
-            f"{''.join(f'{design.reduction(peak):9.1f}' for peak in trial.peaks)}  {trial.choice}"
-            for trial in design.front
-        ),
-    ]
-
-
-def _modes(design: Design) -> list[str]:
-    """Write the peaks of each mode without dampers and with them at each level."""
-    forces = "".join(f"{f'{format_number(level)} N':>9}" for level in design.question.levels)
-    return [
-        f"{'':14}  largest peak in µm/N",
-        f"{'mode, Hz':>14}{'without':>10}{forces}",
-        *(
-            f"{mode.frequency:14.2f}{1e6 * mode.bare.size:10.4g}"
-            f"{''.join(f'{1e6 * peak.size:9.4g}' for peak in mode.damped)}"
-            f"{'' if mode.inside else '  outside the band'}"
-            for mode in design.modes
-        ),
-    ]
+    lines = [f"{'':14}  reduction in dB at", f"{f'added mass, {unit}':>14}{forces}  dampers"]
+    for trial in design.front:
+        reductions = "".join(f"{design.reduction(peak):9.1f}" for peak in trial.peaks)
+        lines.append(f"{factor * trial.choice.mass:14.1f}{reductions}  {trial.choice}")
+    lines += ["", f"{'':14}  largest peak in µm/N", f"{'mode, Hz':>14}{'without':>10}{forces}"]
+    for mode in design.modes:
+        peaks = "".join(f"{1e6 * peak.size:9.4g}" for peak in mode.damped)
+        place = "" if mode.inside else "  outside the band"
+        lines.append(f"{mode.frequency:14.2f}{1e6 * mode.bare.size:10.4g}{peaks}{place}")
+    return lines
 
 
 def write(design: Design, folder: Path) -> list[Path]:
@@ -141,6 +120,8 @@ def next_step(design: Design, scene: Path) -> str:
     beyond = overloads(design.scene, design.expected, design.bare)
     changes = "".join(f" --set {quote(change)}" for each in beyond for change in each.changes)
     lasting = all(damper.contact is not None for damper in design.scene.dampers)
+    places = {channel.name: channel.at for channel in design.scene.channels or ()}
+    added = ", ".join(f"{name} (at {places[name]})" for name in design.added_channels)
     file, with_them, without = (
         quote(str(each))
         for each in (scene, scene.with_suffix(".mcap"), scene.with_name(f"{scene.stem}-without.mcap"))
@@ -152,7 +133,7 @@ def next_step(design: Design, scene: Path) -> str:
                 f"{test.frequencies[0]:.4g} to {test.frequencies[-1]:.4g} Hz at {levels} N around the "
                 "largest peaks with and without dampers"
             ),
-            *_added(design),
+            *([f"channels added to those of the scene for this test: {added}"] if added else []),
             "",
             "largest peaks expected, in µm/N: under a pure tone of force, as designed; and of that test, through its "
             "shaker, whose spring adds\nharmonics if it has one, with the force held within "
@@ -171,14 +152,6 @@ def next_step(design: Design, scene: Path) -> str:
             *rests_on(design.scene.dampers, design.expected, scene),
         ]
     )
-
-
-def _added(design: Design) -> list[str]:
-    if not design.added_channels:
-        return []
-    places = {channel.name: channel.at for channel in design.scene.channels or ()}
-    added = ", ".join(f"{name} (at {places[name]})" for name in design.added_channels)
-    return [f"channels added to those of the scene for this test: {added}"]
 
 
 def _expected(one: Expected) -> str:
@@ -217,7 +190,7 @@ def _chart(axes: Axes, design: Design) -> None:
         label=f"{'chosen' if design.best.choice.has_ceiling else 'largest searched'}, at the forces asked for",
     )  # fmt: skip
     axes.grid(False)
-    axes.set(xlabel="force / N", ylabel=_clearance_label(choice))
+    axes.set(xlabel="force / N", ylabel=clearance_label(choice))
     set_log_scale(axes.xaxis)
     set_log_scale(axes.yaxis, factor=1e3)
     axes.set(xlim=borders[0][[0, -1]], ylim=borders[1][[0, -1]])
@@ -226,7 +199,8 @@ def _chart(axes: Axes, design: Design) -> None:
     axes.set_title("Clearance and force")
 
 
-def _clearance_label(choice: Choice) -> str:
+def clearance_label(choice: Choice) -> str:
+    """Label the axis of the clearances: those of the heaviest damper."""
     if len(choice.bodies) == 1:
         return "clearance / mm"
     return f"clearance in body {choice.bodies[choice.heaviest]} / mm\n(others in proportion)"

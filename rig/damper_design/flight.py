@@ -15,9 +15,9 @@ from rig.orbits.problem import OrbitProblem
 from rig.results import format_number
 
 #: Smallest peak reduction at which dampers count as effective, dB.
-SERVES = 1.0
+EFFECTIVE_DB = 1.0
 #: Body acceleration from which dampers are usually effective, computed with the damper at rest on its floor, g.
-_LIVELY = 3.0
+_EFFECTIVE_G = 3.0
 
 
 @dataclass(frozen=True)
@@ -42,17 +42,14 @@ def flight(question: Question, trial: Trial, unreached: bool) -> Flight:
 
     `unreached`: whether the dampers do not reach their ceiling, so that the height is computed.
     """
-    choice = trial.choice
-    bare = question.scenes[0]
-    levels = []
-    for body, damper in zip(choice.bodies, choice.dampers(question.landings), strict=True):
-        alone = bare.replace(dampers=[damper])
-        levels.append((float(take_off(alone, _frequencies(question, trial)).min()), body))
-    first, body = min(levels)
-    return Flight(first, body, height(question, trial) if unreached else np.nan)
+    frequencies, dampers = _frequencies(question, trial), trial.choice.dampers(question.landings)
+    alone = [question.scenes[0].replace(dampers=[damper]) for damper in dampers]
+    levels = [float(take_off(scene, frequencies).min()) for scene in alone]
+    first, body = min(zip(levels, trial.choice.bodies, strict=True))
+    return Flight(first, body, _height(question, trial) if unreached else np.nan)
 
 
-def height(question: Question, trial: Trial) -> float:
+def _height(question: Question, trial: Trial) -> float:
     """Compute the largest height of dampers without ceilings, m; NaN where part of the motion is irregular."""
     dampers = trial.choice.without_ceiling().dampers(question.landings)
     highest = 0.0
@@ -80,7 +77,7 @@ def idle_levels(trial: Trial, bare: Peak, flight_: Flight) -> list[float]:
     return sorted(
         peak.level
         for peak in trial.peaks
-        if _reduction(bare, peak) <= ALIKE or flight_.reach(peak.level) <= 1.0
+        if peak.reduction_from(bare) <= ALIKE or flight_.reach(peak.level) <= 1.0
     )
 
 
@@ -94,7 +91,7 @@ def shortfall(
     idle = idle_levels(trial, bare, flight_)
     if not idle:
         return []
-    reached = {peak.level: _reduction(bare, peak) for peak in trial.peaks}
+    reached = {peak.level: peak.reduction_from(bare) for peak in trial.peaks}
     lines = []
     for level in idle:
         reach = flight_.reach(level)
@@ -106,16 +103,18 @@ def shortfall(
         )
     most = {
         level: max(
-            (_reduction(bare, p) for each in trials for p in each.peaks if p.level == level), default=0.0
+            (p.reduction_from(bare) for each in trials for p in each.peaks if p.level == level), default=0.0
         )
         for level in sorted(reached)
         if level > max(idle)
     }
-    served = [level for level in most if most[level] >= SERVES]
+    served = [level for level in most if most[level] >= EFFECTIVE_DB]
     later = [
         level
         for level in charted
-        if level > max(idle) and flight_.reach(level) > 1.0 and _reduction(bare, charted[level]) >= SERVES
+        if level > max(idle)
+        and flight_.reach(level) > 1.0
+        and charted[level].reduction_from(bare) >= EFFECTIVE_DB
     ]
     if served:
         forces = ",".join(f"{format_number(level)}N" for level in served)
@@ -125,15 +124,11 @@ def shortfall(
         )
     elif later:
         lines.append(
-            f"these dampers reduce the peak by {SERVES:g} dB from {format_number(min(later))} N on (--levels)"
+            f"these dampers reduce the peak by {EFFECTIVE_DB:g} dB from {format_number(min(later))} N on (--levels)"
         )
     else:
-        lively = format_number(_LIVELY * flight_.take_off)
+        effective = format_number(_EFFECTIVE_G * flight_.take_off)
         lines.append(
-            f"dampers are usually effective from {_LIVELY:g} g: use levels from {lively} N (--levels)"
+            f"dampers are usually effective from {_EFFECTIVE_G:g} g: use levels from {effective} N (--levels)"
         )
     return lines
-
-
-def _reduction(bare: Peak, peak: Peak) -> float:
-    return 20.0 * float(np.log10(bare.size / peak.size))

@@ -13,7 +13,7 @@ from rig.results import format_number
 from rig.scene.damper import Damper
 
 
-class Found(NamedTuple):
+class Agreement(NamedTuple):
     """Number of settings of a study in which one mass agreed with grains within 10 %."""
 
     near: int
@@ -22,7 +22,7 @@ class Found(NamedTuple):
 
 #: Agreement of grains with one mass, from the table of `analysis beds`; a test compares these figures with the table.
 #: Without a ceiling, below a ceiling, and the interquartile range of the deviation below a ceiling in percent.
-WITHOUT_CEILING, BELOW_CEILING, MIDDLE_HALF = Found(21, 36), Found(6, 61), (-50, -16)
+WITHOUT_CEILING, BELOW_CEILING, MIDDLE_HALF = Agreement(21, 36), Agreement(6, 61), (-50, -16)
 #: Shot diameter of the grain simulation, m; relative half-width of its band around the peak; number of frequencies.
 _SHOT, _REACH, _POINTS = 2e-3, 0.01, 3
 
@@ -39,18 +39,11 @@ def rests_on(dampers: Sequence[Damper], expected: Sequence[Expected], scene: Pat
     (near, settings), (near_below, below) = WITHOUT_CEILING, BELOW_CEILING
     less, least = (-off for off in MIDDLE_HALF)
     return [
-        (
-            "these results are for beds that move as one mass. In a comparison with beds of grains "
-            "(analysis beds)"
-        ),
-        (
-            f"the compliance was within 10 % in {near} of {settings} settings without a ceiling, and in "
-            f"{near_below} of {below} with one,"
-        ),
-        (
-            f"where the middle half of the results with grains was {least} to {less} % lower. These dampers "
-            f"as shot of {format_number(1000.0 * _SHOT)} mm, which may take hours:"
-        ),
+        "these results are for beds that move as one mass. In a comparison with beds of grains (analysis beds)",
+        f"the compliance was within 10 % in {near} of {settings} settings without a ceiling, and in {near_below} of "
+        f"{below} with one,",
+        f"where the middle half of the results with grains was {least} to {less} % lower. These dampers as shot of "
+        f"{format_number(1e3 * _SHOT)} mm, which may take hours:",
         f"rig grains {quote(str(scene))} --set {quote(f'dampers=[{beds}]')} "
         f"--set test.force={format_number(peak.level)}N --from {low} --to {high} --points {_POINTS} "
         f"-o {quote(str(scene.with_name(f'{scene.stem}-grains.csv')))}",

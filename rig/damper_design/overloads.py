@@ -63,14 +63,13 @@ def overloads(scene: Scene, expected: Sequence[Expected], bare: Peak) -> list[Ov
         beyond = [k for k, size in enumerate(largest) if size > sensor.saturation]
         if beyond:
             levels = ", ".join(dict.fromkeys(format_number(motions[k][1]) for k in beyond))
-            found.append(
-                Overload(
-                    f"{channel.name}: up to {_acceleration(max(largest))} at {levels} N, where its "
-                    "accelerometer saturates at "
-                    f"{_acceleration(sensor.saturation)}{_landings(expected, max(shaken), max(steady))}",
-                    _unlimited(number, channel.accelerometer, max(largest)),
-                )
+            fastest = max(max(each.closing_speed, default=0.0) for each in expected)
+            cause = f", from landings of up to {fastest:.2g} m/s" if max(shaken) > max(steady) else ""
+            reason = (
+                f"{channel.name}: up to {_acceleration(max(largest))} at {levels} N, where its accelerometer "
+                f"saturates at {_acceleration(sensor.saturation)}{cause}"
             )
+            found.append(Overload(reason, _unlimited(number, channel.accelerometer, max(largest))))
     converter = None if scene.converter is None else filled_in(scene.converter)
     if converter is not None and converter.range is not None and most_volts > converter.range:
         volts = float(f"{1.5 * most_volts:.2g}")
@@ -120,13 +119,6 @@ def _volts(
     if integrator is None:
         return volts
     return volts * integrator.gain / (2.0 * np.pi * frequency) ** integrator.order
-
-
-def _landings(expected: Sequence[Expected], shaken: float, steady: float) -> str:
-    if shaken <= steady:
-        return ""
-    fastest = max(max(each.closing_speed, default=0.0) for each in expected)
-    return f", from landings of up to {fastest:.2g} m/s"
 
 
 def _unlimited(number: int, sensor: Accelerometer | None, acceleration: float) -> tuple[str, ...]:

@@ -27,17 +27,17 @@ POLISHING = 25
 #: Locations whose best design is refined with all dampers different.
 POLISHED = 2
 #: Largest ratio of two dampers' masses. Large, so that a single damper can dominate if that is the optimum.
-UNEVEN = 300.0
+LARGEST_MASS_RATIO = 300.0
 #: Largest ratio of the peak at a location to the best peak on the grid for which the location is refined.
 PROMISING = 1.4
 #: The same ratio for the smaller masses, and for all locations with several different dampers.
 CLOSE = 1.25
 #: Largest number of locations refined for each smaller mass.
-LIGHTER = 2
+REFINED_LIGHT = 2
 #: Relative rounding difference of two sums of the same masses.
 ROUNDING = 1e-9
 #: Initial ratio of the clearances of two dampers in one body.
-APART = 1.1
+CLEARANCE_RATIO = 1.1
 #: Number of best designs in the final comparison.
 COMPARED = 3
 
@@ -55,27 +55,27 @@ def search(question: Question, space: Space, answers: Answers) -> tuple[Trial, l
     including the best.
     """
     grid = [[c for place in space.places for c in _row(space, place, share)] for share in SHARES]
-    tried = _bounded(question, grid, answers)
+    tried = _grid_trials(question, grid, answers)
     rows = [ranked(tried[c] for c in row if c in tried) for row in grid]
     starts = [
         start
         for number, row in enumerate(rows)
-        for start in _best_of_places(row, CLOSE if number else PROMISING)[: LIGHTER if number else None]
+        for start in _best_of_places(row, CLOSE if number else PROMISING)[: REFINED_LIGHT if number else None]
     ]
     refine = partial(_refine, step=_step(space), bounds=space.clearance)
-    tried |= answers.follow(question, [partial(_wanted, refine, start) for start in starts])
+    tried |= answers.follow(question, [partial(_requests, refine, start) for start in starts])
     if space.dampers > 1:
         rows = [ranked(tried[c] for c in tried if _same_mass(c, row[0].choice)) for row in rows]
         starts = [
             start
             for number, row in enumerate(rows)
-            for start in _several(_best_of_places(row, CLOSE))[: 1 if number else POLISHED]
+            for start in _multiple(_best_of_places(row, CLOSE))[: 1 if number else POLISHED]
         ]
         polish = partial(_polish, bounds=space.clearance)
-        tried |= answers.follow(question, [partial(_wanted, polish, start) for start in starts])
+        tried |= answers.follow(question, [partial(_requests, polish, start) for start in starts])
         first = [ranked(tried[c] for c in tried if _same_mass(c, row[0].choice))[0].choice for row in rows]
-        fewer = [choice.without_lightest() for choice in _several(first) if choice.has_ceiling]
-        tried |= answers.follow(question, [partial(_wanted, refine, each) for each in fewer])
+        fewer = [choice.without_lightest() for choice in _multiple(first) if choice.has_ceiling]
+        tried |= answers.follow(question, [partial(_requests, refine, each) for each in fewer])
     # A coarse frequency grid may miss a peak, so the first three designs are compared on a fine grid. The first
     # design without its lightest damper, whose mass may be negligible, and the best of each smaller mass are
     # compared too.
@@ -84,15 +84,6 @@ def search(question: Question, space: Space, answers: Answers) -> tuple[Trial, l
         tried |= {trial.choice: trial for trial in answers.of(fine, first)}
         closely |= set(first)
     return ranked(tried.values())[0], list(tried.values())
-
-
-def chart(
-    question: Question, choice: Choice, factors: Sequence[float], levels: Sequence[float], answers: Answers
-) -> list[list[Peak]]:
-    """Compute the peaks of a design with all clearances scaled by each factor (rows) at each level (columns)."""
-    choices = [choice.wider(factor) for factor in factors]
-    nominal = replace(question, scenes=question.scenes[:1], levels=tuple(levels))
-    return [list(trial.peaks) for trial in answers.of(nominal, choices)]
 
 
 def _first(trials: Iterable[Trial], space: Space) -> list[Choice]:
@@ -111,7 +102,7 @@ def _same_mass(one: Choice, other: Choice) -> bool:
     return abs(one.mass - other.mass) <= ROUNDING * other.mass
 
 
-def _several(choices: Iterable[Choice]) -> list[Choice]:
+def _multiple(choices: Iterable[Choice]) -> list[Choice]:
     """Select designs with more than one damper."""
     return [choice for choice in choices if len(choice.bodies) > 1]
 
@@ -125,9 +116,9 @@ def _row(space: Space, place: tuple[int, ...], share: float) -> list[Choice]:
     """Designs with all clearances of the grid, equal in each body, and the design without ceilings."""
     count, (low, high) = len(place), space.clearance
     # Identical dampers in one body would move identically until rounding errors separate them.
-    apart = [APART ** place[:k].count(body) for k, body in enumerate(place)]
-    first = Choice(place, (share * space.mass / count,) * count, tuple(apart))
-    row = [first.wider(c) for c in np.geomspace(low, high / max(apart), CLEARANCES).tolist()]
+    ratios = [CLEARANCE_RATIO ** place[:k].count(body) for k, body in enumerate(place)]
+    first = Choice(place, (share * space.mass / count,) * count, tuple(ratios))
+    row = [first.wider(c) for c in np.geomspace(low, high / max(ratios), CLEARANCES).tolist()]
     # Two dampers without ceilings in one body move as one damper of their total mass.
     return row if len(set(place)) < count or not space.without_ceiling else [*row, first.without_ceiling()]
 
@@ -141,16 +132,18 @@ def _best_of_places(row: Sequence[Trial], within: float) -> list[Choice]:
     return list(best.values())
 
 
-def _bounded(question: Question, grid: Sequence[list[Choice]], answers: Answers) -> dict[Choice, Trial]:
+def _grid_trials(question: Question, grid: Sequence[list[Choice]], answers: Answers) -> dict[Choice, Trial]:
     """Compute designs that may be the best of their row; the peak at one level is a lower bound of the worst peak."""
     middle = question.parts[len(question.levels) // 2]
     every = [choice for row in grid for choice in row]
     least = {trial.choice: trial.peak for trial in answers.of(middle, every)}
     rows = [sorted(row, key=least.__getitem__) for row in grid]
-    return answers.follow(question, [partial(_promising, row, least) for row in rows])
+    return answers.follow(question, [partial(_branch_and_bound, row, least) for row in rows])
 
 
-def _promising(row: Sequence[Choice], least: Mapping[Choice, Peak], computed: Computed) -> Iterator[Choice]:
+def _branch_and_bound(
+    row: Sequence[Choice], least: Mapping[Choice, Peak], computed: Computed
+) -> Iterator[Choice]:
     """Yield designs that may be the best of a row sorted by lower bound (branch and bound)."""
     # Each result is used `AHEAD` designs later, so that the set of computed designs does not depend on worker speed.
     best = np.inf
@@ -169,13 +162,13 @@ class _Unknown(Exception):
     """A search needs a design that has not been computed yet."""
 
 
-def _wanted(search: Callable[..., object], start: Choice, computed: Computed) -> list[Choice]:
+def _requests(search: Callable[..., object], start: Choice, computed: Computed) -> list[Choice]:
     """Return the designs that a search requests, up to the first whose result is unknown."""
     # The search restarts each time and uses the stored results up to the first unknown design.
-    wanted = []
+    requested = []
 
     def cost(choice: Choice) -> float:
-        wanted.append(choice)
+        requested.append(choice)
         trial = computed(choice)
         if trial is None:
             raise _Unknown
@@ -183,7 +176,7 @@ def _wanted(search: Callable[..., object], start: Choice, computed: Computed) ->
 
     with suppress(_Unknown):
         search(start, cost)
-    return wanted
+    return requested
 
 
 def _refine(start: Choice, cost: Callable[[Choice], float], step: float, bounds: tuple[float, float]) -> None:
@@ -210,7 +203,9 @@ def _polish(start: Choice, cost: Callable[[Choice], float], bounds: tuple[float,
     shares = np.log(np.array(start.masses[:-1]) / start.masses[-1])
     first = np.concatenate([np.log(start.clearances), shares])
     corners = np.vstack([first, first + np.diag([0.25] * count + [0.3] * (count - 1))])
-    limits = [tuple(np.log(bounds))] * count + [(-np.log(UNEVEN), np.log(UNEVEN))] * (count - 1)
+    limits = [tuple(np.log(bounds))] * count + [(-np.log(LARGEST_MASS_RATIO), np.log(LARGEST_MASS_RATIO))] * (
+        count - 1
+    )
     minimize(
         at, first, method="Nelder-Mead", bounds=limits,
         options={"initial_simplex": corners, "maxfev": POLISHING * first.size, "xatol": 2e-3, "fatol": np.inf},

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rig.damper_design.answers import Answers
-from rig.damper_design.choice import Choice, Question, Space, Trial
+from rig.damper_design.choice import Question, Space, Trial
 from rig.results import format_number
 
 #: Rise of the worst peak at the ends of the interval, dB.
@@ -69,13 +69,15 @@ def tolerance(
     """
     most = best.peak.size * 10.0 ** (RISE / 20.0)
     choice, heaviest = best.choice, best.choice.heaviest
-    shape = choice
-    if not choice.has_ceiling:
-        shape = choice.with_clearance(space.clearance[1])
+    shape = choice if choice.has_ceiling else choice.with_clearance(space.clearance[1])
     known = {1.0: True} if choice.has_ceiling else {}
     for trial in trials:
         factor = trial.choice.clearances[heaviest] / shape.clearances[heaviest]
-        if _same_but_wider(trial.choice, shape, factor):
+        same = (trial.choice.bodies, trial.choice.masses) == (shape.bodies, shape.masses)
+        if (
+            same and np.isfinite(factor)
+            and np.allclose(trial.choice.clearances, shape.wider(factor).clearances, rtol=1e-6)
+        ):  # fmt: skip
             known.setdefault(factor, trial.peak.size <= most)
 
     def serves(factor: float) -> bool:
@@ -87,27 +89,15 @@ def tolerance(
     reference = shape.clearances[heaviest]
     if not serves(1.0):
         return Tolerance(np.inf, np.inf, (False, False), np.inf)
-    smallest, largest = (
-        space.clearance[0] / min(shape.clearances),
-        space.clearance[1] / max(shape.clearances),
-    )
-    low, low_limited = _end(serves, known, min(smallest, 1.0))
+    low, low_limited = _end(serves, known, min(space.clearance[0] / min(shape.clearances), 1.0))
     if not choice.has_ceiling:
         return Tolerance(reference * low, np.inf, (low_limited, False), np.inf)
-    high, high_limited = _end(serves, known, max(largest, 1.0))
+    high, high_limited = _end(serves, known, max(space.clearance[1] / max(shape.clearances), 1.0))
     if high_limited and space.without_ceiling and len(set(choice.bodies)) == len(choice.bodies):
         (unlimited,) = answers.of(question, [choice.without_ceiling()])
         if unlimited.peak.size <= most:
             high, high_limited = np.inf, False
     return Tolerance(reference * low, reference * high, (low_limited, high_limited), reference)
-
-
-def _same_but_wider(choice: Choice, shape: Choice, factor: float) -> bool:
-    return (
-        np.isfinite(factor)
-        and (choice.bodies, choice.masses) == (shape.bodies, shape.masses)
-        and np.allclose(choice.clearances, shape.wider(factor).clearances, rtol=1e-6)
-    )
 
 
 def _end(serves: Callable[[float], bool], known: Iterable[float], limit: float) -> tuple[float, bool]:

@@ -31,6 +31,10 @@ class Peak:
     acceleration: float  # amplitude of the body's acceleration at the peak, m/s^2
     simulated: float  # share of frequencies with irregular motion, which is simulated and averaged
 
+    def reduction_from(self, bare: Peak) -> float:
+        """Return the reduction relative to the peak without dampers, dB."""
+        return 20.0 * float(np.log10(bare.size / self.size))
+
 
 def curve(problem: OrbitProblem, force: float, frequencies: Array) -> OrbitResponse:
     """Compute steady motion at each frequency, continued from the previous frequency."""
@@ -59,7 +63,7 @@ def resonance(problem: OrbitProblem, response: OrbitResponse, body: int) -> tupl
     if orbit is None:
         return best, where
 
-    def missing(frequency: float) -> float:
+    def negative_size(frequency: float) -> float:
         setting = OperatingPoint(float(frequency), orbit.setting.force)
         try:
             found = solve(problem, orbit.plan, setting, orbit.unknowns)
@@ -68,7 +72,7 @@ def resonance(problem: OrbitProblem, response: OrbitResponse, body: int) -> tupl
         return 0.0 if found.flaw or not found.stable else -abs(found.compliance[body - 1])
 
     bounds = (float(response.value[i - 1]), float(response.value[i + 1]))
-    top = minimize_scalar(missing, bounds=bounds, method="bounded", options={"xatol": 1e-3})
+    top = minimize_scalar(negative_size, bounds=bounds, method="bounded", options={"xatol": 1e-3})
     return (float(-top.fun), float(top.x)) if -top.fun > best else (best, where)
 
 

@@ -57,7 +57,7 @@ class Bed:
         self._begin()
         self._centre = self.centre
 
-    def kept(self) -> bytes:
+    def stored(self) -> bytes:
         """Return the state of the grains with the histories of their contacts, for `resume`.
 
         Neighbours and forces are computed again here and in `resume`, so that both beds continue with the same bits;
@@ -69,13 +69,13 @@ class Bed:
             # Of several ranks the first writes the state of all.
             return file.read_bytes() if file.exists() else b""
 
-    def resume(self, kept: bytes) -> None:
+    def resume(self, stored: bytes) -> None:
         """Continue from a state of the same grains in the same cavity."""
         self._lammps.close()
         self._lammps = self._new_lammps()
         with TemporaryDirectory() as folder:
             file = Path(folder) / "bed"
-            file.write_bytes(kept)
+            file.write_bytes(stored)
             self._do(*_BEFORE, f'read_restart "{file}"')
             self._define_model()
             self._begin()
@@ -174,10 +174,10 @@ class Bed:
         try:
             function(*given)
         except Exception as error:
-            what = str(error).strip().splitlines()[0][:200]
+            reason = str(error).strip().splitlines()[0][:200]
             raise RunError(
-                f"LAMMPS ended the motion of the grains: {what}; a grain that has left the cavity calls for a shorter "
-                "grains: time_step or a larger grains: modulus"
+                f"LAMMPS ended the motion of the grains: {reason}. If a grain has left the cavity, set a shorter "
+                "grains: time_step, or a larger grains: modulus."
             ) from None
 
 
@@ -189,22 +189,15 @@ def contact_law(grains: Grains, restitution: float) -> str:
     )
 
 
-def _at_side(grains: Grains) -> Grains:
-    return grains if grains.side_friction is None else grains.replace(friction=grains.side_friction)
-
-
-def _side(spheres: Spheres) -> float:
-    return 0.5 * spheres.settings.cavity
-
-
 def _laws(spheres: Spheres, ceiling: float, step: float) -> tuple[str, tuple[str, ...]]:
     """Write the contact law of two grains, and the commands that make the walls."""
-    grains, heavy = spheres.settings, spheres.mass / spheres.count
-    radius = 0.5 * grains.diameter
-    at_end = contact_law(grains, restitution_at_step(grains, heavy, radius, step))
-    at_side = contact_law(_at_side(grains), restitution_at_step(grains, heavy, radius, step))
-    of_two = contact_law(grains, restitution_at_step(grains, 0.5 * heavy, 0.5 * radius, step))
-    shapes = {"floor": "plane 0 0 0 0 0 1", "side": f"cylinder z 0 0 {_side(spheres)} INF INF"}
+    grains, mass = spheres.settings, spheres.mass / spheres.count
+    radius, friction = 0.5 * grains.diameter, grains.side_friction
+    at_wall = restitution_at_step(grains, mass, radius, step)
+    at_end = contact_law(grains, at_wall)
+    at_side = at_end if friction is None else contact_law(grains.replace(friction=friction), at_wall)
+    of_two = contact_law(grains, restitution_at_step(grains, 0.5 * mass, 0.5 * radius, step))
+    shapes = {"floor": "plane 0 0 0 0 0 1", "side": f"cylinder z 0 0 {0.5 * grains.cavity} INF INF"}
     if math.isfinite(ceiling):
         shapes["ceiling"] = f"plane 0 0 {float(ceiling)!r} 0 0 -1 move NULL NULL v_lowered"
     commands = []
@@ -230,7 +223,7 @@ _BEFORE = (
 
 
 def _box(spheres: Spheres, largest: float, positions: Array) -> tuple[str, ...]:
-    side = 1.1 * _side(spheres) + largest
+    side = 1.1 * (0.5 * spheres.settings.cavity) + largest
     top = float(positions[:, 2].max()) + largest
     return (
         f"region box block {-side!r} {side!r} {-side!r} {side!r} {-largest!r} {top!r}",

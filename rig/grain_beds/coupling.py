@@ -44,7 +44,7 @@ class CoupledState(NamedTuple):
     """State of a coupled system, for `CoupledPropagator.resume`.
 
     structure : `Propagator.snapshot` of the structure.
-    beds : `Bed.kept` of each.
+    beds : `Bed.stored` of each.
     begin, impulse (beds,): momentum at the start, and impulse of the bodies since then, kg m/s.
     fallen : steps since the start.
     """
@@ -107,16 +107,16 @@ class CoupledPropagator:
         return np.asarray(self._others[lifted], dtype=np.int64)
 
     def state(self) -> CoupledState:
-        """Return the state from which the motion continues with the same bits; see `Bed.kept`."""
-        beds = tuple(bed.kept() for bed in self.beds)
+        """Return the state from which the motion continues with the same bits; see `Bed.stored`."""
+        beds = tuple(bed.stored() for bed in self.beds)
         self._read_beds()
         return CoupledState(self.structure.snapshot(), beds, self._begin, self._impulse.copy(), self._fallen)
 
     def resume(self, state: CoupledState) -> None:
         """Continue from a state of this system."""
         self.structure.resume(state.structure)
-        for bed, kept in zip(self.beds, state.beds, strict=True):
-            bed.resume(kept)
+        for bed, stored in zip(self.beds, state.beds, strict=True):
+            bed.resume(stored)
         self._begin, self._impulse, self._fallen = state.begin, state.impulse.copy(), state.fallen
         self._read_beds()
 
@@ -126,15 +126,13 @@ class CoupledPropagator:
         Returns `trajectory`, of `structure`; its segments are the steps.
         """
         steps = drive.shape[1] - 1
-        forces, lift = (
-            np.empty((len(self.beds), len(WALLS), steps + 1)),
-            np.empty((len(self.beds), steps + 1)),
-        )
+        forces = np.empty((len(self.beds), len(WALLS), steps + 1))
+        lift = np.empty((len(self.beds), steps + 1))
         forces[:, :, 0], lift[:, 0] = self._force, [bed.lift for bed in self.beds]
         columns = np.vstack([drive, np.zeros((len(self.beds), steps + 1))])
         ports = columns[len(drive) :]
         ports[:, 0] = -self._force.sum(axis=1)
-        kept, one = self.structure.room(steps), self.structure.room(1)
+        samples, one = self.structure.room(steps), self.structure.room(1)
         pages: list[tuple[int, Trajectory]] = []
         for k in range(steps):
             predicted = 0.5 * self.step * self._acceleration
@@ -147,13 +145,18 @@ class CoupledPropagator:
             events = self.structure.through_interval(columns[:, k : k + 2], self._steps, one)
             if events is not None:
                 pages.append((k, events))
-            self._exchange(one.state[0], predicted)
-            kept.state[k], kept.slot[k] = one.state[0], one.slot[0]
-            kept.height[k], kept.mode[k] = one.height[0], one.mode[0]
+            # Kick the grains by the rest of the change of their bodies' velocities.
+            velocity = one.state[0, self.system.coordinates + self.bodies]
+            for bed, change in zip(self.beds, velocity - self._velocity - predicted, strict=True):
+                bed.kick(-change)
+            self._velocity = velocity
+            self._acceleration = one.state[0, self.structure.tables.size + self.bodies]
+            samples.state[k], samples.slot[k] = one.state[0], one.slot[0]
+            samples.height[k], samples.mode[k] = one.height[0], one.mode[0]
         self._force = forces[:, :, -1].copy()
         self._impulse -= 0.5 * self.step * (ports[:, :-1] + ports[:, 1:]).sum(axis=1)
         self._fallen += steps
-        return _join(self.structure.present(), kept, pages), BedStates(forces, lift)
+        return _join(self.structure.present(), samples, pages), BedStates(forces, lift)
 
     def _read_beds(self) -> None:
         """Read the beds' present forces, and the motion of their bodies under them."""
@@ -163,14 +166,6 @@ class CoupledPropagator:
         now.state[0, ports : ports + len(self.beds)] = -self._force.sum(axis=1)
         self._velocity = now.state[0, self.system.coordinates + self.bodies]
         self._acceleration = self.structure.accelerations(now.state, now.slot)[self.bodies, 0]
-
-    def _exchange(self, state: Array, predicted: Array) -> None:
-        """Kick the grains by the rest of the change of their bodies' velocities, and read the bodies' motion."""
-        velocity = state[self.system.coordinates + self.bodies]
-        for bed, change in zip(self.beds, velocity - self._velocity - predicted, strict=True):
-            bed.kick(-change)
-        self._velocity = velocity
-        self._acceleration = state[self.structure.tables.size + self.bodies]
 
     def motion_samples(self, samples: int) -> MotionSamples:
         """Allocate arrays for a number of samples."""
@@ -205,13 +200,8 @@ class CoupledPropagator:
     def show(self, seen: MotionSamples, column: int, trajectory: Trajectory, beds: BedStates) -> None:
         """Fill the samples from a column on with the motion at the ends of sample intervals."""
         last = slice(self.substeps - 1, None, self.substeps)
-        at = replace(
-            trajectory,
-            state=trajectory.state[last],
-            slot=trajectory.slot[last],
-            height=trajectory.height[last],
-            mode=trajectory.mode[last],
-        )
+        ends_only = {name: getattr(trajectory, name)[last] for name in ("state", "slot", "height", "mode")}
+        at = replace(trajectory, **ends_only)
         ends = slice(self.substeps, None, self.substeps)
         columns = slice(column, column + len(at.slot))
         self._show(seen, columns, at, beds.force[:, :, ends], beds.lift[:, ends])
@@ -290,7 +280,7 @@ def _bed(spheres: Spheres, gravity: float, step: float) -> Bed:
     return new_bed(spheres, positions, ceiling, gravity, step)
 
 
-def _join(now: Trajectory, kept: StateSamples, pages: list[tuple[int, Trajectory]]) -> Trajectory:
+def _join(now: Trajectory, samples: StateSamples, pages: list[tuple[int, Trajectory]]) -> Trajectory:
     """Join the steps of a march: states, events and breaks."""
     logs = {
         item.name: np.concatenate([getattr(now, item.name), *(getattr(one, item.name) for _, one in pages)])
@@ -301,4 +291,4 @@ def _join(now: Trajectory, kept: StateSamples, pages: list[tuple[int, Trajectory
         logs[name] = np.repeat(
             np.array([k for k, _ in pages], dtype=np.int64), [len(getattr(one, name)) for _, one in pages]
         )
-    return Trajectory(*kept, **logs)
+    return Trajectory(*samples, **logs)

@@ -51,18 +51,18 @@ def settled(spheres: Spheres) -> Array:
 
     Raises `RunError` if the grains do not come to rest.
     """
-    kept = _file(spheres)
+    stored = _file(spheres)
     # numpy raises all kinds of errors for a damaged file: the bed is packed again.
-    with suppress(Exception), kept.open("rb") as file:
+    with suppress(Exception), stored.open("rb") as file:
         positions = np.load(file, allow_pickle=False)
         if positions.shape == (spheres.count, 3) and np.isfinite(positions).all():
             return np.asarray(positions)
     positions = _pack(spheres)
     with suppress(OSError):
-        kept.parent.mkdir(parents=True, exist_ok=True)
-        part = kept.with_suffix(f".{os.getpid()}.npy")
+        stored.parent.mkdir(parents=True, exist_ok=True)
+        part = stored.with_suffix(f".{os.getpid()}.npy")
         np.save(part, positions)
-        part.replace(kept)
+        part.replace(stored)
     return positions
 
 

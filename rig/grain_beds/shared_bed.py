@@ -17,9 +17,9 @@ from rig.ranks import OneRankError, Shared, communicators, ranks_on_machine, siz
 from rig.workers import cores
 
 #: Steps between checks of how evenly the grains are distributed over the ranks.
-_EVENED = 10_000
+_BALANCE_STEPS = 10_000
 #: Largest ratio of the fullest part to the mean.
-_UNEVEN = 1.05
+_IMBALANCE = 1.05
 
 
 def new_bed(spheres: Spheres, positions: Array, ceiling: float, gravity: float, step: float) -> Bed:
@@ -39,17 +39,17 @@ def new_bed(spheres: Spheres, positions: Array, ceiling: float, gravity: float, 
 class PartOfBed(Bed):
     """The grains of a bed on one rank; forces and motion are those of all grains."""
 
-    def kept(self) -> bytes:
-        """As `Bed.kept`; grains are distributed again, as they will be in `resume`."""
-        kept = super().kept()
-        self.resume(kept)
-        return kept
+    def stored(self) -> bytes:
+        """As `Bed.stored`; grains are distributed again, as they will be in `resume`."""
+        stored = super().stored()
+        self.resume(stored)
+        return stored
 
     def advance(self, steps: int = 1) -> None:
         """Advance by a number of steps."""
         super().advance(steps)
         # Grains may have moved to other ranks; LAMMPS moves its arrays only to enlarge them.
-        if self._room() != self._seen:
+        if self._sizes() != self._viewed:
             self._view()
 
     @property
@@ -61,14 +61,16 @@ class PartOfBed(Bed):
 
     def _begin(self) -> None:
         # Parts with as many grains each, by cuts across whatever is longest, wherever in the cavity the grains are.
-        self._do("comm_style tiled", "balance 1.0 rcb", f"fix even all balance {_EVENED} {_UNEVEN!r} rcb")
+        self._do(
+            "comm_style tiled", "balance 1.0 rcb", f"fix even all balance {_BALANCE_STEPS} {_IMBALANCE!r} rcb"
+        )
         super()._begin()
 
     def _view(self) -> None:
-        self._seen = self._room()
+        self._viewed = self._sizes()
         super()._view()
 
-    def _room(self) -> tuple[int, int]:
+    def _sizes(self) -> tuple[int, int]:
         """Return the number of grains on this rank, and the capacity of its arrays."""
         return self._lammps.extract_setting("nlocal"), self._lammps.extract_setting("nmax")
 

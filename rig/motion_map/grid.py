@@ -91,7 +91,7 @@ def _range_of_test(scene: Scene) -> tuple[float, float]:
             return (low, high) if low < high else (0.8 * low, 1.2 * low)
         case SweptSine(from_=one, to=other) | Random(from_=one, to=other) | Multisine(from_=one, to=other):
             return min(one, other), max(one, other)
-    raise SceneError("the test has no frequency of its own; give a range with --from and --to")
+    raise SceneError("test: has no frequency. Give a range with --from and --to.")
 
 
 def take_off(scene: Scene, frequency: Array) -> Array:

@@ -139,8 +139,8 @@ class MotionMap(Result):
     def own_value(self) -> float | None:
         """Return the scene's own value, if it is unique and within the map."""
         if self.over == "clearance":
-            found = {d.clearance for d in self.scene.dampers if d.moves}
-            value = found.pop() if len(found) == 1 else np.inf
+            clearances = {d.clearance for d in self.scene.dampers if d.moves}
+            value = clearances.pop() if len(clearances) == 1 else np.inf
         else:
             value = level_of(self.scene)
         return value if self.value[0] <= value <= self.value[-1] else None
@@ -205,15 +205,10 @@ def map_motion(
     frequency = np.unique(positives(asked, FREQUENCY, "frequencies"))
     levels = values if values is not None else rows_of(scene, over, frequency)
     value = np.unique(positives(levels, KIND_OF_UNIT[unit], "values"))
-    longest = _longest(scene, frequency)
+    longest, count = _longest(scene, frequency), frequency.size
     rows = [_Row(_with(scene, over, float(each)), frequency, longest) for each in value]
-    count = frequency.size
-    points = _STUDY.run(
-        rows,
-        kept,
-        cluster,
-        None if progress is None else lambda done, total: progress(done * count, total * count),
-    )
+    report = None if progress is None else lambda done, total: progress(done * count, total * count)
+    points = _STUDY.run(rows, kept, cluster, report)
     return MotionMap(
         scene=scene,
         over=over,
@@ -264,24 +259,24 @@ class _Point(NamedTuple):
     cpu: float
 
 
-def _followed(row: _Row) -> list[_Point]:
+def _compute(row: _Row) -> list[_Point]:
     """Compute all points of a row, with the CPU time of each."""
     # Run once without measurement, so that compilation and loading are not included in the CPU time.
     SteadyContinuation(row.scene, TOLERANCE, 1).point(float(row.frequency[0]), None)
-    found, points = [], SteadyContinuation(row.scene, TOLERANCE, row.longest).points(row.frequency)
+    computed, points = [], SteadyContinuation(row.scene, TOLERANCE, row.longest).points(row.frequency)
     for _ in row.frequency:
         begun = time.thread_time()
         point = next(points)
         cpu = time.thread_time() - begun
         steady, impacts = point.steady, float(point.impacts.sum())
-        found.append(_Point(list(point.types), impacts, steady.repetition, steady.periods, cpu))
-    return found
+        computed.append(_Point(list(point.types), impacts, steady.repetition, steady.periods, cpu))
+    return computed
 
 
 _STUDY: Study[_Row, list[_Point]] = Study(
     "rows of a map",
     ("row", "points"),
-    _followed,
+    _compute,
     lambda row: digest((row.scene.to_yaml(), row.frequency.tolist(), row.longest)),
     lambda key, points: [key, json.dumps(points)],
     lambda row: (row[0], [_Point(*point) for point in json.loads(row[1])]),

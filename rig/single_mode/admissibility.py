@@ -27,11 +27,9 @@ ROUNDING = 1e-9
 class Batch:
     """Solutions of one motion type, evaluated as a batch."""
 
-    kind: MotionType
-    """Motion type; {'I', 'II', 'III'}."""
+    kind: MotionType  # Motion type; {'I', 'II', 'III'}
     unknowns: Array  # shape (4 + instants, solutions)
-    setting: MotionParameters
-    """Fields of shape (solutions,)."""
+    setting: MotionParameters  # Fields of shape (solutions,)
 
     @property
     def motion(self) -> PeriodicMotion:
@@ -43,12 +41,6 @@ class Batch:
         return PeriodicMotion(
             self.kind, self.unknowns[:, which], MotionParameters(*(f[which] for f in self.setting))
         )
-
-
-def _fractions(batch: Batch) -> Array:
-    """Sample a phase at fractions of its length, at least 24 per cycle of the faster oscillation."""
-    fastest = max(1.0, float(np.max(1 / batch.setting.ratio)))
-    return np.linspace(0.0, 1.0, 48 + int(24 * fastest))[:, None]
 
 
 Quantity = Callable[[PeriodicMotion, MotionPhase, Array], tuple[Array, Array]]
@@ -77,7 +69,9 @@ def extremes(batch: Batch, index: int, quantity: Quantity) -> tuple[Array, Array
     """
     motion = batch.motion
     phase = motion.phases[index]
-    t = _fractions(batch) * phase.length
+    # At least 24 samples per cycle of the faster oscillation.
+    samples = 48 + int(24 * max(1.0, float(np.max(1 / batch.setting.ratio))))
+    t = np.linspace(0.0, 1.0, samples)[:, None] * phase.length
     value, slope = quantity(motion, phase, t)
     low, high = value.min(axis=0), value.max(axis=0)
     row, which = np.nonzero(slope[:-1] * slope[1:] < 0)

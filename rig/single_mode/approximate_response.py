@@ -169,8 +169,7 @@ def approximate_response(
             f"weighting: got {weighting!r:.60}; expected one of {', '.join(get_args(Weighting))}"
         )
     setting = scene_of(scene)
-    names = setting.structure.names, setting.structure.bodies
-    body = None if at is None else number_of(at, *names)
+    body = None if at is None else number_of(at, setting.structure.names, setting.structure.bodies)
     return follow_mode(single_mode(setting, mode, force=level, weighting=weighting, at=body), ends)
 
 
@@ -181,11 +180,13 @@ def follow_mode(mode: SingleMode, band: tuple[float, float], searches: int = 13)
     """
     low, high = (f / mode.frequency for f in band)
     if not 0 < low < high:
-        raise SceneError(f"band {band[0]:g} to {band[1]:g} Hz: expected two rising frequencies above 0")
+        raise SceneError(f"band: got {band[0]:g} to {band[1]:g} Hz. Give two rising frequencies above 0.")
     if not mode.mass_ratio > 0:
-        raise SceneError("the mode has no damper that can leave its floor")
+        raise SceneError(
+            "mode: no damper of this mode can leave its floor. Choose another mode, or release a damper."
+        )
     if not mode.force > 0 or mode.participation == 0:
-        raise SceneError("no force acts on the mode, so that it has no periodic motion")
+        raise SceneError("mode: no force acts on this mode. Choose another mode, or drive another body.")
     riding = leaving_band(mode, band)
     curves: dict[MotionType, list[continuation.Curve]] = {"I": [], "II": [], "III": []}
     kinds: list[MotionType] = ["I"] if np.isinf(mode.clearance) else ["I", "II", "III"]

@@ -27,7 +27,7 @@ Eqs 14-17. The paper reduces them to three transcendental equations in the insta
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -45,10 +45,8 @@ Array = NDArray[Any]
 class MotionParameters(NamedTuple):
     """The dimensionless parameters of a motion."""
 
-    ratio: Any
-    """r, driving frequency over the natural frequency of the mode."""
-    damping: Any
-    """zeta, damping ratio of the mode."""
+    ratio: Any  # r, driving frequency over the natural frequency of the mode
+    damping: Any  # zeta, damping ratio of the mode
     mass_ratio: Any  # mu
     force: Any  # F = phi_k f / (M g)
     height: Any
@@ -68,15 +66,11 @@ class ModeState(NamedTuple):
 class MotionPhase:
     """A phase of the motion between two events: duration, initial state, and whether the damper rides."""
 
-    riding: bool
-    """Whether the damper's mass moves with the mode."""
+    riding: bool  # Whether the damper's mass moves with the mode
     begin: Array
-    length: Array
-    """Start and duration in tau."""
-    start: ModeState
-    """Initial state, after the impact if the phase begins with an impact."""
-    offset: Any
-    """Height of the damper over the floor while riding (0 or the clearance)."""
+    length: Array  # Start and duration in tau
+    start: ModeState  # Initial state, after the impact if the phase begins with an impact
+    offset: Any  # Height of the damper over the floor while riding (0 or the clearance)
 
 
 class PeriodicMotion:
@@ -95,35 +89,31 @@ class PeriodicMotion:
         self.instants = unknowns[4:]
         leave = self.instants[0]
         floor = MotionPhase(True, np.zeros_like(leave), leave, ModeState(q, u, q, u), 0.0)
-        up = self._follow(floor, riding=False)
+        up = self._flight_after(floor)
         self.phases = [floor, up]
         if kind != "I":
             hit = self.instants[1]
-            self.phases[-1] = self._until(up, hit)
+            self.phases[-1] = replace(up, length=hit - up.begin)
             self.before_ceiling = self.advance(self.phases[-1], self.phases[-1].length)
             common = self.common_velocity(self.before_ceiling)
             top = self.before_ceiling._replace(u=common, v=common)
             if kind == "III":
                 top = top._replace(y=top.q + self.height)
                 self.phases.append(MotionPhase(True, hit, self.instants[2] - hit, top, self.height))
-                self.phases.append(self._follow(self.phases[-1], riding=False))
+                self.phases.append(self._flight_after(self.phases[-1]))
             else:
                 self.phases.append(MotionPhase(False, hit, TURN - hit, top, 0.0))
         self.landing = self.advance(self.phases[-1], self.phases[-1].length)
 
-    def _follow(self, phase: MotionPhase, riding: bool) -> MotionPhase:
-        """Return the phase that follows without impact, up to the end of the period."""
+    def _flight_after(self, phase: MotionPhase) -> MotionPhase:
+        """Return the flight that follows a phase without impact, up to the end of the period."""
         begin = phase.begin + phase.length
-        return MotionPhase(riding, begin, TURN - begin, self.advance(phase, phase.length), 0.0)
+        return MotionPhase(False, begin, TURN - begin, self.advance(phase, phase.length), 0.0)
 
     @property
     def height(self) -> Array:
         """Clearance in units of g/w^2."""
         return np.asarray(self.setting.height * self.setting.ratio**2)
-
-    @staticmethod
-    def _until(phase: MotionPhase, end: Array) -> MotionPhase:
-        return MotionPhase(phase.riding, phase.begin, end - phase.begin, phase.start, phase.offset)
 
     def common_velocity(self, state: ModeState) -> Array:
         """Velocity after a plastic impact."""

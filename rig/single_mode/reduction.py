@@ -35,16 +35,12 @@ class SingleMode:
     shape: NDArray[np.float64]
     """Mode shape; body j moves by shape[j] times the mode's coordinate; shape (bodies,)."""
     mass: float  # M_i [kg]
-    omega: float
-    """Natural angular frequency of the mode without dampers [rad/s]."""
+    omega: float  # Natural angular frequency of the mode without dampers [rad/s]
     damping_ratio: float  # C_i / (2 M_i omega)
-    participation: float
-    """phi_ki, mode shape at the driven body, or its sum over several driven bodies."""
+    participation: float  # phi_ki, mode shape at the driven body, or its sum over several driven bodies
     force: float  # Amplitude of the force [N]
-    mass_ratio: float
-    """mu_i, the equivalent damper's mass over M_i."""
-    clearance: float
-    """Clearance of the damper's cavity [m]; inf without a ceiling."""
+    mass_ratio: float  # mu_i, the equivalent damper's mass over M_i
+    clearance: float  # Clearance of the damper's cavity [m]; inf without a ceiling
     gravity: float  # [m/s^2]
 
     @property
@@ -96,18 +92,20 @@ def reduce_to_mode(
     >>> m = np.diag([0.74, 0.71, 0.64])
     >>> k = np.array([[46.1e3, -21.8e3, 0], [-21.8e3, 41.6e3, -19.8e3], [0, -19.8e3, 19.8e3]])
     >>> damper = {"dampers": {2: 0.0426}, "clearance": 1e-3}
-    >>> kept = reduce_to_mode((m, 2e-5 * k, k), mode=3, driven=(1,), force=3.3, **damper)
-    >>> kept.shape.round(3).tolist(), round(kept.mass, 3), round(kept.mass_ratio, 4)
+    >>> reduced = reduce_to_mode((m, 2e-5 * k, k), mode=3, driven=(1,), force=3.3, **damper)
+    >>> reduced.shape.round(3).tolist(), round(reduced.mass, 3), round(reduced.mass_ratio, 4)
     ([-0.84, 1.0, -0.466], 1.371, 0.0311)
     """
     mass, damping, stiffness = (np.asarray(a, dtype=float) for a in matrices)
     bodies = mass.shape[0]
     if not 1 <= mode <= bodies:
-        raise SceneError(f"mode {mode}: the structure has modes 1 to {bodies}")
+        raise SceneError(f"mode: {mode} does not exist. Choose one of the modes 1 to {bodies}.")
     if not gravity > 0:
-        raise SceneError(f"gravity {gravity} m/s^2: the approximate method needs gravity above 0")
+        raise SceneError(
+            f"gravity: {gravity} m/s^2 is too low for the approximate method. Set a value above 0."
+        )
     if not clearance >= 0:
-        raise SceneError(f"clearance {clearance} m: expected 0 or more")
+        raise SceneError(f"clearance: {clearance} m is negative. Set 0 or more.")
     frequencies, shapes = natural_modes(mass, stiffness)
     shape = shapes[:, mode - 1]
     if at is not None:
@@ -116,13 +114,13 @@ def reduce_to_mode(
         float(shape @ a @ shape) for a in (mass, damping, stiffness)
     )
     if not frequencies[mode - 1] > 0:
-        raise SceneError(
-            f"mode {mode} is a rigid-body mode: the approximate method needs a mode with stiffness"
-        )
+        raise SceneError(f"mode: {mode} is a rigid-body mode. Choose a mode with stiffness.")
     omega = float(np.sqrt(modal_stiffness / modal_mass))
     damping_ratio = modal_damping / (2 * modal_mass * omega)
     if not damping_ratio < 1:
-        raise SceneError(f"mode {mode} has damping ratio {damping_ratio:.3g}; the method needs less than 1")
+        raise SceneError(
+            f"mode: {mode} has damping ratio {damping_ratio:.3g}. Choose a mode with less than 1."
+        )
     power = {"printed": 1, "energy": 2}[weighting]
     ratio = sum(shape[body - 1] ** power * md for body, md in dampers.items()) / modal_mass
     if dampers and not ratio > 0:
@@ -172,7 +170,7 @@ def single_mode(
         if damper.restitution != 0:
             raise SceneError(
                 f"damper in body {damper.body}: restitution {damper.restitution}; the approximate "
-                "method assumes 0"
+                "method assumes 0. Set restitution to 0, or use rig.orbit_response."
             )
         free[damper.body] = free.get(damper.body, 0.0) + float(md)
         clearances.add(damper.clearance)
@@ -185,7 +183,9 @@ def single_mode(
     if force is None:
         level = getattr(scene.test, "force", None)
         if not isinstance(level, int | float):
-            raise SceneError("the test of the scene does not state a single force: pass force=... in N")
+            raise SceneError(
+                "force: the test of the scene does not state a single force. Pass force=... in N."
+            )
         force = float(level)
     return reduce_to_mode(
         (mass, model.damping, model.stiffness),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,11 @@ BLIND = 2e-5
 LIVELOCK = 400
 #: Relative tolerance for motion on penalty springs; the springs themselves cause larger errors.
 PENALTY_TOLERANCE = 1e-8
+#: Messages of solvers that do not reach the end.
+ENDLESS = (
+    "a damper separates and lands endlessly at {:.6g} s. Use a setting that disables its guard for a while."
+)
+STOPPED = "{} stops: {}. Use another tolerance."
 
 Guard = Callable[[float, Array], float]
 #: Maps (M of z' = M z, guards, t, z, later sample times) to (t, z, index of the triggered guard or -1, samples).
@@ -36,17 +42,15 @@ class _Contacts:
 
     def _update(self) -> None:
         problem = self.problem
-        self.matrix, self.walls, self.guards = problem.matrix(self.mode), [], []
+        self.matrix: Array = problem.matrix(self.mode)
+        self.walls: list[tuple[int, int]] = []
+        self.guards: list[Guard] = []
         for j, mode in enumerate(self.mode):
             if mode != FLIGHT:
                 self._watch(j, FLIGHT, problem.pressing(j, mode, self.matrix), -1.0)
                 continue
             for wall in (FLOOR, CEILING) if np.isfinite(problem.clearance[j]) else (FLOOR,):
                 self._watch(j, wall, problem.gap(j, wall), self._disabled_until.get((j, wall), -1.0))
-
-    matrix: Array
-    walls: list[tuple[int, int]]
-    guards: list[Guard]
 
     def _watch(self, j: int, wall: int, row: Array, disabled_until: float) -> None:
         self.walls.append((j, wall))
@@ -95,9 +99,9 @@ def follow(problem: FirstOrderForm, leg: Leg, blind: float, limit: float) -> Out
         contacts.change(state, now, *contacts.walls[which])
         contacts.release(state, now)
         if len(contacts.events) > LIVELOCK * problem.periods:
-            raise RunError("infinitely many separations and landings at one instant")
+            raise RunError(ENDLESS.format(now))
         if time.process_time() - begun > limit:
-            raise RunError(f"not done after {limit:.0f} s")
+            raise RunError(f"not done after {limit:.0f} s. Use a larger tolerance.")
     return Outcome(np.array(samples).T, contacts.events)
 
 
@@ -127,9 +131,9 @@ def _solve_ivp(*given: Any, rtol: float, **options: Any) -> Any:
         solution = solve_ivp(*given, rtol=rtol, atol=1e-3 * rtol, **options)
     except ValueError as error:
         # A guard may change sign over the step but not in the dense output, so that scipy's root search fails.
-        raise RunError(f"scipy stops with: {error}") from None
+        raise RunError(STOPPED.format("scipy", error)) from None
     if solution.status < 0:
-        raise RunError(str(solution.message))
+        raise RunError(STOPPED.format("scipy", solution.message))
     return solution
 
 
@@ -178,7 +182,7 @@ def penalty(problem: FirstOrderForm, contacts: int) -> Outcome:
     start[problem.first : problem.first + dampers] -= system.damper_mass * system.gravity / stiffness
     solution = _solve_ivp(
         slope, (0.0, problem.times[-1]), start, method="LSODA", rtol=PENALTY_TOLERANCE, t_eval=problem.times,
-        events=[_event(_distance(problem.gap(*wall))) for wall in walls],
+        events=[_event(partial(_distance, problem.gap(*wall))) for wall in walls],
     )  # fmt: skip
     events = [
         # Dampers begin on the floor.
@@ -189,8 +193,8 @@ def penalty(problem: FirstOrderForm, contacts: int) -> Outcome:
     return Outcome(solution.y[: system.coordinates], sorted(events))
 
 
-def _distance(row: Array) -> Guard:
-    return lambda _, z: float(row @ z)
+def _distance(row: Array, _: float, z: Array) -> float:
+    return float(row @ z)
 
 
 def cvode_leg(rtol: float, longest: float) -> Leg:
@@ -213,7 +217,7 @@ def cvode_leg(rtol: float, longest: float) -> Leg:
         )  # fmt: skip
         solution = solver.solve(np.concatenate([[t], ahead]), z)
         if not solution.success:
-            raise RunError(str(solution.message))
+            raise RunError(STOPPED.format("CVODE", solution.message))
         # Between two instants, the solver also returns its internal steps.
         asked = np.isin(solution.t, ahead)
         if solution.t_events is None or not len(solution.t_events):

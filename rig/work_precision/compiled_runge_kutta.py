@@ -18,7 +18,7 @@ from scipy.integrate import RK45
 from rig.arrays import Array
 from rig.errors import RunError
 from rig.numerics.jit import compiled, inlined
-from rig.work_precision.adaptive_solvers import LIVELOCK
+from rig.work_precision.adaptive_solvers import ENDLESS, LIVELOCK
 from rig.work_precision.first_order_form import CEILING, FLIGHT, FLOOR, WALLS, FirstOrderForm, Outcome
 
 #: Weights of the stages, of the error and of the dense output, from scipy.
@@ -100,7 +100,7 @@ class DormandPrince:
         if not _follow(
             self._tables, contacts, start, times, motion, rtol, blind, longest, steps, *self._work
         ):
-            raise RunError("infinitely many separations and landings at one instant")
+            raise RunError(ENDLESS.format(contacts.time[contacts.filled[0] - 1]))
         events = slice(contacts.filled[0])
         log = zip(contacts.time[events], contacts.damper[events], contacts.kind[events], strict=True)
         return Outcome(motion.T, [(float(t), int(j), WALLS[k]) for t, j, k in log])
@@ -110,7 +110,8 @@ def _tables(problem: FirstOrderForm) -> Tables:
     system, dampers = problem.system, len(problem.rows)
     if dampers > MOST_DAMPERS:
         raise RunError(
-            f"{dampers} dampers have {2**dampers} configurations; the method stores a matrix for each"
+            f"{dampers} dampers have {2**dampers} configurations, with a matrix for each. Use at most {MOST_DAMPERS} "
+            "dampers."
         )
     return Tables(
         matrix=np.array(

@@ -1,8 +1,8 @@
-"""Cost study of a scene: of methods, or of models of its beds of grains."""
+"""Cost study of a scene, of methods or of models of its beds of grains: result, table and figure."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,15 +10,42 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.escaping import escape_figure
+from rig.figure_style import new_figure, save_with_table
 from rig.grain_beds.spheres import spheres_of
+from rig.output_files import file_stem
 from rig.results import Result
+from rig.results.text import format_number, table_lines
 from rig.scene.scene import Scene
 from rig.system.assembly import assemble
 from rig.work_precision.motion_study import MotionStudy, Point, hardest_frequency, motion_study
-from rig.work_precision.steady_study import SteadyStudy, steady_study
+from rig.work_precision.steady_study import OTHER_PACKING, SteadyStudy, steady_study
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+#: Color and marker of each method: one hue per kind of method, distinguishable in print and with color blindness.
+LOOK = {
+    "engine, tone": ("#c1272d", "*"),
+    "engine, sampled drive": ("#e8853d", "o"),
+    "penalty, LSODA": ("#4f87bd", "^"),
+    "Moreau-Jean": ("#1f4e79", "s"),
+    "compiled DP5": ("#1d4d1c", "X"),
+    "scipy DOP853": ("#3b7d3a", "D"),
+    "scipy LSODA": ("#8bbf6a", "d"),
+    "CVODE": ("#6b4fa0", "P"),
+    "shooting": ("#c1272d", "*"),
+    "waiting": ("#e8853d", "o"),
+    "approximate": ("#6b4fa0", "P"),
+    "linear": ("#808080", "x"),
+    "one mass": ("#c1272d", "*"),
+    "finite-duration contact": ("#e8853d", "o"),
+    "grains": ("#1f4e79", "s"),
+    "grains, softer": ("#4f87bd", "D"),
+    OTHER_PACKING: ("#8fb4d9", "v"),
+}
 
 
 @dataclass(frozen=True, repr=False)
@@ -42,17 +69,14 @@ class Cost(Result):
     def points(self) -> tuple[tuple[str, Point], ...]:
         """Return all methods and settings, each with the computed quantity."""
         motion = () if self.motion is None else self.motion.points
-        return (
-            *(("motion, a period", point) for point in motion),
-            *(("steady state", point) for point in self.steady.points),
-        )
+        found = (("motion, a period", motion), ("steady state", self.steady.points))
+        return tuple((quantity, point) for quantity, points in found for point in points)
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return quantity, method, setting, CPU time, errors and event correctness of each point."""
-        quantities = [quantity for quantity, _ in self.points]
         points = [point for _, point in self.points]
         return {
-            "quantity": np.array(quantities, dtype=str),
+            "quantity": np.array([quantity for quantity, _ in self.points], dtype=str),
             "method": np.array([point.method for point in points], dtype=str),
             "setting": np.array([point.setting for point in points], dtype=str),
             "cpu_s": np.array([point.cpu for point in points]),
@@ -68,16 +92,28 @@ class Cost(Result):
 
     def __str__(self) -> str:
         """Return the tables that `rig cost` prints."""
-        from rig.work_precision.figure import models_table, table
-
-        if self.motion is None:
-            return models_table(self.scene, self.steady)
-        return table(self.motion, self.steady)
+        study = self.motion
+        if study is None:
+            return f"{self.scene.name}: models of its beds of grains\n\n{_steady_table(self.steady)}"
+        rows = [("method", "setting", "ms a period", "relative error", "event times / s", "events", "note")]
+        for point in study.points:
+            times = f"{point.event_error:.0e}" if np.isfinite(point.event_error) else ""
+            events = ("right" if point.right else "wrong") if np.isfinite(point.error) else "-"
+            rows.append((*_cells(point), times, events, point.note))
+        lines = [
+            f"{study.scene.name}: first {study.periods} periods at {study.frequency:.6g} Hz, {study.events} events",
+            *_answer(study.points),
+            "",
+            *table_lines(rows, "<<>>><<"),
+            "",
+            f"Reference: {study.reference}",
+            "",
+            _steady_table(self.steady),
+        ]
+        return "\n".join(lines)
 
     def draw(self, ax: Axes, **style: Any) -> None:
         """Draw error against CPU time, for the motion or for models of beds."""
-        from rig.work_precision.figure import draw_points
-
         draw_points(ax, (self.motion or self.steady).points, "CPU time / s")
         ax.set(ylabel="relative error")
 
@@ -89,11 +125,14 @@ class Cost(Result):
         SceneError
             If a file cannot be written.
         """
-        from rig.work_precision.figure import write, write_models
-
-        if self.motion is None:
-            return write_models(self.scene, self.steady, folder)
-        return write(self.motion, self.steady, folder)
+        rows: list[Sequence[str]] = [
+            ("quantity", "method", "setting", "cpu_s", "error", "event_time_error_s", "right", "note")
+        ]
+        for quantity, p in self.points:
+            numbers = (f"{value:.6g}" for value in (p.cpu, p.error, p.event_error))
+            rows.append((quantity, p.method, p.setting, *numbers, str(p.right).lower(), p.note))
+        figure = _draw_models(self) if self.motion is None else _draw(self.motion, self.steady)
+        return save_with_table(figure, folder / file_stem("cost", self.scene.name), rows)
 
 
 def cost(
@@ -119,3 +158,121 @@ def cost(
         return Cost(scene, None, bed_models(scene, tone, say))
     motion = motion_study(scene, frequency, periods, say)
     return Cost(scene, motion, steady_study(scene, motion.frequency, say))
+
+
+def _answer(points: Sequence[Point]) -> list[str]:
+    """Compare the engine with the fastest other method within ten times the smallest error of the others."""
+    solved = [point for point in points if np.isfinite(point.error) and point.right]
+    engine = [point for point in solved if point.method == "engine, tone"]
+    others = [point for point in solved if not point.method.startswith("engine")]
+    if not engine:
+        return []
+    exact = min(engine, key=lambda point: point.cpu)
+    out = [f"The engine: relative error {exact.error:.0e} in {1e3 * exact.cpu:.2g} ms a period."]
+    if others:
+        least = min(point.error for point in others)
+        best = min((point for point in others if point.error <= 10.0 * least), key=lambda point: point.cpu)
+        out.append(
+            f"Best of the other methods, {best.method} ({best.setting}): {best.error:.0e} in {1e3 * best.cpu:.2g} ms, "
+            f"{format_number(float(f'{best.cpu / exact.cpu:.2g}'))} times as long."
+        )
+    wrong = sum(np.isfinite(point.error) and not point.right for point in points)
+    if wrong:
+        out.append(f"Wrong events: {wrong} of {len(points)} settings.")
+    return out
+
+
+def _steady_table(steady: SteadyStudy) -> str:
+    rows = [("method", "setting", "ms in all", "relative error", "note")]
+    rows += [(*_cells(point), point.note) for point in steady.points]
+    table = [*table_lines(rows, "<<>><"), ""] if steady.points else []
+    return "\n".join([_steady_title(steady), *table, f"Reference: {steady.reference}"])
+
+
+def _steady_title(steady: SteadyStudy) -> str:
+    kinds = steady.motion_type.split("/")
+    word = "type " if set(kinds) <= {"I", "II", "III"} else ""
+    motion = f": {word}{steady.motion_type}" if steady.motion_type else ""
+    return f"Steady state at {steady.frequency:.4g} Hz{motion}"
+
+
+def _cells(point: Point) -> tuple[str, str, str, str]:
+    """Return method, setting, CPU time in ms and relative error of a point; "-" without a result."""
+    known = np.isfinite(point.error)
+    cost = (f"{1e3 * point.cpu:.4g}", f"{point.error:.0e}") if known else ("-", "-")
+    return point.method, point.setting, *cost
+
+
+def _draw(study: MotionStudy, steady: SteadyStudy) -> Figure:
+    count = 1 + bool(steady.points)
+    with new_figure(5.2, 10.0 if steady.points else 6.8) as figure:
+        panels = figure.subplots(1, count, squeeze=False, width_ratios=(1.5, 1.0)[:count])[0]
+        draw_points(panels[0], study.points, "CPU time for a period of the drive / s")
+        title = f"Motion: {study.periods} periods at {study.frequency:.4g} Hz, {study.events} events"
+        panels[0].set(ylabel="error of the displacement, relative", title=title)
+        if steady.points:
+            draw_points(panels[1], steady.points, "CPU time in all / s")
+            panels[1].set(ylabel="error of the compliance, relative", title=_steady_title(steady))
+        figure.suptitle(escape_figure(study.scene.name))
+        return figure
+
+
+def _draw_models(cost: Cost) -> Figure:
+    with new_figure(5.2, 6.8) as figure:
+        axes = figure.subplots()
+        draw_points(axes, cost.steady.points, "CPU time in all / s")
+        axes.set(
+            ylabel="relative deviation of the compliance from that with grains",
+            title=_steady_title(cost.steady),
+        )
+        for point in (each for each in cost.steady.points if np.isfinite(each.error)):
+            if point.method == OTHER_PACKING:
+                axes.axhline(_shown(point), color=LOOK[point.method][0], ls="--", lw=1.0)
+            axes.annotate(
+                point.setting,
+                (point.cpu, _shown(point)),
+                xytext=(8, -3),
+                textcoords="offset points",
+                fontsize=7,
+            )
+        # Leave space for the labels at the right end.
+        axes.margins(x=0.25)
+        figure.suptitle(f"{escape_figure(cost.scene.name)}: models of its beds of grains")
+        return figure
+
+
+def _shown(point: Point) -> float:
+    """Return the error as escape_figure on the logarithmic axis."""
+    return max(point.error, 1e-17)
+
+
+def draw_points(axes: Axes, points: tuple[Point, ...], label: str) -> None:
+    """Draw error against CPU time, both logarithmic, with a color and marker for each method."""
+    methods = list(dict.fromkeys(point.method for point in points))
+    for method in methods:
+        own = [p for p in points if p.method == method and np.isfinite(p.error)]
+        if not own:
+            continue
+        colour, marker = LOOK[method]
+        # A line connects settings of one kind; solvers with an error tolerance are a separate kind.
+        series = [p for p in own if "blind" not in p.setting]
+        axes.plot([p.cpu for p in series], [_shown(p) for p in series], "-", color=colour, lw=1.0, alpha=0.6)
+        for p in own:
+            size = 12 if marker == "*" else 6
+            face = colour if p.right else "white"
+            axes.plot(p.cpu, _shown(p), marker, color=colour, ms=size, zorder=3, mfc=face, mew=1.3)
+            if "blind" in p.setting or p.setting in ("as called", "warm"):
+                word = "careful" if "blind" in p.setting else p.setting
+                axes.annotate(
+                    word, (p.cpu, _shown(p)), xytext=(0, -14), textcoords="offset points", fontsize=7,
+                    color=colour, ha="center",
+                )  # fmt: skip
+        axes.plot([], [], marker + "-", color=colour, ms=7, lw=1.0, label=method)
+    if any(not p.right and np.isfinite(p.error) and p.method != "linear" for p in points):
+        axes.plot([], [], "o", color="#555555", mfc="white", mew=1.3, ms=6, label="wrong events")
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.set_xlabel(label)
+    axes.margins(y=0.1)
+    if methods:
+        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=3)

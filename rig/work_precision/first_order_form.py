@@ -32,10 +32,8 @@ WALLS = ("separation", "floor", "ceiling")
 class Outcome:
     """Motion computed by a method."""
 
-    displacement: Array
-    """Displacements, m, at `PER_PERIOD` samples per period; shape (coordinates, samples)."""
-    events: list[tuple[float, int, str]]
-    """Time [s], damper (from 0), kind."""
+    displacement: Array  # Displacements, m, at `PER_PERIOD` samples per period; shape (coordinates, samples)
+    events: list[tuple[float, int, str]]  # Time [s], damper (from 0), kind
 
 
 class FirstOrderForm:
@@ -55,7 +53,7 @@ class FirstOrderForm:
     ) -> None:  # fmt: skip
         if system.coupled:
             raise SceneError(
-                "the compared methods treat contacts one by one; expected a diagonal mass matrix"
+                "the compared methods treat contacts one by one. Use a structure with a diagonal mass matrix."
             )
         self.system, self.tone, self.periods = system, tone, periods
         n, ns, nd = system.coordinates, system.states, system.dampers

@@ -57,10 +57,8 @@ ORBIT_ITERATIONS = 4
 class Exact:
     """A motion with far more digits than float64."""
 
-    displacement: NDArray[np.object_]
-    """Displacements, m; Decimal, shape (coordinates, samples)."""
-    event_time: NDArray[np.object_]
-    """Event times, s; Decimal, shape (events,)."""
+    displacement: NDArray[np.object_]  # Displacements, m; Decimal, shape (coordinates, samples)
+    event_time: NDArray[np.object_]  # Event times, s; Decimal, shape (events,)
     agreement: float
     """Largest difference from the same motion computed with fewer digits, relative to the motion."""
 
@@ -70,14 +68,11 @@ class ExactOrbit:
     """A steady response with far more digits than float64."""
 
     real: NDArray[np.object_]
-    imag: NDArray[np.object_]
-    """Compliance, m/N; Decimal, shape (bodies,)."""
-    residual: float
-    """Difference between start and end of the orbit, relative to the motion."""
-    agreement: float
-    """Relative difference from the compliance computed with fewer digits."""
+    imag: NDArray[np.object_]  # Compliance, m/N; Decimal, shape (bodies,)
+    residual: float  # Difference between start and end of the orbit, relative to the motion
+    agreement: float  # Relative difference from the compliance computed with fewer digits
 
-    def miss(self, compliance: NDArray[np.complex128]) -> float:
+    def error(self, compliance: NDArray[np.complex128]) -> float:
         """Compute the largest error of a compliance, relative to the largest compliance of all bodies."""
         # Subtract in decimal arithmetic, so that the reference is not rounded.
         exact = np.vectorize(Decimal, otypes=[object])
@@ -94,7 +89,7 @@ def exact_motion(system: HybridSystem, tone: ToneDrive, run: Run, samples_per_pe
     `run`: run of the engine with `samples_per_period` samples in each period of the drive. Raises `RunError` if an
     event of the run is not an event of the motion.
     """
-    events = _events(run.events, system)
+    events = events_of(run.events, system)
     resting = [bool(mode) for mode in run.contact[:, -1]]
 
     def follow(digits: int) -> tuple[NDArray[np.object_], NDArray[np.object_]]:
@@ -127,7 +122,8 @@ def exact_orbit(scene: Scene, orbit: Orbit) -> ExactOrbit:
     return ExactOrbit(real, imag, residual, float(off / size))
 
 
-def _events(events: Any, system: HybridSystem) -> list[Event]:
+def events_of(events: Any, system: HybridSystem) -> list[Event]:
+    """Convert the engine's events to time [s], damper (from 0) and kind."""
     number = {int(k): j for j, k in enumerate(system.damper_number)}
     return [(float(e["time"]), number[int(e["damper"])], str(e["kind"])) for e in events]
 
@@ -176,7 +172,7 @@ class DecimalMotion:
 
     def _sample(self, ahead: list[Decimal], until: float) -> None:
         while ahead and float(ahead[-1]) < until:
-            self.carry(ahead.pop())
+            self.advance(ahead.pop())
             self.samples.append(self.z)
 
     def _rebounds(self, events: Sequence[Event], resting: Sequence[bool]) -> Vector:
@@ -209,7 +205,7 @@ class DecimalMotion:
             self._to_root(guess, self.form.pressing(j, self.mode[j], matrix), j, kind)
             self.mode[j] = FLIGHT
             return
-        self.carry(guess)
+        self.advance(guess)
         gap = float(self.z[int(self.system.bed[j])])
         wall = CEILING if gap > 0.5 * float(self.system.clearance[j]) else FLOOR
         distance = self.form.gap(j, wall)
@@ -220,7 +216,7 @@ class DecimalMotion:
 
     def _to_root(self, guess: Decimal, guard: NDArray[Any], j: int, kind: str) -> None:
         """Advance to the root of a guard, a row vector over the state, near `guess`."""
-        self.carry(guess)
+        self.advance(guess)
         matrix, _ = self._flow()
         slope = guard @ matrix
         for _ in range(ITERATIONS):
@@ -228,7 +224,7 @@ class DecimalMotion:
             if rate == 0:
                 break
             step = -np.dot(guard, self.z) / rate
-            self.carry(self.now + step)
+            self.advance(self.now + step)
             if abs(step) < self._smallest * 10**4:
                 break
         if abs(self.now - guess) > SAME_EVENT:
@@ -236,7 +232,7 @@ class DecimalMotion:
                 f"event {kind} of damper {j + 1} at {guess:.9f} s is not reproduced. Report the scene."
             )
 
-    def carry(self, until: Decimal) -> None:
+    def advance(self, until: Decimal) -> None:
         """Advance to an earlier or later time without contact change."""
         duration, z = until - self.now, self.z
         _, flow = self._flow()
@@ -275,7 +271,7 @@ class _ClosedOrbit:
         tone = tone_drive(scene, self._system, orbit.frequency)
         assert tone is not None
         self._motion = DecimalMotion(self._system, tone, digits, integrals=True)
-        self._events = _events(orbit.events, self._system)
+        self._events = events_of(orbit.events, self._system)
         self._flying = orbit.plan.flying.tolist()
         self._mode = [
             FLIGHT if j in self._flying or wall == FORCELESS
@@ -300,8 +296,8 @@ class _ClosedOrbit:
             scale = np.array([max(abs(value), largest * Decimal("1e-6")) for value in start])
             values, jacobian, residual = np.array(start), None, np.inf
             for _ in range(ORBIT_ITERATIONS):
-                miss = self._miss(values)
-                now = float(np.max(np.abs(miss / scale)))
+                gap = self._residual(values)
+                now = float(np.max(np.abs(gap / scale)))
                 # The last digits are rounding errors.
                 if now < 10.0 ** (5 - digits) or now > 0.1 * residual:
                     residual = min(now, residual)
@@ -309,14 +305,16 @@ class _ClosedOrbit:
                 residual = now
                 if jacobian is None:
                     steps = ORBIT_STEP * scale
-                    moved = [self._miss(values + step) for step in np.diag(steps)]
-                    jacobian = ((np.array(moved) - miss) / steps[:, None]).T
-                values = values - solve(jacobian, miss[:, None])[:, 0]
+                    moved = [self._residual(values + step) for step in np.diag(steps)]
+                    jacobian = ((np.array(moved) - gap) / steps[:, None]).T
+                values = values - solve(jacobian, gap[:, None])[:, 0]
             if residual > 10.0 ** (12 - digits):
-                raise RunError(f"the orbit in decimal arithmetic does not close: residual {residual:.0e}")
+                raise RunError(
+                    f"the orbit in decimal arithmetic does not close: residual {residual:.0e}. Report the scene."
+                )
             return list(values), residual
 
-    def _miss(self, start: NDArray[Any]) -> NDArray[Any]:
+    def _residual(self, start: NDArray[Any]) -> NDArray[Any]:
         end = self._follow(start)
         return np.array([end[k] for k in self._free]) - start
 
@@ -327,7 +325,7 @@ class _ClosedOrbit:
             z[k] = value
         motion.begin(z, self._mode)
         motion.follow(self._events, [j not in self._flying for j in range(self._system.dampers)])
-        motion.carry(self._end)
+        motion.advance(self._end)
         return motion.z
 
     def compliance(self, start: Vector) -> tuple[NDArray[Any], NDArray[Any]]:

@@ -73,7 +73,7 @@ def moreau_jean(problem: FirstOrderForm, steps: int) -> Outcome:
         steps // PER_PERIOD,
     )
     if not np.isfinite(samples).all():
-        raise RunError("unstable with this step")
+        raise RunError(f"unstable with {steps} steps a period. Use more steps.")
     events = [
         ((k + 1) * length, j, WALLS[kind])
         for j in range(dampers)

@@ -24,7 +24,7 @@ from rig.system.hybrid_system import HybridSystem
 from rig.system.open_loop_drive import ToneDrive, accelerations_per_level, level_of, tone_drive
 from rig.work_precision.adaptive_solvers import BLIND, cvode_leg, follow, penalty, scipy_leg
 from rig.work_precision.first_order_form import PER_PERIOD, FirstOrderForm, Outcome
-from rig.work_precision.high_precision import DIGITS, Exact, exact_motion
+from rig.work_precision.high_precision import DIGITS, Exact, events_of, exact_motion
 
 #: Periods of the drive that every method computes.
 PERIODS = 20
@@ -52,16 +52,13 @@ class Point:
 
     method: str
     setting: str
-    cpu: float
-    """CPU time, s: per period of the drive for the motion, total for the steady state."""
+    cpu: float  # CPU time, s: per period of the drive for the motion, total for the steady state
     error: float
     """Largest error of any displacement relative to the largest displacement; NaN if the method failed."""
-    event_error: float
-    """Largest error of an event's time, s; NaN if there are no events to compare."""
+    event_error: float  # Largest error of an event's time, s; NaN if there are no events to compare
     right: bool
     """Whether events and their order are correct for each damper; for the steady state, whether it converged."""
-    note: str = ""
-    """Remarks, or the reason for a failure."""
+    note: str = ""  # Remarks, or the reason for a failure
 
 
 def refused(problem: ShotrigError) -> str:
@@ -76,13 +73,10 @@ class MotionStudy:
     scene: Scene
     frequency: float  # Hz
     periods: int
-    events: int
-    """Length of the motion and the number of events in it."""
+    events: int  # Length of the motion and the number of events in it
     points: tuple[Point, ...]
-    reference: str
-    """Origin and accuracy of the reference."""
-    margin: float
-    """Ratio of the smallest error of all methods to the error of the reference."""
+    reference: str  # Origin and accuracy of the reference
+    margin: float  # Ratio of the smallest error of all methods to the error of the reference
 
 
 def hardest_frequency(scene: Scene, system: HybridSystem) -> float:
@@ -99,7 +93,7 @@ def hardest_frequency(scene: Scene, system: HybridSystem) -> float:
     elif isinstance(test, SweptSine):
         grid = np.linspace(min(test.from_, test.to), max(test.from_, test.to), 400)
     else:
-        raise SceneError("the test has no frequency of its own; give one with --frequency")
+        raise SceneError("test: has no frequency. Give one with --frequency.")
     accelerations = [accelerations_per_level(scene, system, 2.0 * np.pi * f).max() for f in grid]
     return float(grid[int(np.argmax(accelerations))])
 
@@ -150,21 +144,18 @@ def _methods(scene: Scene, system: HybridSystem, tone: ToneDrive, periods: int) 
     """Yield each method with a setting and a function that computes the motion."""
     frequency = tone.frequency
     duration, rate = periods / frequency, PER_PERIOD * frequency
-    yield (
-        "engine, tone",
-        "as called",
-        lambda: _outcome(simulate(scene, duration, rate, frequency=frequency), system),
-    )
+
+    def called() -> Outcome:
+        return _outcome(simulate(scene, duration, rate, frequency=frequency), system)
+
+    yield "engine, tone", "as called", called
     yield "engine, tone", "warm", _warm(system, tone, periods)
     if np.array_equal(tone.state, system.initial):
         # First run without measurement, so that compilation is not included in the time.
         _sampled(scene, system, tone, SAMPLED[0], 1)()
         for share in SAMPLED:
-            yield (
-                "engine, sampled drive",
-                f"{share * frequency:.4g} Hz",
-                _sampled(scene, system, tone, share, periods),
-            )
+            sampled = _sampled(scene, system, tone, share, periods)
+            yield "engine, sampled drive", f"{share * frequency:.4g} Hz", sampled
     if system.lasting.any():
         return  # the other methods support instantaneous contact only
     problem = FirstOrderForm(system, tone, periods)
@@ -214,9 +205,7 @@ def _adaptive(problem: FirstOrderForm, period: float) -> Methods:
 
 
 def _outcome(run: Run, system: HybridSystem, every: int = 1) -> Outcome:
-    number = {int(k): j for j, k in enumerate(system.damper_number)}
-    events = [(float(e["time"]), number[int(e["damper"])], str(e["kind"])) for e in run.events]
-    return Outcome(run.displacement[:, ::every], events)
+    return Outcome(run.displacement[:, ::every], events_of(run.events, system))
 
 
 def _warm(system: HybridSystem, tone: ToneDrive, periods: int) -> Callable[[], Outcome]:
@@ -226,13 +215,13 @@ def _warm(system: HybridSystem, tone: ToneDrive, periods: int) -> Callable[[], O
     begin = propagator.snapshot()
     lengths, rows = np.full(periods, steps), np.full(periods, -1)
     rows[-1] = 0
-    propagator.through_marks(lengths, rows, np.ones(periods, dtype=bool))
 
     def compute() -> Outcome:
         propagator.resume(begin)
         trajectory = propagator.through_marks(lengths, rows, np.ones(periods, dtype=bool))
         return Outcome(trajectory.state[:, : len(system.points)].T, [])
 
+    compute()
     return compute
 
 
@@ -254,10 +243,8 @@ class _Judge:
     def __init__(self, exact: Exact, run: Run, system: HybridSystem) -> None:
         self.exact = exact
         self.scale = float(np.abs(exact.displacement).max())
-        self.sequence = _by_damper(_outcome(run, system).events, system.dampers)
-        times = exact.event_time.astype(np.float64)
-        events = [(float(t), j, k) for t, (_, j, k) in zip(times, _outcome(run, system).events, strict=True)]
-        self.times = _by_damper(events, system.dampers)
+        times = zip(exact.event_time.astype(np.float64), events_of(run.events, system), strict=True)
+        self.events = _by_damper([(float(t), j, kind) for t, (_, j, kind) in times], system.dampers)
 
     def point(self, method: str, setting: str, compute: Callable[[], Outcome], periods: int) -> Point:
         """Run a method and evaluate its error."""
@@ -272,13 +259,13 @@ class _Judge:
         error = float(np.abs(values - true).max()) / self.scale
         if last_only:
             return Point(method, setting, cpu / periods, error, np.nan, True, "flow and events alone")
-        found = _by_damper(outcome.events, len(self.sequence))
-        right = [[k for _, k in own] for own in found] == [[k for _, k in own] for own in self.sequence]
+        found = _by_damper(outcome.events, len(self.events))
+        right = [[k for _, k in own] for own in found] == [[k for _, k in own] for own in self.events]
         event_error = np.nan
         if right and any(found):
             event_error = max(
                 abs(t - s)
-                for own, true in zip(found, self.times, strict=True)
+                for own, true in zip(found, self.events, strict=True)
                 for (t, _), (s, _) in zip(own, true, strict=True)
             )
         return Point(method, setting, cpu / periods, error, event_error, right)

@@ -35,12 +35,10 @@ BAND = 0.04
 class SteadyStudy:
     """Result of `steady_study`."""
 
-    points: tuple[Point, ...]
-    """Points; errors refer to the compliance of all bodies, relative to the largest."""
+    points: tuple[Point, ...]  # Points; errors refer to the compliance of all bodies, relative to the largest
     frequency: float  # Hz
     motion_type: str
-    reference: str
-    """Reference of the errors; without periodic motion, the reason why there are no errors."""
+    reference: str  # Reference of the errors; without periodic motion, the reason why there are no errors
 
 
 def steady_study(
@@ -64,16 +62,18 @@ def steady_study(
     except ShotrigError as error:
         return SteadyStudy((), frequency, "", f"no steady state to compare with: {error}")
     frequency = orbit.frequency
-    miss = true.miss(orbit.compliance)
+    newton_error = true.error(orbit.compliance)
     points = [
-        Point("shooting", f"Newton to {orbit.residual:.0e}", cpu, miss, np.nan, True, orbit.motion_type)
+        Point(
+            "shooting", f"Newton to {orbit.residual:.0e}", cpu, newton_error, np.nan, True, orbit.motion_type
+        )
     ]
     for tolerance in TOLERANCES:
         say(f"waiting, {tolerance:.0e}")
         cpu, response = timed(partial(frequency_response, scene, [frequency], tolerance=tolerance))
         points.append(
             Point(
-                "waiting", f"tolerance {tolerance:.0e}", cpu, true.miss(response.compliance[:, 0]), np.nan,
+                "waiting", f"tolerance {tolerance:.0e}", cpu, true.error(response.compliance[:, 0]), np.nan,
                 bool(response.converged[0]), str(response.motion_type[0]),
             )
         )  # fmt: skip
@@ -82,7 +82,7 @@ def steady_study(
     riding = tuple(range(1, len(scene.dampers) + 1))
     for name, dampers in (("dampers riding", riding), ("no dampers", ())):
         cpu, linear = timed(partial(receptance, scene, [frequency], riding=dampers))
-        points.append(Point("linear", name, cpu, true.miss(linear[:, 0]), np.nan, False))
+        points.append(Point("linear", name, cpu, true.error(linear[:, 0]), np.nan, False))
     best = min((point.error for point in points if point.error > 0.0), default=np.inf)
     margin = best / max(true.agreement, 10.0**-DIGITS)
     if margin < BETTER:
@@ -131,15 +131,7 @@ def _approximate(scene: Scene, frequency: float, true: ExactOrbit) -> Point:
             )
         ]
         if values:
-            error = min(true.miss(value) for value in values)
-            return Point(
-                "approximate",
-                f"mode {mode}, {weighting} weights",
-                cpu,
-                error,
-                np.nan,
-                True,
-                "the whole curve",
-            )
+            error, setting = min(true.error(value) for value in values), f"mode {mode}, {weighting} weights"
+            return Point("approximate", setting, cpu, error, np.nan, True, "the whole curve")
         reasons.append("failed: finds no stable motion here")
     return Point("approximate", f"mode {mode}", np.nan, np.nan, np.nan, False, reasons[-1])

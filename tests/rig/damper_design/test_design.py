@@ -20,7 +20,7 @@ from rig.damper_design.asked import asked, mass_of
 from rig.damper_design.check import Expected
 from rig.damper_design.choice import FINE, Choice
 from rig.damper_design.design import chart_levels
-from rig.damper_design.figure import _clearance_label, next_step, summary, write
+from rig.damper_design.figure import clearance_label, next_step, summary, write
 from rig.damper_design.landings import INSTANT
 from rig.damper_design.one_mass import rests_on
 from rig.damper_design.worst_peak import Peak, curve
@@ -116,7 +116,7 @@ def test_torn_table_loses_no_answer(tmp_path: Path) -> None:
 
 
 def test_drawn_clearance_is_the_heaviest_dampers() -> None:
-    assert "in body 4 / mm" in _clearance_label(Choice((3, 4), (0.01, 0.06), (8e-3, 7e-3)))
+    assert "in body 4 / mm" in clearance_label(Choice((3, 4), (0.01, 0.06), (8e-3, 7e-3)))
 
 
 @given(levels=st.lists(st.floats(0.1, 50.0), min_size=1, max_size=5, unique=True).map(sorted))
@@ -169,7 +169,7 @@ def test_two_dampers_give_their_settled_peak() -> None:
 @pytest.mark.parametrize(
     ("requested", "message"),
     [
-        ({"budget": 5.0}, "expected more than 0 and less than the mass of the structure, 2.09 kg"),
+        ({"budget": 5.0}, "less than the structure.s mass of 2.09 kg"),
         ({"budget": "0.12"}, "expected a mass such as .50 g., or a share"),
         ({"bodies": ["1", "7"]}, "bodies: body 7 of 3; expected 1 to 3"),
         ({"dampers": 4}, "expected 1 to 3, one for each body that may carry one"),

@@ -97,7 +97,7 @@ def test_read_bed_remembers_contact_stretch() -> None:
         bed.kick(-0.15 * 9.80665 * bed.step)
     before = bed.forces()
 
-    bed.resume(bed.kept())
+    bed.resume(bed.stored())
 
     assert abs(before[2]) > 0.02 * bed.mass * 9.80665, "nothing hangs on the side"
     assert bed.forces() == pytest.approx(before, rel=1e-6)

@@ -52,7 +52,7 @@ def test_two_ranks_move_a_bed_alike(tmp_path: Path) -> None:
             "from tests.rig.grain_beds.test_shared_bed import thrown",
             "(seen, coupled), (again, _) = thrown(), thrown()",
             "assert all(np.array_equal(seen[name], again[name]) for name in seen)",
-            f"np.savez({str(file)!r}, **seen, held=coupled.beds[0]._room()[0])",
+            f"np.savez({str(file)!r}, **seen, held=coupled.beds[0]._sizes()[0])",
         )
     )
 

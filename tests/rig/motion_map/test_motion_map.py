@@ -126,7 +126,7 @@ def test_interrupted_map_stops_its_rows() -> None:
     assert not multiprocessing.active_children()
 
 
-def test_interrupted_map_goes_on_with_the_rows_kept(tmp_path: Path) -> None:
+def test_interrupted_map_continues_from_stored_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked = {"values": [0.5, 1.0, 3.3], "frequencies": [49.0, 50.0], "kept": tmp_path / "map.kept"}
 
     def interrupt(done: int, total: int) -> None:
@@ -141,6 +141,9 @@ def test_interrupted_map_goes_on_with_the_rows_kept(tmp_path: Path) -> None:
     assert counts[3:] == [6]
     for name in ("kind", "motion", "impacts", "repetition", "periods", "cpu"):
         np.testing.assert_array_equal(getattr(found, name), getattr(again, name))
+    monkeypatch.setattr("rig.study.code_digest", lambda *packages: "other code")
+    rig.map_motion("fig9", **asked, progress=lambda done, total: counts.append(done))
+    assert counts[4:] == [2, 4, 6], "rows of other code are not reused"
 
 
 @pytest.mark.thorough

@@ -18,7 +18,7 @@ from rig.system.open_loop_drive import tone_drive, with_ideal_force
 from rig.system.structural_model import receptance
 from rig.work_precision.adaptive_solvers import BLIND, follow, penalty, scipy_leg
 from rig.work_precision.compiled_runge_kutta import DormandPrince
-from rig.work_precision.figure import table, write
+from rig.work_precision.cost import Cost
 from rig.work_precision.first_order_form import PER_PERIOD, FirstOrderForm
 from rig.work_precision.high_precision import ExactOrbit, exact_motion, exact_orbit
 from rig.work_precision.moreau_jean import moreau_jean
@@ -122,7 +122,7 @@ def test_exact_orbit_confirms_shooting(name: str, force: float, frequency: float
     assert orbit.motion_type == motion
     assert exact.residual < 1e-33
     assert exact.agreement < 1e-22
-    assert exact.miss(orbit.compliance) < 1e-12
+    assert exact.error(orbit.compliance) < 1e-12
 
 
 @pytest.mark.parametrize("contact", [{"duration": 4e-3}, {"stiffness": 1.8e3, "damping": 17.0}])
@@ -134,7 +134,7 @@ def test_exact_orbit_confirms_finite_contact(contact: dict[str, float]) -> None:
     assert len(orbit.events) > 1
     assert exact.residual < 1e-33
     assert exact.agreement < 1e-22
-    assert exact.miss(orbit.compliance) < 1e-12
+    assert exact.error(orbit.compliance) < 1e-12
 
 
 def test_engine_is_right_with_mixed_contacts() -> None:
@@ -148,7 +148,7 @@ def test_engine_is_right_with_mixed_contacts() -> None:
 def test_linear_orbit_solves_the_equations() -> None:
     scene = rig.load("fig8-no-damper")
     exact = exact_orbit(with_ideal_force(scene), rig.periodic_orbit(scene, 34.8))
-    assert exact.miss(receptance(scene, [34.8])[:, 0]) < 1e-12
+    assert exact.error(receptance(scene, [34.8])[:, 0]) < 1e-12
 
 
 def test_driven_table_refers_to_the_spring_force() -> None:
@@ -161,7 +161,7 @@ def test_driven_table_refers_to_the_spring_force() -> None:
     orbit = rig.periodic_orbit(scene, 24.0)
     exact = exact_orbit(scene, orbit)
     assert exact.agreement < 1e-20
-    assert exact.miss(orbit.compliance) < 1e-12
+    assert exact.error(orbit.compliance) < 1e-12
 
 
 def test_irregular_motion_uses_a_nearby_frequency() -> None:
@@ -214,12 +214,12 @@ def test_table_and_file_report_a_failure(tmp_path: Path) -> None:
     )
     study = MotionStudy(rig.load("reference-B"), 49.7, 20, 37, points, "forty digits", 1e9)
     steady = SteadyStudy((), 49.7, "", "no steady state")
-    files = write(study, steady, tmp_path / "new")
+    cost = Cost(study.scene, study, steady)
+    files = cost.write(tmp_path / "new")
     assert [file.suffix for file in files] == [".png", ".svg", ".csv"]
     assert all(file.stat().st_size > 0 for file in files)
     with files[2].open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert rows[1]["note"] == "failed: takes too long" and rows[1]["error"] == "nan"
-    text = table(study, steady)
-    assert "failed: takes too long" in text
-    assert "The engine: relative error 1e-15 in 0.001 ms a period." in text
+    assert "failed: takes too long" in str(cost)
+    assert "The engine: relative error 1e-15 in 0.001 ms a period." in str(cost)

@@ -12,24 +12,8 @@ from numpy.typing import NDArray
 
 from rig.arrays import Array
 from rig.numerics.jit import stored
-from rig.orbits.orbit_equations import (
-    CEILING,
-    CEILING_BOUNCE,
-    FLOOR,
-    FLOOR_BOUNCE,
-    FLYING,
-    FORCELESS,
-    ON_FLOOR,
-    PRESS_CEILING,
-    PRESS_FLOOR,
-    RELEASE,
-    RIDES_CEILING,
-    RIDES_FLOOR,
-    SEPARATION,
-    WITH_PREVIOUS,
-    Equations,
-    Sequence,
-)
+from rig.orbits import event_kinds as kinds
+from rig.orbits.orbit_equations import Equations, Sequence
 from rig.orbits.shooting import Shot
 from rig.orbits.track import Track, track_orbit, turning_value
 
@@ -76,11 +60,13 @@ def _crossing_rate(
     """Return the rate at which a finite-duration contact crosses its event: speed in g/w, or force slope in g w."""
     kind, j, omega = sequence.kind[event], sequence.damper[event], equations.omega
     guard = track.guards[event - 1, -1, j]
-    if kind == RELEASE:
+    if kind == kinds.RELEASE:
         return min(1.0, -guard[1] / (acc_unit * omega))
-    if kind in (PRESS_FLOOR, PRESS_CEILING):
-        sign = -1.0 if kind == PRESS_FLOOR else 1.0
-        force_rate = _contact_force(equations, j, kind == PRESS_CEILING, sign * guard[1], sign * guard[2])
+    if kind in (kinds.PRESS_FLOOR, kinds.PRESS_CEILING):
+        sign = -1.0 if kind == kinds.PRESS_FLOOR else 1.0
+        force_rate = _contact_force(
+            equations, j, kind == kinds.PRESS_CEILING, sign * guard[1], sign * guard[2]
+        )
         return min(1.0, force_rate / (equations.mass[j] * acc_unit * omega))
     return min(1.0, closing * omega / acc_unit)
 
@@ -104,7 +90,7 @@ def _finite_contact_margins(
         wall, guard = sequence.wall[k, j], track.guards[s, :, j]
         own_start = events > 0 and sequence.damper[s] == j
         own_end = events > 0 and sequence.damper[end_event] == j
-        if wall >= ON_FLOOR:
+        if wall >= kinds.ON_FLOOR:
             lowest_force = _lowest_minimum(track, s, j, 0.0, 1.0)
             if not own_start:
                 lowest_force = min(lowest_force, guard[0, 0])
@@ -118,12 +104,12 @@ def _finite_contact_margins(
         # The first point of the segment at which the bed does not overlap a wall.
         free, highest_force, previous_force, is_rising = 0, -np.inf, np.inf, False
         while overlapped_wall != 0 and free < guard.shape[0]:
-            sign, height = (-1.0, 0.0) if overlapped_wall == ON_FLOOR else (1.0, clearance)
+            sign, height = (-1.0, 0.0) if overlapped_wall == kinds.ON_FLOOR else (1.0, clearance)
             overlap, closing = sign * (guard[free, 0] - height), sign * guard[free, 1]
             if overlap <= 0.0 and free > 0:
                 overlapped_wall = 0
                 break
-            force = _contact_force(equations, j, overlapped_wall != ON_FLOOR, overlap, closing)
+            force = _contact_force(equations, j, overlapped_wall != kinds.ON_FLOOR, overlap, closing)
             if is_rising and force < previous_force:
                 highest_force = max(highest_force, previous_force / equations.mass[j])
             is_rising, previous_force = force > previous_force, force
@@ -160,15 +146,15 @@ def margins(equations: Equations, sequence: Sequence, track: Track, instants: Ar
     for s in range(track.times.shape[0]):
         k = s + 1 if events > 0 else 0
         end_event = (s + 1) % max(events, 1)
-        if events > 0 and sequence.kind[end_event] != WITH_PREVIOUS:
+        if events > 0 and sequence.kind[end_event] != kinds.WITH_PREVIOUS:
             distances[ORDER, s] = min(1.0, (track.times[s, -1] - track.times[s, 0]) * omega)
         for j in range(nd):
             own_start = events > 0 and sequence.damper[s] == j
             own_end = events > 0 and sequence.damper[end_event] == j
             wall, guard = sequence.wall[k, j], track.guards[s, :, j]
-            if wall >= FORCELESS:
+            if wall >= kinds.FORCELESS:
                 continue
-            if wall == FLYING:
+            if wall == kinds.FLYING:
                 lowest = _lowest_minimum(track, s, j, 0.0, 1.0)
                 if not own_start:
                     lowest = min(lowest, guard[0, 0])
@@ -180,7 +166,7 @@ def margins(equations: Equations, sequence: Sequence, track: Track, instants: Ar
                         lowest = min(lowest, clearance - guard[0, 0])
                     _lower(distances, HITS_CEILING, j, lowest / length_unit)
                 continue
-            sign = 1.0 if wall == RIDES_FLOOR else -1.0
+            sign = 1.0 if wall == kinds.RIDES_FLOOR else -1.0
             lowest = _lowest_minimum(track, s, j, 0.0, sign)
             lowest = min(lowest, sign * guard[0, 0])
             if not own_end:
@@ -189,30 +175,34 @@ def margins(equations: Equations, sequence: Sequence, track: Track, instants: Ar
     for event in range(events):
         kind, j = sequence.kind[event], sequence.damper[event]
         if equations.bed[j] >= 0:
-            distances[MISSES_WALL if kind != RELEASE else NOT_RELEASED, event] = _crossing_rate(
+            distances[MISSES_WALL if kind != kinds.RELEASE else NOT_RELEASED, event] = _crossing_rate(
                 equations, sequence, track, event, closing[event], acc_unit
             )
             continue
-        separates = kind in (SEPARATION, WITH_PREVIOUS)
-        left_ceiling = separates and sequence.wall[event, j] == RIDES_CEILING
-        ceiling = kind in (CEILING, CEILING_BOUNCE) or left_ceiling
-        is_bounce = kind in (CEILING_BOUNCE, FLOOR_BOUNCE)
+        separates = kind in (kinds.SEPARATION, kinds.WITH_PREVIOUS)
+        left_ceiling = separates and sequence.wall[event, j] == kinds.RIDES_CEILING
+        ceiling = kind in (kinds.CEILING, kinds.CEILING_BOUNCE) or left_ceiling
+        is_bounce = kind in (kinds.CEILING_BOUNCE, kinds.FLOOR_BOUNCE)
         away = -1.0 if ceiling else 1.0
-        if kind == WITH_PREVIOUS or (is_bounce and equations.restitution[j] == 0.0):
+        if kind == kinds.WITH_PREVIOUS or (is_bounce and equations.restitution[j] == 0.0):
             # The gap's curvature right after the event must lead away from the wall.
             _lower(distances, STAYS_AT_WALL, j, away * track.guards[event, 0, j, 2] / acc_unit)
-        if kind == SEPARATION:
+        if kind == kinds.SEPARATION:
             jerk = track.guards[event - 1, -1, j, 1]
             distances[NOT_RELEASED, event] = min(1.0, -away * jerk / (acc_unit * omega))
-        elif kind != WITH_PREVIOUS:
+        elif kind != kinds.WITH_PREVIOUS:
             distances[MISSES_WALL, event] = min(1.0, closing[event] * omega / acc_unit)
             # With a full mass matrix, an impact presses riding dampers on their walls or throws them from the walls.
             for i in range(nd):
                 body = body_of[i]
                 coupling = equations.inverse_mass[sequence.configuration[event], body, body_of[j]]
-                if i != j and sequence.wall[event, i] in (RIDES_FLOOR, RIDES_CEILING) and coupling != 0.0:
+                if (
+                    i != j
+                    and sequence.wall[event, i] in (kinds.RIDES_FLOOR, kinds.RIDES_CEILING)
+                    and coupling != 0.0
+                ):
                     speed_change = track.motion[event, 0, nq + body] - track.motion[event - 1, -1, nq + body]
-                    sign = 1.0 if sequence.wall[event, i] == RIDES_FLOOR else -1.0
+                    sign = 1.0 if sequence.wall[event, i] == kinds.RIDES_FLOOR else -1.0
                     _lower(distances, THROWN_OFF, i, sign * speed_change * omega / acc_unit)
         if separates:
             # At zero flight time the equations are singular, so a curve ends before.
@@ -221,7 +211,7 @@ def margins(equations: Equations, sequence: Sequence, track: Track, instants: Ar
                 landing = (landing + 1) % events
             next_period = equations.period if landing <= event else 0.0
             flight_time = instants[landing] - instants[event] + next_period
-            if sequence.kind[landing] == (CEILING if ceiling else FLOOR):
+            if sequence.kind[landing] == (kinds.CEILING if ceiling else kinds.FLOOR):
                 _lower(distances, FLIGHT_ENDS, j, flight_time * omega - MIN_FLIGHT_RAD)
     for j in range(nd):
         if equations.bed[j] >= 0:

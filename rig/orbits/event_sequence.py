@@ -9,46 +9,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.arrays import Array
-from rig.engine.state import CEILING_IMPACT, CEILING_TOUCH, FLOOR_IMPACT, FLOOR_TOUCH
-from rig.engine.state import RELEASE as RELEASED
+from rig.engine.state import CEILING_IMPACT, CEILING_TOUCH, FLOOR_IMPACT, FLOOR_TOUCH, RELEASE
 from rig.engine.trajectory import Trajectory
 from rig.errors import UncoveredMotionError
-from rig.orbits.orbit_equations import (
-    CEILING,
-    CEILING_BOUNCE,
-    FLOOR,
-    FLOOR_BOUNCE,
-    FLYING,
-    FORCELESS,
-    ON_CEILING,
-    ON_FLOOR,
-    PRESS_CEILING,
-    PRESS_FLOOR,
-    RELEASE,
-    RIDES_CEILING,
-    RIDES_FLOOR,
-    SEPARATION,
-    TOUCH_CEILING,
-    TOUCH_FLOOR,
-    WITH_PREVIOUS,
-    Sequence,
-)
+from rig.orbits import event_kinds as kinds
+from rig.orbits.orbit_equations import Sequence
 from rig.system.hybrid_system import HybridSystem
 
-BOUNCE = {FLOOR: FLOOR_BOUNCE, CEILING: CEILING_BOUNCE}
+BOUNCE = {kinds.FLOOR: kinds.FLOOR_BOUNCE, kinds.CEILING: kinds.CEILING_BOUNCE}
 #: Wall state of a damper after an event.
 WALL_AFTER_EVENT = {
-    SEPARATION: FLYING,
-    WITH_PREVIOUS: FLYING,
-    FLOOR_BOUNCE: FLYING,
-    CEILING_BOUNCE: FLYING,
-    FLOOR: RIDES_FLOOR,
-    CEILING: RIDES_CEILING,
-    TOUCH_FLOOR: ON_FLOOR,
-    PRESS_FLOOR: ON_FLOOR,
-    TOUCH_CEILING: ON_CEILING,
-    PRESS_CEILING: ON_CEILING,
-    RELEASE: FORCELESS,
+    kinds.SEPARATION: kinds.FLYING,
+    kinds.WITH_PREVIOUS: kinds.FLYING,
+    kinds.FLOOR_BOUNCE: kinds.FLYING,
+    kinds.CEILING_BOUNCE: kinds.FLYING,
+    kinds.FLOOR: kinds.RIDES_FLOOR,
+    kinds.CEILING: kinds.RIDES_CEILING,
+    kinds.TOUCH_FLOOR: kinds.ON_FLOOR,
+    kinds.PRESS_FLOOR: kinds.ON_FLOOR,
+    kinds.TOUCH_CEILING: kinds.ON_CEILING,
+    kinds.PRESS_CEILING: kinds.ON_CEILING,
+    kinds.RELEASE: kinds.FORCELESS,
 }
 #: Overlap, relative to the largest gap, above which a new contact force is a press event instead of a touch.
 MIN_RELATIVE_OVERLAP = 1e-9
@@ -59,15 +40,17 @@ class Plan:
     """An orbit's sequence of events, with the configurations of its slots."""
 
     sequence: Sequence
-    configurations: tuple[int, ...]
-    """As in `HybridSystem.toggles`."""
-    repetition: int
-    """Length in periods of the drive."""
+    configurations: tuple[int, ...]  # As in `HybridSystem.toggles`
+    repetition: int  # Length in periods of the drive
 
     @property
     def flying(self) -> NDArray[np.int64]:
         """Dampers in flight at the start."""
-        return np.flatnonzero(self.sequence.wall[0] == FLYING)
+        return np.flatnonzero(self.sequence.wall[0] == kinds.FLYING)
+
+    def instants(self, unknowns: Array) -> Array:
+        """Return the instants of the events from the unknowns of an orbit."""
+        return unknowns[len(unknowns) - len(self.sequence.kind) :]
 
     @property
     def label(self) -> str:
@@ -77,17 +60,17 @@ class Plan:
         ``m``.
         """
         signs = {
-            SEPARATION: "^",
-            FLOOR: "_",
-            CEILING: "=",
-            FLOOR_BOUNCE: "v",
-            CEILING_BOUNCE: "-",
-            WITH_PREVIOUS: "~",
-            TOUCH_FLOOR: "u",
-            TOUCH_CEILING: "n",
-            PRESS_FLOOR: "w",
-            PRESS_CEILING: "m",
-            RELEASE: "o",
+            kinds.SEPARATION: "^",
+            kinds.FLOOR: "_",
+            kinds.CEILING: "=",
+            kinds.FLOOR_BOUNCE: "v",
+            kinds.CEILING_BOUNCE: "-",
+            kinds.WITH_PREVIOUS: "~",
+            kinds.TOUCH_FLOOR: "u",
+            kinds.TOUCH_CEILING: "n",
+            kinds.PRESS_FLOOR: "w",
+            kinds.PRESS_CEILING: "m",
+            kinds.RELEASE: "o",
         }
         events = zip(self.sequence.damper, self.sequence.kind, strict=True)
         return " ".join(f"{damper + 1}{signs[int(kind)]}" for damper, kind in events)
@@ -130,7 +113,7 @@ def derive_plan(
     if a damper with rebound comes to rest on a wall after infinitely many impacts, or if the impact of another
     damper throws a damper off its wall, through a full mass matrix or a common body.
     """
-    kinds: list[int] = []
+    events: list[int] = []
     dampers: list[int] = []
     order: list[int] = []
     instants = list(zip(trajectory.event_segment.tolist(), trajectory.event_offset.tolist(), strict=True))
@@ -138,30 +121,33 @@ def derive_plan(
         zip(trajectory.event_damper.tolist(), trajectory.event_kind.tolist(), strict=True)
     ):
         simultaneous = [i for i in range(len(order)) if instants[order[i]] == instants[k]]
-        impacts = [i for i in simultaneous if dampers[i] == damper and kinds[i] in (FLOOR, CEILING)]
+        impacts = [
+            i for i in simultaneous if dampers[i] == damper and events[i] in (kinds.FLOOR, kinds.CEILING)
+        ]
         if system.coupled and any(dampers[i] != damper for i in simultaneous):
             raise UncoveredMotionError(
                 f"an impact of damper {damper + 1} acts on damper {dampers[simultaneous[-1]] + 1} at the same "
-                "instant, through a common body or the mass matrix"
+                "instant, through a common body or the mass matrix. Use rig.frequency_response."
             )
         if system.lasting[damper]:
-            kinds.append(_finite_contact_kind(trajectory, k, system))
+            events.append(_finite_contact_kind(trajectory, k, system))
         elif kind in (FLOOR_IMPACT, CEILING_IMPACT):
-            impact = FLOOR if kind == FLOOR_IMPACT else CEILING
-            kinds.append(impact if system.restitution[damper] == 0 else BOUNCE[impact])
+            impact = kinds.FLOOR if kind == FLOOR_IMPACT else kinds.CEILING
+            events.append(impact if system.restitution[damper] == 0 else BOUNCE[impact])
         elif impacts:
             # Impact and separation at the same instant are one event, a bounce, without contact in between.
-            kinds[impacts[-1]] = BOUNCE[kinds[impacts[-1]]]
+            events[impacts[-1]] = BOUNCE[events[impacts[-1]]]
             continue
         elif system.restitution[damper] > 0:
             raise UncoveredMotionError(
-                f"damper {damper + 1} rebounds infinitely often in every period until it rests on a wall"
+                f"damper {damper + 1} rebounds infinitely often in every period until it rests on a wall. Use "
+                "rig.frequency_response."
             )
         else:
-            kinds.append(WITH_PREVIOUS if simultaneous else SEPARATION)
+            events.append(kinds.WITH_PREVIOUS if simultaneous else kinds.SEPARATION)
         dampers.append(damper)
         order.append(k)
-    return make_plan(kinds, dampers, walls_from_modes(start, system), repetition), np.array(
+    return make_plan(events, dampers, walls_from_modes(start, system), repetition), np.array(
         order, dtype=np.int64
     )
 
@@ -169,47 +155,47 @@ def derive_plan(
 def _finite_contact_kind(trajectory: Trajectory, event: int, system: HybridSystem) -> int:
     """Return the kind of an event with finite-duration contact: a press event starts with overlap."""
     kind, damper = trajectory.event_kind[event], trajectory.event_damper[event]
-    if kind == RELEASED:
-        return RELEASE
+    if kind == RELEASE:
+        return kinds.RELEASE
     is_event = (trajectory.break_segment == trajectory.event_segment[event]) & (
         trajectory.break_offset == trajectory.event_offset[event]
     )
     gaps = trajectory.before[:, system.bed[damper]]
     gap, min_overlap = gaps[np.flatnonzero(is_event)[0]], MIN_RELATIVE_OVERLAP * np.abs(gaps).max()
     if kind == FLOOR_TOUCH:
-        return PRESS_FLOOR if gap < -min_overlap else TOUCH_FLOOR
+        return kinds.PRESS_FLOOR if gap < -min_overlap else kinds.TOUCH_FLOOR
     assert kind == CEILING_TOUCH
-    return PRESS_CEILING if gap > system.clearance[damper] + min_overlap else TOUCH_CEILING
+    return kinds.PRESS_CEILING if gap > system.clearance[damper] + min_overlap else kinds.TOUCH_CEILING
 
 
 def walls_from_modes(modes: NDArray[Any], system: HybridSystem) -> NDArray[np.int64]:
     """Return the walls of a sequence for the engine's contact states, shape (dampers,)."""
-    return np.asarray(modes, dtype=np.int64) + np.where(system.lasting, FORCELESS, FLYING)
+    return np.asarray(modes, dtype=np.int64) + np.where(system.lasting, kinds.FORCELESS, kinds.FLYING)
 
 
 def modes_from_walls(walls: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the engine's contact states for walls of a sequence, shape (dampers,)."""
-    return np.where(walls >= FORCELESS, walls - FORCELESS, walls)
+    return np.where(walls >= kinds.FORCELESS, walls - kinds.FORCELESS, walls)
 
 
 def configuration_of(walls: NDArray[np.int64]) -> int:
     """Return the configuration for walls of a sequence, as in `HybridSystem.toggles`."""
-    pressed = np.flatnonzero((walls != FLYING) & (walls != FORCELESS)).tolist()
-    ceilings = np.flatnonzero(walls == ON_CEILING).tolist()
+    pressed = np.flatnonzero((walls != kinds.FLYING) & (walls != kinds.FORCELESS)).tolist()
+    ceilings = np.flatnonzero(walls == kinds.ON_CEILING).tolist()
     return sum(1 << j for j in pressed) + sum(1 << len(walls) + j for j in ceilings)
 
 
-def make_plan(kinds: list[int], dampers: list[int], start: NDArray[Any], repetition: int) -> Plan:
+def make_plan(events: list[int], dampers: list[int], start: NDArray[Any], repetition: int) -> Plan:
     """Build a plan from events and the walls at the start."""
     walls = [np.asarray(start, dtype=np.int64)]
-    for kind, damper in zip(kinds, dampers, strict=True):
+    for kind, damper in zip(events, dampers, strict=True):
         wall = walls[-1].copy()
         wall[damper] = WALL_AFTER_EVENT[kind]
         walls.append(wall)
     masks = [configuration_of(wall) for wall in walls]
     configurations = tuple(dict.fromkeys(masks))
     sequence = Sequence(
-        np.array(kinds, dtype=np.int64),
+        np.array(events, dtype=np.int64),
         np.array(dampers, dtype=np.int64),
         np.array([configurations.index(mask) for mask in masks], dtype=np.int64),
         np.array(walls, dtype=np.int64),

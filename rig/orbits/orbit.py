@@ -10,31 +10,14 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import dgeev
 
 from rig.arrays import Array
-from rig.engine.state import CEILING_IMPACT, CEILING_TOUCH, FLOOR_IMPACT, FLOOR_TOUCH
-from rig.engine.state import RELEASE as RELEASED
-from rig.engine.state import SEPARATION as SEPARATED
+from rig.engine.state import CEILING_IMPACT, CEILING_TOUCH, FLOOR_IMPACT, FLOOR_TOUCH, RELEASE, SEPARATION
 from rig.engine.trajectory import event_table
 from rig.errors import RunError
+from rig.orbits import event_kinds as kinds
 from rig.orbits.admissibility import evaluate_motion
 from rig.orbits.event_sequence import Plan
 from rig.orbits.newton import monodromy, newton_solve
-from rig.orbits.orbit_equations import (
-    CEILING,
-    CEILING_BOUNCE,
-    FLOOR,
-    FLOOR_BOUNCE,
-    FLYING,
-    PRESS_CEILING,
-    PRESS_FLOOR,
-    RELEASE,
-    RIDES_CEILING,
-    SEPARATION,
-    TOUCH_CEILING,
-    TOUCH_FLOOR,
-    WITH_PREVIOUS,
-    Change,
-    Equations,
-)
+from rig.orbits.orbit_equations import Change, Equations
 from rig.orbits.problem import OperatingPoint, OrbitProblem, Parameter, vary
 from rig.orbits.shooting import Shot, shoot
 from rig.orbits.track import track_orbit
@@ -53,14 +36,14 @@ ROUNDING = 1e-9
 MAX_CORRECTIONS = 25
 # Engine events of contact between a damper and a wall.
 _CONTACT_EVENTS = {
-    FLOOR: FLOOR_IMPACT,
-    FLOOR_BOUNCE: FLOOR_IMPACT,
-    CEILING: CEILING_IMPACT,
-    CEILING_BOUNCE: CEILING_IMPACT,
-    TOUCH_FLOOR: FLOOR_TOUCH,
-    PRESS_FLOOR: FLOOR_TOUCH,
-    TOUCH_CEILING: CEILING_TOUCH,
-    PRESS_CEILING: CEILING_TOUCH,
+    kinds.FLOOR: FLOOR_IMPACT,
+    kinds.FLOOR_BOUNCE: FLOOR_IMPACT,
+    kinds.CEILING: CEILING_IMPACT,
+    kinds.CEILING_BOUNCE: CEILING_IMPACT,
+    kinds.TOUCH_FLOOR: FLOOR_TOUCH,
+    kinds.PRESS_FLOOR: FLOOR_TOUCH,
+    kinds.TOUCH_CEILING: CEILING_TOUCH,
+    kinds.PRESS_CEILING: CEILING_TOUCH,
 }
 
 
@@ -131,11 +114,11 @@ class Orbit(Result):
         family = OrbitFamily(self.problem, self.plan, self.setting, "frequency", self.unknowns)
         equations, change = family.equations(self.frequency)
         states = shoot(equations, change, sequence, self.unknowns).states
-        instants = self.unknowns[len(self.unknowns) - len(sequence.kind) :]
+        instants = self.plan.instants(self.unknowns)
         track = track_orbit(equations, sequence, instants, states)
         wall = sequence.wall[len(sequence.wall) - len(track.times) :, None, :]
-        gaps = np.where(wall == FLYING, np.maximum(track.guards[..., 0], 0.0), 0.0)
-        gaps = np.where(wall == RIDES_CEILING, system.clearance, gaps)
+        gaps = np.where(wall == kinds.FLYING, np.maximum(track.guards[..., 0], 0.0), 0.0)
+        gaps = np.where(wall == kinds.RIDES_CEILING, system.clearance, gaps)
         gaps[..., system.lasting] = track.motion[..., system.bed[system.lasting]]
         motion = track.motion[..., : self.problem.scene.structure.bodies]
         return {
@@ -189,9 +172,11 @@ def solve(
             setting.frequency, unknowns, max_corrections
         )
     except np.linalg.LinAlgError:
-        raise RunError(f"{location}: the equations are singular") from None
+        raise RunError(f"{location}: the equations are singular. Start from another orbit.") from None
     if corrections < 0:
-        raise RunError(f"{location}: Newton's method does not converge (last correction {size:.1e})")
+        raise RunError(
+            f"{location}: Newton's method does not converge (last correction {size:.1e}). Start from a nearer orbit."
+        )
     return family.make_orbit(setting, x, equations, shot)
 
 
@@ -225,7 +210,7 @@ class OrbitFamily:
         self.scale = np.concatenate(
             [start, times, [abs(value) * (0.02 if parameter == "frequency" else 0.2)]]
         )
-        guard_scales = {WITH_PREVIOUS: 1 / omega, SEPARATION: system.gravity or omega**2 * length}
+        guard_scales = {kinds.WITH_PREVIOUS: 1 / omega, kinds.SEPARATION: system.gravity or omega**2 * length}
         event_scales = [guard_scales.get(int(kind), length) for kind in plan.sequence.kind]
         self.residual_scale = np.concatenate([start, event_scales])
         self.borders = plan.borders
@@ -260,7 +245,7 @@ class OrbitFamily:
         """Return the margin at each border and the borders' names, for `rig.numerics.continuation.trace`."""
         equations, change = self.equations(float(x[-1]))
         shot = shoot(equations, change, self.plan.sequence, x[:-1])
-        distances = evaluate_motion(equations, self.plan.sequence, shot, self._instants(x[:-1]))[2]
+        distances = evaluate_motion(equations, self.plan.sequence, shot, self.plan.instants(x[:-1]))[2]
         return distances + ROUNDING, self.borders
 
     def multipliers(self, x: Array) -> NDArray[np.complex128]:
@@ -272,19 +257,16 @@ class OrbitFamily:
         real, imaginary, *_ = dgeev(period_map, compute_vl=0, compute_vr=0)
         return np.asarray(real + 1j * imaginary, dtype=np.complex128)
 
-    def _instants(self, unknowns: Array) -> Array:
-        return unknowns[len(unknowns) - len(self.plan.sequence.kind) :]
-
     def make_orbit(self, setting: OperatingPoint, unknowns: Array, equations: Equations, shot: Shot) -> Orbit:
         """Return the orbit of a converged shot."""
         problem, plan = self.problem, self.plan
-        instants = self._instants(unknowns)
+        instants = self.plan.instants(unknowns)
         extremes, integral, distances = evaluate_motion(equations, plan.sequence, shot, instants)
         nearest = int(distances.argmin())
         system = problem.varied_system(setting)
-        dampers, kinds, times, speeds = _events(problem, plan, instants, shot.closing)
+        dampers, engine_kinds, times, speeds = _events(problem, plan, instants, shot.closing)
         types = tuple(
-            type_of(kinds[is_own], times[is_own], system, j, plan.repetition, equations.period)
+            type_of(engine_kinds[is_own], times[is_own], system, j, plan.repetition, equations.period)
             for j, is_own in enumerate(dampers == np.arange(problem.system.dampers)[:, None])
         )
         bodies = self.bodies
@@ -296,7 +278,7 @@ class OrbitFamily:
         return Orbit(
             setting=setting,
             repetition=plan.repetition,
-            events=event_table(times, dampers, kinds, speeds, problem.system),
+            events=event_table(times, dampers, engine_kinds, speeds, problem.system),
             motion_type=overall(list(types)),
             damper_motion=types,
             compliance=harmonic[:bodies] / force,
@@ -324,11 +306,11 @@ def _events(
     ):
         if int(kind) in _CONTACT_EVENTS:
             events.append((damper, _CONTACT_EVENTS[int(kind)], time, speed))
-        if kind == RELEASE:
-            events.append((damper, RELEASED, time, 0.0))
-        elif kind in (SEPARATION, WITH_PREVIOUS) or (
-            kind in (FLOOR_BOUNCE, CEILING_BOUNCE) and not problem.system.restitution[damper]
+        if kind == kinds.RELEASE:
+            events.append((damper, RELEASE, time, 0.0))
+        elif kind in (kinds.SEPARATION, kinds.WITH_PREVIOUS) or (
+            kind in (kinds.FLOOR_BOUNCE, kinds.CEILING_BOUNCE) and not problem.system.restitution[damper]
         ):
-            events.append((damper, SEPARATED, time, 0.0))
+            events.append((damper, SEPARATION, time, 0.0))
     table = np.array(events).reshape(-1, 4)
     return table[:, 0].astype(np.int64), table[:, 1].astype(np.int64), table[:, 2], table[:, 3]

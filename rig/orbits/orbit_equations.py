@@ -11,42 +11,24 @@ from rig.arrays import Array
 
 IndexArray = NDArray[np.int64]
 
-# Kinds of events. In a bounce, a damper separates at the instant of impact, with the common velocity (osculating
-# contact) or with its rebound velocity. `WITH_PREVIOUS` is a separation that the previous event causes at the same
-# instant.
-SEPARATION, FLOOR, CEILING, FLOOR_BOUNCE, CEILING_BOUNCE, WITH_PREVIOUS = 0, 1, 2, 3, 4, 5
-# Finite-duration contact: a gap falls to zero (touch), a contact force falls to zero (release), or it rises from zero
-# again before the overlap has recovered (press). All conditions are linear in the state. Only the force law changes.
-TOUCH_FLOOR, TOUCH_CEILING, PRESS_FLOOR, PRESS_CEILING, RELEASE = 6, 7, 8, 9, 10
-# Wall state in a segment between events: in flight, or riding (at rest on a wall). With finite-duration contact:
-# without contact force, or pressed on a wall.
-FLYING, RIDES_FLOOR, RIDES_CEILING, FORCELESS, ON_FLOOR, ON_CEILING = 0, 1, 2, 3, 4, 5
-
 
 class Equations(NamedTuple):
     """The equations of motion in every configuration that an orbit visits, for one set of parameters."""
 
-    generator: Array
-    """shape (configurations, states + 3, states + 3)."""
-    rate: Array
-    """Bound on the norm of each generator [1/s]; shape (configurations,)."""
-    inverse_mass: Array
-    """shape (configurations, coordinates, coordinates)."""
-    body_coordinate: IndexArray
-    """Coordinate of each damper's body; int64, shape (dampers,)."""
+    generator: Array  # shape (configurations, states + 3, states + 3)
+    rate: Array  # Bound on the norm of each generator [1/s]; shape (configurations,)
+    inverse_mass: Array  # shape (configurations, coordinates, coordinates)
+    body_coordinate: IndexArray  # Coordinate of each damper's body; int64, shape (dampers,)
     mass: Array
     clearance: Array
-    restitution: Array
-    """mass, clearance, restitution: shape (dampers,)."""
+    restitution: Array  # mass, clearance, restitution: shape (dampers,)
     bed: IndexArray
     """Coordinate of the gap of a damper with finite-duration contact, otherwise -1; int64, shape (dampers,)."""
     stiffness: Array
-    damping: Array
-    """stiffness, damping: of floor and ceiling for finite-duration contact; shape (dampers, 2)."""
+    damping: Array  # stiffness, damping: of floor and ceiling for finite-duration contact; shape (dampers, 2)
     gravity: float
     omega: float
-    period: float
-    """Length of the orbit, a multiple of the drive's period [s]."""
+    period: float  # Length of the orbit, a multiple of the drive's period [s]
 
 
 class Change(NamedTuple):
@@ -66,10 +48,9 @@ class Sequence(NamedTuple):
     """The events of an orbit in order."""
 
     kind: IndexArray
-    damper: IndexArray
-    """kind, damper: int64, shape (events,)."""
+    damper: IndexArray  # kind, damper: int64, shape (events,)
     configuration: IndexArray
     """Index of the configuration in each segment: before the first event, between events, after the last; int64,
     shape (events + 1,)."""
     wall: IndexArray
-    """Wall state in each segment, `FLYING` to `ON_CEILING`; int64, shape (events + 1, dampers)."""
+    """Wall state in each segment, as in `rig.orbits.event_kinds`; int64, shape (events + 1, dampers)."""

@@ -9,6 +9,7 @@ from rig.engine.propagator import Propagator, tone_propagator
 from rig.engine.state import CEILING, CONFIGURATION, FLIGHT, FLOOR
 from rig.engine.trajectory import STRIKES, Trajectory
 from rig.errors import RunError
+from rig.orbits import event_kinds as kinds
 from rig.orbits.event_sequence import (
     Plan,
     configuration_of,
@@ -18,7 +19,6 @@ from rig.orbits.event_sequence import (
     walls_from_modes,
 )
 from rig.orbits.orbit import Orbit, solve
-from rig.orbits.orbit_equations import FORCELESS
 from rig.orbits.problem import OperatingPoint, OrbitProblem
 from rig.scene.loading import SceneLike, scene_of
 from rig.scene.quantities import FREQUENCY, positives
@@ -186,7 +186,7 @@ def refine_orbit(
 def shortest_cycle(orbit: Orbit) -> tuple[Plan, OperatingPoint, Array] | None:
     """Reduce an orbit that consists of equal cycles to one cycle; return None if it does not."""
     sequence, events = orbit.plan.sequence, len(orbit.plan.sequence.kind)
-    instants = orbit.unknowns[len(orbit.unknowns) - events :]
+    instants = orbit.plan.instants(orbit.unknowns)
     for cycles in range(orbit.repetition, 1, -1):
         if orbit.repetition % cycles or events % cycles:
             continue
@@ -199,8 +199,10 @@ def shortest_cycle(orbit: Orbit) -> tuple[Plan, OperatingPoint, Array] | None:
             not np.array_equal(table[:2], repeated[:2]) or np.abs(table[2] - repeated[2]).max() > 1e-9
         ):
             continue
-        kinds, dampers = sequence.kind[:cycle_events].tolist(), sequence.damper[:cycle_events].tolist()
-        plan = make_plan(kinds, dampers, sequence.wall[0], orbit.repetition // cycles)
+        plan = make_plan(
+            sequence.kind[:cycle_events].tolist(), sequence.damper[:cycle_events].tolist(), sequence.wall[0],
+            orbit.repetition // cycles,
+        )  # fmt: skip
         return plan, orbit.setting, orbit.unknowns[: len(orbit.unknowns) - events + cycle_events]
     return None
 
@@ -230,7 +232,7 @@ def set_to_orbit(propagator: Propagator, orbit: Orbit) -> None:
     flights = orbit.unknowns[n : n + 2 * len(orbit.plan.flying)].reshape(-1, 2)
     state.height[orbit.plan.flying], state.speed[orbit.plan.flying] = flights.T
     state.recovering[:] = FLIGHT
-    for j in np.flatnonzero(walls == FORCELESS):
+    for j in np.flatnonzero(walls == kinds.FORCELESS):
         gap = state.z[system.bed[j]]
         if not 0.0 <= gap <= system.clearance[j]:
             state.recovering[j] = FLOOR if gap < 0.0 else CEILING

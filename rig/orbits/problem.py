@@ -47,12 +47,9 @@ class OperatingPoint:
     """Values of the continuation parameters."""
 
     frequency: float  # Hz
-    force: float
-    """Level of the drive, in the unit of the scene's test (N for a force)."""
-    clearance: float = np.nan
-    """Clearance of all dampers [m], or NaN: as in the scene."""
-    mass_ratio: float = 1.0
-    """Factor on all damper masses of the scene."""
+    force: float  # Level of the drive, in the unit of the scene's test (N for a force)
+    clearance: float = np.nan  # Clearance of all dampers [m], or NaN: as in the scene
+    mass_ratio: float = 1.0  # Factor on all damper masses of the scene
 
 
 def column_name(parameter: Parameter) -> str:

@@ -17,52 +17,31 @@ import numpy as np
 
 from rig.arrays import Array
 from rig.numerics.jit import stored
+from rig.orbits import event_kinds as kinds
 from rig.orbits.matrix_exponential import exponential, exponential_slope
-from rig.orbits.orbit_equations import (
-    CEILING,
-    CEILING_BOUNCE,
-    FLOOR_BOUNCE,
-    FLYING,
-    ON_CEILING,
-    PRESS_CEILING,
-    RELEASE,
-    RIDES_CEILING,
-    SEPARATION,
-    TOUCH_CEILING,
-    TOUCH_FLOOR,
-    WITH_PREVIOUS,
-    Change,
-    Equations,
-    Sequence,
-)
+from rig.orbits.orbit_equations import Change, Equations, Sequence
 
 
 class Shot(NamedTuple):
     """Result of a shot: residual, Jacobian and states."""
 
-    residual: Array
-    """Periodicity, then the events' conditions; shape (unknowns,)."""
+    residual: Array  # Periodicity, then the events' conditions; shape (unknowns,)
     jacobian: Array
     """Derivatives of the residual; the last column is for the parameter; shape (unknowns, unknowns + 1)."""
     states: Array
     """State, heights and velocities at the start of each segment; shape (events + 1, states + 2 dampers)."""
-    closing: Array
-    """Closing speed of each impact [m/s]; shape (events,)."""
+    closing: Array  # Closing speed of each impact [m/s]; shape (events,)
 
 
 class MotionState(NamedTuple):
     """Motion at the current instant, with derivatives by the unknowns and, in the last column, the parameter."""
 
-    x: Array
-    """State; cos wt, sin wt; 1; shape (states + 3,)."""
+    x: Array  # State; cos wt, sin wt; 1; shape (states + 3,)
     height: Array
-    speed: Array
-    """height, speed: of the dampers; shape (dampers,)."""
-    dx: Array
-    """shape (states, unknowns + 1)."""
+    speed: Array  # height, speed: of the dampers; shape (dampers,)
+    dx: Array  # shape (states, unknowns + 1)
     dheight: Array
-    dspeed: Array
-    """dheight, dspeed: shape (dampers, unknowns + 1)."""
+    dspeed: Array  # dheight, dspeed: shape (dampers, unknowns + 1)
 
 
 @stored
@@ -79,7 +58,7 @@ def _start(sequence: Sequence, unknowns: Array, states: int) -> tuple[MotionStat
         motion.dx[i, i] = 1.0
     index = states
     for j in range(dampers):
-        if sequence.wall[0, j] == FLYING:
+        if sequence.wall[0, j] == kinds.FLYING:
             motion.height[j], motion.speed[j] = unknowns[index], unknowns[index + 1]
             motion.dheight[j, index] = 1.0
             motion.dspeed[j, index + 1] = 1.0
@@ -162,7 +141,7 @@ def _separate(equations: Equations, change: Change, wall: int, j: int, motion: M
     body, nq = equations.body_coordinate[j], equations.inverse_mass.shape[1]
     motion.height[j], motion.speed[j] = motion.x[body], motion.x[nq + body]
     motion.dheight[j], motion.dspeed[j] = motion.dx[body], motion.dx[nq + body]
-    if wall == RIDES_CEILING:
+    if wall == kinds.RIDES_CEILING:
         motion.height[j] += equations.clearance[j]
         motion.dheight[j, motion.dx.shape[1] - 1] += change.clearance[j]
 
@@ -185,11 +164,11 @@ def _apply_impact(
     body, nq, size = equations.body_coordinate[j], equations.inverse_mass.shape[1], motion.dx.shape[1] - 1
     x, sx, sh, sv = motion.x, motion.dx, motion.dheight, motion.dspeed
     offset, offset_derivative = 0.0, 0.0
-    if kind in (CEILING, CEILING_BOUNCE):
+    if kind in (kinds.CEILING, kinds.CEILING_BOUNCE):
         offset, offset_derivative = equations.clearance[j], change.clearance[j]
     gap = motion.height[j] - x[body] - offset
     rebound = 1.0
-    if kind in (FLOOR_BOUNCE, CEILING_BOUNCE):
+    if kind in (kinds.FLOOR_BOUNCE, kinds.CEILING_BOUNCE):
         rebound += equations.restitution[j]
     inverse, inverse_change = equations.inverse_mass[config], change.inverse_mass[config]
     gain = rebound / (1.0 / equations.mass[j] + inverse[body, body])
@@ -236,11 +215,13 @@ def _change_force(
     """
     size, bed = motion.dx.shape[1] - 1, equations.bed[j]
     speed_index = equations.inverse_mass.shape[1] + bed
-    ceiling = kind in (TOUCH_CEILING, PRESS_CEILING) or (kind == RELEASE and wall == ON_CEILING)
+    ceiling = kind in (kinds.TOUCH_CEILING, kinds.PRESS_CEILING) or (
+        kind == kinds.RELEASE and wall == kinds.ON_CEILING
+    )
     wall_index = 1 if ceiling else 0
     speed, decay_time = motion.x[speed_index], 0.0
     residual = motion.x[bed]
-    if kind not in (TOUCH_FLOOR, TOUCH_CEILING):
+    if kind not in (kinds.TOUCH_FLOOR, kinds.TOUCH_CEILING):
         decay_time = equations.damping[j, wall_index] / equations.stiffness[j, wall_index]
         damping_derivative = change.damping[j, wall_index] - decay_time * change.stiffness[j, wall_index]
         jacobian[row, size] += speed * damping_derivative / equations.stiffness[j, wall_index]
@@ -250,7 +231,7 @@ def _change_force(
     for c in range(size + 1):
         jacobian[row, c] += motion.dx[bed, c] + decay_time * motion.dx[speed_index, c]
     closing = speed if ceiling else -speed
-    return residual + decay_time * speed, 0.0 if kind == RELEASE else max(closing, 0.0)
+    return residual + decay_time * speed, 0.0 if kind == kinds.RELEASE else max(closing, 0.0)
 
 
 @stored
@@ -264,7 +245,7 @@ def _write_periodicity(
         jacobian[i] = motion.dx[i]
         jacobian[i, i] -= 1.0
     for j in range(motion.height.shape[0]):
-        if sequence.wall[0, j] == FLYING:
+        if sequence.wall[0, j] == kinds.FLYING:
             residual[index] = motion.height[j] - unknowns[index]
             residual[index + 1] = motion.speed[j] - unknowns[index + 1]
             jacobian[index], jacobian[index + 1] = motion.dheight[j], motion.dspeed[j]
@@ -303,19 +284,19 @@ def shoot(equations: Equations, change: Change, sequence: Sequence, unknowns: Ar
         time = event_time
         motion.x[n], motion.x[n + 1], motion.x[n + 2] = np.cos(omega * time), np.sin(omega * time), 1.0
         j, kind = sequence.damper[k], sequence.kind[k]
-        if kind == SEPARATION:
+        if kind == kinds.SEPARATION:
             body = equations.body_coordinate[j]
             residual[row] = _contact_force_condition(
                 equations, change, config, body, motion, time, row, jacobian
             )
             _separate(equations, change, sequence.wall[k, j], j, motion)
-        elif kind == WITH_PREVIOUS:
+        elif kind == kinds.WITH_PREVIOUS:
             residual[row] = time - (unknowns[row - 1] if k > 0 else 0.0)
             jacobian[row, row] = 1.0
             if k > 0:
                 jacobian[row, row - 1] = -1.0
             _separate(equations, change, sequence.wall[k, j], j, motion)
-        elif kind >= TOUCH_FLOOR:
+        elif kind >= kinds.TOUCH_FLOOR:
             residual[row], closing[k] = _change_force(
                 equations, change, kind, sequence.wall[k, j], j, motion, row, jacobian
             )

@@ -118,7 +118,7 @@ class OrbitResponse(Result):
             If another parameter was varied.
         """
         if self.parameter != "frequency":
-            raise SceneError(f"response: the {self.parameter} was varied; expected a sweep of the frequency")
+            raise SceneError(f"response: the {self.parameter} was varied. Vary the frequency.")
         return compliance_response(
             self.value, self.labels, self.compliance, unsteady=self.simulated, label="orbits"
         )

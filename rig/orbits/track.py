@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from rig.arrays import Array
 from rig.numerics.jit import stored
+from rig.orbits import event_kinds as kinds
 from rig.orbits.matrix_exponential import exponential
-from rig.orbits.orbit_equations import FLYING, FORCELESS, ON_FLOOR, Equations, Sequence
+from rig.orbits.orbit_equations import Equations, Sequence
 
 # Largest product of the step between instants and the norm of the state matrix. The relative error of the extremes
 # of quintics is then 1e-9, and the harmonic is exact to rounding.
@@ -29,14 +30,11 @@ class Track(NamedTuple):
 
     times: Array  # shape (segments, points + 1)
     motion: Array  # shape (segments, points + 1, states)
+    # Guard function of each damper, with first and second derivative; shape (segments, points + 1, dampers, 3). It is
+    # the gap in flight [m], q'' + g of the body while riding [m/s^2], or the wall force divided by the damper mass
+    # during finite-duration contact [m/s^2].
     guards: Array
-    """Guard function of each damper, with first and second derivative; shape (segments, points + 1, dampers, 3).
-
-    It is the gap in flight [m], q'' + g of the body while riding [m/s^2], or the wall force divided by the damper
-    mass during finite-duration contact [m/s^2].
-    """
-    extremes: Array
-    """Lowest and highest value of each coordinate; shape (coordinates, 2)."""
+    extremes: Array  # Lowest and highest value of each coordinate; shape (coordinates, 2)
     harmonic: NDArray[np.complex128]
     """Integral of the state times exp(-i w t) over the orbit; complex, shape (states,)."""
 
@@ -120,12 +118,12 @@ def _sample_guard(
     """Compute a damper's guard function along a segment, with two derivatives: its gap or its contact force."""
     nq, nd = equations.inverse_mass.shape[1], equations.body_coordinate.shape[0]
     n, body, gravity = x.shape[1] - 3, equations.body_coordinate[j], equations.gravity
-    if wall == FORCELESS:
+    if wall == kinds.FORCELESS:
         bed = equations.bed[j]
         for i in range(x.shape[0]):
             guard[i, 0], guard[i, 1], guard[i, 2] = x[i, bed], x[i, nq + bed], rate[i, nq + bed]
         return
-    if wall == FLYING:
+    if wall == kinds.FLYING:
         height, speed = initial[n + j], initial[n + nd + j]
         for i in range(x.shape[0]):
             t = i * step
@@ -134,8 +132,8 @@ def _sample_guard(
             guard[i, 2] = -gravity - rate[i, nq + body]
         return
     weights, constant = np.zeros((3, n + 3)), gravity
-    if wall >= ON_FLOOR:
-        sign, at = (-1.0, 0) if wall == ON_FLOOR else (1.0, 1)
+    if wall >= kinds.ON_FLOOR:
+        sign, at = (-1.0, 0) if wall == kinds.ON_FLOOR else (1.0, 1)
         weights[0, equations.bed[j]] = sign * equations.stiffness[j, at] / equations.mass[j]
         weights[0, nq + equations.bed[j]] = sign * equations.damping[j, at] / equations.mass[j]
         constant = -equations.clearance[j] * weights[0, equations.bed[j]] if at == 1 else 0.0

@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.errors import RunError
+from rig.orbits import event_kinds as kinds
 from rig.orbits.orbit import Orbit
-from rig.orbits.orbit_equations import FORCELESS, ON_CEILING, RIDES_CEILING
 from rig.scene.scene import Scene
 from rig.scene.shaker import ForceShaker
 from rig.simulation.simulate import Run
@@ -274,8 +274,8 @@ class _ClosedOrbit:
         self._events = events_of(orbit.events, self._system)
         self._flying = orbit.plan.flying.tolist()
         self._mode = [
-            FLIGHT if j in self._flying or wall == FORCELESS
-            else CEILING if wall in (RIDES_CEILING, ON_CEILING) else FLOOR
+            FLIGHT if j in self._flying or wall == kinds.FORCELESS
+            else CEILING if wall in (kinds.RIDES_CEILING, kinds.ON_CEILING) else FLOOR
             for j, wall in enumerate(orbit.plan.sequence.wall[0])
         ]  # fmt: skip
         height = self._motion.form.first

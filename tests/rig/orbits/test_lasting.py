@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import rig
+from rig.orbits import event_kinds as kinds
 from rig.orbits.orbit import OrbitFamily
-from rig.orbits.orbit_equations import PRESS_FLOOR
 from rig.orbits.periodic_orbit import set_to_orbit, simulate_cycle, start_propagator
 from rig.orbits.problem import PARAMETERS, OperatingPoint, OrbitProblem, Parameter
 from rig.scene.scene import Scene
@@ -77,7 +77,7 @@ def test_bed_pressed_again_before_separation_returns_to_orbit(
     propagator, steps = start_propagator(OrbitProblem(scene), orbit.setting)
     set_to_orbit(propagator, orbit)
     plan, unknowns = simulate_cycle(propagator, steps, orbit.repetition)
-    assert PRESS_FLOOR in orbit.plan.sequence.kind
+    assert kinds.PRESS_FLOOR in orbit.plan.sequence.kind
     assert orbit.margin > 1e-6
     assert plan.label == orbit.plan.label
     np.testing.assert_allclose(

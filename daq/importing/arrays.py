@@ -39,7 +39,14 @@ _CLOCK_BYTES = 48
 def numpy_signals(path: Path, _stack: ExitStack) -> list[Signal]:
     """List the arrays of an .npz or .npy file, which are held in memory; arrays of Python objects are rejected."""
     try:
-        return _signals(path, _numpy_arrays(path))
+        with path.open("rb") as file:
+            if file.read(6) == b"\x93NUMPY":
+                return _signals(path, {"array": np.load(path, mmap_mode="r", allow_pickle=False)})
+        # An archive of zeros is a thousandth of its content.
+        with zipfile.ZipFile(path) as packed:
+            need_beside_program(sum(each.file_size for each in packed.infolist()), f"{path}: importing it")
+        with np.load(path, allow_pickle=False) as archive:
+            return _signals(path, {name: archive[name] for name in archive.files})
     except (OSError, MemoryError, ShotrigError):
         raise
     except Exception as error:
@@ -47,17 +54,6 @@ def numpy_signals(path: Path, _stack: ExitStack) -> list[Signal]:
         raise RecordingError(
             f"{path} is not an .npz or .npy file of numbers, or it is damaged: {error!s:.200}"
         ) from error
-
-
-def _numpy_arrays(path: Path) -> dict[str, Any]:
-    """Read the arrays as far as memory allows: an archive of zeros is a thousandth of its content."""
-    with path.open("rb") as file:
-        if file.read(6) == b"\x93NUMPY":
-            return {"array": np.load(path, mmap_mode="r", allow_pickle=False)}
-    with zipfile.ZipFile(path) as packed:
-        need_beside_program(sum(each.file_size for each in packed.infolist()), f"{path}: importing it")
-    with np.load(path, allow_pickle=False) as archive:
-        return {name: archive[name] for name in archive.files}
 
 
 def matlab_signals(path: Path, _stack: ExitStack) -> list[Signal]:

@@ -96,7 +96,18 @@ def clock_of_times(times: Array, resolution: float, where: str) -> Clock:
     deviation = 0.0 if missing else float(abs(times - np.linspace(first, last, times.size)).max())
     tolerated = (last - first) * _JITTER_SHARE / (times.size - 1) + resolution
     if last > first and deviation > tolerated:
-        rate, first, deviation = _fit_jittery_clock(times, where)
+        # The even grid by least squares.
+        number = np.arange(times.size) - (times.size - 1) / 2.0
+        spread = float(number @ number)
+        interval, middle = float(number @ times) / spread, float(times.mean())
+        residual = times - middle - interval * number
+        # Four standard errors of the slope.
+        error = 4.0 * float(np.std(residual)) / math.sqrt(spread)
+        try:
+            rate = rate_of_interval(interval, error)
+        except RecordingError as wrong:
+            raise RecordingError(f"{where}: {wrong}") from None
+        first, deviation = middle + float(number[0]) / rate, float(abs(residual).max())
         _warn(
             f"{where} deviate from an even grid by up to {deviation * rate:.0%} of a sample. This is taken for jitter "
             "of the writing, not of the sampling."
@@ -105,21 +116,6 @@ def clock_of_times(times: Array, resolution: float, where: str) -> Clock:
         rate = rate_with_gaps(first, last, times.size, missing, max(resolution, 2.0 * deviation), where)
     require_even(times, sample_numbers(np.arange(times.size), missing), first, rate, resolution, where)
     return Clock(rate, first, missing)
-
-
-def _fit_jittery_clock(times: Array, where: str) -> tuple[float, float, float]:
-    """Fit an even grid by least squares: rate, first time, largest deviation."""
-    number = np.arange(times.size) - (times.size - 1) / 2.0
-    spread = float(number @ number)
-    interval, middle = float(number @ times) / spread, float(times.mean())
-    residual = times - middle - interval * number
-    # Four standard errors of the slope.
-    error = 4.0 * float(np.std(residual)) / math.sqrt(spread)
-    try:
-        rate = rate_of_interval(interval, error)
-    except RecordingError as wrong:
-        raise RecordingError(f"{where}: {wrong}") from None
-    return rate, middle + float(number[0]) / rate, float(abs(residual).max())
 
 
 def missing_rows(times: Iterable[Array], resolution: float) -> list[Missing]:

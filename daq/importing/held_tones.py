@@ -215,15 +215,6 @@ def _share(pieces: Sequence[_Piece], track: Track) -> float:
     )
 
 
-def _sweeps(pieces: Sequence[_Piece]) -> bool:
-    """Whether the frequency drifts within stretches as from one to the next."""
-    middle, begins, ends = np.array([piece.frequencies() for piece in pieces]).T
-    distance = abs(np.diff(middle))
-    distance[distance < _SAME_FREQUENCY * middle[1:]] = np.inf
-    nearest = np.minimum(np.append(distance, np.inf), np.insert(distance, 0, np.inf))
-    return bool(np.median(abs(ends - begins) / nearest) > _MAX_DRIFT)
-
-
 def _settled(piece: _Piece, tolerance: float) -> HeldTone:
     """Remove the transient at the beginning of a segment."""
     track, blocks = piece.track, slice(piece.begin, piece.end)

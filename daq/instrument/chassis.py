@@ -26,7 +26,7 @@ from daq.instrument.clock import Clock, Sleepers
 from daq.instrument.devices.modules import DeviceList, Module
 from daq.instrument.engines.acquisition import Acquisition, InputPlan
 from daq.instrument.engines.generation import Generation, OutputBuffer, OutputPlan
-from daq.instrument.engines.triggers import OtherTask
+from daq.instrument.engines.triggers import AnalogSource, OtherTask
 from daq.instrument.errors import Code, DaqError
 
 if TYPE_CHECKING:
@@ -341,7 +341,8 @@ class Chassis:
                 run.ticks(1, self.position)
                 for source in waiting
                 for run in self.inputs.values()
-                if (source.reference or run.waits_on_data) and self.moment(source) is None
+                if (source.reference or (run.first_tick is None and isinstance(run.plan.start, AnalogSource)))
+                and self.moment(source) is None
             ),
             default=_MAX_BLOCK_TICKS,
         )

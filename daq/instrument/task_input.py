@@ -249,7 +249,12 @@ class TaskInput:
                 return ended(None)
             if run.done and run.readable <= run.position:
                 # A finite task acquires no more; only a read without any sample reports that as an error.
-                return ended(None if got and run.error is None else run.error or _exhausted())
+                exhausted = DaqError(
+                    "the acquisition has ended and all its samples have been read. Read fewer samples, acquire more "
+                    "(samps_per_chan), or stop and start the task to acquire again.",
+                    Code.SAMPLES_WILL_NEVER_BE_AVAILABLE,
+                )
+                return ended(None if got and run.error is None else run.error or exhausted)
             left = timeout if timeout < 0 else max(0.0, timeout - (chassis.clock.now(chassis) - began))
             ready = chassis.wait(
                 lambda: run.done or run.readable - run.position >= piece(),
@@ -285,11 +290,3 @@ def _reason(run: Acquisition) -> str:
     if run.plan.reference is not None and run.trigger is None:
         return " (the reference trigger has not come)"
     return ""
-
-
-def _exhausted() -> DaqError:
-    return DaqError(
-        "the acquisition has ended and all its samples have been read; ask for less, acquire more "
-        "(samps_per_chan), or stop and start the task to acquire again",
-        Code.SAMPLES_WILL_NEVER_BE_AVAILABLE,
-    )

@@ -79,7 +79,7 @@ class TaskOutput:
 
     def ticks_to(self, samples: int) -> int:
         """Count the ticks until that many samples have been generated."""
-        return _FOR_EVER if self.run is None or not self.run.has_started else self.run.ticks_until(samples)
+        return _FOR_EVER if self.run is None or self.run.first_tick is None else self.run.ticks_until(samples)
 
     def horizon(self) -> int:
         """Count the ticks that may pass before `follow`."""

@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
+from daq.instrument.devices.modules import WIRING_BITS
 from daq.instrument.devices.names import parse_port
 from daq.instrument.errors import Code, DaqError, unsupported
 from daq.instrument.settings.storage import Storage
@@ -109,7 +110,7 @@ def _of_terminal(call: Call, name: str) -> Any:
     module.row(port.kind, port.number)
     found: dict[str, Any] = {
         "ai_supported_meas_types": sorted(module.measurements),
-        "ai_term_cfgs": module.wiring_bits,
+        "ai_term_cfgs": sum(WIRING_BITS.get(each, 0) for each in module.wirings),
         "ai_input_srcs": [port.name],
     }
     if port.kind == "ao":

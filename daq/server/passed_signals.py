@@ -8,16 +8,16 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
-from types import FrameType, TracebackType
-from typing import Any, Self
+from contextlib import closing, contextmanager
+from types import FrameType
+from typing import Any
 
 from rig.ending_signals import handle_interrupts
 
 # Time between the request to end and the kill of a script, s.
 PATIENCE = 1.0
 # Time after which a signal to a process group has reached all its processes, s.
-_HEARD = 1.0
+_DELIVERY_S = 1.0
 
 
 class _Witness:
@@ -34,22 +34,18 @@ class _Witness:
             self._COMMAND, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
         )
 
-    def heard(self) -> bool:
+    def received(self) -> bool:
         """Return whether it received the latest Ctrl-C; it is then restarted for the next signal."""
         try:
-            self._process.wait(_HEARD)
+            self._process.wait(_DELIVERY_S)
         except subprocess.TimeoutExpired:
             return False
-        self.__exit__(None, None, None)
+        self.close()
         self._begin()
         return True
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def close(self) -> None:
+        """End the process."""
         self._process.kill()
         self._process.communicate()
 
@@ -65,14 +61,14 @@ def signals_passed_on(process: subprocess.Popen[Any]) -> Iterator[None]:
     end = threading.Timer(PATIENCE, process.kill)
     end.daemon = True
     try:
-        with _Witness() as witness:
+        with closing(_Witness()) as witness:
 
             def pass_on(number: int, frame: FrameType | None) -> None:
                 if number != signal.SIGINT:
                     process.send_signal(number)
                     if end.ident is None:
                         end.start()
-                elif os.name == "posix" and not witness.heard():
+                elif os.name == "posix" and not witness.received():
                     process.send_signal(number)
 
             with handle_interrupts(pass_on):

@@ -23,7 +23,7 @@ from rig.scene.modules import Rates
 
 # Bits of the sets that the driver encodes in one number.
 _COUPLING_BITS = {Coupling.AC: 1, Coupling.DC: 2, Coupling.GND: 4}
-_WIRING_BITS = {Wiring.RSE: 1, Wiring.NRSE: 2, Wiring.DIFFERENTIAL: 4, Wiring.PSEUDO_DIFFERENTIAL: 8}
+WIRING_BITS = {Wiring.RSE: 1, Wiring.NRSE: 2, Wiring.DIFFERENTIAL: 4, Wiring.PSEUDO_DIFFERENTIAL: 8}
 _REFERENCE_TRIGGER, _START_TRIGGER = 4, 8
 
 # Product categories and bus types, as the driver numbers them.
@@ -115,11 +115,6 @@ class Module:
     def fastest(self) -> float:
         """Highest rate of its inputs, S/s."""
         return self.rates.fastest
-
-    @property
-    def wiring_bits(self) -> int:
-        """Terminal configurations of its inputs, in the driver's bit encoding."""
-        return sum(_WIRING_BITS[each] for each in self.wirings if each in _WIRING_BITS)
 
     def channel_names(self, kind: str) -> list[str]:
         """Names of its inputs (`ai`) or outputs (`ao`)."""

@@ -98,11 +98,6 @@ class Acquisition:
             self._end = self._record_start + self.plan.samples
 
     @property
-    def waits_on_data(self) -> bool:
-        """Whether the start depends on samples not yet taken."""
-        return self.first_tick is None and isinstance(self.plan.start, AnalogSource)
-
-    @property
     def readable(self) -> int:
         """Number after the last sample that may be read; 0 until the record of a reference trigger is complete."""
         return 0 if self.plan.reference is not None and not self.done else self.ring.written
@@ -217,18 +212,9 @@ class Acquisition:
         if self.plan.reference is not None and self.trigger is None:
             self._look_for_reference(tick, x, moment)
         count = x.shape[1] if self._end is None else min(x.shape[1], self._end - self.ring.written)
-        if self.plan.stops_when_full:
-            count = self._fit_into_buffer(count)
-        self.ring.write(x[:, :count])
-        self.overloads.write(over[:, :count])
-        self.overloaded |= over[:, :count].any(axis=1)
-        if self.ring.written == self._end:
-            self._complete(tick + count)
-        return max(count, 1)
-
-    def _fit_into_buffer(self, count: int) -> int:
         room = self.plan.buffer - (self.ring.written - self.position)
-        if count > room:
+        if self.plan.stops_when_full and count > room:
+            count = room
             self.stop(
                 DaqError(
                     "the acquisition has stopped because the buffer was full of unread samples. Read more often, "
@@ -236,7 +222,12 @@ class Acquisition:
                     Code.ACQ_STOPPED_TO_PREVENT_INPUT_BUFFER_OVERWRITE,
                 )
             )
-        return min(count, room)
+        self.ring.write(x[:, :count])
+        self.overloads.write(over[:, :count])
+        self.overloaded |= over[:, :count].any(axis=1)
+        if self.ring.written == self._end:
+            self._complete(tick + count)
+        return max(count, 1)
 
     def _look_for_reference(self, tick: int, x: NDArray[Any], moment: Moment) -> None:
         assert self.first_tick is not None and self.plan.samples is not None

@@ -85,11 +85,6 @@ class Generation:
         if started is not None and started <= self.armed_at:
             self.first_tick = self.armed_at
 
-    @property
-    def has_started(self) -> bool:
-        """Whether the output of samples has started."""
-        return self.first_tick is not None
-
     def start_tick(self, reference: bool, tick: int) -> int | None:
         """Return the tick at which this task started or will start; an output has no reference trigger."""
         if reference:

@@ -188,11 +188,6 @@ class Channel:
         limits = (abs(self.settings[f"{self.side}_{end}"]) for end in ("min", "max"))
         return max(limits) * self.volts_per_unit
 
-    @property
-    def is_supplied(self) -> bool:
-        """Whether the module supplies an IEPE sensor."""
-        return bool(self.settings.get("ai_excit_src") == Excitation.INTERNAL)
-
     def check_complete(self) -> None:
         """Check that the channel has limits, and that its module can supply the sensor with its coupling.
 
@@ -201,7 +196,8 @@ class Channel:
         own, module = self.settings, self.module
         for name in self.unset_limits:
             self.get(name)
-        if self.is_supplied and module.supply_coupling == "AC" and own["ai_coupling"] != Coupling.AC:
+        supplies = own.get("ai_excit_src") == Excitation.INTERNAL
+        if supplies and module.supply_coupling == "AC" and own["ai_coupling"] != Coupling.AC:
             raise bad(
                 f"channel {self.name}: {module.product_type} supplies sensors with AC coupling only. Leave "
                 "ai_coupling at AC, or set ai_excit_src to NONE."

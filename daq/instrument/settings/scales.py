@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -52,37 +51,33 @@ class Scale:
             )
         return Scale(own["type"], own | {name: alike(name, value, own[name])})
 
-    @property
-    def _function(self) -> Callable[[Array], Array]:
-        own = self.settings
-        kind = own["type"]
-        if kind == LINEAR:
-            return lambda x: own["lin_slope"] * x + own["lin_y_intercept"]
-        if kind == MAP_RANGES:
-            low, high = own["map_pre_scaled_min"], own["map_pre_scaled_max"]
-            out = own["map_scaled_min"], own["map_scaled_max"]
-            return lambda x: out[0] + (x - low) * (out[1] - out[0]) / (high - low)
-        if kind == POLYNOMIAL:
-            return lambda x: np.polynomial.polynomial.polyval(x, own["poly_forward_coeff"])
-        given, scaled = np.array(own["table_pre_scaled_vals"]), np.array(own["table_scaled_vals"])
-        order = np.argsort(given)
-        return lambda x: np.interp(x, given[order], scaled[order])
-
     def convert(self, values: Array) -> Array:
         """Scale readings.
 
         Raises `DaqError` with -200077, if the scale is invalid.
         """
         own = self.settings
-        if own["type"] == MAP_RANGES and own["map_pre_scaled_min"] == own["map_pre_scaled_max"]:
-            raise bad("the range of a map scale before scaling is empty. Give two different limits.")
-        if own["type"] == TABLE and len(own["table_pre_scaled_vals"]) != len(own["table_scaled_vals"]):
+        if own["type"] == LINEAR:
+            scaled = own["lin_slope"] * values + own["lin_y_intercept"]
+        elif own["type"] == MAP_RANGES:
+            low, high = own["map_pre_scaled_min"], own["map_pre_scaled_max"]
+            if low == high:
+                raise bad("the range of a map scale before scaling is empty. Give two different limits.")
+            first, last = own["map_scaled_min"], own["map_scaled_max"]
+            scaled = first + (values - low) * (last - first) / (high - low)
+        elif own["type"] == POLYNOMIAL:
+            scaled = np.polynomial.polynomial.polyval(values, own["poly_forward_coeff"])
+        elif len(own["table_pre_scaled_vals"]) != len(own["table_scaled_vals"]):
             raise DaqError(
                 f"a table scale with {len(own['table_pre_scaled_vals'])} values before and "
                 f"{len(own['table_scaled_vals'])} after scaling: give as many of both",
                 Code.MISMATCHED_INPUT_ARRAY_SIZES,
             )
-        return np.asarray(self._function(values), dtype=np.float64)
+        else:
+            given = np.array(own["table_pre_scaled_vals"])
+            order = np.argsort(given)
+            scaled = np.interp(values, given[order], np.array(own["table_scaled_vals"])[order])
+        return np.asarray(scaled, dtype=np.float64)
 
 
 def reverse_polynomial(forward: list[float], low: float, high: float, points: int, order: int) -> list[float]:

@@ -52,9 +52,7 @@ class Storage:
         self.authors[name] = author
 
     def load_task(self, task: TaskSettings, name: str) -> None:
-        """Load saved settings into a task; with -200485, if they do not exist."""
-        if name not in self.tasks:
-            raise DaqError(f"there is no saved task {name!r}", Code.TASK_NOT_IN_DATA_NEIGHBORHOOD)
+        """Load saved settings into a task."""
         saved = self.tasks[name]
         task.channels, task.groups = deepcopy(saved.channels), deepcopy(saved.groups)
 

@@ -93,10 +93,10 @@ def test_ended_command_ends_logging_script(running, before, how, send, code):
 
 
 def test_witness_detects_group_ctrl_c(monkeypatch):
-    monkeypatch.setattr(passed_signals, "_HEARD", 0.0)
-    with passed_signals._Witness() as witness:
-        assert not witness.heard()
-        monkeypatch.setattr(passed_signals, "_HEARD", 60.0)
+    monkeypatch.setattr(passed_signals, "_DELIVERY_S", 0.0)
+    with contextlib.closing(passed_signals._Witness()) as witness:
+        assert not witness.received()
+        monkeypatch.setattr(passed_signals, "_DELIVERY_S", 60.0)
         for _ in range(2):
             os.kill(witness._process.pid, signal.SIGINT)
-            assert witness.heard()
+            assert witness.received()

@@ -71,7 +71,7 @@ def write_examples() -> None:
 
 def write_reference() -> None:
     """Write a page for each package's public names, for the commands and for the keys of scene files."""
-    from rig.scene.reference import page
+    from rig.scene.reference import reference_page
 
     REFERENCE.mkdir(exist_ok=True)
     for package in ("rig", "daq", "analysis"):
@@ -82,7 +82,7 @@ def write_reference() -> None:
             lines += [f".. auto{kind}:: {name}", *(["   :members:"] if kind == "class" else []), ""]
         (REFERENCE / f"{package}.md").write_text("\n".join([*lines, "```", ""]), encoding="utf-8")
         (REFERENCE / f"{package}-commands.md").write_text(commands(package), encoding="utf-8")
-    (REFERENCE / "scenes.md").write_text(page(), encoding="utf-8")
+    (REFERENCE / "scenes.md").write_text(reference_page(), encoding="utf-8")
 
 
 def commands(package: str) -> str:

@@ -18,7 +18,7 @@ from rig.arrays import Array
 from rig.effects.effect_cost import EffectStep, bench_drive
 from rig.effects.explanation import Effect, motion_effects
 from rig.scene.measurement_chain import Channel, Converter
-from rig.scene.presets import filled_in
+from rig.scene.presets import complete_from_preset
 from rig.scene.scene import Scene
 from rig.system.assembly import assemble
 
@@ -93,7 +93,7 @@ def measurement_steps(scene: Scene) -> Iterator[EffectStep]:
 
 def _with(scene: Scene, on: dict[str, set[str]]) -> Scene:
     """Reduce channels and converter to the keys that are on."""
-    converter = filled_in(scene.converter)
+    converter = complete_from_preset(scene.converter)
     kept = {key: getattr(converter, key) for key in on["converter"]}
     if kept.get("bits") is None and scene.recording.samples == "counts":
         scene = scene.replace(recording=scene.recording.replace(samples=None))
@@ -107,7 +107,7 @@ def _channel(channel: Channel, on: dict[str, set[str]]) -> Channel:
     for name in ("accelerometer", "hammer"):
         device = getattr(channel, name)
         if device is not None:
-            sheet = filled_in(device)
+            sheet = complete_from_preset(device)
             given = {key: value for key in on["sensor"] if (value := getattr(sheet, key, None)) is not None}
             changes[name] = type(device)(**given)
     if channel.integrator is not None:

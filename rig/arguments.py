@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rig.scene.scene_files import bundled
+from rig.scene.scene_files import bundled_scenes
 
 if TYPE_CHECKING:
     from rig.scene.scene import Scene
@@ -17,7 +17,7 @@ SCENE_HELP = "Name of a bundled scene (`rig scenes` lists them) or path of a sce
 
 def completions(incomplete: str) -> list[str]:
     """Return the names of bundled scenes with a given prefix, for shell completion."""
-    return [name for name in bundled() if name.startswith(incomplete)]
+    return [name for name in bundled_scenes() if name.startswith(incomplete)]
 
 
 SceneName = Annotated[str, typer.Argument(metavar="SCENE", help=SCENE_HELP, autocompletion=completions)]
@@ -73,6 +73,6 @@ def load_scene(scene: str, changes: Sequence[str] | None) -> Scene:
 
     Raises `SceneError` as `rig.load`.
     """
-    from rig.scene.loading import load_changed
+    from rig.scene.loading import load_with_options
 
-    return load_changed(scene, changes or ())
+    return load_with_options(scene, changes or ())

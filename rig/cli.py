@@ -47,17 +47,17 @@ def scenes(
 ) -> None:
     """List the bundled scenes, or print or copy the file of one."""
     from rig.output_files import atomic_write
-    from rig.scene.scene_files import bundled, summary, text_of
+    from rig.scene.scene_files import bundled_scenes, scene_text, summary
 
     if show is not None:
-        print(text_of(show), end="")
+        print(scene_text(show), end="")
     if copy is not None:
-        text = text_of(copy[0])
+        text = scene_text(copy[0])
         with atomic_write(copy[1], overwrite=overwrite) as part:
             part.write_text(text, encoding="utf-8")
         print(f"{copy[1]}: change it, then: daq record {quote(str(copy[1]))}")
     if show is None and copy is None:
-        _list([(name, summary(name)) for name in bundled()])
+        _list([(name, summary(name)) for name in bundled_scenes()])
 
 
 @app.command(example="rig presets")
@@ -67,10 +67,10 @@ def presets(
     ] = None,
 ) -> None:
     """List the presets of data sheets, or the values of one."""
-    from rig.scene.data_sheets import data_sheets, described
+    from rig.scene.data_sheets import data_sheets, describe_part
 
     if name is not None:
-        print("\n".join(described(name)))
+        print("\n".join(describe_part(name)))
     else:
         _list([(sheet.name, f"{sheet.summary} {sheet.doubts}".strip()) for sheet in data_sheets().values()])
 
@@ -90,9 +90,9 @@ def schema(
 ) -> None:
     """Print the JSON Schema of scene files, or the reference of keys."""
     from rig.scene.json_schema import schema_text
-    from rig.scene.reference import page
+    from rig.scene.reference import reference_page
 
-    print(page() if explain else schema_text(), end="")
+    print(reference_page() if explain else schema_text(), end="")
 
 
 @app.command("help", example="rig help test.stepped_sine")
@@ -484,7 +484,7 @@ def _quantity(value: str | None, kind: Kind, name: str) -> float | None:
         number = float(parse(value, kind))
     except ValueError as error:
         raise SceneError(f"{name}: {error}") from None
-    if math.isinf(number) or not kind.carries(number):
+    if math.isinf(number) or not kind.supports(number):
         raise SceneError(f"{name}: got {value[:60]}; expected {kind.noun} {kind.range}")
     return number
 

@@ -17,8 +17,8 @@ import typer
 from typer.testing import CliRunner
 
 import rig
-from rig.scene.scene_files import bundled
-from rig.scene.yaml_reader import read
+from rig.scene.scene_files import bundled_scenes
+from rig.scene.yaml_reader import read_yaml
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted(ROOT.glob("*/guide/*.md"))]
@@ -104,7 +104,7 @@ def test_commands_of_pages_have_existing_options(page, folder) -> None:
         command = typer.main.get_command(import_module(f"{words[0]}.cli").app).commands[words[1]]
         command.make_context(words[1], words[2:])
         for word in words[2:]:
-            assert word not in (*scenes(), *bundled()) or rig.load(word)
+            assert word not in (*scenes(), *bundled_scenes()) or rig.load(word)
 
 
 def test_tests_of_the_guide_replace_the_scene_test(folder) -> None:
@@ -119,7 +119,7 @@ def test_tests_of_the_guide_replace_the_scene_test(folder) -> None:
         kind = re.search(r"kind: (\w+)", line)
         assert (
             kind is not None
-            and rig.load("mine.yaml", {"test": read(line).content["test"]}).test.kind == kind[1]
+            and rig.load("mine.yaml", {"test": read_yaml(line).content["test"]}).test.kind == kind[1]
         )
 
 

@@ -25,7 +25,7 @@ from rig.arrays import ComplexArray
 from rig.errors import RunError, ShotrigError
 from rig.motion_map.grid import columns
 from rig.scene.excitation import Measure, Settle, SteppedSine
-from rig.scene.quantities import FREQUENCY, positives
+from rig.scene.quantities import FREQUENCY, positive_values
 from rig.scene.scene import Scene
 from rig.steady_response.frequency_response import frequency_response
 from rig.system.assembly import assemble
@@ -112,7 +112,7 @@ def chain_study(
     base = plain(scene)
     level_of(base)
     chosen = (
-        tuple(np.unique(positives(frequencies, FREQUENCY, "frequencies")).tolist())
+        tuple(np.unique(positive_values(frequencies, FREQUENCY, "frequencies")).tolist())
         if frequencies
         else steady_frequencies(base)
     )

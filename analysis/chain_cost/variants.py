@@ -10,7 +10,7 @@ import numpy as np
 
 from rig.errors import SceneError
 from rig.scene.measurement_chain import Accelerometer, Channel, Integrator
-from rig.scene.presets import filled_in
+from rig.scene.presets import complete_from_preset
 from rig.scene.scene import Scene
 
 #: Sample rates, relative to the sample rate of the scene.
@@ -51,7 +51,7 @@ def plain(scene: Scene) -> Scene:
     Raises `SceneError` if no channel measures the force.
     """
     shaker = scene.driven_shaker
-    converter = filled_in(scene.converter).replace(preset=None, rate=scene.converter.sample_rate)
+    converter = complete_from_preset(scene.converter).replace(preset=None, rate=scene.converter.sample_rate)
     channels = scene.channels
     if shaker is not None and shaker.kind == "force":
         if channels is not None and not any(channel.measures_force for channel in channels):
@@ -72,8 +72,8 @@ def plain(scene: Scene) -> Scene:
 def _written_out(channel: Channel) -> Channel:
     sensor = channel.accelerometer
     if sensor is not None:
-        sensor = filled_in(sensor).replace(preset=None)
-    hammer = None if channel.hammer is None else filled_in(channel.hammer).replace(preset=None)
+        sensor = complete_from_preset(sensor).replace(preset=None)
+    hammer = None if channel.hammer is None else complete_from_preset(channel.hammer).replace(preset=None)
     return channel.replace(accelerometer=sensor, hammer=hammer, alarm=None, abort=None)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import expit
 
 from rig.errors import SceneError
-from rig.scene.changes import changes_of
+from rig.scene.changes import parse_changes
 from rig.scene.damper import Landing, SpringDamper, Walls
 from rig.scene.scene import Scene
 from rig.scene.settings import Place, Settings
@@ -101,24 +101,24 @@ def free_parameters(scene: Scene, free: Sequence[str] | None = None) -> list[Par
     """
     there = list(_candidates(scene))
     if free is None:
-        chosen = changes_of(dict.fromkeys(FREE))
+        chosen = parse_changes(dict.fromkeys(FREE))
     else:
         names = scene.structure.names or ()
         keys = [free] if isinstance(free, str) else free
-        chosen = list(changes_of(dict.fromkeys(keys)))
+        chosen = list(parse_changes(dict.fromkeys(keys)))
         for k, change in enumerate(chosen):
             if change.steps[:2] == ("structure", "masses") and change.steps[2:] and change.steps[2] in names:
                 # The name of a body is replaced by its position.
                 place = ("structure", "masses", names.index(str(change.steps[2])))
                 chosen[k] = change = replace(change, steps=place)
-            if not any(change.concerns(one.place) for one in there):
+            if not any(change.covers(one.place) for one in there):
                 every = (".".join(step for step in one.place if isinstance(step, str)) for one in there)
                 offered = ", ".join(dict.fromkeys(every))
                 raise SceneError(
                     f"free: {change.key}: nothing in scene {scene.name!r} can be fitted under this key. Use one of "
                     f"{offered} ([1] and so on selects an item of a list; values of 0 or infinity cannot be fitted)."
                 )
-    found = [one for one in there if any(change.concerns(one.place) for change in chosen)]
+    found = [one for one in there if any(change.covers(one.place) for change in chosen)]
     if free is None:
         # The coil spring calibrates the force; it is free only on request.
         found = [one for one in found if one.place[0] != "shaker"]

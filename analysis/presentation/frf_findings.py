@@ -23,7 +23,7 @@ from rig.results import format_interval
 from rig.results.response import Response
 from rig.results.text import table_lines
 from rig.results.uncertainty import SENSITIVITY
-from rig.scene.presets import origin
+from rig.scene.presets import preset_note
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
@@ -155,7 +155,7 @@ def stated_tolerances(rec: Recording, frfs: Sequence[Response]) -> list[str]:
     settings = {each.name: each.accelerometer or each.hammer for each in rec.scene.channels or ()}
     for name, info in rec.channels.items():
         if tolerance(info):
-            source = origin(settings.get(name), "sensitivity_tolerance")
+            source = preset_note(settings.get(name), "sensitivity_tolerance")
             groups.setdefault(f"{100 * tolerance(info):.2g} %{source}", []).append(name)
     stated = "; ".join(f"{', '.join(names)} {text}" for text, names in groups.items())
     text = (

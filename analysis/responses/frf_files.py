@@ -313,7 +313,7 @@ def _lines(where: str, frequency: Array, value: NDArray[Any]) -> NDArray[np.intp
         raise RecordingError(f"{where} has no number at a frequency above 0 Hz. Export the file again.")
     lines = there[np.argsort(frequency[there])]
     for hertz in frequency[lines[[0, -1]]]:
-        if not FREQUENCY.carries(hertz):
+        if not FREQUENCY.supports(hertz):
             raise RecordingError(f"{where} has a line at {hertz:.3g} Hz; expected lines {FREQUENCY.range}")
     largest = abs(value[lines]).max()
     if largest and not _SMALLEST <= largest <= _LARGEST:

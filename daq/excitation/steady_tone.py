@@ -12,7 +12,7 @@ from daq.excitation.lock_in import fewest_samples, lock_in, whole_periods
 from daq.excitation.settling import FEWEST_OBSERVATIONS, Settling
 from daq.excitation.station import Station
 from rig.arrays import Array, ComplexArray
-from rig.scene.excitation import FORCE_HELD
+from rig.scene.excitation import FORCE_TOLERANCE
 
 # A glide of this length does not excite modes more than a few hertz away: only the nearest modes must decay, s.
 GLIDE = 0.4
@@ -221,7 +221,9 @@ class AmplitudeControl:
 
     def is_at_level(self, force: float, standard_error: float = 0.0) -> bool:
         """Return whether a force amplitude with a relative standard error `standard_error` is at the level."""
-        return abs(force / self.level - 1.0) <= min(max(FORCE_HELD, 2.0 * standard_error), WORST_TOLERANCE)
+        return abs(force / self.level - 1.0) <= min(
+            max(FORCE_TOLERANCE, 2.0 * standard_error), WORST_TOLERANCE
+        )
 
     def cut(self, drive: float, force: float) -> float | None:
         """Return an immediately reduced drive; None if a much smaller drive did not reduce the force."""

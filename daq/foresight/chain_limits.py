@@ -6,7 +6,7 @@ import numpy as np
 
 from daq.signal_chain.channel import ChannelInfo
 from rig.scene.measurement_chain import Channel
-from rig.scene.presets import filled_in
+from rig.scene.presets import complete_from_preset
 from rig.scene.scene import Scene
 
 # A limit that no test reaches, in any unit: the device keeps its states.
@@ -25,7 +25,7 @@ def reading_limit(channel: Channel | None, info: ChannelInfo) -> tuple[float, st
         rails = channel.integrator.saturation
         limits.append((rails / volts, f"integrator of {rails:g} V"))
     if info.quantity == "force" and channel.hammer is not None:
-        most = filled_in(channel.hammer).saturation
+        most = complete_from_preset(channel.hammer).saturation
         limits += [] if most is None else [(most, "sensor")]
     if channel.abort is not None:
         limits.append((channel.abort, "abort limit"))
@@ -34,7 +34,7 @@ def reading_limit(channel: Channel | None, info: ChannelInfo) -> tuple[float, st
 
 def without_limits(scene: Scene) -> Scene:
     """Remove the limits that clip a reading or end a test; noise, resolution and linear parts stay."""
-    converter, filled = scene.converter, filled_in(scene.converter)
+    converter, filled = scene.converter, complete_from_preset(scene.converter)
     if filled.range is not None and filled.bits is None:
         converter = converter.replace(range=_UNREACHED)
     elif filled.range is not None and filled.bits is not None:
@@ -48,7 +48,7 @@ def _unlimited(channel: Channel) -> Channel:
     changes: dict[str, object] = {"abort": None, "alarm": None}
     for name in ("accelerometer", "hammer"):
         sensor = getattr(channel, name)
-        if sensor is not None and filled_in(sensor).saturation is not None:
+        if sensor is not None and complete_from_preset(sensor).saturation is not None:
             changes[name] = sensor.replace(saturation=_UNREACHED)
     if channel.integrator is not None and channel.integrator.saturation is not None:
         changes["integrator"] = channel.integrator.replace(saturation=_UNREACHED)

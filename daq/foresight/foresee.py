@@ -32,7 +32,7 @@ from daq.virtual_bench.bench import Bench
 from rig.damper_design.overloads import shaken_by
 from rig.scene.excitation import Multisine, Random, SteppedSine, SweptSine
 from rig.scene.loading import load
-from rig.scene.presets import filled_in
+from rig.scene.presets import complete_from_preset
 from rig.scene.scene import Scene
 from rig.scene.shaker import DRIVE_PER_VOLT, ElectrodynamicShaker
 from rig.system.assembly import assemble
@@ -227,7 +227,7 @@ class _Assessment:
         speeds = closing[self.system.damper_number - 1]
         names = [info.name for info in self.bench.channels]
         for channel in self.scene.channels or ():
-            sensor = None if channel.accelerometer is None else filled_in(channel.accelerometer)
+            sensor = None if channel.accelerometer is None else complete_from_preset(channel.accelerometer)
             if sensor is None or sensor.saturation is None:
                 continue
             row = self.system.points.index(channel.at)
@@ -249,7 +249,7 @@ class _Assessment:
             drive, frequency, time = self.free.largest("drives", row)
             if drive == 0.0:
                 continue
-            output = filled_in(shaker.output).range
+            output = complete_from_preset(shaker.output).range
             amplifier = shaker.amplifier if isinstance(shaker, ElectrodynamicShaker) else None
             most = np.inf if amplifier is None else amplifier.limit / amplifier.gain
             if drive >= _AT_LIMIT * most:

@@ -10,9 +10,18 @@ import numpy as np
 from daq.signal_chain.channel import ChannelInfo
 from rig.arrays import Array, ComplexArray
 from rig.errors import SceneError
-from rig.scene.excitation import Impulse, Multisine, Random, Sine, SteppedSine, SweptSine, Test, spaced
+from rig.scene.excitation import (
+    Impulse,
+    Multisine,
+    Random,
+    Sine,
+    SteppedSine,
+    SweptSine,
+    Test,
+    spaced_frequencies,
+)
 from rig.scene.measurement_chain import Channel
-from rig.scene.presets import filled_in
+from rig.scene.presets import complete_from_preset
 from rig.scene.scene import Scene
 from rig.system.assembly import assemble
 from rig.system.hybrid_system import HybridSystem
@@ -42,7 +51,7 @@ def test_frequencies(test: Test | None, points: int) -> Array:
     band = test_band(test)
     if band is None:
         return np.zeros(0)
-    return np.array(spaced(*band, points, "log"))
+    return np.array(spaced_frequencies(*band, points, "log"))
 
 
 def states_per_level(
@@ -142,7 +151,7 @@ def _measured(scene: Scene, frequencies: Array) -> Array:
 
 def _density(scene: Scene, channel: Channel | None, info: ChannelInfo, frequencies: Array) -> Array:
     """Noise density of a channel, in its unit per root of hertz."""
-    converter, power = filled_in(scene.converter), np.zeros(frequencies.size)
+    converter, power = complete_from_preset(scene.converter), np.zeros(frequencies.size)
     in_volts = (converter.noise or 0.0) ** 2
     if info.volts_per_count is not None:
         in_volts += info.volts_per_count**2 / (6.0 * info.rate)
@@ -150,10 +159,10 @@ def _density(scene: Scene, channel: Channel | None, info: ChannelInfo, frequenci
         in_volts += (channel.integrator.noise or 0.0) ** 2
     sensor = None if channel is None else channel.accelerometer
     if sensor is not None:
-        sheet = filled_in(sensor)
+        sheet = complete_from_preset(sensor)
         integrated = (2.0 * np.pi * frequencies) ** (2 - (info.derivative or 0))
         flicker = 1.0 + (sheet.noise_corner or 0.0) / frequencies
         power += ((sheet.noise or 0.0) * abs(info.response(frequencies)) / integrated) ** 2 * flicker
     elif channel is not None and channel.hammer is not None:
-        power += (filled_in(channel.hammer).noise or 0.0) ** 2
+        power += (complete_from_preset(channel.hammer).noise or 0.0) ** 2
     return np.asarray(np.sqrt(power + in_volts / info.sensitivity**2))

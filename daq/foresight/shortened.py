@@ -20,7 +20,7 @@ from daq.signal_chain.channel import ChannelInfo
 from daq.signal_chain.oversampling import oversampling
 from rig.arrays import Array
 from rig.scene.excitation import Free, Impulse, Multisine, Random, Settle, Sine, SteppedSine, SweptSine
-from rig.scene.presets import filled_in, input_settings
+from rig.scene.presets import complete_from_preset, input_settings
 from rig.scene.scene import Scene
 from rig.scene.shaker import ElectrodynamicShaker
 from rig.system.assembly import assemble
@@ -66,7 +66,7 @@ def affordable_seconds(scene: Scene) -> float:
     system = assemble(scene)
     channels = system.coordinates if scene.channels is None else len(scene.channels)
     states = system.states + system.dampers
-    channel = _CHANNEL_S * (1.0 if filled_in(scene.converter).filter is None else _FILTERED)
+    channel = _CHANNEL_S * (1.0 if complete_from_preset(scene.converter).filter is None else _FILTERED)
     sample = _SAMPLE_S + _STATE_S * states + _ELEMENT_S * states**2 + channel * channels
     return BUDGET_S / (scene.converter.true_rate * oversampling(scene) * sample)
 
@@ -169,11 +169,11 @@ def _long_switched_on(scene: Scene) -> Scene:
     channels = []
     for channel in scene.channels:
         sensor, amplifier = channel.accelerometer, channel.integrator
-        if sensor is not None and filled_in(sensor).bias is not None:
+        if sensor is not None and complete_from_preset(sensor).bias is not None:
             blocked = input_settings(scene.converter, channel).coupling == "AC" or (
                 amplifier is not None and amplifier.low_cutoff is not None
             )
-            settled = filled_in(sensor).replace(preset=None, bias_settling=None)
+            settled = complete_from_preset(sensor).replace(preset=None, bias_settling=None)
             channel = channel.replace(accelerometer=settled.replace(bias=0.0) if blocked else settled)
         channels.append(channel)
     return scene.replace(channels=tuple(channels))

@@ -19,7 +19,7 @@ from daq.signal_chain.stage import channel_info
 from rig.arrays import Array
 from rig.errors import SceneError
 from rig.scene.measurement_chain import Channel, Integrator
-from rig.scene.presets import filled_in, input_settings
+from rig.scene.presets import complete_from_preset, input_settings
 from rig.scene.quantities import ACCELERATION_SENSITIVITY, FORCE_SENSITIVITY, parse
 from rig.scene.scene import Scene
 
@@ -132,7 +132,7 @@ def contradicted_units(chosen: Sequence[Choice]) -> list[str]:
 
 def assign(scene: Scene, chosen: Sequence[Choice], rate: float) -> list[Assigned]:
     """Determine the scale of signals in their channels' units; raise `SceneError` with all mistakes at once."""
-    skews = delays(filled_in(scene.converter).skew, len(channels_of(scene)), rate)
+    skews = delays(complete_from_preset(scene.converter).skew, len(channels_of(scene)), rate)
     assigned: list[Assigned] = []
     mistakes: list[str] = []
     for each in chosen:
@@ -152,7 +152,7 @@ def channels_of(scene: Scene) -> tuple[Channel, ...]:
 
 def _assigned(scene: Scene, chosen: Choice, rate: float, skew: float) -> Assigned:
     channel, signal, column = chosen.channel, chosen.signal, chosen.column
-    unit, limit = column.unit or signal.unit, filled_in(scene.converter).range
+    unit, limit = column.unit or signal.unit, complete_from_preset(scene.converter).range
     if not unit and signal.full_scale is not None and limit is not None:
         # Full scale of the file is the converter's range.
         unit = f"{limit!r} V"
@@ -220,8 +220,11 @@ def _sensitivity(channel: Channel, info: ChannelInfo, column: Column) -> float:
 
 def _has_sensitivity(channel: Channel) -> bool:
     if channel.measures_force:
-        return channel.hammer is not None and filled_in(channel.hammer).sensitivity is not None
-    return channel.accelerometer is not None and filled_in(channel.accelerometer).sensitivity is not None
+        return channel.hammer is not None and complete_from_preset(channel.hammer).sensitivity is not None
+    return (
+        channel.accelerometer is not None
+        and complete_from_preset(channel.accelerometer).sensitivity is not None
+    )
 
 
 def _by_column(column: Column, signals: Sequence[Signal]) -> Sequence[Signal]:

@@ -13,7 +13,7 @@ from typing import Any
 from rig.errors import SceneError
 from rig.input_files import read_file
 from rig.scene.quantities import FREQUENCY, TIME, parse
-from rig.scene.yaml_reader import read
+from rig.scene.yaml_reader import read_yaml
 
 EXAMPLE = "body1: {column: ai0, unit: g, sign: -1}"
 # Line, channel, and the keys given for it.
@@ -101,7 +101,7 @@ def column(given: Mapping[str, Any]) -> Column:
 
 
 def _from_yaml(path: Path, text: str) -> Rows:
-    document = read(text)
+    document = read_yaml(text)
     if document.mistakes:
         line, mistake = document.mistakes[0]
         raise SceneError(f"{path}:{line}: {mistake.message}")

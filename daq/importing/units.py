@@ -39,7 +39,7 @@ def meaning(unit: str) -> tuple[Quantity, float]:
             size = parse(written, kind)
         except ValueError:
             continue
-        if size > 0 and known and kind.carries(size) and not re.fullmatch(r"[\d.eE+-]*", known):
+        if size > 0 and known and kind.supports(size) and not re.fullmatch(r"[\d.eE+-]*", known):
             return quantity, size
     raise ValueError(
         f"unknown unit {unit!r}; expected a unit of acceleration, velocity, displacement, force or voltage, such as "

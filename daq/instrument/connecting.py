@@ -21,7 +21,7 @@ from daq.instrument.terminals import Terminals
 from daq.instrument.values import Coupling, Wiring
 from rig.scene.modules import Module as Sheet
 from rig.scene.modules import module
-from rig.scene.presets import filled_in
+from rig.scene.presets import complete_from_preset
 from rig.scene.shaker import Output
 
 
@@ -54,7 +54,7 @@ def scene_modules(scene: rig.Scene, terminals: Terminals) -> list[Module]:
     `terminals`: terminals of its bench.
     """
     described = _inputs(scene, terminals)
-    outputs = [filled_in(shaker.output) for shaker in scene.shakers]
+    outputs = [complete_from_preset(shaker.output) for shaker in scene.shakers]
     for row, output in enumerate(outputs):
         _add_output(described, output, row)
     if not outputs:
@@ -91,7 +91,7 @@ def _of(modules: list[Module], bus: int) -> list[Module]:
 
 
 def _inputs(scene: rig.Scene, terminals: Terminals) -> list[Module]:
-    converter, named = filled_in(scene.converter), scene.converter.preset
+    converter, named = complete_from_preset(scene.converter), scene.converter.preset
     # The coupling of the scene is the default of an input; scripts may override it.
     order = (Coupling.AC, Coupling.DC) if converter.coupling == "AC" else (Coupling.DC, Coupling.AC)
     rows = tuple(range(len(terminals.bench.channels)))

@@ -19,7 +19,7 @@ from daq.instrument.values import Coupling, Excitation
 from daq.signal_chain.oversampling import oversampling
 from daq.virtual_bench.bench import Bench, at_rate
 from rig.scene.modules import module
-from rig.scene.presets import filled_in, input_settings, needs_supply
+from rig.scene.presets import complete_from_preset, input_settings, needs_supply
 from rig.scene.shaker import DRIVE_PER_VOLT
 from rig.scene.teds import electronic_data_sheet
 
@@ -57,7 +57,7 @@ class Terminals:
         self.dtype: type[np.generic] = np.int32 if counts else np.float64
         self._outputs = [row for row, name in enumerate(bench.inputs) if name != "hammer"]
         self.drive_per_volt = np.array([DRIVE_PER_VOLT[bench.drive_units[row]] for row in self._outputs])
-        self._converter = filled_in(scene.converter)
+        self._converter = complete_from_preset(scene.converter)
         station = Station(scene, bench.channels, bench.inputs, bench.rate, mark=lambda *given, **fields: None)
         self._test = BackgroundTest(station, bench.ticks, bench.physical)
 

@@ -11,7 +11,7 @@ from daq.recording.layout import block_length, flush_length
 from rig.errors import SceneError
 from rig.numerics.memory import need
 from rig.scene.excitation import Impulse, Multisine, SteppedSine
-from rig.scene.presets import filled_in
+from rig.scene.presets import complete_from_preset
 from rig.scene.scene import Scene
 
 # A test with more samples is assumed to be a mistake.
@@ -64,7 +64,7 @@ def estimate(scene: Scene) -> Estimate:
     seconds = _shortest(scene)
     samples = seconds * rate
     stretch = flush_length(rate) + 2 * block_length(rate)
-    state = CHANNEL if filled_in(scene.converter).filter is None else FILTERED_CHANNEL
+    state = CHANNEL if complete_from_preset(scene.converter).filter is None else FILTERED_CHANNEL
     motion = 3 * scene.structure.bodies * (TRUTH_COPIES if scene.recording.truth else MOTION_COPIES)
     memory = PROGRAM + channels * state + 8.0 * stretch * (COPIES * channels + motion)
     if isinstance(scene.test, Multisine):

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from daq.signal_chain.channel import ChannelInfo
 from daq.virtual_bench.bench import Bench
 from rig.arrays import Array
-from rig.scene.presets import filled_in
+from rig.scene.presets import complete_from_preset
 
 if TYPE_CHECKING:
     from rig.scene.scene import Scene
@@ -164,7 +164,7 @@ def bias_overload(scene: Scene, row: int, seconds: float) -> str | None:
     channel = None if scene.channels is None else scene.channels[row]
     if channel is None or channel.accelerometer is None:
         return None
-    sensor = filled_in(channel.accelerometer)
+    sensor = complete_from_preset(channel.accelerometer)
     if not sensor.bias:
         return None
     bench = Bench(scene)
@@ -181,7 +181,7 @@ def bias_overload(scene: Scene, row: int, seconds: float) -> str | None:
     if channel.integrator is not None:
         behind = " behind its integrator"
         cures.append("a low_cutoff of several hertz or less gain in the integrator")
-    elif filled_in(scene.converter).coupling != "AC":
+    elif complete_from_preset(scene.converter).coupling != "AC":
         cures.append("coupling: AC in the converter")
     return (
         f"With the shaker at rest the bias of its sensor, {sensor.bias:g} V{settling}, overloads it{behind} as well. "

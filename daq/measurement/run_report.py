@@ -152,7 +152,7 @@ def _overloads(rec: Recording) -> list[str]:
 
 def _limit(rec: Recording, name: str) -> str:
     """Describe the range of a channel: sensor and input."""
-    from rig.scene.presets import origin
+    from rig.scene.presets import preset_note
 
     info, limits = rec.channels[name], []
     settings: dict[str, Accelerometer | Hammer | None] = {}
@@ -160,7 +160,7 @@ def _limit(rec: Recording, name: str) -> str:
         settings = {each.name: each.accelerometer or each.hammer for each in rec.scene.channels or ()}
     for key, text in info.sensor.items():
         if key.endswith(".saturation"):
-            limits.append(f"sensor {text}{origin(settings.get(name), 'saturation')}")
+            limits.append(f"sensor {text}{preset_note(settings.get(name), 'saturation')}")
     if info.range is not None:
         reach = info.range / abs(info.sensitivity)
         limits.append(f"input ±{info.range:g} V, {reach:.4g} {info.unit}")
@@ -169,7 +169,7 @@ def _limit(rec: Recording, name: str) -> str:
 
 def _sudden_landings(rec: Recording, overloaded: Iterable[str]) -> str:
     """Distinguish overloads by impacts of zero duration, which overload any real sensor, from too high a level."""
-    from rig.scene.presets import filled_in
+    from rig.scene.presets import complete_from_preset
 
     try:
         scene = rec.scene
@@ -177,7 +177,9 @@ def _sudden_landings(rec: Recording, overloaded: Iterable[str]) -> str:
         return ""
     beds = [damper.contact is None and damper.grains is None for damper in scene.dampers]
     sensors = {each.name: each.accelerometer for each in scene.channels or () if each.name in set(overloaded)}
-    if not any(beds) or all(each is None or filled_in(each).saturation is None for each in sensors.values()):
+    if not any(beds) or all(
+        each is None or complete_from_preset(each).saturation is None for each in sensors.values()
+    ):
         return ""
     return (
         f". An impact of zero duration overloads most real sensors. Set dampers[{beds.index(True) + 1}].contact: "

@@ -19,7 +19,7 @@ from rig.arrays import Array
 from rig.errors import SceneError
 from rig.scene.excitation import Impulse
 from rig.scene.measurement_chain import Channel
-from rig.scene.presets import filled_in, input_settings
+from rig.scene.presets import complete_from_preset, input_settings
 from rig.scene.scene import Scene
 from rig.scene.shaker import DRIVE_PER_VOLT, at_shaker
 from rig.simulation.motion import Motion
@@ -44,7 +44,7 @@ class Chain:
 
     def __init__(self, scene: Scene, rate: float, points: Sequence[str], inputs: Sequence[str] = ()) -> None:
         self._scene, true_rate = scene, scene.converter.true_rate
-        converter = filled_in(scene.converter)
+        converter = complete_from_preset(scene.converter)
         self._oversampling = round(rate / true_rate)
         if self._oversampling < 1 or abs(rate - self._oversampling * true_rate) > 1e-9 * rate:
             raise SceneError(
@@ -67,7 +67,7 @@ class Chain:
     def _wire(self, row: int, channel: Channel) -> tuple[SignalPath, ChannelInfo, dict[str, int]]:
         """Set up a channel, from rest."""
         scene, delay = self._scene, self._late[row]
-        settings, converter = input_settings(scene.converter, channel), filled_in(scene.converter)
+        settings, converter = input_settings(scene.converter, channel), complete_from_preset(scene.converter)
         line = stages(channel, settings, scene.seed)
         path = SignalPath(channel.name, line, converter, self._oversampling, delay, scene.seed, self._buffers)
         info = channel_info(channel.name, channel.at, line, settings, converter.sample_rate, delay)

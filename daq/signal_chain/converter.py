@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from rig.arrays import Array
 from rig.scene.measurement_chain import Converter as Settings
-from rig.scene.presets import filled_in
+from rig.scene.presets import complete_from_preset
 from rig.scene.scene import Scene
 from rig.scene.shaker import DRIVE_PER_VOLT, ElectrodynamicShaker, ForceShaker, at_shaker
 
@@ -34,7 +34,7 @@ class Quantiser:
     """
 
     def __init__(self, settings: Settings) -> None:
-        settings = filled_in(settings)
+        settings = complete_from_preset(settings)
         self._bits, self._range = settings.bits, settings.range
         self._count = volts_per_count(settings)
         starts = [
@@ -80,7 +80,7 @@ class Outputs:
     def __init__(self, scene: Scene, inputs: Sequence[str], units: Sequence[str]) -> None:
         self._rows: list[tuple[int, float, float | None]] = []
         for number, shaker in enumerate(scene.shakers, 1):
-            settings = filled_in(shaker.output)
+            settings = complete_from_preset(shaker.output)
             if settings.range is None:
                 continue
             row = inputs.index(at_shaker("shaker", number, len(scene.shakers)))

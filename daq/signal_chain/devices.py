@@ -10,7 +10,7 @@ from daq.dsp.circuit import high_pass, integration, recovery, resonance
 from daq.dsp.noise import generator
 from daq.signal_chain.stage import Stage, data_sheet
 from rig.scene.measurement_chain import Accelerometer, Channel, Converter, Hammer, Integrator
-from rig.scene.presets import filled_in, needs_supply
+from rig.scene.presets import complete_from_preset, needs_supply
 
 # Values of effects that a scene names without them; the corner of an AC coupling in Hz.
 DEFAULT_Q = 30.0
@@ -27,9 +27,11 @@ def stages(channel: Channel, converter: Converter, seed: int) -> tuple[Stage, ..
     if channel.measures_voltage:
         return (Stage("cable"), *coupling)
     if channel.measures_force:
-        sensor = force_sensor(filled_in(channel.hammer or Hammer()), seed, channel.name)
+        sensor = force_sensor(complete_from_preset(channel.hammer or Hammer()), seed, channel.name)
     else:
-        sensor = accelerometer(filled_in(channel.accelerometer or Accelerometer()), seed, channel.name)
+        sensor = accelerometer(
+            complete_from_preset(channel.accelerometer or Accelerometer()), seed, channel.name
+        )
     if needs_supply(channel) and converter.excitation == 0.0:
         # The output of an amplifier without supply is zero.
         sensor = replace(sensor, deviation=-1.0, noise=None, noise_corner=None, offset=None, settling=None)

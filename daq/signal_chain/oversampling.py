@@ -9,7 +9,7 @@ import numpy as np
 from daq.signal_chain.decimation_filter import PASS, STOP
 from rig.arrays import Array
 from rig.grain_beds.spheres import contact_time, spheres_of
-from rig.scene.presets import filled_in
+from rig.scene.presets import complete_from_preset
 from rig.scene.scene import Scene
 from rig.scene.shaker import TableShaker
 from rig.system.assembly import assemble
@@ -40,10 +40,14 @@ def oversampling(scene: Scene) -> int:
     1
     """
     system, rate = assemble(scene), scene.converter.true_rate
-    filtered = filled_in(scene.converter).filter is not None
+    filtered = complete_from_preset(scene.converter).filter is not None
     # A limit of a sensor on the rig, or of its amplifier, acts on the signal in front of any filter.
     channels = scene.channels or ()
-    limits = [filled_in(each.accelerometer).saturation for each in channels if each.accelerometer is not None]
+    limits = [
+        complete_from_preset(each.accelerometer).saturation
+        for each in channels
+        if each.accelerometer is not None
+    ]
     limits += [each.integrator.saturation for each in channels if each.integrator is not None]
     limited = any(limit is not None for limit in limits)
     fastest = 0.0

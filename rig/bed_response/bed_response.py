@@ -18,7 +18,7 @@ from rig.grain_beds.packing import settled
 from rig.grain_beds.spheres import spheres_of
 from rig.results import Result, complete_style
 from rig.scene.loading import SceneLike, scene_of
-from rig.scene.quantities import FREQUENCY, positives
+from rig.scene.quantities import FREQUENCY, positive_values
 from rig.scene.scene import Scene
 from rig.study import Study, digest
 
@@ -115,7 +115,7 @@ def bed_response(
     written.
     """
     scene = scene_of(scene)
-    asked = np.asarray(positives(frequencies, FREQUENCY, "frequencies"), dtype=np.float64)
+    asked = np.asarray(positive_values(frequencies, FREQUENCY, "frequencies"), dtype=np.float64)
     if not spheres_of(scene):
         raise SceneError(
             f"scene {scene.name!r} has no bed of grains that can move. Add grains: {{diameter: 2 mm}} to a damper."

@@ -10,8 +10,8 @@ from rig.damper_design.choice import Question, Space, variants
 from rig.damper_design.landings import landings_of
 from rig.errors import SceneError
 from rig.motion_map.grid import columns
-from rig.scene.body_names import number_of
-from rig.scene.quantities import FORCE, FREQUENCY, LENGTH, MASS, RATIO, Kind, number, parse, positives
+from rig.scene.body_names import body_number
+from rig.scene.quantities import FORCE, FREQUENCY, LENGTH, MASS, RATIO, Kind, number, parse, positive_values
 from rig.scene.scene import Scene
 from rig.scene.shaker import ForceShaker
 from rig.system.open_loop_drive import level_of, with_ideal_force
@@ -55,14 +55,14 @@ def _bodies(given: Sequence[int | str] | None, scene: Scene, name: str) -> tuple
     listed = [given] if isinstance(given, int | str) else given
     try:
         return tuple(
-            sorted(number_of(one, scene.structure.names, len(everywhere)) for one in listed or everywhere)
+            sorted(body_number(one, scene.structure.names, len(everywhere)) for one in listed or everywhere)
         )
     except SceneError as error:
         raise SceneError(f"{name}: {error}") from None
 
 
 def _range(given: Sequence[float | str], kind: Kind, name: str) -> tuple[float, float]:
-    ends = positives(given, kind, name).tolist()
+    ends = positive_values(given, kind, name).tolist()
     if len(ends) != 2 or not ends[0] < ends[1]:
         raise SceneError(f"{name}: got {', '.join(map(str, given))}; expected two, the smaller one first")
     return ends[0], ends[1]
@@ -121,7 +121,7 @@ def asked(
     landings = landings_of(scene.dampers)
     plain = with_ideal_force(_under_force(scene.replace(dampers=[], channels=None), levels))
     usual = [level_of(plain) * factor for factor in LEVELS]
-    forces = tuple(sorted(positives(levels or usual, FORCE, "levels").tolist()))
+    forces = tuple(sorted(positive_values(levels or usual, FORCE, "levels").tolist()))
     ends = _range(band or tuple(columns(plain, points=2).tolist()), FREQUENCY, "band")
     places = Space.places_of(may_carry, dampers)
     question = Question(variants(plain, *shares), forces, ends, count, landings)

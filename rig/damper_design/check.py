@@ -10,9 +10,9 @@ import numpy as np
 from rig.arrays import Array
 from rig.damper_design.choice import Question, Trial
 from rig.damper_design.worst_peak import Peak
-from rig.scene.excitation import FORCE_HELD, SteppedSine
+from rig.scene.excitation import FORCE_TOLERANCE, SteppedSine
 from rig.scene.measurement_chain import Channel, Hammer
-from rig.scene.presets import filled_in
+from rig.scene.presets import complete_from_preset
 from rig.scene.scene import Scene
 from rig.scene.shaker import ForceShaker
 from rig.steady_response.frequency_response import frequency_response
@@ -83,7 +83,7 @@ def missing_channels(scene: Scene, body: int) -> list[Channel]:
         name = at.replace("shaker", "force").replace(" ", "")
         name = name if name not in names else f"{name}.check"
         if at.startswith("shaker"):
-            converter = None if scene.converter is None else filled_in(scene.converter)
+            converter = None if scene.converter is None else complete_from_preset(scene.converter)
             sensor = None
             if converter is not None and converter.range is not None:
                 assert isinstance(scene.test, SteppedSine)
@@ -118,7 +118,7 @@ def expected(scene: Scene, trial: Trial) -> tuple[Expected, ...]:
 def _expected(scene: Scene, test: SteppedSine, peak: Peak) -> Expected:
     frequencies = [frequency for frequency in test.order if frequency <= peak.frequency][-APPROACH:]
     sizes, closing_speed, steady = [], np.zeros(len(scene.dampers)), True
-    for share in (1.0, 1.0 - FORCE_HELD, 1.0 + FORCE_HELD):
+    for share in (1.0, 1.0 - FORCE_TOLERANCE, 1.0 + FORCE_TOLERANCE):
         held = scene.replace(channels=None, test=test.replace(force=share * peak.level))
         response = frequency_response(held, frequencies, tolerance=NEAR, longest=LONGEST)
         closing_speed = np.maximum(closing_speed, response.closing_speed[:, -1])

@@ -18,7 +18,7 @@ from rig.escaping import escape_figure
 from rig.figure_style import COLORS, cell_edges, new_figure, save_figure, set_log_scale
 from rig.output_files import atomic_write, file_stem
 from rig.results import format_number
-from rig.scene.excitation import FORCE_HELD, SteppedSine
+from rig.scene.excitation import FORCE_TOLERANCE, SteppedSine
 from rig.scene.scene import STANDARD_GRAVITY
 
 if TYPE_CHECKING:
@@ -137,7 +137,7 @@ def next_step(design: Design, scene: Path) -> str:
             "",
             "largest peaks expected, in µm/N: under a pure tone of force, as designed; and of that test, through its "
             "shaker, whose spring adds\nharmonics if it has one, with the force held within "
-            f"{FORCE_HELD:.1%} and the motion steady within {test.settle.tolerance:.1%}",
+            f"{FORCE_TOLERANCE:.1%} and the motion steady within {test.settle.tolerance:.1%}",
             f"{'force, N':>14}{'peak of':>9}{'at Hz':>9}{'under a tone':>15}  of that test",
             *map(_expected, design.expected),
             *named(beyond, lasting),

@@ -11,7 +11,7 @@ import numpy as np
 
 from rig.results import format_number
 from rig.scene.measurement_chain import Accelerometer, Integrator
-from rig.scene.presets import filled_in
+from rig.scene.presets import complete_from_preset
 from rig.scene.scene import STANDARD_GRAVITY, Scene
 from rig.system.assembly import assemble
 from rig.system.hybrid_system import HybridSystem
@@ -45,7 +45,7 @@ def overloads(scene: Scene, expected: Sequence[Expected], bare: Peak) -> list[Ov
     found: list[Overload] = []
     most_volts, widest = 0.0, ""
     for number, channel in enumerate(scene.channels or (), 1):
-        sensor = None if channel.accelerometer is None else filled_in(channel.accelerometer)
+        sensor = None if channel.accelerometer is None else complete_from_preset(channel.accelerometer)
         if sensor is None:
             continue
         steady = [_steady(scene, channel.at, peak, level) for peak, level in motions]
@@ -70,7 +70,7 @@ def overloads(scene: Scene, expected: Sequence[Expected], bare: Peak) -> list[Ov
                 f"saturates at {_acceleration(sensor.saturation)}{cause}"
             )
             found.append(Overload(reason, _unlimited(number, channel.accelerometer, max(largest))))
-    converter = None if scene.converter is None else filled_in(scene.converter)
+    converter = None if scene.converter is None else complete_from_preset(scene.converter)
     if converter is not None and converter.range is not None and most_volts > converter.range:
         volts = float(f"{1.5 * most_volts:.2g}")
         found.append(

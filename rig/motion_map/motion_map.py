@@ -17,7 +17,7 @@ from rig.figure_style import cell_edges, set_log_scale
 from rig.motion_map.grid import KIND_OF_UNIT, columns, rows_of, take_off, vertical_axis
 from rig.results import Result
 from rig.scene.loading import SceneLike, scene_of
-from rig.scene.quantities import FREQUENCY, positives
+from rig.scene.quantities import FREQUENCY, positive_values
 from rig.scene.scene import Scene
 from rig.steady_response.frequency_response import SteadyContinuation
 from rig.study import Study, digest
@@ -202,9 +202,9 @@ def map_motion(
     over, unit = vertical_axis(scene, over)
     scene = with_ideal_force(scene)
     asked = frequencies if frequencies is not None else columns(scene)
-    frequency = np.unique(positives(asked, FREQUENCY, "frequencies"))
+    frequency = np.unique(positive_values(asked, FREQUENCY, "frequencies"))
     levels = values if values is not None else rows_of(scene, over, frequency)
-    value = np.unique(positives(levels, KIND_OF_UNIT[unit], "values"))
+    value = np.unique(positive_values(levels, KIND_OF_UNIT[unit], "values"))
     longest, count = _longest(scene, frequency), frequency.size
     rows = [_Row(_with(scene, over, float(each)), frequency, longest) for each in value]
     report = None if progress is None else lambda done, total: progress(done * count, total * count)

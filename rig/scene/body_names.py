@@ -12,13 +12,13 @@ from rig.scene.settings import Mistake, Place, at
 
 _NAME = re.compile(r"[^\W\d][\w.-]{0,39}")
 #: Words with another meaning in the places where a scene names a body.
-RESERVED = ("body", "table", "hammer", "shaker", "drive", "ground")
+RESERVED_NAMES = ("body", "table", "hammer", "shaker", "drive", "ground")
 # Places that are not names of bodies: a body by its number, or a part of the bench.
 _PLACE = re.compile(r"(body \d+|hammer|(table|shaker|drive)( \d+)?)")
 
 
-def mistakes_in(names: Sequence[str], bodies: int) -> Iterator[tuple[int | None, str]]:
-    """Yield each mistake in the names: the position of the name (None: all names) and the message."""
+def check_names(names: Sequence[str], bodies: int) -> Iterator[tuple[int | None, str]]:
+    """Yield each mistake in the names: the index of the name (None: all names) and the message."""
     if len(names) != bodies:
         yield None, f"got {len(names)} names; expected {bodies}, one for each body"
     for k, name in enumerate(names):
@@ -27,18 +27,18 @@ def mistakes_in(names: Sequence[str], bodies: int) -> Iterator[tuple[int | None,
                 k,
                 f'"{name[:60]}" is not a name for a body; expected a letter, then letters, digits, _, - and .',
             )
-        elif name in RESERVED:
+        elif name in RESERVED_NAMES:
             yield k, f'"{name}" already means another place of the bench; expected another name'
         elif name in names[:k]:
             yield k, f'"{name}" is the name of body {names.index(name) + 1}; expected each name once'
 
 
-def number_of(body: int | str, names: Sequence[str] | None, bodies: int) -> int:
+def body_number(body: int | str, names: Sequence[str] | None, bodies: int) -> int:
     """Return the number of a body, from 1, given its number or its name as in options and arguments.
 
     Raises `SceneError` if the body does not exist; the message suggests the nearest name.
 
-    >>> number_of("arm", ("base", "arm"), 2), number_of("body 1", None, 2), number_of("2", None, 2)
+    >>> body_number("arm", ("base", "arm"), 2), body_number("body 1", None, 2), body_number("2", None, 2)
     (2, 1, 2)
     """
     text = str(body).strip().removeprefix("body ")
@@ -48,68 +48,68 @@ def number_of(body: int | str, names: Sequence[str] | None, bodies: int) -> int:
         return int(text)
     if names is not None and text in names:
         return names.index(text) + 1
-    raise SceneError(_unknown(text, names, bodies))
+    raise SceneError(_unknown_name(text, names, bodies))
 
 
-def numbered(scene: Mapping[str, Any]) -> tuple[dict[str, Any], list[Mistake]]:
+def replace_names(scene: Mapping[str, Any]) -> tuple[dict[str, Any], list[Mistake]]:
     """Replace each name of a body in a scene by its number, and check the number.
 
-    Returns the scene with body numbers; all other settings are unchanged; one mistake for each name or number
+    Returns the scene with body numbers and otherwise unchanged settings, and a mistake for each name or number
     without a body.
     """
     names, bodies = _names(scene.get("structure"))
     mistakes: list[Mistake] = []
 
-    def check(number: Any, place: Place) -> None:
+    def check_number(number: Any, place: Place) -> None:
         if bodies and str(number).isdecimal() and int(number) > bodies:
-            mistakes.append(Mistake(place, no_body(int(number), bodies)))
+            mistakes.append(Mistake(place, missing_body_message(int(number), bodies)))
 
-    def body(value: Any, place: Place) -> Any:
+    def replace_body(value: Any, place: Place) -> Any:
         if isinstance(value, list | tuple):
-            return [body(item, (*place, k)) for k, item in enumerate(value)]
+            return [replace_body(item, (*place, k)) for k, item in enumerate(value)]
         if not isinstance(value, str) or re.fullmatch(r"[-+\d.,\s]*", value):
-            check(value, place)
+            check_number(value, place)
             return value
         if names is not None and value in names:
             return names.index(value) + 1
         if not bodies:  # the mistakes in the structure are reported elsewhere
             return 1
-        mistakes.append(Mistake(place, _unknown(value, names, bodies)))
+        mistakes.append(Mistake(place, _unknown_name(value, names, bodies)))
         return value
 
-    def sensor(value: Any, place: Place) -> Any:
+    def replace_channel_place(value: Any, place: Place) -> Any:
         if not isinstance(value, str) or _PLACE.fullmatch(value) or (bodies and names is None):
-            check(str(value).removeprefix("body "), place)
+            check_number(str(value).removeprefix("body "), place)
             return value
         if names is None:
             return "body 1"
         name = value.removeprefix("body ")
         if name in names:
             return f"body {names.index(name) + 1}"
-        mistakes.append(Mistake(place, _unknown(name, names, bodies)))
+        mistakes.append(Mistake(place, _unknown_name(name, names, bodies)))
         return value
 
-    def inside(part: Any, key: str, read: Any, place: Place) -> Any:
+    def replace_in(part: Any, key: str, read: Any, place: Place) -> Any:
         if isinstance(part, list | tuple):
-            return [inside(item, key, read, (*place, k)) for k, item in enumerate(part)]
+            return [replace_in(item, key, read, (*place, k)) for k, item in enumerate(part)]
         if not isinstance(part, Mapping) or key not in part:
             return part
         return {**part, key: read(part[key], (*place, key))}
 
-    refers = {
-        "dampers": ("body", body),
-        "shaker": ("body", body),
-        "test": ("body", body),
-        "channels": ("at", sensor),
+    readers = {
+        "dampers": ("body", replace_body),
+        "shaker": ("body", replace_body),
+        "test": ("body", replace_body),
+        "channels": ("at", replace_channel_place),
     }
-    found = {
-        part: inside(value, *refers[part], (part,)) if part in refers else value
+    replaced = {
+        part: replace_in(value, *readers[part], (part,)) if part in readers else value
         for part, value in scene.items()
     }
-    return found, mistakes
+    return replaced, mistakes
 
 
-def no_body(number: int, bodies: int) -> str:
+def missing_body_message(number: int, bodies: int) -> str:
     """Return the message that a body number does not exist."""
     return f"body {number} of {bodies}; expected a body of the structure, 1 to {bodies}"
 
@@ -118,17 +118,17 @@ def _names(structure: Any) -> tuple[list[str] | None, int]:
     """Return the names of the bodies (None if unnamed) and the number of bodies, as far as they are valid."""
     masses = at(structure, ("masses",))
     names = list(masses) if isinstance(masses, Mapping) else at(structure, ("names",))
-    found = [str(name) for name in names] if isinstance(names, list | tuple) else None
-    parts: tuple[Any, ...] = (masses, at(structure, ("matrices", "mass")), found)
-    lengths = (len(part) for part in parts if hasattr(part, "__len__") and not isinstance(part, str))
-    return found, next(lengths, 0)
+    texts = [str(name) for name in names] if isinstance(names, list | tuple) else None
+    lists: tuple[Any, ...] = (masses, at(structure, ("matrices", "mass")), texts)
+    lengths = (len(part) for part in lists if hasattr(part, "__len__") and not isinstance(part, str))
+    return texts, next(lengths, 0)
 
 
-def _unknown(name: str, names: Sequence[str] | None, bodies: int) -> str:
+def _unknown_name(name: str, names: Sequence[str] | None, bodies: int) -> str:
     if names is None:
-        number = f"its number, 1 to {bodies}" if bodies > 1 else "its number, from 1"
-        return f'no body has the name "{name[:60]}", for the structure names none; expected {number}'
-    near = get_close_matches(name, names, n=1)
-    shown = ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")
-    hint = f'did you mean "{near[0]}"?' if near else f"expected one of {shown}"
-    return f'no body has the name "{name[:60]}"; {hint}'
+        alternatives = f"its number, 1 to {bodies}" if bodies > 1 else "its number, from 1"
+        return f"no body has the name {name[:60]!r}: the bodies have no names; expected {alternatives}"
+    similar = get_close_matches(name, names, n=1)
+    listed_names = ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")
+    hint = f". Did you mean {similar[0]!r}?" if similar else f"; expected one of {listed_names}"
+    return f"no body has the name {name[:60]!r}{hint}"

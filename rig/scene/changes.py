@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from rig.errors import SceneError
-from rig.scene.quantity_field import shown
+from rig.scene.quantity_field import shorten
 from rig.scene.settings import Place
-from rig.scene.yaml_reader import read
+from rig.scene.yaml_reader import read_yaml
 
 _STEP = re.compile(r"([A-Za-z_]\w*)((?:\[\d{1,6}\])*)")
 
@@ -26,9 +26,9 @@ class Change:
     """The command-line option that requested the change; empty from Python."""
 
     def __str__(self) -> str:
-        return shown(self.option or f"{self.key}={self.value}")
+        return shorten(self.option or f"{self.key}={self.value}")
 
-    def put_into(self, content: Any) -> Any:
+    def apply_to(self, content: Any) -> Any:
         """Return the content with the new value; a list key without a number applies to every item.
 
         Raises
@@ -36,92 +36,92 @@ class Change:
         SceneError
             If the item does not exist.
         """
-        return self._put(content, self.steps)
+        return self._replace(content, self.steps)
 
-    def _put(self, node: Any, steps: Place) -> Any:
+    def _replace(self, node: Any, steps: Place) -> Any:
         # The changed part is copied, because an alias in the file makes two places share one object.
         if not steps:
             return self.value
-        step, rest = steps[0], steps[1:]
+        step, remaining = steps[0], steps[1:]
         if isinstance(node, list):
-            chosen = range(len(node)) if isinstance(step, str) else [step]
-            if not node or chosen[0] >= len(node):
+            indices = range(len(node)) if isinstance(step, str) else [step]
+            if not node or indices[0] >= len(node):
                 raise SceneError(f"{self}: the scene has {len(node) or 'none'} of these, counted from 1")
-            after = steps if isinstance(step, str) else rest
-            return [self._put(item, after) if k in chosen else item for k, item in enumerate(node)]
+            remaining = steps if isinstance(step, str) else remaining
+            return [self._replace(item, remaining) if k in indices else item for k, item in enumerate(node)]
         if isinstance(step, int):
             if step > 0 or node is None:
-                raise SceneError(f"{self}: the scene has no list there to choose item {step + 1} of")
-            return self._put(node, rest)
-        inside = node if isinstance(node, dict) else {}
-        if step == "masses" and rest and isinstance(inside.get(step), dict):
-            rest = _by_name(rest, list(inside[step]))
-        if not rest and self.value is None:
-            return {key: value for key, value in inside.items() if key != step}
-        return {**inside, step: self._put(inside.get(step), rest)}
+                raise SceneError(f"{self}: the scene has no list there, so that there is no item {step + 1}")
+            return self._replace(node, remaining)
+        mapping = node if isinstance(node, dict) else {}
+        if step == "masses" and remaining and isinstance(mapping.get(step), dict):
+            remaining = _use_body_name(remaining, list(mapping[step]))
+        if not remaining and self.value is None:
+            return {key: value for key, value in mapping.items() if key != step}
+        return {**mapping, step: self._replace(mapping.get(step), remaining)}
 
-    def concerns(self, place: Place) -> bool:
-        """Whether a place lies within the changed part.
+    def covers(self, place: Place) -> bool:
+        """Return whether a place lies within the changed part.
 
-        >>> Change("dampers.mass", ("dampers", "mass"), "1").concerns(("dampers", 1, "mass"))
+        >>> Change("dampers.mass", ("dampers", "mass"), "1").covers(("dampers", 1, "mass"))
         True
         """
-        left = list(place)
+        remaining = list(place)
         for step in self.steps:
-            while isinstance(step, str) and left and isinstance(left[0], int):
-                del left[0]
-            if not left or left.pop(0) != step:
+            while isinstance(step, str) and remaining and isinstance(remaining[0], int):
+                del remaining[0]
+            if not remaining or remaining.pop(0) != step:
                 return False
         return True
 
 
-def changes_of(given: Mapping[str, Any]) -> list[Change]:
+def parse_changes(given: Mapping[str, Any]) -> list[Change]:
     """Read changes from Python.
 
     `given`: values by key, such as ``"dampers[2].clearance"``; items of lists count from 1. Raises `SceneError` if a
     key is invalid.
 
-    >>> changes_of({"dampers[2].clearance": "1 mm"})[0].steps
+    >>> parse_changes({"dampers[2].clearance": "1 mm"})[0].steps
     ('dampers', 1, 'clearance')
     """
-    return [Change(str(key), _steps(str(key)), value) for key, value in given.items()]
+    return [Change(str(key), _parse_key(str(key)), value) for key, value in given.items()]
 
 
-def parsed(settings: Iterable[str]) -> list[Change]:
+def parse_options(settings: Iterable[str]) -> list[Change]:
     """Read changes from a command line.
 
     `settings`: each ``KEY=VALUE``, the value as in a scene file; an empty value or `null` removes the key. Raises
     `SceneError` if a setting does not have this form.
 
-    >>> [change.value for change in parsed(["test.force=5N", "structure.masses=[1 kg, 2 kg]", "dampers="])]
+    >>> [change.value for change in parse_options(["test.force=5N", "structure.masses=[1 kg, 2 kg]", "dampers="])]
     ['5N', ['1 kg', '2 kg'], None]
     """
-    found = []
+    changes = []
     for setting in settings:
         key, equals, value = setting.partition("=")
-        document = read(value)
+        document = read_yaml(value)
         if not equals or document.mistakes:
             reason = f" ({document.mistakes[0][1].message})" if document.mistakes else ""
             raise SceneError(f"--set {setting[:60]}: expected KEY=VALUE such as test.force=5N{reason}")
-        steps = _steps(key, f"--set {setting[:60]}: ")
-        found.append(Change(key, steps, document.content, f"--set {setting}"))
-    return found
+        steps = _parse_key(key, f"--set {setting[:60]}: ")
+        changes.append(Change(key, steps, document.content, f"--set {setting}"))
+    return changes
 
 
-def _by_name(steps: Place, names: list[str]) -> Place:
+def _use_body_name(steps: Place, names: list[str]) -> Place:
     """Replace the number of a named body by its name."""
     number = steps[0]
     return (names[number], *steps[1:]) if isinstance(number, int) and number < len(names) else steps
 
 
-def _steps(key: str, where: str = "") -> Place:
+def _parse_key(key: str, prefix: str = "") -> Place:
     steps: list[int | str] = []
     for part in key.split("."):
         match = _STEP.fullmatch(part.strip())
         numbers = [] if match is None else [int(n) for n in re.findall(r"\d+", match[2])]
         if match is None or 0 in numbers:
             raise SceneError(
-                f"{where}no key {key[:60]!r}; expected one such as test.force, structure.masses[1] (lists count from "
+                f"{prefix}no key {key[:60]!r}; expected one such as test.force, structure.masses[1] (lists count from "
                 "1) or, for every item of a list, dampers.clearance"
             )
         steps += [match[1], *(n - 1 for n in numbers)]

@@ -1,7 +1,7 @@
 """References between the parts of a scene: whether a named body, shaker or channel exists.
 
-Each check compares a part with the parts above it in `Scene`, as far as those are valid: `known` has no key for a
-part with mistakes of its own.
+Each check compares a part with the parts above it in `Scene`. `valid` contains those parts, except parts with
+mistakes of their own.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import AfterValidator, ValidationInfo
 
-from rig.scene.body_names import no_body
+from rig.scene.body_names import missing_body_message
 from rig.scene.excitation import Free, Impulse, Sine, SteppedSine
 from rig.scene.measurement_chain import Channel, Converter
 from rig.scene.settings import Mistake, Place, report
@@ -22,33 +22,33 @@ if TYPE_CHECKING:
     from rig.scene.excitation import Test
     from rig.scene.measurement_chain import RecordingSettings
 
-Known = Mapping[str, Any]
+ValidParts = Mapping[str, Any]
 
 
-def _damper(damper: Damper, known: Known) -> Iterable[Mistake]:
-    yield from _no_body(known, damper.body, ("body",))
+def _check_damper(damper: Damper, valid: ValidParts) -> Iterable[Mistake]:
+    yield from _check_body(valid, damper.body, ("body",))
 
 
-def _shakers(value: Shaker | tuple[Shaker, ...] | None, known: Known) -> Iterable[Mistake]:
-    for number, shaker in enumerate(_listed(value)):
+def _check_shakers(value: Shaker | tuple[Shaker, ...] | None, valid: ValidParts) -> Iterable[Mistake]:
+    for number, shaker in enumerate(_as_tuple(value)):
         place: Place = (number, "body") if isinstance(value, tuple) else ("body",)
         for k, body in enumerate(shaker.bodies):
-            yield from _no_body(known, body, (*place, k) if isinstance(shaker.body, tuple) else place)
+            yield from _check_body(valid, body, (*place, k) if isinstance(shaker.body, tuple) else place)
 
 
-def _test(test: Test | None, known: Known) -> Iterable[Mistake]:
+def _check_test(test: Test | None, valid: ValidParts) -> Iterable[Mistake]:
     if isinstance(test, Impulse):
-        yield from _no_body(known, test.body, ("body",))
+        yield from _check_body(valid, test.body, ("body",))
     elif isinstance(test, Free):
-        yield from _initial_state(test, known)
-    elif test is not None and "shaker" in known:
-        yield from _driven_shaker(test, _listed(known["shaker"]))
+        yield from _check_initial_state(test, valid)
+    elif test is not None and "shaker" in valid:
+        yield from _check_driven_shaker(test, _as_tuple(valid["shaker"]))
 
 
-def _initial_state(test: Free, known: Known) -> Iterable[Mistake]:
-    if "structure" not in known:
+def _check_initial_state(test: Free, valid: ValidParts) -> Iterable[Mistake]:
+    if "structure" not in valid:
         return
-    count = known["structure"].bodies
+    count = valid["structure"].bodies
     for key, values in (("displacement", test.displacement), ("velocity", test.velocity)):
         if values is not None and len(values) != count:
             yield Mistake((key,), f"got {len(values)} values; expected {count}, one for each body")
@@ -56,97 +56,98 @@ def _initial_state(test: Free, known: Known) -> Iterable[Mistake]:
         yield Mistake(("mode",), f"mode {test.mode} of {count}; expected 1 to {count}")
 
 
-def _driven_shaker(test: Any, shakers: tuple[Shaker, ...]) -> Iterable[Mistake]:
+def _check_driven_shaker(test: Any, shakers: tuple[Shaker, ...]) -> Iterable[Mistake]:
     count, number, also = len(shakers), test.shaker or 1, getattr(test, "also", None) or ()
     if not shakers:
-        message = f"{test.kind} has nothing to drive with; expected a shaker in the scene"
+        message = f"{test.kind} requires a shaker; expected a shaker in the scene"
         yield Mistake(("kind",), message, absent="shaker")
     elif count > 1 and test.shaker is None:
         yield Mistake(
-            (),
-            f"shaker missing; there are {count}, expected shaker: with the number of the one to drive, 1 to {count}",
+            (), f"shaker missing; expected shaker: with the number of the driven shaker, 1 to {count}"
         )
     elif number > count:
         yield Mistake(("shaker",), f"shaker {number} of {count}; expected 1 to {count}")
     elif any(other > count for other in also):
-        yield Mistake(("also",), f"names a shaker that is missing; expected numbers up to {count}")
+        yield Mistake(("also",), f"names a shaker that does not exist; expected numbers up to {count}")
     elif len({test.shaker, *also}) <= len(also):
-        yield Mistake(("also",), "names a shaker twice; expected those beside test: shaker, each once")
+        yield Mistake(
+            ("also",), "names a shaker twice; expected the shakers other than test: shaker, each once"
+        )
     elif isinstance(shakers[number - 1], ForceShaker) and test.drive is not None:
         yield Mistake(("drive",), "a shaker of kind force is driven by its force; expected force instead")
 
 
-def _channel(channel: Channel, known: Known) -> Iterable[Mistake]:
+def _check_channel(channel: Channel, valid: ValidParts) -> Iterable[Mistake]:
     if channel.body is not None:
-        yield from _no_body(known, channel.body, ("at",))
+        yield from _check_body(valid, channel.body, ("at",))
     elif channel.at == "hammer":
-        if "test" in known and not isinstance(known["test"], Impulse):
+        if "test" in valid and not isinstance(valid["test"], Impulse):
             message = "there is no hammer; expected a body or the table, or a test of kind impulse"
-            yield Mistake(("at",), message, absent="" if known["test"] else "test")
-    elif "shaker" in known:
-        yield from _at_shaker(channel, _listed(known["shaker"]), known.get("test"), ("at",))
+            yield Mistake(("at",), message, absent="" if valid["test"] else "test")
+    elif "shaker" in valid:
+        yield from _check_place_at_shaker(channel, _as_tuple(valid["shaker"]), valid.get("test"), ("at",))
 
 
-def _channels(channels: tuple[Channel, ...] | None, known: Known) -> Iterable[Mistake]:
-    first: dict[str, int] = {}
+def _check_channels(channels: tuple[Channel, ...] | None, valid: ValidParts) -> Iterable[Mistake]:
+    first_index: dict[str, int] = {}
     for k, channel in enumerate(channels or ()):
-        if channel.name in first:
-            other = first[channel.name] + 1
-            message = f'"{channel.name}" is the name of channels[{other}]; expected each once'
+        if channel.name in first_index:
+            first_number = first_index[channel.name] + 1
+            message = f'"{channel.name}" is the name of channels[{first_number}]; expected each once'
             yield Mistake((k, "name"), message)
-        first.setdefault(channel.name, k)
+        first_index.setdefault(channel.name, k)
 
 
-def _at_shaker(
+def _check_place_at_shaker(
     channel: Channel, shakers: tuple[Shaker, ...], test: Test | None, place: Place
 ) -> Iterable[Mistake]:
     """Check that the shaker measured by a channel exists and provides the measured quantity."""
-    what, count = channel.what, len(shakers)
+    kind, count = channel.what, len(shakers)
     if count > 1 and channel.number is None:
-        names = ", ".join(at_shaker(what, number, count) for number in range(1, count + 1))
+        names = ", ".join(at_shaker(kind, number, count) for number in range(1, count + 1))
         yield Mistake(place, f"there are {count} shakers; expected one of {names}")
         return
     if channel.number is not None and (count < 2 or channel.number > count):
-        name = f"{what} 1 to {what} {count}" if count > 1 else what
-        shown = f"{count} shaker{'s' if count > 1 else ''}"
-        yield Mistake(place, f"got {channel.at} with {shown} in the scene; expected {name}")
+        places = f"{kind} 1 to {kind} {count}" if count > 1 else kind
+        count_text = f"{count} shaker{'s' if count > 1 else ''}"
+        yield Mistake(place, f"got {channel.at} with {count_text} in the scene; expected {places}")
         return
     shaker = shakers[(channel.number or 1) - 1] if shakers else None
     absent = "" if shakers else "shaker"
-    if what == "table" and (shaker is None or isinstance(shaker, ForceShaker)):
+    if kind == "table" and (shaker is None or isinstance(shaker, ForceShaker)):
         message = "there is no table; expected a body, or a shaker of kind table or electrodynamic"
         yield Mistake(place, message, absent)
-    elif what == "drive" and shaker is None:
+    elif kind == "drive" and shaker is None:
         yield Mistake(place, "there is no drive; expected a shaker in the scene", absent)
-    elif what == "shaker" and shaker is None:
+    elif kind == "shaker" and shaker is None:
         message = "there is no shaker; expected a body, or a shaker of kind force in the scene"
         yield Mistake(place, message, absent)
-    elif what == "shaker" and shaker is not None and not isinstance(shaker, ForceShaker):
+    elif kind == "shaker" and shaker is not None and not isinstance(shaker, ForceShaker):
         table = at_shaker("table", channel.number or 1, count)
         yield Mistake(
             place,
             f"a shaker of kind {shaker.kind} acts through its coil spring, whose force is measured by channels at its "
             f"two ends; expected at: {table} and at: body {shaker.bodies[0]}",
         )
-    elif what == "shaker" and isinstance(test, Impulse):
+    elif kind == "shaker" and isinstance(test, Impulse):
         yield Mistake(place, "the shaker rests while the hammer hits; expected at: hammer")
 
 
-def _converter(converter: Converter, known: Known) -> Iterable[Mistake]:
-    channels = known.get("channels")
+def _check_converter(converter: Converter, valid: ValidParts) -> Iterable[Mistake]:
+    channels = valid.get("channels")
     if channels is not None and isinstance(converter.skew, tuple) and len(converter.skew) != len(channels):
         yield Mistake(
             ("skew",), f"got {len(converter.skew)} values; expected {len(channels)}, one for each channel"
         )
 
 
-def _recording(recording: RecordingSettings, known: Known) -> Iterable[Mistake]:
-    converter = known.get("converter")
+def _check_recording(recording: RecordingSettings, valid: ValidParts) -> Iterable[Mistake]:
+    converter = valid.get("converter")
     if converter is not None and recording.samples == "counts" and not (converter.bits or converter.preset):
-        yield Mistake(("samples",), "counts of a converter without bits; expected bits in converter")
+        yield Mistake(("samples",), "counts require a converter with bits; expected bits in converter")
 
 
-Check = Callable[[Any, Known], Iterable[Mistake]]
+Check = Callable[[Any, ValidParts], Iterable[Mistake]]
 
 
 def _validator(check: Check) -> AfterValidator:
@@ -161,18 +162,18 @@ def _validator(check: Check) -> AfterValidator:
     return AfterValidator(validate)
 
 
-DAMPER = _validator(_damper)
-SHAKERS = _validator(_shakers)
-TEST = _validator(_test)
-CHANNEL = _validator(_channel)
-CHANNELS = _validator(_channels)
-CONVERTER = _validator(_converter)
-RECORDING = _validator(_recording)
+DAMPER = _validator(_check_damper)
+SHAKERS = _validator(_check_shakers)
+TEST = _validator(_check_test)
+CHANNEL = _validator(_check_channel)
+CHANNELS = _validator(_check_channels)
+CONVERTER = _validator(_check_converter)
+RECORDING = _validator(_check_recording)
 
 
-def too_high_frequency(test: Test | None, converter: Converter) -> Iterable[Mistake]:
+def check_frequency(test: Test | None, converter: Converter) -> Iterable[Mistake]:
     """Check that the sample rate is high enough for the test's frequencies and for a sampled drive."""
-    highest = _highest(test)
+    highest = _highest_frequency(test)
     if highest is None:
         return
     (place, frequency), rate = highest, converter.sample_rate
@@ -184,7 +185,7 @@ def too_high_frequency(test: Test | None, converter: Converter) -> Iterable[Mist
         )
 
 
-def _highest(test: Test | None) -> tuple[Place, float] | None:
+def _highest_frequency(test: Test | None) -> tuple[Place, float] | None:
     """Return the highest frequency of a test and its place in the scene; None if the test has no frequency."""
     if test is None or isinstance(test, Impulse | Free):
         return None
@@ -196,12 +197,12 @@ def _highest(test: Test | None) -> tuple[Place, float] | None:
     return (("test", "to"), last) if last > first else (("test", "from"), first)
 
 
-def _listed(shaker: Shaker | tuple[Shaker, ...] | None) -> tuple[Shaker, ...]:
+def _as_tuple(shaker: Shaker | tuple[Shaker, ...] | None) -> tuple[Shaker, ...]:
     return shaker if isinstance(shaker, tuple) else () if shaker is None else (shaker,)
 
 
-def _no_body(known: Known, body: int, place: Place) -> Iterable[Mistake]:
+def _check_body(valid: ValidParts, body: int, place: Place) -> Iterable[Mistake]:
     # Most invalid numbers are reported earlier, except where the structure is read from matrix files.
-    count = known["structure"].bodies if "structure" in known else body
+    count = valid["structure"].bodies if "structure" in valid else body
     if body > count:
-        yield Mistake(place, no_body(body, count))
+        yield Mistake(place, missing_body_message(body, count))

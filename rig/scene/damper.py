@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from typing import Annotated, ClassVar
 
 from rig.scene.quantities import DASHPOT, DENSITY, LENGTH, MASS, MODULUS, RATIO, STIFFNESS, TIME
-from rig.scene.quantity_field import Quantity, expected
+from rig.scene.quantity_field import Quantity, expectation
 from rig.scene.settings import Alternatives, Mistake, Settings, by_key
 from rig.scene.shaker import Body
 
@@ -82,7 +82,7 @@ class Grains(Settings):
         """Check that a grain fits into the cavity."""
         if self.diameter * (1.0 + self.spread) > self.cavity:
             yield Mistake(
-                ("cavity",), expected(f"{self.cavity:g} m", "at least the largest grain's diameter")
+                ("cavity",), expectation(f"{self.cavity:g} m", "at least the largest grain's diameter")
             )
 
 
@@ -115,14 +115,17 @@ class Damper(Settings):
     def relations(self) -> Iterable[Mistake]:
         """Check that the restitution is given once, and that the bed is either one mass or grains."""
         if self.grains is not None and self.restitution:
-            yield Mistake(("restitution",), "given beside grains; expected it among grains, for each of them")
+            yield Mistake(
+                ("restitution",), "given together with grains; expected the key in grains, for each grain"
+            )
         if self.grains is not None and self.contact is not None:
             yield Mistake(
-                ("contact",), "given beside grains, whose own contact lasts; expected one of the two"
+                ("contact",),
+                "given together with grains, which have their own contact; expected one of the two",
             )
-        lands = any(isinstance(wall, Landing) for wall in walls_of(self.contact))
-        if self.restitution and self.contact is not None and not lands:
+        has_landing = any(isinstance(wall, Landing) for wall in walls_of(self.contact))
+        if self.restitution and self.contact is not None and not has_landing:
             yield Mistake(
                 ("restitution",),
-                "given beside the stiffness and damping of the contact, in which it lies; expected contact: duration",
+                "given together with stiffness and damping, which determine it; expected contact: duration",
             )

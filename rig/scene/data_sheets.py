@@ -51,7 +51,7 @@ def data_sheets() -> dict[str, DataSheet]:
     >>> list(data_sheets())  # doctest: +ELLIPSIS
     ['BK 8206', 'LDS V203', 'NI 9234', ..., 'PCB 356B18', 'USB-4431']
     """
-    found = {}
+    sheets = {}
     folder = files("rig.scene").joinpath("data", "presets")
     for file in sorted(folder.iterdir(), key=lambda file: file.name):
         if not file.name.endswith(".yaml"):
@@ -61,8 +61,8 @@ def data_sheets() -> dict[str, DataSheet]:
         name, sources = sheet.pop("part"), tuple(sheet.pop("sources"))
         unchecked = tuple(sheet.pop("unchecked", ()))
         settings = {kind: sheet.pop(kind) for kind in KINDS if kind in sheet}
-        found[name] = DataSheet(name, summary, sources, unchecked, settings, sheet)
-    return found
+        sheets[name] = DataSheet(name, summary, sources, unchecked, settings, sheet)
+    return sheets
 
 
 def data_sheet(name: str, kind: str | None = None) -> DataSheet:
@@ -71,44 +71,44 @@ def data_sheet(name: str, kind: str | None = None) -> DataSheet:
     `name`: name of the part; `kind`: required kind of part: one of `KINDS`, or ``"module"``; by default any. Raises
     `SceneError` if no data sheet has that name and kind.
     """
-    known = {
-        _plain(each.name): each
-        for each in data_sheets().values()
-        if kind is None or kind in each.settings or kind in each.facts
+    candidates = {
+        _normalize(sheet.name): sheet
+        for sheet in data_sheets().values()
+        if kind is None or kind in sheet.settings or kind in sheet.facts
     }
-    if _plain(name) in known:
-        return known[_plain(name)]
-    names = sorted(each.name for each in known.values())
-    near = get_close_matches(_plain(name), known, n=1)
-    hint = f'; did you mean "{known[near[0]].name}"?' if near else ""
-    what = f"{kind} preset" if kind else "preset"
-    raise SceneError(f'unknown {what} "{name}"; there is {", ".join(names)}{hint}')
+    if _normalize(name) in candidates:
+        return candidates[_normalize(name)]
+    names = sorted(sheet.name for sheet in candidates.values())
+    similar = get_close_matches(_normalize(name), candidates, n=1)
+    hint = f". Did you mean {candidates[similar[0]].name!r}?" if similar else ""
+    part = f"{kind} preset" if kind else "preset"
+    raise SceneError(f"unknown {part} {name!r}; expected one of {', '.join(names)}{hint}")
 
 
-def described(name: str) -> list[str]:
+def describe_part(name: str) -> list[str]:
     """Describe a part in lines: every figure that a scene takes from it, with figures without a source marked.
 
     Raises `SceneError` if no data sheet has that name.
 
-    >>> described("ni9263")[1:4]
+    >>> describe_part("ni9263")[1:4]
     ['  as output: {preset: NI 9263}', '    bits   16', '    range  10 V']
     """
     sheet = data_sheet(name)
     lines = [f"{sheet.name}: {sheet.summary}"]
     for kind, settings in sheet.settings.items():
-        figures = dict(_flat(settings))
-        wide = max(map(len, figures))
+        figures = dict(_flatten(settings))
+        width = max(map(len, figures))
         lines.append(f"  as {kind}: {{preset: {sheet.name}}}")
         for key, value in figures.items():
             mark = "   (no source at hand)" if {key, f"{kind} {key}"} & set(sheet.unchecked) else ""
             lines.append(
-                f"    {key:{wide}}  {str(value).lower() if isinstance(value, bool) else value}{mark}"
+                f"    {key:{width}}  {str(value).lower() if isinstance(value, bool) else value}{mark}"
             )
     lines += ["  from", *(f"    {source}" for source in sheet.sources)]
     return [*lines, f"  {sheet.doubts} Check before relying on it."] if sheet.unchecked else lines
 
 
-def _flat(settings: dict[str, Any]) -> Iterable[tuple[str, Any]]:
+def _flatten(settings: dict[str, Any]) -> Iterable[tuple[str, Any]]:
     """Yield nested settings with dotted names, such as coil.resistance."""
     for key, value in settings.items():
         if isinstance(value, dict):
@@ -117,11 +117,11 @@ def _flat(settings: dict[str, Any]) -> Iterable[tuple[str, Any]]:
             yield key, value
 
 
-def _plain(name: str) -> str:
+def _normalize(name: str) -> str:
     return "".join(letter for letter in name.lower() if letter.isalnum())
 
 
-def unknown_preset(preset: str | None, kind: str) -> Iterable[Mistake]:
+def check_preset(preset: str | None, kind: str) -> Iterable[Mistake]:
     """Check that a preset has a data sheet for this kind of settings."""
     if preset is not None:
         try:

@@ -31,9 +31,10 @@ Start = Annotated[
 ]
 Spacing = Literal["linear", "log"]
 
-MOST_STEPS = 100_000
+#: Largest number of frequencies of a test.
+MAX_STEPS = 100_000
 #: Relative tolerance within which a controller accepts a force.
-FORCE_HELD = 0.005
+FORCE_TOLERANCE = 0.005
 
 
 class Sine(Settings):
@@ -81,9 +82,9 @@ class SteppedSine(Settings):
     """First frequency [Hz]."""
     to: Frequency | None = None
     """Last frequency [Hz], above from."""
-    points: Annotated[int, Field(ge=2, le=MOST_STEPS)] | None = None
+    points: Annotated[int, Field(ge=2, le=MAX_STEPS)] | None = None
     """Number of frequencies, both ends included."""
-    frequencies: tuple[Frequency, ...] | None = Field(None, min_length=1, max_length=MOST_STEPS)
+    frequencies: tuple[Frequency, ...] | None = Field(None, min_length=1, max_length=MAX_STEPS)
     """Instead of from, to and points: the frequencies [Hz] in ascending order."""
     spacing: Spacing = "linear"
     """Whether the frequencies are evenly spaced on a linear or a logarithmic axis."""
@@ -109,7 +110,8 @@ class SteppedSine(Settings):
                 yield Mistake((), "frequencies and from/to given together; expected one or the other")
             if any(b <= a for a, b in zip(self.frequencies, self.frequencies[1:], strict=False)):
                 yield Mistake(
-                    ("frequencies",), "not rising; list them from low to high, direction: down reverses"
+                    ("frequencies",),
+                    "not ascending. List them from low to high; direction: down reverses them.",
                 )
         elif self.from_ is None or self.to is None:
             yield Mistake(
@@ -117,7 +119,7 @@ class SteppedSine(Settings):
             )
         elif self.from_ >= self.to:
             yield Mistake(
-                ("from",), "not below to; give the lower end first and direction: down to go downward"
+                ("from",), "not below to. Give the lower end first; direction: down sweeps downward."
             )
 
     @property
@@ -129,25 +131,25 @@ class SteppedSine(Settings):
     @property
     def order(self) -> tuple[float, ...]:
         """The frequencies in the order they are run, for one level [Hz]."""
-        rising = self.frequencies
-        if rising is None:
-            rising = spaced(self.from_ or 0.0, self.to or 0.0, self.points or 0, self.spacing)
-        falling = rising[::-1]
-        return {"up": rising, "down": falling, "both": rising + falling}[self.direction]
+        ascending = self.frequencies
+        if ascending is None:
+            ascending = spaced_frequencies(self.from_ or 0.0, self.to or 0.0, self.points or 0, self.spacing)
+        descending = ascending[::-1]
+        return {"up": ascending, "down": descending, "both": ascending + descending}[self.direction]
 
 
-def spaced(first: float, last: float, points: int, spacing: str) -> tuple[float, ...]:
+def spaced_frequencies(first: float, last: float, points: int, spacing: str) -> tuple[float, ...]:
     """Space `points` frequencies evenly, linearly or in the logarithm, both ends exact.
 
-    >>> spaced(8.0, 10.0, 3, "linear")
+    >>> spaced_frequencies(8.0, 10.0, 3, "linear")
     (8.0, 9.0, 10.0)
     """
-    shares = [k / (points - 1) for k in range(points)]
+    fractions = [k / (points - 1) for k in range(points)]
     if spacing == "log":
-        inside = [first * (last / first) ** share for share in shares]
+        interior = [first * (last / first) ** fraction for fraction in fractions]
     else:
-        inside = [first + (last - first) * share for share in shares]
-    return (first, *inside[1:-1], last)
+        interior = [first + (last - first) * fraction for fraction in fractions]
+    return (first, *interior[1:-1], last)
 
 
 class SweptSine(Settings):
@@ -175,7 +177,7 @@ class SweptSine(Settings):
     def relations(self) -> Iterable[Mistake]:
         """Check that the two end frequencies differ."""
         if self.from_ == self.to:
-            yield Mistake(("to",), "equal to from; a tone that stays is kind: sine")
+            yield Mistake(("to",), "equal to from. Use kind: sine for a constant frequency.")
 
 
 class Random(Settings):
@@ -203,7 +205,7 @@ class Random(Settings):
 
     def relations(self) -> Iterable[Mistake]:
         """Check the band."""
-        return band(self.from_, self.to)
+        return check_band(self.from_, self.to)
 
 
 class Multisine(Settings):
@@ -216,7 +218,7 @@ class Multisine(Settings):
     """Lower end of the band [Hz]."""
     to: Frequency
     """Upper end of the band [Hz]."""
-    lines: Annotated[int, Field(ge=2, le=MOST_STEPS)] | None = None
+    lines: Annotated[int, Field(ge=2, le=MAX_STEPS)] | None = None
     """Number of tones in the band."""
     period: Duration | None = None
     """Instead of `lines`: the period of the signal [s]; the tones are multiples of its reciprocal."""
@@ -241,17 +243,17 @@ class Multisine(Settings):
 
     def relations(self) -> Iterable[Mistake]:
         """Check the band."""
-        yield from band(self.from_, self.to)
+        yield from check_band(self.from_, self.to)
         if self.period is not None and math.floor(self.to * self.period) < math.ceil(
             self.from_ * self.period
         ):
             yield Mistake(("period",), "too short; no multiple of its inverse lies between from and to")
 
 
-def band(first: float, last: float) -> Iterable[Mistake]:
+def check_band(first: float, last: float) -> Iterable[Mistake]:
     """Check that the lower end of a band comes first."""
     if first >= last:
-        yield Mistake(("from",), "not below to; a band has its lower end first")
+        yield Mistake(("from",), "not below to. Give the lower end of the band first.")
 
 
 class DoubleHit(Settings):
@@ -317,15 +319,12 @@ class Free(Settings):
     def relations(self) -> Iterable[Mistake]:
         """Check that the initial state is given in exactly one form."""
         if (self.mode is None) != (self.amplitude is None):
-            there, other = ("mode", "amplitude") if self.amplitude is None else ("amplitude", "mode")
-            yield Mistake((there,), f"given without {other}; expected both or neither")
+            given, missing = ("mode", "amplitude") if self.amplitude is None else ("amplitude", "mode")
+            yield Mistake((given,), f"given without {missing}; expected both or neither")
         if self.mode is not None and (self.displacement is not None or self.velocity is not None):
-            yield Mistake(("mode",), "given beside displacement or velocity; expected one way to start")
+            yield Mistake(("mode",), "given together with displacement or velocity; expected one of the two")
         if self.mode is None and self.displacement is None and self.velocity is None:
-            yield Mistake((), "nothing moves; expected displacement, velocity, or mode and amplitude")
+            yield Mistake((), "no initial state; expected displacement, velocity, or mode and amplitude")
 
 
-Test = Annotated[
-    Sine | SteppedSine | SweptSine | Random | Multisine | Impulse | Free,
-    Alternatives(by_kind),
-]
+Test = Annotated[Sine | SteppedSine | SweptSine | Random | Multisine | Impulse | Free, Alternatives(by_kind)]

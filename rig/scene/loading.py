@@ -10,13 +10,13 @@ from typing import Any
 from pydantic import ValidationError
 
 from rig.errors import SceneError, SceneWarning
-from rig.scene.changes import Change, changes_of, parsed
-from rig.scene.doubtful_units import doubts
+from rig.scene.changes import Change, parse_changes, parse_options
+from rig.scene.doubtful_units import improbable_values
 from rig.scene.matrices import FOLDER
 from rig.scene.scene import Scene
-from rig.scene.scene_files import find, read_text
+from rig.scene.scene_files import find_scene, read_text
 from rig.scene.settings import Mistake, Place, describe, dotted, mistakes_of
-from rig.scene.yaml_reader import Document, read
+from rig.scene.yaml_reader import Document, read_yaml
 
 # Line numbers of content that was not read from a file.
 _NO_LINES: dict[Place, int] = {(): 0}
@@ -57,15 +57,15 @@ def load(scene: SceneLike, changes: Mapping[str, Any] | None = None) -> Scene:
     """
     if changes is not None and not isinstance(changes, Mapping):
         raise SceneError(f'changes: got {changes!r:.60}; expected a mapping such as {{"test.force": "5 N"}}')
-    return _loaded(scene, changes_of(changes or {}))
+    return _load(scene, parse_changes(changes or {}))
 
 
-def load_changed(scene: str, settings: Iterable[str]) -> Scene:
+def load_with_options(scene: str, settings: Iterable[str]) -> Scene:
     """Load a scene with changes ``KEY=VALUE`` from a command line, shown in messages as ``--set KEY=VALUE``.
 
     Raises `SceneError` as `load`.
     """
-    return _loaded(scene, parsed(settings))
+    return _load(scene, parse_options(settings))
 
 
 def scene_of(scene: SceneLike) -> Scene:
@@ -73,22 +73,22 @@ def scene_of(scene: SceneLike) -> Scene:
     return load(scene)
 
 
-def _loaded(scene: SceneLike, changes: Sequence[Change]) -> Scene:
+def _load(scene: SceneLike, changes: Sequence[Change]) -> Scene:
     if isinstance(scene, Scene):
         return (
-            _validated(Document(read(scene.to_yaml()).content, _NO_LINES), scene.name, None, changes)
+            _validate(Document(read_yaml(scene.to_yaml()).content, _NO_LINES), scene.name, None, changes)
             if changes
             else scene
         )
     if isinstance(scene, Mapping):
-        return _validated(Document(dict(scene), _NO_LINES), "scene", None, changes)
+        return _validate(Document(dict(scene), _NO_LINES), "scene", None, changes)
     if not isinstance(scene, str | Path):
         raise SceneError(f"scene: got {scene!r:.60}; expected a name, a path, a mapping or a rig.Scene")
-    path = find(scene)
-    document = read(read_text(path))
+    path = find_scene(scene)
+    document = read_yaml(read_text(path))
     if isinstance(document.content, dict):
         document.content.setdefault("name", path.stem)
-    return _validated(document, str(path), path.parent, changes)
+    return _validate(document, str(path), path.parent, changes)
 
 
 def loads(text: str, where: str = "scene", folder: str | Path | None = None) -> Scene:
@@ -112,7 +112,7 @@ def loads(text: str, where: str = "scene", folder: str | Path | None = None) -> 
         raise SceneError(
             f"{where}: got {text!r:.60}; expected the text of a scene file (rig.load takes files)"
         )
-    return _validated(read(text), where, None if folder is None else Path(folder), [])
+    return _validate(read_yaml(text), where, None if folder is None else Path(folder), [])
 
 
 def loads_si(text: str, where: str) -> Scene:
@@ -125,34 +125,33 @@ def loads_si(text: str, where: str) -> Scene:
     return scene
 
 
-def _validated(document: Document, where: str, folder: Path | None, changes: Sequence[Change]) -> Scene:
-    broken = [mistake for _, mistake in document.mistakes if not mistake.place]
-    if broken:
+def _validate(document: Document, where: str, folder: Path | None, changes: Sequence[Change]) -> Scene:
+    unreadable = [mistake for _, mistake in document.mistakes if not mistake.place]
+    if unreadable:
         lines = [f"{where}:{line}: {mistake.message}" for line, mistake in document.mistakes]
         raise SceneError("\n".join(lines))
     if not isinstance(document.content, dict):
-        got = "is empty" if document.content is None else "holds no keys"
-        raise SceneError(f"{where} {got}; expected a scene, at least structure: with masses and springs")
+        problem = "is empty" if document.content is None else "has no keys"
+        raise SceneError(f"{where} {problem}; expected a scene, at least structure: with masses and springs")
     content = document.content
     for change in changes:
-        content = change.put_into(content)
-    scene, mistakes = _checked(content, folder)
+        content = change.apply_to(content)
+    scene, mistakes = _try_validation(content, folder)
     if scene is None or document.mistakes:
         mistakes.sort(key=lambda mistake: document.line(mistake.place))
-        own = _checked(document.content, folder)[1] if changes else mistakes
-        twice = [
+        own = _try_validation(document.content, folder)[1] if changes else mistakes
+        duplicates = [
             f"{where}:{line}: {dotted(mistake.place)}: {mistake.message}"
             for line, mistake in document.mistakes
         ]
-        raise SceneError(
-            "\n".join([*twice, *(_described(wrong, where, document, changes, own) for wrong in mistakes)])
-        )
-    for doubt in doubts(scene, content):
-        warnings.warn(_described(doubt, where, document, changes, [doubt]), SceneWarning, stacklevel=4)
+        invalid = [_describe(mistake, where, document, changes, own) for mistake in mistakes]
+        raise SceneError("\n".join([*duplicates, *invalid]))
+    for warning in improbable_values(scene, content):
+        warnings.warn(_describe(warning, where, document, changes, [warning]), SceneWarning, stacklevel=4)
     return scene
 
 
-def _checked(content: dict[str, Any], folder: Path | None) -> tuple[Scene | None, list[Mistake]]:
+def _try_validation(content: dict[str, Any], folder: Path | None) -> tuple[Scene | None, list[Mistake]]:
     """Return the settings, or all mistakes in them."""
     try:
         return Scene.model_validate(content, context={FOLDER: folder}), []
@@ -160,13 +159,13 @@ def _checked(content: dict[str, Any], folder: Path | None) -> tuple[Scene | None
         return None, mistakes_of(error)
 
 
-def _described(
+def _describe(
     mistake: Mistake, where: str, document: Document, changes: Sequence[Change], own: Sequence[Mistake]
 ) -> str:
     """Describe a mistake at its line of the file or, if a change caused it, at the change."""
-    made = [change for change in changes if change.concerns(mistake.place)]
-    if not made and mistake not in own:
-        made = list(changes)
-    if made:
-        return describe([mistake], f"{where} with {', '.join(map(str, made))}")
+    causes = [change for change in changes if change.covers(mistake.place)]
+    if not causes and mistake not in own:
+        causes = list(changes)
+    if causes:
+        return describe([mistake], f"{where} with {', '.join(map(str, causes))}")
     return describe([mistake], where, None if document.lines == _NO_LINES else document.line)

@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler, ValidationInfo
 from pydantic_core import CoreSchema, core_schema
 
-from rig.scene.quantity_field import got, mistake
+from rig.scene.quantity_field import format_value, validation_error
 from rig.scene.settings import Mistake, Settings
 
-MOST_BODIES = 2000
-# Relative limit: matrices from other programs are symmetric up to rounding, and a larger asymmetry is a mistake.
-ASYMMETRY = 1e-9
+# Largest number of bodies of a structure.
+MAX_BODIES = 2000
+# Largest relative asymmetry: matrices from other programs are symmetric up to rounding.
+MAX_ASYMMETRY = 1e-9
 FOLDER = "folder"  # key of the validation context: folder of the scene file and its .npy files
 
 
@@ -43,19 +44,19 @@ class _Matrix:
         try:
             numbers = np.asarray(array)
             if numbers.dtype.kind not in "iufU":
-                raise ValueError("no real numbers")
+                raise ValueError("not real numbers")
             matrix = numbers.astype(np.float64)
         except (TypeError, ValueError, OverflowError):
-            raise mistake(
-                "rows of unequal length or what is no number in it; expected a square matrix"
+            raise validation_error(
+                "rows of unequal length, or values that are not numbers; expected a square matrix"
             ) from None
         if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or matrix.size == 0:
-            raise mistake(f"shape {matrix.shape}; expected a square matrix")
-        if matrix.shape[0] > MOST_BODIES:
-            raise mistake(f"{matrix.shape[0]} bodies; expected at most {MOST_BODIES}")
+            raise validation_error(f"shape {matrix.shape}; expected a square matrix")
+        if matrix.shape[0] > MAX_BODIES:
+            raise validation_error(f"{matrix.shape[0]} bodies; expected at most {MAX_BODIES}")
         if not np.isfinite(matrix).all():
             row, column = np.argwhere(~np.isfinite(matrix))[0] + 1
-            raise mistake(
+            raise validation_error(
                 f"{matrix[row - 1, column - 1]} in row {row}, column {column}; expected finite numbers"
             )
         return tuple(map(tuple, matrix.tolist()))
@@ -76,12 +77,12 @@ class Matrices(Settings):
 
     def relations(self) -> Iterable[Mistake]:
         """Check sizes, symmetry and energies: kinetic and elastic energy positive, no energy from the damping."""
-        found = list(self._forms())
-        yield from found
-        if not found:
-            yield from self._energies()
+        mistakes = list(self._check_shapes())
+        yield from mistakes
+        if not mistakes:
+            yield from self._check_definiteness()
 
-    def _forms(self) -> Iterable[Mistake]:
+    def _check_shapes(self) -> Iterable[Mistake]:
         mass, stiffness = np.array(self.mass), np.array(self.stiffness)
         for key, matrix in (("stiffness", stiffness), ("damping", self.damping)):
             if matrix is not None and len(matrix) != len(mass):
@@ -93,27 +94,27 @@ class Matrices(Settings):
             if place is not None:
                 row, column = place
                 values = f"{matrix[row, column]:g} and {matrix[column, row]:g}"
-                where = f"rows and columns {row + 1} and {column + 1}"
-                yield Mistake((key,), f"not symmetric ({values} in {where}); expected a symmetric matrix")
+                location = f"rows and columns {row + 1} and {column + 1}"
+                yield Mistake((key,), f"not symmetric ({values} in {location}); expected a symmetric matrix")
         if not positive_definite(mass):
             yield Mistake(("mass",), "not positive definite; expected kinetic energy in every motion")
 
-    def _energies(self) -> Iterable[Mistake]:
+    def _check_definiteness(self) -> Iterable[Mistake]:
         mass, stiffness = np.array(self.mass), np.array(self.stiffness)
-        square = lowest_square(mass, stiffness)
-        if square < 0.0:
+        lowest_square = lowest_squared_frequency(mass, stiffness)
+        if lowest_square < 0.0:
             yield Mistake(
                 ("stiffness",),
-                f"not positive semidefinite (squared frequency {square:.3g} 1/s^2), so that the structure runs away "
-                "from rest; expected springs that hold it",
+                f"not positive semidefinite (squared frequency {lowest_square:.3g} 1/s^2), so that the structure is "
+                "unstable; expected a stiffness matrix without negative eigenvalues",
             )
         elif self.damping is not None:
             growth, frequency = fastest_growth(mass, stiffness, np.array(self.damping))
             if growth > 0.0:
                 yield Mistake(
                     ("damping",),
-                    f"feeds the motion: at {frequency:.3g} Hz it grows by itself, {growth:.3g} 1/s; expected damping "
-                    "that takes energy out",
+                    f"negative damping: at {frequency:.3g} Hz the free motion grows by {growth:.3g} 1/s; expected "
+                    "damping that dissipates energy",
                 )
 
 
@@ -121,13 +122,13 @@ def asymmetry(matrix: NDArray[np.float64]) -> tuple[int, int] | None:
     """Return the indices of the most asymmetric element pair of a matrix (n, n), None if it is symmetric."""
     difference = np.abs(matrix - matrix.T)
     row, column = np.unravel_index(int(np.argmax(difference)), matrix.shape)
-    if difference[row, column] <= ASYMMETRY * np.abs(matrix).max():
+    if difference[row, column] <= MAX_ASYMMETRY * np.abs(matrix).max():
         return None
     return int(row), int(column)
 
 
 def positive_definite(matrix: NDArray[np.float64]) -> bool:
-    """Whether a symmetric matrix (n, n) is positive definite beyond rounding, for any scaling of its rows."""
+    """Return whether a symmetric matrix (n, n) is positive definite beyond rounding, for any scaling of its rows."""
     diagonal = np.diag(matrix)
     if (diagonal <= 0.0).any():
         return False
@@ -136,11 +137,11 @@ def positive_definite(matrix: NDArray[np.float64]) -> bool:
     return bool(np.linalg.eigvalsh(scaled)[0] > len(matrix) * np.finfo(float).eps)
 
 
-def lowest_square(mass: NDArray[np.float64], stiffness: NDArray[np.float64]) -> float:
+def lowest_squared_frequency(mass: NDArray[np.float64], stiffness: NDArray[np.float64]) -> float:
     """Return the lowest squared natural frequency of symmetric matrices (n, n), 1/s^2; 0 if zero within rounding."""
     factor = np.linalg.cholesky((mass + mass.T) / 2.0)
-    half = np.linalg.solve(factor, (stiffness + stiffness.T) / 2.0)
-    squares = np.linalg.eigvalsh(np.linalg.solve(factor, half.T))
+    reduced = np.linalg.solve(factor, (stiffness + stiffness.T) / 2.0)
+    squares = np.linalg.eigvalsh(np.linalg.solve(factor, reduced.T))
     rounding = 10 * len(squares) * np.finfo(float).eps * np.abs(squares).max()
     return 0.0 if abs(squares[0]) <= rounding else float(squares[0])
 
@@ -149,43 +150,47 @@ def fastest_growth(
     mass: NDArray[np.float64], stiffness: NDArray[np.float64], damping: NDArray[np.float64]
 ) -> tuple[float, float]:
     """Return the largest growth rate of the free motion [1/s] and its frequency [Hz]; 0 if it decays."""
-    symmetric = np.linalg.eigvalsh((damping + damping.T) / 2.0)
-    if symmetric[0] >= -10 * len(symmetric) * np.finfo(float).eps * np.abs(symmetric).max():
+    dissipation = np.linalg.eigvalsh((damping + damping.T) / 2.0)
+    if dissipation[0] >= -10 * len(dissipation) * np.finfo(float).eps * np.abs(dissipation).max():
         return 0.0, 0.0
     n = len(mass)
     state = np.zeros((2 * n, 2 * n))
     state[:n, n:] = np.eye(n)
     state[n:] = -np.linalg.solve(mass, np.hstack([stiffness, damping]))
     poles = np.linalg.eigvals(state)
-    worst = poles[np.argmax(poles.real)]
-    if worst.real <= 1e-9 * np.abs(poles).max():
+    fastest = poles[np.argmax(poles.real)]
+    if fastest.real <= 1e-9 * np.abs(poles).max():
         return 0.0, 0.0
-    return float(worst.real), float(abs(worst.imag) / (2.0 * np.pi))
+    return float(fastest.real), float(abs(fastest.imag) / (2.0 * np.pi))
 
 
 def _from_file(name: str | Path, folder: Path | None) -> NDArray[Any]:
     if Path(name).suffix != ".npy":
-        raise mistake(f"got {got(str(name))}; expected rows of numbers or the name of a .npy file")
+        raise validation_error(
+            f"got {format_value(str(name))}; expected rows of numbers or the name of a .npy file"
+        )
     if folder is None:
-        raise mistake(
-            f"got {got(str(name))}; a .npy file is found beside a scene file, expected rows of numbers here"
+        raise validation_error(
+            f"got {format_value(str(name))}; a .npy file needs a scene file next to it, expected rows of numbers here"
         )
     path = folder / name
     if path.exists() and not path.is_file():
-        raise mistake(f"{path} is no ordinary file; expected a .npy file beside the scene file")
+        raise validation_error(f"{path} is not a regular file; expected a .npy file next to the scene file")
     try:
         # Map the file first, because its header may state any size: the size is checked before data are read.
         mapped: NDArray[Any] = np.load(path, mmap_mode="r", allow_pickle=False)
     except FileNotFoundError:
-        raise mistake(f"no file {path}; expected it beside the scene file") from None
+        raise validation_error(
+            f"{path}: the file does not exist; expected it next to the scene file"
+        ) from None
     except Exception as error:
         # A damaged file can cause an exception of almost any type in the reader.
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise mistake(f"{path} cannot be read as .npy ({reason})") from None
+        raise validation_error(f"{path} cannot be read as .npy ({reason})") from None
     if not isinstance(mapped, np.ndarray):
-        raise mistake(f"{path} is an archive of arrays (.npz); expected one array (.npy)")
-    if mapped.ndim != 2 or max(mapped.shape) > MOST_BODIES:
-        raise mistake(
-            f"{path} has shape {mapped.shape}; expected a square matrix of at most {MOST_BODIES} rows"
+        raise validation_error(f"{path} is an archive of arrays (.npz); expected one array (.npy)")
+    if mapped.ndim != 2 or max(mapped.shape) > MAX_BODIES:
+        raise validation_error(
+            f"{path} has shape {mapped.shape}; expected a square matrix of at most {MAX_BODIES} rows"
         )
     return np.array(mapped)

@@ -11,7 +11,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field, WithJsonSchema
 
 from rig.errors import SceneError
-from rig.scene.data_sheets import Preset, data_sheet, unknown_preset
+from rig.scene.data_sheets import Preset, check_preset, data_sheet
 from rig.scene.modules import module
 from rig.scene.quantities import (
     ACCELERATION,
@@ -39,8 +39,10 @@ Corner = Annotated[float, Quantity(FREQUENCY, above=0.0)]
 Tolerance = Annotated[float, Quantity(RATIO, at_least=0.0, below=1.0)]
 Time = Annotated[float, Quantity(TIME, at_least=0.0)]
 Limit = Annotated[float, Quantity(LENGTH, VELOCITY, ACCELERATION, FORCE, VOLTAGE, above=0.0)]
-# Places where a channel measures force or output voltage instead of motion.
-FORCE_PLACES, VOLTAGE_PLACE = ("hammer", "shaker"), "drive"
+# Places where a channel measures force instead of motion.
+FORCE_PLACES = ("hammer", "shaker")
+# Place where a channel measures output voltage instead of motion.
+VOLTAGE_PLACE = "drive"
 Supply = Annotated[float, Quantity(CURRENT, at_least=0.0)]
 
 
@@ -96,10 +98,10 @@ class Accelerometer(Settings):
 
     def relations(self) -> Iterable[Mistake]:
         """Check that every key on which a given key depends is given too, here or by the preset."""
-        yield from unknown_preset(self.preset, "accelerometer")
+        yield from check_preset(self.preset, "accelerometer")
         for key, other in self.needs.items():
             if self.preset is None and getattr(self, key) is not None and getattr(self, other) is None:
-                yield Mistake((key,), f"given without {other}, to which it belongs")
+                yield Mistake((key,), f"given without {other}, which it requires")
 
 
 class Integrator(Settings):
@@ -141,7 +143,7 @@ class Hammer(Settings):
 
     def relations(self) -> Iterable[Mistake]:
         """Check that the part is known."""
-        return unknown_preset(self.preset, "hammer")
+        return check_preset(self.preset, "hammer")
 
 
 class Channel(Settings):
@@ -183,8 +185,8 @@ class Channel(Settings):
     def kind_by_neighbours(cls, given: Mapping[str, Any]) -> Mapping[Place, Kind]:
         """Return the measured quantity as the kind of the limits."""
         kind = {"1": VELOCITY, "2": LENGTH}.get(str(at(given, ("integrator", "order"))), ACCELERATION)
-        what = str(given.get("at")).partition(" ")[0]
-        kind = FORCE if what in FORCE_PLACES else VOLTAGE if what == VOLTAGE_PLACE else kind
+        place = str(given.get("at")).partition(" ")[0]
+        kind = FORCE if place in FORCE_PLACES else VOLTAGE if place == VOLTAGE_PLACE else kind
         return {("alarm",): kind, ("abort",): kind}
 
     def relations(self) -> Iterable[Mistake]:
@@ -193,7 +195,7 @@ class Channel(Settings):
             for key in ("accelerometer", "integrator", "hammer"):
                 if getattr(self, key) is not None:
                     yield Mistake(
-                        (key,), "given at the drive; expected no sensor, for it is a voltage already"
+                        (key,), "given at the drive; expected no sensor, because the signal is a voltage"
                     )
         elif self.measures_force:
             for key in ("accelerometer", "integrator"):
@@ -281,11 +283,11 @@ class Converter(Settings):
 
     def relations(self) -> Iterable[Mistake]:
         """Check that every key on which a given key depends is given too, and that the module supports the values."""
-        unknown = list(unknown_preset(self.preset, "converter"))
-        yield from unknown
-        if not unknown:
-            yield from self._too_fast()
-            yield from self._filtered_already()
+        preset_mistakes = list(check_preset(self.preset, "converter"))
+        yield from preset_mistakes
+        if not preset_mistakes:
+            yield from self._check_rate()
+            yield from self._check_sampling()
         if self.bits is not None and self.range is None and self.preset is None:
             yield Mistake(("bits",), "given without range, the voltage at full scale such as 5 V")
         if self.ac_corner is not None and self.coupling != "AC" and self.preset is None:
@@ -293,17 +295,19 @@ class Converter(Settings):
         if self.clock_error is not None and abs(self.clock_error) >= 0.1:
             yield Mistake(("clock_error",), f"got {self.clock_error}; expected a small ratio such as 20 ppm")
 
-    def _filtered_already(self) -> Iterable[Mistake]:
-        sheet = {} if self.preset is None else data_sheet(self.preset, "converter").settings["converter"]
-        named = self.filter or sheet.get("filter")
-        if self.sampling is not None and named is not None:
+    def _check_sampling(self) -> Iterable[Mistake]:
+        preset_values = (
+            {} if self.preset is None else data_sheet(self.preset, "converter").settings["converter"]
+        )
+        filter_name = self.filter or preset_values.get("filter")
+        if self.sampling is not None and filter_name is not None:
             yield Mistake(
                 ("sampling",),
-                f"{self.sampling} with the filter {named}{'' if self.filter else f' of {self.preset}'}; expected "
-                "one of the two, for a sample behind a filter is what the filter gives",
+                f"{self.sampling} with the filter {filter_name}{'' if self.filter else f' of {self.preset}'}; expected "
+                "one of the two, because the filter determines the sample",
             )
 
-    def _too_fast(self) -> Iterable[Mistake]:
+    def _check_rate(self) -> Iterable[Mistake]:
         try:
             _ = self.sample_rate
         except SceneError as error:
@@ -314,12 +318,12 @@ class Converter(Settings):
         """Sample rate [Hz]: as requested or, for a module, the next higher rate of its clock."""
         if self.preset is None:
             return self.rate
-        found = module(self.preset)
-        assert found.inputs is not None  # as its data sheet has figures for a converter
+        hardware = module(self.preset)
+        assert hardware.inputs is not None  # its data sheet has figures for a converter
         try:
-            return found.inputs.rates.at_least(self.rate)
+            return hardware.inputs.rates.at_least(self.rate)
         except SceneError as error:
-            raise SceneError(f"{error}, which is what {found.name} samples at") from None
+            raise SceneError(f"{error}, the sample rates of {hardware.name}") from None
 
     @property
     def true_rate(self) -> float:

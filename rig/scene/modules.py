@@ -60,11 +60,11 @@ class Rates:
             If the request is not positive or exceeds the fastest rate.
         """
         # Tolerate a request that was rounded to a few digits.
-        wanted = rate * (1.0 - 1e-4)
-        if not 0.0 < wanted <= self.fastest:
+        lowest = rate * (1.0 - 1e-4)
+        if not 0.0 < lowest <= self.fastest:
             raise SceneError(f"got {rate:g} Hz; expected {self.slowest:g} to {self.fastest:g} Hz")
         if self.ladder:
-            return self.ladder[bisect_left(self.ladder, wanted)]
+            return self.ladder[bisect_left(self.ladder, lowest)]
         return min(max(rate, self.slowest), self.fastest)
 
 
@@ -179,37 +179,37 @@ def module(name: str) -> Module:
     )
 
 
-def _inputs(given: dict[str, Any]) -> Inputs:
+def _inputs(facts: dict[str, Any]) -> Inputs:
     return Inputs(
-        **{key: given[key] for key in ("channels", "supply_coupling", "conversion", "teds")},
-        rates=_rates(given["rates"]),
-        ranges=tuple(parse(value, VOLTAGE) for value in given["ranges"]),
-        couplings=tuple(given["couplings"]),
-        terminals=tuple(given["terminals"]),
-        supply=tuple(parse(value, CURRENT) for value in given["supply"]),
+        **{key: facts[key] for key in ("channels", "supply_coupling", "conversion", "teds")},
+        rates=_rates(facts["rates"]),
+        ranges=tuple(parse(value, VOLTAGE) for value in facts["ranges"]),
+        couplings=tuple(facts["couplings"]),
+        terminals=tuple(facts["terminals"]),
+        supply=tuple(parse(value, CURRENT) for value in facts["supply"]),
     )
 
 
-def _outputs(given: dict[str, Any]) -> Outputs:
+def _outputs(facts: dict[str, Any]) -> Outputs:
     return Outputs(
-        **{key: given[key] for key in ("channels", "conversion", "on_demand")},
-        rates=_rates(given["rates"]),
-        ranges=tuple(parse(value, VOLTAGE) for value in given["ranges"]),
-        terminals=tuple(given["terminals"]),
+        **{key: facts[key] for key in ("channels", "conversion", "on_demand")},
+        rates=_rates(facts["rates"]),
+        ranges=tuple(parse(value, VOLTAGE) for value in facts["ranges"]),
+        terminals=tuple(facts["terminals"]),
     )
 
 
-def _rates(given: dict[str, Any]) -> Rates:
-    if "clock" not in given:
-        return Rates(parse(given["slowest"], FREQUENCY), parse(given["fastest"], FREQUENCY))
-    clock = parse(given["clock"], FREQUENCY)
-    divisors = {prod(factors) for factors in product(*map(_factors, given["divided_by"]))}
+def _rates(facts: dict[str, Any]) -> Rates:
+    if "clock" not in facts:
+        return Rates(parse(facts["slowest"], FREQUENCY), parse(facts["fastest"], FREQUENCY))
+    clock = parse(facts["clock"], FREQUENCY)
+    divisors = {prod(factors) for factors in product(*map(_factors, facts["divided_by"]))}
     ladder = tuple(sorted(clock / divisor for divisor in divisors))
     return Rates(ladder[0], ladder[-1], ladder)
 
 
-def _factors(given: int | list[int] | dict[str, int]) -> Sequence[int]:
+def _factors(divisors: int | list[int] | dict[str, int]) -> Sequence[int]:
     """Return the possible divisors of a clock: a number, a list or a range."""
-    if isinstance(given, dict):
-        return range(given["from"], given["to"] + 1)
-    return given if isinstance(given, list) else [given]
+    if isinstance(divisors, dict):
+        return range(divisors["from"], divisors["to"] + 1)
+    return divisors if isinstance(divisors, list) else [divisors]

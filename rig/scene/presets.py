@@ -15,13 +15,14 @@ from rig.scene.shaker import Output
 Device = TypeVar("Device", Accelerometer, Hammer, Converter, Output)
 
 
-def filled_in(settings: Device) -> Device:
+def complete_from_preset(settings: Device) -> Device:
     """Complete settings with the values of their preset, if any.
 
     Raises `SceneError` if the part does not exist, or the given settings are incompatible with it.
 
-    >>> filled_in(Converter(preset="NI 9234", range=10.0)).bits, filled_in(Converter(preset="ni9234")).range
-    (24, 5.0)
+    >>> converter = complete_from_preset(Converter(preset="NI 9234", range=10.0))
+    >>> converter.bits, converter.range
+    (24, 10.0)
     """
     if settings.preset is None:
         return settings
@@ -37,12 +38,12 @@ def filled_in(settings: Device) -> Device:
         raise SceneError(f"{kind} with preset {sheet.name!r}: {reasons}") from None
 
 
-def origin(settings: Accelerometer | Hammer | None, key: str) -> str:
+def preset_note(settings: Accelerometer | Hammer | None, key: str) -> str:
     """Describe the preset and source of a figure; an empty string if the scene gives the figure.
 
-    >>> origin(Accelerometer(preset="PCB 352C33"), "saturation")
+    >>> preset_note(Accelerometer(preset="PCB 352C33"), "saturation")
     ' by preset PCB 352C33, from no source'
-    >>> origin(Accelerometer(preset="PCB 352C33", saturation=500.0), "saturation")
+    >>> preset_note(Accelerometer(preset="PCB 352C33", saturation=500.0), "saturation")
     ''
     """
     if settings is None or settings.preset is None or getattr(settings, key) is not None:
@@ -60,16 +61,14 @@ def needs_supply(channel: Channel) -> bool:
     False
     """
     if channel.measures_force:
-        return channel.hammer is not None and bool(filled_in(channel.hammer).iepe)
-    return channel.accelerometer is not None and bool(filled_in(channel.accelerometer).iepe)
+        return channel.hammer is not None and bool(complete_from_preset(channel.hammer).iepe)
+    return channel.accelerometer is not None and bool(complete_from_preset(channel.accelerometer).iepe)
 
 
 def input_settings(converter: Converter, channel: Channel) -> Converter:
-    """Return the converter settings of one channel, with the channel's own coupling and supply.
+    """Return the converter settings of one channel, completed from the preset, with its own coupling and supply.
 
     If a module supplies sensors only through AC-coupled inputs, DC coupling turns the supply off.
-
-    `converter`: settings in the scene. Returns settings completed from the preset.
 
     >>> channel = Channel(name="body1", at="body 1", coupling="DC")
     >>> input_settings(Converter(preset="NI 9234"), channel).excitation
@@ -77,11 +76,13 @@ def input_settings(converter: Converter, channel: Channel) -> Converter:
     >>> input_settings(Converter(preset="USB-4431"), channel).excitation
     0.0021
     """
-    own = {key: value for key in ("coupling", "excitation") if (value := getattr(channel, key)) is not None}
-    here = filled_in(converter).model_copy(update=own)
-    if converter.preset is None or here.coupling != "DC":
-        return here
+    channel_values = {
+        key: value for key in ("coupling", "excitation") if (value := getattr(channel, key)) is not None
+    }
+    completed = complete_from_preset(converter).model_copy(update=channel_values)
+    if converter.preset is None or completed.coupling != "DC":
+        return completed
     inputs = module(converter.preset).inputs
     if inputs is not None and inputs.supply_coupling == "AC":
-        here = here.model_copy(update={"excitation": 0.0})
-    return here
+        completed = completed.model_copy(update={"excitation": 0.0})
+    return completed

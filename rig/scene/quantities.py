@@ -62,8 +62,8 @@ ppm = 1e-6
 class Kind:
     """Kind of a quantity: its name in messages, its SI unit, and an example of its spelling.
 
-    A nonzero magnitude must be between `least` and `most`, in SI. Beyond these limits, powers and products in the
-    model overflow or underflow, or the computation does not end.
+    A nonzero magnitude must be between `least` and `most`, in SI. Outside these limits, powers and products in
+    the model overflow or underflow, or the computation does not end.
     """
 
     noun: str
@@ -72,10 +72,10 @@ class Kind:
     least: float = 1e-18
     most: float = 1e12
 
-    def carries(self, number: float) -> bool:
-        """Whether the model supports the magnitude of a number, as it does for zero and infinity.
+    def supports(self, number: float) -> bool:
+        """Return whether the model supports the magnitude of a number; zero and infinity are supported.
 
-        >>> MASS.carries(1.0), MASS.carries(1e-30), TIME.carries(1e12), LENGTH.carries(math.inf)
+        >>> MASS.supports(1.0), MASS.supports(1e-30), TIME.supports(1e12), LENGTH.supports(math.inf)
         (True, False, False, True)
         """
         return number == 0.0 or math.isinf(number) or self.least <= abs(number) <= self.most
@@ -131,10 +131,9 @@ _GRAVITY = re.compile(r"(?<![A-Za-z])([num]?)g(?![A-Za-z])")
 def parse(value: Any, kind: Kind) -> float:
     """Read a quantity.
 
-    `value`: a number in SI (frequencies in Hz), or text: a number and a unit. The result is the double nearest to
-    the written value; `kind`: required kind of quantity. Returns the value in the SI unit of its kind; may be
-    infinite, never NaN. Raises `ValueError` if the text is not a number, the unit is unknown or of another kind, or
-    the value is NaN.
+    `value`: a number in SI (frequencies in Hz), or text with a number and a unit. `kind`: required kind of quantity.
+    Returns the double nearest to the written value, in the SI unit of its kind. It may be infinite. Raises
+    `ValueError` if the text is not a number, the unit is unknown or of another kind, or the value is NaN.
 
     >>> parse("0.98 mm", LENGTH)
     0.00098
@@ -148,21 +147,23 @@ def parse(value: Any, kind: Kind) -> float:
     if isinstance(value, str):
         return _parse_text(value, kind)
     if isinstance(value, bool) or not hasattr(value, "__float__"):
-        raise ValueError(f"{value!r} is no number")
+        raise ValueError(f"{value!r} is not a number")
     try:
         number = float(value)
     except (TypeError, ValueError, OverflowError):
-        raise ValueError(f"{value!r} is no number") from None
+        raise ValueError(f"{value!r} is not a number") from None
     if math.isnan(number):
         raise ValueError("not a number (NaN)")
     return number
 
 
-def with_a_point(value: Any, kinds: Sequence[Kind]) -> str | None:
-    """Write a quantity with a decimal point instead of a comma; None if it has no decimal comma.
+def suggest_decimal_point(value: Any, kinds: Sequence[Kind]) -> str | None:
+    """Write a quantity with a decimal point instead of a comma; return None if it has no decimal comma.
 
-    >>> with_a_point("1,5 kg", [MASS]), with_a_point("1,000 Hz", [FREQUENCY]), with_a_point("a,b", [MASS])
-    ('a decimal point: 1.5 kg', 'a decimal point and no other mark: 1.000 Hz or 1000 Hz', None)
+    >>> suggest_decimal_point("1,5 kg", [MASS]), suggest_decimal_point("a,b", [MASS])
+    ('a decimal point: 1.5 kg', None)
+    >>> suggest_decimal_point("1,000 Hz", [FREQUENCY])
+    'a decimal point and no other separator: 1.000 Hz or 1000 Hz'
     """
     match = (
         re.fullmatch(r"([+-]?\d[\d.]*),(\d+)(\D.*)?", value.strip(), re.DOTALL)
@@ -171,16 +172,16 @@ def with_a_point(value: Any, kinds: Sequence[Kind]) -> str | None:
     )
     if match is None:
         return None
-    whole, decimals, unit = match[1].replace(".", ""), match[2], match[3] or ""
-    pointed = f"{whole}.{decimals}{unit}"
+    integer, decimals, unit = match[1].replace(".", ""), match[2], match[3] or ""
+    with_point = f"{integer}.{decimals}{unit}"
     for kind in kinds:
         try:
-            parse(pointed, kind)
+            parse(with_point, kind)
         except ValueError:
             continue
-        if len(decimals) == 3 and len(whole.lstrip("+-")) < 4:
-            return f"a decimal point and no other mark: {pointed} or {whole}{decimals}{unit}"
-        return f"a decimal point: {pointed}"
+        if len(decimals) == 3 and len(integer.lstrip("+-")) < 4:
+            return f"a decimal point and no other separator: {with_point} or {integer}{decimals}{unit}"
+        return f"a decimal point: {with_point}"
     return None
 
 
@@ -201,44 +202,45 @@ def number(value: float | str | None, kind: Kind, name: str) -> float | None:
     try:
         return parse(value, kind)
     except ValueError as error:
-        instead = with_a_point(value, [kind]) or f"{kind.noun} such as {kind.example}"
-        raise SceneError(f"{name}: {error}; expected {instead}") from None
+        expectation = suggest_decimal_point(value, [kind]) or f"{kind.noun} such as {kind.example}"
+        raise SceneError(f"{name}: {error}; expected {expectation}") from None
 
 
-def span(values: ArrayLike, kind: Kind, name: str) -> tuple[float, float]:
+def ascending_pair(values: ArrayLike, kind: Kind, name: str) -> tuple[float, float]:
     """Convert an argument of two quantities in ascending order, each like `number`.
 
     Raises `SceneError` if the argument is invalid; the message begins with its name.
 
-    >>> span(["55 Hz", 70], FREQUENCY, "band")
+    >>> ascending_pair(["55 Hz", 70], FREQUENCY, "band")
     (55.0, 70.0)
     """
-    ends = positives(values, kind, name).tolist()
+    ends = positive_values(values, kind, name).tolist()
     if len(ends) != 2 or not ends[0] < ends[1]:
-        got = ", ".join(f"{end:g} {kind.si}" for end in ends)
-        raise SceneError(f"{name}: got {got}; expected two values, the smaller one first")
+        given = ", ".join(f"{end:g} {kind.si}" for end in ends)
+        raise SceneError(f"{name}: got {given}; expected two values, the smaller one first")
     return ends[0], ends[1]
 
 
-def positives(values: ArrayLike, kind: Kind, name: str) -> NDArray[np.float64]:
+def positive_values(values: ArrayLike, kind: Kind, name: str) -> NDArray[np.float64]:
     """Convert an argument of one or several quantities, each like `number`; all must be positive and finite.
 
     Raises `SceneError` if a value is invalid; the message begins with the argument's name.
 
-    >>> positives(["49 Hz", "3000 rpm"], FREQUENCY, "frequencies").tolist()
+    >>> positive_values(["49 Hz", "3000 rpm"], FREQUENCY, "frequencies").tolist()
     [49.0, 50.0]
     """
-    given = np.atleast_1d(np.asarray(values))
-    if given.dtype.kind == "U":
-        given = np.array([number(str(one), kind, name) for one in given.flat]).reshape(given.shape)
-    found = np.asarray(given, dtype=np.float64)
-    fits = (found >= kind.least) & (found <= kind.most)
-    if found.ndim != 1 or not found.size or not fits.all():
+    raw = np.atleast_1d(np.asarray(values))
+    if raw.dtype.kind == "U":
+        raw = np.array([number(str(item), kind, name) for item in raw.flat]).reshape(raw.shape)
+    numbers = np.asarray(raw, dtype=np.float64)
+    is_valid = (numbers >= kind.least) & (numbers <= kind.most)
+    if numbers.ndim != 1 or not numbers.size or not is_valid.all():
+        invalid = ", ".join(map(str, numbers[~is_valid].tolist()[:3])) or "none"
         raise SceneError(
-            f"{name}: got {', '.join(map(str, found[~fits].tolist()[:3])) or 'none'}; expected a list of positive, "
-            f"finite numbers {kind.range}, or of texts such as {kind.example}"
+            f"{name}: got {invalid}; expected a list of positive, finite numbers {kind.range}, or of texts such as "
+            f"{kind.example}"
         )
-    return found
+    return numbers
 
 
 def text(value: float, kind: Kind) -> str:
@@ -251,62 +253,64 @@ def text(value: float, kind: Kind) -> str:
     return f"{number} {kind.si}".rstrip()
 
 
-def spelled(value: float, kind: Kind, before: str | None = None) -> str:
+def shortest_spelling(value: float, kind: Kind, previous: str | None = None) -> str:
     """Write a quantity with the fewest digits from which `parse` returns the identical double.
 
-    `before`: the user's spelling: returned unchanged if its value is the same; otherwise its unit is used.
+    `previous`: the user's spelling. It is returned unchanged if its value is the same; otherwise its unit is used.
 
-    >>> spelled(0.000133, LENGTH), spelled(0.00125, LENGTH, "5e-4 m"), spelled(0.00125, LENGTH, "1.25 mm")
-    ('0.133 mm', '0.00125 m', '1.25 mm')
-    >>> spelled(parse("100 mV/g", ACCELERATION_SENSITIVITY), ACCELERATION_SENSITIVITY)
+    >>> shortest_spelling(0.000133, LENGTH), shortest_spelling(0.00125, LENGTH, "5e-4 m")
+    ('0.133 mm', '0.00125 m')
+    >>> shortest_spelling(0.00125, LENGTH, "1.25 mm")
+    '1.25 mm'
+    >>> shortest_spelling(parse("100 mV/g", ACCELERATION_SENSITIVITY), ACCELERATION_SENSITIVITY)
     '100 mV/g'
     """
-    units = [kind.si, *(unit for unit, si in USUAL if si == kind.si)]
-    if before is not None:
-        written = before.strip()
+    units = [kind.si, *(unit for unit, si in COMMON_FACTORS if si == kind.si)]
+    if previous is not None:
+        spelling = previous.strip()
         try:
-            if parse(written, kind) == value:
-                return written
+            if parse(spelling, kind) == value:
+                return spelling
         except ValueError:  # the quantity was of another kind before another key changed
             pass
         else:
-            match = _NUMBER.fullmatch(written)
+            match = _NUMBER.fullmatch(spelling)
             units = [match.group(2).strip()] if match else units
     if not math.isfinite(value):
         return text(value, kind).split(" ")[0]
-    texts = [_shortest(value, unit, kind) for unit in units]
-    return min(texts, key=_awkwardness)
+    texts = [_shortest_decimal(value, unit, kind) for unit in units]
+    return min(texts, key=_spelling_rank)
 
 
-def _shortest(value: float, unit: str, kind: Kind) -> str:
+def _shortest_decimal(value: float, unit: str, kind: Kind) -> str:
     """Write a number in a unit with the fewest digits that return the identical double."""
     factor = _factor(unit, kind)
-    share = Fraction(value) / factor
+    ratio = Fraction(value) / factor
     for digits in range(1, 18):
-        number = Context(prec=digits).divide(Decimal(share.numerator), Decimal(share.denominator))
+        number = Context(prec=digits).divide(Decimal(ratio.numerator), Decimal(ratio.denominator))
         if float(Fraction(number) * factor) == value:
             break
     number = number.normalize()
-    shown = f"{number:f}" if -6 < number.adjusted() < 9 else f"{number:e}"
-    return f"{shown} {unit}".rstrip()
+    decimal = f"{number:f}" if -6 < number.adjusted() < 9 else f"{number:e}"
+    return f"{decimal} {unit}".rstrip()
 
 
-# Digits from which a number was probably computed, so that its unit is not the user's.
-_COMPUTED = 13
+# A number with this many digits was probably computed, so that its unit is not the user's.
+_MAX_DIGITS = 13
 
 
-def _awkwardness(written: str) -> tuple[int, bool, int]:
+def _spelling_rank(written: str) -> tuple[int, bool, int]:
     """Return the sort key of spellings: significant digits, whether the number is tiny or huge, and length."""
     number = Decimal(written.split(" ")[0]).normalize()
-    digits = min(len(number.as_tuple().digits), _COMPUTED)
+    digits = min(len(number.as_tuple().digits), _MAX_DIGITS)
     return digits, number != 0 and not -2 <= number.adjusted() < 4, len(written)
 
 
 @lru_cache(maxsize=1024)
-def _parse_text(written: str, kind: Kind) -> float:
-    match = _NUMBER.fullmatch(written.strip())
+def _parse_text(quantity: str, kind: Kind) -> float:
+    match = _NUMBER.fullmatch(quantity.strip())
     if match is None:
-        raise ValueError(f"{written!r} does not begin with a number")
+        raise ValueError(f"{quantity!r} does not begin with a number")
     number, unit = match.groups()
     factor = _factor(unit.strip(), kind)
     number = number.replace("_", "").lower()
@@ -315,11 +319,11 @@ def _parse_text(written: str, kind: Kind) -> float:
     try:
         return float(Fraction(number) * factor)
     except OverflowError:
-        raise ValueError(f"{written!r} is too large") from None
+        raise ValueError(f"{quantity!r} is too large") from None
 
 
-#: Factors of the most frequent units, computed with Pint: importing Pint takes most of the time to load a scene.
-USUAL = {
+#: Factors of the most frequent units, as Pint computes them: importing Pint takes most of the time to load a scene.
+COMMON_FACTORS = {
     ("%", ""): Fraction(1, 100),
     ("g", "kg"): Fraction(1, 1000),
     ("mm", "m"): Fraction(1, 1000),
@@ -346,31 +350,33 @@ def _factor(unit: str, kind: Kind) -> Fraction:
     """Return the exact SI factor of a unit."""
     if unit in ("", kind.si):
         return Fraction(1)
-    return USUAL.get((unit, kind.si)) or by_pint(unit, kind)
+    return COMMON_FACTORS.get((unit, kind.si)) or pint_factor(unit, kind)
 
 
-def by_pint(unit: str, kind: Kind) -> Fraction:
+def pint_factor(unit: str, kind: Kind) -> Fraction:
     """Return the SI factor of a unit from Pint.
 
     Raises `ValueError` if the unit is unknown or of another kind.
     """
-    plain = _spelled_out(unit)
+    notation = _pint_notation(unit)
     # g is the gram or standard gravity, whichever results in the required kind (74 g, 100 mV/g).
-    for reading in (plain, _GRAVITY.sub(r"\1gn", plain)):
-        factor = _conversion(reading, _spelled_out(kind.si))
+    for candidate in (notation, _GRAVITY.sub(r"\1gn", notation)):
+        factor = _conversion(candidate, _pint_notation(kind.si))
         if factor is not None:
             return factor
-    raise ValueError(f"{unit!r} is no unit of {kind.noun.split(' ', 1)[1]}")
+    raise ValueError(f"{unit!r} is not a unit of {kind.noun.split(' ', 1)[1]}")
 
 
-def _spelled_out(unit: str) -> str:
+def _pint_notation(unit: str) -> str:
     """Convert a unit to Pint's notation, and reject text that is not a product of powers."""
-    plain = unit.replace("µ", "u").replace("μ", "u").replace("·", "*").replace("²", "^2").replace("³", "^3")
-    plain = plain.replace("%", " percent ").strip()
-    plain = re.sub(r"sqrt\(\s*([A-Za-z]+)\s*\)", r"\1**0.5", plain)
-    if len(plain) > 60 or (plain and not _UNIT.fullmatch(plain)):
-        raise ValueError(f"{unit!r} is no unit")
-    return plain
+    notation = (
+        unit.replace("µ", "u").replace("μ", "u").replace("·", "*").replace("²", "^2").replace("³", "^3")
+    )
+    notation = notation.replace("%", " percent ").strip()
+    notation = re.sub(r"sqrt\(\s*([A-Za-z]+)\s*\)", r"\1**0.5", notation)
+    if len(notation) > 60 or (notation and not _UNIT.fullmatch(notation)):
+        raise ValueError(f"{unit!r} is not a unit")
+    return notation
 
 
 @cache
@@ -385,7 +391,7 @@ def _registry() -> Any:
 
 
 def _conversion(unit: str, si: str) -> Fraction | None:
-    """Return the conversion factor between units; None if the first is unknown or of another kind."""
+    """Return the conversion factor between units, or None if the first is unknown or of another kind."""
     import pint
 
     registry = _registry()

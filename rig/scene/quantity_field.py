@@ -8,11 +8,11 @@ from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 from rig.escaping import is_single_line
-from rig.scene.quantities import Kind, parse, with_a_point
+from rig.scene.quantities import Kind, parse, suggest_decimal_point
 
 
 class Quantity:
-    """What `Annotated[float, Quantity(...)]` accepts: a number with a unit, within bounds.
+    """Annotation `Annotated[float, Quantity(...)]`: a number with a unit, within bounds.
 
     Parameters
     ----------
@@ -41,16 +41,18 @@ class Quantity:
         nouns, examples = (
             " or ".join(words) for words in zip(*((k.noun, k.example) for k in kinds), strict=True)
         )
-        self.plain = f"{nouns} such as {examples}"
+        self.description = f"{nouns} such as {examples}"
         limits = [
             f"above {above:g}" if above is not None else "",
             f"at least {at_least:g}" if at_least is not None else "",
             f"below {below:g}" if below is not None else "",
             "" if infinite else "finite",
         ]
-        self.bounded = f"{self.plain}, {' and '.join(filter(None, limits))}".rstrip(", ")
+        self.bounded_description = f"{self.description}, {' and '.join(filter(None, limits))}".rstrip(", ")
         units = " or ".join(kind.si for kind in kinds)
-        self.offered = f"{self.bounded}; a bare number is in {units}" if units else self.bounded
+        self.help_text = (
+            f"{self.bounded_description}; a bare number is in {units}" if units else self.bounded_description
+        )
 
     def read(self, value: Any) -> float | tuple[float, ...]:
         """Read and check a value.
@@ -62,25 +64,25 @@ class Quantity:
         """
         if self.listed and isinstance(value, list | tuple):
             if not value:
-                raise refusal(value, f"at least one: {self.plain}")
-            return tuple(self._one(item) for item in value)
-        return self._one(value)
+                raise unexpected_value_error(value, f"at least one: {self.description}")
+            return tuple(self._read_number(item) for item in value)
+        return self._read_number(value)
 
-    def _one(self, value: Any) -> float:
+    def _read_number(self, value: Any) -> float:
         for kind in self.kinds:
             try:
                 number = parse(value, kind)
             except ValueError:
                 continue
-            if not kind.carries(number):
-                raise refusal(value, f"{kind.noun} {kind.range}")
-            if self._allows(number):
+            if not kind.supports(number):
+                raise unexpected_value_error(value, f"{kind.noun} {kind.range}")
+            if self._is_within_bounds(number):
                 # Convert minus zero to zero: the two are equal but have different spellings.
                 return number + 0.0
-            raise refusal(value, self.bounded)
-        raise refusal(value, with_a_point(value, self.kinds) or self.plain)
+            raise unexpected_value_error(value, self.bounded_description)
+        raise unexpected_value_error(value, suggest_decimal_point(value, self.kinds) or self.description)
 
-    def _allows(self, number: float) -> bool:
+    def _is_within_bounds(self, number: float) -> bool:
         return (
             (self.infinite or abs(number) != float("inf"))
             and (self.above is None or number > self.above)
@@ -97,9 +99,11 @@ class Quantity:
         limits = {"exclusiveMinimum": self.above, "minimum": self.at_least, "exclusiveMaximum": self.below}
         number: dict[str, Any] = {"type": "number"}
         number |= {key: limit for key, limit in limits.items() if limit is not None}
-        one = [number, {"type": "string"}]
-        many = [{"type": "array", "items": {"anyOf": one}, "minItems": 1}] if self.listed else []
-        return {"description": self.bounded, "anyOf": [*one, *many]}
+        alternatives = [number, {"type": "string"}]
+        list_schema = (
+            [{"type": "array", "items": {"anyOf": alternatives}, "minItems": 1}] if self.listed else []
+        )
+        return {"description": self.bounded_description, "anyOf": [*alternatives, *list_schema]}
 
 
 def quantity_of(annotation: Any) -> Quantity | None:
@@ -107,13 +111,13 @@ def quantity_of(annotation: Any) -> Quantity | None:
     if isinstance(annotation, Quantity):
         return annotation
     for part in (*getattr(annotation, "__metadata__", ()), *get_args(annotation)):
-        found = quantity_of(part)
-        if found is not None:
-            return found
+        quantity = quantity_of(part)
+        if quantity is not None:
+            return quantity
     return None
 
 
-def got(value: Any) -> str:
+def format_value(value: Any) -> str:
     """Return the start of a message with the value as given in a scene, shortened if long."""
     if value is None:
         return "nothing"
@@ -121,25 +125,25 @@ def got(value: Any) -> str:
         value = "keys " + ", ".join(map(str, value)) if value else "no keys"
     elif isinstance(value, str):
         value = f'"{value}"'
-    return shown(value)
+    return shorten(value)
 
 
-def shown(value: Any) -> str:
+def shorten(value: Any) -> str:
     """Return a value for a message, shortened if long."""
     text = str(value)
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
-def expected(value: Any, what: str) -> str:
+def expectation(value: Any, what: str) -> str:
     """Return the message for an unexpected value.
 
-    >>> expected("0.98 kg", "a length such as 0.98 mm")
+    >>> expectation("0.98 kg", "a length such as 0.98 mm")
     'got "0.98 kg"; expected a length such as 0.98 mm'
     """
-    return f"got {got(value)}; expected {what}"
+    return f"got {format_value(value)}; expected {what}"
 
 
-def mistake(message: str, absent: str = "") -> PydanticCustomError:
+def validation_error(message: str, absent: str = "") -> PydanticCustomError:
     """Return a pydantic error with a message and the key of the absent part that caused it."""
     return PydanticCustomError("mistake", "{message}", {"message": message, "absent": absent})
 
@@ -147,10 +151,10 @@ def mistake(message: str, absent: str = "") -> PydanticCustomError:
 def printable(text: str) -> str:
     """Reject text with control characters or invisible characters."""
     if not is_single_line(text):
-        raise refusal(ascii(text)[1:-1], "a line of printable characters")
+        raise unexpected_value_error(ascii(text)[1:-1], "a line of printable characters")
     return text
 
 
-def refusal(value: Any, what: str) -> PydanticCustomError:
+def unexpected_value_error(value: Any, what: str) -> PydanticCustomError:
     """Return the pydantic error for a value that is not as expected."""
-    return mistake(expected(value, what))
+    return validation_error(expectation(value, what))

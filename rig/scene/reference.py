@@ -78,12 +78,12 @@ class Key:
     without: str
 
     @property
-    def turns_on(self) -> str:
+    def effect(self) -> str:
         """Effect and number of added states; empty for most keys."""
-        if _plain(self.name) not in EFFECTS:
+        if _dotted(self.name) not in EFFECTS:
             return ""
-        effect, states = EFFECTS[_plain(self.name)]
-        count = "many states" if states is None else f"{states or 'no'} state{'s' * (states > 1)}"
+        effect, n_states = EFFECTS[_dotted(self.name)]
+        count = "many states" if n_states is None else f"{n_states or 'no'} state{'s' * (n_states > 1)}"
         return f"{effect}, {count}"
 
 
@@ -97,67 +97,75 @@ def keys() -> tuple[Key, ...]:
     'a length such as 0.98 mm, at least 0; a bare number is in m'
     """
     schema = json.loads(_SCHEMA.read_text(encoding="utf-8"))
-    found: dict[tuple[str, ...], Key] = {}
-    for key in _inside(schema, schema, "", ()):
-        same = (key.name, key.about, key.takes, key.without)
-        kinds = dict.fromkeys((*found[same].kinds, *key.kinds)) if same in found else key.kinds
-        found[same] = replace(key, kinds=tuple(kinds))
-    return tuple(found.values())
+    merged: dict[tuple[str, ...], Key] = {}
+    for key in _keys_below(schema, schema, "", ()):
+        identity = (key.name, key.about, key.takes, key.without)
+        kinds = dict.fromkeys((*merged[identity].kinds, *key.kinds)) if identity in merged else key.kinds
+        merged[identity] = replace(key, kinds=tuple(kinds))
+    return tuple(merged.values())
 
 
-def _inside(schema: Any, node: Any, path: str, kinds: tuple[str, ...]) -> Iterator[Key]:
+def _keys_below(schema: Any, node: Any, path: str, kinds: tuple[str, ...]) -> Iterator[Key]:
     """Yield the keys below a node: keys of an object, of each alternative, or of the items of a list."""
-    node = _resolved(schema, node)
+    node = _resolve(schema, node)
     for choice in node.get("anyOf", ()):
         listed = choice.get("type") == "array"
         # If a single item is allowed as well as a list, both have the same keys.
         if not (listed and len(node["anyOf"]) > 1):
-            yield from _inside(schema, choice, path, kinds)
+            yield from _keys_below(schema, choice, path, kinds)
     if node.get("type") == "array":
-        yield from _inside(schema, node["items"], f"{path}[]", kinds)
-    own = node.get("properties", {})
-    kind = own.get("kind", {}).get("const")
-    groups = [[one["required"][0] for one in group["oneOf"]] for group in node.get("allOf", ())]
-    for name, field in own.items():
+        yield from _keys_below(schema, node["items"], f"{path}[]", kinds)
+    properties = node.get("properties", {})
+    kind = properties.get("kind", {}).get("const")
+    groups = [
+        [alternative["required"][0] for alternative in group["oneOf"]] for group in node.get("allOf", ())
+    ]
+    for name, field in properties.items():
         if name == "kind":
             continue
-        here = kinds if kind is None else (kind,)
-        about, _, takes = field.get("description", "").partition(" Give ")
-        about = about or _resolved(schema, field.get("items", field)).get("description", "")
-        about, _, nothing = re.sub(r"[;,.] None: ", "\0", about.replace("`", "")).partition("\0")
+        key_kinds = kinds if kind is None else (kind,)
+        meaning, _, allowed = field.get("description", "").partition(" Give ")
+        meaning = meaning or _resolve(schema, field.get("items", field)).get("description", "")
+        meaning, _, default_text = re.sub(r"[;,.] None: ", "\0", meaning.replace("`", "")).partition("\0")
         default = field.get("default")
         alternatives = next((" or ".join(group) for group in groups if name in group), None)
         if alternatives is not None:
-            without = f"{alternatives} is needed"
+            default = f"{alternatives} is needed"
         elif name in node.get("required", ()):
-            without = "needed"
+            default = "needed"
         elif isinstance(default, dict):
-            without = "as its keys without a value"
+            default = "as its keys without a value"
         elif default is None or isinstance(default, list):
-            without = nothing.rstrip(".") or "not there"
+            default = default_text.rstrip(".") or "not there"
         else:
-            without = json.dumps(default).strip('"')
-        full = f"{path}.{name}".lstrip(".")
-        yield Key(full, here, about.rstrip(".") + ".", takes.rstrip(".") or _takes(schema, field), without)
-        yield from _inside(schema, field, full, here)
+            default = json.dumps(default).strip('"')
+        full_name = f"{path}.{name}".lstrip(".")
+        yield Key(
+            full_name,
+            key_kinds,
+            meaning.rstrip(".") + ".",
+            allowed.rstrip(".") or _allowed_values(schema, field),
+            default,
+        )
+        yield from _keys_below(schema, field, full_name, key_kinds)
 
 
-def _resolved(schema: Any, node: Any) -> Any:
+def _resolve(schema: Any, node: Any) -> Any:
     reference = node.get("$ref")
     return node if reference is None else {**schema["$defs"][reference.rpartition("/")[2]], **node}
 
 
-def _takes(schema: Any, node: Any) -> str:
+def _allowed_values(schema: Any, node: Any) -> str:
     """Describe the allowed values of a key that is not a quantity."""
-    node = _resolved(schema, node)
-    choices = [_resolved(schema, choice) for choice in node.get("anyOf", ())]
-    named = [
+    node = _resolve(schema, node)
+    choices = [_resolve(schema, choice) for choice in node.get("anyOf", ())]
+    kinds = [
         choice["properties"]["kind"]["const"] for choice in choices if "kind" in choice.get("properties", {})
     ]
-    if named:
-        return f"keys, with kind: {', '.join(named)}"
+    if kinds:
+        return f"keys, with kind: {', '.join(kinds)}"
     if choices:
-        return " or ".join(dict.fromkeys(_takes(schema, choice) for choice in choices))
+        return " or ".join(dict.fromkeys(_allowed_values(schema, choice) for choice in choices))
     if "properties" in node:
         return f"keys {', '.join(node['properties'])}"
     if "const" in node:
@@ -165,14 +173,18 @@ def _takes(schema: Any, node: Any) -> str:
     if "enum" in node:
         return f"one of {', '.join(node['enum'])}"
     if node["type"] == "array":
-        inner = node["items"].get("description") or _takes(schema, node["items"])
-        return f"a list, each {'with ' * inner.startswith('keys')}{inner}"
-    least, most = node.get("minimum"), node.get("maximum")
-    limits = f"{'' if least is None else f', at least {least}'}{'' if most is None else f', at most {most}'}"
-    file = "the name of an .npy file beside the scene" if "npy" in node.get("pattern", "") else "text"
-    return {"integer": "a whole number", "number": "a number", "boolean": "true or false", "string": file}[
-        node["type"]
-    ] + limits
+        item = node["items"].get("description") or _allowed_values(schema, node["items"])
+        return f"a list, each {'with ' * item.startswith('keys')}{item}"
+    minimum, maximum = node.get("minimum"), node.get("maximum")
+    limits = f"{'' if minimum is None else f', at least {minimum}'}{'' if maximum is None else f', at most {maximum}'}"
+    text_type = "the name of an .npy file beside the scene" if "npy" in node.get("pattern", "") else "text"
+    types = {
+        "integer": "a whole number",
+        "number": "a number",
+        "boolean": "true or false",
+        "string": text_type,
+    }
+    return types[node["type"]] + limits
 
 
 def help_on(key: str | None = None) -> str:
@@ -182,38 +194,33 @@ def help_on(key: str | None = None) -> str:
     Raises `SceneError` if the key does not exist.
     """
     if key is None:
-        top = [_line(each, each.name) for each in keys() if "." not in each.name]
-        return "\n".join(
-            [_wrapped(_INTRODUCTION, ""), "", *top, "", "more: rig help KEY, such as test.force"]
-        )
-    wanted = _plain(key)
+        lines = [_key_line(entry, entry.name) for entry in keys() if "." not in entry.name]
+        return "\n".join([_wrap(_INTRODUCTION, ""), "", *lines, "", "more: rig help KEY, such as test.force"])
+    wanted = _dotted(key)
     by_name: dict[str, list[Key]] = {}
-    for each in keys():
-        by_name.setdefault(_plain(each.name), []).append(each)
-    exact = [wanted] if wanted in by_name else [name for name in by_name if name.endswith(f".{wanted}")]
-    if not exact and (of_kind := _help_on_kind(*wanted.rpartition(".")[::2])):
-        return of_kind
-    if not exact:
-        kinds = [f"{_plain(part)}.{kind}" for part, kind in _kinds()]
-        near = get_close_matches(
+    for entry in keys():
+        by_name.setdefault(_dotted(entry.name), []).append(entry)
+    matches = [wanted] if wanted in by_name else [name for name in by_name if name.endswith(f".{wanted}")]
+    if not matches and (kind_help := _help_on_kind(*wanted.rpartition(".")[::2])):
+        return kind_help
+    if not matches:
+        kinds = [f"{_dotted(part)}.{kind}" for part, kind in _kinds()]
+        similar = get_close_matches(
             wanted, [*by_name, *(name.rpartition(".")[2] for name in by_name), *kinds], n=3
         )
-        hint = (
-            f"did you mean {' or '.join(dict.fromkeys(near))}?" if near else "rig help lists those at the top"
-        )
-        raise SceneError(f"no key {key[:60]!r} in scene files; {hint}")
-    return "\n\n".join("\n".join(_lines_about(each, name)) for name in exact for each in by_name[name])
+        names = " or ".join(map(repr, dict.fromkeys(similar)))
+        hint = f"Did you mean {names}?" if similar else "`rig help` lists the keys at the top."
+        raise SceneError(f"no key {key[:60]!r} in scene files. {hint}")
+    return "\n\n".join("\n".join(_describe_key(entry, name)) for name in matches for entry in by_name[name])
 
 
 @cache
 def _kinds() -> dict[tuple[str, str], str]:
     """Return the description of each kind of a part, such as ("test", "sine")."""
     schema = json.loads(_SCHEMA.read_text(encoding="utf-8"))
-    parts = {part: _resolved(schema, field) for part, field in schema["properties"].items()}
+    parts = {part: _resolve(schema, field) for part, field in schema["properties"].items()}
     choices = [
-        (part, _resolved(schema, choice))
-        for part, field in parts.items()
-        for choice in field.get("anyOf", ())
+        (part, _resolve(schema, choice)) for part, field in parts.items() for choice in field.get("anyOf", ())
     ]
     return {
         (part, choice["properties"]["kind"]["const"]): choice["description"]
@@ -224,18 +231,20 @@ def _kinds() -> dict[tuple[str, str], str]:
 
 def _help_on_kind(part: str, kind: str) -> str:
     """Explain a kind of a part (test.stepped_sine, or only stepped_sine) with its keys; empty if unknown."""
-    explained = []
-    for (whole, each), about in _kinds().items():
-        if each == kind and part in ("", whole):
-            inside = [key for key in keys() if re.fullmatch(rf"{whole}\.\w+", key.name) and kind in key.kinds]
-            lines = [f"  {_line(key, key.name.rpartition('.')[2], _needed(key))}" for key in inside]
-            head = [f"{whole}: {{kind: {kind}, ...}}", _wrapped(about, "  "), "  keys:"]
-            more = f"  more: rig help {whole}.KEY, such as {inside[0].name}"
-            explained.append("\n".join([*head, *lines, more]))
-    return "\n\n".join(explained)
+    sections = []
+    for (full_part, entry), meaning in _kinds().items():
+        if entry == kind and part in ("", full_part):
+            inner = [
+                key for key in keys() if re.fullmatch(rf"{full_part}\.\w+", key.name) and kind in key.kinds
+            ]
+            lines = [f"  {_key_line(key, key.name.rpartition('.')[2], _default_note(key))}" for key in inner]
+            header = [f"{full_part}: {{kind: {kind}, ...}}", _wrap(meaning, "  "), "  keys:"]
+            hint = f"  more: rig help {full_part}.KEY, such as {inner[0].name}"
+            sections.append("\n".join([*header, *lines, hint]))
+    return "\n\n".join(sections)
 
 
-def _needed(key: Key) -> str:
+def _default_note(key: Key) -> str:
     """Return whether a key is required, or its default if it has one."""
     if "needed" in key.without:
         return f"   ({key.without})"
@@ -244,55 +253,57 @@ def _needed(key: Key) -> str:
     )
 
 
-def _lines_about(key: Key, plain: str) -> Iterator[str]:
-    yield f"{key.name}{_of(key)}"
-    yield _wrapped(key.about, "  ")
-    yield _wrapped(f"takes: {key.takes}", "  ")
+def _describe_key(key: Key, plain: str) -> Iterator[str]:
+    yield f"{key.name}{_kinds_note(key)}"
+    yield _wrap(key.about, "  ")
+    yield _wrap(f"takes: {key.takes}", "  ")
     yield f"  left out: {key.without}"
-    if key.turns_on:
-        yield f"  turns on: {key.turns_on}"
-    kinds = {kind: about for (part, kind), about in _kinds().items() if part == plain}
-    inside = [each for each in keys() if re.fullmatch(rf"{re.escape(plain)}\.\w+", _plain(each.name))]
+    if key.effect:
+        yield f"  turns on: {key.effect}"
+    kinds = {kind: meaning for (part, kind), meaning in _kinds().items() if part == plain}
+    inner = [entry for entry in keys() if re.fullmatch(rf"{re.escape(plain)}\.\w+", _dotted(entry.name))]
     if kinds:
         yield "  kinds:"
-        yield from (f"  {_line(replace(key, about=about), kind)}" for kind, about in kinds.items())
+        yield from (f"  {_key_line(replace(key, about=meaning), kind)}" for kind, meaning in kinds.items())
         yield f"  more: rig help {plain}.KIND, such as {plain}.{next(iter(kinds))}"
-    elif inside:
+    elif inner:
         yield "  keys:"
-        yield from (f"  {_line(each, each.name.rpartition('.')[2])}" for each in inside)
+        yield from (f"  {_key_line(entry, entry.name.rpartition('.')[2])}" for entry in inner)
 
 
-def _line(key: Key, name: str, after: str | None = None) -> str:
+def _key_line(key: Key, name: str, note: str | None = None) -> str:
     # A full stop may be part of a name, and the text after a colon is the meaning of the key.
-    first = re.split(r"(?<=[\w\])%`])[.;](?:\s|$)", key.about)[0]
-    after = _of(key) if after is None else after
-    return fill(f"{first}{after}", _WIDTH, initial_indent=f"  {name:{18}} ", subsequent_indent=" " * 21)
+    first_sentence = re.split(r"(?<=[\w\])%`])[.;](?:\s|$)", key.about)[0]
+    note = _kinds_note(key) if note is None else note
+    return fill(
+        f"{first_sentence}{note}", _WIDTH, initial_indent=f"  {name:{18}} ", subsequent_indent=" " * 21
+    )
 
 
-def _of(key: Key) -> str:
+def _kinds_note(key: Key) -> str:
     return f"   ({', '.join(key.kinds)})" if key.kinds else ""
 
 
-def _wrapped(text: str, indent: str) -> str:
+def _wrap(text: str, indent: str) -> str:
     return fill(text, _WIDTH, initial_indent=indent, subsequent_indent=indent + "  " * bool(indent))
 
 
-def _plain(name: str) -> str:
+def _dotted(name: str) -> str:
     return re.sub(r"\[\d*\]", "", name).strip()
 
 
-def page() -> str:
+def reference_page() -> str:
     """Return the whole reference as Markdown."""
     lines = ["# Scene files", "", _INTRODUCTION]
     for key in keys():
         if "." not in key.name:
             lines += ["", f"## {key.name}", "", key.about, "", f"Takes {key.takes}. Left out: {key.without}."]
-            inside = [each for each in keys() if _plain(each.name).startswith(f"{_plain(key.name)}.")]
-            if inside:
+            inner = [entry for entry in keys() if _dotted(entry.name).startswith(f"{_dotted(key.name)}.")]
+            if inner:
                 lines += ["", "| key | what it is | takes | left out | turns on |", "|---|---|---|---|---|"]
             lines += [
-                f"| `{each.name.partition('.')[2]}`{_of(each)} | {each.about} | {each.takes} | {each.without} | "
-                f"{each.turns_on} |"
-                for each in inside
+                f"| `{entry.name.partition('.')[2]}`{_kinds_note(entry)} | {entry.about} | {entry.takes} | "
+                f"{entry.without} | {entry.effect} |"
+                for entry in inner
             ]
     return "\n".join(lines) + "\n"

@@ -8,17 +8,11 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, Field
 
 from rig.scene import consistency
-from rig.scene.body_names import numbered
+from rig.scene.body_names import replace_names
 from rig.scene.damper import Damper
 from rig.scene.excitation import Test
 from rig.scene.measurement_chain import Channel, Converter, RecordingSettings
-from rig.scene.quantities import (
-    ACCELERATION,
-    FORCE,
-    LENGTH,
-    VOLTAGE,
-    Kind,
-)
+from rig.scene.quantities import ACCELERATION, FORCE, LENGTH, VOLTAGE, Kind
 from rig.scene.quantity_field import Quantity, printable
 from rig.scene.settings import Mistake, Place, Settings, at
 from rig.scene.shaker import ElectrodynamicShaker, ForceShaker, Shaker, Shakers, TableShaker, at_shaker
@@ -26,7 +20,7 @@ from rig.scene.structure import Structure
 
 STANDARD_GRAVITY = 9.80665
 # A recording has at most 65 535 topics, and a channel uses four.
-MOST_CHANNELS = 16_000
+MAX_CHANNELS = 16_000
 
 
 class Scene(Settings):
@@ -45,7 +39,7 @@ class Scene(Settings):
     test: Annotated[Test | None, consistency.TEST] = None
     """Excitation and its duration; `daq record` runs the test."""
     channels: Annotated[tuple[Annotated[Channel, consistency.CHANNEL], ...] | None, consistency.CHANNELS] = (
-        Field(None, min_length=1, max_length=MOST_CHANNELS)
+        Field(None, min_length=1, max_length=MAX_CHANNELS)
     )
     """Measured signals and their places. None: ideal acceleration of every body and the table."""
     converter: Annotated[Converter, consistency.CONVERTER] = Converter()
@@ -58,7 +52,7 @@ class Scene(Settings):
     @classmethod
     def prepare(cls, given: Mapping[str, Any]) -> tuple[Mapping[str, Any], list[Mistake]]:
         """Replace names of bodies by their numbers."""
-        return numbered(given)
+        return replace_names(given)
 
     @classmethod
     def kind_by_neighbours(cls, given: Mapping[str, Any]) -> Mapping[Place, Kind]:
@@ -112,7 +106,7 @@ class Scene(Settings):
 
     def relations(self) -> Iterable[Mistake]:
         """Check the frequencies of the test against the sample rate."""
-        return consistency.too_high_frequency(self.test, self.converter)
+        return consistency.check_frequency(self.test, self.converter)
 
     def to_yaml(self) -> str:
         """Write a scene file that loads back as an equal scene.

@@ -12,7 +12,7 @@ SCENES = Path(__file__).parent / "data" / "scenes"
 SUFFIXES = (".yaml", ".yml")
 
 
-def bundled() -> tuple[str, ...]:
+def bundled_scenes() -> tuple[str, ...]:
     """List the names of the scenes that come with the package."""
     return tuple(sorted(path.stem for path in SCENES.glob("*.yaml")))
 
@@ -23,35 +23,38 @@ def summary(name: str) -> str:
     return first.lstrip("# ").strip()
 
 
-def find(scene: str | Path) -> Path:
+def find_scene(scene: str | Path) -> Path:
     """Return the path of a scene file, or of a bundled scene by its name.
 
     Raises `SceneError` if the file does not exist.
     """
     path = Path(scene)
-    names = bundled()
+    names = bundled_scenes()
     if isinstance(scene, str) and scene in names:
         return SCENES / f"{scene}.yaml"
     try:
-        there, folder = path.exists(), path.is_dir()
+        exists, is_folder = path.exists(), path.is_dir()
     except (OSError, ValueError):
-        there = folder = False
-    if folder:
+        exists = is_folder = False
+    if is_folder:
         raise SceneError(f"{path} is a folder; expected a scene file or the name of a bundled scene")
-    if there and not path.is_file():
+    if exists and not path.is_file():
         raise SceneError(
             f"{path} is not a regular file; expected a scene file or the name of a bundled scene"
         )
-    if there:
+    if exists:
         return path
     if path.suffix in SUFFIXES or len(path.parts) > 1:
         raise SceneError(
-            f"{path}: there is no such scene file; expected a path, or the name of a bundled scene "
-            "(see: rig scenes)"
+            f"{path}: the file does not exist; expected a scene file, or the name of a bundled scene (see: rig scenes)"
         )
-    near = get_close_matches(str(scene), names, n=3, cutoff=0.5)
-    hint = f"did you mean {' or '.join(near)}?" if near else "see: rig scenes"
-    raise SceneError(f"no scene {str(scene)[:100]!r}, neither a bundled one nor a file; {hint}")
+    similar = get_close_matches(str(scene), names, n=3, cutoff=0.5)
+    hint = (
+        f"Did you mean {' or '.join(map(repr, similar))}?"
+        if similar
+        else "`rig scenes` lists the bundled scenes."
+    )
+    raise SceneError(f"{str(scene)[:100]!r} is neither a bundled scene nor a file. {hint}")
 
 
 def read_text(path: Path) -> str:
@@ -70,9 +73,9 @@ def read_text(path: Path) -> str:
     return text
 
 
-def text_of(scene: str | Path) -> str:
+def scene_text(scene: str | Path) -> str:
     """Return the text of a scene file, including comments.
 
     Raises `SceneError` if the file does not exist or is not text.
     """
-    return read_text(find(scene))
+    return read_text(find_scene(scene))

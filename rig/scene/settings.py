@@ -30,7 +30,13 @@ from pydantic_core import CoreSchema, InitErrorDetails, core_schema
 
 from rig.errors import SceneError
 from rig.scene.quantities import Kind, parse
-from rig.scene.quantity_field import Quantity, expected, mistake, quantity_of, refusal
+from rig.scene.quantity_field import (
+    Quantity,
+    expectation,
+    quantity_of,
+    unexpected_value_error,
+    validation_error,
+)
 
 Place = tuple[int | str, ...]
 
@@ -41,13 +47,13 @@ class Mistake:
 
     place: Place
     message: str
-    #: Key of the absent part that causes the mistake, if any: the mistake is not reported if that key is misspelt.
+    #: Key of the missing part that causes the mistake, if any. The mistake is not reported if that key is misspelt.
     absent: str = ""
 
 
 def mistakes_of(error: ValidationError) -> list[Mistake]:
     """Return the mistakes in a pydantic error, with the messages of this package."""
-    return [Mistake(item["loc"], _in_words(item)) for item in error.errors(include_url=False)]
+    return [Mistake(item["loc"], _message(item)) for item in error.errors(include_url=False)]
 
 
 def describe(mistakes: Iterable[Mistake], where: str, line: Callable[[Place], int] | None = None) -> str:
@@ -57,9 +63,9 @@ def describe(mistakes: Iterable[Mistake], where: str, line: Callable[[Place], in
     'a.yaml:12: dampers[2].clearance: missing'
     """
     lines = []
-    for wrong in mistakes:
-        start = where if line is None else f"{where}:{line(wrong.place)}"
-        lines.append(": ".join(filter(None, [start, dotted(wrong.place), wrong.message])))
+    for mistake in mistakes:
+        location = where if line is None else f"{where}:{line(mistake.place)}"
+        lines.append(": ".join(filter(None, [location, dotted(mistake.place), mistake.message])))
     return "\n".join(lines)
 
 
@@ -74,8 +80,11 @@ def dotted(place: Place) -> str:
 
 def report(title: str, mistakes: Iterable[Mistake]) -> ValidationError:
     """Combine several mistakes into one pydantic error."""
-    lines = [InitErrorDetails(type=mistake(m.message, m.absent), loc=m.place, input=None) for m in mistakes]
-    return ValidationError.from_exception_data(title, lines)
+    details = [
+        InitErrorDetails(type=validation_error(item.message, item.absent), loc=item.place, input=None)
+        for item in mistakes
+    ]
+    return ValidationError.from_exception_data(title, details)
 
 
 if TYPE_CHECKING:
@@ -98,12 +107,7 @@ else:
 class Settings(_Model):
     """Base class of all settings: frozen, without unknown keys, with all mistakes reported together."""
 
-    model_config = ConfigDict(
-        frozen=True,
-        extra="forbid",
-        validate_by_name=True,
-        validate_by_alias=True,
-    )
+    model_config = ConfigDict(frozen=True, extra="forbid", validate_by_name=True, validate_by_alias=True)
 
     # Groups of keys; exactly one key of each group must be given.
     one_of: ClassVar[tuple[tuple[str, ...], ...]] = ()
@@ -173,53 +177,56 @@ class Settings(_Model):
     ) -> dict[str, Any]:
         """Add to pydantic's schema: mutually exclusive keys, the required kind, and bounds."""
         reference = handler(schema)
-        known = handler.resolve_ref_schema(reference)
-        known["description"] = str(cls.__doc__).split("\n\n")[0]
+        properties = handler.resolve_ref_schema(reference)
+        properties["description"] = str(cls.__doc__).split("\n\n")[0]
         if cls.one_of:
-            known["allOf"] = [{"oneOf": [{"required": [key]} for key in group]} for group in cls.one_of]
+            properties["allOf"] = [{"oneOf": [{"required": [key]} for key in group]} for group in cls.one_of]
         if "kind" in cls.model_fields:
-            known["required"] = ["kind", *known.get("required", ())]
+            properties["required"] = ["kind", *properties.get("required", ())]
         for name, field in cls.model_fields.items():
-            about = descriptions(cls).get(name)
-            if about:
+            description = descriptions(cls).get(name)
+            if description:
                 quantity = quantity_at(field)
-                written = known["properties"][field.alias or name]
-                forms = [choice.get("type") for choice in (written, *written.get("anyOf", ()))]
-                each = "a list, each " if "array" in forms and quantity and not quantity.listed else ""
-                offered = "" if quantity is None else f" Give {each}{quantity.offered}."
-                written["description"] = f"{about}{offered}"
+                property_schema = properties["properties"][field.alias or name]
+                types = [
+                    choice.get("type") for choice in (property_schema, *property_schema.get("anyOf", ()))
+                ]
+                list_prefix = "a list, each " if "array" in types and quantity and not quantity.listed else ""
+                quantity_help = "" if quantity is None else f" Give {list_prefix}{quantity.help_text}."
+                property_schema["description"] = f"{description}{quantity_help}"
         return reference
 
     @model_validator(mode="wrap")
     @classmethod
     def _report_together(cls, data: Any, handler: Callable[[Any], Self]) -> Self:
         if not isinstance(data, Mapping):
-            return cls._checked(data, handler, [])
+            return cls._validate_all(data, handler, [])
         prepared, mistakes = cls.prepare(data)
         try:
-            settings = cls._checked(prepared, handler, mistakes)
+            settings = cls._validate_all(prepared, handler, mistakes)
         except ValidationError as error:
-            wrong = mistakes_of(error)
+            mistakes = mistakes_of(error)
             raise report(
-                cls.__name__, [Mistake(cls.place_as_given(m.place, data), m.message) for m in wrong]
+                cls.__name__,
+                [Mistake(cls.place_as_given(item.place, data), item.message) for item in mistakes],
             ) from None
         texts = {name: prepared.get(key, prepared.get(name)) for name, key in _quantities(cls).items()}
-        settings.__dict__["written"] = {name: text for name, text in texts.items() if _is_written(text)}
+        settings.__dict__["written"] = {name: text for name, text in texts.items() if _is_text(text)}
         return settings
 
     @classmethod
-    def _checked(cls, data: Any, handler: Callable[[Any], Self], mistakes: list[Mistake]) -> Self:
-        known = {wrong.place for wrong in mistakes}
+    def _validate_all(cls, data: Any, handler: Callable[[Any], Self], mistakes: list[Mistake]) -> Self:
+        known_places = {item.place for item in mistakes}
         settings = None
         try:
             settings = handler(data)
         except ValidationError as error:
-            items = [item for item in error.errors(include_url=False) if not _echo(item)]
-            found = [cls._explain(item) for item in items if not cls._misspelt(item, items)]
-            mistakes = mistakes + [wrong for wrong in found if wrong.place not in known]
+            items = [item for item in error.errors(include_url=False) if not _is_consequence(item)]
+            new_mistakes = [cls._explain(item) for item in items if not cls._is_misspelt(item, items)]
+            mistakes = mistakes + [item for item in new_mistakes if item.place not in known_places]
         if isinstance(data, Mapping):
-            mistakes = mistakes + list(cls._presence(data))
-            mistakes = mistakes + list(cls._wrong_kinds(data, {wrong.place for wrong in mistakes}))
+            mistakes = mistakes + list(cls._check_groups(data))
+            mistakes = mistakes + list(cls._wrong_kinds(data, {item.place for item in mistakes}))
         if settings is not None and not mistakes:
             mistakes = list(settings.relations())
         if mistakes or settings is None:
@@ -232,72 +239,72 @@ class Settings(_Model):
         return [field.alias or name for name, field in cls.model_fields.items()]
 
     @classmethod
-    def _misspelt(cls, item: Any, items: Iterable[Any]) -> bool:
-        """Whether a key or part is missing only because it is misspelt, which is reported separately."""
-        unknowns = [str(other["loc"][0]) for other in items if other["type"] == "extra_forbidden"]
-        meant = {nearest(key, cls.keys()) for key in unknowns if key}
+    def _is_misspelt(cls, item: Any, items: Iterable[Any]) -> bool:
+        """Return whether a key or part is missing only because it is misspelt, which is reported separately."""
+        unknown_keys = [str(other["loc"][0]) for other in items if other["type"] == "extra_forbidden"]
+        intended = {nearest_key(key, cls.keys()) for key in unknown_keys if key}
         if item["type"] == "missing" and len(item["loc"]) == 1:
-            return item["loc"][0] in meant
-        return item.get("ctx", {}).get("absent", "") in meant
+            return item["loc"][0] in intended
+        return item.get("ctx", {}).get("absent", "") in intended
 
     @classmethod
     def _explain(cls, item: Any) -> Mistake:
         """Convert a pydantic error to a mistake with this package's message."""
-        place, found = item["loc"], item["input"]
+        place, value = item["loc"], item["input"]
         if item["type"] == "extra_forbidden" and len(place) == 1:
-            return Mistake(place, unknown(str(place[0]), cls.keys()))
+            return Mistake(place, unknown_key_message(str(place[0]), cls.keys()))
         if item["type"] == "missing" and len(place) == 1:
-            return Mistake(place, f"missing; expected {cls._what(str(place[0]))}")
+            return Mistake(place, f"missing; expected {cls._expected_value(str(place[0]))}")
         if item["type"] == "model_type" and not place:
-            return Mistake(place, expected(found, f"keys such as {', '.join(cls.keys()[:4])}"))
+            return Mistake(place, expectation(value, f"keys such as {', '.join(cls.keys()[:4])}"))
         if item["type"] == "string_pattern_mismatch" and len(place) == 1:
-            return Mistake(place, expected(found, cls._what(str(place[0]))))
-        return Mistake(place, _in_words(item))
+            return Mistake(place, expectation(value, cls._expected_value(str(place[0]))))
+        return Mistake(place, _message(item))
 
     @classmethod
-    def _what(cls, key: str) -> str:
+    def _expected_value(cls, key: str) -> str:
         name, field = next((n, f) for n, f in cls.model_fields.items() if key in (n, f.alias))
         quantity = quantity_at(field)
         if quantity is not None:
-            return quantity.plain
-        about = " ".join(descriptions(cls).get(name, "a value").split()).rstrip(".")
-        return about[0].lower() + about[1:]
+            return quantity.description
+        description = " ".join(descriptions(cls).get(name, "a value").split()).rstrip(".")
+        return description[0].lower() + description[1:]
 
     @classmethod
-    def _presence(cls, data: Mapping[str, Any]) -> Iterable[Mistake]:
+    def _check_groups(cls, data: Mapping[str, Any]) -> Iterable[Mistake]:
         for group in cls.one_of:
-            there = [key for key in group if data.get(key) is not None]
-            misspelt = {nearest(str(key), cls.keys()) for key in data if key not in cls.keys()}  # noqa: SIM118
-            if len(there) != 1 and not (not there and misspelt.intersection(group)):
-                names = " or ".join(group)
-                problem = f"{' and '.join(there)} given together" if there else f"{names} missing"
-                yield Mistake((), f"{problem}; expected exactly one of {names}")
+            given = [key for key in group if data.get(key) is not None]
+            misspelt = {nearest_key(str(key), cls.keys()) for key in data if key not in cls.keys()}  # noqa: SIM118
+            if len(given) != 1 and not (not given and misspelt.intersection(group)):
+                alternatives = " or ".join(group)
+                problem = f"{' and '.join(given)} given together" if given else f"{alternatives} missing"
+                yield Mistake((), f"{problem}; expected exactly one of {alternatives}")
 
     @classmethod
-    def _wrong_kinds(cls, data: Mapping[str, Any], known: set[Place]) -> Iterable[Mistake]:
+    def _wrong_kinds(cls, data: Mapping[str, Any], known_places: set[Place]) -> Iterable[Mistake]:
         for place, kind in cls.kind_by_neighbours(data).items():
             given = at(data, place)
             for value in given if isinstance(given, list | tuple) else [given]:
-                if not isinstance(value, str) or place in known:
+                if not isinstance(value, str) or place in known_places:
                     continue
                 try:
                     parse(value, kind)
                 except ValueError:
-                    yield Mistake(place, expected(value, f"{kind.noun} such as {kind.example}"))
+                    yield Mistake(place, expectation(value, f"{kind.noun} such as {kind.example}"))
 
 
 @cache
 def descriptions(cls: type[Settings]) -> dict[str, str]:
     """Return the field docstrings by field name, parsed on demand because pydantic's own parsing is slow."""
-    found: dict[str, str] = {}
-    for each in reversed(cls.__mro__[: cls.__mro__.index(BaseModel)]):
-        tree = ast.parse(dedent(inspect.getsource(each))).body[0]
+    texts: dict[str, str] = {}
+    for base in reversed(cls.__mro__[: cls.__mro__.index(BaseModel)]):
+        tree = ast.parse(dedent(inspect.getsource(base))).body[0]
         assert isinstance(tree, ast.ClassDef)
-        for named, said in pairwise(tree.body):
-            match named, said:
+        for statement, following in pairwise(tree.body):
+            match statement, following:
                 case ast.AnnAssign(target=ast.Name(name)), ast.Expr(ast.Constant(str(text))):
-                    found[name] = inspect.cleandoc(text)
-    return found
+                    texts[name] = inspect.cleandoc(text)
+    return texts
 
 
 def at(data: Any, place: Place) -> Any:
@@ -307,19 +314,19 @@ def at(data: Any, place: Place) -> Any:
     return data
 
 
-def unknown(key: str, keys: Iterable[str]) -> str:
+def unknown_key_message(key: str, keys: Iterable[str]) -> str:
     """Return the message for an unknown key, with the nearest valid key.
 
-    >>> unknown("clearence", ["mass", "clearance"])
-    'unknown key "clearence"; did you mean "clearance"?'
+    >>> unknown_key_message("clearence", ["mass", "clearance"])
+    "unknown key 'clearence'. Did you mean 'clearance'?"
     """
     keys = list(keys)
-    near = nearest(key, keys)
-    hint = f'did you mean "{near}"?' if near else f"expected one of {', '.join(keys)}"
-    return f'unknown key "{key[:60]}"; {hint}'
+    similar = nearest_key(key, keys)
+    hint = f". Did you mean {similar!r}?" if similar else f"; expected one of {', '.join(keys)}"
+    return f"unknown key {key[:60]!r}{hint}"
 
 
-def nearest(key: str, keys: Iterable[str]) -> str | None:
+def nearest_key(key: str, keys: Iterable[str]) -> str | None:
     """Return the valid key nearest to a misspelt key."""
     return next(iter(get_close_matches(key, list(keys), n=1, cutoff=0.6)), None)
 
@@ -336,20 +343,20 @@ def _quantities(cls: type[Settings]) -> dict[str, str]:
     return {name: field.alias or name for name, field in fields if quantity_at(field) is not None}
 
 
-def _is_written(value: Any) -> bool:
-    listed = value if isinstance(value, list | tuple) else (value,)
-    return any(isinstance(item, str) for item in listed)
+def _is_text(value: Any) -> bool:
+    items = value if isinstance(value, list | tuple) else (value,)
+    return any(isinstance(item, str) for item in items)
 
 
-def _echo(item: Any) -> bool:
-    """Whether an error is only a consequence: a list is too short because its items are invalid."""
+def _is_consequence(item: Any) -> bool:
+    """Return whether an error is only a consequence: a list is too short because its items are invalid."""
     return item["type"] == "too_short" and len(item["input"]) >= item["ctx"]["min_length"]
 
 
-def _in_words(item: Any) -> str:
+def _message(item: Any) -> str:
     """Return the message of a pydantic error: the given value and the expected value."""
     context = item.get("ctx", {})
-    what = {
+    expected_value = {
         "greater_than_equal": f"a whole number, at least {context.get('ge')}",
         "less_than_equal": f"a whole number, at most {context.get('le')}",
         "too_short": f"a list of at least {context.get('min_length')}",
@@ -366,14 +373,14 @@ def _in_words(item: Any) -> str:
         "literal_error": f"one of {str(context.get('expected')).replace(chr(39), '')}",
         "tuple_type": "a list",
     }.get(item["type"])
-    return expected(item["input"], what) if what else str(item["msg"])
+    return expectation(item["input"], expected_value) if expected_value else str(item["msg"])
 
 
 Classes = tuple[type[Settings], ...]
 
 
 class Alternatives:
-    """What `Annotated[A | B, Alternatives(by_kind)]` accepts: the class of settings that matches the given keys.
+    """Annotation `Annotated[A | B, Alternatives(by_kind)]`: settings of the class that matches the given keys.
 
     Unlike with a plain union, mistakes are reported only for the matching class.
     """
@@ -388,60 +395,60 @@ class Alternatives:
             if isinstance(value, classes):
                 return type(value).model_validate(value)
             if not isinstance(value, Mapping):
-                raise refusal(value, "keys and values")
+                raise unexpected_value_error(value, "keys and values")
             chosen = self.choose(value, classes)
             try:
                 return chosen.model_validate(value)
             except ValidationError as error:
-                mistakes = [_of_another_kind(wrong, chosen, classes) for wrong in mistakes_of(error)]
+                mistakes = [_name_other_kinds(wrong, chosen, classes) for wrong in mistakes_of(error)]
                 raise report(chosen.__name__, mistakes) from None
 
         return core_schema.no_info_wrap_validator_function(read, handler(source))
 
 
-def _of_another_kind(wrong: Mistake, chosen: type[Settings], classes: Classes) -> Mistake:
+def _name_other_kinds(mistake: Mistake, chosen: type[Settings], classes: Classes) -> Mistake:
     """Add to the mistake of an unknown key the other kinds that have this key."""
-    key, own = str(wrong.place[0]) if len(wrong.place) == 1 else "", list(chosen.keys())
+    key, own_keys = str(mistake.place[0]) if len(mistake.place) == 1 else "", list(chosen.keys())
     kinds = [
         str(kind.default)
-        for each in classes
-        if key in each.keys() and (kind := each.model_fields.get("kind"))  # noqa: SIM118
+        for other in classes
+        if key in other.keys() and (kind := other.model_fields.get("kind"))  # noqa: SIM118
     ]
-    if key in own or not kinds:
-        return wrong
+    if key in own_keys or not kinds:
+        return mistake
     return Mistake(
-        wrong.place,
-        f'unknown key "{key}" for kind {chosen.model_fields["kind"].default}, which has {", ".join(own)}; it is for '
-        f"{', '.join(kinds)}",
+        mistake.place,
+        f"unknown key {key!r} for kind {chosen.model_fields['kind'].default}, which has {', '.join(own_keys)}; the key "
+        f"belongs to {', '.join(kinds)}",
     )
 
 
 class OneOrSeveral:
-    """What `Annotated[A | tuple[A, ...], OneOrSeveral(A)]` accepts: settings, or a list of settings.
+    """Annotation `Annotated[A | tuple[A, ...], OneOrSeveral(A)]`: settings, or a list of settings.
 
     Unlike with a plain union, mistakes are reported only for the form that was given.
     """
 
-    def __init__(self, one: Any) -> None:
-        self.one: TypeAdapter[Any] = TypeAdapter(one)
+    def __init__(self, item_type: Any) -> None:
+        self.adapter: TypeAdapter[Any] = TypeAdapter(item_type)
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         return core_schema.no_info_wrap_validator_function(self._read, handler(source))
 
     def _read(self, value: Any, _: Any) -> Any:
         if not isinstance(value, list | tuple):
-            return self.one.validate_python(value)
+            return self.adapter.validate_python(value)
         if not value:
-            raise refusal(value, "keys and values, or a list of at least one such")
-        found, mistakes = [], []
+            raise unexpected_value_error(value, "keys and values, or a list with at least one item")
+        settings, mistakes = [], []
         for k, item in enumerate(value):
             try:
-                found.append(self.one.validate_python(item))
+                settings.append(self.adapter.validate_python(item))
             except ValidationError as error:
-                mistakes += [Mistake((k, *wrong.place), wrong.message) for wrong in mistakes_of(error)]
+                mistakes += [Mistake((k, *item.place), item.message) for item in mistakes_of(error)]
         if mistakes:
             raise report("list", mistakes)
-        return tuple(found)
+        return tuple(settings)
 
 
 def by_kind(given: Mapping[str, Any], classes: Classes) -> type[Settings]:
@@ -451,19 +458,19 @@ def by_kind(given: Mapping[str, Any], classes: Classes) -> type[Settings]:
     if isinstance(kind, str) and kind in kinds:
         return kinds[kind]
     names = f"one of {', '.join(kinds)}"
-    near = get_close_matches(str(kind), kinds, n=1)
-    hint = f' (nearest: "{near[0]}")' if near else ""
-    message = f"missing; expected {names}" if kind is None else expected(kind, names) + hint
+    similar = get_close_matches(str(kind), kinds, n=1)
+    hint = f". Did you mean {similar[0]!r}?" if similar else ""
+    message = f"missing; expected {names}" if kind is None else expectation(kind, names) + hint
     raise report("kind", [Mistake(("kind",), message)])
 
 
 def by_key(given: Mapping[str, Any], classes: Classes) -> type[Settings]:
     """Choose the class by its first key, which no other class has."""
-    firsts = {cls.keys()[0]: cls for cls in classes}
-    there = [key for key in firsts if key in given]
-    if len(there) == 1:
-        return firsts[there[0]]
-    names = f"exactly one of the keys {', '.join(firsts)}"
-    near = get_close_matches(" ".join(map(str, given)), firsts, n=1)
-    hint = f' (nearest: "{near[0]}")' if near else ""
-    raise mistake(expected(dict(given), names) + hint)
+    first_keys = {cls.keys()[0]: cls for cls in classes}
+    given_keys = [key for key in first_keys if key in given]
+    if len(given_keys) == 1:
+        return first_keys[given_keys[0]]
+    names = f"exactly one of the keys {', '.join(first_keys)}"
+    similar = get_close_matches(" ".join(map(str, given)), first_keys, n=1)
+    hint = f". Did you mean {similar[0]!r}?" if similar else ""
+    raise validation_error(expectation(dict(given), names) + hint)

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, GetCoreSchemaHandler, GetJsonSchemaHandler, WithJsonSchema, model_validator
 from pydantic_core import CoreSchema, core_schema
 
-from rig.scene.data_sheets import Preset, data_sheet, unknown_preset
+from rig.scene.data_sheets import Preset, check_preset, data_sheet
 from rig.scene.quantities import (
     CURRENT,
     DASHPOT,
@@ -23,7 +23,7 @@ from rig.scene.quantities import (
     VOLTAGE,
     Kind,
 )
-from rig.scene.quantity_field import Quantity, refusal
+from rig.scene.quantity_field import Quantity, unexpected_value_error
 from rig.scene.settings import Alternatives, Mistake, OneOrSeveral, Place, Settings, by_kind
 
 # The scene replaces names by numbers.
@@ -57,7 +57,7 @@ class Output(Settings):
 
     def relations(self) -> Iterable[Mistake]:
         """Check that the part is known, and that a resolution has a range."""
-        yield from unknown_preset(self.preset, "output")
+        yield from check_preset(self.preset, "output")
         if self.bits is not None and self.range is None and self.preset is None:
             yield Mistake(("bits",), "given without range, the largest voltage such as 10 V")
 
@@ -71,22 +71,22 @@ class _BodyOrBodies:
     def __get_pydantic_json_schema__(
         self, schema: CoreSchema, handler: GetJsonSchemaHandler
     ) -> dict[str, Any]:
-        several = {"type": "array", "items": _BODY_SCHEMA, "minItems": 1, "uniqueItems": True}
-        return {"anyOf": [*_BODY_SCHEMA["anyOf"], several]}
+        list_schema = {"type": "array", "items": _BODY_SCHEMA, "minItems": 1, "uniqueItems": True}
+        return {"anyOf": [*_BODY_SCHEMA["anyOf"], list_schema]}
 
     def _read(self, value: Any) -> int | tuple[int, ...]:
-        listed = isinstance(value, list | tuple)
+        is_list = isinstance(value, list | tuple)
         try:
             bodies = tuple(
-                int(item) if isinstance(item, str) else item for item in (value if listed else [value])
+                int(item) if isinstance(item, str) else item for item in (value if is_list else [value])
             )
         except ValueError:
             bodies = ()
         if not bodies or any(type(body) is not int or body < 1 for body in bodies):
-            raise refusal(value, "the number of a body, from 1, or a list of such")
+            raise unexpected_value_error(value, "the number of a body, from 1, or a list of numbers")
         if len(set(bodies)) != len(bodies):
-            raise refusal(value, "a list that names each body once")
-        return bodies if listed else bodies[0]
+            raise unexpected_value_error(value, "a list that names each body once")
+        return bodies if is_list else bodies[0]
 
 
 class ForceShaker(Settings):
@@ -186,21 +186,21 @@ class ElectrodynamicShaker(Settings):
 
     @model_validator(mode="before")
     @classmethod
-    def _filled_in(cls, given: Any) -> Any:
+    def _complete_from_preset(cls, given: Any) -> Any:
         """Complete the given values with those of the data sheet."""
         preset = given.get("preset") if isinstance(given, Mapping) else None
-        if not isinstance(preset, str) or any(unknown_preset(preset, "shaker")):
+        if not isinstance(preset, str) or any(check_preset(preset, "shaker")):
             return given
         parts = {
-            part: {**figures, **given.get(part, {})}
-            for part, figures in data_sheet(preset, "shaker").settings["shaker"].items()
+            part: {**values, **given.get(part, {})}
+            for part, values in data_sheet(preset, "shaker").settings["shaker"].items()
             if isinstance(given.get(part, {}), Mapping)
         }
         return {**given, **parts}
 
     def relations(self) -> Iterable[Mistake]:
         """Check that the part is known."""
-        return unknown_preset(self.preset, "shaker")
+        return check_preset(self.preset, "shaker")
 
     @property
     def bodies(self) -> tuple[int, ...]:

@@ -8,16 +8,9 @@ from typing import Annotated, Any, ClassVar
 
 from pydantic import Field
 
-from rig.scene.body_names import mistakes_in
-from rig.scene.matrices import MOST_BODIES, Matrices
-from rig.scene.quantities import (
-    DASHPOT,
-    MASS,
-    RATE,
-    RATIO,
-    STIFFNESS,
-    TIME,
-)
+from rig.scene.body_names import check_names
+from rig.scene.matrices import MAX_BODIES, Matrices
+from rig.scene.quantities import DASHPOT, MASS, RATE, RATIO, STIFFNESS, TIME
 from rig.scene.quantity_field import Quantity
 from rig.scene.settings import Alternatives, Mistake, Place, Settings, by_key
 
@@ -37,7 +30,7 @@ class ModalDamping(Settings):
                 yield Mistake(
                     place,
                     f"got {ratio:g}, which is {100 * ratio:g} % of critical; expected at most 100 %, such as {ratio:g} "
-                    "% (heavier damping: dashpots, or a damping matrix)",
+                    "%. For more damping, use dashpots or a damping matrix.",
                 )
 
 
@@ -79,7 +72,7 @@ class Structure(Settings):
 
     one_of: ClassVar = (("masses", "matrices"),)
     masses: tuple[Annotated[float, Quantity(MASS, above=0.0)], ...] | None = Field(
-        None, min_length=1, max_length=MOST_BODIES, json_schema_extra=_or_by_name
+        None, min_length=1, max_length=MAX_BODIES, json_schema_extra=_or_by_name
     )
     """Masses of the bodies [kg], body 1 first; or by names of the bodies, such as {base: 4.2 kg, arm: 1.1 kg}."""
     springs: tuple[Annotated[float, Quantity(STIFFNESS, at_least=0.0)], ...] | None = Field(
@@ -90,7 +83,7 @@ class Structure(Settings):
     """Damping of the structure, in one of three forms. None: undamped."""
     matrices: Matrices | None = None
     """Matrices instead of masses and springs."""
-    names: tuple[str, ...] | None = Field(None, min_length=1, max_length=MOST_BODIES)
+    names: tuple[str, ...] | None = Field(None, min_length=1, max_length=MAX_BODIES)
     """Names of the bodies of `matrices`, body 1 first, which can replace body numbers. None: numbers only."""
 
     @classmethod
@@ -99,10 +92,10 @@ class Structure(Settings):
         masses = given.get("masses")
         if not isinstance(masses, Mapping):
             return given, []
-        twice = given.get("names") is not None
+        has_names = given.get("names") is not None
         mistakes = [
             Mistake(("names",), "given next to masses that have names; expected one of the two")
-        ] * twice
+        ] * has_names
         return {**given, "masses": list(masses.values()), "names": list(map(str, masses))}, mistakes
 
     @classmethod
@@ -138,7 +131,7 @@ class Structure(Settings):
     def relabel(self, text: str) -> str:
         """Replace body numbers in a message by the names of the bodies."""
         return (
-            text if self.names is None else re.sub(r"\bbody \d+\b", lambda found: self.label(found[0]), text)
+            text if self.names is None else re.sub(r"\bbody \d+\b", lambda match: self.label(match[0]), text)
         )
 
     @property
@@ -156,8 +149,8 @@ class Structure(Settings):
     def relations(self) -> Iterable[Mistake]:
         """Check that the parts have consistent sizes."""
         count = self.bodies
-        for k, wrong in mistakes_in(self.names, count) if self.names is not None else ():
-            yield Mistake(("names",) if k is None else ("names", k), wrong)
+        for k, message in check_names(self.names, count) if self.names is not None else ():
+            yield Mistake(("names",) if k is None else ("names", k), message)
         if self.masses is not None and self.springs is None:
             yield Mistake((), f"springs missing; expected {count}, one for each mass")
         if self.masses is not None and self.springs is not None and len(self.springs) != count:
@@ -166,19 +159,19 @@ class Structure(Settings):
             )
         if self.matrices is not None:
             if self.springs is not None:
-                yield Mistake(("springs",), "given beside matrices, which hold the stiffness")
+                yield Mistake(("springs",), "given together with matrices, which contain the stiffness")
             if self.damping is not None and self.matrices.damping is not None:
-                yield Mistake(("damping",), "given beside the damping matrix; expected one of them")
+                yield Mistake(("damping",), "given together with the damping matrix; expected one of the two")
             if isinstance(self.damping, Dashpots):
                 yield Mistake(
-                    ("damping",), "dashpots lie along a chain; with matrices give matrices: {damping: ...}"
+                    ("damping",), "dashpots belong to a chain. With matrices, give matrices: {damping: ...}."
                 )
-        listed = {
+        lists = {
             "modal": self.damping.modal if isinstance(self.damping, ModalDamping) else 0.0,
             "dashpots": self.damping.dashpots if isinstance(self.damping, Dashpots) else 0.0,
         }
-        for key, values in listed.items():
+        for key, values in lists.items():
             if isinstance(values, tuple) and len(values) != count:
                 yield Mistake(
-                    ("damping", key), f"got {len(values)} values; expected {count}, as there are bodies"
+                    ("damping", key), f"got {len(values)} values; expected {count}, one for each body"
                 )

@@ -16,13 +16,16 @@ import yaml
 
 from rig.scene.settings import Mistake, Place
 
-# Text after a decimal comma; in a list, where a comma may also separate two numbers, only if it has a unit.
-_DECIMALS = re.compile(r"\d+(\s*[^\d\s.,].*)?")
-_WITH_UNIT = re.compile(r"\d+\s*[^\d\s.,eE].*")
-MOST_CHARACTERS = 64_000_000
-DEEPEST = 20
-_TOO_DEEP = f"nested deeper than {DEEPEST} levels; expected a scene"
-MOST_REPEATED = 20_000  # nodes that aliases may add; a few nested aliases could otherwise expand to billions
+# Text after a decimal comma. In a list, where a comma may also separate two numbers, it must have a unit.
+_FRACTION = re.compile(r"\d+(\s*[^\d\s.,].*)?")
+_FRACTION_WITH_UNIT = re.compile(r"\d+\s*[^\d\s.,eE].*")
+# Largest number of characters of a scene file.
+MAX_CHARACTERS = 64_000_000
+# Largest nesting depth.
+MAX_DEPTH = 20
+_TOO_DEEP = f"nested deeper than {MAX_DEPTH} levels; expected a scene"
+# Largest number of nodes that aliases may add; a few nested aliases could otherwise expand to billions.
+MAX_ALIAS_NODES = 20_000
 _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _NULLS = ("", "~", "null", "Null", "NULL")
 
@@ -50,39 +53,39 @@ class _Unreadable(Exception):
         self.line = line
 
 
-def read(text: str) -> Document:
+def read_yaml(text: str) -> Document:
     """Read a YAML text.
 
     Returns content of the text; duplicate keys and invalid YAML are listed in its `mistakes`.
     """
     document = Document()
     try:
-        if len(text) > MOST_CHARACTERS:
-            raise _Unreadable(1, f"{len(text)} characters; expected a scene, at most {MOST_CHARACTERS}")
+        if len(text) > MAX_CHARACTERS:
+            raise _Unreadable(1, f"{len(text)} characters; expected a scene, at most {MAX_CHARACTERS}")
         _Reader(text, document).run()
     except UnicodeEncodeError as error:
         line = text.count("\n", 0, error.start) + 1
         document.mistakes.append(
-            (line, Mistake((), "no valid YAML: half a character, or bytes that are no UTF-8"))
+            (line, Mistake((), "invalid YAML: an incomplete character, or bytes that are not UTF-8"))
         )
     except _Unreadable as error:
         document.mistakes.append((error.line, Mistake((), str(error))))
     except yaml.MarkedYAMLError as error:
-        line, message = _in_words(error, text.splitlines())
+        line, message = _parser_message(error, text.splitlines())
         document.mistakes.append((line, Mistake((), message)))
     except yaml.YAMLError as error:
-        document.mistakes.append((1, Mistake((), f"no valid YAML: {str(error).splitlines()[0]}")))
+        document.mistakes.append((1, Mistake((), f"invalid YAML: {str(error).splitlines()[0]}")))
     return document
 
 
-def _in_words(error: yaml.MarkedYAMLError, lines: Sequence[str]) -> tuple[int, str]:
+def _parser_message(error: yaml.MarkedYAMLError, lines: Sequence[str]) -> tuple[int, str]:
     """Convert a YAML parser error to a line number and a message with the cause and the remedy."""
     mark = error.problem_mark or error.context_mark
     line = 1 if mark is None else mark.line + 1
-    begun = line if error.context_mark is None else error.context_mark.line + 1
-    here = lines[line - 1] if line <= len(lines) else ""
+    start_line = line if error.context_mark is None else error.context_mark.line + 1
+    line_text = lines[line - 1] if line <= len(lines) else ""
     problem, context = str(error.problem), str(error.context or "")
-    if "\t" in here[: len(here) - len(here.lstrip())]:
+    if "\t" in line_text[: len(line_text) - len(line_text.lstrip())]:
         return line, "a tab in the indentation; expected spaces"
     if "mapping values are not allowed" in problem:
         return (
@@ -90,22 +93,22 @@ def _in_words(error: yaml.MarkedYAMLError, lines: Sequence[str]) -> tuple[int, s
             'a second ": " in one value; expected "..." around text with a colon, or another indentation',
         )
     if "expected ':'" in problem:
-        return begun, 'a line without ": " behind its key; expected key: value'
+        return start_line, 'a line without ": " after its key; expected key: value'
     if "expected ',' or" in problem:
         return (
-            begun,
-            f"no {problem[-2]} to end what begins on this line; expected items with commas between, then {problem[-2]}",
+            start_line,
+            f"the list or mapping has no closing {problem[-2]}; expected items with commas between, then {problem[-2]}",
         )
     if "expected key" in problem or "expected <block end>" in problem or "'-' indicator" in problem:
         return (
             line,
-            "the indentation fits none of the lines above; expected keys of one part below one another",
+            "the indentation matches none of the lines above; expected the keys of a part in one column",
         )
     if "nesting depth" in problem:
         return line, _TOO_DEEP  # the parser's own limit, reached before an event of that depth
     if "unexpected end of stream" in problem:
-        return begun, "a quotation mark that is never closed; expected another one at the end of the text"
-    return line, f"no valid YAML: {problem}{f' ({context})' if context else ''}"
+        return start_line, "a quotation mark is not closed; expected another one at the end of the text"
+    return line, f"invalid YAML: {problem}{f' ({context})' if context else ''}"
 
 
 class _Reader:
@@ -131,7 +134,7 @@ class _Reader:
         line = _line(event)
         if line != self.document.line(place):  # saves a million entries for a matrix of a thousand rows
             self.document.lines[place] = line
-        if len(place) > DEEPEST:
+        if len(place) > MAX_DEPTH:
             raise _Unreadable(line, _TOO_DEEP)
         if isinstance(event, yaml.AliasEvent):
             return self._alias(event, line)
@@ -150,25 +153,25 @@ class _Reader:
     def _alias(self, event: Any, line: int) -> Any:
         if event.anchor not in self.anchors:
             raise _Unreadable(
-                line, f"alias *{event.anchor} to nothing above; expected &{event.anchor} before it"
+                line, f"alias *{event.anchor} is not defined above; expected &{event.anchor} before it"
             )
         value = self.anchors[event.anchor]
-        self.repeated += _size(value, MOST_REPEATED)
-        if self.repeated > MOST_REPEATED:
-            raise _Unreadable(line, f"aliases stand for more than {MOST_REPEATED} values; expected a scene")
+        self.repeated += _count_nodes(value, MAX_ALIAS_NODES)
+        if self.repeated > MAX_ALIAS_NODES:
+            raise _Unreadable(line, f"aliases add more than {MAX_ALIAS_NODES} values; expected a scene")
         return value
 
     def _sequence(self, place: Place) -> list[Any]:
         values: list[Any] = []
-        before: Any = None
+        previous: Any = None
         for event in self.events:
             if isinstance(event, yaml.SequenceEndEvent):
                 break
-            if _is_decimal(before, event, _WITH_UNIT):
+            if _is_decimal(previous, event, _FRACTION_WITH_UNIT):
                 values[-1] = f"{values[-1]},{event.value}"
             else:
                 values.append(self._node(event, (*place, len(values))))
-            before = event
+            previous = event
         return values
 
     def _mapping(self, place: Place) -> dict[str, Any]:
@@ -179,33 +182,35 @@ class _Reader:
                 break
             line = _line(event)
             if not isinstance(event, yaml.ScalarEvent):
-                raise _Unreadable(line, "a key that is no single word; expected key: value")
-            before, value = value, next(self.events)
-            if getattr(value, "value", None) == "" and _is_decimal(before, event, _DECIMALS):
+                raise _Unreadable(line, "a key that is not a single word; expected key: value")
+            previous, value = value, next(self.events)
+            if getattr(value, "value", None) == "" and _is_decimal(previous, event, _FRACTION):
                 values[key] = f"{values[key]},{event.value}"
                 continue
-            key, here = event.value, (*place, event.value)
+            key, key_place = event.value, (*place, event.value)
             if key in values:
-                message = f"given twice, first on line {self.document.line(here)}; expected each key once"
-                self.document.mistakes.append((line, Mistake(here, message)))
-                self._node(value, here)
+                message = (
+                    f"given twice, first on line {self.document.line(key_place)}; expected each key once"
+                )
+                self.document.mistakes.append((line, Mistake(key_place, message)))
+                self._node(value, key_place)
                 continue
-            if line != self.document.line(here):
-                self.document.lines[here] = line
-            values[key] = self._node(value, here)
+            if line != self.document.line(key_place):
+                self.document.lines[key_place] = line
+            values[key] = self._node(value, key_place)
         return values
 
 
-def _is_decimal(before: Any, event: Any, pattern: re.Pattern[str]) -> bool:
-    """Whether a scalar is the fraction of a number with a decimal comma, split by YAML in {mass: 1,5 kg}."""
+def _is_decimal(previous: Any, event: Any, pattern: re.Pattern[str]) -> bool:
+    """Return whether a scalar is the fraction of a number with a decimal comma, split by YAML in {mass: 1,5 kg}."""
     return (
-        isinstance(before, yaml.ScalarEvent)
+        isinstance(previous, yaml.ScalarEvent)
         and isinstance(event, yaml.ScalarEvent)
-        and before.implicit[0]
+        and previous.implicit[0]
         and event.implicit[0]
-        and re.fullmatch(r"[+-]?\d+", before.value) is not None
+        and re.fullmatch(r"[+-]?\d+", previous.value) is not None
         and pattern.fullmatch(event.value) is not None
-        and _index(event.start_mark) == _index(before.end_mark) + 1
+        and _index(event.start_mark) == _index(previous.end_mark) + 1
     )
 
 
@@ -219,14 +224,14 @@ def _line(event: Any) -> int:
     return int(event.start_mark.line) + 1
 
 
-def _size(value: Any, most: int) -> int:
-    """Count the values in nested content, up to a limit of `most`."""
-    count, open_values = 0, [value]
-    while open_values and count <= most:
-        inside = open_values.pop()
+def _count_nodes(value: Any, limit: int) -> int:
+    """Count the values in nested content, at most up to `limit`."""
+    count, pending = 0, [value]
+    while pending and count <= limit:
+        node = pending.pop()
         count += 1
-        if isinstance(inside, dict):
-            open_values.extend(inside.values())
-        elif isinstance(inside, list):
-            open_values.extend(inside)
+        if isinstance(node, dict):
+            pending.extend(node.values())
+        elif isinstance(node, list):
+            pending.extend(node)
     return count

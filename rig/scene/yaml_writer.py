@@ -9,7 +9,7 @@ import yaml
 
 from rig.scene.matrices import Matrices
 from rig.scene.measurement_chain import Channel
-from rig.scene.quantities import Kind, spelled, text
+from rig.scene.quantities import Kind, shortest_spelling, text
 from rig.scene.quantity_field import Quantity
 from rig.scene.settings import Place, Settings, quantity_at
 from rig.scene.structure import Structure
@@ -21,7 +21,7 @@ def write(settings: Settings, structure: Structure | None = None) -> str:
     A computed quantity has the unit of the value that it replaces, otherwise the unit with the fewest digits. Every
     written value loads as the identical double.
     """
-    return _dumped(_as_given(settings, structure, {}))
+    return _dump(_given_values(settings, structure, {}))
 
 
 def write_in_si(settings: Settings) -> str:
@@ -29,17 +29,12 @@ def write_in_si(settings: Settings) -> str:
 
     Equal scenes have equal text, regardless of the users' spelling: for recordings, and to identify stored results.
     """
-    return _dumped(_plain(settings))
+    return _dump(_si_values(settings))
 
 
-def _dumped(content: Any) -> str:
+def _dump(content: Any) -> str:
     return yaml.dump(
-        content,
-        Dumper=_Dumper,
-        sort_keys=False,
-        allow_unicode=True,
-        width=100_000,
-        default_flow_style=None,
+        content, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=100_000, default_flow_style=None
     )
 
 
@@ -73,7 +68,9 @@ _Dumper.add_representer(
 _Dumper.add_representer(str, lambda dumper, value: dumper.represent_scalar("tag:yaml.org,2002:str", value))
 
 
-def _as_given(settings: Settings, structure: Structure | None, kinds: Mapping[Place, Kind]) -> dict[str, Any]:
+def _given_values(
+    settings: Settings, structure: Structure | None, kinds: Mapping[Place, Kind]
+) -> dict[str, Any]:
     values = {name: getattr(settings, name) for name in type(settings).model_fields}
     kinds = {**kinds, **type(settings).kind_by_neighbours(values)}
     result: dict[str, Any] = {}
@@ -81,42 +78,44 @@ def _as_given(settings: Settings, structure: Structure | None, kinds: Mapping[Pl
         value, quantity = values[name], quantity_at(field)
         if value is None or value == () or (name not in settings.model_fields_set and name != "kind"):
             continue
-        inside = {place[1:]: kind for place, kind in kinds.items() if place[0] == name and place[1:]}
+        inner_kinds = {place[1:]: kind for place, kind in kinds.items() if place[0] == name and place[1:]}
         if quantity is not None:
             kind = kinds.get((name,), quantity.kinds[0])
-            written: Any = _spelled(value, kind, settings.written.get(name))
+            content: Any = _spell(value, kind, settings.written.get(name))
         elif isinstance(settings, Matrices):
-            written = [list(row) for row in value]
+            content = [list(row) for row in value]
         elif name == "body" or (name == "at" and isinstance(settings, Channel)):
-            written = _labelled(value, structure)
+            content = _label(value, structure)
         elif isinstance(value, tuple):
-            written = [
-                _as_given(each, structure, {}) if isinstance(each, Settings) else each for each in value
+            content = [
+                _given_values(item, structure, {}) if isinstance(item, Settings) else item for item in value
             ]
         else:
-            written = _as_given(value, structure, inside) if isinstance(value, Settings) else value
-        result[field.alias or name] = written
+            content = _given_values(value, structure, inner_kinds) if isinstance(value, Settings) else value
+        result[field.alias or name] = content
     if isinstance(settings, Structure) and settings.masses is not None and settings.names is not None:
         result["masses"] = dict(zip(result.pop("names"), result["masses"], strict=True))
     return result
 
 
-def _spelled(value: Any, kind: Kind, before: Any) -> Any:
+def _spell(value: Any, kind: Kind, previous: Any) -> Any:
     if isinstance(value, tuple):
-        texts = (
-            before if isinstance(before, list | tuple) and len(before) == len(value) else (None,) * len(value)
+        spellings = (
+            previous
+            if isinstance(previous, list | tuple) and len(previous) == len(value)
+            else (None,) * len(value)
         )
-        return [_spelled(each, kind, text) for each, text in zip(value, texts, strict=True)]
-    return _Written(spelled(value, kind, before if isinstance(before, str) else None))
+        return [_spell(number, kind, spelling) for number, spelling in zip(value, spellings, strict=True)]
+    return _Written(shortest_spelling(value, kind, previous if isinstance(previous, str) else None))
 
 
-def _labelled(place: Any, structure: Structure | None) -> Any:
+def _label(place: Any, structure: Structure | None) -> Any:
     if structure is None or structure.names is None:
         return list(place) if isinstance(place, tuple) else place
     return [structure.label(body) for body in place] if isinstance(place, tuple) else structure.label(place)
 
 
-def _plain(settings: Settings) -> dict[str, Any]:
+def _si_values(settings: Settings) -> dict[str, Any]:
     result: dict[str, Any] = {}
     for name, field in type(settings).model_fields.items():
         value = getattr(settings, name)
@@ -124,20 +123,20 @@ def _plain(settings: Settings) -> dict[str, Any]:
             continue
         quantity = quantity_at(field)
         if isinstance(settings, Matrices):
-            written: Any = [list(row) for row in value]
+            content: Any = [list(row) for row in value]
         elif name == "name":
-            written = _Text(value)
+            content = _Text(value)
         else:
-            written = _value(value, quantity)
-        result[field.alias or name] = written
+            content = _si_value(value, quantity)
+        result[field.alias or name] = content
     return result
 
 
-def _value(value: Any, quantity: Quantity | None) -> Any:
+def _si_value(value: Any, quantity: Quantity | None) -> Any:
     if isinstance(value, Settings):
-        return _plain(value)
+        return _si_values(value)
     if isinstance(value, tuple):
-        return [_value(item, quantity) for item in value]
+        return [_si_value(item, quantity) for item in value]
     if isinstance(value, float) and quantity is not None:
         # With several kinds another key decides; a bare number is in the SI unit of that kind.
         return text(value, quantity.kinds[0]) if len(quantity.kinds) == 1 and quantity.kinds[0].si else value

@@ -19,9 +19,9 @@ from rig.arrays import Array
 from rig.errors import SceneError
 from rig.numerics import continuation
 from rig.results import Result, complete_style, join_columns
-from rig.scene.body_names import number_of
+from rig.scene.body_names import body_number
 from rig.scene.loading import SceneLike, scene_of
-from rig.scene.quantities import FORCE, FREQUENCY, number, span
+from rig.scene.quantities import FORCE, FREQUENCY, ascending_pair, number
 from rig.single_mode.admissibility import Batch, first_harmonic, flaws, multipliers, peak_to_peak
 from rig.single_mode.motion_search import ENDS, order, solutions
 from rig.single_mode.periodic_motion import INSTANTS, TURN, MotionParameters, MotionType, jacobian
@@ -161,7 +161,7 @@ def approximate_response(
     Approximation
         Coordinates refer to the body where the shape is 1; multiply by `mode.shape` for the others.
     """
-    ends, level = span(band, FREQUENCY, "band"), number(force, FORCE, "force")
+    ends, level = ascending_pair(band, FREQUENCY, "band"), number(force, FORCE, "force")
     if not isinstance(mode, int):
         raise SceneError(f"mode: got {mode!r:.60}; expected the number of a mode, from 1")
     if weighting not in get_args(Weighting):
@@ -169,7 +169,7 @@ def approximate_response(
             f"weighting: got {weighting!r:.60}; expected one of {', '.join(get_args(Weighting))}"
         )
     setting = scene_of(scene)
-    body = None if at is None else number_of(at, setting.structure.names, setting.structure.bodies)
+    body = None if at is None else body_number(at, setting.structure.names, setting.structure.bodies)
     return follow_mode(single_mode(setting, mode, force=level, weighting=weighting, at=body), ends)
 
 

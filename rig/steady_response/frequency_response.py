@@ -17,7 +17,7 @@ from rig.engine.trajectory import STRIKES
 from rig.errors import SceneError
 from rig.results import Result, complete_style
 from rig.scene.loading import SceneLike, scene_of
-from rig.scene.quantities import FREQUENCY, positives
+from rig.scene.quantities import FREQUENCY, positive_values
 from rig.scene.scene import Scene
 from rig.scene.shaker import ForceShaker
 from rig.simulation.energy import fourier_integral
@@ -223,7 +223,7 @@ def frequency_response(
     ('II', True)
     """
     scene = scene_of(scene)
-    requested = positives(frequencies, FREQUENCY, "frequencies")
+    requested = positive_values(frequencies, FREQUENCY, "frequencies")
     if direction not in ("up", "down", "both"):
         raise SceneError(f"direction: got {direction!r}; expected up, down or both")
     level_of(scene)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from rig.errors import SceneError
 from rig.output_files import atomic_write, csv_text
 from rig.results.text import format_frequencies
-from rig.scene.excitation import Sine, SteppedSine, spaced
+from rig.scene.excitation import Sine, SteppedSine, spaced_frequencies
 from rig.scene.scene import Scene
 from rig.steady_response.frequency_response import SteadyResponse
 
@@ -33,7 +33,7 @@ def sweep_frequencies(
             raise SceneError(
                 "frequencies: expected --from below --to, both above zero, and at least 2 --points"
             )
-        return spaced(first, last, points, "linear"), direction or "up"
+        return spaced_frequencies(first, last, points, "linear"), direction or "up"
     if isinstance(test, SteppedSine):
         return tuple(sorted(set(test.order))), direction or test.direction
     if isinstance(test, Sine):

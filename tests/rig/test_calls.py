@@ -28,7 +28,7 @@ def test_scene_built_in_python_names_all_mistakes() -> None:
         rig.Scene(structure=STRUCTURE, dampers=[DAMPER | {"body": 7}, DAMPER | {"clearence": 1}])
     message = str(caught.value)
     assert "dampers[1].body: body 7 of 2" in message
-    assert 'dampers[2].clearence: unknown key "clearence"; did you mean "clearance"?' in message
+    assert "dampers[2].clearence: unknown key 'clearence'. Did you mean 'clearance'?" in message
 
 
 def test_computed_responses_share_axes() -> None:

@@ -15,7 +15,7 @@ import rig
 from daq.bench_page.operator import LiveBench
 from daq.instrument.connecting import connect_scene
 from daq.server.connection import connect
-from rig.scene.yaml_reader import read
+from rig.scene.yaml_reader import read_yaml
 
 BRACKET = """\
 name: bracket
@@ -32,7 +32,7 @@ HIT = "test: {kind: impulse, body: 1, peak: 100 N, width: 8 ms, repeats: 3, inte
 
 def scene(kind):
     place, rest = ("hammer", HIT) if kind == "hammer" else ("shaker", SHAKEN)
-    return rig.load(read(BRACKET.replace("PLACE", place) + rest).content)
+    return rig.load(read_yaml(BRACKET.replace("PLACE", place) + rest).content)
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from daq.excitation.steady_tone import AmplitudeControl
-from rig.scene.excitation import FORCE_HELD
+from rig.scene.excitation import FORCE_TOLERANCE
 
 LEVEL = 2.6
 
@@ -27,7 +27,7 @@ def approach(force: Callable[[float], float], drive: float, steps: int = 30) -> 
 @pytest.mark.parametrize("start", [1e-4, 0.3, 20.0])
 def test_power_law_reaches_level_quickly(exponent: float, start: float) -> None:
     drives = approach(lambda drive: 5.0 * drive**exponent, start)
-    assert 5.0 * drives[-1] ** exponent == pytest.approx(LEVEL, rel=FORCE_HELD)
+    assert 5.0 * drives[-1] ** exponent == pytest.approx(LEVEL, rel=FORCE_TOLERANCE)
     assert len(drives) <= 20
 
 
@@ -43,7 +43,7 @@ def test_falling_force_range_is_crossed() -> None:
         return drive if drive < 1.0 else 1.0 - 0.8 * (drive - 1.0) if drive < 1.5 else 0.6 + 2 * (drive - 1.5)
 
     drives = approach(force, 0.05)
-    assert force(drives[-1]) == pytest.approx(LEVEL, rel=FORCE_HELD)
+    assert force(drives[-1]) == pytest.approx(LEVEL, rel=FORCE_TOLERANCE)
 
 
 def test_jump_over_level_holds_drive() -> None:

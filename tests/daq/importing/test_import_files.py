@@ -348,7 +348,7 @@ TABLES = {
     "body1: {column: 1, rate: -3}": "expected a frequency",
     "body1: {column: 1, unit: furlong}": "unknown unit 'furlong'",
     "body1: {column: 1, sensitivity: 100 mV/g}": "not in volts",
-    "body1: {column: 1, unit: V, sensitivity: 1 kg}": "no unit of voltage per acceleration",
+    "body1: {column: 1, unit: V, sensitivity: 1 kg}": "not a unit of voltage per acceleration",
     "body1: {column: 3}\nforce: {column: 1}": "swapped columns or a wrong unit",
     "body1: {column: 7}": "no column '7'; there are 1: body1",
     "body1: {column: 1, file: z.csv}": "file 'z.csv' is none of a.csv",

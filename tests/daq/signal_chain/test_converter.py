@@ -6,7 +6,7 @@ from rig.errors import SceneError
 from rig.scene.data_sheets import data_sheets
 from rig.scene.measurement_chain import Accelerometer, Hammer
 from rig.scene.measurement_chain import Converter as Settings
-from rig.scene.presets import filled_in
+from rig.scene.presets import complete_from_preset
 from tests.daq.dsp.analytic_motion import Path, at_rest, chain_of, motion_of, scene_of
 
 
@@ -163,20 +163,20 @@ SHEETS = [
 @pytest.mark.parametrize(("sheet", "kind"), SHEETS, ids=lambda value: getattr(value, "name", value))
 def test_preset_figures_are_valid_and_sourced(sheet, kind):
     settings = {"accelerometer": Accelerometer, "hammer": Hammer, "converter": Settings}[kind]
-    filled = filled_in(settings(preset=sheet.name.lower().replace(" ", "-")))
+    filled = complete_from_preset(settings(preset=sheet.name.lower().replace(" ", "-")))
     assert {key for key in sheet.settings[kind] if getattr(filled, key) is None} == set()
     assert sheet.sources
 
 
 def test_explicit_figure_overrides_preset():
-    settings = filled_in(Accelerometer(preset="PCB 352C33", sensitivity="98 mV/g"))
+    settings = complete_from_preset(Accelerometer(preset="PCB 352C33", sensitivity="98 mV/g"))
     assert settings.sensitivity == pytest.approx(0.098 / 9.80665)
     assert settings.resonance == 50e3
 
 
 def test_contradicting_figure_names_both():
     with pytest.raises(SceneError, match="PCB 086C03"):
-        filled_in(Hammer(preset="PCB 086C03").model_copy(update={"saturation": -1.0}))
+        complete_from_preset(Hammer(preset="PCB 086C03").model_copy(update={"saturation": -1.0}))
 
 
 def test_data_sheets_are_described():

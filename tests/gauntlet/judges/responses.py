@@ -20,7 +20,7 @@ from daq.signal_chain.devices import accelerometer, force_sensor
 from rig.results.response import MOTIONS, Response
 from rig.results.uncertainty import CLOCK, SENSITIVITY
 from rig.scene.measurement_chain import Accelerometer, Hammer
-from rig.scene.presets import filled_in
+from rig.scene.presets import complete_from_preset
 from rig.scene.shaker import ForceShaker
 from rig.system.structural_model import receptance
 from tests.gauntlet.cavities import STEPS, TONE
@@ -237,9 +237,13 @@ def _gain(case: Case, name: str, frequency: NDArray[np.float64]) -> NDArray[np.c
     # The data sheet's response is applied at the nominal frequency, while the sensor acts at the true one.
     shift = info.response(frequency * clock) / info.response(frequency)
     if channel.measures_force:
-        deviation = force_sensor(filled_in(channel.hammer or Hammer()), case.scene.seed, name).deviation
+        deviation = force_sensor(
+            complete_from_preset(channel.hammer or Hammer()), case.scene.seed, name
+        ).deviation
         return np.asarray((1.0 + deviation) * shift)
-    sensor = accelerometer(filled_in(channel.accelerometer or Accelerometer()), case.scene.seed, name)
+    sensor = accelerometer(
+        complete_from_preset(channel.accelerometer or Accelerometer()), case.scene.seed, name
+    )
     return np.asarray((1.0 + sensor.deviation) * shift * clock ** MOTIONS.index(info.quantity))
 
 

@@ -8,11 +8,11 @@ import pytest
 
 import rig
 from rig.effects.effect_cost import effect_costs, text
-from rig.scene.scene_files import bundled
+from rig.scene.scene_files import bundled_scenes
 from rig.system.assembly import assemble
 
 
-@pytest.mark.parametrize("name", bundled())
+@pytest.mark.parametrize("name", bundled_scenes())
 def test_motion_states_equal_those_of_the_system(
     name: str,
 ) -> None:

@@ -103,7 +103,7 @@ def test_too_short_free_vibration_says_how_long() -> None:
 
 
 @pytest.mark.parametrize(
-    ("duration", "said"), [("2 kg", "duration: 'kg' is no unit of time"), ("soon", "number")]
+    ("duration", "said"), [("2 kg", "duration: 'kg' is not a unit of time"), ("soon", "number")]
 )
 def test_invalid_quantity_of_an_argument_is_named(duration, said) -> None:
     with pytest.raises(SceneError, match=said):

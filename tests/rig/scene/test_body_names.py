@@ -6,7 +6,7 @@ import pytest
 
 import rig
 from rig.errors import SceneError
-from rig.scene.body_names import number_of
+from rig.scene.body_names import body_number
 from rig.scene.structure import Structure
 
 NAMED = {
@@ -54,11 +54,11 @@ def test_unnamed_scene_text_has_no_names() -> None:
 
 
 @pytest.mark.parametrize(
-    ("given", "said"), [("amr", 'did you mean "arm"'), (3, "3 of 2"), ("body 0", "0 of 2")]
+    ("given", "said"), [("amr", "Did you mean 'arm'"), (3, "3 of 2"), ("body 0", "0 of 2")]
 )
 def test_unknown_body_is_refused(given: int | str, said: str) -> None:
     with pytest.raises(SceneError, match=said):
-        number_of(given, ("base", "arm"), 2)
+        body_number(given, ("base", "arm"), 2)
 
 
 def test_str_of_a_scene_is_one_line() -> None:

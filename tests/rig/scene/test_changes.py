@@ -52,13 +52,13 @@ def test_changing_an_alias_keeps_its_other_place(file) -> None:
             "dampers[2].clearance=1kg",
             'dampers[2].clearance=1kg: dampers[2].clearance: got "1kg"; expected a len',
         ),
-        ("dampers.clearence=1mm", 'dampers[2].clearence: unknown key "clearence"; did you mean "clearance"?'),
+        ("dampers.clearence=1mm", "dampers[2].clearence: unknown key 'clearence'. Did you mean 'clearance'?"),
         ("dampers[3].mass=1kg", "the scene has 2 of these, counted from 1"),
-        ("channels[1].name=a", "no list there to choose item 1 of"),
+        ("channels[1].name=a", "no list there, so that there is no item 1"),
         ("dampers[0].mass=1kg", "lists count from 1"),
         ("test..force=1N", "no key"),
         ("gravity", "expected KEY=VALUE such as test.force=5N"),
-        ("name=\udcff", "bytes that are no UTF-8"),
+        ("name=\udcff", "bytes that are not UTF-8"),
         ("structure.masses=[1 kg", "expected KEY=VALUE"),
     ],
 )
@@ -111,7 +111,7 @@ def test_scene_loads_from_mapping_or_scene(file) -> None:
 @pytest.mark.parametrize(
     ("scene", "changes", "said"),
     [
-        ({"structur": 1}, None, 'scene: structur: unknown key "structur"; did you mean "structure"?'),
+        ({"structur": 1}, None, "scene: structur: unknown key 'structur'. Did you mean 'structure'?"),
         (7, None, "scene: got 7; expected a name, a path, a mapping or a rig.Scene"),
         ("fig9", "test.force=5N", "changes: got 'test.force=5N'; expected a mapping"),
         ("fig9", {"test.force": "5 kg"}, 'with test.force=5 kg: test.force: got "5 kg"; expected a force'),

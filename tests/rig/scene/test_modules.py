@@ -59,9 +59,7 @@ def test_delta_sigma_rates_are_those_of_the_clock(name: str, rates: tuple[float,
 
 
 @pytest.mark.parametrize("rate", [0.0, -1.0, 60e3, float("nan")])
-def test_impossible_rate_error_names_possible_rates(
-    rate: float,
-) -> None:
+def test_impossible_rate_error_names_possible_rates(rate: float) -> None:
     inputs = module("NI 9234").inputs
     assert inputs is not None
     with pytest.raises(SceneError, match=r"expected 1651\.61 to 51200 Hz"):

@@ -14,6 +14,7 @@ from rig.scene.quantities import (
     ACCELERATION,
     ACCELERATION_NOISE,
     ACCELERATION_SENSITIVITY,
+    COMMON_FACTORS,
     DASHPOT,
     FORCE_FACTOR,
     FORCE_SENSITIVITY,
@@ -28,19 +29,18 @@ from rig.scene.quantities import (
     STIFFNESS,
     TIME,
     TRANSCONDUCTANCE,
-    USUAL,
     VOLTAGE_NOISE,
     Kind,
-    by_pint,
     parse,
+    pint_factor,
     text,
 )
 
 
 def test_listed_units_equal_those_of_pint() -> None:
-    for (unit, si), factor in USUAL.items():
+    for (unit, si), factor in COMMON_FACTORS.items():
         kind = next(kind for kind in KINDS if kind.si == si)
-        assert by_pint(unit, kind) == factor, unit
+        assert pint_factor(unit, kind) == factor, unit
 
 
 KINDS = [value for value in vars(quantities).values() if isinstance(value, Kind)]

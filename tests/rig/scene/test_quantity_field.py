@@ -11,7 +11,7 @@ from pydantic import TypeAdapter
 from pydantic_core import PydanticCustomError
 
 from rig.scene.quantities import LENGTH, MASS
-from rig.scene.quantity_field import Quantity, got, printable, quantity_of
+from rig.scene.quantity_field import Quantity, format_value, printable, quantity_of
 
 NUMBERS = st.sampled_from([-3.0, -1.0, 0.0, 1.0, 2.0, 5.0, float("inf"), -float("inf")])
 
@@ -39,13 +39,16 @@ def test_bounds_accept_exactly_the_allowed_numbers(value, above, at_least, below
 def test_bounds_are_described_with_the_bare_unit():
     quantity = Quantity(LENGTH, above=0.0, at_least=1e-3, below=2.5, infinite=False)
     assert (
-        quantity.bounded
+        quantity.bounded_description
         == f"{LENGTH.noun} such as {LENGTH.example}, above 0 and at least 0.001 and below 2.5 and finite"
     )
-    assert quantity.offered == f"{quantity.bounded}; a bare number is in m"
+    assert quantity.help_text == f"{quantity.bounded_description}; a bare number is in m"
     either = Quantity(LENGTH, MASS, infinite=True)
-    assert either.bounded == f"{LENGTH.noun} or {MASS.noun} such as {LENGTH.example} or {MASS.example}"
-    assert either.offered.endswith("; a bare number is in m or kg")
+    assert (
+        either.bounded_description
+        == f"{LENGTH.noun} or {MASS.noun} such as {LENGTH.example} or {MASS.example}"
+    )
+    assert either.help_text.endswith("; a bare number is in m or kg")
 
 
 def test_first_fitting_kind_of_a_quantity_counts():
@@ -97,15 +100,15 @@ def test_quantity_is_detected_inside_unions():
 
 
 def test_shown_value_is_short_and_recognisable():
-    assert [got(each) for each in (None, {}, {"a": 1, "b": 2}, "x", 1.5)] == [
+    assert [format_value(each) for each in (None, {}, {"a": 1, "b": 2}, "x", 1.5)] == [
         "nothing",
         "no keys",
         "keys a, b",
         '"x"',
         "1.5",
     ]
-    assert got("x" * 58) == f'"{"x" * 58}"'
-    assert got("x" * 59) == f'"{"x" * 56}...'
+    assert format_value("x" * 58) == f'"{"x" * 58}"'
+    assert format_value("x" * 59) == f'"{"x" * 56}...'
     assert printable("a b") == "a b"
     with pytest.raises(PydanticCustomError, match=r"\\x1b.*a line of printable characters"):
         printable("a\x1b[2J")

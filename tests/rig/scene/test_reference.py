@@ -6,13 +6,13 @@ import pytest
 
 import rig
 from rig.errors import SceneError
-from rig.scene.reference import EFFECTS, help_on, keys, page
-from rig.scene.scene_files import bundled, text_of
-from rig.scene.yaml_reader import read
+from rig.scene.reference import EFFECTS, help_on, keys, reference_page
+from rig.scene.scene_files import bundled_scenes, scene_text
+from rig.scene.yaml_reader import read_yaml
 
 
 def test_every_key_is_explained_with_its_values() -> None:
-    whole = page()
+    whole = reference_page()
     for key in keys():
         assert len(key.about) > 5 and key.takes and key.without, key
         assert "None" not in key.about + key.without and "`" not in key.about, key
@@ -31,8 +31,8 @@ def test_keys_of_bundled_scenes_are_explained() -> None:
             return set()
         return set().union(*({f"{path}{key}"} | names(inner, f"{path}{key}.") for key, inner in node.items()))
 
-    for name in bundled():
-        assert names(read(text_of(name)).content, "") <= known
+    for name in bundled_scenes():
+        assert names(read_yaml(scene_text(name)).content, "") <= known
 
 
 @pytest.mark.parametrize(
@@ -52,7 +52,7 @@ def test_key_is_explained_by_full_name_or_end(key, said) -> None:
 
 
 def test_misspelt_key_is_answered_with_the_nearest() -> None:
-    with pytest.raises(SceneError, match="did you mean clearance"):
+    with pytest.raises(SceneError, match="Did you mean 'clearance'"):
         help_on("clearence")
 
 
@@ -68,7 +68,7 @@ def test_part_lists_its_kinds() -> None:
 
 
 def test_misspelt_kind_names_the_nearest() -> None:
-    with pytest.raises(SceneError, match=r"did you mean test.stepped_sine"):
+    with pytest.raises(SceneError, match=r"Did you mean 'test.stepped_sine'"):
         help_on("test.steped_sine")
 
 

@@ -30,8 +30,8 @@ def matrices(stiffness: str, damping: str = "[[0, 0], [0, 0]]", mass: str = "[[1
     [
         (matrices("[[-1000, 0], [0, 1000]]"), "structure.matrices.stiffness: not positive semidefinite"),
         (matrices("[[1, 2], [2, 1]]"), "squared frequency -0.6"),
-        (matrices(HELD, "[[-1, 0], [0, 1]]"), "structure.matrices.damping: feeds the motion: at 0.2"),
-        (matrices(HELD, "[[-50, 0], [0, 1]]"), "grows by itself"),
+        (matrices(HELD, "[[-1, 0], [0, 1]]"), "structure.matrices.damping: negative damping: at 0.2"),
+        (matrices(HELD, "[[-50, 0], [0, 1]]"), "the free motion grows"),
         (matrices(HELD, mass="[[1, 0], [0, -2]]"), "structure.matrices.mass: not positive definite"),
         (
             "structure: {masses: [1 kg], springs: [1 kN/m], damping: {modal: 5}}",

@@ -24,10 +24,10 @@ from rig.scene.quantities import (
     STIFFNESS,
     Kind,
     parse,
-    spelled,
+    shortest_spelling,
 )
 from rig.scene.scene import Scene
-from rig.scene.scene_files import SCENES, bundled
+from rig.scene.scene_files import SCENES, bundled_scenes
 
 # What every kind of quantity carries; and the sample rate is three times a frequency.
 positive = st.floats(min_value=1e-6, max_value=1e6)
@@ -197,13 +197,13 @@ def test_recorded_text_is_written_in_customary_units() -> None:
 
 
 def test_computed_frequency_stays_in_hertz() -> None:
-    assert spelled(60.50019366377975, FREQUENCY) == "60.50019366377975 Hz"
+    assert shortest_spelling(60.50019366377975, FREQUENCY) == "60.50019366377975 Hz"
 
 
 @given(positive, st.sampled_from(KINDS))
 def test_spelled_quantity_is_the_same_double(value: float, kind: Kind) -> None:
-    assert parse(spelled(value, kind), kind) == value
-    assert parse(spelled(value, kind, f"1 {kind.si}"), kind) == value
+    assert parse(shortest_spelling(value, kind), kind) == value
+    assert parse(shortest_spelling(value, kind, f"1 {kind.si}"), kind) == value
 
 
 def test_packaged_schema_is_current() -> None:
@@ -217,7 +217,7 @@ def test_scene_list_has_one_described_scene_per_line() -> None:
     result = CliRunner().invoke(app, ["scenes"])
     assert result.exit_code == 0
     listed = dict(line.split("\t") for line in result.stdout.splitlines())
-    assert tuple(listed) == bundled()
+    assert tuple(listed) == bundled_scenes()
     assert listed["fig9"].startswith("Fig 9")
 
 

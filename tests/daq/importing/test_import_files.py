@@ -337,7 +337,7 @@ def test_uncertain_labview_clock_is_reported(tmp_path):
 
 
 TABLES = {
-    "channels: [body1": r"no \] to end",
+    "channels: [body1": r"no closing \]",
     "- body1": "expected a line for each channel",
     "": "names no channel",
     "body1: {columns: 1}": r"unknown key 'columns'.*column\?",

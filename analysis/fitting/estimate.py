@@ -10,35 +10,43 @@ import numpy as np
 import scipy
 
 from analysis.fitting.problem import Group, Problem
-from analysis.fitting.start import start
+from analysis.fitting.start import initial_unknowns
 from rig.arrays import Array, ComplexArray
 
 Report = Callable[[str], None]
 
-# Half width of a 95 % interval in standard deviations.
+# Coverage factor of 95 % intervals.
 COVERAGE_FACTOR = 1.96
-# Model errors, relative to the peaks around, that are assumed in successive fits: without them, the fit of a narrow
-# resonance far from the solution has no slope toward its neighbours.
-_DISTRUST = (0.1, 0.01, 0.0)
-# The same from random starts, and their deviation from the guess, in logarithms: used where modes were not identified
-# or did not lead to a solution.
-_DISTRUST_FAR, _FAR, _STARTS = (0.3, 0.1, 0.01, 0.0), 0.15, 8
-# Mean square of the residuals above which the structure is searched from other starts.
-_MISSED = 4.0
+# Model errors, relative to the local peak, that successive fits assume: without them, the fit of a narrow resonance
+# far from the solution has no gradient toward the resonance that was measured.
+_MODEL_ERRORS = (0.1, 0.01, 0.0)
+# The same from random initial values, which are used if modes were not identified or led to no solution.
+_MODEL_ERRORS_RANDOM = (0.3, 0.1, 0.01, 0.0)
+# Standard deviation of random initial values from the guess, in logarithms, and their number.
+_RANDOM_SD = 0.15
+_RANDOM_STARTS = 8
+# Mean square of the residuals above which the structure is searched from random initial values.
+_MAX_STRUCTURE_VARIANCE = 4.0
 # Mean square of the residuals above which the stated errors do not explain them.
-_UNEXPLAINED = 1.3
-_DISTRUST_DAMPERS = (0.2, 0.05)
+_MAX_NOISE_VARIANCE = 1.3
+# Model errors of the first fits of the dampers.
+_MODEL_ERRORS_DAMPERS = (0.2, 0.05)
 # The smallest model error: large residuals have little weight, so that a point in another motion does not decide.
-_BARELY = 1e-6
-# Start factors for mass and clearance of all dampers if the values of the scene do not lead to a solution; and a
-# factor with which no ceiling is touched.
-_MASSES, _CLEARANCES, _OUT_OF_REACH = (1.0, 0.7, 0.4, 1.5), (0.6, 1.7, 0.3), 30.0
-# Mean square of the residuals up to which the dampers' motions are explained (noise alone leaves slightly below 1),
-# upper limit of each squared residual, and squared residual of a point without a motion.
-_EXPLAINED, _CAP, _LOST = 1.5, 9.0, 1e6
-# Robust cost, of at most `_CAP`, of a start that fails at about half of the points.
-_REFUTED = 4.5
-# Rounds of fitting all unknowns, each after a search for other motions at outlying points.
+_ROBUST = 1e-6
+# Factors of the initial masses and clearances of all dampers, tried if the values of the scene lead to no solution.
+_MASS_FACTORS = (1.0, 0.7, 0.4, 1.5)
+_CLEARANCE_FACTORS = (0.6, 1.7, 0.3)
+# Factor of the clearances with which no damper reaches its ceiling.
+_OUT_OF_REACH = 30.0
+# Mean square of the residuals up to which the orbits explain the curves; noise alone leaves slightly below 1.
+_EXPLAINED = 1.5
+# Upper limit of each squared residual in the robust cost.
+_MAX_SQUARE = 9.0
+# Squared residual of a point without a motion.
+_FAILED_SQUARE = 1e6
+# Robust cost of initial values that fail at about half of the points.
+_HALF_FAILED = 4.5
+# Rounds of fitting all unknowns, each after a search for other motions at outliers.
 _ROUNDS = 4
 # Number of clusters of neighbouring frequencies in a group whose residuals may have a common cause.
 _CLUSTERS = 40
@@ -54,9 +62,8 @@ class Estimate:
 
     x: Array  # shape (unknowns,)
     factor: Array
-    variance: (
-        float  # mean square of the residuals in standard deviations; 1 if the stated errors explain them
-    )
+    # mean square of the residuals in standard deviations; 1 if the stated errors explain them
+    variance: float
 
     @property
     def deviation(self) -> Array:
@@ -95,40 +102,42 @@ def _damped(
     names = ["" if one.damper is None else one.what for one in problem.parameters]
     names += [""] * (problem.size - len(names))
     bounded = "clearance" in names
-    starts = [(1.0, 1.0), *product(_MASSES, _CLEARANCES if bounded else (1.0,))]
+    starts = [(1.0, 1.0), *product(_MASS_FACTORS, _CLEARANCE_FACTORS if bounded else (1.0,))]
     for mass, clearance in [*starts, (1.0, _OUT_OF_REACH)] if bounded else starts:
         if least < _EXPLAINED and clearance < _OUT_OF_REACH:
             continue
         if clearance == _OUT_OF_REACH:
             begin = best
         report("all")
-        for group, known in zip(damped, motions, strict=True):
-            group.restore(known)
+        for group, state in zip(damped, motions, strict=True):
+            group.restore(state)
         factors = {"mass": mass, "mass_ratio": mass, "clearance": clearance}
         x = begin + np.log([factors.get(name, 1.0) for name in names])
         # The prior would pull an unreached ceiling back.
         active = [k for k, name in enumerate(names) if clearance != _OUT_OF_REACH or name != "clearance"]
         # First roughly, with the structure fixed if linear recordings determine it.
         rough = [k for k in active if names[k] or not structure_known]
-        for distrust in _DISTRUST_DAMPERS if rough else ():
-            x = solved(problem, x, damped, distrust, rough, 6)
+        for model_error in _MODEL_ERRORS_DAMPERS if rough else ():
+            x = solve(problem, x, damped, model_error, rough, 6)
         if rough:
             problem.residual(x, damped)
-        # If a ceiling explains the curves, a ceiling out of reach that misses most points is not refined.
-        refuted = least < _EXPLAINED and _robust_cost(problem, x, damped) > _REFUTED
-        for turn in range(0 if refuted else _ROUNDS):
+        # If a ceiling explains the curves, a ceiling out of reach that residuals most points is not refined.
+        refuted = least < _EXPLAINED and _robust_cost(problem, x, damped) > _HALF_FAILED
+        for round_number in range(0 if refuted else _ROUNDS):
             scene = problem.scene(x)
             changed = [group.choose_motions(problem, x, scene) for group in damped]
-            if not any(changed) and turn > 0:
+            if not any(changed) and round_number > 0:
                 break
-            x = solved(problem, x, problem.groups, _DISTRUST[-2] if turn == 0 else _BARELY, active, 8)
-            x = solved(problem, x, problem.groups, 0.0, active, 12)
+            x = solve(
+                problem, x, problem.groups, _MODEL_ERRORS[-2] if round_number == 0 else _ROBUST, active, 8
+            )
+            x = solve(problem, x, problem.groups, 0.0, active, 12)
         cost = _robust_cost(problem, x, damped)
         # A single point does not prove ceiling impacts: it may be in another kind of motion.
-        if cost < least + _CAP * (clearance == _OUT_OF_REACH) / min(g.used.size for g in damped):
+        if cost < least + _MAX_SQUARE * (clearance == _OUT_OF_REACH) / min(g.used.size for g in damped):
             best, least, motions = x, cost, [group.motions() for group in damped]
-    for group, known in zip(damped, motions, strict=True):
-        group.restore(known)
+    for group, state in zip(damped, motions, strict=True):
+        group.restore(state)
     problem.residual(best, problem.groups)
     return best
 
@@ -140,68 +149,69 @@ def _robust_cost(problem: Problem, x: Array, damped: Sequence[Group]) -> float:
     """
     scene, costs = problem.scene(x), []
     for group in damped:
-        off = problem.predicted(x, group, scene) - group.curves.value
-        square = np.nan_to_num(abs(np.einsum("nij,jn->ni", group.curves.whiten, off)) ** 2 / 2.0, nan=_LOST)
-        costs.append((square / (1.0 + square / _CAP)).ravel())
+        residual = problem.predicted(x, group, scene) - group.curves.value
+        white = np.einsum("nij,jn->ni", group.curves.whiten, residual)
+        square = np.nan_to_num(abs(white) ** 2 / 2.0, nan=_FAILED_SQUARE)
+        costs.append((square / (1.0 + square / _MAX_SQUARE)).ravel())
     return float(np.mean(np.concatenate(costs)))
 
 
 def _structure(problem: Problem, bare: Sequence[Group]) -> Array:
     """Estimate the structure from linear recordings: from their modes, else from random starts around the guess."""
-    best = start(problem, bare)
-    for distrust in _DISTRUST:
-        best = solved(problem, best, bare, distrust)
+    best = initial_unknowns(problem, bare)
+    for model_error in _MODEL_ERRORS:
+        best = solve(problem, best, bare, model_error)
     least = mean_square(problem, best, bare)
-    active = [k for k, one in enumerate(problem.parameters) if one.place[0] == "structure"]
+    active = [k for k, each in enumerate(problem.parameters) if each.place[0] == "structure"]
     random = np.random.default_rng(0)
-    for number in range(_STARTS):
-        if least < _MISSED:
+    for number in range(_RANDOM_STARTS):
+        if least < _MAX_STRUCTURE_VARIANCE:
             break
         x = problem.start.copy()
-        x[active] += random.normal(0.0, _FAR * min(number, 1), len(active))
-        for distrust in _DISTRUST_FAR:
-            x = solved(problem, x, bare, distrust, most=15)
+        x[active] += random.normal(0.0, _RANDOM_SD * min(number, 1), len(active))
+        for model_error in _MODEL_ERRORS_RANDOM:
+            x = solve(problem, x, bare, model_error, most=15)
         if (square := mean_square(problem, x, bare)) < least:
             best, least = x, square
     return best
 
 
-def solved(
+def solve(
     problem: Problem,
     x: Array,
     groups: Sequence[Group],
-    distrust: float,
+    model_error: float,
     active: Sequence[int] | None = None,
     most: int = 30,
 ) -> Array:
-    """Least squares over active unknowns, from x."""
+    """Minimize the squared residuals over active unknowns, from x."""
     chosen = list(range(problem.size) if active is None else active)
 
-    def full(inner: Array) -> Array:
+    def all_unknowns(values: Array) -> Array:
         out = x.copy()
-        out[chosen] = inner
+        out[chosen] = values
         return out
 
     solution = scipy.optimize.least_squares(
-        lambda inner: problem.residual(full(inner), groups, distrust),
+        lambda values: problem.residual(all_unknowns(values), groups, model_error),
         x[chosen],
-        jac=lambda inner: problem.jacobian(full(inner), groups, distrust, chosen),
+        jac=lambda values: problem.jacobian(all_unknowns(values), groups, model_error, chosen),
         x_scale="jac",
-        loss={0.0: "linear", _BARELY: "cauchy"}.get(distrust, "soft_l1"),
+        loss={0.0: "linear", _ROBUST: "cauchy"}.get(model_error, "soft_l1"),
         max_nfev=most,
-        ftol=1e-8 if distrust == 0.0 else 1e-3,
+        ftol=1e-8 if model_error == 0.0 else 1e-3,
         xtol=1e-10,
         gtol=1e-10,
     )
-    best = full(solution.x)
+    best = all_unknowns(solution.x)
     # The last trial need not be the solution: evaluate it, so that the stored motions are those of the solution.
-    problem.residual(best, groups, distrust)
+    problem.residual(best, groups, model_error)
     return best
 
 
-def mean_square(problem: Problem, x: Array, groups: Sequence[Group], distrust: float = 0.0) -> float:
+def mean_square(problem: Problem, x: Array, groups: Sequence[Group], model_error: float = 0.0) -> float:
     """Mean square of the residuals of some groups, in standard deviations."""
-    residuals = problem.residual(x, groups, distrust)[: -problem.size]
+    residuals = problem.residual(x, groups, model_error)[: -problem.size]
     return float(np.mean(residuals**2)) if residuals.size else 0.0
 
 
@@ -214,53 +224,54 @@ def _covariance(problem: Problem, x: Array) -> tuple[Array, float]:
     linear models, Biometrika 73 (1986)); the larger covariance is used.
     """
     shifts: list[Array] = []
-    data, scores, square, count = np.zeros((0, problem.size)), [np.diag(1.0 / problem.spread)], 0.0, 0
+    data, scores, square, count = np.zeros((0, problem.size)), [np.diag(1.0 / problem.prior_sd)], 0.0, 0
     random = np.zeros((problem.size, problem.size))
     for group in problem.groups:
         jacobian = problem.jacobian(x, [group])[: -problem.size]
-        misses = problem.residual(x, [group])[: -problem.size]
+        residuals = problem.residual(x, [group])[: -problem.size]
         used = int(group.used.sum())
         data = np.asarray(np.linalg.qr(np.concatenate([data, jacobian]), mode="r"))
-        random += _scatter(group, jacobian)
-        shifts += [jacobian.T @ off for off in _systematic(group)]
-        square += float(misses @ misses)
-        count += misses.size
+        random += _score_covariance(group, jacobian)
+        shifts += [jacobian.T @ error for error in _systematic_errors(group)]
+        square += float(residuals @ residuals)
+        count += residuals.size
         order = np.argsort(group.curves.frequency[group.used], kind="stable")
         rank = np.empty(used, dtype=int)
         rank[order] = np.arange(used)
         width = 1 if group.curves.level is not None else max(1, used // _CLUSTERS)
-        cluster = np.tile(np.repeat(rank // width, misses.size // (2 * used)), 2)
+        cluster = np.tile(np.repeat(rank // width, residuals.size // (2 * used)), 2)
         clusters = range(cluster.max() + 1)
-        columns = [jacobian[cluster == number].T @ misses[cluster == number] for number in clusters]
+        columns = [jacobian[cluster == number].T @ residuals[cluster == number] for number in clusters]
         scores.append(np.stack(columns, axis=1))
     variance = square / max(count - problem.size, 1)
     # Factor F of the inverse F F^T of the normal matrix with the prior precision.
-    bread = np.linalg.inv(np.linalg.qr(np.concatenate([data, np.diag(1.0 / problem.spread)]), mode="r"))
+    bread = np.linalg.inv(np.linalg.qr(np.concatenate([data, np.diag(1.0 / problem.prior_sd)]), mode="r"))
     size, axes = np.linalg.eigh(random)
     root = axes * np.sqrt(np.maximum(size, 0.0) * max(variance, 1.0))
-    stated = bread @ (bread.T @ np.concatenate([root, np.diag(1.0 / problem.spread)], axis=1))
+    stated = bread @ (bread.T @ np.concatenate([root, np.diag(1.0 / problem.prior_sd)], axis=1))
     wider = np.ones(problem.size)
-    if variance > _UNEXPLAINED or all(group.curves.level is not None for group in problem.groups):
+    if variance > _MAX_NOISE_VARIANCE or all(group.curves.level is not None for group in problem.groups):
         clustered = bread @ (bread.T @ np.concatenate(scores, axis=1))
         wider = np.maximum(np.linalg.norm(clustered, axis=1) / np.linalg.norm(stated, axis=1), 1.0)
-    moved = bread @ (bread.T @ np.array(shifts).T)
-    return np.concatenate([wider[:, None] * stated, moved], axis=1), variance
+    systematic = bread @ (bread.T @ np.array(shifts).T)
+    return np.concatenate([wider[:, None] * stated, systematic], axis=1), variance
 
 
-def _systematic(group: Group) -> Iterator[Array]:
+def _systematic_errors(group: Group) -> Iterator[Array]:
     """Whitened residuals of errors that are equal at all lines: gain and phase of each response.
 
     Each is uniformly distributed within its limit, so that its standard deviation is limit / sqrt(3).
     """
     curves, used = group.curves, group.used
 
-    def whitened(off: ComplexArray) -> ComplexArray:
-        return np.asarray(np.einsum("nij,jn->ni", curves.whiten[used], off[:, used]).ravel())
+    def whitened(errors: ComplexArray) -> ComplexArray:
+        return np.asarray(np.einsum("nij,jn->ni", curves.whiten[used], errors[:, used]).ravel())
 
     for k in range(len(curves.sensors)):
-        off = np.zeros_like(curves.value)
-        off[k] = curves.smooth[k] / np.sqrt(3.0) * curves.value[k] / np.maximum(abs(curves.value[k]), 1e-300)
-        white = whitened(off)
+        errors = np.zeros_like(curves.value)
+        size = np.maximum(abs(curves.value[k]), 1e-300)
+        errors[k] = curves.smooth[k] / np.sqrt(3.0) * curves.value[k] / size
+        white = whitened(errors)
         yield np.concatenate([white.real, white.imag])
         yield np.concatenate([-white.imag, white.real])
     # Noise adds to the power of the reference: all responses are too small, without a phase error.
@@ -268,7 +279,7 @@ def _systematic(group: Group) -> Iterator[Array]:
     yield np.concatenate([white.real, white.imag])
 
 
-def _scatter(group: Group, jacobian: Array) -> Array:
+def _score_covariance(group: Group, jacobian: Array) -> Array:
     """Covariance of the scores ``J^T r`` of a group from random errors, shared ones included."""
     curves, used = group.curves, group.used
     if curves.errors.reference is None:

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.fitting.diagnosis import cause, omitted_points, report_mass_scale
+from analysis.fitting.diagnosis import cause, list_omitted_points, mass_scale_error
 from analysis.fitting.estimate import COVERAGE_FACTOR, Estimate, estimate
 from analysis.fitting.identifiability import LevelDamping, coupled_values, damping_by_level
 from analysis.fitting.measured import Curves, measured
 from analysis.fitting.parameters import Parameter, free_parameters, spelt_out
-from analysis.fitting.problem import Problem
+from analysis.fitting.problem import Group, Problem
 from analysis.recordings.names import opened
 from rig.arrays import Array, ComplexArray
 from rig.errors import RecordingError, SceneError
@@ -33,19 +33,20 @@ if TYPE_CHECKING:
 
 Progress = Callable[[str], None]
 
-# Largest relative half width of the 95 % interval of a value that is determined at all.
+# Largest relative half width of the 95 % interval of a value that is determined roughly.
 _MAX_HALF_WIDTH = 0.5
 # Clearance of a ceiling that is not reached, as a multiple of the largest gap.
-_CLEARANCE_MARGIN = 1.2
-# Residuals with a larger variance are not noise.
+_UNREACHED_RATIO = 1.2
+# Mean square of the residuals, in standard deviations, up to which they are noise.
 _MAX_NOISE_VARIANCE = 4.0
-# If the residuals also exceed this ratio to the curves, the structure differs from the scene.
-_MAX_RELATIVE_RESIDUAL = 0.02
+# Residuals above this ratio to the curves show another structure.
+_MAX_RESIDUAL_RATIO = 0.02
 # Largest plausible deviation of a sensor, in tolerances of its data sheet.
 _MAX_SENSOR_DEVIATION = 2.0
-# Maximum share of omitted points among the points with a steady motion in the model.
+# Largest share of the points with a steady motion in the model that a fit may omit.
 _MAX_OMITTED_SHARE = 0.25
-# Maximum share of points without a steady motion: dampers without a ceiling move irregularly over wide ranges.
+# Largest share of points without a steady motion in the model. Dampers without a ceiling move irregularly over wide
+# ranges, in the model as on the rig.
 _MAX_IRREGULAR_SHARE = 0.5
 
 
@@ -55,8 +56,8 @@ class Fitted:
 
     `key`, `unit`: key as in `--set`, and unit; `start`, `value`: before and after the fit, in SI.
 
-    `status`: 'determined' (within a few per cent), 'roughly' (within 50 %) or 'undetermined'. No value is
-    'determined' if the residuals exceed the errors of the curves.
+    `status`: 'determined' within a few per cent, 'roughly' within 50 %, or 'undetermined'. No value is 'determined' if
+    the residuals exceed the errors of the curves.
     """
 
     key: str
@@ -66,11 +67,6 @@ class Fitted:
     low: float  # 95 % interval
     high: float  # 95 % interval
     status: str
-
-    @property
-    def told(self) -> str:
-        """Earlier name of `status`."""
-        return self.status
 
     @property
     def half_width(self) -> float:
@@ -123,7 +119,7 @@ class Fit(Result):
     variance : float
         Mean square of the residuals in standard deviations: at most about 1 where the stated errors explain them.
     misfit : str
-        Reason why the scene does not fit the recordings, so that no value is 'determined'; "" if it fits.
+        Why the scene does not fit the recordings; "" where it does. Then no value is determined.
     together : tuple of str
         Combinations of values that the recordings cannot separate.
     warnings : tuple of str
@@ -183,7 +179,7 @@ def fit(
     The responses of each sweep to the force or the table motion are compared, weighted by their stated errors; the
     sensitivities of sensors are free within their tolerances. Where dampers move, the model computes exact periodic
     motions. Initial values come from modes. The prior of a free value is its value in the scene within a factor of
-    e; this prior matters only where the recordings do not determine the value, which is then reported.
+    e: it matters only where the recordings do not determine the value, which is then reported.
 
     Parameters
     ----------
@@ -237,7 +233,7 @@ def fit(
         raise SceneError(
             f"{again}: the same content as {first}, which would count twice. Give each recording once."
         )
-    curves = [one for recording in several for one in _curves(recording)]
+    curves = [each for recording in several for each in _curves(recording)]
     if not curves:
         raise RecordingError("fit: no recordings. Give at least one.")
     problem = Problem(model, parameters, curves)
@@ -258,33 +254,33 @@ def _result(problem: Problem, found: Estimate, report: Progress) -> Fit:
     x = found.x.copy()
     for k, limit in limits.items():
         clearance = problem.parameters[k]
-        x[k] = clearance.unknown(max(clearance.start, _CLEARANCE_MARGIN * limit))
+        x[k] = clearance.unknown(max(clearance.start, _UNREACHED_RATIO * limit))
     scene = problem.scene(x)
-    compared = tuple(_compare(problem, x, scene, number) for number in range(len(problem.groups)))
-    warnings = [f"{one.curves.label}: {note}" for one in compared for note in one.curves.warnings]
-    misfit = _misfit(found, compared) or _intolerable_sensors(problem, x)
+    compared = tuple(_compare(problem, x, scene, group) for group in problem.groups)
+    warnings = [f"{each.curves.label}: {note}" for each in compared for note in each.curves.warnings]
+    misfit = _misfit(found, compared) or _implausible_sensors(problem, x)
     if misfit:
         report("searching the cause of the misfit")
         explains, text = cause(problem)
         misfit = text if explains else f"{misfit} {text}"
     else:
-        misfit = report_mass_scale(problem, x)
+        misfit = mass_scale_error(problem, x)
     if not misfit and found.variance > _MAX_NOISE_VARIANCE:
-        worst = max(one.relative for one in compared)
+        worst = max(each.relative for each in compared)
         warnings.append(
             f"The residuals reach {worst:.2%} of the curves, more than their errors explain (variance "
             f"{found.variance:.3g}). "
             "The intervals are widened accordingly."
         )
-    for one, group in zip(compared, problem.groups, strict=True):
-        warnings += omitted_points(one.curves, one.used, {} if group.tones is None else group.tones.uncovered)
-    indices = range(len(problem.parameters))
-    deviation = found.deviation
-    each = tuple(
-        _fitted_value(one, x[k], deviation[k], bool(misfit) or found.variance > _MAX_NOISE_VARIANCE)
-        for k, one in enumerate(problem.parameters)
+    for each, group in zip(compared, problem.groups, strict=True):
+        uncovered = {} if group.tones is None else group.tones.uncovered
+        warnings += list_omitted_points(each.curves, each.used, uncovered)
+    count, deviation = len(problem.parameters), found.deviation
+    unexplained = bool(misfit) or found.variance > _MAX_NOISE_VARIANCE
+    fitted = tuple(
+        _fitted(parameter, x[k], deviation[k], unexplained) for k, parameter in enumerate(problem.parameters)
     )
-    if not misfit and all(one.status == "undetermined" for one in each):
+    if not misfit and all(each.status == "undetermined" for each in fitted):
         misfit = "The recordings determine none of the free values. `analysis frf` shows the uncertainty of the curves."
     clearances = [
         f"{problem.parameters[k].key} is at least {1e3 * limit:.3g} mm: no ceiling impact is in the motions that fit."
@@ -293,10 +289,10 @@ def _result(problem: Problem, found: Estimate, report: Progress) -> Fit:
     ]
     return Fit(
         scene=scene,
-        parameters=each,
-        correlation=found.correlation[np.ix_(indices, indices)],
+        parameters=fitted,
+        correlation=found.correlation[:count, :count],
         sensitivities={
-            sensor.name: (problem.deviation(x, sensor), COVERAGE_FACTOR * float(deviation[len(indices) + k]))
+            sensor.name: (problem.deviation(x, sensor), COVERAGE_FACTOR * float(deviation[count + k]))
             for k, sensor in enumerate(problem.sensors)
         },
         modes=_modes(problem, found),
@@ -304,57 +300,57 @@ def _result(problem: Problem, found: Estimate, report: Progress) -> Fit:
         compared=compared,
         variance=found.variance,
         misfit=misfit,
-        together=(*clearances, *coupled_values(problem, found, [one.status for one in each])),
+        together=(*clearances, *coupled_values(problem, found, [each.status for each in fitted])),
         warnings=tuple(warnings),
     )
 
 
 def _clearance_limits(problem: Problem, found: Estimate) -> dict[int, float]:
-    """Lower limits of undetermined clearances of flying beds, by the number of the parameter."""
+    """Return lower limits of undetermined clearances of dampers in flight, by the number of the parameter."""
     deviation = found.deviation
     limits = {
-        k: problem.clearance_limit(found.x, one)
-        for k, one in enumerate(problem.parameters)
-        if one.what == "clearance" and COVERAGE_FACTOR * deviation[k] > _MAX_HALF_WIDTH
+        k: problem.clearance_limit(found.x, parameter)
+        for k, parameter in enumerate(problem.parameters)
+        if parameter.what == "clearance" and COVERAGE_FACTOR * deviation[k] > _MAX_HALF_WIDTH
     }
     return {k: limit for k, limit in limits.items() if limit > 0.0}
 
 
-def _fitted_value(one: Parameter, x: float, deviation: float, missed: bool) -> Fitted:
-    low, value, high = (one.value(x + step * COVERAGE_FACTOR * deviation) for step in (-1.0, 0.0, 1.0))
-    half_width = COVERAGE_FACTOR * deviation * one.slope(value)
-    status = "determined" if half_width <= one.limit and not missed else "roughly"
+def _fitted(parameter: Parameter, x: float, deviation: float, unexplained: bool) -> Fitted:
+    low, value, high = (parameter.value(x + step * COVERAGE_FACTOR * deviation) for step in (-1.0, 0.0, 1.0))
+    half_width = COVERAGE_FACTOR * deviation * parameter.slope(value)
+    status = "determined" if half_width <= parameter.limit and not unexplained else "roughly"
     if half_width > _MAX_HALF_WIDTH:
         status = "undetermined"
-    return Fitted(one.key, one.unit, one.start, value, low, high, status)
+    return Fitted(parameter.key, parameter.unit, parameter.start, value, low, high, status)
 
 
-def _compare(problem: Problem, x: Array, scene: Scene, number: int) -> Compared:
-    group = problem.groups[number]
+def _compare(problem: Problem, x: Array, scene: Scene, group: Group) -> Compared:
     curves = group.curves
     predicted = problem.predicted(x, group, scene)
-    off = predicted - curves.value
-    misses = abs(np.einsum("nij,jn->in", curves.whiten, off))
-    used = group.used & np.isfinite(misses).all(axis=0)
-    # By their errors, so that lines that are mostly noise do not count.
+    residual = predicted - curves.value
+    normalized = abs(np.einsum("nij,jn->in", curves.whiten, residual))
+    used = group.used & np.isfinite(normalized).all(axis=0)
+    # Weighted by their errors, so that lines with much noise have little influence.
     weight = abs(np.einsum("nii->in", curves.whiten))[:, used]
-    square = np.sum(abs(weight * off[:, used]) ** 2, axis=1)
+    square = np.sum(abs(weight * residual[:, used]) ** 2, axis=1)
     square /= np.sum(abs(weight * curves.value[:, used]) ** 2, axis=1)
-    return Compared(curves, predicted, used, misses, float(np.sqrt(square.max())) if used.any() else np.inf)
+    relative = float(np.sqrt(square.max())) if used.any() else np.inf
+    return Compared(curves, predicted, used, normalized, relative)
 
 
 def _misfit(found: Estimate, compared: Sequence[Compared]) -> str:
-    """Say how far a scene is from recordings that it does not fit."""
-    for one in compared:
-        regular = np.isfinite(one.predicted).all(axis=0)
-        omitted = int((regular & ~one.used).sum())
+    """Describe the recording that the scene does not fit, with the residual; "" if it fits all."""
+    for each in compared:
+        regular = np.isfinite(each.predicted).all(axis=0)
+        omitted = int((regular & ~each.used).sum())
         if omitted > _MAX_OMITTED_SHARE * regular.sum() or regular.mean() < 1.0 - _MAX_IRREGULAR_SHARE:
             return (
-                f"{one.curves.label}: the scene does not reproduce the measured motion at {int((~one.used).sum())} "
-                f"of {one.used.size} points."
+                f"{each.curves.label}: the scene does not reproduce the measured motion at {int((~each.used).sum())} "
+                f"of {each.used.size} points."
             )
-    worst = max(compared, key=lambda one: one.relative)
-    if found.variance > _MAX_NOISE_VARIANCE and worst.relative > _MAX_RELATIVE_RESIDUAL:
+    worst = max(compared, key=lambda each: each.relative)
+    if found.variance > _MAX_NOISE_VARIANCE and worst.relative > _MAX_RESIDUAL_RATIO:
         return (
             f"{worst.curves.label}: the best fit leaves a residual of {worst.relative:.1%} of the curves (rms), "
             f"{format_number(np.sqrt(found.variance))} times their stated errors."
@@ -362,8 +358,8 @@ def _misfit(found: Estimate, compared: Sequence[Compared]) -> str:
     return ""
 
 
-def _intolerable_sensors(problem: Problem, x: Array) -> str:
-    """Name the sensors whose fitted errors exceed by far what their data sheets allow."""
+def _implausible_sensors(problem: Problem, x: Array) -> str:
+    """Name the sensors whose fitted errors far exceed the tolerances of their data sheets."""
     sensors = [
         f"{sensor.name} would need an error of {100.0 * error:.3g} %, but its data sheet allows "
         f"{100.0 * sensor.tolerance:.3g} %"
@@ -378,16 +374,16 @@ def _intolerable_sensors(problem: Problem, x: Array) -> str:
 
 
 def _modes(problem: Problem, found: Estimate) -> tuple[Mode, ...]:
-    """Modes of the structure alone; bounds by first-order propagation of the covariance's factor."""
+    """Return the modes of the structure alone; bounds by first-order propagation of the covariance's factor."""
 
-    def at(x: Array) -> Array:
+    def modal_values(x: Array) -> Array:
         modes = structural_model(problem.scene(x)).modes
         return np.concatenate([modes.frequency, modes.damping_ratio])
 
-    here, step = at(found.x), 1e-6
-    columns = [(at(found.x + step * row) - here) / step for row in np.eye(problem.size)]
+    values, step = modal_values(found.x), 1e-6
+    columns = [(modal_values(found.x + step * row) - values) / step for row in np.eye(problem.size)]
     jacobian = np.stack(columns, axis=1)
     bound = COVERAGE_FACTOR * np.linalg.norm(jacobian @ found.factor, axis=1)
-    count = here.size // 2
-    rows = np.transpose([here[:count], bound[:count], here[count:], bound[count:]])
+    count = values.size // 2
+    rows = np.transpose([values[:count], bound[:count], values[count:], bound[count:]])
     return tuple(Mode(*row) for row in rows.tolist())

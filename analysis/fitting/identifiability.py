@@ -7,16 +7,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from analysis.fitting.estimate import COVERAGE_FACTOR, Estimate, solved
+from analysis.fitting.estimate import COVERAGE_FACTOR, Estimate, solve
 from analysis.fitting.problem import Problem
 from rig.arrays import Array
 
-# Minimum half width of a 95 % interval along a principal axis that is reported, relative to the values.
+# Smallest relative half width of a 95 % interval along a principal axis that is reported.
 _MIN_HALF_WIDTH = 0.02
-# Values are named if their components of the axis exceed this ratio to the largest component.
+# Components of a principal axis above this ratio to the largest are named.
 _MIN_COMPONENT_RATIO = 0.3
-# A sensor limits a value if the correlation of their errors is at least this.
+# A sensor limits a value if their errors have at least this correlation.
 _MIN_CORRELATION = 0.7
+# Largest half width of a 95 % interval of damping, relative, that counts as determined.
+_MAX_HALF_WIDTH = 0.5
 
 
 @dataclass(frozen=True)
@@ -45,16 +47,18 @@ def damping_by_level(problem: Problem, found: Estimate) -> tuple[LevelDamping, .
     for group in tones:
         curves = group.curves
         assert curves.level is not None
-        x = solved(problem, found.x, [group], 0.0, active, 8)
+        x = solve(problem, found.x, [group], 0.0, active, 8)
         jacobian = problem.jacobian(x, [group], 0.0, active)
         residuals = problem.residual(x, [group])[: -problem.size]
         variance = max(float(np.mean(residuals**2)), 1.0)
         root = np.linalg.inv(np.linalg.qr(jacobian, mode="r"))
-        half = COVERAGE_FACTOR * np.sqrt(variance) * np.linalg.norm(root, axis=1)
-        value, known = problem.values(x)[active], half < 0.5
-        size = (2.0 * np.pi * curves.frequency) ** (2 if curves.reference in ("table", "force") else 0)
-        acceleration = float((size * curves.level * abs(curves.value)).max())
-        value, bound = np.where(known, value, np.nan), np.where(known, value * half, np.nan)
+        half_width = COVERAGE_FACTOR * np.sqrt(variance) * np.linalg.norm(root, axis=1)
+        value, known = problem.values(x)[active], half_width < _MAX_HALF_WIDTH
+        to_acceleration = (2.0 * np.pi * curves.frequency) ** (
+            2 if curves.reference in ("table", "force") else 0
+        )
+        acceleration = float((to_acceleration * curves.level * abs(curves.value)).max())
+        value, bound = np.where(known, value, np.nan), np.where(known, value * half_width, np.nan)
         out.append(LevelDamping(curves.label, group.tones is not None, acceleration, keys, value, bound))
     problem.residual(found.x, problem.groups)
     return tuple(out)
@@ -67,30 +71,30 @@ def coupled_values(problem: Problem, found: Estimate, statuses: Sequence[str]) -
     """
     count, moving = len(problem.parameters), any(group.tones is not None for group in problem.groups)
     known = [k for k in range(count) if statuses[k] != "undetermined"]
-    lines = []
+    undetermined = []
     for k in sorted({*range(count)} - {*known}):
-        hidden = problem.parameters[k].damper is not None and not moving
-        why = " (no recording in which its damper moves)" if hidden else ""
-        lines.append(
+        never_moves = problem.parameters[k].damper is not None and not moving
+        why = " (no recording in which its damper moves)" if never_moves else ""
+        undetermined.append(
             f"{problem.parameters[k].key} is not determined by these recordings{why}; it keeps about its initial value."
         )
     if not known:
-        return tuple(lines)
+        return tuple(undetermined)
+    coupled = []
     axes, deviations, _ = np.linalg.svd(found.factor[known], full_matrices=False)
-    half_widths = COVERAGE_FACTOR * deviations * abs(axes).max(axis=0)
-    for k in np.argsort(-half_widths, kind="stable"):
-        axis = axes[:, k]
-        named = np.flatnonzero(abs(axis) > _MIN_COMPONENT_RATIO * abs(axis).max())
-        if half_widths[k] < _MIN_HALF_WIDTH or named.size == 1:
+    for deviation, axis in zip(deviations, axes.T, strict=True):
+        half_width = COVERAGE_FACTOR * float(deviation) * float(abs(axis).max())
+        large = np.flatnonzero(abs(axis) > _MIN_COMPONENT_RATIO * abs(axis).max())
+        if half_width < _MIN_HALF_WIDTH or large.size == 1:
             continue
-        relation = "by one factor" if abs(np.sign(axis[named]).sum()) == named.size else "against each other"
-        correlation = found.correlation[known[named[0]], count:]
+        signs = np.sign(axis[large])
+        direction = "by the same factor" if abs(signs.sum()) == large.size else "in opposite directions"
+        related = found.correlation[known[large[0]]][count:]
         sensors = [
-            s.name for s, r in zip(problem.sensors, correlation, strict=False) if abs(r) > _MIN_CORRELATION
+            s.name for s, r in zip(problem.sensors, related, strict=False) if abs(r) > _MIN_CORRELATION
         ]
-        cause = f" (only the calibration of {', '.join(sensors)} decides)" if sensors else ""
-        names = ", ".join(problem.parameters[known[index]].key for index in named)
-        lines.append(
-            f"{names} may change together, {relation}, by {half_widths[k]:.1%} without the curves showing it{cause}."
-        )
-    return tuple(lines)
+        cause = f" (their values depend on the calibration of {', '.join(sensors)})" if sensors else ""
+        names = ", ".join(problem.parameters[known[k]].key for k in large)
+        line = f"{names} can change {direction} by up to {half_width:.1%} with no visible change of the curves{cause}."
+        coupled.append((half_width, line))
+    return *undetermined, *(line for _, line in sorted(coupled, key=lambda each: -each[0]))

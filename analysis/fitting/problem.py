@@ -11,27 +11,28 @@ from numpy.typing import NDArray
 from analysis.fitting.measured import Curves, Sensor
 from analysis.fitting.parameters import Parameter, with_values
 from analysis.fitting.predicted import linear_slopes, on_the_bench, riding
-from analysis.fitting.steady_tones import Known, SteadyTones
+from analysis.fitting.steady_tones import SteadyTones, StoredOrbit
 from rig.arrays import Array, ComplexArray
 from rig.scene.scene import Scene
 
 # Prior standard deviation of a value's logarithm: so wide that it matters only where the data determine nothing.
-VAGUE = 1.0
-# Largest change of a value's logarithm from its start.
-_FARTHEST = 6.0
-# Step for derivatives of motions with dampers, which are exact to about 1e-13; relative step of the matrices, in
-# which all values but modal damping are linear.
-_STEP, _MATRIX_STEP = 1e-6, 1e-3
-# Residual of a point at which the model has no steady motion, and limit of all residuals, standard deviations.
-_LOST = 30.0
+PRIOR_SD = 1.0
+# Largest change of a value's logarithm from its initial value.
+_MAX_CHANGE = 6.0
+# Step for derivatives of orbits, whose values are accurate to about 1e-13.
+_STEP = 1e-6
+# Relative step for derivatives of the matrices, in which all values but modal damping are linear.
+_MATRIX_STEP = 1e-3
+# Residual of a point without a steady motion in the model, standard deviations.
+_FAILED_RESIDUAL = 30.0
 # Largest residual, in standard deviations and in medians, of a point with the right kind of motion.
-_OUTLYING = 6.0
-# Ratio of frequencies that belong to a neighbourhood.
-_AROUND = 1.15
+_OUTLIER_LIMIT = 6.0
+# Ratio of frequencies up to which points are neighbours.
+_NEIGHBOURHOOD = 1.15
 
 
-# State of a group: the points that count, the motion at each point, and the motions before.
-Motions = tuple[NDArray[np.bool_], list[Known | None], list[Known | None]]
+# State of a group: the fitted points, the orbit at each point, and the previous orbits.
+Motions = tuple[NDArray[np.bool_], list[StoredOrbit | None], list[StoredOrbit | None]]
 
 
 @dataclass
@@ -40,34 +41,34 @@ class Group:
 
     curves: Curves
     tones: SteadyTones | None
-    """Where dampers move; None where the rig is linear."""
+    """Orbits where dampers move; None if the rig is linear."""
     used: NDArray[np.bool_]
-    """Points that count, shape (n,)."""
-    around: Array
-    """Largest whitened value around each point, shape (n, responses)."""
+    """Points that are fitted, shape (n,)."""
+    local_peak: Array
+    """Largest whitened value near each point, shape (n, responses)."""
     last: tuple[tuple[float, ...], bool, ComplexArray] | None = field(default=None, repr=False)
 
     def motions(self) -> Motions:
         """Return the state of the motions, for `restore`."""
         assert self.tones is not None
-        return self.used.copy(), list(self.tones.known), list(self.tones.before)
+        return self.used.copy(), list(self.tones.orbits), list(self.tones.previous)
 
     def restore(self, motions: Motions) -> None:
         """Restore a state of the motions."""
         assert self.tones is not None
-        used, known, before = motions
+        used, orbits, previous = motions
         self.used, self.last = used.copy(), None
-        self.tones.known, self.tones.before = list(known), list(before)
-        self.tones.given_up.clear()
+        self.tones.orbits, self.tones.previous = list(orbits), list(previous)
+        self.tones.failed.clear()
 
     def choose_motions(self, problem: Problem, x: Array, scene: Scene) -> bool:
-        """Replace the motion at outlying points by one that fits better, and leave out points that stay outlying.
+        """Replace the orbit at outliers by one that fits better, and exclude points that remain outliers.
 
         Returns whether anything changed.
         """
         assert self.tones is not None
-        self.tones.given_up.clear()
-        curves, before = self.curves, self.used.copy()
+        self.tones.failed.clear()
+        curves, used_before = self.curves, self.used.copy()
         predicted = problem.predicted(x, self, scene)
         bench = on_the_bench(scene, curves)
         level, frequency = problem.operating_points(x, curves)
@@ -78,17 +79,17 @@ class Group:
             return float(np.nan_to_num(white, nan=np.inf).max())
 
         residuals = np.array([residual(k, predicted[:, k]) for k in range(frequency.size)])
-        limit = _OUTLYING * max(1.0, float(np.median(residuals)))
+        limit = _OUTLIER_LIMIT * max(1.0, float(np.median(residuals)))
         changed = False
         for k in np.flatnonzero(residuals > limit).tolist():
-            for known, bodies in self.tones.others(bench, level, frequency, k):
-                better = residual(k, own / gain * bodies[list(curves.bodies)])
-                if better < 0.5 * residuals[k]:
-                    self.tones.known[k], residuals[k], changed = known, better, True
+            for orbit, bodies in self.tones.alternatives(bench, level, frequency, k):
+                smaller = residual(k, own / gain * bodies[list(curves.bodies)])
+                if smaller < 0.5 * residuals[k]:
+                    self.tones.orbits[k], residuals[k], changed = orbit, smaller, True
                 if residuals[k] <= limit:
                     break
         self.used, self.last = residuals <= limit, None
-        return changed or bool(np.any(self.used != before))
+        return changed or bool(np.any(self.used != used_before))
 
 
 class Problem:
@@ -96,7 +97,7 @@ class Problem:
 
     `model`: with one damping value for each mode; `parameters`: its free values; `curves`: measured responses;
     `sensors`: sensors with a tolerance of sensitivity; their deviations are unknowns after the parameters; `clocks`:
-    largest deviation of the sample clock; if it is not zero, its deviation is the last unknown; `start`, `spread`,
+    largest deviation of the sample clock; if it is not zero, its deviation is the last unknown; `start`, `prior_sd`,
     shape (unknowns,): prior mean and standard deviation. Values are represented by their logarithm.
     """
 
@@ -107,38 +108,38 @@ class Problem:
                 each,
                 SteadyTones(each) if each.moving else None,
                 np.ones(each.frequency.size, bool),
-                _around(each),
+                _local_peaks(each),
             )
             for each in curves
         ]
-        everywhere = [sensor for one in curves for sensor in (*one.sensors, one.reference_sensor)]
-        self.sensors = [sensor for sensor in dict.fromkeys(everywhere) if sensor.tolerance > 0.0]
-        self.clock = max(one.clock for one in curves)
-        values = [one.unknown(one.start) for one in self.parameters]
+        sensors = [sensor for each in curves for sensor in (*each.sensors, each.reference_sensor)]
+        self.sensors = [sensor for sensor in dict.fromkeys(sensors) if sensor.tolerance > 0.0]
+        self.clock = max(each.clock for each in curves)
+        values = [parameter.unknown(parameter.start) for parameter in self.parameters]
         # A uniform distribution within the tolerance has a standard deviation of tolerance / sqrt(3).
-        others = [sensor.tolerance for sensor in self.sensors] + [self.clock] * (self.clock > 0.0)
-        self.start = np.array(values + [0.0] * len(others))
-        self.spread = np.array([VAGUE] * len(values) + [one / np.sqrt(3.0) for one in others])
+        limits = [sensor.tolerance for sensor in self.sensors] + [self.clock] * (self.clock > 0.0)
+        self.start = np.array(values + [0.0] * len(limits))
+        self.prior_sd = np.array([PRIOR_SD] * len(values) + [limit / np.sqrt(3.0) for limit in limits])
 
     @property
     def size(self) -> int:
-        """Number of unknowns."""
+        """Return the number of unknowns."""
         return self.start.size
 
     def values(self, x: Array) -> Array:
-        """Values of the parameters, in SI."""
-        inside = np.clip(x - self.start, -_FARTHEST, _FARTHEST) + self.start
-        return np.array([one.value(value) for one, value in zip(self.parameters, inside, strict=False)])
+        """Return the values of the parameters, in SI units."""
+        inside = np.clip(x - self.start, -_MAX_CHANGE, _MAX_CHANGE) + self.start
+        return np.array([each.value(value) for each, value in zip(self.parameters, inside, strict=False)])
 
     def scene(self, x: Array) -> Scene:
-        """Give the model with the values of the unknowns."""
+        """Return the model with the values of the unknowns."""
         places = [parameter.place for parameter in self.parameters]
         return with_values(self.model, dict(zip(places, self.values(x).tolist(), strict=True)))
 
     def deviation(self, x: Array, sensor: Sensor) -> float:
-        """Relative deviation of a sensor's sensitivity."""
-        at = len(self.parameters)
-        return float(x[at + self.sensors.index(sensor)]) if sensor in self.sensors else 0.0
+        """Return the relative deviation of a sensor's sensitivity."""
+        first = len(self.parameters)
+        return float(x[first + self.sensors.index(sensor)]) if sensor in self.sensors else 0.0
 
     def gains(self, x: Array, curves: Curves) -> tuple[Array, float]:
         """Return the relative gains of the response sensors, shape (responses,), and of the reference sensor."""
@@ -152,7 +153,7 @@ class Problem:
         return np.asarray(level / self.gains(x, curves)[1]), curves.frequency * clock
 
     def clearance_limit(self, x: Array, parameter: Parameter) -> float:
-        """Largest gap of a damper in all motions, m, a lower limit of its clearance; 0 with ceiling impacts."""
+        """Return the largest gap of a damper, m, a lower limit of its clearance; 0 with ceiling impacts."""
         scene, limit = self.scene(x), 0.0
         assert parameter.damper is not None
         body = self.model.dampers[parameter.damper].body
@@ -166,90 +167,95 @@ class Problem:
                     limit = max(limit, group.tones.largest_gap(bench, *points, number))
         return limit if np.isfinite(limit) else 0.0
 
-    def predicted(self, x: Array, group: Group, scene: Scene, settle: bool = True) -> ComplexArray:
+    def predicted(self, x: Array, group: Group, scene: Scene, search: bool = True) -> ComplexArray:
         """Return the predicted readings, shape (responses, n); NaN where there is no steady motion."""
         own, gain = self.gains(x, group.curves)
-        return own[:, None] / gain * self._answer(x, group, scene, settle)[list(group.curves.bodies)]
+        return (
+            own[:, None] / gain * self._displacement_ratio(x, group, scene, search)[list(group.curves.bodies)]
+        )
 
-    def _answer(self, x: Array, group: Group, scene: Scene, settle: bool = True) -> ComplexArray:
-        """Displacement of the bodies over the reference, shape (bodies, n)."""
+    def _displacement_ratio(self, x: Array, group: Group, scene: Scene, search: bool = True) -> ComplexArray:
+        """Return displacement of the bodies / reference, shape (bodies, n)."""
         curves = group.curves
         level, frequency = self.operating_points(x, curves)
         gain = 0.0 if group.tones is None else self.gains(x, curves)[1]
         key = (*x[: len(self.parameters)].tolist(), float(x[-1]) if self.clock > 0.0 else 0.0, gain)
-        if group.last is None or group.last[0] != key or (settle and not group.last[1]):
+        if group.last is None or group.last[0] != key or (search and not group.last[1]):
             bench = on_the_bench(scene, curves)
             if group.tones is None:
                 bodies = riding(bench, curves, frequency)[0]
             else:
-                bodies = group.tones.at(bench, level, frequency, settle)
-            group.last = (key, settle, bodies)
+                bodies = group.tones.response(bench, level, frequency, search)
+            group.last = (key, search, bodies)
         return group.last[2]
 
-    def misses(
-        self, x: Array, group: Group, scene: Scene, distrust: float = 0.0, settle: bool = True
+    def normalized_residuals(
+        self, x: Array, group: Group, scene: Scene, model_error: float = 0.0, search: bool = True
     ) -> ComplexArray:
         """Return the residuals of a group's used points in standard deviations; shape (used, responses)."""
         curves, used = group.curves, group.used
-        off = self.predicted(x, group, scene, settle)[:, used] - curves.value[:, used]
-        white = np.einsum("nij,jn->ni", curves.whiten[used], off)
-        white = white / np.sqrt(1.0 + (distrust * group.around[used]) ** 2)
-        return np.where(np.isfinite(white), white, _LOST * (1 + 1j))
+        residual = self.predicted(x, group, scene, search)[:, used] - curves.value[:, used]
+        white = np.einsum("nij,jn->ni", curves.whiten[used], residual)
+        white = white / np.sqrt(1.0 + (model_error * group.local_peak[used]) ** 2)
+        return np.where(np.isfinite(white), white, _FAILED_RESIDUAL * (1 + 1j))
 
     def residual(
-        self, x: Array, groups: Sequence[Group], distrust: float = 0.0, settle: bool = True
+        self, x: Array, groups: Sequence[Group], model_error: float = 0.0, search: bool = True
     ) -> Array:
-        """Residuals of some groups, real and imaginary parts, then the deviations of the unknowns from their priors."""
+        """Return residuals of groups (real and imaginary parts), then deviations of the unknowns from their priors."""
         scene = self.scene(x)
-        parts = [self.misses(x, group, scene, distrust, settle) for group in groups]
+        parts = [self.normalized_residuals(x, group, scene, model_error, search) for group in groups]
         flat = np.concatenate([part.ravel() for part in parts]) if parts else np.zeros(0, dtype=complex)
-        return np.concatenate([flat.real, flat.imag, (x - self.start) / self.spread])
+        return np.concatenate([flat.real, flat.imag, (x - self.start) / self.prior_sd])
 
     def jacobian(
-        self, x: Array, groups: Sequence[Group], distrust: float = 0.0, active: Sequence[int] | None = None
+        self, x: Array, groups: Sequence[Group], model_error: float = 0.0, active: Sequence[int] | None = None
     ) -> Array:
         """Differentiate `residual` with respect to active unknowns, shape (residuals, active).
 
-        Exact where the rig is linear. Motions of dampers keep their events as they are followed from the ones known
-        at x.
+        It is exact where the rig is linear. Orbits are refined from those at x, with the same events.
         """
         chosen = list(range(self.size)) if active is None else list(active)
         scene = self.scene(x)
         moving = [group for group in groups if group.tones is not None]
-        following = iter(self._differences(x, moving, scene, distrust, chosen))
+        following = iter(self._differences(x, moving, scene, model_error, chosen))
         parts = [
-            self._linear_slopes(x, group, scene, distrust, chosen) if group.tones is None else next(following)
+            self._linear_slopes(x, group, scene, model_error, chosen)
+            if group.tones is None
+            else next(following)
             for group in groups
         ]
         flat = np.concatenate(
             [np.zeros((0, len(chosen))), *(part.reshape(-1, len(chosen)) for part in parts)]
         )
         prior = np.zeros((self.size, len(chosen)))
-        prior[chosen, range(len(chosen))] = 1.0 / self.spread[chosen]
+        prior[chosen, range(len(chosen))] = 1.0 / self.prior_sd[chosen]
         return np.concatenate([flat.real, flat.imag, prior])
 
     def _differences(
-        self, x: Array, groups: Sequence[Group], scene: Scene, distrust: float, chosen: Sequence[int]
+        self, x: Array, groups: Sequence[Group], scene: Scene, model_error: float, chosen: Sequence[int]
     ) -> list[ComplexArray]:
-        """Slopes of the misses of each group by differences; shape (used, responses, chosen)."""
+        """Differentiate the residuals of each group by finite differences; shape (used, responses, chosen)."""
         if not groups:
             return []
-        base = [self.misses(x, group, scene, distrust, settle=False) for group in groups]
+        base = [self.normalized_residuals(x, group, scene, model_error, search=False) for group in groups]
         columns: list[list[ComplexArray]] = [[] for _ in groups]
         for k in chosen:
             moved = x.copy()
             # An undetermined unknown may have moved far beyond where its value still changes.
             moved[k] += _STEP * max(1.0, abs(x[k]))
-            there = self.scene(moved)
-            for group, here, column in zip(groups, base, columns, strict=True):
-                off = self.misses(moved, group, there, distrust, settle=False) - here
-                column.append(off / (moved[k] - x[k]))
+            changed = self.scene(moved)
+            for group, unchanged, column in zip(groups, base, columns, strict=True):
+                difference = (
+                    self.normalized_residuals(moved, group, changed, model_error, search=False) - unchanged
+                )
+                column.append(difference / (moved[k] - x[k]))
         return [np.stack(column, axis=-1) for column in columns]
 
     def _linear_slopes(
-        self, x: Array, group: Group, scene: Scene, distrust: float, chosen: Sequence[int]
+        self, x: Array, group: Group, scene: Scene, model_error: float, chosen: Sequence[int]
     ) -> ComplexArray:
-        """Slopes of the misses of a group in which no damper moves; shape (used, responses, chosen)."""
+        """Differentiate the residuals of a group in which no damper moves; shape (used, responses, chosen)."""
         curves, used, count = group.curves, group.used, len(self.parameters)
         # Of dampers at rest on their floors, only the masses have an effect.
         acting = [
@@ -258,13 +264,11 @@ class Problem:
             if k < count
             and (self.parameters[k].damper is None or self.parameters[k].what in ("mass", "mass_ratio"))
         ]
-        benches, frequency = (
-            [self._neighbours(x, k, curves) for k in acting],
-            self.operating_points(x, curves)[1],
-        )
+        benches = [self._neighbours(x, k, curves) for k in acting]
+        frequency = self.operating_points(x, curves)[1]
         by_value, by_frequency = linear_slopes(on_the_bench(scene, curves), curves, frequency, benches)
         values, (own, gain) = self.values(x), self.gains(x, curves)
-        bodies, rows = self._answer(x, group, scene), list(curves.bodies)
+        bodies, rows = self._displacement_ratio(x, group, scene), list(curves.bodies)
         slopes = np.zeros((len(chosen), *curves.value.shape), dtype=complex)
         for column, k in enumerate(chosen):
             if k in acting:
@@ -272,16 +276,16 @@ class Problem:
                 slopes[column] = own[:, None] / gain * by_value[acting.index(k)][rows] * by_unknown
             elif count <= k < count + len(self.sensors):
                 sensor = self.sensors[k - count]
-                of = np.array([float(each == sensor) for each in curves.sensors])[:, None]
+                by_own = np.array([float(each == sensor) for each in curves.sensors])[:, None]
                 by_gain = float(curves.reference_sensor == sensor)
-                slopes[column] = (of - by_gain * own[:, None] / gain) / gain * bodies[rows]
+                slopes[column] = (by_own - by_gain * own[:, None] / gain) / gain * bodies[rows]
             elif k >= count:
                 slopes[column] = own[:, None] / gain * by_frequency[rows] * curves.frequency
         white = np.einsum("nij,cjn->nic", curves.whiten[used], slopes[:, :, used])
-        return white / np.sqrt(1.0 + (distrust * group.around[used]) ** 2)[..., None]
+        return white / np.sqrt(1.0 + (model_error * group.local_peak[used]) ** 2)[..., None]
 
     def _neighbours(self, x: Array, k: int, curves: Curves) -> tuple[Scene, Scene, float]:
-        """Benches with a slightly larger and a slightly smaller value, and the difference of the values."""
+        """Return benches with a slightly larger and a slightly smaller value, and the difference of the values."""
         values, place = self.values(x).tolist(), self.parameters[k].place
         places = [parameter.place for parameter in self.parameters]
         more, less = (
@@ -291,11 +295,11 @@ class Problem:
         return on_the_bench(more, curves), on_the_bench(less, curves), 2.0 * _MATRIX_STEP * values[k]
 
 
-def _around(curves: Curves) -> Array:
-    """Largest value around each point in standard deviations: scale of the residuals of a wrong model."""
+def _local_peaks(curves: Curves) -> Array:
+    """Return the largest value near each point in standard deviations, shape (n, responses)."""
     order = np.argsort(curves.frequency, kind="stable")
     f, size = curves.frequency[order], abs(curves.value[:, order])
-    low, high = np.searchsorted(f, f / _AROUND), np.searchsorted(f, f * _AROUND, side="right")
+    low, high = np.searchsorted(f, f / _NEIGHBOURHOOD), np.searchsorted(f, f * _NEIGHBOURHOOD, side="right")
     largest = np.empty(size.T.shape)
     largest[order] = np.stack([size[:, a:b].max(axis=1) for a, b in zip(low, high, strict=True)])
     return largest * abs(np.einsum("nii->ni", curves.whiten))

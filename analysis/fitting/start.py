@@ -1,4 +1,4 @@
-"""Starting values of a fit: the model with these values has the modes identified from the linear recordings."""
+"""Initial values of a fit: the model with these values has the modes identified from the linear recordings."""
 
 from __future__ import annotations
 
@@ -19,41 +19,51 @@ from rig.results.response import Response
 from rig.scene.scene import Scene
 from rig.system.structural_model import driven_bodies, structural_model
 
-# Assumed standard deviations of the identified modes: frequency and damping relative, shapes relative to the largest.
+# Standard deviations assumed for the identified modes: of frequency and damping, relative, and of a shape, relative to
+# its largest component.
 _FREQUENCY_SD = 3e-4
 _DAMPING_SD = 0.05
 _SHAPE_SD = 0.05
-# Maximum number of assignments of identified modes to modes of the model that are fitted, and that are ranked.
-_MAX_FITTED_ASSIGNMENTS = 4
-_MAX_RANKED_ASSIGNMENTS = 2000
+# Assignments of identified modes to modes of the model that are ranked, and of these the number that is fitted.
+_MAX_RANKED = 2000
+_MAX_FITTED = 4
+# Model error of the residuals that compare the assignments, and the limit of each, in standard deviations.
+_MODEL_ERROR = 0.1
+_MAX_RESIDUAL = 30.0
+# Ratio of frequencies, as a logarithm, and weight of 1 - MAC, in the distance between identified and model modes.
+_LOG_FREQUENCY_SCALE = 0.1
+_MAC_WEIGHT = 4.0
 
 
-def start(problem: Problem, groups: Sequence[Group]) -> Array:
-    """Return unknowns for which the model has the modes of linear groups; the scene's values if none are identified.
+def initial_unknowns(problem: Problem, groups: Sequence[Group]) -> Array:
+    """Return unknowns with which the model has the identified modes, or those of the scene if no mode is identified.
 
-    If the test's band contains only some of the modes, the assignment with the smallest residual is used. All groups
-    use assignments of the same rank.
+    If the band of the test contains only some of the modes, the assignment with the smallest residual is used. All
+    groups change to their next assignment together.
     """
-    by_group = [(group, _modes(group.curves.frfs, group.curves.scene.structure.bodies)) for group in groups]
-    identified = [(group, modes) for group, modes in by_group if modes is not None]
+    identified = [
+        (group, _identify(group.curves.frfs, group.curves.scene.structure.bodies)) for group in groups
+    ]
+    modal_groups = [(group, modes) for group, modes in identified if modes is not None]
     x = problem.start.copy()
     active = [k for k, parameter in enumerate(problem.parameters) if parameter.place[0] == "structure"]
-    if not identified or not active:
+    if not modal_groups or not active:
         return x
-    assignments = [_assignments(problem.scene(x), *each) for each in identified]
+    ranked = [_ranked_assignments(problem.scene(x), *each) for each in modal_groups]
     best, smallest = x, np.inf
-    for rank in range(min(_MAX_FITTED_ASSIGNMENTS, max(len(ranked) for ranked in assignments))):
-        chosen = [ranked[min(rank, len(ranked) - 1)] for ranked in assignments]
-        trial = _fit_modes(problem, x, active, identified, chosen)
-        cost = float(np.sum(np.minimum(abs(problem.residual(trial, groups, 0.1)), 30.0) ** 2))
+    for rank in range(min(_MAX_FITTED, max(map(len, ranked)))):
+        assignments = [each[min(rank, len(each) - 1)] for each in ranked]
+        fitted = _fit_modes(problem, x, active, modal_groups, assignments)
+        residuals = abs(problem.residual(fitted, groups, _MODEL_ERROR))
+        cost = float(np.sum(np.minimum(residuals, _MAX_RESIDUAL) ** 2))
         if cost < smallest:
-            best, smallest = trial, cost
+            best, smallest = fitted, cost
     return best
 
 
 @lru_cache(maxsize=16)
-def _modes(frfs: tuple[Response, ...], bodies: int) -> Modes | None:
-    """Modes of curves, cached because every trial of `diagnosis` identifies the same curves."""
+def _identify(frfs: tuple[Response, ...], bodies: int) -> Modes | None:
+    """Identify the modes of curves; cached, because every trial of `diagnosis` identifies the same curves."""
     try:
         return identify(frfs, bodies)
     except (RecordingError, SceneError, np.linalg.LinAlgError):
@@ -64,25 +74,25 @@ def _fit_modes(
     problem: Problem,
     x: Array,
     active: list[int],
-    identified: Sequence[tuple[Group, Modes]],
-    chosen: Sequence[tuple[int, ...]],
+    modal_groups: Sequence[tuple[Group, Modes]],
+    assignments: Sequence[tuple[int, ...]],
 ) -> Array:
-    """Fit the active unknowns to the identified modes, which are assigned to the `chosen` modes of the model."""
+    """Fit the active unknowns to the identified modes, which are assigned to modes of the model."""
 
-    def residual(inner: Array) -> Array:
-        full = x.copy()
-        full[active] = inner
-        scene = problem.scene(full)
-        parts = [(inner - problem.start[active]) / problem.spread[active]]
-        for (group, modes), assignment in zip(identified, chosen, strict=True):
-            frequency, damping, residue = _model_modes(scene, group)
-            at = list(assignment)
+    def residual(values: Array) -> Array:
+        unknowns = x.copy()
+        unknowns[active] = values
+        scene = problem.scene(unknowns)
+        parts = [(values - problem.start[active]) / problem.prior_sd[active]]
+        for (group, modes), assignment in zip(modal_groups, assignments, strict=True):
+            frequency, damping, constants = _model_modes(scene, group)
+            numbers = list(assignment)
             measured = (modes.residue * (-2.0 * 2.0 * np.pi * modes.frequency)).imag
             scale = abs(measured).max(axis=0)
             parts += [
-                np.log(frequency[at] / modes.frequency) / _FREQUENCY_SD,
-                np.log(np.maximum(damping[at], 1e-9) / modes.damping) / _DAMPING_SD,
-                ((residue[:, at] - measured) / scale / _SHAPE_SD).ravel(),
+                np.log(frequency[numbers] / modes.frequency) / _FREQUENCY_SD,
+                np.log(np.maximum(damping[numbers], 1e-9) / modes.damping) / _DAMPING_SD,
+                ((constants[:, numbers] - measured) / scale / _SHAPE_SD).ravel(),
             ]
         return np.concatenate(parts)
 
@@ -93,7 +103,10 @@ def _fit_modes(
 
 
 def _model_modes(scene: Scene, group: Group) -> tuple[Array, Array, Array]:
-    """Frequency [Hz], damping ratio, and modal constants, shape (responses, modes)."""
+    """Return frequency in Hz, damping ratio, and modal constants (Ewins), shape (responses, modes).
+
+    A modal constant is -2 omega times the imaginary part of the residue.
+    """
     bench = on_the_bench(scene, group.curves)
     spring = getattr(bench.driven_shaker, "spring", None)
     model = structural_model(bench).with_bed_masses()
@@ -104,18 +117,18 @@ def _model_modes(scene: Scene, group: Group) -> tuple[Array, Array, Array]:
     hammer = bench.test is not None and bench.test.kind == "impulse"
     driven = [bench.test.body - 1] if hammer else driven_bodies(bench)  # type: ignore[union-attr]
     force = spring if group.curves.reference == "table" and spring is not None else 1.0
-    residue = shapes[list(group.curves.bodies)] * shapes[driven].sum(axis=0) * force
-    return np.maximum(modes.frequency, 1e-6), modes.damping_ratio, residue
+    constants = shapes[list(group.curves.bodies)] * shapes[driven].sum(axis=0) * force
+    return np.maximum(modes.frequency, 1e-6), modes.damping_ratio, constants
 
 
-def _assignments(scene: Scene, group: Group, modes: Modes) -> list[tuple[int, ...]]:
+def _ranked_assignments(scene: Scene, group: Group, modes: Modes) -> list[tuple[int, ...]]:
     """List the assignments of the identified modes to modes of the model, in rising order, most likely first."""
-    frequency, _, residue = _model_modes(scene, group)
+    frequency, _, constants = _model_modes(scene, group)
     count = modes.frequency.size
-    shapes = mac(residue, modes.shapes)
+    similarity = mac(constants, modes.shapes)
     ranked = []
-    for assignment in islice(combinations(range(frequency.size), count), _MAX_RANKED_ASSIGNMENTS):
-        distance = np.log(frequency[list(assignment)] / modes.frequency) / 0.1
-        dissimilarity = 1.0 - shapes[list(assignment), range(count)]
-        ranked.append((float(np.sum(distance**2 + 4.0 * dissimilarity)), assignment))
+    for assignment in islice(combinations(range(frequency.size), count), _MAX_RANKED):
+        distance = np.log(frequency[list(assignment)] / modes.frequency) / _LOG_FREQUENCY_SCALE
+        dissimilarity = 1.0 - similarity[list(assignment), range(count)]
+        ranked.append((float(np.sum(distance**2 + _MAC_WEIGHT * dissimilarity)), assignment))
     return [assignment for _, assignment in sorted(ranked)]

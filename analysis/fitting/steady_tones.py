@@ -1,7 +1,4 @@
-"""Steady response of a scene with dampers to tones: exact periodic motions (orbits), point by point.
-
-Dampers at rest on their floors are "riding"; a bed is the mass in a cavity.
-"""
+"""Steady response of a scene with moving dampers to sinusoidal excitation, from exact periodic orbits."""
 
 from __future__ import annotations
 
@@ -27,27 +24,28 @@ from rig.scene.structure import Structure
 from rig.system.open_loop_drive import riding_response
 from rig.system.structural_model import driven_bodies, structural_model
 
-_MAX_NEWTON_STEPS = 8
-# Maximum number of simulated periods in the search for a motion.
+# Newton corrections from the orbit of a nearby setting.
+_MAX_CORRECTIONS = 8
+# Periods of simulation to search an orbit.
 _MAX_PERIODS = 1500
-# Number of frequency steps in the continuation from a neighbouring point, and of level corrections in each.
+# Steps of the continuation from the setting of a neighbouring point, and corrections of the level in each step.
 _CONTINUATION_STEPS = 8
 _LEVEL_CORRECTIONS = 2
-# Secant method for the drive that causes a level: maximum number of steps, minimum relative step, and relative
-# deviation from the level at which it ends; the response is interpolated over this deviation.
+# Secant steps to the drive that gives the level, and the smallest relative step.
 _MAX_SECANT_STEPS = 8
 _MIN_RELATIVE_STEP = 1e-6
+# Relative deviation from the level at which the secant steps end; the rest is interpolated.
 _LEVEL_TOLERANCE = 1e-5
-# Maximum number of drives at which a motion is searched, each closer to the level.
+# Drives at which an orbit is searched, each closer to the level.
 _MAX_SEARCHES = 5
 
 
 @dataclass(frozen=True)
-class Known:
-    """A periodic motion: its events, the unknowns of its equations, and the level of the drive that causes it.
+class StoredOrbit:
+    """An orbit: its events, the unknowns of its equations, and the amplitude of its drive.
 
-    `slope`: derivative of displacement / reference with respect to the level of the reference, where the reference
-    is not the driven quantity, shape (bodies,).
+    `slope`: derivative of displacement / reference with respect to the level of the reference, shape (bodies,); None
+    if the drive is the reference.
     """
 
     plan: Plan
@@ -56,16 +54,25 @@ class Known:
     slope: ComplexArray | None = None
 
 
-Solution = tuple[Known, ComplexArray]
+# An orbit, and displacement / reference on it, shape (bodies,).
+OrbitResponse = tuple[StoredOrbit, ComplexArray]
 
 
 class SteadyTones:
-    """Steady motion with dampers at each point of a sweep, continued from the motion stored there.
+    """Orbits at the points of a sweep of steady tones; each is refined from the orbit stored at its point.
 
-    `known`: stored motion at each point; None if all dampers are riding or the motion is not periodic.
-    `before`: last motion at each point. It restores the motion after a trial that lost it.
-    `given_up`: points without a motion, which are not searched again until this set is emptied.
-    `uncovered`: reasons why orbits cannot be computed at points, from the last search.
+    In these orbits dampers move; where all of them are *riding* (at rest on their floors), the rig is linear.
+
+    Attributes
+    ----------
+    orbits : list of StoredOrbit or None
+        Orbit at each point; None if all dampers ride there, or the motion is irregular.
+    previous : list of StoredOrbit or None
+        Last orbit at each point, from which a later trial may start again.
+    failed : set of int
+        Points without an orbit; they are not searched again until this set is cleared.
+    uncovered : dict of int to str
+        Reasons why the last search could not compute an orbit at a point.
     """
 
     def __init__(self, curves: Curves) -> None:
@@ -74,91 +81,93 @@ class SteadyTones:
                 f"{curves.label}: several shakers drive a scene with dampers. Fit recordings of a single shaker."
             )
         self.curves = curves
-        self.known: list[Known | None] = [None] * curves.frequency.size
-        self.before = list(self.known)
-        self.given_up: set[int] = set()
+        self.orbits: list[StoredOrbit | None] = [None] * curves.frequency.size
+        self.previous = list(self.orbits)
+        self.failed: set[int] = set()
         self.uncovered: dict[int, str] = {}
 
-    def at(self, bench: Scene, level: Array, frequency: Array, settle: bool = True) -> ComplexArray:
-        """Return displacement of the bodies / reference; NaN where the motion is irregular.
+    def response(self, bench: Scene, level: Array, frequency: Array, search: bool = True) -> ComplexArray:
+        """Return displacement of the bodies / reference, shape (bodies, n); NaN where the motion is irregular.
 
         `bench`: from `on_the_bench`; `level`, shape (n,): true amplitude of the reference; `frequency`, shape (n,):
-        Hz; `settle`: whether motions may be searched; otherwise only stored motions are continued, for derivatives.
+        Hz; `search`: whether orbits are checked and searched; otherwise the stored ones are refined as they are, for
+        derivatives.
         """
-        found, beds = riding(bench, self.curves, frequency)
+        response, beds = riding(bench, self.curves, frequency)
+        # A damper lifts off where the acceleration amplitude of its bed exceeds gravity.
         acceleration = (2.0 * np.pi * frequency) ** 2 * level * abs(beds).max(axis=0, initial=0.0)
-        flying = np.array([known is not None for known in self.known])
+        stored = np.array([orbit is not None for orbit in self.orbits])
         solver = _OrbitSolver(bench)
-        for k in np.flatnonzero(acceleration > bench.gravity if settle else flying).tolist():
-            here = self.known[k]
-            if not settle:
-                assert here is not None
-                answer = solver.follow(here, frequency[k], level[k])
+        for k in np.flatnonzero(acceleration > bench.gravity if search else stored).tolist():
+            orbit = self.orbits[k]
+            if not search:
+                assert orbit is not None
+                refined = solver.refine_unchecked(orbit, frequency[k], level[k])
             else:
-                answer = None if here is None else solver.refine(here, frequency[k], level[k])
-                answer = answer or self._recover(solver, frequency, level, k)
-                self.before[k] = here or self.before[k]
-                self.known[k] = None if answer is None else answer[0]
-            found[:, k] = np.nan if answer is None else answer[1]
-        if settle:
+                refined = None if orbit is None else solver.refine(orbit, frequency[k], level[k])
+                refined = refined or self._recover(solver, frequency, level, k)
+                self.previous[k] = orbit or self.previous[k]
+                self.orbits[k] = None if refined is None else refined[0]
+            response[:, k] = np.nan if refined is None else refined[1]
+        if search:
             for k in np.flatnonzero(acceleration <= bench.gravity).tolist():
-                self.known[k] = None
-        return found
+                self.orbits[k] = None
+        return response
 
-    def others(self, bench: Scene, level: Array, frequency: Array, k: int) -> Iterator[Solution]:
-        """Yield the stable motions at a point that are reached from its neighbours, from riding, and from rest."""
+    def alternatives(self, bench: Scene, level: Array, frequency: Array, k: int) -> Iterator[OrbitResponse]:
+        """Yield the stable orbits at a point that are reached from its neighbours, from riding, and from rest."""
         solver = _OrbitSolver(bench)
-        for near in (k - 1, k + 1):
-            if 0 <= near < frequency.size and (known := self.known[near]) is not None:
-                answer = solver.continue_to(known, frequency[[near, k]], level[[near, k]])
-                if answer is not None:
-                    yield answer
+        for neighbour in (k - 1, k + 1):
+            if 0 <= neighbour < frequency.size and (orbit := self.orbits[neighbour]) is not None:
+                reached = solver.continue_orbit(orbit, frequency[[neighbour, k]], level[[neighbour, k]])
+                if reached is not None:
+                    yield reached
         for moving in (True, False):
-            answer = self._search(solver, frequency, level, k, moving)
-            if answer is not None:
-                yield answer
+            reached = self._search(solver, frequency, level, k, moving)
+            if reached is not None:
+                yield reached
 
     def largest_gap(self, bench: Scene, level: Array, frequency: Array, damper: int) -> float:
-        """Largest gap below a damper (from 0) in all motions, m; infinite with ceiling impacts."""
-        solver, largest = _OrbitSolver(bench), 0.0
-        for k, known in enumerate(self.known):
-            if known is not None:
-                largest = max(largest, solver.largest_gap(known, frequency[k], level[k], damper))
-        return largest
+        """Return the largest gap below a damper (from 0) on all orbits, m; infinite with ceiling impacts."""
+        solver = _OrbitSolver(bench)
+        gaps = [
+            solver.largest_gap(orbit, frequency[k], level[k], damper)
+            for k, orbit in enumerate(self.orbits)
+            if orbit is not None
+        ]
+        return max(gaps, default=0.0)
 
-    def _recover(self, solver: _OrbitSolver, frequency: Array, level: Array, k: int) -> Solution | None:
-        """Motion with its earlier events, or with those of a neighbour, or the motion reached from riding."""
-        neighbours = [self.known[near] for near in (k - 1, k + 1) if 0 <= near < len(self.known)]
-        for known in (self.before[k], *neighbours):
-            if known is not None:
-                answer = solver.refine(known, frequency[k], level[k])
-                if answer is not None:
-                    return answer
-        if k in self.given_up:
+    def _recover(self, solver: _OrbitSolver, frequency: Array, level: Array, k: int) -> OrbitResponse | None:
+        """Refine the previous orbit of a point or one of its neighbours; if all fail, search from riding."""
+        neighbours = [self.orbits[j] for j in (k - 1, k + 1) if 0 <= j < len(self.orbits)]
+        for orbit in (self.previous[k], *neighbours):
+            if orbit is not None and (refined := solver.refine(orbit, frequency[k], level[k])) is not None:
+                return refined
+        if k in self.failed:
             return None
-        answer = self._search(solver, frequency, level, k, moving=True)
-        if answer is None:
-            self.given_up.add(k)
-        return answer
+        reached = self._search(solver, frequency, level, k, moving=True)
+        if reached is None:
+            self.failed.add(k)
+        return reached
 
     def _search(
         self, solver: _OrbitSolver, frequency: Array, level: Array, k: int, moving: bool
-    ) -> Solution | None:
-        """Motion reached from riding or from rest at a point; records the reason if it has no orbit."""
+    ) -> OrbitResponse | None:
+        """Search the orbit of a point from riding or from rest; store the reason if it cannot be computed."""
         self.uncovered.pop(k, None)
         try:
-            return solver.search_motion(frequency[k], level[k], moving)
+            return solver.search(frequency[k], level[k], moving)
         except UncoveredMotionError as error:
             self.uncovered[k] = error.args[0]
             return None
 
 
 class _OrbitSolver:
-    """Orbits of a scene for levels of the reference.
+    """Solver of a scene's orbits for given levels of the reference.
 
     A table with prescribed motion is replaced by a spring to ground and a force of stiffness times displacement.
-    The table of an electrodynamic shaker reacts to the dampers; the drive that causes its level is computed by the
-    secant method.
+    The table of an electrodynamic shaker reacts to the dampers; solution the drive that gives the table its level is
+    computed by secant steps.
     """
 
     def __init__(self, bench: Scene) -> None:
@@ -171,8 +180,8 @@ class _OrbitSolver:
         if shaker.kind == "electrodynamic":
             level = "drive"
         elif self.spring:
-            held = structural_model(bench).with_ground_springs(driven_bodies(bench), self.spring)
-            matrices = Matrices(mass=held.mass, damping=held.damping, stiffness=held.stiffness)
+            grounded = structural_model(bench).with_ground_springs(driven_bodies(bench), self.spring)
+            matrices = Matrices(mass=grounded.mass, damping=grounded.damping, stiffness=grounded.stiffness)
             bench = bench.replace(
                 structure=Structure(matrices=matrices), shaker=ForceShaker(body=shaker.body)
             )
@@ -181,12 +190,12 @@ class _OrbitSolver:
         if shaker.kind == "electrodynamic":
             self.table = self.problem.system.points.index("table")
 
-    def search_motion(self, frequency: float, level: float, moving: bool) -> Solution | None:
-        """Motion reached from the steady motion with riding dampers or, unless `moving`, from rest.
+    def search(self, frequency: float, level: float, moving: bool) -> OrbitResponse | None:
+        """Search the orbit that is reached from the steady motion with riding dampers or, unless `moving`, from rest.
 
-        Raises `UncoveredMotionError` if it settles to a motion for which orbits are not computed.
+        Raises `UncoveredMotionError` if the motion settles to a kind for which orbits are not computed.
         """
-        drive = self._drive(level)
+        drive = self._force(level)
         if self.table is not None:
             per_volt = riding_response(self.problem.system, "shaker", 2.0 * np.pi * frequency)[self.table]
             drive = level / abs(per_volt)
@@ -202,117 +211,123 @@ class _OrbitSolver:
                 raise
             except (RunError, np.linalg.LinAlgError):
                 return None
-            known = Known(orbit.plan, orbit.unknowns, drive)
-            answer = self.refine(known, frequency, level)
-            if answer is not None or self.table is None:
-                return answer
-            solution = self._solve_at_drive(known, frequency, drive)
+            stored = StoredOrbit(orbit.plan, orbit.unknowns, drive)
+            refined = self.refine(stored, frequency, level)
+            if refined is not None or self.table is None:
+                return refined
+            solution = self._refine_at_drive(stored, frequency, drive)
             if solution is None:
                 return None
             drive *= float(np.clip(level / solution[2], 0.5, 2.0))
         return None
 
-    def follow(self, near: Known, frequency: float, level: float) -> Solution | None:
-        """Continue a motion by a finite-difference step, without checks; None without convergence."""
-        drive = near.drive if self.table is not None else self._drive(level)
-        solution = self._solve_at_drive(near, frequency, drive)
+    def refine_unchecked(self, start: StoredOrbit, frequency: float, level: float) -> OrbitResponse | None:
+        """Refine an orbit at a setting a small step away, without checks; None without convergence.
+
+        Finite differences for derivatives need the same orbit even where it is inadmissible.
+        """
+        solution = self._refine_at_drive(start, frequency, self._initial_drive(start, level))
         if solution is None:
             return None
-        known, ratio, amplitude = solution
-        return known, ratio if near.slope is None else ratio + near.slope * (level - amplitude)
+        stored, ratio, reached = solution
+        return stored, ratio if start.slope is None else ratio + start.slope * (level - reached)
 
-    def refine(self, near: Known, frequency: float, level: float, checked: bool = True) -> Solution | None:
-        """Refine a motion at a frequency and level; None without convergence or if it fails the check.
-
-        `checked`: an inadmissible or unstable motion is rejected.
-        """
+    def refine(
+        self, start: StoredOrbit, frequency: float, level: float, check: bool = True
+    ) -> OrbitResponse | None:
+        """Refine an orbit at a setting; None without convergence or, if `check`, if it is inadmissible or unstable."""
         if self.table is None:
-            solution = self._solve_at_drive(near, frequency, self._drive(level), checked)
+            solution = self._refine_at_drive(start, frequency, self._force(level), check)
             return None if solution is None else solution[:2]
-        drive, before = near.drive, None
+        drive, last = start.drive, None
         for _ in range(_MAX_SECANT_STEPS):
-            solution = self._solve_at_drive(near, frequency, drive)
+            solution = self._refine_at_drive(start, frequency, drive)
             if solution is None:
                 return None
-            near, ratio, amplitude = solution
-            gain = amplitude / drive
-            if before is not None:
-                gain = (amplitude - before[1]) / (drive - before[0])
-                slope = (ratio - before[2]) / (amplitude - before[1])
-                if abs(amplitude / level - 1.0) < _LEVEL_TOLERANCE:
-                    if checked and self._solve_at_drive(near, frequency, drive, checked) is None:
+            start, ratio, reached = solution
+            level_per_drive = reached / drive
+            if last is not None:
+                level_per_drive = (reached - last[1]) / (drive - last[0])
+                slope = (ratio - last[2]) / (reached - last[1])
+                if abs(reached / level - 1.0) < _LEVEL_TOLERANCE:
+                    if check and self._refine_at_drive(start, frequency, drive, check) is None:
                         return None
-                    return replace(near, slope=slope), ratio + slope * (level - amplitude)
-            if not gain > 0.0:
+                    return replace(start, slope=slope), ratio + slope * (level - reached)
+            if not level_per_drive > 0.0:
                 return None
-            before = drive, amplitude, ratio
-            step = (level - amplitude) / gain / drive
+            last = drive, reached, ratio
+            step = (level - reached) / level_per_drive / drive
             drive *= 1.0 + float(np.copysign(np.clip(abs(step), _MIN_RELATIVE_STEP, 0.5), step))
         return None
 
-    def largest_gap(self, known: Known, frequency: float, level: float, damper: int) -> float:
-        """Largest gap below a damper in a motion, m; infinite with ceiling impacts."""
-        drive = known.drive if self.table is not None else self._drive(level)
-        setting = OperatingPoint(float(frequency), float(drive))
-        solution = self._solve(known, setting)
+    def largest_gap(self, stored: StoredOrbit, frequency: float, level: float, damper: int) -> float:
+        """Return the largest gap below a damper on an orbit, m; infinite with ceiling impacts."""
+        setting = OperatingPoint(float(frequency), float(self._initial_drive(stored, level)))
+        solution = self._newton(stored, setting)
         if solution is None:
             return 0.0
-        curve, *solved = solution
-        orbit = curve.make_orbit(setting, *solved)
+        family, *solved = solution
+        orbit = family.make_orbit(setting, *solved)
         hits = (orbit.events["damper"] == damper + 1) & (orbit.events["kind"] == "ceiling")
         return np.inf if hits.any() else float(orbit.columns()[f"gap {damper + 1}_m"].max())
 
-    def continue_to(self, known: Known, frequency: Array, level: Array) -> Solution | None:
-        """Continue a motion from the first point to the second at a constant force in the coil spring."""
-        answer = self.refine(known, frequency[0], level[0], checked=False)
-        if answer is None:
+    def continue_orbit(self, orbit: StoredOrbit, frequency: Array, level: Array) -> OrbitResponse | None:
+        """Continue an orbit from the first setting to the second, with constant force in the coil spring."""
+        refined = self.refine(orbit, frequency[0], level[0], check=False)
+        if refined is None:
             return None
-        force, amplitude = level[0] * self._spring_force(answer[1]), level[0]
+        force, amplitude = level[0] * self._force_ratio(refined[1]), level[0]
         for between in np.linspace(frequency[0], frequency[1], _CONTINUATION_STEPS + 1)[1:].tolist():
             for _ in range(_LEVEL_CORRECTIONS if self.spring else 1):
-                answer = self.refine(known, between, amplitude, checked=False)
-                if answer is None:
+                refined = self.refine(orbit, between, amplitude, check=False)
+                if refined is None:
                     return None
-                amplitude = force / self._spring_force(answer[1])
-            known = answer[0]
-        return self.refine(known, frequency[1], level[1], checked=True)
+                amplitude = force / self._force_ratio(refined[1])
+            orbit = refined[0]
+        return self.refine(orbit, frequency[1], level[1], check=True)
 
-    def _spring_force(self, ratio: ComplexArray) -> float:
-        """Force per unit of the reference, up to a constant factor."""
+    def _force_ratio(self, ratio: ComplexArray) -> float:
+        """Return the spring force per unit of the reference, up to a constant factor."""
         return float(abs(1.0 - ratio[self.driven])) if self.spring else 1.0
 
-    def _drive(self, level: float) -> float:
-        """Force equivalent to a level of the reference."""
+    def _force(self, level: float) -> float:
+        """Return the force that is equivalent to a level of the reference."""
         return float(level * (self.spring or 1.0))
 
-    def _solve_at_drive(
-        self, near: Known, frequency: float, drive: float, checked: bool = False
-    ) -> tuple[Known, ComplexArray, float] | None:
-        """Motion at a drive, displacement over the reference, and the reference's level."""
+    def _initial_drive(self, stored: StoredOrbit, level: float) -> float:
+        """Return the drive stored with an orbit or, if the reference is prescribed, the force that gives its level."""
+        return stored.drive if self.table is not None else self._force(level)
+
+    def _refine_at_drive(
+        self, start: StoredOrbit, frequency: float, drive: float, check: bool = False
+    ) -> tuple[StoredOrbit, ComplexArray, float] | None:
+        """Return the orbit at a drive, displacement / reference, and the amplitude of the reference."""
         setting = OperatingPoint(float(frequency), float(drive))
-        solution = self._solve(near, setting)
+        solution = self._newton(start, setting)
         if solution is None:
             return None
-        curve, x, equations, shot = solution
-        sequence = near.plan.sequence
-        if checked:
-            orbit = curve.make_orbit(setting, x, equations, shot)
+        family, x, equations, shot = solution
+        sequence = start.plan.sequence
+        if check:
+            orbit = family.make_orbit(setting, x, equations, shot)
             if orbit.flaw or not orbit.stable:
                 return None
         instants = x[len(x) - len(sequence.kind) :]
         harmonic = 2.0 / equations.period * evaluate_motion(equations, sequence, shot, instants)[1]
         driven = -1j * setting.force / (self.spring or 1.0)
         reference = complex(driven if self.table is None else harmonic[self.table])
-        known = replace(near, unknowns=x, drive=float(drive))
-        return known, harmonic[: self.bodies] / reference, abs(reference)
+        stored = replace(start, unknowns=x, drive=float(drive))
+        return stored, harmonic[: self.bodies] / reference, abs(reference)
 
-    def _solve(self, near: Known, setting: OperatingPoint) -> tuple[OrbitFamily, Array, Any, Any] | None:
-        """Newton's method from a motion: the curve, unknowns, equations and shot; None without convergence."""
-        curve = OrbitFamily(self.problem, near.plan, setting, "frequency", near.unknowns)
+    def _newton(
+        self, start: StoredOrbit, setting: OperatingPoint
+    ) -> tuple[OrbitFamily, Array, Any, Any] | None:
+        """Return family, unknowns, equations and shot of the refined orbit; None without convergence."""
+        family = OrbitFamily(self.problem, start.plan, setting, "frequency", start.unknowns)
         try:
-            equations, x, _, shot, _, count = curve.correct(
-                setting.frequency, near.unknowns, _MAX_NEWTON_STEPS
+            equations, x, _, shot, _, count = family.correct(
+                setting.frequency, start.unknowns, _MAX_CORRECTIONS
             )
         except np.linalg.LinAlgError:
             return None
-        return None if count < 0 else (curve, x, equations, shot)
+        return None if count < 0 else (family, x, equations, shot)

@@ -77,7 +77,7 @@ def test_sensor_tolerances_widen_masses(tmp_path):
     # The force is a difference of two readings: its error scales all masses and springs equally, and not the damping.
     assert 0.01 < found["structure.masses[1]"].half_width < 0.12
     assert found["structure.damping.modal[1]"].half_width < 0.005
-    assert any("by one factor" in line for line in found.together)
+    assert any("by the same factor" in line for line in found.together)
 
 
 @pytest.mark.thorough

@@ -58,4 +58,4 @@ def test_narrower_axis_of_fewer_values_is_reported():
     parameters = [SimpleNamespace(key=f"mass {k}", damper=None) for k in range(9)]
     problem = SimpleNamespace(parameters=parameters, groups=[], sensors=[])
     [text] = coupled_values(problem, estimate, ["determined"] * 9)  # type: ignore[arg-type]
-    assert text.startswith("mass 0, mass 1 may change together, against each other")
+    assert text.startswith("mass 0, mass 1 can change in opposite directions")

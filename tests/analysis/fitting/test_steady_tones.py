@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 import daq
-from analysis.fitting.diagnosis import omitted_points
+from analysis.fitting.diagnosis import list_omitted_points
 from analysis.fitting.measured import measured
 from analysis.fitting.predicted import on_the_bench
 from analysis.fitting.steady_tones import SteadyTones
@@ -28,10 +28,10 @@ def test_failed_trial_returns_to_earlier_motion():
     curves, frequency, level = nearest(49.66)
     tones = SteadyTones(replace(curves, frequency=frequency, level=level))
     bench = on_the_bench(curves.scene, curves)
-    before = tones.at(bench, level, frequency)
-    assert np.isfinite(before).all() and tones.known[0] is not None
-    assert np.isnan(tones.at(bench, 10.0 * level, frequency)).all()
-    np.testing.assert_allclose(tones.at(bench, level, frequency), before, rtol=1e-9)
+    before = tones.response(bench, level, frequency)
+    assert np.isfinite(before).all() and tones.orbits[0] is not None
+    assert np.isnan(tones.response(bench, 10.0 * level, frequency)).all()
+    np.testing.assert_allclose(tones.response(bench, level, frequency), before, rtol=1e-9)
 
 
 def test_followed_table_motions_change_like_corrected_ones():
@@ -39,13 +39,13 @@ def test_followed_table_motions_change_like_corrected_ones():
     shaken = curves.scene.replace(shaker={"kind": "electrodynamic", "body": 1, "spring": 6600.0})
     tones = SteadyTones(replace(curves, scene=shaken, frequency=frequency, level=level))
     bench = on_the_bench(shaken, tones.curves)
-    here, step = tones.at(bench, level, frequency), 1e-5
+    here, step = tones.response(bench, level, frequency), 1e-5
     for on_level, on_frequency in ((step, 0.0), (0.0, step)):
         there = level * (1.0 + on_level), frequency * (1.0 + on_frequency)
-        followed = tones.at(bench, *there, settle=False) - here
-        known = list(tones.known)
-        corrected = tones.at(bench, *there) - here
-        tones.known = known
+        followed = tones.response(bench, *there, search=False) - here
+        known = list(tones.orbits)
+        corrected = tones.response(bench, *there) - here
+        tones.orbits = known
         assert np.isfinite(corrected).all() and abs(followed - corrected).max() < 0.01 * abs(corrected).max()
 
 
@@ -55,13 +55,13 @@ def test_endless_rebounds_are_recorded():
     bouncy = curves.scene.replace(dampers=dampers)
     one = replace(curves, scene=bouncy, frequency=frequency, level=level)
     tones = SteadyTones(one)
-    assert np.isnan(tones.at(on_the_bench(bouncy, one), level, frequency)).all()
+    assert np.isnan(tones.response(on_the_bench(bouncy, one), level, frequency)).all()
     assert "rebounds infinitely often" in tones.uncovered[0]
-    [said] = omitted_points(one, np.array([False]), tones.uncovered)
+    [said] = list_omitted_points(one, np.array([False]), tones.uncovered)
     assert "another kind of motion" not in said and "which a fit cannot compute" in said
-    assert "of another type than that of the model" in omitted_points(one, np.array([False]), {})[0]
-    tones.given_up.clear()
-    assert np.isfinite(tones.at(on_the_bench(curves.scene, curves), level, frequency)).all()
+    assert "of another type than that of the model" in list_omitted_points(one, np.array([False]), {})[0]
+    tones.failed.clear()
+    assert np.isfinite(tones.response(on_the_bench(curves.scene, curves), level, frequency)).all()
     assert not tones.uncovered
 
 
@@ -69,8 +69,8 @@ def test_singular_matrix_yields_no_gap(monkeypatch):
     curves, frequency, level = nearest(49.66)
     tones = SteadyTones(replace(curves, frequency=frequency, level=level))
     bench = on_the_bench(curves.scene, curves)
-    tones.at(bench, level, frequency)
-    assert tones.known[0] is not None and tones.largest_gap(bench, level, frequency, 0) > 0.0
+    tones.response(bench, level, frequency)
+    assert tones.orbits[0] is not None and tones.largest_gap(bench, level, frequency, 0) > 0.0
 
     def fail(*_):
         raise np.linalg.LinAlgError

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rig.arrays import Array
 from rig.engine.propagator import Propagator, sampled_propagator
 from rig.engine.samples import MotionSamples
 from rig.engine.state import FLOOR
@@ -44,13 +43,15 @@ class Plant:
             raise SceneError(f"rate: got {rate!r}; expected a positive number of samples per second")
         self.rate = float(rate)
         self.system = assemble(scene)
-        self.inputs, self.drive_units, self.points = (
-            self.system.inputs,
-            self.system.drive_units,
-            self.system.points,
-        )
+        self.inputs, self.drive_units = self.system.inputs, self.system.drive_units
+        self.points = self.system.points
         self._propagator, self._steps = _propagator(scene, self.system, 1.0 / self.rate)
-        self._limit = _drive_limits(scene, self.inputs)
+        # Largest drive of each input before the amplifier clips.
+        self._limit = np.full((len(self.inputs), 1), np.inf)
+        for number, shaker in enumerate(scene.shakers, 1):
+            if shaker.kind == "electrodynamic":
+                row = self.inputs.index(at_shaker("shaker", number, len(scene.shakers)))
+                self._limit[row] = shaker.amplifier.limit / shaker.amplifier.gain
         self._dampers = len(scene.dampers)
         self._next = 0
         self._last = np.zeros((len(self.inputs), 1))
@@ -158,13 +159,3 @@ def _propagator(
 
     coupled = CoupledPropagator(scene, interval)
     return coupled, coupled.substeps
-
-
-def _drive_limits(scene: Scene, inputs: tuple[str, ...]) -> Array:
-    """Return the largest drive of each input before the amplifier clips."""
-    limits = np.full((len(inputs), 1), np.inf)
-    for number, shaker in enumerate(scene.shakers, 1):
-        if shaker.kind == "electrodynamic":
-            row = inputs.index(at_shaker("shaker", number, len(scene.shakers)))
-            limits[row] = shaker.amplifier.limit / shaker.amplifier.gain
-    return limits

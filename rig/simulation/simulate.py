@@ -22,7 +22,7 @@ from rig.scene.loading import SceneLike, scene_of
 from rig.scene.quantities import FREQUENCY, TIME, number
 from rig.scene.scene import Scene
 from rig.simulation.drive import validate_drive
-from rig.simulation.energy import Energy, complete_state, energy_balance, total_energy
+from rig.simulation.energy import CompleteState, Energy, complete_state, energy_balance, total_energy
 from rig.system.assembly import assemble
 from rig.system.hybrid_system import HybridSystem
 from rig.system.open_loop_drive import ToneDrive, sampled_drive, tone_drive
@@ -210,10 +210,9 @@ def _simulate_tone(
     trajectory = propagator.through_marks(segment_steps, np.arange(len(durations)), new_period[:-1])
     starts = times[:-1].astype(np.float64)
     begins = np.concatenate([initial.state, trajectory.state[:-1]])
-    balance = (scene, propagator.tables, start, complete_state(propagator), trajectory, begins, durations)
-    sample_rows = np.flatnonzero(is_sample[1:])
+    rows = np.flatnonzero(is_sample[1:])
     return _assemble_run(
-        scene, system, propagator, rate, samples, initial, trajectory, sample_rows, starts, separated, balance
+        scene, propagator, rate, start, initial, trajectory, rows, starts, durations, begins, separated
     )
 
 
@@ -245,19 +244,9 @@ def _simulate_sampled(scene: Scene, system: HybridSystem, drive: Array, rate: fl
     begins[:, ns + inputs : ns + 2 * inputs] = np.diff(drive, axis=1).T
     durations = np.full(intervals, 1.0 / rate)
     starts = np.arange(intervals) / rate
-    balance = (scene, propagator.tables, start, complete_state(propagator), trajectory, begins, durations)
+    rows = np.arange(intervals)
     return _assemble_run(
-        scene,
-        system,
-        propagator,
-        rate,
-        drive.shape[1],
-        initial,
-        trajectory,
-        np.arange(intervals),
-        starts,
-        separated,
-        balance,
+        scene, propagator, rate, start, initial, trajectory, rows, starts, durations, begins, separated
     )
 
 
@@ -309,19 +298,12 @@ def _simulate_grains(
 
 
 def _assemble_run(
-    scene: Scene,
-    system: HybridSystem,
-    propagator: Propagator,
-    rate: float,
-    samples: int,
-    initial: Trajectory,
-    trajectory: Trajectory,
-    sample_rows: NDArray[np.int64],
-    starts: Array,
+    scene: Scene, propagator: Propagator, rate: float, start: CompleteState, initial: Trajectory,
+    trajectory: Trajectory, sample_rows: NDArray[np.int64], starts: Array, durations: Array, begins: Array,
     separated: NDArray[np.int64],
-    balance: tuple[Any, ...],
-) -> Run:
+) -> Run:  # fmt: skip
     """Return the run from the initial state and a trajectory of which only the rows `sample_rows` are samples."""
+    system, end = propagator.system, complete_state(propagator)
     n, points = system.coordinates, len(system.points)
     states = np.concatenate([initial.state, trajectory.state[sample_rows]])
     slots = np.concatenate([initial.slot, trajectory.slot[sample_rows]])
@@ -338,7 +320,7 @@ def _assemble_run(
     return Run(
         scene=scene,
         points=system.points,
-        time=np.arange(samples) / rate,
+        time=np.arange(len(states)) / rate,
         displacement=np.ascontiguousarray(states[:, :points].T),
         velocity=np.ascontiguousarray(states[:, n : n + points].T),
         acceleration=propagator.accelerations(states, slots)[:points],
@@ -346,5 +328,7 @@ def _assemble_run(
         contact=np.concatenate([initial_contact, contact[:, sample_rows]], axis=1),
         events=events.astype(np.dtype(EVENT.descr, metadata={"ambiguous": propagator.ambiguous})),
         ambiguous=propagator.ambiguous,
-        _energy_balance=partial(energy_balance, *balance),
+        _energy_balance=partial(
+            energy_balance, scene, propagator.tables, start, end, trajectory, begins, durations
+        ),
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from itertools import count
 from threading import Event
 from typing import TYPE_CHECKING, Any
 
@@ -230,10 +231,15 @@ def frequency_response(
     ascending = np.sort(requested)
     tasks = {"up": [ascending], "down": [ascending[::-1]], "both": [ascending, ascending[::-1]]}[direction]
     continuation = SteadyContinuation(scene, tolerance, longest)
-    counter = _ProgressCounter(progress, sum(len(task) for task in tasks))
+    done, total = count(1), sum(len(task) for task in tasks)
 
     def compute_section(order: Array) -> list[SteadyPoint]:
-        return [point for point in continuation.points(order) if counter.add()]
+        points = []
+        for point in continuation.points(order):
+            points.append(point)
+            if progress is not None:
+                progress(min(next(done), total), total)
+        return points
 
     with ThreadPoolExecutor(2) as pool:
         try:
@@ -278,19 +284,6 @@ def _same_motion(first: SteadyPoint, second: SteadyPoint) -> bool:
     )
 
 
-class _ProgressCounter:
-    """Counter of finished points."""
-
-    def __init__(self, report: Callable[[int, int], None] | None, total: int) -> None:
-        self.report, self.total, self.done = report, total, 0
-
-    def add(self) -> bool:
-        self.done += 1
-        if self.report is not None:
-            self.report(min(self.done, self.total), self.total)
-        return True
-
-
 class SteadyContinuation:
     """Continuation of the steady motion of a scene in frequency."""
 
@@ -320,16 +313,11 @@ class SteadyContinuation:
         else:
             propagator.resume(previous.end)
         if not self.holds_spring_force:
-            return self._measure(propagator, steps, tone.omega, frequency, 1.0, self.tolerance)
-        return self._reach_spring_force(propagator, steps, tone.omega, frequency, previous)
+            return self._measure(propagator, steps, frequency, 1.0, self.tolerance)
+        return self._reach_spring_force(propagator, steps, frequency, previous)
 
     def _reach_spring_force(
-        self,
-        propagator: Propagator,
-        steps: float,
-        omega: float,
-        frequency: float,
-        previous: SteadyPoint | None,
+        self, propagator: Propagator, steps: float, frequency: float, previous: SteadyPoint | None
     ) -> SteadyPoint:
         """Compute the drive level for the required spring force, by the secant method in logarithms."""
         target_force = level_of(self.scene)
@@ -339,7 +327,7 @@ class SteadyContinuation:
         for _ in range(MAX_LEVEL_TRIALS):
             error = abs(trials[-1][1]) if trials else 1.0
             tolerance = max(self.tolerance, min(1e-4, 1e-2 * error))
-            point = self._measure(propagator, steps, omega, frequency, level, tolerance)
+            point = self._measure(propagator, steps, frequency, level, tolerance)
             log_error = float(np.log(point.force / target_force)) if point.force > 0.0 else -1.0
             trials.append((float(np.log(level)), log_error))
             if abs(log_error) < LEVEL_TOLERANCE and tolerance <= self.tolerance * 1.001:
@@ -350,15 +338,9 @@ class SteadyContinuation:
         return point if converged else replace(point, steady=replace(point.steady, converged=False))
 
     def _measure(
-        self,
-        propagator: Propagator,
-        steps: float,
-        omega: float,
-        frequency: float,
-        level: float,
-        tolerance: float,
+        self, propagator: Propagator, steps: float, frequency: float, level: float, tolerance: float
     ) -> SteadyPoint:
-        system, n = self.system, self.system.coordinates
+        system, n, omega = self.system, self.system.coordinates, 2.0 * np.pi * frequency
         propagator.start_period(level)
         steady = settle(propagator, steps, level, tolerance, self.longest, self.stopped.is_set)
         repetition = steady.repetition or 16
@@ -398,11 +380,8 @@ def _next_level(trials: list[tuple[float, float]]) -> float:
     step = -log_error
     if len(trials) > 1:
         previous_level, previous_error = trials[-2]
-        slope = (
-            (log_error - previous_error) / (log_level - previous_level)
-            if log_level != previous_level
-            else 1.0
-        )
+        change = log_level - previous_level
+        slope = (log_error - previous_error) / change if change else 1.0
         if slope > 0.1:
             step = -log_error / slope
     return log_level + float(np.clip(step, -np.log(2.0), np.log(2.0)))

@@ -98,7 +98,7 @@ def _integrate(
     comparisons: list[_Comparison] = []
     for begin in range(0, skipped + COMPARED_PERIODS, max_count):
         if is_stopped():
-            raise RunError("stopped")
+            raise RunError("stopped: another section failed. See its error.")
         count = min(max_count, skipped + COMPARED_PERIODS - begin)
         rows = np.maximum(np.arange(count) + min(begin - skipped, 0), -1)
         trajectory = propagator.through_marks(np.full(count, steps), rows, np.ones(count, dtype=bool), level)
@@ -108,7 +108,8 @@ def _integrate(
 
 def _distances(comparison: _Comparison, units: Array) -> tuple[Array, Array]:
     """Compute relative changes over 1, 2, ... periods, and estimated distances from motions with that repetition."""
-    vectors = _vectors(comparison, units)
+    heights = np.where(comparison.mode == FLIGHT, comparison.height, 0.0)
+    vectors = np.concatenate([comparison.state[:, : units.size] * units, heights], axis=1)
     scale = max(float(np.abs(vectors).max()), 1e-300)
     changes, distances = [], []
     for p, (change, earlier_change) in enumerate((_changes(vectors, comparison.mode) / scale).tolist(), 1):
@@ -155,12 +156,6 @@ def _units(propagator: Propagator) -> Array:
     return units
 
 
-def _vectors(comparison: _Comparison, units: Array) -> Array:
-    """Return scaled states at the starts of periods, and heights of dampers in flight."""
-    heights = np.where(comparison.mode == FLIGHT, comparison.height, 0.0)
-    return np.concatenate([comparison.state[:, : units.size] * units, heights], axis=1)
-
-
 def one_cycle(
     propagator: Propagator, steps: float, level: float, repetition: int
 ) -> tuple[Trajectory, Array]:
@@ -169,8 +164,7 @@ def one_cycle(
     Returns `begins`, initial states of the segments.
     """
     count = MARKS * repetition
-    starts_period = np.zeros(count, dtype=bool)
-    starts_period[::MARKS] = True
+    starts_period = np.arange(count) % MARKS == 0
     initial = propagator.state.z.copy()
     trajectory = propagator.through_marks(
         np.full(count, steps / MARKS), np.arange(count), starts_period, level

@@ -242,7 +242,7 @@ def _draw_models(cost: Cost) -> Figure:
 
 
 def _shown(point: Point) -> float:
-    """Return the error as escape_figure on the logarithmic axis."""
+    """Return the error as drawn on the logarithmic axis."""
     return max(point.error, 1e-17)
 
 

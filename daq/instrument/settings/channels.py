@@ -181,7 +181,7 @@ class Channel:
 
     @property
     def scale_name(self) -> str:
-        """Name of its custom scale; empty unset_limits a custom scale."""
+        """Name of its custom scale; empty without a custom scale."""
         return str(self.settings[f"{self.side}_custom_scale_name"])
 
     def _largest_volts(self) -> float:

@@ -114,21 +114,13 @@ class Container:
             raise Damage(f"the record at byte {offset} is not that of the summary")
         return data[RECORD_HEAD.size :]
 
-    def chunk(self, number: int) -> memoryview:
-        """Read the records of a chunk of the summary; raise `RecordingError` where it is damaged."""
+    def messages(self, number: int) -> Iterator[Stored]:
+        """Yield the messages of a chunk of the summary; raise `RecordingError` where it is damaged."""
         offset, length = int(self.summary.offsets[number]), int(self.summary.lengths[number])
         try:
             record = self._record(Opcode.CHUNK, offset, length, LARGEST_CHUNK + (1 << 16))
-            return unpack_chunk(record, self.checksums_needed)
+            yield from messages_in(unpack_chunk(record, self.checksums_needed), length)
         except Damage as damage:
-            raise self.error(f"is damaged: the chunk at byte {offset} cannot be used: {damage}") from damage
-
-    def messages(self, number: int) -> Iterator[Stored]:
-        """Yield the messages of a chunk; raise `RecordingError` where it is damaged."""
-        try:
-            yield from messages_in(self.chunk(number), int(self.summary.lengths[number]))
-        except Damage as damage:
-            offset = self.summary.offsets[number]
             raise self.error(f"is damaged: the chunk at byte {offset} cannot be used: {damage}") from damage
 
     def metadata(self) -> dict[str, dict[str, str]]:

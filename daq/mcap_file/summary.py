@@ -83,21 +83,16 @@ class Summary:
 
     schemas: dict[int, Schema]
     channels: dict[int, Channel]
+    # Of each chunk: earliest and latest time, ns; place and length in the file and size of its records, bytes.
     starts: NDArray[np.uint64]
     ends: NDArray[np.uint64]
-    """Earliest and latest time in each chunk, ns; uint64, shape (chunks,)."""
     offsets: NDArray[np.int64]
     lengths: NDArray[np.int64]
-    """Place and length of each chunk record in the file, bytes; int64, shape (chunks,)."""
     unpacked: NDArray[np.int64]
-    """Size of the records in each chunk, bytes; int64, shape (chunks,)."""
-    holders: Mapping[int, NDArray[np.int64]]
-    """The chunks with messages of each channel, in the order of time."""
+    holders: Mapping[int, NDArray[np.int64]]  # the chunks with messages of each channel, in the order of time
     metadata: list[MetadataIndex]
     attachments: list[AttachmentIndex]
-    """Their places."""
-    statistics: Statistics | None
-    """Counts; None where the file has none."""
+    statistics: Statistics | None  # counts; None where the file has none
 
 
 def read_summary(data: memoryview, file_size: int) -> Summary:

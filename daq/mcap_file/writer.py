@@ -60,7 +60,15 @@ class ChunkedFile:
         self._stream, self._compression = stream, compression.encode()
         name = f"I{len(self._compression)}s"
         self._chunk, self._chunk_sizes = (struct.Struct(form) for form in (f"<BQQQQI{name}Q", f"<Q{name}QQ"))
-        self._packed = _packer(compression)
+        # A compressor takes as long to make as packing a small chunk.
+        if compression == "lz4":
+            import lz4.frame  # type: ignore[import-untyped]
+
+            self._packed: Callable[[bytes], bytes] = lz4.frame.compress
+        else:
+            from zstandard import ZstdCompressor
+
+            self._packed = ZstdCompressor(level=PACKING_LEVEL).compress
         self._schemas: list[records.Schema] = []
         self._channels: list[records.Channel] = []
         # Schemas and channels that the next chunk announces.
@@ -220,18 +228,6 @@ class ChunkedFile:
         self._stream.write(b"".join((summary, footer, struct.pack("<I", checksum), MAGIC)))
 
 
-def _packer(compression: str) -> Callable[[bytes], bytes]:
-    """Give the compressor of a file, which takes as long to make as packing a small chunk."""
-    if compression == "lz4":
-        import lz4.frame  # type: ignore[import-untyped]
-
-        pack: Callable[[bytes], bytes] = lz4.frame.compress
-        return pack
-    from zstandard import ZstdCompressor
-
-    return ZstdCompressor(level=PACKING_LEVEL).compress
-
-
 @cache
 def _record_of(size: int) -> np.dtype[Any]:
     """Describe the record of a message of so many bytes, as `_MESSAGE` and the content."""
@@ -280,7 +276,5 @@ class Messages(NamedTuple):
     channel: NDArray[np.int64] | int
     log_time: NDArray[np.uint64] | int  # Nanoseconds
     publish_time: NDArray[np.uint64] | int  # Nanoseconds
-    data: NDArray[np.uint8]
-    """Their content; uint8, shape (..., bytes)."""
-    sequence: NDArray[np.int64] | int
-    """Their positions in their topics."""
+    data: NDArray[np.uint8]  # their content; uint8, shape (..., bytes)
+    sequence: NDArray[np.int64] | int  # their positions in their topics

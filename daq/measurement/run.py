@@ -130,7 +130,13 @@ class MeasurementRun(BenchLoop):
         missing = missing_force_reference(bench.scene, bench.channels)
         if missing is not None:
             warnings.warn(missing, RunWarning, stacklevel=4)
-        _make_folder(path)
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise RecordingError(
+                f"{path}: cannot make the folder {path.parent.absolute()} ({error.strerror}). Choose a place "
+                "that can be written to (-o FILE.mcap)."
+            ) from None
         try:
             # Interrupts are deferred while the file is created and while it is completed: otherwise it would be
             # invalid.
@@ -244,17 +250,6 @@ def missing_force_reference(scene: Scene, channels: Sequence[ChannelInfo]) -> st
         "no channel measures the force on the structure, so `analysis frf` has no reference. "
         f"Add {missing} to the scene's channels."
     )
-
-
-def _make_folder(path: Path) -> None:
-    """Create the missing folders of a recording."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise RecordingError(
-            f"{path}: cannot make the folder {path.parent.absolute()} ({error.strerror}). Choose a place that can be "
-            "written to (-o FILE.mcap)."
-        ) from None
 
 
 class _Stopped(KeyboardInterrupt):

@@ -76,8 +76,7 @@ class Timebase:
     """The sample clock: sample k is taken at start_ns + k / rate, to the nearest nanosecond."""
 
     rate: float  # Samples per second, Hz
-    start_ns: int = 0
-    """Time of sample 0 in nanoseconds since the epoch of the recording."""
+    start_ns: int = 0  # time of sample 0 in nanoseconds since the epoch of the recording
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.rate) and self.rate > 0):

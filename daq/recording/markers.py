@@ -95,14 +95,12 @@ EVENT_TYPE = np.dtype([("time", "f8"), ("damper", "i4"), ("kind", "U10"), ("spee
 class Marker:
     """An event of a test."""
 
-    kind: str
-    """`settle`, `measure`, `hit`, `overload`, `gap`, `lost`, ..."""
-    first_sample: int
-    """Its first sample."""
-    last_sample: int | None = None
-    """Its last sample, included; None for an instant."""
-    fields: Mapping[str, Any] = field(default_factory=dict)
-    """Further fields of this kind of marker, in SI units."""
+    kind: str  # `settle`, `measure`, `hit`, `overload`, `gap`, `lost`, ...
+    first_sample: int  # its first sample
+    last_sample: int | None = None  # its last sample, included; None for an instant
+    fields: Mapping[str, Any] = field(
+        default_factory=dict
+    )  # further fields of this kind of marker, in SI units
 
     @property
     def end(self) -> int:

@@ -39,17 +39,13 @@ _ANOTHER_DISK = "Free disk space, or choose a place on another disk with -o."
 class Salvage:
     """Result of `recover`."""
 
-    source: Path
-    fixed: Path
-    """The damaged file, and the complete one."""
+    source: Path  # the damaged file
+    fixed: Path  # the complete file
     rate: float  # Samples per second, Hz
     kept: dict[str, int]  # Samples kept, by topic
-    lost: dict[str, list[Span]]
-    """Ranges of lost samples [first, stop), by topic; only topics that lost any."""
-    missing: dict[str, int]
-    """Lost messages on topics that hold no samples: markers, display, ..."""
-    notes: list[str]
-    """Other differences, and facts that cannot be known."""
+    lost: dict[str, list[Span]]  # ranges of lost samples [first, stop), by topic; only topics that lost any
+    missing: dict[str, int]  # lost messages on topics that hold no samples: markers, display, ...
+    notes: list[str]  # other differences, and facts that cannot be known
 
     @property
     def whole(self) -> bool:

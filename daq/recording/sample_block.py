@@ -34,12 +34,10 @@ _TAGS = (0x09, 0x11, 0x19, 0x22)
 class SampleBlock(NamedTuple):
     """Samples of one channel as stored in the file."""
 
-    t0_ns: int
-    """Time of the first sample, nanoseconds since the epoch of the recording."""
+    t0_ns: int  # time of the first sample, nanoseconds since the epoch of the recording
     first_sample: int  # Number of the first sample
     rate: float  # Samples per second, Hz
-    samples: NDArray[Any]
-    """The stored numbers; a view into the message, read-only; shape (samples,)."""
+    samples: NDArray[Any]  # the stored numbers; a view into the message, read-only; shape (samples,)
 
     @property
     def stop(self) -> int:

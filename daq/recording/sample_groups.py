@@ -17,12 +17,9 @@ from numpy.typing import NDArray
 class Group:
     """Samples of one cell of the grid."""
 
-    first: int
-    """Sample number of the first column of `samples`."""
-    samples: NDArray[Any]
-    """Valid only within `spans`; shape (rows, group length)."""
-    spans: list[tuple[int, int]]
-    """Ranges of sample numbers [start, stop) that were acquired, in order."""
+    first: int  # sample number of the first column of `samples`
+    samples: NDArray[Any]  # valid only within `spans`; shape (rows, group length)
+    spans: list[tuple[int, int]]  # ranges of sample numbers [start, stop) that were acquired, in order
 
     def acquired(self) -> Iterator[tuple[int, NDArray[Any]]]:
         """Yield each stretch of acquired samples with the number of its first one."""

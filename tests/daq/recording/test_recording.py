@@ -146,8 +146,8 @@ def test_one_channel_reads_only_its_chunks(recorded, monkeypatch):
     with daq.open(recorded) as recording:
         container = recording._container
         read = []
-        chunk = container.chunk
-        monkeypatch.setattr(container, "chunk", lambda number: read.append(number) or chunk(number))
+        messages = container.messages
+        monkeypatch.setattr(container, "messages", lambda number: read.append(number) or messages(number))
         recording.read("body1", GROUP + 10, GROUP + 20)
         recording.read("body1", GROUP + 20, 2 * GROUP)
         assert len(read) == 1
@@ -313,6 +313,12 @@ def chunk(compression, packed, size, crc=0):
     return record(6, head + text(compression) + struct.pack("<Q", len(packed)) + packed)
 
 
+def holding(path, inside, end):
+    """A file with one chunk of these messages, in the topic /raw/a up to a time."""
+    data = chunk(b"", inside, len(inside), zlib.crc32(inside))
+    return hostile(path, data, chunk_index(DATA_BEGINS, len(data), len(inside), end))
+
+
 def chunk_index(offset, length, size, end=10**9, offsets=10):
     held = struct.pack("<HQ", 1, 0)
     head = struct.pack("<QQQQI", 0, end, offset, length, offsets)
@@ -391,8 +397,7 @@ def block_message(first, samples, rate=100.0, log_time=None):
 
 def test_distant_block_does_not_exhaust_memory(tmp_path, little_memory):
     message, end = block_message(2**33, [1.0, 2.0])
-    data = chunk(b"", message, len(message), zlib.crc32(message))
-    path = hostile(tmp_path / "far.mcap", data, chunk_index(DATA_BEGINS, len(data), len(message), end))
+    path = holding(tmp_path / "far.mcap", message, end)
     with daq.open(path) as recording:
         assert recording.samples == 2**33 + 2
         assert recording.read("a", 2**33 - 1, 2**33 + 2)[1:].tolist() == [1.0, 2.0]
@@ -404,8 +409,7 @@ def test_distant_block_does_not_exhaust_memory(tmp_path, little_memory):
 @pytest.mark.parametrize("large", [1 << 22, 0])
 def test_large_range_needs_a_sixteenth_of_samples(tmp_path, monkeypatch, large):
     message, end = block_message(10**9, [1.0, 2.0])
-    data = chunk(b"", message, len(message), zlib.crc32(message))
-    path = hostile(tmp_path / "far.mcap", data, chunk_index(DATA_BEGINS, len(data), len(message), end))
+    path = holding(tmp_path / "far.mcap", message, end)
     monkeypatch.setattr("daq.recording.channel_series.LARGE_RANGE", large) if not large else None
     most = large or len(message) // 4 * 16
     with daq.open(path) as recording:
@@ -417,8 +421,7 @@ def test_large_range_needs_a_sixteenth_of_samples(tmp_path, monkeypatch, large):
 @pytest.mark.parametrize("late_ns", [-5_100_000, -4_900_000, 4_900_000, 5_100_000])
 def test_block_logged_half_a_sample_late_is_rejected(tmp_path, late_ns):
     message, end = block_message(5, [1.0, 2.0], log_time=70_000_000 + late_ns)
-    data = chunk(b"", message, len(message), zlib.crc32(message))
-    path = hostile(tmp_path / "late.mcap", data, chunk_index(DATA_BEGINS, len(data), len(message), end))
+    path = holding(tmp_path / "late.mcap", message, end)
     if abs(late_ns) < 5_000_000:
         assert daq.open(path).read("a", 5, 7).tolist() == [1.0, 2.0]
         return
@@ -434,9 +437,7 @@ def test_block_logged_half_a_sample_late_is_rejected(tmp_path, late_ns):
 def test_overlapping_blocks_are_rejected(tmp_path, second):
     first, _ = block_message(1, [1.0, 2.0])
     other, end = block_message(second, [3.0, 4.0])
-    inside = first + other
-    data = chunk(b"", inside, len(inside), zlib.crc32(inside))
-    path = hostile(tmp_path / "o.mcap", data, chunk_index(DATA_BEGINS, len(data), len(inside), end))
+    path = holding(tmp_path / "o.mcap", first + other, end)
     with pytest.raises(RecordingError, match=f"a block begins at sample {second}; expected 3 or later"):
         daq.open(path).read("a", 0, 2)
 
@@ -451,8 +452,7 @@ def test_overlapping_blocks_are_rejected(tmp_path, second):
     ],
 )
 def test_nonsense_with_right_checksum_is_rejected(tmp_path, inside):
-    data = chunk(b"", inside, len(inside), zlib.crc32(inside))
-    path = hostile(tmp_path / "n.mcap", data, chunk_index(DATA_BEGINS, len(data), len(inside)))
+    path = holding(tmp_path / "n.mcap", inside, 10**9)
     with pytest.raises(RecordingError, match=r"n\.mcap"):
         daq.open(path)
 

@@ -341,6 +341,6 @@ def _labelled(result: Any, label: str, scene: str | None = None) -> Any:
     """Name a result after its recording, instead of the scene."""
     from dataclasses import replace
 
-    from analysis.recordings.names import relabelled
+    from analysis.recordings.names import relabel
 
-    return relabelled(result, scene, label) if scene is not None else replace(result, label=label)
+    return relabel(result, scene, label) if scene is not None else replace(result, label=label)

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from analysis.damper_motion.energy_balance import CycleEnergy, energy_per_cycle, impact_energy_per_cycle
 from analysis.damper_motion.motion_types import DamperMotion, damper_motion
-from analysis.recordings.names import relabelled
-from analysis.responses.measurands import located
+from analysis.recordings.names import relabel
+from analysis.responses.measurands import motion_channel_at
 from analysis.responses.stepped_sine import Sweep, sweeps
 from rig.arrays import Array
 from rig.errors import RecordingError
@@ -125,7 +125,7 @@ def dampers_in(rec: Recording, label: str | None = None, progress: Progress | No
     for sweep in sweeps(rec, progress=progress):
         bodies, missing, warnings = [], [], list(sweep.lines.warnings)
         for number in numbers:
-            info = located(rec, f"body {number}")
+            info = motion_channel_at(rec, f"body {number}")
             if info is None:
                 name = rec.scene.structure.label(number)
                 missing.append(f"{name}: no channel, so that its impacts are not detected")
@@ -141,7 +141,7 @@ def dampers_in(rec: Recording, label: str | None = None, progress: Progress | No
             warnings.append(f"no energy balance: {error}")
         out.append(
             Dampers(
-                relabelled(sweep.lines, rec.scene.name, label or rec.scene.name).label,
+                relabel(sweep.lines, rec.scene.name, label or rec.scene.name).label,
                 sweep,
                 tuple(bodies),
                 energy,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import special
 
-from analysis.responses.aliasing import folded_shares
+from analysis.responses.aliasing import aliased_shares
 from analysis.responses.measurands import motion_of, reference_of, responses
 from analysis.responses.systematic import ReadingShares, tolerance
 from rig.arrays import Array, ComplexArray
@@ -113,7 +113,7 @@ def _bound(
     parts = [np.sqrt(np.nan_to_num(scatter)) * special.stdtrit(np.maximum(lines.scatter.degrees, 1.0), 0.975)]
     tolerances = np.array([tolerance(rec.channels[name]) for name in lines.channels])
     parts.append(abs(np.array(gains)) @ (tolerances / np.maximum(1.0 - tolerances, 1e-300)))
-    _, folded = folded_shares(
+    _, folded = aliased_shares(
         rec, ReadingShares(lines.channels, lines.frequency, "displacement", compliance, of_force, of_force)
     )
     for each, share in ((turns, folded), (along, lines.remainder), (along, lines.resolution)):

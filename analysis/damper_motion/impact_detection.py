@@ -20,7 +20,7 @@ from analysis.damper_motion.matching_pursuit import (
     MatchingPursuit,
 )
 from analysis.decays.sensor_correction import corrected
-from analysis.responses.measurands import named
+from analysis.responses.measurands import find_channel
 from rig.arrays import Array
 from rig.errors import RecordingError
 from rig.numerics.runs import runs_of
@@ -130,7 +130,7 @@ def impacts(
     motion or does not respond to impacts; if the stretch is too short, damaged or zero; or if the body contains
     grains, or dampers with different contact durations.
     """
-    info = named(rec, channel)
+    info = find_channel(rec, channel)
     if info.quantity not in MOTIONS:
         raise RecordingError(
             f"{info.name}: measures {info.quantity}, but impacts show in motion channels only. Choose a channel of "

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.responses.frequency_responses import checked, frequency_responses
-from analysis.responses.measurands import concerned, reference_of, responses
+from analysis.responses.frequency_responses import annotate, frequency_responses
+from analysis.responses.measurands import reference_of, required_channels, responses
 from analysis.responses.stepped_sine import sweeps
 from analysis.responses.systematic import REFERENCE_NOISE, ROUGH, tolerance
 from daq.recording.recorded_test import TestKind
@@ -112,12 +112,12 @@ def measured(rec: Recording, name: str, progress: Progress | None = None) -> lis
             "level. Record test: {kind: stepped_sine, ...} at one or several levels."
         )
     if tones:
-        found = sweeps(rec, concerned(rec, names, reference), progress)
+        found = sweeps(rec, required_channels(rec, names, reference), progress)
         several = len(found) > 1
         return [
             _curves(
                 rec,
-                checked(rec, [sweep.lines.frf(rec, response, reference) for response in names]),
+                annotate(rec, [sweep.lines.frf(rec, response, reference) for response in names]),
                 reference,
                 f"{name}, {format_number(sweep.level)} N {sweep.direction}" if several else name,
             )

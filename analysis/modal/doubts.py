@@ -6,15 +6,15 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from analysis.modal.modes import DETERMINED, Modes
-from analysis.modal.pole_errors import SMEAR
+from analysis.modal.modes import MAX_RELATIVE_UNCERTAINTY, Modes
+from analysis.modal.pole_errors import LEAKAGE_FACTOR
 from rig.arrays import Array
 from rig.results.response import Response
 
 # A damping ratio with a larger relative uncertainty is reported.
-_DAMPING_ERROR = 0.02
-# Ratio of resolution to half of the half-power width at which leakage causes this uncertainty.
-_RESOLUTION_LIMIT = float(np.sqrt(_DAMPING_ERROR / SMEAR))
+_REPORTED = 0.02
+# Ratio of resolution to half of the half-power bandwidth at which leakage causes this uncertainty.
+_WIDENING_RATIO = float(np.sqrt(_REPORTED / LEAKAGE_FACTOR))
 
 
 def doubts(
@@ -23,17 +23,17 @@ def doubts(
     count: int | None,
     dropped: Sequence[float],  # Hz: poles of undetermined damping or peak height
     uncertain_poles: Array,  # Hz: poles where the uncertainty of the curves is too large
-    unseen: Array,  # Hz: poles around which no line was measured
+    unmeasured: Array,  # Hz: poles around which no line was measured
     left_out: Sequence[str],  # responses that were not used
 ) -> Iterator[str]:
-    """Describe what limits some modes; `count` of them were requested."""
+    """Yield warnings about modes; `count` modes were requested."""
     yield from (f"{name} was left out: its uncertainty is unbounded." for name in left_out)
     if modes.model_error:
         stated = any(np.isfinite(curve.error).any() for curve in curves)
-        beyond = "error bars" if stated else "scatter"
+        expected = "error bars" if stated else "scatter"
         yield (
             f"The response is nonlinear: the best linear fit leaves a residual of {modes.model_error:.0%} of the peak "
-            f"height, more than the {beyond}. These modes are the linear equivalent at this force level."
+            f"height, more than the {expected}. These modes are the linear equivalent at this force level."
         )
     if dropped:
         yield (
@@ -43,9 +43,9 @@ def doubts(
     if uncertain_poles.size:
         listed = _listed(uncertain_poles)
         yield f"Rejected the stable poles at {listed} Hz: the uncertainty of the curves there is too large."
-    if unseen.size:
+    if unmeasured.size:
         yield (
-            f"Rejected the stable poles at {_listed(unseen)} Hz: the lines around them were left out, so there may be "
+            f"Rejected the stable poles at {_listed(unmeasured)} Hz: the lines around them were left out. There may be "
             "several modes."
         )
     f, zeta, error = modes.frequency, modes.damping, modes.damping_error
@@ -53,34 +53,36 @@ def doubts(
         yield f"Identified only {f.size} of the {count} requested modes."
     half, lines = zeta * f, curves[0].frequency
     resolution = max(curve.resolution for curve in curves)
-    smeared = resolution > _RESOLUTION_LIMIT * half
-    hidden = (error > DETERMINED * zeta) & (resolution > 2.0 * half)
-    if hidden.any():
+    widened, narrow = (
+        resolution > _WIDENING_RATIO * half,
+        (error > MAX_RELATIVE_UNCERTAINTY * zeta) & (resolution > 2.0 * half),
+    )
+    if narrow.any():
         yield (
-            f"{_listed(f[hidden])} Hz: the peak is narrower than the resolution of {resolution:.3g} Hz, so only an "
+            f"{_listed(f[narrow])} Hz: the peak is narrower than the resolution of {resolution:.3g} Hz, so only an "
             "upper limit of the damping is known. Use much longer blocks, burst random, multisine or stepped sine."
         )
-    some = smeared & ~hidden
-    if some.any():
-        longest = 1.5 / (_RESOLUTION_LIMIT * half[some].min())
+    leakage = widened & ~narrow
+    if leakage.any():
         yield (
-            f"{_listed(f[some])} Hz: the resolution of {resolution:.3g} Hz widens the peaks (half-power widths "
-            f"{_listed(2.0 * half[some], 3)} Hz), which raises the damping ratios by more than {_DAMPING_ERROR:.0%}. "
-            f"Use blocks of at least {longest:.3g} s, burst random, multisine or stepped sine."
+            f"{_listed(f[leakage])} Hz: the resolution of {resolution:.3g} Hz widens the peaks (half-power bandwidths "
+            f"{_listed(2.0 * half[leakage], 3)} Hz), which raises the damping ratios by more than {_REPORTED:.0%}. Use "
+            f"blocks of at least {1.5 / (_WIDENING_RATIO * half[leakage].min()):.3g} s, burst random, multisine or "
+            "stepped sine."
         )
     inside = np.sum(abs(lines - f[:, None]) < 2.0 * half[:, None], axis=1)
-    few = (inside < 2) & ~smeared
+    few = (inside < 2) & ~widened
     if few.any():
         yield (
-            f"{_listed(f[few])} Hz: fewer than two measured points lie within the half-power width of "
+            f"{_listed(f[few])} Hz: fewer than two measured points lie within the half-power bandwidth of "
             f"{_listed(2.0 * half[few], 3)} Hz, so the damping is extrapolated from the flanks. Measure every "
             f"{half[few].min() / 2.0:.2g} Hz there."
         )
-    uncertain = (error > _DAMPING_ERROR * zeta) & (error <= DETERMINED * zeta)
+    uncertain = (error > _REPORTED * zeta) & (error <= MAX_RELATIVE_UNCERTAINTY * zeta)
     if uncertain.any():
         parts = ", ".join(
-            f"{100 * part:.2g} % at {at:.4g} Hz"
-            for part, at in zip(error[uncertain] / zeta[uncertain], f[uncertain], strict=True)
+            f"{100 * ratio:.2g} % at {frequency:.4g} Hz"
+            for ratio, frequency in zip(error[uncertain] / zeta[uncertain], f[uncertain], strict=True)
         )
         yield f"Damping is poorly determined: {parts} (standard uncertainty)."
 

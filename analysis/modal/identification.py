@@ -10,35 +10,37 @@ import scipy
 from numpy.typing import NDArray
 
 from analysis.modal.doubts import doubts
-from analysis.modal.line_choice import in_holes, is_peak, scatter, thinned
-from analysis.modal.lscf import chart, columns
-from analysis.modal.modes import DETERMINED, Modes
-from analysis.modal.order_selection import MOST_MODES, hidden, in_band, preferred, select
+from analysis.modal.line_choice import in_gaps, is_peak, scatter, thin_out
+from analysis.modal.lscf import chart, merge_charts
+from analysis.modal.modes import MAX_RELATIVE_UNCERTAINTY, Modes
+from analysis.modal.order_selection import MAX_MODES, better_model, in_band, narrower_than_resolution, select
 from analysis.modal.pole_errors import pole_errors, refined_pole_errors, systematic_pole_errors
 from analysis.modal.pole_residue import Curves, Fit, fit, residual_terms
-from analysis.modal.refinement import Refined, refined
-from analysis.modal.several_references import separated
+from analysis.modal.refinement import Refinement, refine
+from analysis.modal.several_references import separate
 from analysis.responses.systematic import ALIASING, ROUGH
 from rig.arrays import Array, ComplexArray
 from rig.errors import RecordingError, SceneError
 from rig.results.response import Response, stack
 
 # Smallest relative error assigned to a point, so that a few points of very small error do not determine the result.
-LEAST_RELATIVE_ERROR = 1e-4
+MIN_RELATIVE_ERROR = 1e-4
 # Relative error for a second chart, which weights the whole curve and not only its peaks.
-_EVEN = 0.03
-# Number of initial poles, and of candidates in the search for a further pole.
-_STARTS, _TRIED = 15, 40
-# A misfit above this number of variances is not noise: the structure is nonlinear.
-_NOT_NOISE = 4.0
-# Model errors relative to the neighbouring peaks, tried in this order.
-_DISTRUST = (0.0, 0.01, 0.03, 0.1, 0.2, 0.4)
+_CHART_ERROR = 0.03
+# Limit of the number of initial poles.
+_MAX_INITIAL_POLES = 15
+# Limit of the number of candidates in the search for a further pole.
+_MAX_CANDIDATES = 40
+# A misfit above this multiple of the noise power is not noise: the structure is nonlinear.
+_MAX_NOISE_RATIO = 4.0
+# Model errors relative to the neighbouring peaks, assumed in this order.
+_MODEL_ERRORS = (0.0, 0.01, 0.03, 0.1, 0.2, 0.4)
 # The neighbourhood of a frequency extends by this factor in both directions.
-_AROUND = 1.15
-# Fewest degrees of freedom for the use of a line's own error.
-_ENOUGH = 10.0
-# Ratio of a largest deviation to its standard uncertainty.
-_LARGEST = 1.8
+_NEIGHBORHOOD_RATIO = 1.15
+# With fewer degrees of freedom, a line's own error is uncertain and the neighbouring errors are used too.
+_MIN_DEGREES = 10.0
+# Ratio of a limit of error to its standard uncertainty.
+_LIMIT_FACTOR = 1.8
 
 
 def identify(frfs: Response | Sequence[Response], count: int | None = None) -> Modes:
@@ -67,56 +69,61 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
     """
     if count is not None and not (isinstance(count, int) and count >= 1):
         raise SceneError(f"identify: count {count}; expected at least 1 mode")
-    known = isinstance(frfs, Sequence | Response) and all(isinstance(frf, Response) for frf in frfs)
-    if not known or not len(frfs):
+    is_valid = isinstance(frfs, Sequence | Response) and all(isinstance(frf, Response) for frf in frfs)
+    if not is_valid or not len(frfs):
         raise SceneError(
-            f"identify: got {frfs!r:.60}; expected several curves, as analysis.frfs or read_frfs gives them"
+            f"identify: got {frfs!r:.60}; expected several curves, as analysis.frfs or read_frfs returns them"
         )
     if isinstance(frfs, Response) and len(frfs.inputs) > 1:
         matrix = frfs
-        return separated(
+        return separate(
             identify(list(matrix), count),
             matrix.keys(),
             tuple(f"{point.quantity} at {point.place or point.name}" for point in matrix.inputs),
             tuple(point.place for point in matrix.outputs),
         )
-    curves = _bounded(thinned([frf.to("displacement").sorted() for frf in frfs]))
+    curves = _remove_unbounded(thin_out([frf.to("displacement").sorted() for frf in frfs]))
     measured, sigma = _measured(curves)
     size = abs(measured.value)
-    weights = np.ones(sigma.shape) / size.max(axis=1, keepdims=True), 1.0 / np.hypot(sigma, _EVEN * size)
-    charts = [chart(measured.frequency, measured.value, weight) for weight in weights]
-    stable, every = columns(measured.frequency, charts)
-    weighted, model, error = _explained(
-        measured, sigma, stable[:_STARTS], every[:_TRIED], MOST_MODES if count is None else count
+    weights = (
+        np.ones(sigma.shape) / size.max(axis=1, keepdims=True),
+        1.0 / np.hypot(sigma, _CHART_ERROR * size),
     )
-    weighted, model, dropped = _without_doubtful_poles(weighted, model, curves)
-    joint = None if error else _refined(weighted, model, curves)
-    if joint is not None:
-        model = joint.model
+    charts = [chart(measured.frequency, measured.value, weight) for weight in weights]
+    stable, candidates = merge_charts(measured.frequency, charts)
+    stable, candidates = stable[:_MAX_INITIAL_POLES], candidates[:_MAX_CANDIDATES]
+    weighted, model, error = _best_model(
+        measured, sigma, stable, candidates, MAX_MODES if count is None else count
+    )
+    weighted, model, dropped = _remove_spurious_poles(weighted, model, curves)
+    refinement = None if error else _refine(weighted, model, curves)
+    if refinement is not None:
+        model = refinement.model
     inside = in_band(weighted, model.poles)
     if not inside.any():
         raise RecordingError(
             f"{curves[0].label}: no resonance exceeds the noise and the resolution of the curves. Measure for longer, "
             "more densely around the resonances, or in another band."
         )
-    # The bound at a level of 95 % is two standard deviations.
-    included: tuple[str, ...] = () if joint is None else joint.parts
-    random = (
-        pole_errors(weighted, model) if joint is None else refined_pole_errors(model.poles, joint.covariance)
-    )
+    # Expanded uncertainties (95 %) are twice the standard uncertainties.
+    included: tuple[str, ...] = ()
+    if refinement is None:
+        random = pole_errors(weighted, model)
+    else:
+        included, random = refinement.parts, refined_pole_errors(model.poles, refinement.covariance)
     systematic = systematic_pole_errors(curves, model.poles, included)
     f_error, z_error = (
-        np.hypot(*each) for each in zip(random, (0.5 * part for part in systematic), strict=True)
+        np.hypot(*pair) for pair in zip(random, (0.5 * part for part in systematic), strict=True)
     )
-    # If the uncertainty of the curves is unbounded, the position of the poles is unknown.
+    # The frequency of a pole is unknown if the uncertainty of the curves is unbounded.
     frequency: Array = np.asarray(abs(model.poles) / (2 * np.pi), dtype=float)
-    anywhere = inside & (2.0 * f_error >= frequency)
-    holes = inside & ~anywhere & in_holes(weighted.frequency, model.poles)
-    inside &= ~(anywhere | holes)
-    uncertain, unseen = frequency[anywhere], frequency[holes]
-    if not inside.any() and unseen.size:
+    unbounded = inside & (2.0 * f_error >= frequency)
+    gaps = inside & ~unbounded & in_gaps(weighted.frequency, model.poles)
+    inside &= ~(unbounded | gaps)
+    uncertain, unmeasured = frequency[unbounded], frequency[gaps]
+    if not inside.any() and unmeasured.size:
         raise RecordingError(
-            f"{curves[0].label}: poles ({', '.join(f'{f:.4g}' for f in unseen)} Hz) only in gaps, where lines were "
+            f"{curves[0].label}: poles ({', '.join(f'{f:.4g}' for f in unmeasured)} Hz) only in gaps, where lines were "
             "left out. Record again without the flaws that the warnings name."
         )
     if not inside.any():
@@ -124,15 +131,11 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
             f"{curves[0].label}: poles ({', '.join(f'{f:.4g}' for f in uncertain)} Hz) only where the uncertainty of "
             "the curves is too large. Reduce the largest parts of the uncertainty that `analysis frf` lists."
         )
-    poles, f_error, z_error, frequency = (
-        model.poles[inside],
-        f_error[inside],
-        z_error[inside],
-        frequency[inside],
-    )
+    poles, frequency = model.poles[inside], frequency[inside]
+    f_error, z_error = f_error[inside], z_error[inside]
     # A clock error shifts all poles by the same relative amount; it is a common error of all lines.
     clock = max(curve.uncertainty.clock for curve in frfs)
-    f_error = np.hypot(f_error, clock * abs(poles) / (2 * np.pi * _LARGEST))
+    f_error = np.hypot(f_error, clock * abs(poles) / (2 * np.pi * _LIMIT_FACTOR))
     lower, upper = _residuals(model, inside, measured.frequency)
     result = Modes(
         frequency=frequency,
@@ -152,43 +155,43 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
         places=tuple(curve.output_at for curve in curves),
     )
     left_out = [frf.response for frf in frfs if frf.response not in result.responses]
-    notes = doubts(result, curves, count, dropped, uncertain, unseen, left_out)
+    notes = doubts(result, curves, count, dropped, uncertain, unmeasured, left_out)
     return replace(result, warnings=(*curves[0].warnings, *notes))
 
 
 def _shape_errors(curves: Sequence[Response], poles: ComplexArray, residue: ComplexArray) -> Array:
-    """Estimate standard deviations of shapes with largest element 1, from the curves' bounds at each resonance.
+    """Estimate standard deviations of shapes with largest element 1, from the uncertainty of the curves at resonance.
 
     An error of the reference sensor is common to all curves.
     """
     frequency: Array = np.asarray(abs(poles) / (2 * np.pi), dtype=float)
-    at = [_nearest(curve, frequency, np.isfinite(curve.value)) for curve in curves]
-    size = np.array([abs(curve.value[lines]) for curve, lines in zip(curves, at, strict=True)])
-    bound = np.array([curve.bound()[lines] for curve, lines in zip(curves, at, strict=True)])
-    bound -= np.array([[curve.uncertainty.scale] for curve in curves]) * size
+    lines = [_nearest(curve, frequency, np.isfinite(curve.value)) for curve in curves]
+    size = np.array([abs(curve.value[nearest]) for curve, nearest in zip(curves, lines, strict=True)])
+    expanded = np.array([curve.bound()[nearest] for curve, nearest in zip(curves, lines, strict=True)])
+    expanded -= np.array([[curve.uncertainty.scale] for curve in curves]) * size
     top, modes = np.argmax(abs(residue), axis=0), np.arange(poles.size)
-    share = abs(residue) / abs(residue[top, modes])
-    error: Array = 0.5 * np.hypot(bound, share * bound[top, modes]) / size[top, modes]
+    element = abs(residue) / abs(residue[top, modes])
+    error: Array = 0.5 * np.hypot(expanded, element * expanded[top, modes]) / size[top, modes]
     error[top, modes] = 0.0
     return error
 
 
-def _nearest(curve: Response, frequency: Array, among: NDArray[np.bool_]) -> NDArray[np.int64]:
+def _nearest(curve: Response, frequency: Array, selected: NDArray[np.bool_]) -> NDArray[np.int64]:
     """Return the selected lines of a curve that are nearest to other frequencies."""
-    lines = np.flatnonzero(among)
+    lines = np.flatnonzero(selected)
     return np.asarray(lines[np.argmin(abs(curve.frequency[lines] - frequency[:, None]), axis=1)])
 
 
-def _bounded(curves: Sequence[Response]) -> list[Response]:
+def _remove_unbounded(curves: Sequence[Response]) -> list[Response]:
     """Remove responses with unbounded uncertainty, which have zero weight."""
-    found = [curve for curve in curves if np.isfinite(_sigma([curve])).any()]
-    if not found:
+    bounded = [curve for curve in curves if np.isfinite(_sigma([curve])).any()]
+    if not bounded:
         raise RecordingError(
             f"{curves[0].label}: the uncertainty of the responses at {', '.join(curve.response for curve in curves)} "
             "is unbounded, because the readings are a few counts or the reference may be zero. Record again with a "
             "converter range and sensors that suit the level."
         )
-    return found
+    return bounded
 
 
 def _measured(curves: Sequence[Response]) -> tuple[Curves, Array]:
@@ -202,120 +205,127 @@ def _measured(curves: Sequence[Response]) -> tuple[Curves, Array]:
         )
     value, sigma = np.stack([curve.value for curve in curves]), _sigma(curves)
     # A line with unbounded uncertainty in every response has zero weight.
-    known = np.isfinite(value).all(axis=0) & (frequency > 0) & np.isfinite(sigma).any(axis=0)
-    if known.sum() < 8:
+    valid = np.isfinite(value).all(axis=0) & (frequency > 0) & np.isfinite(sigma).any(axis=0)
+    if valid.sum() < 8:
         raise RecordingError(
-            f"{curves[0].label}: {known.sum()} frequencies are too few for modes. Measure at least 8, with several in "
+            f"{curves[0].label}: {valid.sum()} frequencies are too few for modes. Measure at least 8, with several in "
             "each resonance."
         )
-    for curve, row in zip(curves, value[:, known], strict=True):
+    for curve, row in zip(curves, value[:, valid], strict=True):
         if not np.any(abs(row) > 0):
             raise RecordingError(
                 f"{curve.label}: {curve.response} is zero throughout. Choose other channels."
             )
-    sigma = sigma[:, known]
+    sigma = sigma[:, valid]
     shared = max(curve.uncertainty.shared for curve in curves)
     resolution = max(curve.resolution for curve in curves)
-    return Curves(frequency[known], value[:, known], 1.0 / sigma, shared, resolution), sigma
+    return Curves(frequency[valid], value[:, valid], 1.0 / sigma, shared, resolution), sigma
 
 
-def _explained(
-    measured: Curves, sigma: Array, stable: ComplexArray, every: ComplexArray, most: int
+def _best_model(
+    measured: Curves, sigma: Array, stable: ComplexArray, candidates: ComplexArray, max_modes: int
 ) -> tuple[Curves, Fit, float]:
     """Return the best model, the curves with the weights of its fit, and its relative error beyond noise."""
-    # Largest value around each point; nonlinear errors scale with the peaks, not with the curve between them.
+    # Largest value around each point. Nonlinear errors are proportional to the peaks, not to the curve between them.
     f, value = measured.frequency, np.abs(measured.value)
-    low, high = np.searchsorted(f, f / _AROUND), np.searchsorted(f, f * _AROUND, side="right")
+    low, high = (
+        np.searchsorted(f, f / _NEIGHBORHOOD_RATIO),
+        np.searchsorted(f, f * _NEIGHBORHOOD_RATIO, side="right"),
+    )
     size = np.stack([value[:, a:b].max(axis=1) for a, b in zip(low, high, strict=True)], axis=1)
-    tried: list[tuple[Curves, Fit]] = []
-    for error in _DISTRUST:
+    models: list[tuple[Curves, Fit]] = []
+    for error in _MODEL_ERRORS:
         curves = replace(measured, weight=1.0 / np.hypot(sigma, error * size))
-        model = select(curves, stable, every, most)
-        if tried:
-            # Poles that are significant only in combination may be removed individually; the previous poles are a
-            # further start.
-            model = preferred(curves, model, select(curves, tried[-1][1].poles, every, most))
-        tried.append((curves, model))
-        if tried[-1][1].misfit < _NOT_NOISE * curves.degrees(tried[-1][1].poles.size):
+        model = select(curves, stable, candidates, max_modes)
+        if models:
+            # Poles that are significant only in combination may be removed individually. The previous poles are
+            # therefore further initial values.
+            model = better_model(curves, model, select(curves, models[-1][1].poles, candidates, max_modes))
+        models.append((curves, model))
+        if model.misfit < _MAX_NOISE_RATIO * curves.degrees(model.poles.size):
             break
     # The model error is relative to neighbouring peaks, so it may exceed a peak of one or two lines and hide its
     # mode.
     narrow = [
-        int((in_band(curves, model.poles) & hidden(curves, model.poles)).sum()) for curves, model in tried
+        int((in_band(curves, model.poles) & narrower_than_resolution(curves, model.poles)).sum())
+        for curves, model in models
     ]
-    curves, model = tried[int(np.argmax(narrow)) if max(narrow) > narrow[-1] else -1]
+    curves, model = models[int(np.argmax(narrow)) if max(narrow) > narrow[-1] else -1]
     # Points of zero weight are not fitted, and points of zero value have no relative error.
     scale = curves.weight * size
-    relative = np.divide(model.rest, scale, out=np.zeros_like(model.rest), where=scale > 0.0)
-    missed = np.linalg.norm(relative) / np.sqrt(curves.degrees(model.poles.size))
+    relative = np.divide(model.residual, scale, out=np.zeros_like(model.residual), where=scale > 0.0)
+    relative_error = np.linalg.norm(relative) / np.sqrt(curves.degrees(model.poles.size))
     # Modes far outside the band deviate slightly from their residual terms, which does not indicate a nonlinear
     # structure.
-    return curves, model, float(missed) if len(tried) > 1 and missed > LEAST_RELATIVE_ERROR else 0.0
+    is_nonlinear = len(models) > 1 and relative_error > MIN_RELATIVE_ERROR
+    return curves, model, float(relative_error) if is_nonlinear else 0.0
 
 
-def _without_doubtful_poles(
+def _remove_spurious_poles(
     curves: Curves, model: Fit, frfs: Sequence[Response]
 ) -> tuple[Curves, Fit, list[float]]:
     """Remove poles that are not modes; also return their frequencies, in Hz.
 
-    These are poles of undetermined damping, and poles whose peaks are below the systematic uncertainty of every
-    curve, because residual transients and images cause similar peaks. A peak narrower than the resolution is accepted
-    as a mode, because its width cannot be measured.
+    A pole is not a mode if its damping is undetermined, or if its peak is below the systematic uncertainty of every
+    curve, because residual transients and images cause similar peaks. A distinct peak narrower than the resolution is
+    accepted as a mode, because its width cannot be measured.
     """
     dropped: list[float] = []
     while model.poles.size:
         _, z_error = pole_errors(curves, model)
         damping = z_error * abs(model.poles) / -model.poles.real
         doubt = np.where(
-            in_band(curves, model.poles), np.maximum(damping, DETERMINED * _buried(model, frfs)), 0.0
+            in_band(curves, model.poles),
+            np.maximum(damping, MAX_RELATIVE_UNCERTAINTY * _systematic_ratio(model, frfs)),
+            0.0,
         )
-        for k in np.flatnonzero(hidden(curves, model.poles)):
+        for k in np.flatnonzero(narrower_than_resolution(curves, model.poles)):
             line = int(np.argmin(abs(curves.frequency - abs(model.poles[k]) / (2 * np.pi))))
             doubt[k] = 0.0 if any(is_peak(abs(row), line) for row in curves.value) else np.inf
         worst = int(np.argmax(doubt))
-        if doubt[worst] < DETERMINED:
+        if doubt[worst] < MAX_RELATIVE_UNCERTAINTY:
             break
         dropped.append(abs(model.poles[worst]) / (2 * np.pi))
         model = fit(curves, np.delete(model.poles, worst))
     return curves, model, dropped
 
 
-def _refined(weighted: Curves, model: Fit, frfs: Sequence[Response]) -> Refined | None:
-    """Refine with the covariance of all responses; None if only their standard deviations are known."""
+def _refine(weighted: Curves, model: Fit, frfs: Sequence[Response]) -> Refinement | None:
+    """Refine with the covariance of all responses; return None if only their standard deviations are known."""
     if any(frf.uncertainty.errors is None for frf in frfs):
         return None
     lines = np.searchsorted(frfs[0].frequency, weighted.frequency)
     curves = [frf.at(lines) for frf in frfs]
     errors = stack(curves).covariance()
     size = np.stack([abs(frf.value) for frf in curves])
-    rough = np.hypot(0.5 * _off(curves, ROUGH), LEAST_RELATIVE_ERROR * size)
+    rough = np.hypot(0.5 * _limit(curves, ROUGH), MIN_RELATIVE_ERROR * size)
     if not (np.isfinite(errors.lines).all() and np.isfinite(rough).all()):
         return None
-    return refined(weighted, model, errors, rough)
+    return refine(weighted, model, errors, rough)
 
 
-def _buried(model: Fit, frfs: Sequence[Response]) -> Array:
-    """Ratio of systematic uncertainty to peak height at each pole, in the curve with the smallest ratio."""
+def _systematic_ratio(model: Fit, frfs: Sequence[Response]) -> Array:
+    """Return the ratio of systematic uncertainty to peak height at each pole, in the curve with the smallest ratio."""
     frequency: Array = np.asarray(abs(model.poles) / (2 * np.pi), dtype=float)
-    off = [
+    limit = [
         part[_nearest(frf, frequency, np.isfinite(frf.value + part))]
-        for frf, part in zip(frfs, _off(frfs, (*ROUGH, ALIASING)), strict=True)
+        for frf, part in zip(frfs, _limit(frfs, (*ROUGH, ALIASING)), strict=True)
     ]
     height = abs(model.residue) / -model.poles.real
-    return np.asarray(np.min(off / np.maximum(height, 1e-300), axis=0))
+    return np.asarray(np.min(limit / np.maximum(height, 1e-300), axis=0))
 
 
 def _residuals(model: Fit, inside: NDArray[np.bool_], frequency: Array) -> tuple[Array, Array]:
     """Sum the contributions of modes outside the band, including fitted modes."""
     s = 2j * np.pi * frequency
-    rest = np.zeros((model.residue.shape[0], s.size), dtype=complex)
+    contribution = np.zeros((model.residue.shape[0], s.size), dtype=complex)
     for p, residue in zip(model.poles[~inside], model.residue[:, ~inside].T, strict=True):
-        rest += residue[:, None] / (s - p) + residue.conj()[:, None] / (s - p.conjugate())
+        contribution += residue[:, None] / (s - p) + residue.conj()[:, None] / (s - p.conjugate())
     terms = np.stack(residual_terms(s), axis=1)
     size = abs(terms).max(axis=0)
-    columns_, wanted = (np.concatenate([each.real, each.imag]) for each in (terms / size, rest.T))
-    more = np.linalg.lstsq(columns_, wanted, rcond=None)[0].T / size
-    return model.lower + more[:, 0], model.upper + more[:, 1:]
+    columns, target = (np.concatenate([part.real, part.imag]) for part in (terms / size, contribution.T))
+    factors = np.linalg.lstsq(columns, target, rcond=None)[0].T / size
+    return model.lower + factors[:, 0], model.upper + factors[:, 1:]
 
 
 def _sigma(curves: Sequence[Response]) -> Array:
@@ -328,27 +338,27 @@ def _sigma(curves: Sequence[Response]) -> Array:
         if not curve.degrees.any():
             # The errors stated in a file may be incomplete; the scatter of its lines is a lower limit.
             row[:] = np.maximum(row, scatter(curve.value))
-        row[:] = np.maximum(row, _usual(row, curve.degrees))
-    # Errors that differ from line to line act like noise; smooth errors do not resemble a mode.
-    error = np.hypot(error, 0.5 * _off(curves, ROUGH))
+        row[:] = np.maximum(row, _local_median(row, curve.degrees))
+    # Errors that differ from line to line act like noise. Smooth errors do not resemble a mode.
+    error = np.hypot(error, 0.5 * _limit(curves, ROUGH))
     top = np.nanmax(size, axis=1, keepdims=True)
-    return np.hypot(error, LEAST_RELATIVE_ERROR * np.maximum(size, 1e-6 * top))
+    return np.hypot(error, MIN_RELATIVE_ERROR * np.maximum(size, 1e-6 * top))
 
 
-def _usual(error: Array, degrees: Array) -> Array:
-    """Median of errors over neighbours with enough total degrees of freedom; 0 where each line has enough.
+def _local_median(error: Array, degrees: Array) -> Array:
+    """Return the median of errors over enough lines for the required degrees of freedom; 0 if each line has enough.
 
     Errors estimated from few parts may be close to zero by chance, and such lines would dominate the fit.
     """
     own = float(np.median(degrees))
-    if not 0.0 < own < _ENOUGH:
+    if not 0.0 < own < _MIN_DEGREES:
         return np.zeros(error.size)
     return np.asarray(
-        scipy.ndimage.median_filter(error, min(1 + 2 * int(_ENOUGH / own), error.size), mode="nearest")
+        scipy.ndimage.median_filter(error, min(1 + 2 * int(_MIN_DEGREES / own), error.size), mode="nearest")
     )
 
 
-def _off(curves: Sequence[Response], names: Sequence[str]) -> Array:
-    """Largest error of each line by some systematic parts; infinite where a part is unknown."""
+def _limit(curves: Sequence[Response], names: Sequence[str]) -> Array:
+    """Return the limit of error of each line by some systematic parts; infinite if a part is unknown."""
     parts = [[curve.limits.get(name, np.zeros(curve.value.size)) for name in names] for curve in curves]
     return np.asarray(np.nan_to_num(np.linalg.norm(parts, axis=1), nan=np.inf, posinf=np.inf))

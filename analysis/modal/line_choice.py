@@ -8,47 +8,51 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from rig.arrays import Array
+from rig.arrays import Array, ComplexArray
 from rig.results.response import Response
 
 # A larger number of lines is reduced, to about half of this number between peaks.
-MOST_LINES = 2000
-# Number of peaks around which all lines are selected, number of lines of each, and lowest part of the peak.
-_PEAKS, _LINES, _FLANK = 24, 41, 0.1
+MAX_LINES = 2000
+# Number of the highest peaks around which lines are kept.
+_MAX_PEAKS = 24
+# Number of lines that are kept around each peak.
+_LINES_PER_PEAK = 41
+# The flanks of a peak extend down to this ratio to its height.
+_FLANK_RATIO = 0.1
 # A peak exceeds its neighbourhood by this factor.
-_PEAK_PROMINENCE = 2.0
+_MIN_PEAK_RATIO = 2.0
 # A frequency step of this multiple of the steps on either side is a gap.
-_HOLE = 5.0
-# Lines over which scatter is estimated.
-_AROUND = 31
+_GAP_RATIO = 5.0
+# Number of lines over which scatter is estimated.
+_SCATTER_LINES = 31
 
 
-def thinned(curves: Sequence[Response]) -> list[Response]:
-    """Remove lines in excess of those that a fit needs: far from peaks, and within wide peaks.
+def thin_out(curves: Sequence[Response]) -> list[Response]:
+    """Remove lines that a fit does not need: far from peaks, and within wide peaks.
 
     `curves`: curves at equal, rising frequencies.
     """
     count = curves[0].frequency.size
-    if count <= MOST_LINES or any(curve.frequency.size != count for curve in curves):
+    if count <= MAX_LINES or any(curve.frequency.size != count for curve in curves):
         return list(curves)
     sizes = np.nan_to_num(np.stack([abs(curve.value) for curve in curves]))
     # All curves have equal weight. The factor of frequency squared compensates the decrease of a receptance.
     size = np.sqrt(np.mean((sizes / np.median(sizes, axis=1, keepdims=True).clip(1e-300)) ** 2, axis=0))
     level = np.log(np.maximum(size, 1e-12 * size.max()))
-    found, _ = scipy.signal.find_peaks(level, prominence=np.log(_PEAK_PROMINENCE))
-    highest = found[np.argsort(scipy.signal.peak_prominences(level, found)[0])[::-1][:_PEAKS]]
+    peaks, _ = scipy.signal.find_peaks(level, prominence=np.log(_MIN_PEAK_RATIO))
+    highest = peaks[np.argsort(scipy.signal.peak_prominences(level, peaks)[0])[::-1][:_MAX_PEAKS]]
     kept = np.zeros(count, dtype=bool)
-    kept[:: -(-2 * count // MOST_LINES)] = True
+    kept[:: -(-2 * count // MAX_LINES)] = True
     for peak in highest:
-        below = np.flatnonzero(size < _FLANK * size[peak])
+        below = np.flatnonzero(size < _FLANK_RATIO * size[peak])
         first = below[below < peak].max(initial=0)
         last = below[below > peak].min(initial=count - 1)
-        kept[np.unique(np.linspace(first, last, _LINES).astype(int))] = True
-        kept[max(peak - _LINES // 2, 0) : peak + _LINES // 2 + 1] = True
+        kept[np.unique(np.linspace(first, last, _LINES_PER_PEAK).astype(int))] = True
+        kept[max(peak - _LINES_PER_PEAK // 2, 0) : peak + _LINES_PER_PEAK // 2 + 1] = True
     return [curve.at(kept) for curve in curves]
 
 
-def scatter(value: NDArray[np.complex128]) -> Array:
+def scatter(value: ComplexArray) -> Array:
     """Estimate the standard deviation of either quadrature component of each line from its distance to a parabola.
 
     The median over many lines is insensitive to the few lines of a narrow peak.
@@ -60,33 +64,35 @@ def scatter(value: NDArray[np.complex128]) -> Array:
     """
     if value.size < 8:
         return np.full(value.size, 0.01 * float(np.nanmedian(abs(value))))
-    known = np.where(np.isfinite(value), value, 0.0)
-    # Third differences of noise have 20 times its variance; the median of a Rayleigh distribution is 1.177.
-    off = abs(np.convolve(known, [1.0, -3.0, 3.0, -1.0], "same")) / np.sqrt(20.0) / 1.177
-    off[:2], off[-2:] = off[2], off[-3]
-    return np.asarray(scipy.ndimage.median_filter(off, min(_AROUND, value.size), mode="nearest"))
+    filled = np.where(np.isfinite(value), value, 0.0)
+    # Third differences of noise have 20 times its variance. The median of a Rayleigh distribution is 1.177.
+    deviation = abs(np.convolve(filled, [1.0, -3.0, 3.0, -1.0], "same")) / np.sqrt(20.0) / 1.177
+    deviation[:2], deviation[-2:] = deviation[2], deviation[-3]
+    return np.asarray(scipy.ndimage.median_filter(deviation, min(_SCATTER_LINES, value.size), mode="nearest"))
 
 
-def in_holes(frequency: Array, poles: NDArray[np.complex128]) -> NDArray[np.bool_]:
-    """Whether poles, rad/s, lie in gaps without a measured line within the half-power width.
+def in_gaps(frequency: Array, poles: ComplexArray) -> NDArray[np.bool_]:
+    """Return whether poles, rad/s, lie in gaps without a measured line within the half-power bandwidth.
 
     The flanks of a peak determine its pole only for an isolated mode and a complete model of all other modes.
 
     >>> lines = np.r_[10.0:12.0:0.1, 15.0:20.0:0.1]
-    >>> in_holes(lines, 2 * np.pi * np.array([-0.1 + 11.05j, -0.1 + 13.0j, -2.0 + 13.0j, -0.1 + 30.0j]))
+    >>> in_gaps(lines, 2 * np.pi * np.array([-0.1 + 11.05j, -0.1 + 13.0j, -2.0 + 13.0j, -0.1 + 30.0j]))
     array([False,  True, False, False])
     """
     steps = np.diff(frequency)
-    beside = np.maximum(np.append(0.0, steps[:-1]), np.append(steps[1:], 0.0))
-    at: Array = np.asarray(abs(poles) / (2 * np.pi), dtype=float)
-    above = np.searchsorted(frequency, at)
-    within = (above > 0) & (above < frequency.size)
+    neighbours = np.maximum(np.append(0.0, steps[:-1]), np.append(steps[1:], 0.0))
+    natural: Array = np.asarray(abs(poles) / (2 * np.pi), dtype=float)
+    above = np.searchsorted(frequency, natural)
+    in_band = (above > 0) & (above < frequency.size)
     step = np.clip(above - 1, 0, steps.size - 1)
-    nearest = np.minimum(abs(at - frequency[step]), abs(frequency[step + 1] - at))
-    return np.asarray(within & (steps[step] > _HOLE * beside[step]) & (nearest > -poles.real / (2 * np.pi)))
+    nearest = np.minimum(abs(natural - frequency[step]), abs(frequency[step + 1] - natural))
+    return np.asarray(
+        in_band & (steps[step] > _GAP_RATIO * neighbours[step]) & (nearest > -poles.real / (2 * np.pi))
+    )
 
 
 def is_peak(size: Array, line: int) -> bool:
-    """Whether a line exceeds its neighbours by the factor that defines a peak."""
-    around = size[max(line - _AROUND // 2, 0) : line + _AROUND // 2 + 1]
-    return bool(size[line] > _PEAK_PROMINENCE * np.median(around))
+    """Return whether a line exceeds its neighbours by the factor that defines a peak."""
+    neighbours = size[max(line - _SCATTER_LINES // 2, 0) : line + _SCATTER_LINES // 2 + 1]
+    return bool(size[line] > _MIN_PEAK_RATIO * np.median(neighbours))

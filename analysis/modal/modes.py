@@ -18,9 +18,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-# Largest relative standard uncertainty of a determined damping ratio. Above it the ratio is less than three standard
-# deviations from zero: only its upper limit is stated, and its pole is a mode only if it has a distinct peak.
-DETERMINED = 1.0 / 3.0
+# Largest relative standard uncertainty of a determined damping ratio. With a larger uncertainty the ratio is less than
+# three standard deviations from zero. Then only its upper limit is stated, and its pole is a mode only if it has a
+# distinct peak.
+MAX_RELATIVE_UNCERTAINTY = 1.0 / 3.0
 
 
 class BodyShapes(NamedTuple):
@@ -86,16 +87,16 @@ class Modes(Result):
 
     def summary(self) -> str:
         """List frequency and damping ratio of each mode."""
-        found = (f"{f:.4g} Hz, damping ratio {self.damping_text(k)}" for k, f in enumerate(self.frequency))
-        return f"{self.label}: {'; '.join(found)}"
+        texts = (f"{f:.4g} Hz, damping ratio {self.damping_text(k)}" for k, f in enumerate(self.frequency))
+        return f"{self.label}: {'; '.join(texts)}"
 
     def damping_text(self, mode: int) -> str:
-        """Write a damping ratio with its 95 % bound, or its upper limit where it is poorly determined."""
-        ratio, bound = 100.0 * self.damping[mode], 200.0 * self.damping_error[mode]
+        """Write a damping ratio with its expanded uncertainty (95 %), or its upper limit if it is poorly determined."""
+        ratio, expanded = 100.0 * self.damping[mode], 200.0 * self.damping_error[mode]
         return (
-            format_quantity(ratio, bound, "%")
-            if bound < 2.0 * DETERMINED * ratio
-            else f"below {ratio + bound:.2g} %"
+            format_quantity(ratio, expanded, "%")
+            if expanded < 2.0 * MAX_RELATIVE_UNCERTAINTY * ratio
+            else f"below {ratio + expanded:.2g} %"
         )
 
     def columns(self) -> dict[str, NDArray[Any]]:
@@ -128,16 +129,16 @@ class Modes(Result):
         # A channel with an unknown position is a separate point.
         keys = [place or f"channel {name}" for place, name in zip(places, self.responses, strict=True)]
         names, shapes, errors = [], [], []
-        # The element that scales a shape has zero error; its weight is that of the most precise other element.
+        # The element that scales a shape has zero error. It gets the weight of the most precise other element.
         least = np.min(self.shape_error, axis=0, initial=np.inf, where=self.shape_error > 0.0)
         weights = 1.0 / np.where(np.isfinite(least), np.maximum(self.shape_error, least), 1.0) ** 2
         for key in dict.fromkeys(keys):
             rows = [row for row, other in enumerate(keys) if other == key]
-            share = weights[rows] / weights[rows].sum(axis=0)
+            ratio = weights[rows] / weights[rows].sum(axis=0)
             plain = len(rows) == 1 and (not places[rows[0]] or places[rows[0]].startswith("body "))
             names.append(self.responses[rows[0]] if plain else key)
-            shapes.append((share * self.shapes[rows]).sum(axis=0))
-            errors.append(np.sqrt(((share * self.shape_error[rows]) ** 2).sum(axis=0)))
+            shapes.append((ratio * self.shapes[rows]).sum(axis=0))
+            errors.append(np.sqrt(((ratio * self.shape_error[rows]) ** 2).sum(axis=0)))
         shape, error = np.array(shapes), np.array(errors)
         top, modes = np.argmax(abs(shape), axis=0), np.arange(shape.shape[1])
         error[top, modes] = 0.0

@@ -12,64 +12,67 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.modal.lscf import MOST_DAMPING
+from analysis.modal.lscf import MAX_DAMPING
 from analysis.modal.pole_residue import Curves, Fit, fit, misfits_with, misfits_without
 from rig.arrays import Array, ComplexArray
 
-MOST_MODES = 12
-# Fewest residual degrees of freedom; with fewer, a model fits any data.
-_FEWEST_DEGREES = 8
+# Largest number of modes inside the band.
+MAX_MODES = 12
+# With fewer residual degrees of freedom, a model fits any data.
+_MIN_DEGREES = 8
 # A pole must reduce the misfit by this multiple of the penalty in Schwarz's criterion [1]_.
-_STRICTNESS = 2.0
-# Two poles are resolved if their distance is at least this part of their mean half-power width.
-LEAST_POLE_DISTANCE = 0.4
-# Poles closer than this number of widths must fit the curve to within this multiple of its noise power, because two
-# close poles can also fit the asymmetric peak of a nonlinear structure.
-_NEAR, _EXPLAINED = 4.0, 4.0
-# A window may split a narrow peak into two or three at a distance of a line. Poles closer than this multiple of the
-# resolution are a single pole.
-_SPLIT_PEAK_LINES = 1.5
+_PENALTY_FACTOR = 2.0
+# Two poles are resolved if their distance is at least this multiple of their mean half-power bandwidth.
+_MIN_DISTANCE_WIDTHS = 0.4
+# Poles at a smaller distance, in the same unit, are accepted only if they fit the curve to within its noise. Two close
+# poles can also fit the asymmetric peak of a nonlinear structure.
+_CLOSE_POLE_WIDTHS = 4.0
+# Largest misfit of close poles, as a multiple of the noise power.
+_MAX_NOISE_RATIO = 4.0
+# A window may split a narrow peak into two or three peaks one spectral line apart. Poles of such a peak at a smaller
+# distance, in units of the resolution, are a single pole.
+_SAME_PEAK_LINES = 1.5
 # Number of candidates that are fully fitted at each step.
-_FINALISTS = 4
+_FITTED_CANDIDATES = 4
 
 
 def half_width(poles: ComplexArray) -> Array:
-    """Compute half of the half-power widths, Hz."""
+    """Compute half of the half-power bandwidths, Hz."""
     return np.asarray(-poles.real / (2 * np.pi))
 
 
 def in_band(curves: Curves, poles: ComplexArray) -> NDArray[np.bool_]:
-    """Whether poles are inside the measured band."""
+    """Return whether poles are inside the measured band."""
     f = poles.imag / (2 * np.pi)
     return np.asarray((f > curves.frequency[0]) & (f < curves.frequency[-1]))
 
 
-def hidden(curves: Curves, poles: ComplexArray) -> NDArray[np.bool_]:
-    """Whether peaks are narrower than the resolution: their widths are undetermined."""
+def narrower_than_resolution(curves: Curves, poles: ComplexArray) -> NDArray[np.bool_]:
+    """Return whether peaks are narrower than the resolution, so that their widths are undetermined."""
     return np.asarray(2.0 * half_width(poles) < curves.resolution)
 
 
-def select(curves: Curves, stable: ComplexArray, candidates: ComplexArray, most: int = MOST_MODES) -> Fit:
-    """Select the best model with all significant poles [1]_, at most `most` of them inside the band; poles in rad/s."""
+def select(curves: Curves, stable: ComplexArray, candidates: ComplexArray, max_modes: int = MAX_MODES) -> Fit:
+    """Select the best model with all significant poles [1]_, at most `max_modes` inside the band; poles in rad/s."""
     model = fit(curves, stable)
     # Spurious poles are removed, the least significant first.
-    while (among := doubtful(curves, model)).size:
-        least = among[int(np.argmin(misfits_without(curves, model.poles)[among]))]
+    while (spurious := spurious_poles(curves, model)).size:
+        least = spurious[int(np.argmin(misfits_without(curves, model.poles)[spurious]))]
         model = fit(curves, np.delete(model.poles, least))
-    current = _pruned(curves, model)
+    current = _prune(curves, model)
     # Poles below and above the band represent curvature that residual terms cannot represent.
     low, high = curves.frequency[0], curves.frequency[-1]
-    places = np.array([0.5 * low, 0.8 * low, 0.95 * low, 1.05 * high, 1.25 * high, 2.0 * high])
-    outside = np.asarray(2 * np.pi * places * (-0.01 + 1j), dtype=complex)
-    while in_band(curves, current.poles).sum() < most:
-        if curves.degrees(current.poles.size + 1) < _FEWEST_DEGREES:
+    frequency = np.array([0.5 * low, 0.8 * low, 0.95 * low, 1.05 * high, 1.25 * high, 2.0 * high])
+    outside = np.asarray(2 * np.pi * frequency * (-0.01 + 1j), dtype=complex)
+    while in_band(curves, current.poles).sum() < max_modes:
+        if curves.degrees(current.poles.size + 1) < _MIN_DEGREES:
             break
-        pool = np.concatenate([candidates, _at_largest_rest(curves, current), outside])
+        pool = np.concatenate([candidates, _poles_at_residual(curves, current), outside])
         better = _best_addition(curves, current, pool)
         if better is None:
             break
         current = better
-    return _pruned(curves, current)
+    return _prune(curves, current)
 
 
 def _best_addition(curves: Curves, current: Fit, pool: ComplexArray) -> Fit | None:
@@ -84,79 +87,82 @@ def _best_addition(curves: Curves, current: Fit, pool: ComplexArray) -> Fit | No
         tried.append(p)
         model = fit(curves, np.append(current.poles, p))
         better = best is None or model.misfit < best.misfit
-        if better and significant(curves, current, model) and not doubtful(curves, model).size:
+        if better and significant(curves, current, model) and not spurious_poles(curves, model).size:
             best = model
-        if len(tried) == _FINALISTS:
+        if len(tried) == _FITTED_CANDIDATES:
             break
     return best
 
 
-def significant(curves: Curves, less: Fit, more: Fit) -> bool:
-    """Whether the additional poles of a model reduce the misfit by more than noise explains."""
-    return _gain(curves, less.misfit, more, less.poles.size) > 0
+def significant(curves: Curves, smaller: Fit, larger: Fit) -> bool:
+    """Return whether the additional poles of the larger model reduce the misfit by more than noise explains."""
+    return _gain(curves, smaller.misfit, larger, smaller.poles.size) > 0
 
 
-def preferred(curves: Curves, one: Fit, other: Fit) -> Fit:
+def better_model(curves: Curves, first: Fit, second: Fit) -> Fit:
     """Return the model with more poles if they reduce the misfit by more than noise explains, otherwise the other."""
-    less, more = sorted((one, other), key=lambda model: model.poles.size)
-    if less.poles.size == more.poles.size:
-        return min(one, other, key=lambda model: model.misfit)
-    return more if significant(curves, less, more) else less
+    smaller, larger = sorted((first, second), key=lambda model: model.poles.size)
+    if smaller.poles.size == larger.poles.size:
+        return min(first, second, key=lambda model: model.misfit)
+    return larger if significant(curves, smaller, larger) else smaller
 
 
-def _gain(curves: Curves, misfit: float, more: Fit, poles: int) -> float:
-    """Misfit reduction by the additional poles of a model, less the reduction that noise explains."""
-    unknowns = curves.unknowns(more.poles.size)
+def _gain(curves: Curves, misfit: float, larger: Fit, poles: int) -> float:
+    """Compute the misfit reduction from `poles` poles to a larger model, less the reduction that noise explains."""
+    unknowns = curves.unknowns(larger.poles.size)
     added = unknowns - curves.unknowns(poles)
-    scale = max(more.misfit / curves.degrees(more.poles.size), 1.0) * correlation(more.rest)
-    return misfit - more.misfit - float(_STRICTNESS * added * np.log(curves.numbers) * scale)
+    scale = max(larger.misfit / curves.degrees(larger.poles.size), 1.0) * correlation_length(larger.residual)
+    return misfit - larger.misfit - float(_PENALTY_FACTOR * added * np.log(curves.n_values) * scale)
 
 
-def correlation(rest: ComplexArray) -> float:
+def correlation_length(residual: ComplexArray) -> float:
     """Estimate the number of neighbouring lines with a common residual; 1 for independent noise."""
-    power = float(np.sum(abs(rest) ** 2))
+    power = float(np.sum(abs(residual) ** 2))
     if power == 0.0:
         return 1.0
     total = 1.0
-    for lag in range(1, max(2, rest.shape[1] // 8)):
-        common = float(np.sum((rest[:, lag:] * rest[:, :-lag].conj()).real)) / power
-        if common < 0.1:
+    for lag in range(1, max(2, residual.shape[1] // 8)):
+        correlation = float(np.sum((residual[:, lag:] * residual[:, :-lag].conj()).real)) / power
+        if correlation < 0.1:
             break
-        total += 2.0 * common
+        total += 2.0 * correlation
     return total
 
 
-def doubtful(curves: Curves, model: Fit) -> NDArray[np.intp]:
-    """Return spurious poles: overdamped, doubled, or fitted to the asymmetric peak of a nonlinear structure."""
+def spurious_poles(curves: Curves, model: Fit) -> NDArray[np.intp]:
+    """Return poles that are too heavily damped, doubled, or fitted to the asymmetric peak of a nonlinear structure."""
     poles, width = model.poles, half_width(model.poles)
     inside = in_band(curves, poles)
-    out = {int(i) for i in np.flatnonzero(inside & (-poles.real > MOST_DAMPING * abs(poles)))}
+    spurious = {int(i) for i in np.flatnonzero(inside & (-poles.real > MAX_DAMPING * abs(poles)))}
     order = [int(i) for i in np.argsort(poles.imag) if inside[i]]
     for low, high in pairwise(order):
-        apart = (poles[high].imag - poles[low].imag) / (2 * np.pi)
-        mean = width[low] + width[high]
-        # A narrow peak that is split by the window is no wider than this.
-        alike = mean < 2.0 * curves.resolution and apart < _SPLIT_PEAK_LINES * curves.resolution
+        distance = (poles[high].imag - poles[low].imag) / (2 * np.pi)
+        mean_width = width[low] + width[high]
+        # A narrow peak that the window splits is at most this wide.
+        same_peak = mean_width < 2.0 * curves.resolution and distance < _SAME_PEAK_LINES * curves.resolution
         if (
-            alike
-            or apart < LEAST_POLE_DISTANCE * mean
-            or (apart < _NEAR * mean and _local_misfit(curves, model, poles[[low, high]]) > _EXPLAINED)
+            same_peak
+            or distance < _MIN_DISTANCE_WIDTHS * mean_width
+            or (
+                distance < _CLOSE_POLE_WIDTHS * mean_width
+                and _local_misfit(curves, model, poles[[low, high]]) > _MAX_NOISE_RATIO
+            )
         ):
-            out |= {low, high}
-    return np.array(sorted(out), dtype=np.intp)
+            spurious |= {low, high}
+    return np.array(sorted(spurious), dtype=np.intp)
 
 
 def _local_misfit(curves: Curves, model: Fit, poles: ComplexArray) -> float:
-    """Misfit around poles in variances of the noise."""
+    """Compute the misfit around poles as a multiple of the noise power."""
     width = 2.0 * half_width(poles)
     f = poles.imag / (2 * np.pi)
-    near = (curves.frequency > np.min(f - 2 * width)) & (curves.frequency < np.max(f + 2 * width))
-    numbers = 2 * near.sum() * curves.value.shape[0]
-    free = max(numbers - curves.unknowns(poles.size), 0.3 * numbers, 1.0)
-    return float(np.sum(abs(model.rest[:, near]) ** 2) / free)
+    lines = (curves.frequency > np.min(f - 2 * width)) & (curves.frequency < np.max(f + 2 * width))
+    n_values = 2 * lines.sum() * curves.value.shape[0]
+    degrees = max(n_values - curves.unknowns(poles.size), 0.3 * n_values, 1.0)
+    return float(np.sum(abs(model.residual[:, lines]) ** 2) / degrees)
 
 
-def _pruned(curves: Curves, model: Fit) -> Fit:
+def _prune(curves: Curves, model: Fit) -> Fit:
     """Remove poles that are not significant."""
     while model.poles.size:
         poles = model.poles
@@ -164,27 +170,27 @@ def _pruned(curves: Curves, model: Fit) -> Fit:
             misfits = misfits_without(curves, poles)
             least = int(np.argmin(misfits))
             fewer = np.delete(poles, least)
-            # Without a new fit of the other poles the loss is overestimated, so a pole that is not significant here
-            # is not significant after a new fit.
+            # Without a new fit of the other poles the increase of the misfit is overestimated. A pole that is not
+            # significant here is therefore not significant after a new fit.
             if _gain(curves, float(misfits[least]), model, fewer.size) > 0:
                 break
             poles = fewer
         if poles.size < model.poles.size:
             model = fit(curves, poles)
             continue
-        less = fit(curves, fewer)
-        if significant(curves, less, model):
+        smaller = fit(curves, fewer)
+        if significant(curves, smaller, model):
             return model
-        model = less
+        model = smaller
     return model
 
 
-def _at_largest_rest(curves: Curves, model: Fit) -> ComplexArray:
+def _poles_at_residual(curves: Curves, model: Fit) -> ComplexArray:
     """Return candidate poles of several widths at the largest residual of the model."""
     frequency = curves.frequency
-    size = np.sum(abs(model.rest) ** 2, axis=0)
+    power = np.sum(abs(model.residual) ** 2, axis=0)
     out = []
-    for index in np.argsort(size)[::-1][:3]:
+    for index in np.argsort(power)[::-1][:3]:
         spacing = frequency[min(index + 1, frequency.size - 1)] - frequency[max(index - 1, 0)]
         for width in (0.5 * spacing, 2.0 * spacing, 0.003 * frequency[index], 0.02 * frequency[index]):
             out.append(2 * np.pi * (-width + 1j * frequency[index]))

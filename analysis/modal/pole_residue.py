@@ -1,4 +1,4 @@
-"""The modal model: poles shared by all responses, a residue for each; fitted by weighted least squares."""
+"""Modal model with common poles and a residue for each response, fitted by weighted least squares."""
 
 from __future__ import annotations
 
@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 
 from rig.arrays import Array, ComplexArray
 
-# Limit of evaluations: a fit from good initial values converges within it, and a fit from poor initial values is
-# stopped.
-_EVALUATIONS = 25
-# Terms of the series that represents modes above the band: fewer lines determine only the first term.
-ABOVE, _LINES = 3, 20
+# A fit from good initial values converges within this number of evaluations; a fit from poor values is stopped.
+_MAX_EVALUATIONS = 25
+# Number of terms of the series that represents modes above the band.
+UPPER_TERMS = 3
+# Fewer lines determine only the first of these terms.
+_MIN_LINES = 20
 # Rounding error of the squared norm of a unit column.
-_DEPENDENT = 1e-20
+_ROUNDING = 1e-20
 
 
 @dataclass(frozen=True)
@@ -31,22 +32,22 @@ class Curves:
     resolution: float = 0.0  # Hz: leakage bandwidth of each line
 
     @property
-    def numbers(self) -> int:
+    def n_values(self) -> int:
         """Count the measured real numbers."""
         return 2 * self.value.size
 
     @property
-    def above(self) -> int:
+    def upper_terms(self) -> int:
         """Count the terms of the series for modes above the band that the lines can determine."""
-        return ABOVE if self.frequency.size >= _LINES else 1
+        return UPPER_TERMS if self.frequency.size >= _MIN_LINES else 1
 
     def unknowns(self, poles: int) -> int:
         """Count the real parameters of a model with `poles` poles: poles, residues, and residual terms."""
-        return 2 * poles + self.value.shape[0] * (2 * poles + 1 + self.above)
+        return 2 * poles + self.value.shape[0] * (2 * poles + 1 + self.upper_terms)
 
     def degrees(self, poles: int) -> int:
         """Count the degrees of freedom of the misfit of a model with `poles` poles."""
-        return max(self.numbers - self.unknowns(poles), 1)
+        return max(self.n_values - self.unknowns(poles), 1)
 
 
 @dataclass(frozen=True)
@@ -58,47 +59,48 @@ class Fit:
     lower: Array  # lower / s² represents modes below the band; shape (responses,)
     upper: Array  # upper[0] + upper[1] s + upper[2] s² represents modes above the band; shape (responses, 3)
     misfit: float  # sum of squared weighted differences
-    rest: ComplexArray  # weighted differences, measured less model; shape (responses, n)
-    # derivative of `rest` by the logarithms of the decay rates, then by the damped frequencies in units of the
+    residual: ComplexArray  # weighted differences, measured less model; shape (responses, n)
+    # derivative of `residual` by the logarithms of the decay rates, then by the damped frequencies in units of the
     # decay rates; shape (2 modes, responses, n)
-    slope: ComplexArray
+    jacobian: ComplexArray
 
 
 def fit(curves: Curves, start: ComplexArray) -> Fit:
-    """Fit the poles by weighted nonlinear least squares; the linear unknowns are eliminated (variable projection)."""
+    """Fit the poles by weighted nonlinear least squares, with the linear unknowns eliminated (variable projection)."""
     problem = Projection(curves, start)
     x = np.zeros(2 * start.size)
     if start.size:
         x = scipy.optimize.least_squares(
             lambda x: problem.reduced(x)[:, -1], x, lambda x: problem.reduced(x)[:, :-1],
-            xtol=1e-9, ftol=1e-9, gtol=1e-12, max_nfev=_EVALUATIONS,
+            xtol=1e-9, ftol=1e-9, gtol=1e-12, max_nfev=_MAX_EVALUATIONS,
         ).x  # fmt: skip
     poles = problem.poles(x)
-    unknown, rest = problem.unknowns(x), problem.misfit(x)
+    unknown, residual = problem.unknowns(x), problem.residual(x)
     order = np.argsort(poles.imag)
     count, shape = start.size, curves.value.shape
-    upper = np.zeros((shape[0], ABOVE))
-    upper[:, : curves.above] = unknown[:, 2 * count + 1 :]
+    upper = np.zeros((shape[0], UPPER_TERMS))
+    upper[:, : curves.upper_terms] = unknown[:, 2 * count + 1 :]
     residue = unknown[:, 0 : 2 * count : 2] + 1j * unknown[:, 1 : 2 * count : 2]
-    slope = np.empty((0, *shape), dtype=complex)
+    jacobian = np.empty((0, *shape), dtype=complex)
     if count:
-        both = np.concatenate([order, order + count])
-        rows = np.moveaxis(problem.slopes(x)[:, :, both], 2, 0)
-        slope = rows[:, :, : shape[1]] + 1j * rows[:, :, shape[1] :]
-    halves = rest.reshape(shape[0], 2, shape[1])
+        columns = np.concatenate([order, order + count])
+        rows = np.moveaxis(problem.slopes(x)[:, :, columns], 2, 0)
+        jacobian = rows[:, :, : shape[1]] + 1j * rows[:, :, shape[1] :]
+    parts = residual.reshape(shape[0], 2, shape[1])
     return Fit(
-        poles[order], residue[:, order], unknown[:, 2 * count], upper, float(np.sum(rest**2)),
-        halves[:, 0] + 1j * halves[:, 1], slope,
+        poles[order], residue[:, order], unknown[:, 2 * count], upper, float(np.sum(residual**2)),
+        parts[:, 0] + 1j * parts[:, 1], jacobian,
     )  # fmt: skip
 
 
 def residual_terms(s: NDArray[np.complexfloating]) -> list[NDArray[np.complexfloating]]:
     """Return the residual terms of modes outside the band, each with a real factor: first terms of series in 1/s or s.
 
-    Above the band ``R / (s² + 2 ζ w s + w²)`` bends over its width by ``(s/w)²`` of itself, and its damping turns it by
-    ``2 ζ s/w``. Fewer terms would bias the damping of a peak that is measured only on its flank or with much noise.
+    Below its frequency w, a mode ``R / (s² + 2 ζ w s + w²)`` changes by about ``(s/w)²`` over the band, and its damping
+    rotates the phase by ``2 ζ s/w``. Fewer terms would bias the damping of a peak that is measured only on its flank or
+    with much noise.
     """
-    return [1.0 / s**2, *(s**power for power in range(ABOVE))]
+    return [1.0 / s**2, *(s**power for power in range(UPPER_TERMS))]
 
 
 def misfits_with(curves: Curves, poles: ComplexArray, added: ComplexArray) -> Array:
@@ -109,25 +111,26 @@ def misfits_with(curves: Curves, poles: ComplexArray, added: ComplexArray) -> Ar
     """
     problem = Projection(curves, poles)
     x = np.zeros(2 * poles.size)
-    basis, rest = problem.factors(x).basis, problem.misfit(x).reshape(len(curves.value), -1, 1)
+    basis, residual = problem.factors(x).basis, problem.residual(x).reshape(len(curves.value), -1, 1)
     count = 2 * added.size
-    more = _stacked(problem.columns(added)[:, :count] * curves.weight[:, :, None], 1)
-    size = np.linalg.norm(more, axis=1, keepdims=True)
-    more = more / np.where(size > 0.0, size, 1.0)
+    columns = _real_rows(problem.columns(added)[:, :count] * curves.weight[:, :, None], 1)
+    size = np.linalg.norm(columns, axis=1, keepdims=True)
+    columns = columns / np.where(size > 0.0, size, 1.0)
     # Orthogonalize twice, because rounding dominates the first result for columns close to those of other poles.
     for _ in range(2):
-        more = more - basis @ (np.swapaxes(basis, 1, 2) @ more)
-    scores = (np.swapaxes(more, 1, 2) @ rest)[..., 0]
-    first, second = more[..., ::2], more[..., 1::2]
+        columns = columns - basis @ (np.swapaxes(basis, 1, 2) @ columns)
+    scores = (np.swapaxes(columns, 1, 2) @ residual)[..., 0]
+    first, second = columns[..., ::2], columns[..., 1::2]
     a, b, c = (
-        np.einsum("ojk,ojk->ok", one, two) for one, two in ((first, first), (first, second), (second, second))
+        np.einsum("ojk,ojk->ok", *pair) for pair in ((first, first), (first, second), (second, second))
     )
     u, v = scores[:, ::2], scores[:, 1::2]
-    along = np.where(a > _DEPENDENT, u**2 / np.maximum(a, _DEPENDENT), 0.0)
-    left = c - np.where(a > _DEPENDENT, b**2 / np.maximum(a, _DEPENDENT), 0.0)
-    across = v - b * u / np.maximum(a, _DEPENDENT)
-    along += np.where(left > _DEPENDENT, across**2 / np.maximum(left, _DEPENDENT), 0.0)
-    return np.asarray(np.sum(rest**2) - np.sum(along, axis=0))
+    reduction = np.where(a > _ROUNDING, u**2 / np.maximum(a, _ROUNDING), 0.0)
+    # Part of the second column that is orthogonal to the first.
+    orthogonal = c - np.where(a > _ROUNDING, b**2 / np.maximum(a, _ROUNDING), 0.0)
+    score = v - b * u / np.maximum(a, _ROUNDING)
+    reduction += np.where(orthogonal > _ROUNDING, score**2 / np.maximum(orthogonal, _ROUNDING), 0.0)
+    return np.asarray(np.sum(residual**2) - np.sum(reduction, axis=0))
 
 
 def misfits_without(curves: Curves, poles: ComplexArray) -> Array:
@@ -142,9 +145,9 @@ def misfits_without(curves: Curves, poles: ComplexArray) -> Array:
     unknown = (inverse @ factors.projection)[..., 0]
     pairs = inverse[:, : 2 * poles.size].reshape(len(inverse), poles.size, 2, -1)
     covariance = pairs @ np.swapaxes(pairs, 2, 3)
-    both = unknown[:, : 2 * poles.size].reshape(len(inverse), poles.size, 2)
-    rise = np.einsum("oki,okij,okj->k", both, np.linalg.pinv(covariance, rcond=1e-13), both)
-    return np.asarray(np.sum(problem.misfit(x) ** 2) + rise)
+    residues = unknown[:, : 2 * poles.size].reshape(len(inverse), poles.size, 2)
+    rise = np.einsum("oki,okij,okj->k", residues, np.linalg.pinv(covariance, rcond=1e-13), residues)
+    return np.asarray(np.sum(problem.residual(x) ** 2) + rise)
 
 
 class _Factors(NamedTuple):
@@ -158,7 +161,7 @@ class _Factors(NamedTuple):
 
 
 class Projection:
-    """Misfit of the best linear unknowns for given poles, and its derivative (variable projection [1]_).
+    """Residual with the best linear unknowns for given poles, and its derivative (variable projection [1]_).
 
     References
     ----------
@@ -169,13 +172,13 @@ class Projection:
     def __init__(self, curves: Curves, start: ComplexArray) -> None:
         self.s = 2j * np.pi * curves.frequency
         self.value, self.weight, self.start = curves.value, curves.weight, start
-        self.above = curves.above
+        self.upper_terms = curves.upper_terms
         self.scale = -start.real
         self._factorized: tuple[Array, _Factors] | None = None
         self._reduced: tuple[Array, Array] | None = None
 
     def poles(self, x: Array) -> ComplexArray:
-        """Convert parameters to poles: logarithm of the decay rate (for stability), frequency in decay rates."""
+        """Convert parameters to poles: logarithms of the decay rates (for stability), frequencies in decay rates."""
         count = self.start.size
         return np.asarray(
             -self.scale * np.exp(np.clip(x[:count], -30.0, 30.0))
@@ -188,13 +191,13 @@ class Projection:
         for p in poles:
             direct, mirror = 1.0 / (self.s - p), 1.0 / (self.s - p.conjugate())
             out += [direct + mirror, 1j * (direct - mirror)]
-        return np.stack([*out, *residual_terms(self.s)[: 1 + self.above]], axis=1)
+        return np.stack([*out, *residual_terms(self.s)[: 1 + self.upper_terms]], axis=1)
 
     def factors(self, x: Array) -> _Factors:
         """Factorize the weighted basis of every response; the last result is stored."""
         if self._factorized is None or not np.array_equal(self._factorized[0], x):
-            basis = _stacked(self.columns(self.poles(x)) * self.weight[:, :, None], 1)
-            target = _stacked(self.value * self.weight, 1)[..., None]
+            basis = _real_rows(self.columns(self.poles(x)) * self.weight[:, :, None], 1)
+            target = _real_rows(self.value * self.weight, 1)[..., None]
             size = np.linalg.norm(basis, axis=1, keepdims=True)
             q, r = np.linalg.qr(basis / size)
             self._factorized = x.copy(), _Factors(q, r, size, np.swapaxes(q, 1, 2) @ target, target)
@@ -205,28 +208,28 @@ class Projection:
         factors = self.factors(x)
         diagonal = abs(np.einsum("oii->oi", factors.triangle))
         if diagonal.min() > 1e-10 * diagonal.max():
-            found = np.linalg.solve(factors.triangle, factors.projection)
+            unknown = np.linalg.solve(factors.triangle, factors.projection)
         else:
-            # Coinciding poles leave their residues undetermined: take the smallest ones.
-            found = np.linalg.pinv(factors.triangle, rcond=1e-13) @ factors.projection
-        return np.asarray((found / np.swapaxes(factors.size, 1, 2))[..., 0])
+            # Coinciding poles leave their residues undetermined; the smallest residues are used.
+            unknown = np.linalg.pinv(factors.triangle, rcond=1e-13) @ factors.projection
+        return np.asarray((unknown / np.swapaxes(factors.size, 1, 2))[..., 0])
 
-    def misfit(self, x: Array) -> Array:
+    def residual(self, x: Array) -> Array:
         """Return the weighted residuals of all responses in sequence."""
         factors = self.factors(x)
         return np.asarray((factors.target - factors.basis @ factors.projection).ravel())
 
     def reduced(self, x: Array) -> Array:
-        """Return the triangular factor of Jacobian and residuals side by side, which has all that a step needs.
+        """Return the triangular factor of the Jacobian with the residuals as last column, which suffices for a step.
 
-        Its last column has the norm of the residuals, and both give the same products as the rows of all lines.
+        It has the same products of columns as the rows of all lines, including the norm of the residuals.
         """
         if self._reduced is None or not np.array_equal(self._reduced[0], x):
             slopes = self.slopes(x)
-            rows = np.concatenate([slopes, self.misfit(x).reshape(*slopes.shape[:2], 1)], axis=2)
+            rows = np.concatenate([slopes, self.residual(x).reshape(*slopes.shape[:2], 1)], axis=2)
             triangles = np.asarray(np.linalg.qr(rows, mode="r"))
-            whole = np.asarray(np.linalg.qr(triangles.reshape(-1, rows.shape[2]), mode="r"))
-            self._reduced = x.copy(), whole
+            triangle = np.asarray(np.linalg.qr(triangles.reshape(-1, rows.shape[2]), mode="r"))
+            self._reduced = x.copy(), triangle
         return self._reduced[1]
 
     def slopes(self, x: Array) -> Array:
@@ -240,9 +243,9 @@ class Projection:
         change = np.concatenate(
             [poles.real * (direct + mirror), 1j * self.scale[:, None] * (direct - mirror)], axis=1
         )
-        block = _stacked(np.swapaxes(change * self.weight[:, None], 1, 2), 1)
+        block = _real_rows(np.swapaxes(change * self.weight[:, None], 1, 2), 1)
         return np.asarray(q @ (np.swapaxes(q, 1, 2) @ block) - block)
 
 
-def _stacked(rows: ComplexArray, axis: int) -> Array:
+def _real_rows(rows: ComplexArray, axis: int) -> Array:
     return np.concatenate([rows.real, rows.imag], axis=axis)

@@ -1,8 +1,8 @@
 """Maximum-likelihood estimate of modes, with the covariance of the responses' errors.
 
 Order selection weights each response individually. Noise of the reference is common to all responses at a line, so
-the last step uses their complete covariance (generalized least squares). The errors of the poles are propagated from
-those of the readings to first order [1]_.
+the last step uses their complete covariance (generalized least squares). The errors of the readings are propagated to
+the poles to first order [1]_.
 
 References
 ----------
@@ -16,53 +16,62 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from analysis.modal.pole_residue import ABOVE, Curves, Fit, residual_terms
+from analysis.modal.pole_residue import UPPER_TERMS, Curves, Fit, residual_terms
 from analysis.responses.systematic import MODEL, REFERENCE_NOISE
 from rig.arrays import Array, ComplexArray
 from rig.results.uncertainty import Covariance
 
-# Limits of Gauss-Newton steps and of halvings of each step, and the final step in standard deviations.
-_STEPS, _HALVINGS, _SETTLED = 12, 6, 1e-3
-# Elements of arrays of lines in memory at a time, and the number of multiplications above which the refinement is
-# omitted.
-_AT_ONCE, _MOST = 1 << 20, 5e10
+# Limit of Gauss-Newton steps.
+_MAX_STEPS = 12
+# Limit of halvings of each step.
+_MAX_HALVINGS = 6
+# The iteration has converged if a step is smaller than this number of standard deviations.
+_MAX_FINAL_STEP = 1e-3
+# Limit of the elements of arrays of lines in memory.
+_MAX_ELEMENTS = 1 << 20
+# The refinement is omitted if a step needs more multiplications.
+_MAX_MULTIPLICATIONS = 5e10
 
 
 @dataclass(frozen=True)
-class Refined:
+class Refinement:
     """Modes fitted with the covariance of all responses.
 
-    `covariance`: of the logarithms of the decay rates, then the damped frequencies in decay rates, shape (2 modes, 2
-    modes).
+    `covariance`: covariance of the logarithms of the decay rates, then of the damped frequencies in decay rates, shape
+    (2 modes, 2 modes).
     """
 
-    model: Fit  # refined model; its `misfit`, `rest` and `slope` are those for the weights of the curves
+    model: Fit  # refined model, with `misfit`, `residual` and `jacobian` for the weights of the curves
     covariance: Array
     parts: tuple[str, ...]  # systematic parts of the curves that the covariance includes
 
 
-def refined(curves: Curves, model: Fit, errors: Covariance, rough: Array) -> Refined | None:
-    """Refine a model; None if the problem is too large, or if the iteration does not converge.
+def refine(curves: Curves, model: Fit, errors: Covariance, rough: Array) -> Refinement | None:
+    """Refine a model; return None if the problem is too large, or if the iteration does not converge.
 
     `errors`: covariance of the random errors; `rough`, shape (responses, n): standard deviation of either quadrature of
     other errors that differ from line to line.
     """
     problem = Likelihood(curves, errors, rough)
     count = 2 * model.poles.size
-    if not count or curves.value.size * curves.value.shape[0] * (count + 1 + curves.above) ** 2 > _MOST:
+    if (
+        not count
+        or curves.value.size * curves.value.shape[0] * (count + 1 + curves.upper_terms) ** 2
+        > _MAX_MULTIPLICATIONS
+    ):
         return None
     misfit = problem.misfit(model)
-    for _ in range(_STEPS):
+    for _ in range(_MAX_STEPS):
         normal, right = problem.equations(model)
         step = _inverse(normal) @ right
-        for halving in range(_HALVINGS):
-            tried = advanced(curves, model, step * 0.5**halving)
-            if (there := problem.misfit(tried)) <= misfit:
+        for halving in range(_MAX_HALVINGS):
+            next_model = take_step(curves, model, step * 0.5**halving)
+            if (next_misfit := problem.misfit(next_model)) <= misfit:
                 break
         else:
             break
-        model, misfit = tried, there
-        if step @ right < _SETTLED**2:
+        model, misfit = next_model, next_misfit
+        if step @ right < _MAX_FINAL_STEP**2:
             break
     weights = problem.weights(model, _inverse(problem.equations(model)[0])[:, :count])
     deviation = rough.T[..., None] * weights
@@ -71,11 +80,11 @@ def refined(curves: Curves, model: Fit, errors: Covariance, rough: Array) -> Ref
     covariance = scatter * max(1.0, misfit / curves.degrees(model.poles.size))
     parts: tuple[str, ...] = (MODEL,)
     if errors.reference is not None:
-        # Bias of all responses by noise of the reference, which may vary over a peak.
-        lower = curves.value.T * errors.reference[:, None]
-        moved = np.einsum("kap,ka->p", weights.conj(), lower).real / np.sqrt(3.0)
-        covariance, parts = covariance + np.outer(moved, moved), (MODEL, REFERENCE_NOISE)
-    return Refined(model, covariance, parts) if np.isfinite(covariance).all() else None
+        # Noise of the reference causes a bias of all responses, which may vary over a peak.
+        bias = curves.value.T * errors.reference[:, None]
+        shift = np.einsum("kap,ka->p", weights.conj(), bias).real / np.sqrt(3.0)
+        covariance, parts = covariance + np.outer(shift, shift), (MODEL, REFERENCE_NOISE)
+    return Refinement(model, covariance, parts) if np.isfinite(covariance).all() else None
 
 
 class Likelihood:
@@ -83,50 +92,56 @@ class Likelihood:
 
     def __init__(self, curves: Curves, errors: Covariance, rough: Array) -> None:
         self.curves = curves
-        half = errors.lines / 2.0
+        covariance = errors.lines / 2.0
         index = np.arange(len(rough))
-        half[:, index, index] += rough.T**2
-        self.information = np.linalg.inv(half)
+        covariance[:, index, index] += rough.T**2
+        self.information = np.linalg.inv(covariance)
         self.s = 2j * np.pi * curves.frequency
-        self.terms = np.stack(residual_terms(self.s)[: 1 + curves.above], axis=1)
+        self.terms = np.stack(residual_terms(self.s)[: 1 + curves.upper_terms], axis=1)
 
-    def rest(self, model: Fit) -> ComplexArray:
+    def residual(self, model: Fit) -> ComplexArray:
         """Compute measured less model values, shape (n, responses)."""
         direct = 1.0 / (self.s[:, None] - model.poles)
         mirror = 1.0 / (self.s[:, None] - model.poles.conj())
-        known = np.column_stack([model.lower, model.upper[:, : self.curves.above]])
-        predicted = direct @ model.residue.T + mirror @ model.residue.conj().T + self.terms @ known.T
+        factors = np.column_stack([model.lower, model.upper[:, : self.curves.upper_terms]])
+        predicted = direct @ model.residue.T + mirror @ model.residue.conj().T + self.terms @ factors.T
         return np.asarray(self.curves.value.T - predicted)
 
     def misfit(self, model: Fit) -> float:
         """Compute the sum of squares in standard deviations."""
-        rest = self.rest(model)
-        return float(np.einsum("ka,kab,kb->", rest.conj(), self.information, rest, optimize=True).real)
+        residual = self.residual(model)
+        return float(
+            np.einsum("ka,kab,kb->", residual.conj(), self.information, residual, optimize=True).real
+        )
 
     def _slopes(self, model: Fit, part: slice) -> tuple[ComplexArray, ComplexArray]:
         """Differentiate the model at some lines.
 
-        Returns the slopes by the poles, shape (lines, responses, 2 modes), and by the residues and residual terms of
-        any one response, shape (lines, unknowns of a response), because those of different responses are alike.
+        Returns the slopes by the poles, shape (lines, responses, 2 modes), and by the residues and residual terms,
+        shape (lines, unknowns of a response), which are equal for all responses.
         """
         s = self.s[part, None]
         direct, mirror = 1.0 / (s - model.poles), 1.0 / (s - model.poles.conj())
-        up = direct[:, None] ** 2 * model.residue
-        down = mirror[:, None] ** 2 * model.residue.conj()
+        direct_slope = direct[:, None] ** 2 * model.residue
+        mirror_slope = mirror[:, None] ** 2 * model.residue.conj()
         by_pole = np.concatenate(
-            [model.poles.real * (up + down), -1j * model.poles.real * (up - down)], axis=2
+            [
+                model.poles.real * (direct_slope + mirror_slope),
+                -1j * model.poles.real * (direct_slope - mirror_slope),
+            ],
+            axis=2,
         )
         return by_pole, np.concatenate([direct + mirror, 1j * (direct - mirror), self.terms[part]], axis=1)
 
     def _parts(self, model: Fit) -> Iterator[slice]:
         """Split the lines so that the arrays of each part remain small."""
         responses = self.curves.value.shape[0]
-        step = max(1, _AT_ONCE // (responses * (responses + 2 * model.poles.size)))
+        step = max(1, _MAX_ELEMENTS // (responses * (responses + 2 * model.poles.size)))
         return (slice(begin, begin + step) for begin in range(0, self.s.size, step))
 
     def equations(self, model: Fit) -> tuple[Array, Array]:
         """Compute the normal matrix and the right-hand side of a step."""
-        rest, responses = self.rest(model), self.curves.value.shape[0]
+        residual, responses = self.residual(model), self.curves.value.shape[0]
         poles = 2 * model.poles.size
         own = poles + self.terms.shape[1]
         right_poles, right_own = np.zeros(poles), np.zeros((responses, own))
@@ -145,9 +160,9 @@ class Likelihood:
             pairs = (by_own.conj()[:, :, None] * by_own[:, None]).reshape(len(by_own), -1).T
             lines = information.reshape(len(by_own), -1)
             block += (pairs.real @ lines.real - pairs.imag @ lines.imag).reshape(block.shape)
-            pull = (information @ rest[part, :, None])[..., 0]
-            right_poles += (flat.conj().T @ pull.ravel()).real
-            right_own += (pull.T @ by_own.conj()).real
+            weighted_residual = (information @ residual[part, :, None])[..., 0]
+            right_poles += (flat.conj().T @ weighted_residual.ravel()).real
+            right_own += (weighted_residual.T @ by_own.conj()).real
         size = responses * own
         normal = np.empty((poles + size,) * 2)
         normal[:poles, :poles] = corner
@@ -159,24 +174,24 @@ class Likelihood:
     def weights(self, model: Fit, rows: Array) -> ComplexArray:
         """Compute the weights of the errors in combinations of the parameters; shape (n, responses, combinations)."""
         poles, responses = 2 * model.poles.size, self.curves.value.shape[0]
-        of_poles, of_own = rows[:poles], rows[poles:].reshape(responses, -1, rows.shape[1])
+        pole_rows, own_rows = rows[:poles], rows[poles:].reshape(responses, -1, rows.shape[1])
         out = []
         for part in self._parts(model):
             by_pole, by_own = self._slopes(model, part)
-            moved = by_pole @ of_poles + (by_own @ of_own).transpose(1, 0, 2)
-            out.append(self.information[part] @ moved)
+            change = by_pole @ pole_rows + (by_own @ own_rows).transpose(1, 0, 2)
+            out.append(self.information[part] @ change)
         return np.concatenate(out)
 
 
 def _inverse(normal: Array) -> Array:
-    """Invert a normal matrix with its unknowns scaled to unit diagonal; dependent unknowns get the smallest values."""
+    """Invert a normal matrix, scaled to unit diagonal; dependent unknowns get the smallest values."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
     return np.asarray(
         scale[:, None] * np.linalg.pinv(normal * np.outer(scale, scale), hermitian=True) * scale
     )
 
 
-def advanced(curves: Curves, model: Fit, step: Array) -> Fit:
+def take_step(curves: Curves, model: Fit, step: Array) -> Fit:
     """Change poles, residues and residual terms by a step of the parameters."""
     modes, responses = model.poles.size, curves.value.shape[0]
     decay = -model.poles.real
@@ -184,8 +199,8 @@ def advanced(curves: Curves, model: Fit, step: Array) -> Fit:
         model.poles.imag + decay * step[modes : 2 * modes]
     )
     own = step[2 * modes :].reshape(responses, -1)
-    upper = np.zeros((responses, ABOVE))
-    upper[:, : curves.above] = own[:, 2 * modes + 1 :]
+    upper = np.zeros((responses, UPPER_TERMS))
+    upper[:, : curves.upper_terms] = own[:, 2 * modes + 1 :]
     return replace(
         model,
         poles=poles,

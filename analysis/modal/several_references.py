@@ -1,7 +1,7 @@
 """Modes from responses to several inputs, for repeated and close modes that a single input cannot separate.
 
 All elements of the matrix share their poles. The residue of a pole is the outer product of a shape and its
-participation in the inputs; where the pole is repeated, it is a sum of such products, whose number is the rank of the
+participation in the inputs. The residue of a repeated pole is a sum of such products; their number is the rank of the
 residue matrix [1]_.
 
 References
@@ -18,19 +18,19 @@ import numpy as np
 from analysis.modal.modes import Modes
 from rig.arrays import ComplexArray
 
-# A further singular value of a residue is significant above this multiple of its uncertainty, and above this share of
-# the largest.
-_SURE = 5.0
-_LEAST_SHARE = 0.02
+# A further singular value of a residue is significant above this multiple of its standard uncertainty,
+_DETECTION_SIGMAS = 5.0
+# and above this ratio to the largest.
+_MIN_RATIO = 0.02
 
 
-def separated(
+def separate(
     modes: Modes, outputs: tuple[str, ...], inputs: tuple[str, ...], places: tuple[str, ...]
 ) -> Modes:
     """Separate the modes of each pole by the singular values of its residues.
 
     `modes`: identified from all elements of a matrix, in the order of the outputs; `places`: positions of the
-    outputs. Returns modes with the residues of the input of largest participation.
+    outputs. Returns modes with the residues of the input that excites all modes best.
     """
     o, i = len(outputs), len(inputs)
     poles: list[int] = []
@@ -38,12 +38,12 @@ def separated(
     for k in range(modes.frequency.size):
         residue = modes.residue[:, k].reshape(o, i)
         noise = float(np.linalg.norm(modes.shape_error[:, k])) * float(abs(residue).max())
-        left, size, right = np.linalg.svd(residue, full_matrices=False)
-        for r in range(size.size):
-            if r == 0 or size[r] > max(_SURE * noise, _LEAST_SHARE * size[0]):
+        left, singular, right = np.linalg.svd(residue, full_matrices=False)
+        for r in range(singular.size):
+            if r == 0 or singular[r] > max(_DETECTION_SIGMAS * noise, _MIN_RATIO * singular[0]):
                 poles.append(k)
-                parts.append((left[:, r] * size[r], right[r]))
-    shapes, participation = (np.stack(each, axis=1) for each in zip(*parts, strict=True))
+                parts.append((left[:, r] * singular[r], right[r]))
+    shapes, participation = (np.stack(vectors, axis=1) for vectors in zip(*parts, strict=True))
     reference = int(np.argmax(np.min(abs(participation), axis=1)))
     rows = np.arange(o) * i + reference
     error = np.sqrt(np.mean(np.square(modes.shape_error[:, poles].reshape(o, i, -1)), axis=1))

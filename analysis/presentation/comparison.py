@@ -20,7 +20,7 @@ from analysis.presentation.expectations import expect, repeats
 from analysis.presentation.output_names import check_outputs, output_stem, with_ending
 from analysis.presentation.result import Progress, Result, noted
 from analysis.presentation.tables import write_table
-from analysis.recordings.names import opened, relabelled, scene_labels
+from analysis.recordings.names import opened, relabel, scene_labels
 from analysis.responses.frequency_responses import frequency_responses
 from analysis.responses.measurands import reference_of, responses
 from rig.errors import SceneError
@@ -107,7 +107,7 @@ def compare_peaks(paths: Sequence[Path], progress: Progress | None = None) -> Co
             places.append(Places.of(path, rec))
             places[-1].comparable_with(places[0])
             groups = frequency_responses(rec, progress=progress)
-            found.append([[relabelled(frf, rec.scene.name, label) for frf in group] for group in groups])
+            found.append([[relabel(frf, rec.scene.name, label) for frf in group] for group in groups])
     bare = found[0][0]
     modes = identify(bare)
     notes = repeats(paths) + noted(paths[0], (*modes.warnings, *highest_left_out(modes, bare)))

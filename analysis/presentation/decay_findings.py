@@ -12,7 +12,7 @@ from analysis.decays.free_decay import FIRST_FALL, Decay, decay
 from analysis.presentation.expectations import expect, repeats
 from analysis.presentation.output_names import check_outputs, output_stem
 from analysis.presentation.result import Result, noted
-from analysis.recordings.names import opened, relabelled, scene_labels
+from analysis.recordings.names import opened, relabel, scene_labels
 from daq.recording.recorded_test import TestKind
 from rig.results.text import format_interval, table_lines
 
@@ -45,7 +45,7 @@ def present_decay(
     for path, label in zip(paths, scene_labels(paths), strict=True):
         with opened(path) as rec:
             expect(rec, path, "decay")
-            decays.append(relabelled(decay(rec, channel, hit), rec.scene.name, label))
+            decays.append(relabel(decay(rec, channel, hit), rec.scene.name, label))
             struck = rec.test.kind is not TestKind.FREE
         notes += noted(path, decays[-1].warnings)
     first = decays[0]

@@ -14,7 +14,7 @@ from analysis.presentation.expectations import expect_all
 from analysis.presentation.inputs import labels, read_curves
 from analysis.presentation.output_names import check_outputs, of_part, output_stem, with_ending
 from analysis.presentation.result import Progress, Result, noted
-from analysis.recordings.names import opened, relabelled
+from analysis.recordings.names import opened, relabel
 from analysis.responses.curve_checks import jumps
 from analysis.responses.frequency_responses import Blocks, frequency_responses
 from analysis.responses.frf_files import is_frf_file
@@ -59,9 +59,9 @@ def present_frf(
             notes += noted(path, read[0].warnings)
             continue
         with opened(path) as rec:
-            acting = vars(blocks.acting_on(rec.test.kind))
+            acting = vars(blocks.for_kind(rec.test.kind))
             groups = frequency_responses(rec, channels, reference, motion, progress=progress, **acting)
-            curves += [relabelled(frf, rec.scene.name, label) for group in groups for frf in group]
+            curves += [relabel(frf, rec.scene.name, label) for group in groups for frf in group]
             notes += noted(path, [note for group in groups for note in group[0].warnings])
             doubts += stated_tolerances(rec, [frf for group in groups for frf in group])
             if theory:

@@ -16,7 +16,7 @@ from analysis.presentation.expectations import expect_all
 from analysis.presentation.inputs import labels, read_curves
 from analysis.presentation.output_names import check_outputs, output_stem, with_ending
 from analysis.presentation.result import Progress, Result, noted
-from analysis.recordings.names import opened, relabelled
+from analysis.recordings.names import opened, relabel
 from analysis.responses.frequency_responses import Blocks, frequency_responses
 from analysis.responses.frf_files import is_frf_file
 from rig.results import format_interval
@@ -56,9 +56,9 @@ def present_modes(
             identified = [(curves, replace(identify(curves, count), label=label), None)]
         else:
             with opened(path) as rec:
-                acting = vars(Blocks(block=block).acting_on(rec.test.kind))
+                acting = vars(Blocks(block=block).for_kind(rec.test.kind))
                 for sweep in frequency_responses(rec, None, reference, progress=progress, **acting):
-                    modes = relabelled(identify(sweep, count), rec.scene.name, label)
+                    modes = relabel(identify(sweep, count), rec.scene.name, label)
                     theory = theoretical_shapes(rec, modes) if reference == "force" else None
                     identified.append((sweep, modes, theory))
         for number, (frfs, modes, theory) in enumerate(identified, 1):

@@ -15,14 +15,14 @@ if TYPE_CHECKING:
 
 
 class _Labelled(Protocol):
-    """A dataclass with a label that begins with its scene's name."""
+    """A dataclass with a label that begins with the name of its scene."""
 
     @property
     def label(self) -> str: ...
 
 
 Labelled = TypeVar("Labelled", bound=_Labelled)
-P = ParamSpec("P")
+Parameters = ParamSpec("Parameters")
 Returned = TypeVar("Returned")
 
 
@@ -31,10 +31,10 @@ def opened(path: Path) -> Recording:
     import daq
 
     if not path.exists():
-        where_made = "recordings" / Path(path.name)
+        made_path = "recordings" / Path(path.name)
         hint = (
-            f"; did you mean {where_made}?"
-            if where_made.exists()
+            f". Did you mean '{made_path}'?"
+            if made_path.exists()
             else f". Make one: `daq record SCENE -o {path}`."
         )
         raise RecordingError(f"{path}: no such file{hint}")
@@ -42,18 +42,20 @@ def opened(path: Path) -> Recording:
 
 
 def takes_path(
-    function: Callable[Concatenate[Recording, P], Returned],
-) -> Callable[Concatenate[Recording | str | Path, P], Returned]:
+    function: Callable[Concatenate[Recording, Parameters], Returned],
+) -> Callable[Concatenate[Recording | str | Path, Parameters], Returned]:
     """Allow a path instead of an open recording; the recording is open while the function runs."""
 
     @wraps(function)
-    def opening(recording: Recording | str | Path, /, *args: P.args, **kwargs: P.kwargs) -> Returned:
+    def opening(
+        recording: Recording | str | Path, /, *args: Parameters.args, **kwargs: Parameters.kwargs
+    ) -> Returned:
         if isinstance(recording, str | Path):
             with opened(Path(recording)) as rec:
                 return function(rec, *args, **kwargs)
         if not hasattr(recording, "channels"):
             raise RecordingError(
-                f"{function.__name__}: got {recording!r:.60}; expected a recording: its path, or as daq.open gives it"
+                f"{function.__name__}: got {recording!r:.60}; expected a path, or a recording opened by daq.open"
             )
         return function(recording, *args, **kwargs)
 
@@ -89,6 +91,6 @@ def scene_labels(paths: Sequence[Path]) -> list[str]:
     return distinct_names(names, paths)
 
 
-def relabelled(one: Labelled, scene: str, label: str) -> Labelled:
+def relabel(curve: Labelled, scene: str, label: str) -> Labelled:
     """Replace the scene's name by the recording's label."""
-    return replace(one, label=label + one.label.removeprefix(scene))  # type: ignore[type-var]
+    return replace(curve, label=label + curve.label.removeprefix(scene))  # type: ignore[type-var]

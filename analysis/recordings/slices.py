@@ -1,4 +1,4 @@
-"""A stretch of a recording: some channels between two times, read in pieces."""
+"""A segment of a recording: some channels between two times, read in pieces."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ class Slice:
         return samples
 
     def need_all(self, form: str) -> None:
-        """Reject a stretch with lost samples for a format that cannot represent them."""
+        """Reject a segment with lost samples for a format that cannot represent them."""
         for gap in self.recording.gaps:
             if (
                 gap.first_sample < self.stop
@@ -92,9 +92,9 @@ class Slice:
 def read_slices(
     rec: Recording, channels: Sequence[str], bounds: Iterable[tuple[int, int]]
 ) -> Iterator[NDArray[np.float64]]:
-    """Yield the samples of each stretch ``[start, stop)``.
+    """Yield the samples of each segment ``[start, stop)``.
 
-    The starts do not decrease; stretches may overlap. Yields shape (channels, stop - start), NaN where samples are lost
+    The starts do not decrease; segments may overlap. Yields shape (channels, stop - start), NaN where samples are lost
     or the recording has ended.
     """
     held: dict[int, NDArray[np.float64]] = {}

@@ -18,7 +18,7 @@ from analysis.modal.identification import identify
 from analysis.modal.modes import Modes
 from analysis.presentation.comparison import Places
 from analysis.presentation.result import noted
-from analysis.recordings.names import opened, relabelled, scene_labels
+from analysis.recordings.names import opened, relabel, scene_labels
 from analysis.responses.frequency_responses import frequency_responses
 from daq.recording.recorded_test import TestKind
 from daq.recording.recording import Recording
@@ -109,18 +109,18 @@ class Measurements:
         if rec.test.decays:
             decayed = self._attempt(path, "Free decay", decay, rec)
             if decayed is not None:
-                decayed = relabelled(decayed, rec.scene.name, label)
+                decayed = relabel(decayed, rec.scene.name, label)
                 self._note(path, decayed.warnings)
         return Measured(path, label, rec, passes, tuple(dampers or ()), decayed)
 
     def _pass(self, path: Path, label: str, rec: Recording, group: Sequence[Response]) -> Pass:
-        frfs = [relabelled(frf, rec.scene.name, label) for frf in group]
+        frfs = [relabel(frf, rec.scene.name, label) for frf in group]
         self._note(path, frfs[0].warnings)
         modes = self._attempt(path, "Modes", identify, frfs)
         if modes is None:
             return Pass(frfs, None)
         self._note(path, modes.warnings)
-        return Pass(frfs, relabelled(modes, rec.scene.name, label), _highest_peaks(frfs, modes))
+        return Pass(frfs, relabel(modes, rec.scene.name, label), _highest_peaks(frfs, modes))
 
     def _dampers(self, path: Path, rec: Recording) -> list[Dampers]:
         found = dampers_in(rec, progress=self.progress)

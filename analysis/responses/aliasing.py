@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.responses.systematic import ALIASING, ReadingShares, gain_errors, of_reading
+from analysis.responses.systematic import ALIASING, ReadingShares, gain_error_limit, relative_to_reading
 from rig.arrays import Array, ComplexArray
 from rig.results.response import MOTIONS
 from rig.scene.shaker import ElectrodynamicShaker, TableShaker
@@ -17,121 +17,122 @@ if TYPE_CHECKING:
     from rig import Scene
 
 
-# Multiples of the sample rate whose images are summed, and the largest factor by which all further images increase
-# the sum. The factor is exact for images that decrease as 1/k²; it is smaller for images that decrease faster.
+# Multiples of the sample rate whose images are summed.
 _MULTIPLES = np.array([k for k in range(-8, 9) if k])
-_TAIL = 1.08
-# Images of a force in the resulting motion, as a share of the motion times (frequency / sample rate)².
-_IMAGES = 0.1
-# The top of the band begins at this fraction of the highest frequency.
-_TOP = 0.8
+# Largest factor by which all further images increase the sum: exact for images that decrease as 1/k², smaller for
+# images that decrease faster.
+_FURTHER_IMAGES = 1.08
+# Smallest ratio of the images of a force in the resulting motion to the motion times (frequency / sample rate)².
+_MIN_IMAGE_RATIO = 0.1
+# The top of the band begins at this ratio to the highest frequency.
+_TOP_OF_BAND = 0.8
 
 
 def aliasing_part(rec: Recording, shares: ReadingShares) -> dict[str, Array]:
-    """Largest deviation of a response by aliasing of components above half the sample rate.
+    """Compute the largest deviation of a response by aliasing of components above half the sample rate.
 
     The drive is interpolated linearly between samples. Its images about the multiples of the sample rate are smaller
     by the square of the frequency ratio. A channel without a decimation filter records them, attenuated by its sensor
-    and amplifier. The table's acceleration contains the images that the shaker reproduces, a body's acceleration
-    those that the structure transmits above its modes.
+    and amplifier. The acceleration of the table contains the images that the shaker reproduces. The acceleration
+    of a body contains the images that the structure transmits above its modes.
     """
-    share, far = folded_shares(rec, shares)
-    return {ALIASING: gain_errors(share, far, shares)} if far.any() else {}
+    true_ratio, recorded_ratio = aliased_shares(rec, shares)
+    return {ALIASING: gain_error_limit(true_ratio, recorded_ratio, shares)} if recorded_ratio.any() else {}
 
 
-def folded_shares(rec: Recording, shares: ReadingShares) -> tuple[Array, Array]:
+def aliased_shares(rec: Recording, shares: ReadingShares) -> tuple[Array, Array]:
     """Compute the largest aliased component of each channel, relative to the true and to the recorded amplitude.
 
-    Both have shape (channels, lines). They are zero for recordings of other instruments, because the scene does not
-    describe how those generate the drive and filter their inputs.
+    Both have the shape (channels, lines). They are zero for recordings of other instruments, because the scene does not
+    describe how these instruments generate the drive and filter their inputs.
     """
     frequency, value, lower = shares.frequency, shares.value, shares.lower
-    share, far = np.zeros(lower.shape), np.zeros(lower.shape)
+    true_ratio, recorded_ratio = np.zeros(lower.shape), np.zeros(lower.shape)
     if rec.source:
-        return share, far
-    # Above the modes the acceleration of a body is at most that at the top of the band. The driven body is the
-    # exception: its acceleration is force over mass, which does not show in a band below further modes.
+        return true_ratio, recorded_ratio
+    # Above the modes, the acceleration of a body is at most its acceleration at the top of the band. The driven body is
+    # the exception: its acceleration is force over mass, which is not visible in a band below further modes.
     acceleration = abs(value) * (2.0 * np.pi * frequency) ** (2 - MOTIONS.index(shares.motion))
-    top = np.median(acceleration[frequency >= _TOP * frequency.max()])
-    beyond = np.minimum(top / np.maximum(acceleration, 1e-300), 1.0)
+    top_acceleration = np.median(acceleration[frequency >= _TOP_OF_BAND * frequency.max()])
+    above_band = np.minimum(top_acceleration / np.maximum(acceleration, 1e-300), 1.0)
     for row, name in enumerate(shares.names):
         info = rec.channels[name]
         if info.filter:
             continue
         images = info.rate * _MULTIPLES[:, None] + frequency
-        let_through = abs(info.response(images.ravel()).reshape(images.shape) / info.response(frequency))
+        transmission = abs(info.response(images.ravel()).reshape(images.shape) / info.response(frequency))
         if info.quantity in MOTIONS:
             # For equal acceleration, velocity and displacement decrease with frequency.
-            let_through *= abs(frequency / images) ** (2 - MOTIONS.index(info.quantity))
+            transmission *= abs(frequency / images) ** (2 - MOTIONS.index(info.quantity))
         shaker = rec.scene.driven_shaker
         if info.at == "table" and isinstance(shaker, TableShaker | ElectrodynamicShaker):
-            # A channel that takes no part in the force measures the driven body itself.
-            of_force = np.where(lower[row] == 0.0, 1.0 + shaker.spring * value, lower[row])
-            moved = _moved(shaker, frequency, images, of_force)
-            share[row] = _TAIL * np.sum(let_through * moved, axis=0)
-            far[row] = of_reading(share[row])
+            # A channel that is not used for the force measures the driven body itself.
+            spring_share = np.where(lower[row] == 0.0, 1.0 + shaker.spring * value, lower[row])
+            image_ratio = _image_ratio(shaker, frequency, images, spring_share)
+            true_ratio[row] = _FURTHER_IMAGES * np.sum(transmission * image_ratio, axis=0)
+            recorded_ratio[row] = relative_to_reading(true_ratio[row])
             continue
-        far[row] = _TAIL * np.sum((frequency / images) ** 2 * let_through, axis=0)
+        recorded_ratio[row] = _FURTHER_IMAGES * np.sum((frequency / images) ** 2 * transmission, axis=0)
         if info.at.startswith("body"):
             body = int(info.at.split()[1])
-            free = _free_acceleration(rec.scene, body) / np.maximum(acceleration, 1e-300)
-            far[row] *= np.maximum(beyond, free)
+            driven = _free_acceleration(rec.scene, body) / np.maximum(acceleration, 1e-300)
+            recorded_ratio[row] *= np.maximum(above_band, driven)
             # A channel that transmits up to the highest image also records an impact between two samples.
-            far[row] += _blows(rec.scene, body) * let_through.min(axis=0)
-        # Lower bound where no smaller value is known for either.
-        far[row] = np.maximum(far[row], _IMAGES * (frequency / info.rate) ** 2)
-        share[row] = of_reading(far[row])
-    return share, far
+            recorded_ratio[row] += _impact_ratio(rec.scene, body) * transmission.min(axis=0)
+        # Lower bound of both contributions.
+        recorded_ratio[row] = np.maximum(recorded_ratio[row], _MIN_IMAGE_RATIO * (frequency / info.rate) ** 2)
+        true_ratio[row] = relative_to_reading(recorded_ratio[row])
+    return true_ratio, recorded_ratio
 
 
 def _free_acceleration(scene: Scene, body: int) -> float:
-    """Acceleration of a body per shaker force above all modes, 1/kg; 0 for a body that no shaker drives."""
+    """Return the acceleration of a body per shaker force above all modes, 1/kg; 0 for a body without shaker."""
     shaker = scene.driven_shaker
     if shaker is None or body not in shaker.bodies:
         return 0.0
     return _inverse_mass(scene, body)
 
 
-def _blows(scene: Scene, body: int) -> float:
-    """Share of a body's acceleration due to instantaneous damper impacts: damper mass over the mass that it hits.
+def _impact_ratio(scene: Scene, body: int) -> float:
+    """Return the ratio of a body's acceleration by damper impacts to the whole: damper mass over the mass that it hits.
 
-    A damper that follows the body within its clearance takes a share of the force in proportion to its mass; impacts
-    transmit at most this share.
+    A damper that follows the body within its clearance receives a force in proportion to its mass; impacts transmit at
+    most this force.
     """
-    beds = [
-        bed
-        for damper, bed in zip(scene.dampers, structural_model(scene).bed_mass, strict=True)
+    bed_masses = [
+        bed_mass
+        for damper, bed_mass in zip(scene.dampers, structural_model(scene).bed_mass, strict=True)
         if damper.body == body and damper.moves and not (damper.contact or damper.grains)
     ]
-    return float(sum(beds)) * _inverse_mass(scene, body) if beds else 0.0
+    return float(sum(bed_masses)) * _inverse_mass(scene, body) if bed_masses else 0.0
 
 
 def _inverse_mass(scene: Scene, body: int) -> float:
-    """Acceleration of a body per force on it while all other bodies are at rest, 1/kg."""
+    """Return the acceleration of a body per force on it while all other bodies are at rest, 1/kg."""
     return float(structural_model(scene).mobility[body - 1, body - 1])
 
 
-def _moved(
+def _image_ratio(
     shaker: TableShaker | ElectrodynamicShaker, frequency: Array, images: Array, share: ComplexArray
 ) -> Array:
-    """Ratio of a table's acceleration by the images of a drive to that by the drive itself, shape (images, lines).
+    """Compute the acceleration of a table by the images of a drive over that by the drive, shape (images, lines).
 
     A table motion X0 against a force F requires the drive P X0 + Q F. At an image frequency the structure is
     practically at rest, and the full spring force acts on the table. The image is smaller by the square of the
-    frequency ratio; its acceleration per displacement is larger by the same factor. `share`: spring stiffness times X0
-    / F.
+    frequency ratio; its acceleration per displacement is larger by the same factor. `share`: spring stiffness times
+    X0 / F.
     """
-    motion, pull = _drive_taken(shaker, frequency)
-    there, pull_there = _drive_taken(shaker, images)
+    per_motion, per_force = _required_drive(shaker, frequency)
+    image_per_motion, image_per_force = _required_drive(shaker, images)
     with np.errstate(divide="ignore", invalid="ignore"):
-        here = abs(motion) + abs(pull) * shaker.spring / np.maximum(abs(share), 1e-300)
-    return np.asarray(here / abs(there + pull_there * shaker.spring))
+        drive = abs(per_motion) + abs(per_force) * shaker.spring / np.maximum(abs(share), 1e-300)
+    return np.asarray(drive / abs(image_per_motion + image_per_force * shaker.spring))
 
 
-def _drive_taken(
+def _required_drive(
     shaker: TableShaker | ElectrodynamicShaker, frequency: Array
 ) -> tuple[ComplexArray, ComplexArray]:
-    """Drive, up to a constant gain, per metre of table motion and per newton of force on the table."""
+    """Return the drive, up to a constant gain, per metre of table motion and per newton of force on the table."""
     s: ComplexArray = np.asarray(2j * np.pi * frequency, dtype=np.complex128)
     if isinstance(shaker, TableShaker):
         return np.square(1.0 + s / (2.0 * np.pi * shaker.bandwidth)), np.zeros_like(s)

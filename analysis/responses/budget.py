@@ -38,9 +38,9 @@ def assemble_budget(
 ) -> UncertaintyBudget:
     """Assemble the uncertainty budget of a response; the same for every estimator.
 
-    `error`: type A standard uncertainty of either quadrature component, shape (lines,); `causes`: limits of error that
-    the estimator provides; `doubts`: largest relative deviations of the reference, which may be smaller than recorded
-    and then increases the uncertainty beyond first-order propagation.
+    `error`: type A standard uncertainty of either quadrature component, shape (lines,). `causes`: limits of error from
+    the estimator. `doubts`: largest relative deviations of the reference. A reference that is smaller than recorded
+    increases the uncertainty beyond first-order propagation.
     """
     limits = {**aliasing_part(rec, shares), **causes}
     if len(doubts):

@@ -13,8 +13,8 @@ import numpy as np
 from daq.importing.driving_power import returns_energy
 from rig.results.response import Response
 
-# Only points with a smaller relative bound are evaluated.
-_KNOWN_SHARE = 0.3
+# Only points with a smaller relative uncertainty are evaluated.
+_MAX_UNCERTAINTY = 0.3
 # A step of a curve is a jump if it exceeds each of three limits: an absolute value (nepers or radians), a multiple
 # of the steps on either side, and a multiple of its standard error.
 _MIN_STEP = 0.25
@@ -23,30 +23,30 @@ _MIN_SIGMAS = 5.0
 
 
 def reversed_force(curves: Sequence[Response]) -> str:
-    """Warn if the force absorbs power from the structure at the driving point; empty otherwise.
+    """Return a warning if the force absorbs power from the structure at the driving point; empty otherwise.
 
     `curves`: responses to one force, measured together; only those at the driving point are evaluated.
     """
-    wrong = [curve for curve in curves if curve.is_driving_point and takes_energy(curve)]
-    if not wrong:
+    reversed_curves = [curve for curve in curves if curve.is_driving_point and absorbs_power(curve)]
+    if not reversed_curves:
         return ""
-    names = ", ".join(dict.fromkeys(curve.ratio for curve in wrong))
+    names = ", ".join(dict.fromkeys(curve.ratio for curve in reversed_curves))
     return (
-        f"{names}: the phase at the driving point is that of a reversed channel (+90° instead of -90° at resonances), "
-        "so that the structure would supply energy. Reverse the force, or this response if it alone is wrong: "
+        f"{names}: the phase at the driving point is that of a reversed channel (+90° instead of -90° at resonances): "
+        "the structure would supply energy. Reverse the force, or this response if only it is wrong: "
         "sign: -1 in the table of `daq import`, or turn the sensor round."
     )
 
 
-def takes_energy(curve: Response) -> bool:
-    """Whether the reference absorbs power from the structure at the resonances of a driving-point response."""
+def absorbs_power(curve: Response) -> bool:
+    """Return whether the reference absorbs power from the structure at the resonances of a driving-point response."""
     mobility = curve.to("velocity").sorted()
     size = abs(mobility.value)
-    known = np.isfinite(size) & (size > 0.0) & (np.nan_to_num(mobility.bound()) < _KNOWN_SHARE * size)
-    frequency = np.log(mobility.frequency[known])
+    valid = np.isfinite(size) & (size > 0.0) & (np.nan_to_num(mobility.bound()) < _MAX_UNCERTAINTY * size)
+    frequency = np.log(mobility.frequency[valid])
     spread = frequency.size > 1 and np.ptp(frequency) > 0.0
     width = np.gradient(frequency) if spread else np.ones(frequency.size)
-    return returns_energy(mobility.value[known] * width)
+    return returns_energy(mobility.value[valid] * width)
 
 
 def jumps(frf: Response) -> list[tuple[float, str]]:
@@ -64,16 +64,16 @@ def jumps(frf: Response) -> list[tuple[float, str]]:
     if frf.frequency.size < 4:
         return []
     steps = np.log(frf.value[1:] / frf.value[:-1])
-    size, width = abs(steps), np.maximum(abs(np.diff(frf.frequency)), 1e-12)
+    step, width = abs(steps), np.maximum(abs(np.diff(frf.frequency)), 1e-12)
     # Expected steps over the same width, from the slopes on either side.
-    before, after = np.append(0.0, (size / width)[:-1]) * width, np.append((size / width)[1:], 0.0) * width
+    before, after = (np.append(0.0, (step / width)[:-1]) * width, np.append((step / width)[1:], 0.0) * width)
     # Without an error bar a step cannot be distinguished from noise.
     relative = np.nan_to_num(frf.error / abs(frf.value), nan=np.inf)
     noise = np.hypot(relative[1:], relative[:-1])
     is_jump = (
-        (size > _MIN_STEP)
-        & (size > _MIN_RATIO_TO_NEIGHBORS * np.maximum(before, after))
-        & (size > _MIN_SIGMAS * noise)
+        (step > _MIN_STEP)
+        & (step > _MIN_RATIO_TO_NEIGHBORS * np.maximum(before, after))
+        & (step > _MIN_SIGMAS * noise)
     )
     return [
         (

@@ -12,24 +12,24 @@ from scipy import fft
 
 from analysis.recordings.slices import read_slices
 from analysis.responses.budget import measured_curve
-from analysis.responses.clean_stretches import Flaw, flaws
-from analysis.responses.measurands import driven, motion_of, reference_of
+from analysis.responses.clean_segments import Flaw, flaws
+from analysis.responses.measurands import motion_of, reference_of, reject_zero_reference
 from analysis.responses.random_errors import MeanErrors
 from analysis.responses.systematic import (
     LEAKAGE,
     REFERENCE_NOISE,
     ReadingShares,
-    nothing_times,
     reference_noise_part,
     rounding_part,
     shared_noise_part,
+    zero_times,
 )
 from rig.arrays import Array, ComplexArray
 from rig.errors import SceneError
 from rig.results.response import Response
 
 if TYPE_CHECKING:
-    from analysis.responses.whole_stretches import WholeStretches
+    from analysis.responses.segment_fits import SegmentFits
     from daq.recording.recording import Recording
 
 ESTIMATORS = ("H1", "H2", "Hv")
@@ -60,20 +60,18 @@ class Averages:
 
     channels: tuple[str, ...]  # names, in the order of rows and columns
     frequency: Array  # Hz; shape (n,)
-    # mean of Y_i conj(Y_j) as recorded, without correction for the sensors; complex, shape (n, channels,
-    # channels)
+    # mean of Y_i conj(Y_j) as recorded, without correction for the sensors; shape (n, channels, channels)
     cross: ComplexArray
     averages: float  # number of independent blocks; overlapping blocks count as fewer
     resolution: float  # bandwidth of the window in Hz; 0 without leakage (bursts that end inside their block)
-    label: str = ""  # For legends
-    warnings: tuple[str, ...] = ()  # In full sentences
+    label: str = ""  # for legends
+    warnings: tuple[str, ...] = ()  # in full sentences
     # largest relative change of each channel's gain by rounding, as in `rounding_part`; shape (channels, n)
     gain: Array = field(default_factory=lambda: np.zeros((1, 1)))
-    # the same test without windows, where windows cause leakage: the difference of the two is stated as
-    # leakage
-    unsmeared: WholeStretches | None = None
+    # the same test without windows, if windows cause leakage; the difference of the two curves is the leakage
+    unsmeared: SegmentFits | None = None
 
-    estimator: str = "H1"  # Or ``"H2"``, ``"Hv"``
+    estimator: str = "H1"  # or ``"H2"``, ``"Hv"``
 
     def frf(
         self, rec: Recording, response: str, reference: str = "force", motion: str = "displacement"
@@ -85,41 +83,49 @@ class Averages:
         lower = below.row(rec, self.channels, self.frequency)
         factor = square_root(self.cross)
         x, f = (np.einsum("in,nir->nr", row, factor) for row in (upper, lower))
-        sxx, sff = (np.sum(np.square(np.abs(each)), axis=1) for each in (x, f))
+        sxx, sff = (np.sum(np.square(np.abs(amplitude)), axis=1) for amplitude in (x, f))
         sxf = np.sum(x * f.conj(), axis=1)
-        driven(reference, sff)
+        reject_zero_reference(reference, sff)
         value = estimate(self.estimator, sxx, sff, sxf)
         # Ratio of incoherent to coherent power of the response.
         with np.errstate(divide="ignore", invalid="ignore"):
-            other = np.sum(np.square(np.abs(x - (sxf / sff)[:, None] * f)), axis=1) / (abs(sxf) ** 2 / sff)
-        coherence = 1.0 / (1.0 + other)
+            incoherence = np.sum(np.square(np.abs(x - (sxf / sff)[:, None] * f)), axis=1) / (
+                abs(sxf) ** 2 / sff
+            )
+        coherence = 1.0 / (1.0 + incoherence)
         # Reading of each channel per unit of the reference.
-        reads = np.einsum("nij,jn->in", self.cross, lower.conj()) / sff
+        readings = np.einsum("nij,jn->in", self.cross, lower.conj()) / sff
         # Coherence from few blocks is biased towards 1; the scatter has averages - 1 degrees of freedom.
         free = self.averages - 1.0
-        error = abs(value) * np.sqrt(other / (2.0 * free)) if free > 0.0 else np.full(value.shape, np.nan)
+        error = (
+            abs(value) * np.sqrt(incoherence / (2.0 * free)) if free > 0.0 else np.full(value.shape, np.nan)
+        )
         causes: dict[str, Array] = {}
         if self.unsmeared is not None:
             sharp = self.unsmeared.frf(rec, response, reference, motion)
             causes[LEAKAGE] = leakage(self.frequency, value, error, sharp)
-        shares = ReadingShares(self.channels, self.frequency, motion, value, upper * reads, lower * reads)
+        shares = ReadingShares(
+            self.channels, self.frequency, motion, value, upper * readings, lower * readings
+        )
         incoherent = reference_noise_part(value, coherence)
         if len(below.channels) > 1:
-            noise = self._noise_of_two(below.channels)
+            noise = self._incoherent_power(below.channels)
             incoherent = np.maximum(incoherent, shared_noise_part(noise, upper - value * lower, lower, sff))
         causes[REFERENCE_NOISE] = incoherent
         causes |= rounding_part(self.gain, shares)
-        # Part that is not coherent with the reference, relative to its power (Bendat and Piersol, chapter 7).
-        off = (upper - value * lower).T / np.sqrt(sff * max(free, 1e-300))[:, None]
+        # Weights of the part that is not coherent with the reference, relative to its power (Bendat and Piersol,
+        # chapter 7).
+        residual_weights = (upper - value * lower).T / np.sqrt(sff * max(free, 1e-300))[:, None]
         degrees = np.full(value.shape, max(2.0 * free, 0.0))
-        doubts = [np.sum(nothing_times(np.abs(shares.lower), self.gain), axis=0)]
+        doubts = [np.sum(zero_times(np.abs(shares.lower), self.gain), axis=0)]
         return measured_curve(
-            rec, shares, above, below, reference, error, degrees, causes, doubts, MeanErrors(off[:, None], self.cross),
+            rec, shares, above, below, reference, error, degrees, causes, doubts,
+            MeanErrors(residual_weights[:, None], self.cross),
             coherence=coherence, label=self.label, resolution=self.resolution, warnings=self.warnings,
         )  # fmt: skip
 
-    def _noise_of_two(self, names: Sequence[str]) -> Array:
-        """Upper limit of the noise power in the two channels of a spring force: the power that they do not share."""
+    def _incoherent_power(self, names: Sequence[str]) -> Array:
+        """Return the upper limit of the noise power in the two channels of a spring force: their incoherent power."""
         rows = [self.channels.index(name) for name in names]
         readings = square_root(self.cross)[:, rows]
         noise = np.zeros((len(self.channels), self.frequency.size))
@@ -128,25 +134,25 @@ class Averages:
             power = np.sum(np.square(np.abs(other)), axis=1)
             common = np.sum(reading * other.conj(), axis=1) / np.maximum(power, 1e-300)
             noise[row] = np.sum(np.square(np.abs(reading - common[:, None] * other)), axis=1)
-        # Few blocks increase the common power by chance.
+        # With few blocks, the coherent power is too large by chance.
         return np.asarray(noise * self.averages / max(self.averages - 1.0, 1e-300))
 
 
 def leakage(frequency: Array, value: ComplexArray, error: Array, sharp: Response) -> Array:
     """Estimate the leakage of block averages by their difference from a curve without leakage.
 
-    The random errors of both, of known variance, are subtracted from its mean square over three lines, the bandwidth of
-    a Hann window: a single line's difference contains the random error of that line.
+    The mean square of the difference over three lines, the bandwidth of a Hann window, contains the random errors of
+    both curves. Their known variances are subtracted.
     """
     difference = value - np.interp(frequency, sharp.frequency, sharp.value)
     scatter = sharp.uncertainty.scatter
-    of_sharp = 0.0 if scatter is None else np.interp(frequency, sharp.frequency, scatter.size)
-    excess = np.square(np.abs(difference)) - 2.0 * np.nan_to_num(np.square(error) + np.square(of_sharp))
+    sharp_error = 0.0 if scatter is None else np.interp(frequency, sharp.frequency, scatter.size)
+    excess = np.square(np.abs(difference)) - 2.0 * np.nan_to_num(np.square(error) + np.square(sharp_error))
     return np.sqrt(np.maximum(np.convolve(np.pad(excess, 1, "edge"), np.full(3, 1.0 / 3.0), "valid"), 0.0))
 
 
 def square_root(matrices: ComplexArray) -> ComplexArray:
-    """Factor F of positive semidefinite matrices ``F F^H``, to the rounding of each of their diagonal elements.
+    """Factorize positive semidefinite matrices into ``F F^H``, to the rounding error of each diagonal element.
 
     Eigenvalues that are negative by rounding are set to zero: the nearest semidefinite matrix (Higham 1988).
 
@@ -179,10 +185,10 @@ class BlockSpectra(NamedTuple):
     """Averages over the blocks without flaws."""
 
     averages: Averages
-    used: int  # number of blocks
+    used: int  # number of averaged blocks
     flaws: Sequence[Flaw]  # flaws of the blocks that were left out
-    left: float  # largest residual motion of any channel at the end of a block, as a share of its motion
-    squares: Array  # mean square of each channel within a block, less its mean; shape (channels,)
+    remaining: float  # largest ratio, in any channel, of the motion at the end of a block to its maximum
+    mean_squares: Array  # mean square of each channel within a block, less its mean; shape (channels,)
 
 
 def block_spectra(
@@ -200,11 +206,11 @@ def block_spectra(
     `starts`: first samples of the blocks, in rising order, every `step` samples; `window`, shape (samples of a block,).
     """
     names, size = list(channels), window.size
-    found = flaws(rec, names, starts[0], starts[-1] + size)
-    edges = np.array([[flaw.first, flaw.stop] for flaw in found]).reshape(-1, 2)
+    all_flaws = flaws(rec, names, starts[0], starts[-1] + size)
+    edges = np.array([[flaw.first, flaw.stop] for flaw in all_flaws]).reshape(-1, 2)
     frequency = fft.rfftfreq(size, 1.0 / rec.rate)
-    keep = (frequency >= low) & (frequency <= min(high, 0.45 * rec.rate)) & (frequency > 0)
-    cross: ComplexArray = np.zeros((int(keep.sum()), len(names), len(names)), dtype=complex)
+    in_band = (frequency >= low) & (frequency <= min(high, 0.45 * rec.rate)) & (frequency > 0)
+    cross: ComplexArray = np.zeros((int(in_band.sum()), len(names), len(names)), dtype=complex)
     left, used, power = 0.0, 0, np.zeros(len(names))
     blocks = read_slices(rec, names, ((begin, begin + size) for begin in starts))
     for done, (begin, samples) in enumerate(zip(starts, blocks, strict=True), 1):
@@ -213,20 +219,20 @@ def block_spectra(
         if np.any((edges[:, 0] < begin + size) & (edges[:, 1] > begin)):
             continue
         samples = samples - samples.mean(axis=1, keepdims=True)
-        spectra = fft.rfft(samples * window, axis=1)[:, keep]
+        spectra = fft.rfft(samples * window, axis=1)[:, in_band]
         cross = cross + np.einsum("in,jn->nij", spectra, spectra.conj())
         used += 1
         power += np.mean(np.square(samples), axis=1)
         largest = np.maximum(abs(samples).max(axis=1), 1e-300)
         left = max(left, float(np.max(abs(samples[:, -max(1, size // 50) :]).max(axis=1) / largest)))
     averages = Averages(
-        tuple(names), frequency[keep], np.asarray(cross / max(used, 1e-300), dtype=complex),
+        tuple(names), frequency[in_band], np.asarray(cross / max(used, 1e-300), dtype=complex),
         independent_blocks(window, step, used) if used else 0.0, 0.0, rec.scene.name,
     )  # fmt: skip
-    return BlockSpectra(averages, used, found, left, power / max(used, 1))
+    return BlockSpectra(averages, used, all_flaws, left, power / max(used, 1))
 
 
-def window_of(name: str, size: int) -> Array:
+def sampled_window(name: str, size: int) -> Array:
     """Return a periodic window by its scipy name; ``none`` is a rectangular window."""
     try:
         return np.asarray(scipy.signal.get_window("boxcar" if name == "none" else name, size), dtype=float)
@@ -236,10 +242,10 @@ def window_of(name: str, size: int) -> Array:
         ) from None
 
 
-def bins_of(window: Array) -> float:
-    """Effective noise bandwidth of a window in bins (Harris 1978, eq. 11).
+def noise_bandwidth_bins(window: Array) -> float:
+    """Compute the equivalent noise bandwidth of a window in bins (Harris 1978, eq. 11).
 
-    >>> round(bins_of(window_of("hann", 1000)), 6), bins_of(window_of("none", 10))
+    >>> round(noise_bandwidth_bins(sampled_window("hann", 1000)), 6), noise_bandwidth_bins(sampled_window("none", 10))
     (1.5, 1.0)
     """
     return float(window.size * np.sum(window**2) / np.sum(window) ** 2)

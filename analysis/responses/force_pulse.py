@@ -13,35 +13,35 @@ if TYPE_CHECKING:
     from daq.signal_chain.channel import ChannelInfo
 
 
-# The force window stays open for this time, s, after the last sample of the hit, and tapers over an equal time.
-SLOPE = 2e-3
-# Fast poles ring after the hit; the window stays open for this number of their time constants.
-_TIME_CONSTANTS = 7.0
+# The force window stays open for this time after the last sample of the hit, and tapers over an equal time.
+TAPER_S = 2e-3
+# Fast poles ring after the hit. The window stays open for this number of their time constants.
+_RINGING_TIME_CONSTANTS = 7.0
 
 
-def pulse_alone(info: ChannelInfo, force: Array, first: int, last: int) -> Array:
-    """Remove everything but the hit, samples `first` to `last`, from a force channel; N, without its high-pass filters.
+def isolate_pulse(info: ChannelInfo, force: Array, first: int, last: int) -> Array:
+    """Remove all but the hit, samples `first` to `last`, from a force channel in N, and invert its high-pass filters.
 
     Sensor discharge and AC coupling of amplifier and converter add a long, small tail of opposite sign to a pulse. The
     tail is part of the signal and may be longer than the recording. The high-pass filters are therefore inverted first,
     and the window then removes the noise. `high_passes` returns their effect on the spectrum of the result.
     """
     slow, fast = slow_and_fast(info)
-    ringing = _TIME_CONSTANTS / min((abs(pole.real) for pole in fast), default=np.inf)
-    slope = max(2, int(SLOPE * info.rate))
-    flat = min(last + 1 + int(np.ceil(ringing * info.rate)) + slope, force.size)
-    stop = min(flat + slope, force.size)
+    ringing_s = _RINGING_TIME_CONSTANTS / min((abs(pole.real) for pole in fast), default=np.inf)
+    n_taper = max(2, int(TAPER_S * info.rate))
+    taper_start = min(last + 1 + int(np.ceil(ringing_s * info.rate)) + n_taper, force.size)
+    stop = min(taper_start + n_taper, force.size)
     out = np.zeros(force.size, dtype=complex)
     out[first:stop] = force[first:stop]
-    for above, below in (_high_pass(pole, info.rate) for pole in slow):
-        out[:stop] = scipy.signal.lfilter(below, above, out[:stop])
-    out[flat:stop] *= 0.5 + 0.5 * np.cos(np.pi * np.arange(1, stop - flat + 1) / (slope + 1))
+    for numerator, denominator in (_high_pass(pole, info.rate) for pole in slow):
+        out[:stop] = scipy.signal.lfilter(denominator, numerator, out[:stop])
+    out[taper_start:stop] *= 0.5 + 0.5 * np.cos(np.pi * np.arange(1, stop - taper_start + 1) / (n_taper + 1))
     # Complex poles occur in conjugate pairs, so the imaginary part is rounding.
     return np.ascontiguousarray(out.real)
 
 
 def high_passes(info: ChannelInfo, frequency: Array) -> ComplexArray:
-    """Frequency response of the high-pass filters that `pulse_alone` inverts; frequencies in Hz."""
+    """Compute the frequency response of the high-pass filters that `isolate_pulse` inverts; frequencies in Hz."""
     out = np.ones(frequency.size, dtype=complex)
     for pole in slow_and_fast(info)[0]:
         out *= scipy.signal.freqz(*_high_pass(pole, info.rate), frequency, fs=info.rate)[1]
@@ -49,14 +49,14 @@ def high_passes(info: ChannelInfo, frequency: Array) -> ComplexArray:
 
 
 def slow_and_fast(info: ChannelInfo) -> tuple[list[complex], list[complex]]:
-    """Slow poles (high-pass filters: the slowest poles, one for each zero at zero frequency) and all other poles."""
+    """Return the poles of the high-pass filters, the slowest, one for each zero at 0 Hz, and all other poles."""
     poles = sorted((pole for pole in info.poles if pole), key=abs)
     count = sum(1 for zero in info.zeros if zero == 0)
     return poles[:count], poles[count:]
 
 
 def _high_pass(pole: complex, rate: float) -> tuple[ComplexArray, ComplexArray]:
-    """Numerator and denominator of s / (s - pole) by the bilinear transform."""
+    """Return numerator and denominator of s / (s - pole) by the bilinear transform."""
     return np.array([2.0 * rate, -2.0 * rate], dtype=complex), np.array(
         [2.0 * rate - pole, -2.0 * rate - pole]
     )

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Protocol
 from analysis.recordings.names import takes_path
 from analysis.responses.curve_checks import reversed_force
 from analysis.responses.estimators import ESTIMATORS
-from analysis.responses.measurands import chosen, concerned, input_place, place
+from analysis.responses.measurands import input_location, place, required_channels, select_channels
 from analysis.responses.several_inputs import driven_forces, response_matrix
 from daq.recording.recorded_test import TestKind
 from rig.errors import RecordingError, SceneError
@@ -23,9 +23,9 @@ if TYPE_CHECKING:
 
 Progress = Callable[[int, int], None]
 # Kinds of tests that require markers of the measured intervals.
-_MARKED = (TestKind.MULTISINE, TestKind.SWEEP, TestKind.RANDOM)
+_MARKED_KINDS = (TestKind.MULTISINE, TestKind.SWEEP, TestKind.RANDOM)
 # Kinds of tests without an estimator of their own.
-_UNTESTED = (TestKind.NONE, TestKind.FREE)
+_KINDS_WITHOUT_ESTIMATOR = (TestKind.NONE, TestKind.FREE)
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Blocks:
         if self.estimator not in (None, *ESTIMATORS):
             raise SceneError(f"unknown estimator {self.estimator!r}: expected {', '.join(ESTIMATORS)}")
 
-    def acting_on(self, kind: TestKind) -> Blocks:
+    def for_kind(self, kind: TestKind) -> Blocks:
         """Remove the options that have no effect on a kind of test."""
         return Blocks(**{name: getattr(self, name) for name in BY_KIND[kind].options})
 
@@ -60,7 +60,7 @@ class Request:
     channels: Sequence[str]  # of the responses and their reference
     measured: Sequence[Marker]  # markers of the measured intervals
 
-    def of(self, sources: Iterable[Source]) -> list[Response]:
+    def compute(self, sources: Iterable[Source]) -> list[Response]:
         """Compute the response of each pass, with all outputs."""
         out = []
         for source in sources:
@@ -69,7 +69,7 @@ class Request:
                 curves.append(source.frf(self.rec, name, self.reference, self.motion))
                 if self.progress is not None:
                     self.progress(done, len(self.names))
-            out.append(stack(checked(self.rec, curves)))
+            out.append(stack(annotate(self.rec, curves)))
         return out
 
 
@@ -94,14 +94,14 @@ class Estimator:
 def _tones(request: Request) -> list[Response]:
     from analysis.responses.stepped_sine import sweeps
 
-    return request.of(sweep.lines for sweep in sweeps(request.rec, request.channels, request.progress))
+    return request.compute(sweep.lines for sweep in sweeps(request.rec, request.channels, request.progress))
 
 
 def _sweep(request: Request) -> list[Response]:
-    from analysis.responses.swept_sine import tracked
+    from analysis.responses.swept_sine import sweep_spectra
 
-    return request.of(
-        tracked(request.rec, marker, request.channels, request.progress) for marker in request.measured
+    return request.compute(
+        sweep_spectra(request.rec, marker, request.channels, request.progress) for marker in request.measured
     )
 
 
@@ -110,9 +110,9 @@ def _random(request: Request) -> list[Response]:
 
     blocks, rec, channels = request.blocks, request.rec, request.channels
     if blocks == Blocks():
-        return request.of(random.whole(rec, marker, channels) for marker in request.measured)
+        return request.compute(random.segment_fits(rec, marker, channels) for marker in request.measured)
     overlap, window = 0.5 if blocks.overlap is None else blocks.overlap, blocks.window or "hann"
-    return request.of(
+    return request.compute(
         replace(
             random.averages(rec, marker, channels, blocks.block, overlap, request.progress, window),
             estimator=blocks.estimator or "H1",
@@ -125,7 +125,7 @@ def _multisine(request: Request) -> list[Response]:
     from analysis.responses.multisine import best_linear_approximation
 
     rec, measured, progress = request.rec, request.measured, request.progress
-    return request.of(
+    return request.compute(
         [best_linear_approximation(rec, measured, request.channels, request.reference, progress)]
     )
 
@@ -135,9 +135,9 @@ def _hits(request: Request) -> list[Response]:
 
     blocks = request.blocks
     if blocks == Blocks():
-        return request.of([impact.whole(request.rec, request.channels)])
+        return request.compute([impact.segment_fits(request.rec, request.channels)])
     averages = impact.averages(request.rec, request.channels, blocks.block, blocks.window or "none")
-    return request.of([replace(averages, estimator=blocks.estimator or "H1")])
+    return request.compute([replace(averages, estimator=blocks.estimator or "H1")])
 
 
 _TONES = Estimator(_tones, "steady tones are averaged over whole periods")
@@ -210,45 +210,47 @@ def frequency_responses(
     blocks = Blocks(estimator, block, overlap, window)
     if motion not in MOTIONS:
         raise SceneError(f"unknown motion {motion!r}: expected {', '.join(MOTIONS)}")
-    names, kind = chosen(rec, channels), rec.test.kind
+    names, kind = select_channels(rec, channels), rec.test.kind
     if not names:
-        raise RecordingError(f"{rec.path}: no channel on a body. Add one to the scene's channels.")
+        raise RecordingError(
+            f"{rec.path}: no channel measures a body's motion. Add one to the scene's channels."
+        )
     if not {name for name, value in vars(blocks).items() if value is not None} <= BY_KIND[kind].options:
-        method = rec.test.name if kind in _UNTESTED else BY_KIND[kind].method
+        method = rec.test.name if kind in _KINDS_WITHOUT_ESTIMATOR else BY_KIND[kind].method
         raise SceneError(
             f"{rec.path}: {method}. Blocks, H1, H2 and Hv are for random tests and hits; leave them out."
         )
     measured = [marker for marker in rec.markers if marker.kind == "measure"]
-    if kind in _MARKED and not measured:
+    if kind in _MARKED_KINDS and not measured:
         raise RecordingError(f"{rec.path}: {rec.test.name} ended before a measurement. Record it again.")
     inputs = driven_forces(rec) if reference == "force" else ()
     if len(inputs) > 1:
         used = [*names, *(point.name for point in inputs)]
-        found = [
+        computed = [
             response_matrix(rec, names, inputs, motion, estimator, block, overlap or 0.5, window or "hann")
         ]
     else:
-        used = concerned(rec, names, reference)
-        found = BY_KIND[kind].estimate(
+        used = required_channels(rec, names, reference)
+        computed = BY_KIND[kind].estimate(
             Request(rec, names, reference, motion, blocks, progress, used, measured)
         )
-    bare = [name for name in used if not rec.channels[name].filter]
-    if not rec.source or not bare:
-        return found
+    unfiltered = [name for name in used if not rec.channels[name].filter]
+    if not rec.source or not unfiltered:
+        return computed
     warning = (
-        f"{', '.join(bare)}: imported, and the scene names no filter of the converter. The bounds exclude aliasing "
-        "from above half the sample rate. Name the filter in the scene (converter: preset, or filter)."
+        f"{', '.join(unfiltered)}: imported, and the scene names no filter of the converter. The uncertainty excludes "
+        "aliasing from above half the sample rate. Name the filter in the scene (converter: preset, or filter)."
     )
-    return [response.warn(warning) for response in found]
+    return [response.warn(warning) for response in computed]
 
 
-def checked(rec: Recording, curves: Sequence[Response]) -> list[Response]:
+def annotate(rec: Recording, curves: Sequence[Response]) -> list[Response]:
     """Add positions to the curves of one sweep, and a warning to all of them if the force has the wrong sign."""
-    located = [
-        curve.placed(place(rec, curve.response), input_place(rec, curve.reference)) for curve in curves
+    curves = [
+        curve.placed(place(rec, curve.response), input_location(rec, curve.reference)) for curve in curves
     ]
-    warning = reversed_force(located)
-    return [curve.warn(warning) for curve in located] if warning else located
+    warning = reversed_force(curves)
+    return [curve.warn(warning) for curve in curves] if warning else curves
 
 
 @takes_path
@@ -284,15 +286,15 @@ def frfs(
     Examples
     --------
     >>> import analysis
-    >>> found = analysis.frfs("recordings/demo-sweep-no-damper.mcap")
-    >>> found["body3"].name, analysis.identify(found).frequency.round(2).tolist()
+    >>> frfs = analysis.frfs("recordings/demo-sweep-no-damper.mcap")
+    >>> frfs["body3"].name, analysis.identify(frfs).frequency.round(2).tolist()
     ('compliance', [13.04, 34.78, 49.66])
     """
     from analysis.responses.stepped_sine import sweeps
 
     if motion not in MOTIONS:
         raise SceneError(f"unknown motion {motion!r}: expected {', '.join(MOTIONS)}")
-    names = chosen(rec, channels)
+    names = select_channels(rec, channels)
     if rec.test.kind not in (TestKind.TONES, TestKind.NONE):
         if level is not None or direction is not None:
             raise SceneError(
@@ -300,21 +302,21 @@ def frfs(
             )
         (group,) = frequency_responses(rec, names, reference, motion)
         return group
-    wanted = number(level, FORCE, "level")
-    found = sweeps(rec, concerned(rec, names, reference))
-    fitting = [
+    force_level = number(level, FORCE, "level")
+    all_sweeps = sweeps(rec, required_channels(rec, names, reference))
+    selected = [
         sweep
-        for sweep in found
-        if (wanted is None or abs(sweep.level - wanted) <= 1e-6 * abs(wanted))
+        for sweep in all_sweeps
+        if (force_level is None or abs(sweep.level - force_level) <= 1e-6 * abs(force_level))
         and (direction is None or sweep.direction == direction)
     ]
-    if len(fitting) != 1:
-        have = "; ".join(f"level={sweep.level:g}, direction={sweep.direction!r}" for sweep in found)
-        what = "several sweeps match" if fitting else "no sweep matches"
+    if len(selected) != 1:
+        available = "; ".join(f"level={sweep.level:g}, direction={sweep.direction!r}" for sweep in all_sweeps)
+        problem = "several sweeps match" if selected else "no sweep matches"
         raise SceneError(
-            f"{rec.path}: {what}. Choose one of {have}, or use all of them with analysis.frequency_responses."
+            f"{rec.path}: {problem}. Choose one of {available}, or use all of them with analysis.frequency_responses."
         )
-    return stack(checked(rec, [fitting[0].lines.frf(rec, name, reference, motion) for name in names]))
+    return stack(annotate(rec, [selected[0].lines.frf(rec, name, reference, motion) for name in names]))
 
 
 @takes_path
@@ -325,7 +327,7 @@ def compliance(
     level: float | str | None = None,
     direction: str | None = None,
 ) -> Response:
-    """Compliance of the structure at one channel: displacement per force, X_j / F_1.
+    """Estimate the compliance of the structure at one channel: displacement per force, X_j / F_1.
 
     Parameters
     ----------

@@ -29,13 +29,16 @@ _PART = re.compile(
     r"[\s_.]*(deg|rad|degrees|°)?",
     re.IGNORECASE,
 )
-# Evenly spaced lines (within the digits of a table) come from a discrete Fourier transform. Files do not state the
-# window; most programs use a Hann window, whose noise bandwidth is 1.5 lines.
-_EVEN, _HANN = 0.05, 1.5
+# Lines come from a discrete Fourier transform if the relative spread of their spacing is smaller; the digits of a table
+# cause a small spread.
+_MAX_SPACING_SPREAD = 0.05
+# Files do not state the window. Most programs use a Hann window, whose noise bandwidth is 1.5 lines.
+_HANN_BANDWIDTH_LINES = 1.5
 # Plausible range of the largest magnitude of a response, in SI units; both limits are far from any real structure.
-_SMALLEST, _LARGEST = 1e-30, 1e30
+_MIN_MAGNITUDE = 1e-30
+_MAX_MAGNITUDE = 1e30
 # Lines whose relative frequency difference is below this limit are identical.
-_SAME = 1e-9
+_MIN_SPACING_RATIO = 1e-9
 _KINDS = {"r": "real", "i": "imag", "m": "size", "a": "size", "p": "phase"}
 
 
@@ -45,11 +48,11 @@ def read_frfs(path: str | Path, reference: str | None = None, unit: str | None =
     Parameters
     ----------
     path : str or Path
-        A Universal File with data sets 58 of function type 4; or a table: a first column of frequencies in Hz, then for
-        each response two columns, ``body1 real [m/N]`` and ``body1 imag [m/N]``, or ``magnitude`` and ``phase [deg]``;
-        or the output of `analysis frf`.
+        A Universal File with data sets 58 of function type 4, the output of `analysis frf`, or a table. The first
+        column of a table contains frequencies in Hz, followed by two columns for each response: ``body1 real [m/N]``
+        and ``body1 imag [m/N]``, or ``magnitude`` and ``phase [deg]``.
     reference : str, optional
-        Node and direction of the force, such as ``"1 +Z"``, where the file has several.
+        Node and direction of the force, such as ``"1 +Z"``, if the file has several.
     unit : str, optional
         Unit of the values, such as ``"m/s^2/N"`` or ``"g/N"``, if the file does not state it. It overrides the unit
         in the file.
@@ -96,66 +99,69 @@ def read_frfs(path: str | Path, reference: str | None = None, unit: str | None =
 
 
 def is_frf_file(path: Path) -> bool:
-    """Whether a file may contain frequency responses instead of a recording."""
+    """Return whether a file may contain frequency responses instead of a recording."""
     return path.suffix.lower() in ENDINGS
 
 
 def _from_uff(path: Path, reference: str | None, unit: str | None) -> list[Response]:
     sets = uff.functions(path)
-    found = [each for each in sets if int(each["func_type"]) == FRF]
-    if not found:
-        timed = any(uff.is_time(each) for each in sets)
-        other = " It contains time responses: make a recording of them with `daq import`." if timed else ""
-        raise RecordingError(f"{path}: no frequency response (data set 58, function type 4).{other}")
-    driven = list(dict.fromkeys(uff.point(each, "ref") for each in found))
-    if reference is None and len(driven) > 1:
-        raise SceneError(f"{path}: {len(driven)} references. Choose one of {', '.join(driven)[:300]}.")
-    chosen = [each for each in found if reference in (None, uff.point(each, "ref"))]
-    if not chosen:
-        raise SceneError(f"{path}: no reference {reference!r}. Choose one of {', '.join(driven)[:300]}.")
+    frf_sets = [data_set for data_set in sets if int(data_set["func_type"]) == FRF]
+    if not frf_sets:
+        has_time = any(uff.is_time(data_set) for data_set in sets)
+        remedy = " It contains time responses: convert them with `daq import`." if has_time else ""
+        raise RecordingError(f"{path}: no frequency response (data set 58, function type 4).{remedy}")
+    references = list(dict.fromkeys(uff.point(data_set, "ref") for data_set in frf_sets))
+    if reference is None and len(references) > 1:
+        raise SceneError(
+            f"{path}: {len(references)} references. Choose one of {', '.join(references)[:300]}."
+        )
+    selected = [data_set for data_set in frf_sets if reference in (None, uff.point(data_set, "ref"))]
+    if not selected:
+        raise SceneError(f"{path}: no reference {reference!r}. Choose one of {', '.join(references)[:300]}.")
     coherence, deviation = {}, {}
-    for each in sets:
-        kind, at = int(each["func_type"]), (uff.point(each, "rsp"), uff.point(each, "ref"))
+    for data_set in sets:
+        kind, points = int(data_set["func_type"]), (uff.point(data_set, "rsp"), uff.point(data_set, "ref"))
         if kind == uff.COHERENCE:
-            coherence[at] = np.asarray(each["data"]).real
-        elif kind == GENERAL and uff.title(each).startswith(DEVIATION_LINE):
-            deviation[at, uff.title(each)] = np.asarray(each["data"]).real
+            coherence[points] = np.asarray(data_set["data"]).real
+        elif kind == GENERAL and uff.title(data_set).startswith(DEVIATION_LINE):
+            deviation[points, uff.title(data_set)] = np.asarray(data_set["data"]).real
     curves = []
-    for name, each in zip(_names(chosen), chosen, strict=True):
-        data, frequency = np.asarray(each["data"]), np.asarray(each["x"], dtype=float)
+    for name, data_set in zip(_names(selected), selected, strict=True):
+        data, frequency = np.asarray(data_set["data"]), np.asarray(data_set["x"], dtype=float)
         if not np.iscomplexobj(data) or data.size != frequency.size:
             raise RecordingError(
-                f"{path}: {name} is no row of complex numbers over frequency. Export the file again."
+                f"{path}: {name} is not a row of complex numbers over frequency. Export the file again."
             )
         # The unit of the ratio, from the axis labels.
-        above, below = uff.label(each, "ordinate"), uff.label(each, "orddenom")
-        motion, size = _ratio(
-            f"{path}: {name}", unit or (f"({above})/({below})" if above and below else above)
+        above, below = uff.label(data_set, "ordinate"), uff.label(data_set, "orddenom")
+        label = f"({above})/({below})" if above and below else above
+        motion, scale = _ratio(f"{path}: {name}", unit or label)
+        points, line = (
+            (uff.point(data_set, "rsp"), uff.point(data_set, "ref")),
+            str(data_set.get("id4") or ""),
         )
-        at, line = (uff.point(each, "rsp"), uff.point(each, "ref")), str(each.get("id4") or "")
-        given = deviation.get((at, f"{DEVIATION_LINE} {uff.title(each)}"))
-        error = None if given is None else size * given
-        curve = _curve(
-            path, name, frequency, size * data, motion, coherence.get(at), error, _stated_resolution(line)
-        )
+        stated = deviation.get((points, f"{DEVIATION_LINE} {uff.title(data_set)}"))
+        error = None if stated is None else scale * stated
+        resolution = _stated_resolution(line)
+        curve = _curve(path, name, frequency, scale * data, motion, coherence.get(points), error, resolution)
         # In files written by this program a node is a body.
-        places = [f"node {point}" for point in at]
+        places = [f"node {point}" for point in points]
         if line.startswith(RESOLUTION_LINE):
-            places = [f"body {int(each[f'{which}_node'])}" for which in ("rsp", "ref")]
+            places = [f"body {int(data_set[f'{end}_node'])}" for end in ("rsp", "ref")]
         curves.append(curve.placed(*places))
     warning = reversed_force(curves)
     return [curve.warn(warning) for curve in curves] if warning else curves
 
 
 def _stated_resolution(line: str) -> float | None:
-    """Read the leakage bandwidth of each line, Hz, as files of this program state it; None for other files.
+    """Read the leakage bandwidth of each line, Hz, from a file of this program; None for other files.
 
     >>> _stated_resolution("shotrig: resolution 0.5 Hz"), _stated_resolution("NONE")
     (0.5, None)
     """
-    found = re.fullmatch(rf"{RESOLUTION_LINE} (\S+) Hz", line.strip())
+    match = re.fullmatch(rf"{RESOLUTION_LINE} (\S+) Hz", line.strip())
     try:
-        width = float(found[1]) if found else np.nan
+        width = float(match[1]) if match else np.nan
     except ValueError:
         return None
     return width if 0.0 <= width < np.inf else None
@@ -163,10 +169,13 @@ def _stated_resolution(line: str) -> float | None:
 
 def _names(sets: Sequence[Mapping[str, Any]]) -> list[str]:
     """Name responses by the first distinct attribute: titles, positions or numbers."""
-    for names in ([uff.title(each) for each in sets], [uff.point(each, "rsp") for each in sets]):
+    for names in (
+        [uff.title(data_set) for data_set in sets],
+        [uff.point(data_set, "rsp") for data_set in sets],
+    ):
         if len(set(names)) == len(names):
             return names
-    return [f"{uff.point(each, 'rsp')} #{number}" for number, each in enumerate(sets, 1)]
+    return [f"{uff.point(data_set, 'rsp')} #{number}" for number, data_set in enumerate(sets, 1)]
 
 
 def _ratio(where: str, unit: str) -> tuple[str, float]:
@@ -176,16 +185,16 @@ def _ratio(where: str, unit: str) -> tuple[str, float]:
     (('acceleration', 1.0), ('acceleration', 9.80665), ('displacement', 1.0))
     """
     if not unit:
-        raise SceneError(f"{where}: the file states no unit. Give it, such as --unit m/s^2/N.")
+        raise SceneError(f"{where}: the file states no unit. Add it, such as --unit m/s^2/N.")
     for pattern in (
         r"\(?1/\(?(?P<below>[^()*]+)\)?\)?\s*\*\s*\(?(?P<above>[^()]+)\)?",
         r"\((?P<above>.+)\)\s*/\s*\(?(?P<below>[^()/]+)\)?",
         r"(?P<above>.+?)\s*/\s*\(?(?P<below>[^/()\s]+)(?:\s+s(?:\^?2|²)?)?\)?",
     ):
-        found = re.fullmatch(pattern, unit.strip())
-        if found is None:
+        match = re.fullmatch(pattern, unit.strip())
+        if match is None:
             continue
-        above, below = found["above"], found["below"]
+        above, below = match["above"], match["below"]
         # Notation of tables written by this program: m/(N s^2).
         if tail := re.fullmatch(r"(.+)/\((N) (s|s\^2|s²)\)", unit.strip()):
             above, below = f"{tail[1]}/{tail[3]}", tail[2]
@@ -206,16 +215,18 @@ def _long_curves(path: Path, unit: str | None) -> list[Response]:
         real = next((name for name in heading if name.startswith("real ")), None)
         if real is None or not {"response", "frequency_Hz", real.replace("real", "imag", 1)} <= {*heading}:
             return []
-        motion, size = _ratio(str(path), unit or real.removeprefix("real "))
+        motion, scale = _ratio(str(path), unit or real.removeprefix("real "))
         imag, deviation = (real.replace("real", name, 1) for name in ("imag", "magnitude_std"))
         rows: dict[str, list[tuple[float, complex, float, float, float]]] = {}
         inputs: dict[str, str] = {}
         for line in reader:
             try:
-                value = size * complex(float(line[real]), float(line[imag]))
-                given = (float(line.get(name) or "nan") for name in (deviation, "coherence", "resolution_Hz"))
-                error, coherence, resolution = given
-                point = float(line["frequency_Hz"]), value, size * error, coherence, resolution
+                value = scale * complex(float(line[real]), float(line[imag]))
+                columns = (
+                    float(line.get(name) or "nan") for name in (deviation, "coherence", "resolution_Hz")
+                )
+                error, coherence, resolution = columns
+                point = float(line["frequency_Hz"]), value, scale * error, coherence, resolution
             except (TypeError, ValueError):
                 raise RecordingError(
                     f"{path}:{reader.line_num}: a cell is not a number. Correct it."
@@ -230,44 +241,44 @@ def _long_curves(path: Path, unit: str | None) -> list[Response]:
         )
     curves = []
     for name, points in rows.items():
-        lines, values, errors, coherences, widths = (np.array(one) for one in zip(*points, strict=True))
-        said = float(widths[0]) if 0.0 <= widths[0] < np.inf else None
-        curve = _curve(path, name.partition("\0")[2], lines, values, motion, coherences, errors, said)
+        lines, values, errors, coherences, widths = (np.array(column) for column in zip(*points, strict=True))
+        stated = float(widths[0]) if 0.0 <= widths[0] < np.inf else None
+        curve = _curve(path, name.partition("\0")[2], lines, values, motion, coherences, errors, stated)
         curves.append(curve.placed("", inputs[name] if inputs[name] != "force" else ""))
     return curves
 
 
 def _from_table(path: Path, unit: str | None) -> list[Response]:
-    """Read a table of columns: frequency, then two for each response."""
+    """Read a table of columns: frequency, then two columns for each response."""
     with ExitStack() as stack:
         first, *others = signals_of(path, stack)
         frequency = first.read(0, first.samples)
-        columns = [(each.name, each.unit, each.read(0, each.samples)) for each in others]
+        columns = [(signal.name, signal.unit, signal.read(0, signal.samples)) for signal in others]
     if not re.match(r"f|freq|hz", first.name, re.IGNORECASE) or (first.unit and first.unit.lower() != "hz"):
-        raise RecordingError(f"{path}: its first column is {first.name!r}; expected frequencies in Hz")
+        raise RecordingError(f"{path}: the first column is {first.name!r}; expected frequencies in Hz")
     parts: dict[str, dict[str, tuple[str, Array]]] = {}
-    for name, its_unit, values in columns:
-        found = _PART.fullmatch(name)
-        if found is None:
+    for name, column_unit, values in columns:
+        match = _PART.fullmatch(name)
+        if match is None:
             raise RecordingError(
                 f"{path}: column {name!r}; expected names that end in real, imag, magnitude or phase"
             )
-        kind = _KINDS[found[2][0].lower()]
-        parts.setdefault(found[1] or "response", {})[kind] = (found[3] or its_unit, values)
+        kind = _KINDS[match[2][0].lower()]
+        parts.setdefault(match[1] or "response", {})[kind] = (match[3] or column_unit, values)
     curves = []
     for name, part in parts.items():
         if part.keys() not in ({"real", "imag"}, {"size", "phase"}):
             raise RecordingError(
-                f"{path}: of {name} there is {', '.join(part)}; expected real and imag, or magnitude and phase"
+                f"{path}: {name} has {', '.join(part)}; expected real and imag, or magnitude and phase"
             )
-        said, upper = part["real"] if "real" in part else part["size"]
-        motion, size = _ratio(f"{path}: {name}", unit or said)
+        column_unit, upper = part["real"] if "real" in part else part["size"]
+        motion, scale = _ratio(f"{path}: {name}", unit or column_unit)
         if "real" in part:
             value = upper + 1j * part["imag"][1]
         else:
-            turn, phase = part["phase"]
-            value = upper * np.exp(1j * (phase if turn.startswith("rad") else np.radians(phase)))
-        curves.append(_curve(path, name, frequency, size * value, motion))
+            phase_unit, phase = part["phase"]
+            value = upper * np.exp(1j * (phase if phase_unit.startswith("rad") else np.radians(phase)))
+        curves.append(_curve(path, name, frequency, scale * value, motion))
     return curves
 
 
@@ -282,21 +293,21 @@ def _curve(
     resolution: float | None = None,
 ) -> Response:
     """Build a curve from its valid lines in order of frequency; the displacement at zero frequency is undefined."""
-    keep = _lines(f"{path}: {name}", frequency, value)
+    lines = _valid_lines(f"{path}: {name}", frequency, value)
     if resolution is None:
-        steps = np.diff(frequency[keep])
-        evenly = steps.size > 0 and np.ptp(steps) < _EVEN * steps.mean()
-        resolution = _HANN * float(steps.mean()) if evenly else 0.0
+        steps = np.diff(frequency[lines])
+        even = steps.size > 0 and np.ptp(steps) < _MAX_SPACING_SPREAD * steps.mean()
+        resolution = _HANN_BANDWIDTH_LINES * float(steps.mean()) if even else 0.0
 
     def column(values: Array | None) -> Array:
         """Select the valid lines; NaN where the file has no value or an impossible value."""
         if values is None or values.size != frequency.size:
-            return np.full(keep.size, np.nan)
-        return np.where(np.isfinite(values[keep]) & (values[keep] >= 0.0), values[keep], np.nan)
+            return np.full(lines.size, np.nan)
+        return np.where(np.isfinite(values[lines]) & (values[lines] >= 0.0), values[lines], np.nan)
 
     return Response.curve(
-        frequency[keep],
-        np.asarray(value, dtype=complex)[keep],
+        frequency[lines],
+        np.asarray(value, dtype=complex)[lines],
         name,
         motion=motion,
         error=column(error),
@@ -306,25 +317,25 @@ def _curve(
     )
 
 
-def _lines(where: str, frequency: Array, value: NDArray[Any]) -> NDArray[np.intp]:
+def _valid_lines(where: str, frequency: Array, value: NDArray[Any]) -> NDArray[np.intp]:
     """Select the valid lines in order of frequency; reject magnitudes that no structure can have."""
-    there = np.flatnonzero((frequency > 0) & np.isfinite(frequency) & np.isfinite(value))
-    if not there.size:
+    valid = np.flatnonzero((frequency > 0) & np.isfinite(frequency) & np.isfinite(value))
+    if not valid.size:
         raise RecordingError(f"{where} has no number at a frequency above 0 Hz. Export the file again.")
-    lines = there[np.argsort(frequency[there])]
+    lines = valid[np.argsort(frequency[valid])]
     for hertz in frequency[lines[[0, -1]]]:
         if not FREQUENCY.supports(hertz):
             raise RecordingError(f"{where} has a line at {hertz:.3g} Hz; expected lines {FREQUENCY.range}")
     largest = abs(value[lines]).max()
-    if largest and not _SMALLEST <= largest <= _LARGEST:
+    if largest and not _MIN_MAGNITUDE <= largest <= _MAX_MAGNITUDE:
         raise RecordingError(
-            f"{where} reaches {largest:.3g} in SI units; expected {_SMALLEST:g} to {_LARGEST:g}. Correct the unit, or "
-            "export the file again."
+            f"{where} reaches {largest:.3g} in SI units; expected {_MIN_MAGNITUDE:g} to {_MAX_MAGNITUDE:g}. Correct "
+            "the unit, or export the file again."
         )
-    twice = np.flatnonzero(np.diff(frequency[lines]) <= _SAME * frequency[lines[1:]])
-    if twice.size:
+    repeated = np.flatnonzero(np.diff(frequency[lines]) <= _MIN_SPACING_RATIO * frequency[lines[1:]])
+    if repeated.size:
         raise RecordingError(
-            f"{where} has the frequency {frequency[lines[twice[0]]]:.9g} Hz twice. Export it with enough digits to "
+            f"{where} has the frequency {frequency[lines[repeated[0]]]:.9g} Hz twice. Export it with enough digits to "
             "distinguish the lines."
         )
     return lines

@@ -9,31 +9,31 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import fft
 
-from analysis.responses.clean_stretches import cure, describe_flaws
-from analysis.responses.estimators import Averages, bins_of, block_spectra, window_of
+from analysis.responses.clean_segments import describe_flaws, remedy
+from analysis.responses.estimators import Averages, block_spectra, noise_bandwidth_bins, sampled_window
 from analysis.responses.hits import Hits
 from analysis.responses.local_models.local_spectra import SIDE
-from analysis.responses.whole_stretches import WholeStretches, dampers_move
+from analysis.responses.segment_fits import SegmentFits, warn_of_dampers
 from rig.errors import RecordingError, SceneError
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
 
-# The hit begins after this part (1/n) of a block.
-_LEAD = 50
-# A larger residual response at the end of a block causes leakage that is reported.
-_LARGEST_RESIDUAL_SHARE = 0.02
+# The hit begins after one of this number of equal parts of a block.
+_LEAD_PARTS = 50
+# A larger response at the end of a block, relative to its maximum, causes leakage that is reported.
+_MAX_REMAINING_RATIO = 0.02
 
 
-def whole(rec: Recording, channels: Sequence[str]) -> WholeStretches:
-    """Process all hits together; the response to a hit may overlap the next hit."""
+def segment_fits(rec: Recording, channels: Sequence[str]) -> SegmentFits:
+    """Return the local fits to all hits; the response to a hit may overlap the next hit."""
     hits = Hits.of(rec)
     # Lowest frequency that the time between hits resolves.
     low = 4.0 * rec.rate / hits.interval
-    return WholeStretches(
-        tuple(channels), 0, rec.samples, low, hits.highest_frequency(rec), hits.missed, hits,
-        label=rec.scene.name, warnings=dampers_move(rec),
+    return SegmentFits(
+        tuple(channels), 0, rec.samples, low, hits.highest_frequency(rec), hits.unmarked, hits,
+        label=rec.scene.name, warnings=warn_of_dampers(rec),
     )  # fmt: skip
 
 
@@ -47,40 +47,42 @@ def averages(
     hits = Hits.of(rec)
     begins = [begin for begin, _ in hits.arrivals]
     size = hits.interval if block is None else round(block * rec.rate)
-    lead = min(size // _LEAD, begins[0])
+    lead = min(size // _LEAD_PARTS, begins[0])
     starts = [begin - lead for begin in begins if begin - lead + size <= rec.samples]
     if size < 16 or not starts:
         raise SceneError(
             f"blocks of {size / rec.rate:.3g} s: expected at least 16 samples, and no more than the "
             f"{(rec.samples - begins[0]) / rec.rate:.4g} s that follow a hit"
         )
-    weights = window_of(window, size)
-    summed = block_spectra(rec, channels, starts, size, weights, 0.0, hits.highest_frequency(rec))
-    spoilt = describe_flaws(rec, summed.flaws) or "the recording ends"
-    if not summed.used:
+    weights = sampled_window(window, size)
+    averaged = block_spectra(rec, channels, starts, size, weights, 0.0, hits.highest_frequency(rec))
+    reasons = describe_flaws(rec, averaged.flaws) or "the recording ends"
+    if not averaged.used:
         raise RecordingError(
-            f"{rec.path}: no complete hit ({spoilt}). {cure(rec, summed.flaws)}, and record again."
+            f"{rec.path}: no complete hit ({reasons}). {remedy(rec, averaged.flaws)}, and record again."
         )
     notes = []
-    if summed.used < len(begins):
-        notes.append(f"{len(begins) - summed.used} of {len(begins)} hits left out: {spoilt}.")
-    if summed.used == 1:
-        notes.append("One block: its coherence is 1 whatever the noise, and the scatter is undetermined.")
-    leaks = summed.left > _LARGEST_RESIDUAL_SHARE
+    if averaged.used < len(begins):
+        notes.append(f"{len(begins) - averaged.used} of {len(begins)} hits left out: {reasons}.")
+    if averaged.used == 1:
+        notes.append(
+            "One block: its coherence is 1 for any noise, and the scatter is unknown. Record more hits."
+        )
+    leaks = averaged.remaining > _MAX_REMAINING_RATIO
     if leaks:
         notes.append(
-            f"{summed.left:.0%} of the motion remain at the end of a block, so the curve has the stated leakage. Use "
-            "longer blocks, or leave out --estimator for a response without leakage."
+            f"{averaged.remaining:.0%} of the motion remain at the end of a block, so the curve has leakage. "
+            "Use longer blocks, or leave out --estimator for a response without leakage."
         )
-    stretches = [(start, start + size) for start in starts]
-    blocks = [np.stack([rec.read(name, *each) for name in channels]) for each in stretches]
+    segments = [(start, start + size) for start in starts]
+    blocks = [np.stack([rec.read(name, *bounds) for name in channels]) for bounds in segments]
     blocks = [np.nan_to_num(block - np.nanmean(block, axis=1, keepdims=True)) for block in blocks]
     spectra = [fft.rfft(block, axis=1) for block in blocks]
-    lines = np.rint(summed.averages.frequency * size / rec.rate).astype(np.int64)
+    lines = np.rint(averaged.averages.frequency * size / rec.rate).astype(np.int64)
     return replace(
-        summed.averages,
-        resolution=bins_of(weights) * rec.rate / size if leaks else 0.0,
+        averaged.averages,
+        resolution=noise_bandwidth_bins(weights) * rec.rate / size if leaks else 0.0,
         warnings=tuple(notes),
-        gain=hits.rounding(rec, channels, stretches, blocks, spectra, lines, SIDE),
-        unsmeared=whole(rec, channels) if leaks else None,
+        gain=hits.rounding(rec, channels, segments, blocks, spectra, lines, SIDE),
+        unsmeared=segment_fits(rec, channels) if leaks else None,
     )

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from daq.signal_chain.channel import ChannelInfo
 
 
-def named(rec: Recording, name: str) -> ChannelInfo:
+def find_channel(rec: Recording, name: str) -> ChannelInfo:
     """Return the channel called `name`, or the channel at that position (``"body 3"``, ``"arm"``, ``"table"``)."""
     channels = rec.channels
     if name in channels:
@@ -31,22 +31,22 @@ def named(rec: Recording, name: str) -> ChannelInfo:
             return info
     if number is not None:
         raise RecordingError(f"{rec.path}: no channel at {name}. Choose one of {', '.join(channels)}.")
-    near = difflib.get_close_matches(
+    similar = difflib.get_close_matches(
         str(name), [*channels, *(info.at for info in channels.values()), *bodies], n=1
     )
-    hint = f"; did you mean {near[0]!r}?" if near else "."
-    raise RecordingError(f"{rec.path}: no channel {name!r}{hint} The channels are {', '.join(channels)}.")
+    hint = f" Did you mean {similar[0]!r}?" if similar else ""
+    raise RecordingError(f"{rec.path}: no channel {name!r}.{hint} The channels are {', '.join(channels)}.")
 
 
 def body_names(rec: Recording) -> tuple[str, ...]:
-    """Names of the bodies in a recording's scene; empty if they have no names or there is no scene."""
+    """Return the names of the bodies in a recording's scene; empty if they have no names or there is no scene."""
     try:
         return rec.scene.structure.names or ()
     except RecordingError:
         return ()
 
 
-def chosen(rec: Recording, channels: Sequence[str] | str | None) -> list[str]:
+def select_channels(rec: Recording, channels: Sequence[str] | str | None) -> list[str]:
     """Return the channels selected by name or body; by default all channels that measure a body's motion."""
     if not channels:
         return responses(rec)
@@ -56,7 +56,7 @@ def chosen(rec: Recording, channels: Sequence[str] | str | None) -> list[str]:
     return list(names)
 
 
-def located(rec: Recording, place: str) -> ChannelInfo | None:
+def motion_channel_at(rec: Recording, place: str) -> ChannelInfo | None:
     """Return the first motion channel at a position (``"body 1"``, ``"table"``), or None."""
     return next(
         (info for info in rec.channels.values() if info.at == place and info.quantity in MOTIONS), None
@@ -64,7 +64,7 @@ def located(rec: Recording, place: str) -> ChannelInfo | None:
 
 
 def responses(rec: Recording) -> list[str]:
-    """Names of the channels that measure a body's motion, in the recording's order."""
+    """Return the names of the channels that measure a body's motion, in the recording's order."""
     return [
         name for name, info in rec.channels.items() if info.quantity in MOTIONS and info.at.startswith("body")
     ]
@@ -83,7 +83,8 @@ class Measurand:
     ) -> NDArray[np.complex128]:
         """Compute the weights of the recorded amplitudes of `names`, shape (channels, frequencies).
 
-        They contain the inverse response of sensor, amplifier and converter, and the conversion between derivatives.
+        The weights contain the inverse response of sensor, amplifier and converter, and the powers of j omega that
+        convert between displacement, velocity and acceleration.
         """
         out = np.zeros((len(names), frequency.size), dtype=complex)
         for name, weight in zip(self.channels, self.weights, strict=True):
@@ -98,7 +99,7 @@ class Measurand:
 
 def motion_channel(rec: Recording, name: str) -> ChannelInfo:
     """Return the channel called `name`, which must measure motion."""
-    info = named(rec, name)
+    info = find_channel(rec, name)
     if info.quantity not in MOTIONS:
         raise RecordingError(
             f"{rec.path}: channel {info.name!r} measures {info.quantity}, not motion. Choose one of "
@@ -115,12 +116,12 @@ def motion_of(rec: Recording, name: str, motion: str = "displacement") -> Measur
 def reference_of(rec: Recording, reference: str) -> Measurand:
     """Return the force on the structure, or the displacement of the shaker table.
 
-    The force is that of a force channel if there is one, otherwise that of the coil spring,
+    The force is measured by a force channel if there is one. Otherwise it is the force of the coil spring,
     F1 = k0 (x0 - x1), from the channels on the table and on the driven body.
     """
     if reference == "table":
         place = rec.scene.at_driven("table")
-        table = located(rec, place)
+        table = motion_channel_at(rec, place)
         if table is None:
             raise RecordingError(
                 f"{rec.path}: no channel on the table ({_places(rec)}). "
@@ -130,7 +131,7 @@ def reference_of(rec: Recording, reference: str) -> Measurand:
     if reference != "force":
         raise RecordingError(f"unknown reference {reference!r}: expected 'force' or 'table'")
     forces = [info for info in rec.channels.values() if info.quantity == "force"]
-    # Of several shakers, only one is driven.
+    # If there are several shakers, only one of them is driven.
     forces.sort(key=lambda info: info.at not in ("hammer", rec.scene.at_driven("shaker")))
     if forces:
         return Measurand((forces[0].name,), (1.0,), "force")
@@ -149,7 +150,7 @@ def reference_of(rec: Recording, reference: str) -> Measurand:
         )
     ends = []
     for at in (rec.scene.at_driven("table"), f"body {shaker.body}"):
-        info = located(rec, at)
+        info = motion_channel_at(rec, at)
         if info is None:
             raise RecordingError(
                 f"{rec.path}: the spring force k0 (x0 - x{shaker.body}) needs a channel at the {at} ({_places(rec)}). "
@@ -159,30 +160,30 @@ def reference_of(rec: Recording, reference: str) -> Measurand:
     return Measurand(tuple(ends), (shaker.spring, -shaker.spring), "displacement")
 
 
-def input_place(rec: Recording, reference: str) -> str:
-    """Name the driven body or bodies of a reference; empty for the table."""
+def input_location(rec: Recording, reference: str) -> str:
+    """Return the names of the driven bodies of a reference; empty for the table."""
     label = rec.scene.structure.label
     return " and ".join(label(number) for number in rec.scene.force_on) if reference == "force" else ""
 
 
 def place(rec: Recording, channel: str) -> str:
-    """Name the body on which a channel is mounted."""
+    """Return the name of the body on which a channel is mounted."""
     at = rec.channels[channel].at
     return rec.scene.structure.label(int(at.removeprefix("body "))) if at.startswith("body ") else at
 
 
-def concerned(rec: Recording, responses: Sequence[str], reference: str) -> list[str]:
-    """Name the channels of some responses and of their reference."""
+def required_channels(rec: Recording, responses: Sequence[str], reference: str) -> list[str]:
+    """Return the channels from which responses and their reference are computed."""
     measurands = [*(motion_of(rec, name) for name in responses), reference_of(rec, reference)]
     return list(dict.fromkeys(name for measurand in measurands for name in measurand.channels))
 
 
-def driven(reference: str, amplitude: NDArray[np.generic]) -> None:
+def reject_zero_reference(reference: str, amplitude: NDArray[np.generic]) -> None:
     """Reject a reference that is zero at all lines, because the response is then undefined."""
     if not np.any(np.abs(amplitude) > 0):
-        what = "force on the structure" if reference == "force" else "displacement of the table"
+        quantity = "force on the structure" if reference == "force" else "displacement of the table"
         raise RecordingError(
-            f"the {what} is zero throughout the measurement: nothing was driven, or its channels were off. "
+            f"the {quantity} is zero throughout the measurement: the shaker did not run, or the channels were off. "
             "Check the channels with `daq info` and record again."
         )
 

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.responses.clean_stretches import cure, describe_flaws, settling
-from analysis.responses.estimators import Averages, bins_of, block_spectra, window_of
+from analysis.responses.clean_segments import describe_flaws, remedy, settling_flaws
+from analysis.responses.estimators import Averages, block_spectra, noise_bandwidth_bins, sampled_window
+from analysis.responses.segment_fits import SegmentFits, warn_of_dampers
 from analysis.responses.systematic import in_counts, noise_gain
-from analysis.responses.whole_stretches import WholeStretches, dampers_move
 from rig.errors import RecordingError, SceneError
 
 if TYPE_CHECKING:
@@ -20,22 +20,22 @@ if TYPE_CHECKING:
 
 # Default number of blocks: error bars of about 10 % at a coherence of 0.7, with the finest possible resolution.
 DEFAULT_BLOCKS = 30
-# The response to a burst has decayed if less than this part of it remains at the end of the block.
-_LARGEST_RESIDUAL_SHARE = 0.02
+# A larger response at the end of a block, relative to its maximum, causes leakage into the next burst.
+_MAX_REMAINING_RATIO = 0.02
 
 
-def whole(rec: Recording, marker: Marker, channels: Sequence[str]) -> WholeStretches:
-    """Process a random test as a whole, bursts included."""
+def segment_fits(rec: Recording, marker: Marker, channels: Sequence[str]) -> SegmentFits:
+    """Return the local fits to a random test, bursts included."""
     low, high = float(marker.fields["from"]), float(marker.fields["to"])
     stop = rec.samples if marker.last_sample is None else min(rec.samples, marker.stop)
     bursts = None
     if "block" in marker.fields:
         block = int(marker.fields["block"])
         bursts = block, int(np.ceil(float(marker.fields["burst"]) * block))
-    return WholeStretches(
+    return SegmentFits(
         tuple(channels), marker.first_sample, stop, low, high,
-        settling(rec, channels, marker.first_sample, stop, low),
-        bursts=bursts, label=rec.scene.name, warnings=dampers_move(rec),
+        settling_flaws(rec, channels, marker.first_sample, stop, low),
+        bursts=bursts, label=rec.scene.name, warnings=warn_of_dampers(rec),
     )  # fmt: skip
 
 
@@ -64,13 +64,13 @@ def averages(
         size, step = int(burst), int(burst)
         weights = np.ones(size)
     else:
-        wanted = block if block is not None else (stop - first) / rec.rate / (0.5 * DEFAULT_BLOCKS + 0.5)
-        size = round(wanted * rec.rate)
+        block_s = block if block is not None else (stop - first) / rec.rate / (0.5 * DEFAULT_BLOCKS + 0.5)
+        size = round(block_s * rec.rate)
         step = max(1, round(size * (1.0 - overlap)))
-        weights = window_of(window, max(size, 1))
+        weights = sampled_window(window, max(size, 1))
     low, high = float(marker.fields["from"]), float(marker.fields["to"])
-    spoilt = settling(rec, channels, first, stop, low)
-    first += -(-max((flaw.stop - first for flaw in spoilt), default=0) // step) * step
+    unsettled = settling_flaws(rec, channels, first, stop, low)
+    first += -(-max((flaw.stop - first for flaw in unsettled), default=0) // step) * step
     count = (stop - first - size) // step + 1
     if size < 16 or count < 2:
         raise RecordingError(
@@ -78,18 +78,18 @@ def averages(
             "random excitation are too few to average. Record longer or choose shorter blocks (--block)."
         )
     starts = [first + i * step for i in range(count)]
-    summed = block_spectra(rec, channels, starts, step, weights, low, high, progress)
-    spoilt_blocks = describe_flaws(rec, summed.flaws)
-    notes = [f"The beginning left out: {describe_flaws(rec, spoilt)}."] if spoilt else []
-    if summed.used < count:
-        notes.append(f"{count - summed.used} of {count} blocks left out: {spoilt_blocks}.")
-    if summed.used < 2:
+    averaged = block_spectra(rec, channels, starts, step, weights, low, high, progress)
+    reasons = describe_flaws(rec, averaged.flaws)
+    notes = [f"The beginning is left out: {describe_flaws(rec, unsettled)}."] if unsettled else []
+    if averaged.used < count:
+        notes.append(f"{count - averaged.used} of {count} blocks left out: {reasons}.")
+    if averaged.used < 2:
         raise RecordingError(
-            f"{rec.path}: fewer than two blocks are complete ({spoilt_blocks}). {cure(rec, summed.flaws)}, or choose "
+            f"{rec.path}: fewer than two blocks are complete ({reasons}). {remedy(rec, averaged.flaws)}, or choose "
             "shorter blocks (--block)."
         )
-    width = bins_of(weights) * rec.rate / size
-    leaks = burst is None or summed.left > _LARGEST_RESIDUAL_SHARE
+    width = noise_bandwidth_bins(weights) * rec.rate / size
+    leaks = burst is None or averaged.remaining > _MAX_REMAINING_RATIO
     if burst is None:
         notes.append(
             f"Blocks of {size / rec.rate:.3g} s resolve {width:.3g} Hz: peaks narrower than that are smeared and too "
@@ -97,14 +97,14 @@ def averages(
         )
     elif leaks:
         notes.append(
-            f"{summed.left:.0%} of the response to a burst remain when the next begins, so the curve has leakage. Use "
-            "longer blocks, a smaller burst share, multisine or stepped sine."
+            f"{averaged.remaining:.0%} of the response to a burst remain when the next begins: the curve has leakage. "
+            "Use longer blocks, a smaller burst share, multisine or stepped sine."
         )
-    gain = noise_gain(in_counts(rec, channels, summed.squares))
+    gain = noise_gain(in_counts(rec, channels, averaged.mean_squares))
     return replace(
-        summed.averages,
+        averaged.averages,
         resolution=width if leaks else 0.0,
         warnings=tuple(notes),
-        gain=np.repeat(gain[:, None], summed.averages.frequency.size, axis=1),
-        unsmeared=whole(rec, marker, channels) if leaks else None,
+        gain=np.repeat(gain[:, None], averaged.averages.frequency.size, axis=1),
+        unsmeared=segment_fits(rec, marker, channels) if leaks else None,
     )

@@ -2,7 +2,7 @@
 
 All responses are divided by the same reference, whose noise causes equal relative errors in all of them. Neighbouring
 lines of a local fit use the same bins. Both correlations determine the scatter of the parameters of a model fitted to
-many lines. The errors are propagated to first order from those of the readings [1]_.
+many lines. The errors of the readings are propagated to first order [1]_.
 
 References
 ----------
@@ -23,24 +23,24 @@ from numpy.typing import NDArray
 from rig.arrays import Array, ComplexArray
 from rig.results.uncertainty import LineCovariance, Lines, RandomErrors
 
-# Widths of a local fit over which the noise level is assumed constant.
-_EVEN_WIDTHS = 5
-# Iterations of the weighted fit that separates the kinds of noise.
-_ROUNDS = 4
-# Least noise of a response, as a share of the residual of a local fit.
-_LEAST = 1e-6
+# Number of widths of a local fit over which the noise level is assumed constant.
+_CONSTANT_NOISE_WIDTHS = 5
+# Iterations of the weighted fit that separates the noise of the reference from the noise of the responses.
+_ITERATIONS = 4
+# Smallest noise power of a response, relative to the residual of a local fit.
+_MIN_NOISE_RATIO = 1e-6
 # Replaces zero power; its square does not underflow to zero.
-_NOTHING = 1e-40
-# Share of each variance that is uncorrelated between responses, due to errors of second order and covariances of few
-# averages. Tuned on chains with 3 % of noise in the reference; a share of 0.1 % gave a scatter of twice the bounds.
-_SHRUNK = 0.05
-# Numbers of the noise around lines in memory at a time.
-_AT_ONCE = 1 << 22
+_ZERO_POWER = 1e-40
+# Part of each variance that is uncorrelated between responses, due to errors of second order and covariances of few
+# averages. Tuned on chains with 3 % of noise in the reference: with 0.1 % the scatter was twice the stated uncertainty.
+_UNCORRELATED = 0.05
+# Limit of the elements of the noise around lines in memory.
+_MAX_ELEMENTS = 1 << 22
 
 
 @dataclass(frozen=True)
 class MeanErrors:
-    """Errors of quotients of means, independent from line to line: `weights` times those of the channels."""
+    """Errors of quotients of means, independent from line to line: `weights` times the errors of the channels."""
 
     weights: ComplexArray  # shape (lines, elements, channels)
     means: ComplexArray  # covariance of the channels' means; shape (lines, channels, channels)
@@ -60,16 +60,20 @@ class MeanErrors:
     def joined(self, others: Sequence[RandomErrors]) -> MeanErrors | None:
         """Join the errors of these and other elements."""
         same = [
-            each for each in others if isinstance(each, MeanErrors) and each.means.shape == self.means.shape
+            other
+            for other in others
+            if isinstance(other, MeanErrors) and other.means.shape == self.means.shape
         ]
         if len(same) < len(others):
             return None
-        return replace(self, weights=np.concatenate([self.weights, *(each.weights for each in same)], axis=1))
+        return replace(
+            self, weights=np.concatenate([self.weights, *(other.weights for other in same)], axis=1)
+        )
 
     def covariance(self, error: Array, shared: float) -> LineCovariance:
         """Compute the covariance over elements; the stated variances include information from neighbouring lines."""
         lines = np.einsum("kai,kij,kcj->kac", self.weights, self.means, self.weights.conj(), optimize=True)
-        return LineCovariance(_shrunk(_with_variances(lines, error)), shared)
+        return LineCovariance(_add_uncorrelated(_scale_to_variances(lines, error)), shared)
 
 
 @dataclass(frozen=True)
@@ -95,22 +99,21 @@ class MatrixErrors:
 
     def covariance(self, error: Array, shared: float) -> LineCovariance:
         """Compute the covariance over elements, with the stated variances."""
-        return LineCovariance(_shrunk(_with_variances(self.lines, error)), shared)
+        return LineCovariance(_add_uncorrelated(_scale_to_variances(self.lines, error)), shared)
 
 
 @dataclass(frozen=True)
 class LocalErrors:
-    """Errors of local fits to spectra: sums over bins, of which neighbouring lines share most."""
+    """Errors of local fits to spectra: sums over bins, most of which neighbouring lines have in common."""
 
-    # influence of the error at each bin of the reading on the response; shape (lines, elements, stretches,
-    # width)
+    # influence of the error at each bin of the reading on the response; shape (lines, elements, segments, width)
     influence: ComplexArray
     first: NDArray[np.int64]  # first bin of each line's fit; shape (lines,)
-    residual: ComplexArray  # residual of the reading; shape (lines, elements, stretches, width)
+    residual: ComplexArray  # residual of the reading; shape (lines, elements, segments, width)
     curve: ComplexArray  # reading per unit of the reference, as fitted; shape (lines, elements, width)
     drive: Array  # mean square of the reference over the bins of each fit; shape (lines,)
     free: float  # complex degrees of freedom of each fit
-    used: float  # measured share of the samples of the spectra, as in `local_fit`
+    used: float  # measured part of the samples of the spectra, as in `local_fit`
     one_reference: bool  # whether the reference is a single channel that is not part of the response
     # error common to all lines, as a standard deviation of either quadrature; shape (lines, elements)
     common: ComplexArray
@@ -135,19 +138,19 @@ class LocalErrors:
     def joined(self, others: Sequence[RandomErrors]) -> LocalErrors | None:
         """Join the errors of these and other elements."""
         same = [
-            each
-            for each in (self, *others)
-            if isinstance(each, LocalErrors)
-            and np.array_equal(each.first, self.first)
-            and each.residual.shape == self.residual.shape
+            errors
+            for errors in (self, *others)
+            if isinstance(errors, LocalErrors)
+            and np.array_equal(errors.first, self.first)
+            and errors.residual.shape == self.residual.shape
         ]
         if len(same) <= len(others):
             return None
         names = ("influence", "residual", "curve", "common")
         parts: dict[str, Any] = {
-            name: np.concatenate([getattr(each, name) for each in same], axis=1) for name in names
+            name: np.concatenate([getattr(errors, name) for errors in same], axis=1) for name in names
         }
-        return replace(self, **parts, one_reference=all(each.one_reference for each in same))
+        return replace(self, **parts, one_reference=all(errors.one_reference for errors in same))
 
     def covariance(self, error: Array, shared: float) -> LocalCovariance:
         """Estimate the covariance over elements and lines, from the residuals around each line."""
@@ -158,29 +161,31 @@ class LocalErrors:
         bins = int(first.max()) + width
         centre = first + width // 2
         nearest = np.clip(np.searchsorted(0.5 * (centre[1:] + centre[:-1]), np.arange(bins)), 0, count - 1)
-        share: Array | None = None
+        reference_ratio: Array | None = None
         if self.one_reference:
-            reference, own, share = _kinds_of_noise(power, self.curve, self.drive, centre)
+            reference, own, reference_ratio = _separate_noise(power, self.curve, self.drive, centre)
             within = np.clip(np.arange(bins) - first[nearest], 0, width - 1)
-            there = self.curve[nearest, :, within]
-            noise = reference[nearest, None, None] * there[:, :, None] * there[:, None].conj()
+            curve = self.curve[nearest, :, within]
+            noise = reference[nearest, None, None] * curve[:, :, None] * curve[:, None].conj()
             index = np.arange(elements)
             noise[:, index, index] += own[nearest]
         else:
             noise = power[nearest]
         lines = np.empty((count, elements, elements), dtype=complex)
-        step = max(1, _AT_ONCE // (width * elements**2))
+        step = max(1, _MAX_ELEMENTS // (width * elements**2))
         for begin in range(0, count, step):
             part = slice(begin, begin + step)
-            around, influence = noise[first[part, None] + np.arange(width)], self.influence[part]
-            lines[part] = np.einsum("kasw,kwac,kcsw->kac", influence, around, influence.conj(), optimize=True)
+            local_noise, influence = noise[first[part, None] + np.arange(width)], self.influence[part]
+            lines[part] = np.einsum(
+                "kasw,kwac,kcsw->kac", influence, local_noise, influence.conj(), optimize=True
+            )
         lines = lines / self.used + 2.0 * self.common[:, :, None] * self.common[:, None].conj()
-        if share is None:
-            # The fit follows part of the noise of known power, so the residuals underestimate it.
+        if reference_ratio is None:
+            # The fit reproduces part of the noise of known power, so the residuals underestimate it.
             stated, own = 2.0 * error**2, np.einsum("kaa->ka", lines).real
-            more = np.sqrt(np.maximum(1.0, np.divide(stated, own, out=np.ones_like(own), where=own > 0.0)))
-            lines = lines * more[:, :, None] * more[:, None]
-        return LocalCovariance(_shrunk(lines), shared, self, noise, share)
+            scale = np.sqrt(np.maximum(1.0, np.divide(stated, own, out=np.ones_like(own), where=own > 0.0)))
+            lines = lines * scale[:, :, None] * scale[:, None]
+        return LocalCovariance(_add_uncorrelated(lines), shared, self, noise, reference_ratio)
 
 
 @dataclass(frozen=True)
@@ -191,7 +196,7 @@ class LocalCovariance:
     shared: float
     errors: LocalErrors
     noise: ComplexArray  # covariance of the readings; shape (bins, elements, elements)
-    # noise in the reference as a share of its power, shape (lines,); None if it is not estimated
+    # ratio of noise in the reference to its power, shape (lines,); None if it is not estimated
     reference: Array | None
 
     def at(self, lines: Lines) -> LocalCovariance:
@@ -213,77 +218,81 @@ class LocalCovariance:
         )
 
     def of_sums(self, weights: ComplexArray) -> Array:
-        """Compute the covariance of weighted sums over lines and elements."""
+        """Compute the covariance of weighted sums over lines and elements; `weights`: shape (lines, elements, sums)."""
         from scipy.sparse import csr_array
 
         errors = self.errors
         bins, width = len(self.noise), errors.influence.shape[3]
         total = np.zeros((weights.shape[2],) * 2)
-        places = (errors.first[:, None] + np.arange(width)).ravel()
-        ends = np.arange(0, places.size + 1, width)
-        for stretch in range(errors.influence.shape[2]):
-            through = []
+        columns = (errors.first[:, None] + np.arange(width)).ravel()
+        ends = np.arange(0, columns.size + 1, width)
+        for segment in range(errors.influence.shape[2]):
+            by_element = []
             for k in range(errors.influence.shape[1]):
-                influence = errors.influence[:, k, stretch].ravel()
-                spread = csr_array((influence, places, ends), shape=(len(errors.first), bins))
-                through.append((spread.T @ weights[:, k].conj()).T)
-            onto = np.stack(through, axis=2)
-            total += np.einsum("pbi,bij,qbj->pq", onto, self.noise, onto.conj(), optimize=True).real
-        alike = np.einsum("kap,ka->p", weights.conj(), errors.common)
+                influence = errors.influence[:, k, segment].ravel()
+                matrix = csr_array((influence, columns, ends), shape=(len(errors.first), bins))
+                by_element.append((matrix.T @ weights[:, k].conj()).T)
+            by_bin = np.stack(by_element, axis=2)
+            total += np.einsum("pbi,bij,qbj->pq", by_bin, self.noise, by_bin.conj(), optimize=True).real
+        common = np.einsum("kap,ka->p", weights.conj(), errors.common)
         total *= 0.5 * errors.shared / errors.used
-        own = np.einsum("kaa->ka", self.lines).real * (0.5 * self.shared * _SHRUNK / (1.0 + _SHRUNK))
+        own = np.einsum("kaa->ka", self.lines).real * (
+            0.5 * self.shared * _UNCORRELATED / (1.0 + _UNCORRELATED)
+        )
         total += np.einsum("kap,ka,kaq->pq", weights.conj(), own, weights, optimize=True).real
-        return np.asarray(total + np.outer(alike.real, alike.real) + np.outer(alike.imag, alike.imag))
+        return np.asarray(total + np.outer(common.real, common.real) + np.outer(common.imag, common.imag))
 
 
-def _with_variances(lines: ComplexArray, error: Array) -> ComplexArray:
-    """Scale covariances to stated standard uncertainties of either quadrature."""
+def _scale_to_variances(lines: ComplexArray, error: Array) -> ComplexArray:
+    """Scale covariances to stated standard uncertainties of either quadrature component."""
     stated, own = 2.0 * error**2, np.einsum("kaa->ka", lines).real
     with np.errstate(invalid="ignore"):
         ratio = np.sqrt(np.divide(stated, own, out=np.ones_like(own), where=own > 0.0))
     return np.asarray(lines * ratio[:, :, None] * ratio[:, None])
 
 
-def _shrunk(lines: ComplexArray) -> ComplexArray:
+def _add_uncorrelated(lines: ComplexArray) -> ComplexArray:
     index = np.arange(lines.shape[1])
     lines = lines.copy()
-    lines[:, index, index] += _SHRUNK * np.einsum("kaa->ka", lines).real
+    lines[:, index, index] += _UNCORRELATED * np.einsum("kaa->ka", lines).real
     return lines
 
 
-def _kinds_of_noise(
+def _separate_noise(
     power: ComplexArray, curve: ComplexArray, drive: Array, centre: NDArray[np.int64]
 ) -> tuple[Array, Array, Array]:
-    """Separate noise of the reference, common to all responses, from that of each response.
+    """Separate noise of the reference, common to all responses, from noise of each response.
 
-    Weighted least squares on the residuals of local fits, over the lines around each line. The cross-powers of the
-    residuals are those of the curves times the noise of the reference, plus the noise of each response.
-    Returns the noise of the reference, of each response, and the share of the former in the power of the reference.
+    The cross-powers of the residuals of local fits are the cross-powers of the curves times the noise of the reference,
+    plus the noise of each response. Both are estimated by weighted least squares over the lines around each line.
+    Returns the noise of the reference, the noise of each response, and the ratio of the former to the power of the
+    reference.
     """
     lines, _, width = curve.shape
     step = float(np.median(np.diff(centre))) if lines > 1 else 1.0
-    reach = min(1 + 2 * int(np.ceil(_EVEN_WIDTHS * width / step / 2.0)), max(lines, 1))
-    followed = curve @ curve.conj().swapaxes(1, 2) / width
+    n_lines = min(1 + 2 * int(np.ceil(_CONSTANT_NOISE_WIDTHS * width / step / 2.0)), max(lines, 1))
+    curve_power = curve @ curve.conj().swapaxes(1, 2) / width
     own = np.einsum("kaa->ka", power).real
-    by_curve = np.einsum("kaa->ka", followed).real
+    own_curve = np.einsum("kaa->ka", curve_power).real
 
-    def near(each: Array) -> Array:
-        return np.asarray(scipy.ndimage.uniform_filter1d(each, reach, axis=0, mode="nearest"))
+    def local_mean(values: Array) -> Array:
+        return np.asarray(scipy.ndimage.uniform_filter1d(values, n_lines, axis=0, mode="nearest"))
 
-    size = np.maximum(scipy.ndimage.uniform_filter1d(own, 3, axis=0, mode="nearest"), _NOTHING)
-    for _ in range(_ROUNDS):
+    size = np.maximum(scipy.ndimage.uniform_filter1d(own, 3, axis=0, mode="nearest"), _ZERO_POWER)
+    for _ in range(_ITERATIONS):
         pairs = size[:, :, None] * size[:, None]
-        both = near(np.sum(abs(followed) ** 2 / pairs, axis=(1, 2)))
-        mixed, alone = near(by_curve / size**2), near(1.0 / size**2)
-        right = near(np.sum((power * followed.conj()).real / pairs, axis=(1, 2)))
-        right_own = near(own / size**2)
-        left = both - np.sum(mixed**2 / alone, axis=1)
-        known = left > 1e-6 * both
-        reference = np.where(known, right - np.sum(mixed * right_own / alone, axis=1), 0.0)
-        reference = np.maximum(reference / np.where(known, left, 1.0), 0.0)
-        least = _LEAST * near(own)
-        own_noise = np.maximum((right_own - mixed * reference[:, None]) / alone, least)
-        size = np.maximum(reference[:, None] * by_curve + own_noise, _NOTHING)
-    power_around = near(drive)
-    share = np.divide(reference, power_around, out=np.zeros_like(drive), where=power_around > 0.0)
-    return np.asarray(reference), np.asarray(own_noise), share
+        # Normal equations of the noise of the reference and of each response; the latter are eliminated.
+        a_reference = local_mean(np.sum(abs(curve_power) ** 2 / pairs, axis=(1, 2)))
+        a_mixed, a_own = local_mean(own_curve / size**2), local_mean(1.0 / size**2)
+        b_reference = local_mean(np.sum((power * curve_power.conj()).real / pairs, axis=(1, 2)))
+        b_own = local_mean(own / size**2)
+        reduced = a_reference - np.sum(a_mixed**2 / a_own, axis=1)
+        regular = reduced > 1e-6 * a_reference
+        reference = np.where(regular, b_reference - np.sum(a_mixed * b_own / a_own, axis=1), 0.0)
+        reference = np.maximum(reference / np.where(regular, reduced, 1.0), 0.0)
+        min_noise = _MIN_NOISE_RATIO * local_mean(own)
+        own_noise = np.maximum((b_own - a_mixed * reference[:, None]) / a_own, min_noise)
+        size = np.maximum(reference[:, None] * own_curve + own_noise, _ZERO_POWER)
+    drive_power = local_mean(drive)
+    ratio = np.divide(reference, drive_power, out=np.zeros_like(drive), where=drive_power > 0.0)
+    return np.asarray(reference), np.asarray(own_noise), ratio

@@ -12,18 +12,22 @@ from numpy.polynomial import polynomial
 
 from rig.arrays import Array, ComplexArray
 
-# Number of points of a local fit with two poles, and with a single pole.
-_POINTS, _FEWEST_POINTS = 7, 3
-# A further pole is omitted if it explains less than this part of the response.
-_LEAST_SHARE_EXPLAINED = 1e-3
-# The spacing of points must be below this multiple of the distance to a pole to resolve it.
-_FINE = 1.5
-# A resonance at a distance of more half-widths than this beats with the tone, which is visible in the window itself.
-_NEAR = 4.0
-# A change below this number of standard errors, or below this part of the response, may be noise or rounding.
-_NOISE_SIGMAS, _ROUNDING = 4.0, 1e-9
+# Number of points of a local fit with two poles.
+_POINTS_TWO_POLES = 7
+# Number of points of a local fit with a single pole.
+_POINTS_ONE_POLE = 3
+# A second pole is omitted if the residual with the first is a smaller part of the response.
+_MIN_RESIDUAL_RATIO = 1e-3
+# A pole is resolved if the spacing of points is below this multiple of the distance to it.
+_MAX_SPACING_RATIO = 1.5
+# A resonance at a distance of more half-widths relevant with the tone, which is visible in the window itself.
+_MAX_HALF_WIDTHS = 4.0
+# A change below this number of standard uncertainties may be noise.
+_NOISE_SIGMAS = 4.0
+# A change below this part of the response may be rounding.
+_ROUNDING_RATIO = 1e-9
 # The transition to the next tone takes this part of a window; the free vibration begins after it.
-_TRANSITION_SHARE = 0.5
+_TRANSITION_RATIO = 0.5
 
 
 def ringing(value: ComplexArray, frequency: Array, waited: Array, lasted: Array, error: Array) -> Array:
@@ -41,47 +45,51 @@ def ringing(value: ComplexArray, frequency: Array, waited: Array, lasted: Array,
     """
     rings = np.zeros(frequency.size)
     omega = 2.0 * np.pi * frequency
-    points = _POINTS if frequency.size >= _POINTS else _FEWEST_POINTS
+    points = _POINTS_TWO_POLES if frequency.size >= _POINTS_TWO_POLES else _POINTS_ONE_POLE
     if frequency.size < points or not np.diff(omega).all():
         return rings
     for k in range(1, frequency.size):
         first = min(max(k - points // 2, 0), frequency.size - points)
-        near = slice(first, first + points)
-        if not (np.isfinite(value[near]).all() and value[near].any()):
+        points_near = slice(first, first + points)
+        if not (np.isfinite(value[points_near]).all() and value[points_near].any()):
             continue
         noise = _NOISE_SIGMAS * float(np.nan_to_num(error[k]))
-        explained = max(noise, _LEAST_SHARE_EXPLAINED * float(abs(value[near]).max()))
-        pole, residue = _local_poles(value[near], omega[near], omega[k], explained)
-        away = 1j * omega[k] - pole
-        change = abs(residue) * abs(1.0 / away - 1.0 / (1j * omega[k - 1] - pole))
-        least = max(noise, _ROUNDING * abs(value[k]))
-        counts = (pole.real < 0.0) & (abs(away.imag) < _NEAR * abs(away.real)) & (change > least)
-        counts &= abs(omega[k] - omega[k - 1]) < _FINE * abs(away)
-        free = max(waited[k] - _TRANSITION_SHARE * lasted[k], 0.0)
-        turns = -away[counts] * lasted[k]
-        left = change[counts] * np.exp(pole[counts].real * free)
-        rings[k] = np.sum(left * abs(np.expm1(turns) / turns))
+        max_residual = max(noise, _MIN_RESIDUAL_RATIO * float(abs(value[points_near]).max()))
+        pole, residue = _local_poles(value[points_near], omega[points_near], omega[k], max_residual)
+        distance = 1j * omega[k] - pole
+        change = abs(residue) * abs(1.0 / distance - 1.0 / (1j * omega[k - 1] - pole))
+        limit = max(noise, _ROUNDING_RATIO * abs(value[k]))
+        relevant = (
+            (pole.real < 0.0)
+            & (abs(distance.imag) < _MAX_HALF_WIDTHS * abs(distance.real))
+            & (change > limit)
+        )
+        relevant &= abs(omega[k] - omega[k - 1]) < _MAX_SPACING_RATIO * abs(distance)
+        wait = max(waited[k] - _TRANSITION_RATIO * lasted[k], 0.0)
+        exponent = -distance[relevant] * lasted[k]
+        amplitude = change[relevant] * np.exp(pole[relevant].real * wait)
+        rings[k] = np.sum(amplitude * abs(np.expm1(exponent) / exponent))
     return rings
 
 
 def _local_poles(
-    value: ComplexArray, omega: Array, middle: float, least: float
+    value: ComplexArray, omega: Array, centre: float, max_residual: float
 ) -> tuple[ComplexArray, ComplexArray]:
-    """Estimate poles s, rad/s, and residues of a response near a point; it contains ``residue / (i w - s)``.
+    """Estimate poles s, rad/s, and residues of the terms ``residue / (i w - s)`` of a response near a point.
 
-    The number of poles is the smallest for which the residual does not exceed `least`.
+    The number of poles is the smallest for which the residual does not exceed `max_residual`.
     """
-    half, size = 0.5 * np.ptp(omega), float(abs(value).max())
-    at, read = (omega - middle) / half, value / size
-    roots, share = np.zeros((2, 0), dtype=complex)
+    half_range, scale = 0.5 * np.ptp(omega), float(abs(value).max())
+    offset, normalized = (omega - centre) / half_range, value / scale
+    roots, residues = np.zeros((2, 0), dtype=complex)
     for poles in range(1, 1 + (len(value) - 1) // 3):
-        powers = at[:, None] ** np.arange(poles + 1)
-        terms = np.concatenate([powers, -read[:, None] * powers[:, 1:]], axis=1)
-        found = np.linalg.lstsq(terms, read, rcond=None)[0]
-        above, below = found[: poles + 1], np.append(1.0, found[poles + 1 :])
+        powers = offset[:, None] ** np.arange(poles + 1)
+        terms = np.concatenate([powers, -normalized[:, None] * powers[:, 1:]], axis=1)
+        coefficients = np.linalg.lstsq(terms, normalized, rcond=None)[0]
+        above, below = coefficients[: poles + 1], np.append(1.0, coefficients[poles + 1 :])
         roots = polynomial.polyroots(below)
-        share = polynomial.polyval(roots, above) / polynomial.polyval(roots, polynomial.polyder(below))
-        left = polynomial.polyval(at, above) - read * polynomial.polyval(at, below)
-        if np.sqrt(np.mean(np.square(np.abs(left)))) * size <= least:
+        residues = polynomial.polyval(roots, above) / polynomial.polyval(roots, polynomial.polyder(below))
+        residual = polynomial.polyval(offset, above) - normalized * polynomial.polyval(offset, below)
+        if np.sqrt(np.mean(np.square(np.abs(residual)))) * scale <= max_residual:
             break
-    return np.asarray(1j * (middle + half * roots)), np.asarray(1j * half * size * share)
+    return np.asarray(1j * (centre + half_range * roots)), np.asarray(1j * half_range * scale * residues)

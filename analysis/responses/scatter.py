@@ -2,7 +2,8 @@
 
 A variance computed as a quadratic form ``w C w*`` may be negative by rounding if the covariance C has a null space,
 for example that of two averages of four channels. Computed from the factor, it is a sum of squares. Variances with
-few degrees of freedom may be close to zero by chance; they are moderated by those of neighbouring lines [1]_.
+few degrees of freedom may be close to zero by chance. They are moderated by the variances of neighbouring lines, as
+empirical Bayes estimates [1]_.
 
 References
 ----------
@@ -21,9 +22,9 @@ from scipy import special
 from rig.arrays import Array, ComplexArray
 
 # Larger ratios of variances mean that one of the two has no noise.
-_LARGEST_RATIO = 1e30
-# Iterations of Newton's method for the inverse of the trigamma function, which converges from below.
-_STEPS = 20
+_MAX_RATIO = 1e30
+# Newton's method for the inverse of the trigamma function converges from below within this number of iterations.
+_ITERATIONS = 20
 
 
 @dataclass(frozen=True)
@@ -44,8 +45,8 @@ class Scatter:
         """
         return np.asarray(np.sum(np.square(np.abs(np.einsum("in,rin->rn", weights, self.rows))), axis=0))
 
-    def nearby(self, weights: ComplexArray, side: int) -> Array:
-        """Average the variances for the weights of each line over `side` lines on either side."""
+    def local_variance(self, weights: ComplexArray, side: int) -> Array:
+        """Average the variances, with the weights of each line, over `side` lines on either side."""
         last = self.degrees.size - 1
         total = np.zeros(last + 1)
         for step in range(-side, side + 1):
@@ -60,40 +61,40 @@ def stacked(parts: list[ComplexArray]) -> ComplexArray:
     >>> stacked([np.ones((1, 2)) + 0j, np.ones((3, 2)) + 0j]).shape
     (3, 2, 2)
     """
-    most = max(len(part) for part in parts)
-    return np.stack([np.pad(part, ((0, most - len(part)), (0, 0))) for part in parts], axis=2)
+    n_rows = max(len(part) for part in parts)
+    return np.stack([np.pad(part, ((0, n_rows - len(part)), (0, 0))) for part in parts], axis=2)
 
 
-def moderated(variance: Array, degrees: Array, expected: Array, side: int) -> tuple[Array, Array]:
-    """Moderate variances by those of `side` lines on either side; return them with their new degrees of freedom.
+def moderate(variance: Array, degrees: Array, expected: Array, side: int) -> tuple[Array, Array]:
+    """Moderate variances by the variances of `side` lines on either side; return them with their degrees of freedom.
 
     The logarithms of ``variance / expected`` scatter between lines because of the finite degrees of freedom and because
-    the true ratios differ. The weight of neighbouring lines increases as the true ratios become more similar.
+    the true ratios differ. The more similar the true ratios, the greater the weight of neighbouring lines.
 
     >>> random = np.random.default_rng(1)
     >>> alone = random.chisquare(2.0, 400) / 2.0
-    >>> better, degrees = moderated(alone, np.full(400, 2.0), np.ones(400), 12)
+    >>> better, degrees = moderate(alone, np.full(400, 2.0), np.ones(400), 12)
     >>> f"least {alone.min():.3f} and {better.min():.2f}, {degrees[0]:.0f} degrees of freedom"
     'least 0.007 and 0.52, 50 degrees of freedom'
     """
     if variance.size < 2 or not (np.isfinite(variance).all() and np.all(expected > 0.0)):
         return variance, degrees
-    half, width = degrees / 2.0, min(2 * side + 1, variance.size)
-    logarithm = np.log(np.clip(variance / expected, 1.0 / _LARGEST_RATIO, _LARGEST_RATIO))
-    logarithm += np.log(half) - special.digamma(half)
-    around = scipy.ndimage.uniform_filter1d(logarithm, 2 * side + 1, mode="nearest")
-    differs = float(np.mean(np.square(logarithm - around)) * width / (width - 1.0))
-    more = float(np.mean(special.polygamma(1, half)))
-    most = (width - 1.0) * degrees
-    prior = most if differs <= more else np.minimum(2.0 * _inverse_trigamma(differs - more), most)
-    drawn = (prior * expected * np.exp(around) + degrees * variance) / (prior + degrees)
-    return np.asarray(drawn), np.asarray(prior + degrees)
+    half_degrees, width = degrees / 2.0, min(2 * side + 1, variance.size)
+    logarithm = np.log(np.clip(variance / expected, 1.0 / _MAX_RATIO, _MAX_RATIO))
+    logarithm += np.log(half_degrees) - special.digamma(half_degrees)
+    local_mean = scipy.ndimage.uniform_filter1d(logarithm, 2 * side + 1, mode="nearest")
+    spread = float(np.mean(np.square(logarithm - local_mean)) * width / (width - 1.0))
+    noise = float(np.mean(special.polygamma(1, half_degrees)))
+    limit = (width - 1.0) * degrees
+    prior = limit if spread <= noise else np.minimum(2.0 * _inverse_trigamma(spread - noise), limit)
+    moderated = (prior * expected * np.exp(local_mean) + degrees * variance) / (prior + degrees)
+    return np.asarray(moderated), np.asarray(prior + degrees)
 
 
 def _inverse_trigamma(value: float) -> float:
     """Solve ``trigamma(x) = value`` by Newton's method for its reciprocal, which is convex [1]_."""
     x = 0.5 + 1.0 / value
-    for _ in range(_STEPS):
-        now = float(special.polygamma(1, x))
-        x += now * (1.0 - now / value) / float(special.polygamma(2, x))
+    for _ in range(_ITERATIONS):
+        trigamma = float(special.polygamma(1, x))
+        x += trigamma * (1.0 - trigamma / value) / float(special.polygamma(2, x))
     return x

@@ -28,7 +28,7 @@ from analysis.responses.local_models.local_spectra import SIDE
 from analysis.responses.measurands import Measurand, motion_of, place
 from analysis.responses.multisine import period_spectra
 from analysis.responses.random_errors import MatrixErrors
-from analysis.responses.scatter import moderated
+from analysis.responses.scatter import moderate
 from analysis.responses.spectral_lines import remainder
 from analysis.responses.systematic import (
     LEAKAGE,
@@ -51,12 +51,14 @@ if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
 
-# Condition of the input spectra, scaled to unit power, beyond which inputs cannot be separated.
-WORST_CONDITION = 1e3
-# A shaker is off if the mean square of its force is below this share of the largest.
-_UNUSED_SHARE = 1e-4
+# Inputs cannot be separated if the condition number of their spectra, scaled to unit power, is larger.
+MAX_CONDITION_NUMBER = 1e3
+# A shaker is off if the mean square of its force is a smaller part of the largest.
+_MIN_FORCE_POWER_RATIO = 1e-4
+# A pair of responses is not reciprocal if a smaller part of the lines agrees within the uncertainties.
+_MIN_RECIPROCAL_LINES = 0.8
 COHERENT_INPUTS = (
-    "The inputs are coherent at {lines} of {all} lines, where their responses cannot be separated and "
+    "The inputs are coherent at {lines} of {all} lines: their responses cannot be separated there and "
     "have no value. Drive the shakers with uncorrelated noise, or with a multisine of orthogonal "
     "phases."
 )
@@ -64,7 +66,9 @@ COHERENT_INPUTS = (
 
 def driven_forces(rec: Recording) -> tuple[Point, ...]:
     """Return the force channels of all shakers that were driven simultaneously; at most one for a single input."""
-    marker = next((each for each in rec.markers if "shakers" in each.fields and each.kind == "measure"), None)
+    marker = next(
+        (marker for marker in rec.markers if "shakers" in marker.fields and marker.kind == "measure"), None
+    )
     if marker is None:
         return ()
     forces: list[Point] = []
@@ -80,7 +84,9 @@ def driven_forces(rec: Recording) -> tuple[Point, ...]:
         forces.append(Point(name, "force", " and ".join(bodies)))
     stop = min(marker.stop, rec.samples)
     power = [float(np.nanvar(rec.read(point.name, marker.first_sample, stop))) for point in forces]
-    return tuple(p for p, square in zip(forces, power, strict=True) if square > _UNUSED_SHARE * max(power))
+    return tuple(
+        p for p, square in zip(forces, power, strict=True) if square > _MIN_FORCE_POWER_RATIO * max(power)
+    )
 
 
 def response_matrix(
@@ -94,11 +100,11 @@ def response_matrix(
     window: str = "hann",
 ) -> Response:
     """Estimate the response of some channels to several forces; `estimator` H1 or Hv averages blocks."""
-    markers = [each for each in rec.markers if each.kind == "measure"]
+    markers = [marker for marker in rec.markers if marker.kind == "measure"]
     if rec.test.kind is TestKind.MULTISINE:
-        return _of_experiments(rec, markers, names, inputs, motion)
+        return _from_experiments(rec, markers, names, inputs, motion)
     if estimator is None and block is None:
-        return _of_stretches(rec, markers[0], names, inputs, motion)
+        return _by_local_fits(rec, markers[0], names, inputs, motion)
     averages = input_output_spectra(rec, names, inputs, motion, block, overlap, window)
     return averages.response(rec, estimator or "H1")
 
@@ -107,8 +113,8 @@ def response_matrix(
 class SpectralMatrix:
     """Spectra of outputs and several inputs, averaged over blocks.
 
-    `power`: auto and cross spectra, outputs first, corrected for the sensors, shape (n, outputs + inputs, outputs +
-    inputs).
+    `power`: auto and cross spectra, outputs first, corrected for the sensors; shape (n, outputs + inputs, outputs +
+    inputs). `sharp`: the same responses by the local rational method, without leakage.
     """
 
     outputs: tuple[Point, ...]
@@ -132,7 +138,7 @@ class SpectralMatrix:
 
     def _inverse(self) -> ComplexArray:
         inputs = self._parts()[2].copy()
-        inputs[self.condition() > WORST_CONDITION] = np.nan
+        inputs[self.condition() > MAX_CONDITION_NUMBER] = np.nan
         return np.asarray(np.linalg.inv(inputs))
 
     def residual(self) -> ComplexArray:
@@ -142,53 +148,53 @@ class SpectralMatrix:
 
     def multiple_coherence(self) -> Array:
         """Compute the share of each output's power that is coherent with all inputs, shape (n, outputs)."""
-        own = np.einsum("naa->na", self._parts()[0]).real
-        rest = np.einsum("naa->na", self.residual()).real
-        return np.clip(1.0 - rest / np.maximum(own, 1e-300), 0.0, 1.0)
+        total = np.einsum("naa->na", self._parts()[0]).real
+        residual = np.einsum("naa->na", self.residual()).real
+        return np.clip(1.0 - residual / np.maximum(total, 1e-300), 0.0, 1.0)
 
     def partial_coherence(self) -> Array:
-        """Coherence of output and input, both conditioned on the other inputs, shape (n, outputs, inputs)."""
+        """Compute the coherence of output and input conditioned on the other inputs, shape (n, outputs, inputs)."""
         xx, xf, ff = self._parts()
         out = np.empty(xf.shape)
         for k in range(len(self.inputs)):
             others = [m for m in range(len(self.inputs)) if m != k]
             inverse = np.linalg.inv(ff[:, others][:, :, others])
-            to_x, to_f = xf[:, :, others], ff[:, [k]][:, :, others]
-            cross = xf[:, :, k] - (to_x @ inverse @ to_f.conj().swapaxes(1, 2))[:, :, 0]
-            own = np.einsum("naa->na", xx - to_x @ inverse @ to_x.conj().swapaxes(1, 2)).real
-            force = ff[:, k, k].real - (to_f @ inverse @ to_f.conj().swapaxes(1, 2))[:, 0, 0].real
-            out[:, :, k] = abs(cross) ** 2 / np.maximum(own * force[:, None], 1e-300)
+            from_x, from_f = xf[:, :, others], ff[:, [k]][:, :, others]
+            cross = xf[:, :, k] - (from_x @ inverse @ from_f.conj().swapaxes(1, 2))[:, :, 0]
+            output = np.einsum("naa->na", xx - from_x @ inverse @ from_x.conj().swapaxes(1, 2)).real
+            force = ff[:, k, k].real - (from_f @ inverse @ from_f.conj().swapaxes(1, 2))[:, 0, 0].real
+            out[:, :, k] = abs(cross) ** 2 / np.maximum(output * force[:, None], 1e-300)
         return np.clip(out, 0.0, 1.0)
 
     def value(self, estimator: str) -> ComplexArray:
         """Estimate the response by H1 or Hv, shape (n, outputs, inputs); NaN where the inputs are coherent."""
         if estimator not in ("H1", "Hv"):
-            raise SceneError(f"estimator {estimator} for several inputs: expected H1 or Hv")
+            raise SceneError(f"unknown estimator {estimator!r} for several inputs: expected H1 or Hv")
         _, xf, _ = self._parts()
-        first = np.asarray(xf @ self._inverse())
+        h1 = np.asarray(xf @ self._inverse())
         if estimator == "H1":
-            return first
-        o, out = len(self.outputs), np.empty_like(first)
+            return h1
+        o, out = len(self.outputs), np.empty_like(h1)
         for a in range(o):
             rows = [a, *range(o, o + len(self.inputs))]
             unit, scale = _unit_power(self.power[:, rows][:, :, rows])
-            # The combination of output and inputs with the least power is noise; its coefficients determine the
+            # The combination of output and inputs with the least power is noise. Its coefficients determine the
             # response.
-            smallest = np.linalg.eigh(unit)[1][:, :, 0].conj() / scale
-            out[:, a] = -smallest[:, 1:] / smallest[:, :1]
-        return np.where(np.isfinite(first), out, np.nan)
+            noise = np.linalg.eigh(unit)[1][:, :, 0].conj() / scale
+            out[:, a] = -noise[:, 1:] / noise[:, :1]
+        return np.where(np.isfinite(h1), out, np.nan)
 
     def response(self, rec: Recording, estimator: str = "H1") -> Response:
-        """Response with its budget; error covariance after Bendat and Piersol, section 7.3."""
+        """Return the response with its budget; error covariance after Bendat and Piersol, section 7.3."""
         value, averages = self.value(estimator), self.averages
         count = max(averages.averages - len(self.inputs), 1e-300)
         inverse, residual = self._inverse(), self.residual()
         n, o, i = value.shape
         covariance = np.einsum("nab,nlk->nakbl", residual, inverse).reshape(n, o * i, o * i) / count
         variance = np.maximum(np.einsum("npp->np", covariance).real, 0.0).reshape(n, o, i)
-        own = np.einsum("naa->na", residual).real[:, :, None]
+        residual_power = np.einsum("naa->na", residual).real[:, :, None]
         noise = np.minimum(
-            np.min(own / np.maximum(abs(value) ** 2, 1e-300), axis=1),
+            np.min(residual_power / np.maximum(abs(value) ** 2, 1e-300), axis=1),
             np.einsum("nkk->nk", self._parts()[2]).real,
         )
         bias = np.einsum("nam,nm,nmk->nak", abs(value), noise, abs(inverse))
@@ -203,11 +209,11 @@ class SpectralMatrix:
         budget = _matrix_budget(
             rec, self.frequency, value, points, error, degrees, causes, MatrixErrors(covariance)
         )
-        found = Response(
+        response = Response(
             self.frequency, value, *points, budget, self.multiple_coherence(),
             label=averages.label, resolution=averages.resolution, warnings=averages.warnings,
         )  # fmt: skip
-        return _checked(found)
+        return _add_warnings(response)
 
 
 def input_output_spectra(
@@ -220,14 +226,17 @@ def input_output_spectra(
     window: str = "hann",
 ) -> SpectralMatrix:
     """Average the spectra of a random test with several shakers; arguments as in `response_matrix`."""
-    marker = next(each for each in rec.markers if each.kind == "measure")
+    marker = next(marker for marker in rec.markers if marker.kind == "measure")
     channels = [*dict.fromkeys([*names, *(point.name for point in inputs)])]
     averages = random.averages(rec, marker, channels, block, overlap, window=window)
     rows = np.stack(
-        [each.row(rec, channels, averages.frequency) for each in _measurands(rec, names, inputs, motion)]
+        [
+            quantity.row(rec, channels, averages.frequency)
+            for quantity in _measurands(rec, names, inputs, motion)
+        ]
     )
     power = np.einsum("acn,ncd,bdn->nab", rows, averages.cross, rows.conj(), optimize=True)
-    sharp = _of_stretches(rec, marker, names, inputs, motion)
+    sharp = _by_local_fits(rec, marker, names, inputs, motion)
     return SpectralMatrix(_outputs(rec, names, motion), tuple(inputs), power, averages, sharp)
 
 
@@ -256,8 +265,8 @@ def _matrix_budget(
     budgets = []
     for a, output in enumerate(points[0]):
         for k, force in enumerate(points[1]):
-            shares = _element(output.name, force.name, frequency, output.quantity, value[:, a, k])
-            limits = {name: size[:, a, k] for name, size in causes.items()}
+            shares = _element_shares(output.name, force.name, frequency, output.quantity, value[:, a, k])
+            limits = {name: limit[:, a, k] for name, limit in causes.items()}
             scale = common_scale(rec, [output.name], [force.name])
             budgets.append(
                 assemble_budget(
@@ -267,74 +276,80 @@ def _matrix_budget(
     return replace(stacked(budgets, value.shape), errors=errors)
 
 
-def _element(output: str, force: str, frequency: Array, motion: str, value: ComplexArray) -> ReadingShares:
-    """Return the shares of the two channels of an element of the matrix."""
+def _element_shares(
+    output: str, force: str, frequency: Array, motion: str, value: ComplexArray
+) -> ReadingShares:
+    """Return the contributions of the two channels to an element of the matrix."""
     zero = np.zeros(frequency.size, dtype=complex)
     shares = np.stack([value, zero]), np.stack([zero, zero + 1.0])
     return ReadingShares([output, force], frequency, motion, value, *shares)
 
 
-def _of_stretches(
+def _by_local_fits(
     rec: Recording, marker: Marker, names: Sequence[str], inputs: Sequence[Point], motion: str
 ) -> Response:
     """Estimate by the local rational method with one numerator for each input."""
     channels = tuple(dict.fromkeys([*names, *(point.name for point in inputs)]))
-    whole = random.whole(rec, marker, channels)
-    spectra, _, _, notes = whole.prepared(rec, channels, [point.name for point in inputs])
-    at = spectra.frequency[spectra.lines]
+    fits = random.segment_fits(rec, marker, channels)
+    spectra, _, _, notes = fits.prepare(rec, channels, [point.name for point in inputs])
+    frequency = spectra.frequency[spectra.lines]
     forces = np.stack([spectra.spectrum(rec, Measurand((point.name,), (1.0,), "force")) for point in inputs])
-    shape = at.size, len(names), len(inputs)
+    shape = frequency.size, len(names), len(inputs)
     value = np.empty(shape, dtype=complex)
-    error, degrees, missed, rounding = (np.empty(shape) for _ in range(4))
+    error, degrees, model_error, rounding = (np.empty(shape) for _ in range(4))
     coherence, noise = np.empty(shape[:2]), np.empty(shape[:2])
     side = min(spectra.side, (spectra.frequency.size - 1) // 2)
     residuals, influences = [], []
     for a, name in enumerate(names):
-        upper = motion_of(rec, name, motion).row(rec, [name], at)[0]
-        turned = upper * rec.channels[name].response(at)
+        upper = motion_of(rec, name, motion).row(rec, [name], frequency)[0]
+        channel_to_motion = upper * rec.channels[name].response(frequency)
         reading = spectra.reading(rec, name)
         for k in range(len(inputs)):
             others = np.delete(forces, k, axis=0)
             fit = local_fit(reading, forces[k], spectra.ends, spectra.lines, side, spectra.used, others)
-            value[:, a, k] = fit.value * turned
-            error[:, a, k] = np.sqrt(fit.variance) * abs(turned)
-            missed[:, a, k] = fit.missed * abs(turned)
+            value[:, a, k] = fit.value * channel_to_motion
+            error[:, a, k] = np.sqrt(fit.variance) * abs(channel_to_motion)
+            model_error[:, a, k] = fit.model_error * abs(channel_to_motion)
             degrees[:, a, k] = fit.degrees
-            rows = [spectra.channels.index(each) for each in (name, inputs[k].name)]
-            shares = _element(name, inputs[k].name, at, motion, value[:, a, k])
+            rows = [spectra.channels.index(channel) for channel in (name, inputs[k].name)]
+            shares = _element_shares(name, inputs[k].name, frequency, motion, value[:, a, k])
             rounding[:, a, k] = rounding_part(spectra.gain[rows], shares).get(RESOLUTION, 0.0)
-            influences.append(fit.influence.reshape(at.size, -1) * turned[:, None])
-        residuals.append(fit.residual.reshape(at.size, -1))
+            influences.append(fit.influence.reshape(frequency.size, -1) * channel_to_motion[:, None])
+        residuals.append(fit.residual.reshape(frequency.size, -1))
         noise[:, a] = fit.noise * abs(upper) ** 2
-        near = _mean_square(reading.spectra, spectra.side)[spectra.lines]
-        coherence[:, a] = np.clip(1.0 - fit.noise / np.maximum(near, 1e-300), 0.0, 1.0)
-    # Upper limit of the noise power of each force: the power that outputs and inputs do not share.
-    n_lines = np.stack([_mean_square(each, spectra.side)[spectra.lines] for each in forces], axis=1)
-    most = np.minimum(np.min(noise[:, :, None] / np.maximum(abs(value) ** 2, 1e-300), axis=1), n_lines)
-    bias = abs(value) * (most / np.maximum(n_lines, 1e-300))[:, None]
+        local_power = _mean_square(reading.spectra, spectra.side)[spectra.lines]
+        coherence[:, a] = np.clip(1.0 - fit.noise / np.maximum(local_power, 1e-300), 0.0, 1.0)
+    # Upper limit of the noise power of each force: its power that is not coherent with an output.
+    force_power = np.stack([_mean_square(force, spectra.side)[spectra.lines] for force in forces], axis=1)
+    noise_limit = np.minimum(
+        np.min(noise[:, :, None] / np.maximum(abs(value) ** 2, 1e-300), axis=1), force_power
+    )
+    bias = abs(value) * (noise_limit / np.maximum(force_power, 1e-300))[:, None]
     # Covariance of the residuals of the outputs, propagated through the fits to the elements at each line.
     residual, influence = np.stack(residuals, axis=1), np.stack(influences, axis=1)
     free = np.maximum(degrees[:, 0, 0] / 2.0, 0.5)
     cross = np.einsum("naw,nbw->nab", residual, residual.conj()) / free[:, None, None]
     elements = np.repeat(np.arange(len(names)), len(inputs))
-    through = np.einsum("npw,nqw->npq", influence, influence.conj())
-    covariance = np.asarray(through * cross[:, elements][:, :, elements])
+    propagation = np.einsum("npw,nqw->npq", influence, influence.conj())
+    covariance = np.asarray(propagation * cross[:, elements][:, :, elements])
     points = _outputs(rec, names, motion), tuple(inputs)
-    causes = {MODEL: missed, REFERENCE_NOISE: bias, RESOLUTION: rounding}
+    causes = {MODEL: model_error, REFERENCE_NOISE: bias, RESOLUTION: rounding}
     budget = _matrix_budget(
-        rec, at, value, points, error, degrees, causes, MatrixErrors(covariance), spectra.shared
+        rec, frequency, value, points, error, degrees, causes, MatrixErrors(covariance), spectra.shared
     )
-    warnings = (*whole.warnings, *notes)
-    return _checked(Response(at, value, *points, budget, coherence, label=rec.scene.name, warnings=warnings))
+    warnings = (*fits.warnings, *notes)
+    return _add_warnings(
+        Response(frequency, value, *points, budget, coherence, label=rec.scene.name, warnings=warnings)
+    )
 
 
 def _mean_square(spectra: ComplexArray, side: int) -> Array:
-    """Average the power of spectra over stretches, and over `side` bins on either side; shape (bins,)."""
+    """Average the power of spectra over segments and over `side` bins on either side; shape (bins,)."""
     width = 2 * side + 1
     return np.convolve(np.mean(abs(spectra) ** 2, axis=0), np.full(width, 1.0 / width), "same")
 
 
-def _of_experiments(
+def _from_experiments(
     rec: Recording, markers: Sequence[Marker], names: Sequence[str], inputs: Sequence[Point], motion: str
 ) -> Response:
     """Estimate from experiments with orthogonal phases: matrix of outputs times the inverse matrix of inputs."""
@@ -348,59 +363,63 @@ def _of_experiments(
             notes.append(f"Realisation {number} left out: {len(group)} of {len(inputs)} experiments.")
             continue
         experiments = [period_spectra(rec, channels, marker) for marker in group]
-        if any(len(each.spectra) < 2 for each in experiments):
-            notes += [note for each in experiments for note in each.notes]
+        if any(len(experiment.spectra) < 2 for experiment in experiments):
+            notes += [note for experiment in experiments for note in experiment.notes]
             continue
-        found = experiments
-        frequency = found[0].frequency
+        frequency, n_periods = experiments[0].frequency, len(experiments[0].spectra)
         rows = np.stack(
-            [each.row(rec, channels, frequency) for each in _measurands(rec, names, inputs, motion)]
+            [quantity.row(rec, channels, frequency) for quantity in _measurands(rec, names, inputs, motion)]
         )
-        means = np.stack([each.spectra.mean(axis=0) for each in found], axis=2)
-        both = np.einsum("acn,cne->nae", rows, means)
-        outputs, forces = both[:, : len(names)], both[:, len(names) :]
+        means = np.stack([experiment.spectra.mean(axis=0) for experiment in experiments], axis=2)
+        amplitudes = np.einsum("acn,cne->nae", rows, means)
+        outputs, forces = amplitudes[:, : len(names)], amplitudes[:, len(names) :]
         scaled = forces / np.maximum(np.linalg.norm(forces, axis=2, keepdims=True), 1e-300)
-        forces[np.linalg.cond(scaled) ** 2 > WORST_CONDITION] = np.nan
+        forces[np.linalg.cond(scaled) ** 2 > MAX_CONDITION_NUMBER] = np.nan
         inverse = np.linalg.inv(forces)
         value = outputs @ inverse
-        off = np.einsum("acn->nac", rows[: len(names)]) - np.einsum("nam,mcn->nac", value, rows[len(names) :])
+        weights = np.einsum("acn->nac", rows[: len(names)]) - np.einsum(
+            "nam,mcn->nac", value, rows[len(names) :]
+        )
         noise: ComplexArray = np.zeros((frequency.size, value[0].size, value[0].size), dtype=complex)
-        moving = np.zeros(value.shape)
-        rests, powers = np.zeros(value.shape[:2]), np.zeros(value.shape[:2])
-        for e, each in enumerate(found):
-            periods = len(each.spectra)
-            rest = np.einsum("nac,rcn->ran", off, each.spectra - each.spectra.mean(axis=0))
-            cross = np.einsum("ran,rbn->nab", rest, rest.conj()) / (periods * (periods - 1.0))
-            rests += periods * np.einsum("naa->na", cross).real
-            powers += np.square(abs(outputs[:, :, e]))
-            own = np.einsum("nab,nk,nl->nakbl", cross, inverse[:, e], inverse[:, e].conj())
-            noise += own.reshape(noise.shape)
-            change = np.einsum("nac,cn->na", abs(off), remainder(each.spectra))
-            moving += change[:, :, None] * abs(inverse[:, e])[:, None]
+        transient = np.zeros(value.shape)
+        residual_power, output_power = np.zeros(value.shape[:2]), np.zeros(value.shape[:2])
+        for e, experiment in enumerate(experiments):
+            periods = len(experiment.spectra)
+            residual = np.einsum(
+                "nac,rcn->ran", weights, experiment.spectra - experiment.spectra.mean(axis=0)
+            )
+            cross = np.einsum("ran,rbn->nab", residual, residual.conj()) / (periods * (periods - 1.0))
+            residual_power += periods * np.einsum("naa->na", cross).real
+            output_power += np.square(abs(outputs[:, :, e]))
+            part = np.einsum("nab,nk,nl->nakbl", cross, inverse[:, e], inverse[:, e].conj())
+            noise += part.reshape(noise.shape)
+            change = np.einsum("nac,cn->na", abs(weights), remainder(experiment.spectra))
+            transient += change[:, :, None] * abs(inverse[:, e])[:, None]
         values.append(value)
         noises.append(noise)
-        unsettled.append(moving)
-        coherences.append(powers / np.maximum(powers + rests, 1e-300))
+        unsettled.append(transient)
+        coherences.append(output_power / np.maximum(output_power + residual_power, 1e-300))
     if not values:
         raise RecordingError(f"{rec.path}: no realisation of the multisine is complete. {' '.join(notes)}")
     count = len(values)
     value = np.mean(values, axis=0)
     covariance = np.sum(noises, axis=0) / count**2
-    free = 2.0 * count * len(inputs) * (len(found[0].spectra) - 1)
+    free = 2.0 * count * len(inputs) * (n_periods - 1)
     error, degrees = np.empty(value.shape), np.empty(value.shape)
-    seen = np.sum(np.square(np.abs(np.stack(values) - value)), axis=0) / max(count * (count - 1), 1)
+    scatter = np.sum(np.square(np.abs(np.stack(values) - value)), axis=0) / max(count * (count - 1), 1)
     for a in range(value.shape[1]):
         for k in range(value.shape[2]):
             own = covariance[:, a * len(inputs) + k, a * len(inputs) + k].real
-            side = np.convolve(own, np.full(2 * SIDE + 1, 1.0 / (2 * SIDE + 1)), "same")
-            variance, known = (seen[:, a, k], 2.0 * (count - 1.0)) if count > 1 else (own, free)
-            moderate, freedom = moderated(variance, np.full(own.size, known), np.maximum(side, 1e-300), SIDE)
-            error[:, a, k], degrees[:, a, k] = np.sqrt(moderate / 2.0), freedom
+            expected = np.convolve(own, np.full(2 * SIDE + 1, 1.0 / (2 * SIDE + 1)), "same")
+            variance, single = (scatter[:, a, k], 2.0 * (count - 1.0)) if count > 1 else (own, free)
+            expected = np.maximum(expected, 1e-300)
+            moderated, freedom = moderate(variance, np.full(own.size, single), expected, SIDE)
+            error[:, a, k], degrees[:, a, k] = np.sqrt(moderated / 2.0), freedom
     points = _outputs(rec, names, motion), tuple(inputs)
     causes = {UNSETTLED: np.mean(unsettled, axis=0)}
     budget = _matrix_budget(rec, frequency, value, points, error, degrees, causes, MatrixErrors(covariance))
     coherence = np.mean(coherences, axis=0)
-    return _checked(
+    return _add_warnings(
         Response(frequency, value, *points, budget, coherence, label=rec.scene.name, warnings=tuple(notes))
     )
 
@@ -410,37 +429,40 @@ class Reciprocity:
     """Agreement of two responses that are equal by the Maxwell-Betti reciprocity theorem."""
 
     pair: tuple[str, str]  # positions of output and input, which are exchanged for the other response
-    within: float  # share of lines at which the difference is within the bounds
+    within: float  # share of lines at which the difference is within the expanded uncertainties
     deviation: float  # median of their relative difference
 
 
 def reciprocity(response: Response) -> tuple[Reciprocity, ...]:
     """Compare pairs of responses with exchanged output and input, which reciprocity requires to be equal."""
     places = {point.place: a for a, point in enumerate(response.outputs)}
-    bound, found = response.bound(), []
-    for k, one in enumerate(response.inputs):
-        for m, two in enumerate(response.inputs[:k]):
-            if one.place not in places or two.place not in places:
+    uncertainty, pairs = response.bound(), []
+    for k, input_k in enumerate(response.inputs):
+        for m, input_m in enumerate(response.inputs[:k]):
+            if input_k.place not in places or input_m.place not in places:
                 continue
-            a, b = places[one.place], places[two.place]
+            a, b = places[input_k.place], places[input_m.place]
             first, second = response.value[:, a, m], response.value[:, b, k]
-            known = np.isfinite(first) & np.isfinite(second)
-            away, allowed = abs(first - second)[known], (bound[:, a, m] + bound[:, b, k])[known]
-            size = np.maximum(0.5 * abs(first + second)[known], 1e-300)
-            within, deviation = float(np.mean(away <= allowed)), float(np.median(away / size))
-            found.append(Reciprocity((one.place, two.place), within, deviation))
-    return tuple(found)
+            valid = np.isfinite(first) & np.isfinite(second)
+            difference, limit = (
+                abs(first - second)[valid],
+                (uncertainty[:, a, m] + uncertainty[:, b, k])[valid],
+            )
+            mean = np.maximum(0.5 * abs(first + second)[valid], 1e-300)
+            within, deviation = float(np.mean(difference <= limit)), float(np.median(difference / mean))
+            pairs.append(Reciprocity((input_k.place, input_m.place), within, deviation))
+    return tuple(pairs)
 
 
-def _checked(response: Response) -> Response:
+def _add_warnings(response: Response) -> Response:
     """Warn of coherent inputs and of responses that are not reciprocal."""
-    lost = int(np.sum(~np.isfinite(response.value).all(axis=(1, 2))))
-    notes = [COHERENT_INPUTS.format(lines=lost, all=response.frequency.size)] if lost else []
+    n_coherent = int(np.sum(~np.isfinite(response.value).all(axis=(1, 2))))
+    notes = [COHERENT_INPUTS.format(lines=n_coherent, all=response.frequency.size)] if n_coherent else []
     notes += [
-        f"Not reciprocal: the responses between {each.pair[0]} and {each.pair[1]} differ by {each.deviation:.1%} "
-        f"(median), more than their bounds at {1.0 - each.within:.0%} of the lines. Check the sensors' directions, "
-        "gains and places."
-        for each in reciprocity(response)
-        if each.within < 0.8
+        f"Not reciprocal: the responses between {pair.pair[0]} and {pair.pair[1]} differ by {pair.deviation:.1%} "
+        f"(median), more than their uncertainties at {1.0 - pair.within:.0%} of the lines. Check the "
+        "sensors' directions, gains and positions."
+        for pair in reciprocity(response)
+        if pair.within < _MIN_RECIPROCAL_LINES
     ]
     return response.warn(*notes)

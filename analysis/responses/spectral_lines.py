@@ -11,10 +11,10 @@ import scipy
 from numpy.typing import NDArray
 
 from analysis.responses.budget import measured_curve
-from analysis.responses.measurands import driven, motion_of, reference_of
+from analysis.responses.measurands import motion_of, reference_of, reject_zero_reference
 from analysis.responses.random_errors import MeanErrors
 from analysis.responses.ringing import ringing
-from analysis.responses.scatter import Scatter, moderated
+from analysis.responses.scatter import Scatter, moderate
 from analysis.responses.systematic import RESOLUTION, UNSETTLED, ReadingShares
 from rig.arrays import Array, ComplexArray
 from rig.results.response import Response
@@ -24,20 +24,22 @@ if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
 
-# Number of neighbouring lines with an assumed common decay of transients.
+# Number of lines with an assumed common decay of transients.
 _COMMON_DECAY_LINES = 5
-# Decay factor of transients from part to part where two parts do not determine it, and the slowest factor.
-_UNKNOWN_DECAY = 0.5
-_SLOWEST_DECAY = 0.99
+# Assumed decay factor of a transient from part to part if only two parts are available, which do not determine it.
+_ASSUMED_DECAY = 0.5
+# Largest decay factor: slower decays cannot be distinguished from a steady amplitude.
+_MAX_DECAY = 0.99
 # Confidence with which a reference must exceed noise.
-_CONFIDENCE = 0.999
-# Fewest lines for an estimate of the noise from their differences, and the width of its median filter in lines.
-_FEWEST_LINES = 8
+_REFERENCE_CONFIDENCE = 0.999
+# Fewer lines do not determine the noise from their differences.
+_MIN_LINES = 8
+# Width in lines of the median filter of this noise.
 _MEDIAN_LINES = 31
-# Number of averaged parts that determine the decay of a transient.
-_GROUPS = 4
+# Many parts are averaged to this number of parts, which determine the decay of a transient.
+_AVERAGED_PARTS = 4
 # Safety factor: the residual transients are known to within 5 %.
-_AT_MOST = 1.05
+_TRANSIENT_FACTOR = 1.05
 
 
 @dataclass(frozen=True)
@@ -49,24 +51,23 @@ class Lines:
     # amplitude as recorded, without correction for the sensors; complex, shape (channels, n)
     mean: ComplexArray
     scatter: Scatter  # random deviation of the mean
-    label: str = ""  # Setting, for legends
-    warnings: tuple[str, ...] = field(default=())  # In full sentences
+    label: str = ""  # setting, for legends
+    warnings: tuple[str, ...] = field(default=())  # in full sentences
     # largest error of each mean by residual transients; shape (channels, n)
     remainder: Array | None = None
-    # lines without steady-state motion; shape (n,). None for tests without held tones
+    # lines at which steady state was not reached; shape (n,). None for tests without held tones
     unsteady: NDArray[np.bool_] | None = None
     # frequencies of discarded measurements, Hz
     left_out: Array = field(default_factory=lambda: np.empty(0))
     # number of lines on either side with similar noise, for lines with too few averages of their own
     around: int = 0
     noise: Scatter | None = None  # contribution of noise alone to `scatter`; None: all of it
-    # number of parts of the mean that were rotated by the phase of their own reference, which also aligns its
-    # noise
-    turned: int = 1
+    # number of parts of the mean that were rotated by the phase of their own reference, which aligns its noise too
+    rotated: int = 1
     # largest error of each mean by rounding to counts; shape (channels, n)
     resolution: Array | None = None
-    waited: Array | None = None
     # arguments `waited` and `lasted` of `ringing` for successive tones, s; each of shape (n,)
+    waited: Array | None = None
     lasted: Array | None = None
 
     def frf(
@@ -79,27 +80,27 @@ class Lines:
         below = reference_of(rec, reference)
         lower = below.row(rec, names, self.frequency)
         x, f = np.sum(upper * self.mean, axis=0), np.sum(lower * self.mean, axis=0)
-        driven(reference, f)
+        reject_zero_reference(reference, f)
         value = x / f
         # d(x/f) = (dx - value df) / f, and both are sums over the same channels.
-        off = (upper - value * lower) / f
+        weights = (upper - value * lower) / f
         noise = self.scatter if self.noise is None else self.noise
-        variance, degrees = self.scatter.variance(off), self.scatter.degrees
+        variance, degrees = self.scatter.variance(weights), self.scatter.degrees
         if self.around:
-            expected = noise.nearby(off, self.around)
-            variance, degrees = moderated(variance, degrees, expected, self.around)
+            expected = noise.local_variance(weights, self.around)
+            variance, degrees = moderate(variance, degrees, expected, self.around)
         error = np.sqrt(variance / 2.0)
         causes: dict[str, Array] = {}
         doubts = [self._reference_noise(lower, noise) / abs(f)]
         # Residual transients and rounding add up in the worst case.
-        unsettled = None if self.remainder is None else _AT_MOST * self.remainder
-        for name, each in ((RESOLUTION, self.resolution), (UNSETTLED, unsettled)):
-            if each is not None:
-                causes[name] = np.sum(abs(off) * each, axis=0)
-                doubts.append(np.sum(abs(lower / f) * each, axis=0))
+        unsettled = None if self.remainder is None else _TRANSIENT_FACTOR * self.remainder
+        for name, limit in ((RESOLUTION, self.resolution), (UNSETTLED, unsettled)):
+            if limit is not None:
+                causes[name] = np.sum(abs(weights) * limit, axis=0)
+                doubts.append(np.sum(abs(lower / f) * limit, axis=0))
         if self.waited is not None and self.lasted is not None:
-            rings = ringing(value, self.frequency, self.waited, self.lasted, error)
-            causes[UNSETTLED] = np.maximum(causes.get(UNSETTLED, 0.0), rings)
+            free_vibration = ringing(value, self.frequency, self.waited, self.lasted, error)
+            causes[UNSETTLED] = np.maximum(causes.get(UNSETTLED, 0.0), free_vibration)
         with np.errstate(invalid="ignore", divide="ignore"):
             averages = 1.0 + self.scatter.degrees / 2.0
             coherence = 1.0 / (1.0 + averages * variance / abs(value) ** 2)
@@ -109,7 +110,7 @@ class Lines:
         )
         amplitude = None if self.unsteady is None else abs(f)
         return measured_curve(
-            rec, shares, above, below, reference, error, degrees, causes, doubts, MeanErrors(off.T[:, None], means),
+            rec, shares, above, below, reference, error, degrees, causes, doubts, MeanErrors(weights.T[:, None], means),
             coherence=coherence, label=self.label, warnings=self.warnings, unsteady=self.unsteady,
             amplitude=amplitude, omitted=self.left_out,
         )  # fmt: skip
@@ -117,27 +118,27 @@ class Lines:
     def _reference_noise(self, lower: ComplexArray, noise: Scatter) -> Array:
         """Compute the largest amplitude of noise in the reference at each line; shape (n,).
 
-        The limit is exceeded at one line in a thousand, so that lines without excitation are discarded and noise is
-        not mistaken for a reference. Realisations rotated by the phase of their own reference scatter only in its
-        amplitude; their periods scatter by the whole noise.
+        Noise exceeds this limit at one line in a thousand, so that lines without excitation are discarded. Realisations
+        that were rotated by the phase of their own reference scatter only in its amplitude. The periods of each
+        realisation scatter by the whole noise.
         """
-        variance = np.nan_to_num(noise.nearby(lower, self.around))
+        variance = np.nan_to_num(noise.local_variance(lower, self.around))
         degrees = noise.degrees * (2 * self.around + 1)
-        return np.asarray(np.sqrt(self.turned * variance / 2.0) * radius(_CONFIDENCE, degrees))
+        return np.asarray(np.sqrt(self.rotated * variance / 2.0) * radius(_REFERENCE_CONFIDENCE, degrees))
 
 
 def _noise(changes: ComplexArray) -> Array:
     """Estimate the noise power in the changes between parts, from differences between lines; transients are smooth.
 
-    `changes` has the shape (changes, channels, lines). Returns shape (channels, lines), sum over the changes. The
-    median over lines excludes transients of single modes.
+    `changes` has the shape (changes, channels, lines). The result has the shape (channels, lines) and is the sum over
+    the changes. The median over lines excludes transients of single modes.
     """
     count, _, lines = changes.shape
-    if lines < _FEWEST_LINES:
+    if lines < _MIN_LINES:
         return np.zeros(changes.shape[1:])
-    # Second differences of noise have six times its power; the median of gamma's distribution is below its mean.
-    rough = np.sum(abs(np.diff(changes, 2, axis=2)) ** 2, axis=0) / 6.0 / (1.0 - 1.0 / (3.0 * count))
-    level = scipy.ndimage.median_filter(rough, (1, min(_MEDIAN_LINES, lines - 2)), mode="nearest")
+    # Second differences of noise have six times its power. The median of a gamma distribution is below its mean.
+    power = np.sum(abs(np.diff(changes, 2, axis=2)) ** 2, axis=0) / 6.0 / (1.0 - 1.0 / (3.0 * count))
+    level = scipy.ndimage.median_filter(power, (1, min(_MEDIAN_LINES, lines - 2)), mode="nearest")
     return np.pad(level, ((0, 0), (1, 1)), mode="edge")
 
 
@@ -155,24 +156,24 @@ def remainder(successive: ComplexArray) -> Array:
 
     Between successive parts, shape (parts, channels, lines), a transient is multiplied by a constant complex factor r.
     With the initial value c it shifts the mean of P parts by ``c (1 - r^P) / (P (1 - r))``. The change from part k to
-    the next is ``c r^k (r - 1)``, which determines r and c. Many parts are first averaged to a few, because noise would
-    otherwise hide r.
+    the next is ``c r^k (r - 1)``, from which r and c are estimated. Many parts are first averaged to a few, because
+    noise would otherwise hide r.
 
     >>> amplitudes = 1.0 + 0.1 * 0.8 ** np.arange(5.0)[:, None, None] + 0j
     >>> float(round(remainder(amplitudes)[0, 0] / (abs(amplitudes.mean()) - 1.0), 6))
     1.0
     """
-    if len(successive) >= 2 * _GROUPS:
-        successive = np.stack([part.mean(axis=0) for part in np.array_split(successive, _GROUPS)])
+    if len(successive) >= 2 * _AVERAGED_PARTS:
+        successive = np.stack([part.mean(axis=0) for part in np.array_split(successive, _AVERAGED_PARTS)])
     count = len(successive)
     changes = np.diff(successive, axis=0)
-    factor = np.full(successive.shape[1:], _UNKNOWN_DECAY, dtype=complex)
+    factor = np.full(successive.shape[1:], _ASSUMED_DECAY, dtype=complex)
     if count > 2:
-        size = _sum_of_neighbors(np.sum(abs(changes[:-1]) ** 2, axis=0))
-        both = _sum_of_neighbors(np.sum(changes[:-1].conj() * changes[1:], axis=0))
-        factor = both / np.maximum(size, 1e-300)
-        factor *= np.minimum(1.0, _SLOWEST_DECAY / np.maximum(abs(factor), 1e-300))
-    powers = np.sum([abs(factor) ** (2 * k) for k in range(count - 1)], axis=0)
-    size = np.maximum(np.sum(abs(changes) ** 2, axis=0) - _noise(changes), 0.0)
-    begins = np.sqrt(size / powers) / abs(1.0 - factor)
-    return np.asarray(begins * abs(1.0 - factor**count) / (count * abs(1.0 - factor)))
+        power = _sum_of_neighbors(np.sum(abs(changes[:-1]) ** 2, axis=0))
+        product = _sum_of_neighbors(np.sum(changes[:-1].conj() * changes[1:], axis=0))
+        factor = product / np.maximum(power, 1e-300)
+        factor *= np.minimum(1.0, _MAX_DECAY / np.maximum(abs(factor), 1e-300))
+    decay_power = np.sum([abs(factor) ** (2 * k) for k in range(count - 1)], axis=0)
+    power = np.maximum(np.sum(abs(changes) ** 2, axis=0) - _noise(changes), 0.0)
+    initial = np.sqrt(power / decay_power) / abs(1.0 - factor)
+    return np.asarray(initial * abs(1.0 - factor**count) / (count * abs(1.0 - factor)))

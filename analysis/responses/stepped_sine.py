@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.recordings.slices import read_slices
-from analysis.responses.clean_stretches import describe_flaws, flaws
+from analysis.responses.clean_segments import describe_flaws, flaws
 from analysis.responses.lock_in import LockIn, ToneFit, parts_of_whole_periods
 from analysis.responses.scatter import Scatter, stacked
 from analysis.responses.spectral_lines import Lines, remainder
-from analysis.responses.systematic import counts_of, scattered
+from analysis.responses.systematic import counts_of, reproducible_rounding
 from rig.errors import RecordingError
 from rig.results import format_frequencies, format_number
 
@@ -73,7 +73,7 @@ def sweeps(
         if (stop - first) * frequency < 0.99 * rec.rate:
             left_out.setdefault(key, []).append((frequency, _TOO_SHORT, _TOO_SHORT))
         elif spoilt:
-            why = ", ".join(dict.fromkeys(f"{flaw.channel} {flaw.what}" for flaw in spoilt))
+            why = ", ".join(dict.fromkeys(f"{flaw.channel} {flaw.reason}" for flaw in spoilt))
             left_out.setdefault(key, []).append((frequency, why, describe_flaws(rec, spoilt)))
         else:
             shortest = min(end - begin for begin, end in group)
@@ -210,6 +210,6 @@ def _resolution(rec: Recording, names: Sequence[str], tone: ToneFit) -> NDArray[
     count = counts_of(rec, names)
     step = np.where(count > 0.0, count, 1.0)
     size = np.maximum(abs(tone.amplitude[:, 0]) / step, 1e-300)
-    off = np.minimum(2.0 / np.pi**2 / np.sqrt(size), 0.5) * scattered((tone.residual / step) ** 2)
+    off = np.minimum(2.0 / np.pi**2 / np.sqrt(size), 0.5) * reproducible_rounding((tone.residual / step) ** 2)
     # Factor 2: bound of all terms of the series.
     return np.asarray(count * np.minimum(2.0 * off, 0.5))

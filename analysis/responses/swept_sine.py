@@ -1,4 +1,4 @@
-"""Swept sine: local rational method on the stretch around each frequency in which the tone is near it."""
+"""Swept sine: local rational method on the segment around each frequency in which the tone is near it."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ import scipy
 from numpy.typing import NDArray
 
 from analysis.recordings.slices import read_slices
-from analysis.responses.clean_stretches import cure, describe_flaws, flaws
+from analysis.responses.clean_segments import describe_flaws, flaws, remedy
 from analysis.responses.local_models.local_rational import ORDER
 from analysis.responses.local_models.local_spectra import SIDE, LocalSpectra
 from analysis.responses.measurands import motion_of, reference_of
 from analysis.responses.random_errors import LocalErrors
-from analysis.responses.systematic import UNSETTLED, in_counts, scattered, tolerance, tone_gain
-from analysis.responses.whole_stretches import dampers_move
+from analysis.responses.segment_fits import warn_of_dampers
+from analysis.responses.systematic import UNSETTLED, in_counts, reproducible_rounding, tolerance, tone_gain
 from rig.arrays import Array, ComplexArray
 from rig.errors import RecordingError
 from rig.results.response import MOTIONS, Response
@@ -27,32 +27,37 @@ if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
 
-# A stretch covers at least this frequency ratio of the sweep, which is small enough to exclude the harmonics of a
-# nonlinear structure. It is extended by this factor until enough of its lines are excited on either side.
-_RATIO, _GROWTH = 1.35, 1.1
+# A segment covers at least this frequency ratio of the sweep, which is small enough to exclude the harmonics of a
+# nonlinear structure.
+_MIN_FREQUENCY_RATIO = 1.35
+# The ratio is increased by this factor until enough lines of the segment are excited on either side.
+_RATIO_INCREASE = 1.1
+# Number of frequencies at which the response is estimated.
 _POINTS = 400
 # Lines of a spectrum per fitted value: lines of a fit over its number of parameters.
-_PER_VALUE = (2 * SIDE + 1) / (3 * ORDER + 2)
-# A damper lifts if the downward acceleration of its body exceeds g. Below this part of g it certainly stays on the
-# floor.
-_RIDES = 0.7
-# The sweep is too fast for dampers in flight if more than this share of the lines has more than this relative error;
-# `_SLOWER` is the recommended factor for the duration.
-_FAST, _FAST_SHARE, _SLOWER = 0.3, 0.05, 10
+_LINES_PER_VALUE = (2 * SIDE + 1) / (3 * ORDER + 2)
+# A damper lifts if the downward acceleration of its body exceeds g. Below this part of g it stays on the floor.
+_MAX_FLOOR_ACCELERATION = 0.7
+# With a larger relative error by the sweep rate, the sweep is too fast for dampers in flight.
+_MAX_LAG_RATIO = 0.3
+# The warning is given if this part of the lines is too fast.
+_MAX_FAST_LINES = 0.05
+# Recommended factor for the duration of the sweep.
+_SLOWER = 10
 # The amplitude of readings in counts is evaluated over at least this number of periods.
-_FEWEST_PERIODS = 3.0
+_MIN_PERIODS = 3.0
 
 
 @dataclass(frozen=True)
 class SweptTone:
-    """A sweep: at each frequency, the spectra of the stretch in which the tone is near it."""
+    """Spectra of a sweep: for each frequency, of the segment in which the tone is near it."""
 
     spectra: LocalSpectra
     speed: Array  # sweep rate at each frequency, Hz/s; shape (lines,)
     label: str
     warnings: tuple[str, ...]
-    # frequencies at which no damper lifts, so that the structure is linear; shape (lines,)
-    riding: NDArray[np.bool_]
+    # frequencies at which all dampers stay on their floors, so that the structure is linear; shape (lines,)
+    on_floor: NDArray[np.bool_]
     shared: float = 1.0  # number of neighbouring frequencies that use the same lines of their spectra
 
     def frf(
@@ -60,210 +65,223 @@ class SweptTone:
     ) -> Response:
         """Estimate the frequency response with coherence, random and systematic errors."""
         above, below = motion_of(rec, response, motion), reference_of(rec, reference)
-        found = self.spectra.frf(rec, above, below, reference, motion, self.label, self.warnings)
-        budget = found.uncertainty
+        frf = self.spectra.frf(rec, above, below, reference, motion, self.label, self.warnings)
+        budget = frf.uncertainty
         assert isinstance(budget.errors, LocalErrors)
-        # Stretches of neighbouring frequencies overlap in time although their bins are counted as independent.
+        # Segments of neighbouring frequencies overlap in time although their bins are counted as independent.
         errors = replace(budget.errors, one_reference=False, shared=self.shared)
-        found = replace(found, uncertainty=replace(budget, shared=self.shared, errors=errors))
-        if not dampers_move(rec):
-            return found
-        lag = np.where(self.riding, 0.0, self._lag(found))
-        found = found.with_limits({UNSETTLED: lag})
-        fast = lag / abs(found.value) > _FAST
-        if not np.sum(fast) > _FAST_SHARE * np.sum(lag > 0.0):
-            return found
-        ends = found.frequency[np.flatnonzero(fast)[[0, -1]]]
-        return found.warn(
-            f"Between {ends[0]:.4g} and {ends[1]:.4g} Hz this sweep is too fast to reach steady state with dampers in "
+        frf = replace(frf, uncertainty=replace(budget, shared=self.shared, errors=errors))
+        if not warn_of_dampers(rec):
+            return frf
+        lag = np.where(self.on_floor, 0.0, self._lag(frf))
+        frf = frf.with_limits({UNSETTLED: lag})
+        fast = lag / abs(frf.value) > _MAX_LAG_RATIO
+        if not np.sum(fast) > _MAX_FAST_LINES * np.sum(lag > 0.0):
+            return frf
+        band = frf.frequency[np.flatnonzero(fast)[[0, -1]]]
+        return frf.warn(
+            f"Between {band[0]:.4g} and {band[1]:.4g} Hz this sweep is too fast to reach steady state with dampers in "
             f"flight, so the curve is a transient response there. Sweep {_SLOWER} times slower, or use stepped sine."
         )
 
-    def _lag(self, found: Response) -> Array:
+    def _lag(self, frf: Response) -> Array:
         """Estimate the error of a nonlinear response by the finite sweep rate.
 
         The response to a sweep differs from the steady-state response by half the sweep rate (in rad/s²) times the
         curvature of the response (J. R. Carson, T. C. Fry, Variable frequency electric circuit theory, Bell System
-        Technical Journal 16 (1937) 513-540). The fit corrects this for a linear structure; for a nonlinear structure
-        it is a possible error.
+        Technical Journal 16 (1937) 513-540). The fit corrects this difference for a linear structure. For a nonlinear
+        structure it is a possible error.
         """
-        if found.frequency.size < 3:
-            return np.full(found.frequency.size, np.inf)
-        slope = np.gradient(found.value, found.frequency)
-        return np.asarray(self.speed / (4.0 * np.pi) * abs(np.gradient(slope, found.frequency)), dtype=float)
+        if frf.frequency.size < 3:
+            return np.full(frf.frequency.size, np.inf)
+        slope = np.gradient(frf.value, frf.frequency)
+        return np.asarray(self.speed / (4.0 * np.pi) * abs(np.gradient(slope, frf.frequency)), dtype=float)
 
 
-def tracked(
+def sweep_spectra(
     rec: Recording,
     marker: Marker,
     channels: Sequence[str],
     progress: Callable[[int, int], None] | None = None,
 ) -> SweptTone:
-    """Compute the spectra of a sweep around each frequency, over the stretch in which the tone is near it.
+    """Compute the spectra of a sweep around each frequency, over the segment in which the tone is near it.
 
-    The transients at the beginning and end of a stretch are part of the fit, so that neither the sweep rate nor the
-    length of the stretch limits the resolution. `marker`: the ``measure`` marker of the sweep.
+    The transients at the beginning and end of a segment are part of the fit, so that neither the sweep rate nor the
+    length of the segment limits the resolution. `marker`: the ``measure`` marker of the sweep.
     """
     first = marker.first_sample
     stop = rec.samples if marker.last_sample is None else min(rec.samples, marker.stop)
     names = tuple(channels)
     low, high = sorted(float(marker.fields[key]) for key in ("from", "to"))
     frequency = np.geomspace(low, high, _POINTS)
-    bounds = [_stretch(marker, f, rec.rate, first, stop) for f in frequency]
-    found = flaws(rec, names, first, stop)
-    clean = [
-        not any(flaw.first < end and flaw.stop > begin for flaw in found) and end - begin > 4 * SIDE
+    bounds = [_segment(marker, f, rec.rate, first, stop) for f in frequency]
+    all_flaws = flaws(rec, names, first, stop)
+    is_clean = [
+        not any(flaw.first < end and flaw.stop > begin for flaw in all_flaws) and end - begin > 4 * SIDE
         for begin, end in bounds
     ]
     notes = []
-    if not all(clean):
-        notes.append(f"{clean.count(False)} of {_POINTS} frequencies left out: {describe_flaws(rec, found)}.")
-    if not any(clean):
+    if not all(is_clean):
+        notes.append(
+            f"{is_clean.count(False)} of {_POINTS} frequencies left out: {describe_flaws(rec, all_flaws)}."
+        )
+    if not any(is_clean):
         raise RecordingError(
-            f"{rec.path}: no part of the sweep can be used ({describe_flaws(rec, found) or 'it is too short'}). "
-            f"{cure(rec, found)}, or sweep for longer."
+            f"{rec.path}: no part of the sweep can be used ({describe_flaws(rec, all_flaws) or 'it is too short'}). "
+            f"{remedy(rec, all_flaws)}, or sweep for longer."
         )
     if marker.fields.get("settled") is False:
         notes.append("The sweep began before steady state at its first frequency. Increase test: settle.")
-    order = sorted(np.flatnonzero(clean), key=lambda index: bounds[index])
+    order = sorted(np.flatnonzero(is_clean), key=lambda index: bounds[index])
     around = np.arange(-SIDE, SIDE + 1)
     samples = np.empty((_POINTS, len(names), around.size), dtype=complex)
-    at = np.empty((_POINTS, around.size))
-    squares = np.empty((len(names), _POINTS))
-    ahead = 1 if marker.fields["to"] > marker.fields["from"] else -1
-    quiet = []
+    line_frequency = np.empty((_POINTS, around.size))
+    variances = np.empty((len(names), _POINTS))
+    direction = 1 if marker.fields["to"] > marker.fields["from"] else -1
+    noise_levels = []
     blocks = read_slices(rec, names, [bounds[index] for index in order])
     for done, (index, block) in enumerate(zip(order, blocks, strict=True), 1):
         if progress is not None:
             progress(done, len(order))
         size = block.shape[1]
         line = max(int(frequency[index] * size / rec.rate), SIDE + 1)
-        # Frequency shift that places the frequency exactly on a line.
+        # This shift moves the frequency exactly onto a line.
         shift = frequency[index] * size / rec.rate - line
-        # The noise is read beyond the range and leakage of the tone.
-        place = line + ahead * (int(_GROWTH * max((_RATIO**0.5 - 1.0) * line, SIDE)) + 2 * SIDE)
-        seen = SIDE < place < size // 2 - SIDE
-        beside = np.arange(place - SIDE - 1, place + SIDE + 2) if seen else np.zeros(0, dtype=np.int64)
-        lines = np.concatenate([line + around, beside])
-        spectrum = at_lines(block - block.mean(axis=1, keepdims=True), lines, shift)
+        # The noise is estimated beyond the range and leakage of the tone.
+        half_range = max((_MIN_FREQUENCY_RATIO**0.5 - 1.0) * line, SIDE)
+        quiet_line = line + direction * (int(_RATIO_INCREASE * half_range) + 2 * SIDE)
+        has_noise = SIDE < quiet_line < size // 2 - SIDE
+        quiet_lines = (
+            np.arange(quiet_line - SIDE - 1, quiet_line + SIDE + 2)
+            if has_noise
+            else np.zeros(0, dtype=np.int64)
+        )
+        lines = np.concatenate([line + around, quiet_lines])
+        spectrum = spectrum_at_lines(block - block.mean(axis=1, keepdims=True), lines, shift)
         samples[index] = spectrum[:, : around.size]
-        at[index] = frequency[index] + around * rec.rate / size
+        line_frequency[index] = frequency[index] + around * rec.rate / size
         begin, width = bounds[index][0], SIDE * rec.rate / size
         # A logarithmic sweep has only positive frequencies.
-        ends = [max(frequency[index] + off, 1e-6 * frequency[index]) for off in (-width, width)]
-        near = [first + _passes(marker, end, rec.rate) - begin for end in ends]
-        squares[:, index] = _near(block, near, rec.rate / frequency[index]).var(axis=1)
-        if seen:
+        edges = [max(frequency[index] + offset, 1e-6 * frequency[index]) for offset in (-width, width)]
+        passes = [first + _sample_at(marker, edge, rec.rate) - begin for edge in edges]
+        variances[:, index] = _samples_between(block, passes, rec.rate / frequency[index]).var(axis=1)
+        if has_noise:
             noise = _noise(spectrum[:, around.size :]) / size
-            quiet.append((at[index, SIDE] + (place - line) * rec.rate / size, *noise))
-    kept, lengths = np.array(sorted(order)), np.array([end - begin for begin, end in bounds])
-    noise = _interpolated(quiet, frequency[kept], len(names))
+            noise_levels.append((line_frequency[index, SIDE] + (quiet_line - line) * rec.rate / size, *noise))
+    clean_points, lengths = np.array(sorted(order)), np.array([end - begin for begin, end in bounds])
+    noise = _interpolate_noise(noise_levels, frequency[clean_points], len(names))
     # The smallest noise over all frequencies determines the randomization of the rounding error.
     counts = in_counts(rec, names, noise.min(axis=1))
-    gain = scattered(counts)[:, None] * tone_gain(in_counts(rec, names, squares[:, kept]))
+    gain = reproducible_rounding(counts)[:, None] * tone_gain(
+        in_counts(rec, names, variances[:, clean_points])
+    )
     spectra = LocalSpectra(
         names,
-        np.moveaxis(samples[kept], 0, 1).reshape(1, len(names), -1),
-        np.ones((1, kept.size * around.size), dtype=complex),
-        at[kept].ravel(),
-        np.arange(kept.size) * around.size + SIDE,
+        np.moveaxis(samples[clean_points], 0, 1).reshape(1, len(names), -1),
+        np.ones((1, clean_points.size * around.size), dtype=complex),
+        line_frequency[clean_points].ravel(),
+        np.arange(clean_points.size) * around.size + SIDE,
         SIDE,
         1.0,
         gain,
-        noise * lengths[kept],
+        noise * lengths[clean_points],
         np.zeros((len(names), len(names))),
     )
-    speed = abs(np.gradient(frequency, [_passes(marker, f, rec.rate) / rec.rate for f in frequency]))
-    shared = max(float(np.median(_PER_VALUE * rec.rate / lengths / np.gradient(frequency))), 1.0)
-    riding = _riding(rec, names, frequency[kept], squares[:, kept])
-    return SweptTone(spectra, speed[kept], rec.scene.name, tuple(notes), riding, shared)
+    speed = abs(np.gradient(frequency, [_sample_at(marker, f, rec.rate) / rec.rate for f in frequency]))
+    shared = max(float(np.median(_LINES_PER_VALUE * rec.rate / lengths / np.gradient(frequency))), 1.0)
+    on_floor = _dampers_on_floor(rec, names, frequency[clean_points], variances[:, clean_points])
+    return SweptTone(spectra, speed[clean_points], rec.scene.name, tuple(notes), on_floor, shared)
 
 
-def _riding(rec: Recording, names: Sequence[str], frequency: Array, squares: Array) -> NDArray[np.bool_]:
-    """Frequencies at which no damper lifts, from the mean squares of the channels on their bodies."""
-    riding = np.ones(frequency.size, dtype=bool)
+def _dampers_on_floor(
+    rec: Recording, names: Sequence[str], frequency: Array, variances: Array
+) -> NDArray[np.bool_]:
+    """Return whether no damper lifts at each frequency, from the variances of the channels on their bodies."""
+    on_floor = np.ones(frequency.size, dtype=bool)
     infos = [rec.channels[name] for name in names]
     for damper in rec.scene.dampers:
         largest = np.full(frequency.size, np.inf)
-        for info, square in zip(infos, squares, strict=True):
+        for info, variance in zip(infos, variances, strict=True):
             if info.at != f"body {damper.body}" or info.quantity not in MOTIONS:
                 continue
             order = 2 - MOTIONS.index(info.quantity)
-            size = (2.0 * square) ** 0.5 / abs(info.response(frequency)) * (2 * np.pi * frequency) ** order
-            largest = np.minimum(largest, size * (1.0 + tolerance(info)))
-        riding &= damper.locked | (largest < _RIDES * rec.scene.gravity)
-    return riding
+            acceleration = (
+                (2.0 * variance) ** 0.5 / abs(info.response(frequency)) * (2 * np.pi * frequency) ** order
+            )
+            largest = np.minimum(largest, acceleration * (1.0 + tolerance(info)))
+        on_floor &= damper.locked | (largest < _MAX_FLOOR_ACCELERATION * rec.scene.gravity)
+    return on_floor
 
 
-def _stretch(marker: Marker, frequency: float, rate: float, first: int, stop: int) -> tuple[int, int]:
-    """Return the first and one-past-last sample of the stretch around a frequency."""
-    ratio = _RATIO
+def _segment(marker: Marker, frequency: float, rate: float, first: int, stop: int) -> tuple[int, int]:
+    """Return the first and one-past-last sample of the segment around a frequency."""
+    ratio = _MIN_FREQUENCY_RATIO
     while True:
         edges = frequency / ratio**0.5, frequency * ratio**0.5
-        ends = sorted(first + _passes(marker, edge, rate) for edge in edges)
+        ends = sorted(first + _sample_at(marker, edge, rate) for edge in edges)
         begin, end = max(first, int(ends[0])), min(stop, int(ends[1]))
-        driven = (ratio**0.5 - 1.0) * frequency * (end - begin) / rate
-        if driven >= SIDE or (begin == first and end == stop):
+        excited_lines = (ratio**0.5 - 1.0) * frequency * (end - begin) / rate
+        if excited_lines >= SIDE or (begin == first and end == stop):
             return begin, end
-        ratio *= _GROWTH
+        ratio *= _RATIO_INCREASE
 
 
-def at_lines(block: Array, lines: NDArray[np.int64], shift: float) -> ComplexArray:
-    """Compute a few lines of the frequency-shifted spectrum of a long stretch.
+def spectrum_at_lines(block: Array, lines: NDArray[np.int64], shift: float) -> ComplexArray:
+    """Compute a few lines of the frequency-shifted spectrum of a long segment.
 
-    The stretch is folded into rows and multiplied by a small matrix of phases, much faster than a whole transform.
-    `block` has the shape (channels, samples); `shift`: frequency shift above each line, in lines.
+    The segment is folded into rows and multiplied by a small matrix of phase factors, much faster than a complete
+    transform. `block` has the shape (channels, samples). `shift`: frequency shift above each line, in lines.
 
     >>> block = np.random.default_rng(1).standard_normal((1, 1000))
-    >>> moved = np.fft.fft(block * np.exp(-2j * np.pi * 0.3 / 1000 * np.arange(1000)))
-    >>> np.allclose(at_lines(block, np.array([3, 80]), 0.3), moved[:, [3, 80]], rtol=1e-12)
+    >>> shifted = np.fft.fft(block * np.exp(-2j * np.pi * 0.3 / 1000 * np.arange(1000)))
+    >>> np.allclose(spectrum_at_lines(block, np.array([3, 80]), 0.3), shifted[:, [3, 80]], rtol=1e-12)
     True
     """
     size = block.shape[1]
     columns = max(1, int(size**0.5))
     rows = size // columns
 
-    def turn(at: NDArray[np.int64]) -> ComplexArray:
-        # Integer arithmetic keeps the phase of late samples as exact as that of early samples.
-        return np.exp(-2j * np.pi * (np.outer(lines, at) % size + shift * at) / size)
+    def phase_factors(samples: NDArray[np.int64]) -> ComplexArray:
+        # With integer arithmetic the phases of late samples are as exact as those of early samples.
+        return np.exp(-2j * np.pi * (np.outer(lines, samples) % size + shift * samples) / size)
 
-    far, near = turn(columns * np.arange(rows)), turn(np.arange(columns))
-    parts = np.concatenate([far.real, far.imag])
-    found = []
+    by_row, by_column = phase_factors(columns * np.arange(rows)), phase_factors(np.arange(columns))
+    parts = np.concatenate([by_row.real, by_row.imag])
+    folded = []
     for row in block:
         real, imaginary = np.split(parts @ row[: rows * columns].reshape(rows, columns), 2)
-        found.append(np.sum((real + 1j * imaginary) * near, axis=1))
-    rest = np.arange(rows * columns, size)
-    return np.array(found) + block[:, rest] @ turn(rest).T
+        folded.append(np.sum((real + 1j * imaginary) * by_column, axis=1))
+    last = np.arange(rows * columns, size)
+    return np.array(folded) + block[:, last] @ phase_factors(last).T
 
 
-def _noise(near: ComplexArray) -> Array:
+def _noise(spectra: ComplexArray) -> Array:
     """Estimate the noise power of each channel from lines without excitation or leakage."""
-    windowed = 0.5 * near[:, 1:-1] - 0.25 * (near[:, :-2] + near[:, 2:])
-    # A Hann window reduces the power to 3/8; the median of the power is ln 2 of its mean and excludes hum.
+    windowed = 0.5 * spectra[:, 1:-1] - 0.25 * (spectra[:, :-2] + spectra[:, 2:])
+    # A Hann window reduces the power to 3/8. The median of the power is ln 2 times its mean and excludes hum.
     return np.asarray(np.median(abs(windowed) ** 2, axis=1) / (0.375 * np.log(2.0)))
 
 
-def _interpolated(quiet: Sequence[tuple[float, ...]], frequency: Array, channels: int) -> Array:
+def _interpolate_noise(levels: Sequence[tuple[float, ...]], frequency: Array, channels: int) -> Array:
     """Interpolate the noise of each channel between the frequencies of its estimates; constant beyond them."""
-    if not quiet:
+    if not levels:
         return np.zeros((channels, frequency.size))
-    at, *power = np.array(sorted(quiet)).T
+    at, *power = np.array(sorted(levels)).T
     smooth = [scipy.ndimage.uniform_filter1d(row, 2 * SIDE + 1, mode="nearest") for row in power]
     return np.array([np.interp(frequency, at, row) for row in smooth])
 
 
-def _near(block: Array, ends: Sequence[float], period: float) -> Array:
-    """Return the samples between two positions of a stretch, or a few periods about their middle if longer.
+def _samples_between(block: Array, ends: Sequence[float], period: float) -> Array:
+    """Return the samples between two positions of a segment, or a few periods about their middle if longer.
 
-    The readings may be far larger in other parts of the stretch.
+    The readings may be far larger in other parts of the segment.
     """
-    middle, half = sum(ends) / 2.0, max(abs(ends[1] - ends[0]) / 2.0, _FEWEST_PERIODS / 2.0 * period)
+    middle, half = sum(ends) / 2.0, max(abs(ends[1] - ends[0]) / 2.0, _MIN_PERIODS / 2.0 * period)
     return block[:, max(int(middle - half), 0) : max(int(middle + half), int(period)) + 1]
 
 
-def _passes(marker: Marker, frequency: float, rate: float) -> float:
-    """Sample number, from the beginning of the sweep, at which the sweep reaches a frequency."""
+def _sample_at(marker: Marker, frequency: float, rate: float) -> float:
+    """Return the sample number, from the beginning of the sweep, at which the sweep reaches a frequency."""
     low, high, duration = (float(marker.fields[key]) for key in ("from", "to", "duration"))
     if marker.fields.get("spacing") == "linear":
         return (frequency - low) / (high - low) * duration * rate

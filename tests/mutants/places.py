@@ -26,7 +26,7 @@ PLACES: dict[str, dict[str, str]] = {
         "daq/recording/channel_series.py": "tests/daq/recording/test_recording.py",
         "daq/recording/sample_block.py": "tests/daq/recording/test_layout.py",
         "daq/measurement/limits.py": "tests/daq/measurement/test_watches.py",
-        "analysis/responses/clean_stretches.py": "tests/analysis/responses/test_clean_stretches.py",
+        "analysis/responses/clean_segments.py": "tests/analysis/responses/test_clean_segments.py",
     },
     "noise scaling": {
         "daq/dsp/noise.py": "tests/daq/dsp/test_disturbances.py tests/daq/dsp/test_noise.py",
@@ -37,9 +37,7 @@ PLACES: dict[str, dict[str, str]] = {
         "daq/dsp/decimator.py": "tests/daq/dsp/test_decimator.py",
         "daq/signal_chain/decimation_filter.py": "tests/daq/dsp/test_decimator.py",
     },
-    "triggers": {
-        "daq/instrument/engines/triggers.py": "tests/daq/instrument/test_triggers.py",
-    },
+    "triggers": {"daq/instrument/engines/triggers.py": "tests/daq/instrument/test_triggers.py"},
     "limits": {
         "daq/signal_chain/converter.py": "tests/daq/signal_chain/test_converter.py",
         "rig/scene/quantity_field.py": "tests/rig/scene/test_quantity_field.py tests/rig/scene/test_quantities.py",

@@ -16,51 +16,51 @@ if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
 
-# A normal error exceeds this number of standard deviations with less than 5 % probability, an error with two
-# components with less than 2 %.
-_AT_MOST = 2.0
+# Coverage factor: a normal error exceeds it with less than 5 % probability, an error with two components with less
+# than 2 %.
+_COVERAGE = 2.0
 # A quotient of two polynomials has the curvature of a polynomial whose order is the sum of both orders.
-_BENDS = 2 * ORDER
+_FIT_ORDER = 2 * ORDER
 
 
 def jitter_factor(
     rec: Recording, names: Sequence[str], hits: Sequence[tuple[int, int]], size: int, side: int
 ) -> Array:
-    """Square-root factor of the covariance of jitter errors that look like a response to a hit, (rows, channels).
+    """Factorize the covariance of jitter errors that resemble a response to a hit; shape (rows, channels).
 
     A sample with a delay t has an error of t times the slope of its signal. Slopes are steepest during a hit and
-    shortly after it, where the errors are as smooth over the lines as the response, so that the scatter does not show
-    them. Each sample is weighted by its effect on a local fit to `side` lines on either side. All channels have the
-    same delay.
+    shortly after it. The errors of these samples are as smooth over the lines as the response, so that the scatter does
+    not show them. Each sample is weighted by its effect on a local fit to `side` lines on either side. All channels
+    have the same delay.
     """
     deviation = (rec.scene.converter.jitter or 0.0) * rec.rate
     factor = np.zeros((0, len(names)))
     if not deviation:
         return factor
     # Weights of a polynomial fit to neighbouring lines, from the hit to their first zero.
-    reach = size * (_BENDS + 1) // (2 * side + 1)
-    weights = scipy.signal.savgol_coeffs(2 * side + 1, _BENDS)
-    turns = np.cos(2.0 * np.pi / size * np.arange(reach)[:, None] * np.arange(-side, side + 1))
-    passed = turns @ weights
+    n_samples = size * (_FIT_ORDER + 1) // (2 * side + 1)
+    weights = scipy.signal.savgol_coeffs(2 * side + 1, _FIT_ORDER)
+    cosines = np.cos(2.0 * np.pi / size * np.arange(n_samples)[:, None] * np.arange(-side, side + 1))
+    sample_weights = cosines @ weights
     for begin, _ in hits:
-        readings = np.stack([rec.read(name, max(begin - 1, 0), begin + reach) for name in names])
+        readings = np.stack([rec.read(name, max(begin - 1, 0), begin + n_samples) for name in names])
         slopes = np.diff(readings, axis=1)
-        slopes *= deviation * passed[: slopes.shape[1]]
+        slopes *= deviation * sample_weights[: slopes.shape[1]]
         rows = np.concatenate([factor, slopes.T / np.sqrt(len(hits))])
         factor = np.asarray(np.linalg.qr(rows, mode="r"))
     return factor
 
 
-def jitter_part(factor: Array, off: ComplexArray, power: Array) -> dict[str, Array]:
-    """Largest deviation of a response by jitter during and shortly after the hits.
+def jitter_part(factor: Array, weights: ComplexArray, power: Array) -> dict[str, Array]:
+    """Compute the largest deviation of a response by jitter during and shortly after the hits.
 
-    `off`, shape (channels, lines): change of the response per unit of each reading and of the reference; `power`: of
-    the reference, summed over all hits.
+    `weights`, shape (channels, lines): change of the response per unit of each reading and of the reference. `power`:
+    power of the reference, summed over all hits.
 
     >>> part = jitter_part(np.array([[2.0, 1.0]]), np.array([[1.0], [-2.0]]) + 0j, np.ones(1))
-    >>> {name: size.tolist() for name, size in part.items()}  # what both read is off by the same
+    >>> {name: size.tolist() for name, size in part.items()}  # equal relative errors
     {'jitter of the sampling instants': [0.0]}
     """
     if not factor.any():
         return {}
-    return {JITTER: _AT_MOST * np.linalg.norm(factor @ off, axis=0) / np.sqrt(np.maximum(power, 1e-300))}
+    return {JITTER: _COVERAGE * np.linalg.norm(factor @ weights, axis=0) / np.sqrt(np.maximum(power, 1e-300))}

@@ -1,4 +1,4 @@
-"""Spectra of stretches of a recording, and their response by the local rational method."""
+"""Spectra of segments of a recording, and their response by the local rational method."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from scipy import special
 from analysis.responses.budget import measured_curve
 from analysis.responses.force_pulse import slow_and_fast
 from analysis.responses.local_models.jitter import jitter_part
-from analysis.responses.local_models.local_rational import LARGEST, ORDER, LocalFit, Reading, local_fit
-from analysis.responses.measurands import Measurand, driven
+from analysis.responses.local_models.local_rational import ORDER, POWER_RATIO_95, LocalFit, Reading, local_fit
+from analysis.responses.measurands import Measurand, reject_zero_reference
 from analysis.responses.random_errors import LocalErrors
 from analysis.responses.systematic import (
     MODEL,
@@ -39,23 +39,22 @@ SIDE = 12
 
 @dataclass(frozen=True)
 class LocalSpectra:
-    """Spectra of stretches, without windows."""
+    """Spectra of segments, without windows."""
 
     channels: tuple[str, ...]
-    samples: ComplexArray  # complex, shape (stretches, channels, bins)
-    ends: ComplexArray  # as in `local_fit`; complex, shape (stretches, bins)
+    samples: ComplexArray  # complex, shape (segments, channels, bins)
+    ends: ComplexArray  # as in `local_fit`; complex, shape (segments, bins)
     frequency: Array  # Hz; shape (bins,)
     lines: NDArray[np.int64]  # bins at which the response is estimated; shape (lines,)
     side: int  # lines on either side that a local fit uses
-    used: float  # measured share of the samples of the spectra, as in `local_fit`
-    # largest relative change of each channel's gain by rounding, as in `rounding_part`; shape (channels,
-    # lines)
+    used: float  # measured part of the samples of the spectra, as in `local_fit`
+    # largest relative change of each channel's gain by rounding, as in `rounding_part`; shape (channels, lines)
     gain: Array
     noise: Array  # known noise power of each channel at each line; shape (channels, lines)
     jitter: Array  # jitter of hits, from `jitter_factor`; shape (rows, channels)
     # stored fits of a channel to a reference, because responses share the channels of their reference
     fits: dict[tuple[str, Measurand], LocalFit] = field(default_factory=dict)
-    # stored spectra of references; complex, shape (stretches, bins)
+    # stored spectra of references; complex, shape (segments, bins)
     spectra: dict[Measurand, ComplexArray] = field(default_factory=dict)
 
     def frf(
@@ -77,7 +76,7 @@ class LocalSpectra:
         names = list(dict.fromkeys([*above.channels, *below.channels]))
         if names != list(self.channels):
             rows = [self.channels.index(name) for name in names]
-            only = replace(
+            selected = replace(
                 self,
                 channels=tuple(names),
                 samples=self.samples[:, rows],
@@ -85,78 +84,81 @@ class LocalSpectra:
                 noise=self.noise[rows],
                 jitter=self.jitter[:, rows],
             )
-            return only.frf(rec, above, below, reference, motion, label, warnings, reference_noise)
-        at = self.frequency[self.lines]
+            return selected.frf(rec, above, below, reference, motion, label, warnings, reference_noise)
+        frequency = self.frequency[self.lines]
         force = self.spectrum(rec, below)
-        driven(reference, force)
-        upper, lower = above.row(rec, names, at), below.row(rec, names, at)
+        reject_zero_reference(reference, force)
+        upper, lower = above.row(rec, names, frequency), below.row(rec, names, frequency)
         # Reading of each channel per unit of the reference.
-        reads = np.zeros((len(names), at.size), dtype=complex)
+        readings = np.zeros((len(names), frequency.size), dtype=complex)
         for index, name in enumerate(names):
             if below.channels == (name,):
-                reads[index] = 1.0 / lower[index]
+                readings[index] = 1.0 / lower[index]
                 continue
             fit = self._fit(rec, name, below)
-            reads[index] = fit.value * rec.channels[name].response(at)
+            readings[index] = fit.value * rec.channels[name].response(frequency)
             if name == above.channels[0]:
-                of_response = fit
-        scale = abs(np.sum(upper * reads, axis=0)) / np.maximum(abs(of_response.value), 1e-300)
+                main_fit = fit
+        scale = abs(np.sum(upper * readings, axis=0)) / np.maximum(abs(main_fit.value), 1e-300)
         # The fitted value follows the noise of the reference regardless of the residual.
         noise = np.einsum("cn,cn->n", abs(lower) ** 2, self.noise)
-        variance = np.maximum(of_response.variance, of_response.through * noise) * scale**2
-        value = np.sum(upper * reads, axis=0)
-        shares = ReadingShares(names, at, motion, value, upper * reads, lower * reads)
-        off = upper - value * lower
+        variance = np.maximum(main_fit.variance, main_fit.noise_gain * noise) * scale**2
+        value = np.sum(upper * readings, axis=0)
+        shares = ReadingShares(names, frequency, motion, value, upper * readings, lower * readings)
+        difference = upper - value * lower
         causes = (
             rounding_part(self.gain, shares)
-            | jitter_part(self.jitter, off, len(force) * self._power(force, self.side))
-            | {MODEL: of_response.missed * scale}
+            | jitter_part(self.jitter, difference, len(force) * self._power(force, self.side))
+            | {MODEL: main_fit.model_error * scale}
         )
         doubts = []
         if noise.any():
-            # The relative amount by which the fit follows reference noise is the effective uncertainty of the
-            # reference.
-            size = abs(of_response.value) ** 2
+            # The relative change of the fit by noise of the reference is the effective uncertainty of the reference.
+            squared = abs(main_fit.value) ** 2
             # Without a fit, the whole reference may be noise.
-            follows = np.full(size.shape, np.inf)
-            np.divide(2.0 * of_response.through * noise, size, out=follows, where=size > 0.0)
-            doubts.append(np.sqrt(LARGEST * follows))
+            noise_ratio = np.full(squared.shape, np.inf)
+            np.divide(2.0 * main_fit.noise_gain * noise, squared, out=noise_ratio, where=squared > 0.0)
+            doubts.append(np.sqrt(POWER_RATIO_95 * noise_ratio))
         if reference_noise is None:
-            incoherent = reference_noise_part(value, of_response.coherence)
+            incoherent = reference_noise_part(value, main_fit.coherence)
             if len(below.channels) > 1:
-                power = np.minimum(self._power(force, 1), self._power(force, self.side)) * of_response.apart
+                power = (
+                    np.minimum(self._power(force, 1), self._power(force, self.side)) * main_fit.independent
+                )
                 incoherent = np.maximum(
-                    incoherent, shared_noise_part(self._reference_noise(rec, below), off, lower, power)
+                    incoherent, shared_noise_part(self._reference_noise(rec, below), difference, lower, power)
                 )
             causes[REFERENCE_NOISE] = incoherent
-            common = np.zeros(at.size, dtype=complex)
+            common = np.zeros(frequency.size, dtype=complex)
         else:
             variance, common = variance + abs(value) ** 2 * reference_noise, value * np.sqrt(reference_noise)
-        turned = upper[names.index(above.channels[0])] * rec.channels[above.channels[0]].response(at)
+        to_motion = upper[names.index(above.channels[0])] * rec.channels[above.channels[0]].response(
+            frequency
+        )
         errors = LocalErrors(
-            influence=(of_response.influence * turned[:, None, None])[:, None],
-            first=of_response.first,
-            residual=of_response.residual[:, None],
-            curve=of_response.curve,
+            influence=(main_fit.influence * to_motion[:, None, None])[:, None],
+            first=main_fit.first,
+            residual=main_fit.residual[:, None],
+            curve=main_fit.curve,
             drive=self._power(force, self.side),
-            free=float(of_response.degrees[0]) / 2.0,
+            free=float(main_fit.degrees[0]) / 2.0,
             used=self.used,
             one_reference=below.channels[1:] == () and not noise.any(),
             common=common[:, None],
         )
         return measured_curve(
-            rec, shares, above, below, reference, np.sqrt(variance), of_response.degrees, causes, doubts, errors,
-            self.shared, coherence=of_response.coherence, label=label, warnings=tuple(warnings),
+            rec, shares, above, below, reference, np.sqrt(variance), main_fit.degrees, causes, doubts, errors,
+            self.shared, coherence=main_fit.coherence, label=label, warnings=tuple(warnings),
         )  # fmt: skip
 
     @property
     def shared(self) -> float:
-        """Number of neighbouring lines with a common error: each fit reduces its lines to a single value."""
+        """Return the number of neighbouring lines with a common error: each fit reduces its lines to a single value."""
         step = float(np.median(np.diff(self.lines))) if self.lines.size > 1 else 1.0
         return max((2 * self.side + 1) / (3 * ORDER + 2) / step, 1.0)
 
     def spectrum(self, rec: Recording, measurand: Measurand) -> ComplexArray:
-        """Compute the spectra of a measurand, shape (stretches, bins)."""
+        """Compute the spectra of a measurand, shape (segments, bins)."""
         if measurand not in self.spectra:
             row = measurand.row(rec, self.channels, self.frequency)
             self.spectra[measurand] = np.einsum("cn,scn->sn", row, self.samples)
@@ -173,7 +175,7 @@ class LocalSpectra:
         )
 
     def _power(self, spectra: ComplexArray, side: int) -> Array:
-        """Mean square of spectra over `side` lines on either side of each line; shape (lines,)."""
+        """Compute the mean square of spectra over `side` lines on either side of each line; shape (lines,)."""
         return np.asarray(
             scipy.ndimage.uniform_filter1d(np.mean(abs(spectra) ** 2, axis=0), 2 * side + 1)[self.lines]
         )
@@ -188,11 +190,11 @@ class LocalSpectra:
         return self.fits[name, to]
 
     def _reference_noise(self, rec: Recording, below: Measurand) -> Array:
-        """Upper limit of the noise power of the two channels of a spring force: the power that they do not share."""
-        most = self.noise.copy()
+        """Return the upper limit of the noise power in the two channels of a spring force: their incoherent power."""
+        limit = self.noise.copy()
         for name, other in permutations(below.channels):
             row = self.channels.index(name)
             fit = self._fit(rec, name, Measurand((other,), (1.0,), "displacement"))
             # Upper 95 % limit of the noise power for these degrees of freedom.
-            most[row] = np.maximum(most[row], fit.noise * fit.degrees / special.chdtri(fit.degrees, 0.95))
-        return most
+            limit[row] = np.maximum(limit[row], fit.noise * fit.degrees / special.chdtri(fit.degrees, 0.95))
+        return limit

@@ -7,7 +7,7 @@ import pytest
 
 from analysis.modal import refinement
 from analysis.modal.pole_residue import Curves, Projection, fit
-from analysis.modal.refinement import Likelihood, advanced
+from analysis.modal.refinement import Likelihood, take_step
 from rig.results.uncertainty import LineCovariance
 
 RESPONSES, LINES = 3, 60
@@ -29,7 +29,7 @@ def curves() -> Curves:
 
 
 def test_normal_equations_equal_dense_ones(curves: Curves, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(refinement, "_AT_ONCE", 100)
+    monkeypatch.setattr(refinement, "_MAX_ELEMENTS", 100)
     model = fit(curves, 2 * np.pi * np.array([12.1, 20.8]) * (-0.03 + 1j))
     random = np.random.default_rng(3)
     root = random.standard_normal((LINES, RESPONSES, 5)) + 1j * random.standard_normal((LINES, RESPONSES, 5))
@@ -40,7 +40,10 @@ def test_normal_equations_equal_dense_ones(curves: Curves, monkeypatch: pytest.M
     step = 1e-7 / np.sqrt(np.diag(normal))
     slopes = np.stack(
         [
-            (problem.rest(advanced(curves, model, -row)) - problem.rest(advanced(curves, model, row)))
+            (
+                problem.residual(take_step(curves, model, -row))
+                - problem.residual(take_step(curves, model, row))
+            )
             / (2 * size)
             for row, size in zip(np.diag(step), step, strict=True)
         ],
@@ -50,7 +53,7 @@ def test_normal_equations_equal_dense_ones(curves: Curves, monkeypatch: pytest.M
     dense = np.einsum("kap,kaq->pq", weighted.conj(), slopes).real
     scale = np.sqrt(np.outer(np.diag(dense), np.diag(dense)))
     np.testing.assert_allclose(normal / scale, dense / scale, atol=1e-6)
-    pull = np.einsum("kap,ka->p", weighted.conj(), problem.rest(model)).real
+    pull = np.einsum("kap,ka->p", weighted.conj(), problem.residual(model)).real
     np.testing.assert_allclose(right * step, pull * step, atol=1e-6 * abs(right * step).max())
     rows = random.standard_normal((len(right), 2))
     np.testing.assert_allclose(
@@ -61,7 +64,7 @@ def test_normal_equations_equal_dense_ones(curves: Curves, monkeypatch: pytest.M
 def test_reduced_problem_has_the_same_products(curves: Curves) -> None:
     problem = Projection(curves, 2 * np.pi * np.array([12.1, 20.8]) * (-0.03 + 1j))
     x = np.array([0.1, -0.05, 0.02, 0.03])
-    rows = np.column_stack([problem.slopes(x).reshape(-1, 4), problem.misfit(x)])
+    rows = np.column_stack([problem.slopes(x).reshape(-1, 4), problem.residual(x)])
     reduced = problem.reduced(x)
     assert reduced.shape == (5, 5)
     expected = rows.T @ rows

@@ -59,7 +59,7 @@ def test_unsuitable_recording_says_what_to_change(tmp_path, case):
         (["frf", "--estimator", "H9"], "expected H1, H2, Hv"),
         (["frf", "--motion", "speed"], "expected displacement, velocity, acceleration"),
         (["frf", "--reference", "power"], "expected 'force' or 'table'"),
-        (["frf", "--response", "bodi3"], "did you mean 'body3'"),
+        (["frf", "--response", "bodi3"], "Did you mean 'body3'"),
         (["modes", "--modes", "0"], "expected at least 1"),
         (["frf", "--block", "2"], "--block: without effect (a.mcap: steady tones"),
         (["frf", "--overlap", "0.5"], "--overlap: without effect"),

@@ -10,7 +10,7 @@ import pytest
 import analysis
 import daq
 import rig
-from analysis.responses.aliasing import _blows, _free_acceleration, aliasing_part
+from analysis.responses.aliasing import _free_acceleration, _impact_ratio, aliasing_part
 from analysis.responses.systematic import ALIASING, ReadingShares
 from daq.signal_chain.channel import ChannelInfo
 from rig.results.response import MOTIONS
@@ -171,8 +171,8 @@ shaker: {kind: force, body: 2}
 def test_only_instant_contacts_in_body_count():
     scene = rig.loads(MASSES, where="a test")
     # With the other body free, the apparent mass of a 2 kg body is 2 - 0.5^2 / 1 kg.
-    assert _blows(scene, 1) == pytest.approx((0.2 + 0.1) / (2.0 - 0.25))
-    assert _blows(scene, 2) == pytest.approx(0.3 / (1.0 - 0.125))
+    assert _impact_ratio(scene, 1) == pytest.approx((0.2 + 0.1) / (2.0 - 0.25))
+    assert _impact_ratio(scene, 2) == pytest.approx(0.3 / (1.0 - 0.125))
     assert _free_acceleration(scene, 1) == 0.0
     assert _free_acceleration(scene, 2) == pytest.approx(1.0 / (1.0 - 0.125))
 

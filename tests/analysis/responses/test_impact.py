@@ -234,7 +234,7 @@ def test_hits_beyond_memory_are_left_out(tmp_path, monkeypatch):
     )
     daq.record(scene, tmp_path / "a.mcap")
     with daq.open(tmp_path / "a.mcap") as recording:
-        monkeypatch.setattr("analysis.responses.whole_stretches._MOST_VALUES", recording.samples)
+        monkeypatch.setattr("analysis.responses.segment_fits._MAX_VALUES", recording.samples)
         found = analysis.frfs(recording)["a"]
     reported = [warning for warning in found.warnings if "hits are used" in warning]
     assert len(reported) == 1

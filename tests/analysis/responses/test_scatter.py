@@ -9,7 +9,7 @@ from scipy import stats
 from analysis.responses.estimators import Averages, square_root
 from analysis.responses.local_models.jitter import jitter_part
 from analysis.responses.lock_in import LockIn, parts_of_whole_periods
-from analysis.responses.scatter import Scatter, moderated
+from analysis.responses.scatter import Scatter, moderate
 from daq.recording.recording import Recording
 from tests.analysis.responses.synthetic import stepped_sine
 
@@ -37,7 +37,7 @@ def test_moderated_bounds_hold_of_few_averages(degrees):
     error = complex_noise(1, lines) / np.sqrt(2.0)
     alone = np.random.default_rng(2).chisquare(degrees, lines) / degrees
 
-    variance, known = moderated(alone, np.full(lines, float(degrees)), np.full(lines, 3.0), 12)
+    variance, known = moderate(alone, np.full(lines, float(degrees)), np.full(lines, 3.0), 12)
 
     missed = abs(error) / np.sqrt(variance * stats.f.ppf(0.95, 2.0, known))
     assert 0.94 < np.mean(missed <= 1.0) < 0.96
@@ -49,7 +49,7 @@ def test_variances_that_differ_are_hardly_moderated():
     true = np.exp(3.0 * np.random.default_rng(3).standard_normal(lines))
     alone = true * np.random.default_rng(4).chisquare(8.0, lines) / 8.0
 
-    variance, known = moderated(alone, np.full(lines, 8.0), np.ones(lines), 12)
+    variance, known = moderate(alone, np.full(lines, 8.0), np.ones(lines), 12)
 
     assert known.max() < 10.0
     assert np.median(abs(np.log(variance / alone))) < 0.3

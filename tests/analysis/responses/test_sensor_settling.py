@@ -10,7 +10,7 @@ import pytest
 import analysis
 import daq
 import rig
-from analysis.responses.clean_stretches import settling
+from analysis.responses.clean_segments import settling_flaws
 from rig.system.structural_model import receptance
 
 RATE, SECONDS, LOWEST = 200.0, 60.0, 5.0
@@ -28,7 +28,7 @@ def recording(size, time_constant, seed=1):
 
 @pytest.mark.parametrize(("size", "time_constant"), [(10.0, 0.5), (300.0, 2.0), (1e5, 1.0)])
 def test_decaying_bias_is_left_out(size, time_constant):
-    [flaw] = settling(recording(size, time_constant), ["a"], 0, int(SECONDS * RATE), LOWEST)
+    [flaw] = settling_flaws(recording(size, time_constant), ["a"], 0, int(SECONDS * RATE), LOWEST)
     # Means of 40 samples scatter by 0.16.
     left = size * np.exp(-flaw.stop / RATE / time_constant)
     assert flaw.first == 0 and 0.1 < left < 1.2
@@ -36,13 +36,13 @@ def test_decaying_bias_is_left_out(size, time_constant):
 
 def test_missing_bias_leaves_nothing_out():
     for seed in range(20):
-        assert settling(recording(0.0, 1.0, seed), ["a"], 0, int(SECONDS * RATE), LOWEST) == []
+        assert settling_flaws(recording(0.0, 1.0, seed), ["a"], 0, int(SECONDS * RATE), LOWEST) == []
 
 
 def test_lost_channel_has_no_bias():
     lost = recording(0.0, 1.0)
     lost.read = lambda name, start, stop: np.full(stop - start, np.nan)
-    assert settling(lost, ["a"], 0, int(SECONDS * RATE), LOWEST) == []
+    assert settling_flaws(lost, ["a"], 0, int(SECONDS * RATE), LOWEST) == []
 
 
 @pytest.mark.parametrize("options", [{}, {"estimator": "H1", "block": 1.0}])

@@ -95,7 +95,7 @@ def test_ambiguous_level_is_named(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("response", "message"), [("bodi3", "did you mean 'body3'"), ("hammer", "no channel 'hammer'")]
+    ("response", "message"), [("bodi3", "Did you mean 'body3'"), ("hammer", "no channel 'hammer'")]
 )
 def test_missing_channel_names_nearest(tmp_path, response, message):
     with (

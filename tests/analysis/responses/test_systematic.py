@@ -18,8 +18,8 @@ from analysis.responses.systematic import (
     in_counts,
     noise_gain,
     reference_noise_part,
+    reproducible_rounding,
     rounding_part,
-    scattered,
     sensitivity_part,
     shared_noise_part,
     tolerance,
@@ -234,5 +234,7 @@ def test_rounding_of_noise_keeps_average_gain():
     for spread in (0.05, 0.2, 0.5, 1.0):
         weights = np.exp(-0.5 * (counts / spread) ** 2)
         kept = np.sum(weights * np.cos(2.0 * np.pi * counts)) / weights.sum()
-        assert scattered(np.array(spread**2 + 1.0 / 12.0)) == pytest.approx(kept, rel=1e-3, abs=1e-12)
-    assert scattered(np.array([0.0, 1.0 / 12.0])).tolist() == [1.0, 1.0]
+        assert reproducible_rounding(np.array(spread**2 + 1.0 / 12.0)) == pytest.approx(
+            kept, rel=1e-3, abs=1e-12
+        )
+    assert reproducible_rounding(np.array([0.0, 1.0 / 12.0])).tolist() == [1.0, 1.0]

@@ -22,10 +22,10 @@ def resonance(width):
     return (1.0 + 2e-3 * at) * width**2 / ((at - 0.5j * width) ** 2 - width**2) / (-0.8)
 
 
-def quotient_of_what_ends_add(random, stretches, width):
+def quotient_of_what_ends_add(random, segments, width):
     """Transient (leakage) term of a spectrum: a quadratic polynomial over the same denominator."""
     powers = (at / 100.0) ** np.arange(3)[:, None]
-    return gaussian(random, stretches, 3) @ powers / ((at - 0.5j * width) ** 2 - width**2) * width**2
+    return gaussian(random, segments, 3) @ powers / ((at - 0.5j * width) ** 2 - width**2) * width**2
 
 
 @pytest.mark.parametrize("ends", ["at rest", "joined", "apart"])
@@ -45,7 +45,7 @@ def test_rational_response_is_exact(ends):
     fit = local_fit(Reading(spectra, response, np.zeros((0, BINS))), force, begin, lines, 12)
     np.testing.assert_allclose(fit.value, resonance(width)[lines], rtol=1e-7)
     assert (np.sqrt(fit.variance) < 1e-7 * abs(fit.value)).all()
-    assert (fit.missed < 1e-6 * abs(fit.value)).all()
+    assert (fit.model_error < 1e-6 * abs(fit.value)).all()
     assert fit.coherence == pytest.approx(np.ones(7), abs=1e-9)
 
 
@@ -62,13 +62,13 @@ def test_slow_transient_is_no_response():
 @pytest.mark.parametrize(("side", "noise"), [(6, 0.3), (15, 0.3), (15, 3.0)])
 def test_noise_scatters_as_stated(side, noise):
     random = np.random.default_rng(9)
-    stretches, ratios, coherences, degrees = 3, [], [], []
+    segments, ratios, coherences, degrees = 3, [], [], []
     lines = np.arange(30, 370, 2 * side + 1)
     for _ in range(40):
-        force = gaussian(random, stretches, BINS)
-        spectra = 2.0 * force + noise * gaussian(random, stretches, BINS)
+        force = gaussian(random, segments, BINS)
+        spectra = 2.0 * force + noise * gaussian(random, segments, BINS)
         reading = Reading(spectra, np.ones(BINS), np.zeros((0, BINS)))
-        fit = local_fit(reading, force, np.zeros((stretches, BINS)), lines, side)
+        fit = local_fit(reading, force, np.zeros((segments, BINS)), lines, side)
         ratios.append(abs(fit.value - 2.0) ** 2 / (2.0 * fit.variance))
         coherences.append(fit.coherence)
         degrees.append(fit.degrees)
@@ -76,7 +76,7 @@ def test_noise_scatters_as_stated(side, noise):
     free = np.median(degrees)
     assert np.mean(ratios) == pytest.approx(free / (free - 2.0), rel=0.15)
     # Two for each equation, minus the unknowns: three for the response and for each transient (no denominator).
-    assert free == 2 * (stretches * (2 * side + 1) - 3 - 3 * stretches)
+    assert free == 2 * (segments * (2 * side + 1) - 3 - 3 * segments)
     assert np.mean(coherences) == pytest.approx(4.0 / (4.0 + noise**2), abs=0.01)
 
 
@@ -88,7 +88,7 @@ def test_reference_noise_scatters_at_narrow_peak():
         reading = Reading(resonance(1.5) * force, np.ones(BINS), np.zeros((0, BINS)))
         read = force + noise * gaussian(random, 1, BINS)
         fit = local_fit(reading, read, np.zeros((1, BINS)), middle, 12)
-        off.append([abs(fit.value[0] - 1.0) ** 2 / 2.0, fit.variance[0], noise**2 * fit.through[0]])
+        off.append([abs(fit.value[0] - 1.0) ** 2 / 2.0, fit.variance[0], noise**2 * fit.noise_gain[0]])
     seen, left_over, stated = np.median(off, axis=0)
     # The median of half the square is ln 2 of its mean. Poles fit the noise, so that the residual underestimates it.
     assert stated * np.log(2.0) == pytest.approx(seen, rel=0.5)
@@ -103,7 +103,7 @@ def test_reference_noise_scatters_in_flat_response():
         force = gaussian(random, 3, BINS)
         reading = Reading(2.0 * force, np.ones(BINS), np.zeros((0, BINS)))
         fit = local_fit(reading, force + noise * gaussian(random, 3, BINS), none, lines, 12)
-        ratios.append(abs(fit.value - 2.0) ** 2 / 2.0 / (noise**2 * fit.through))
+        ratios.append(abs(fit.value - 2.0) ** 2 / 2.0 / (noise**2 * fit.noise_gain))
     assert np.mean(ratios) == pytest.approx(1.0, rel=0.15)
 
 
@@ -128,10 +128,10 @@ def test_units_scale_everything():
 
     usual, other = fitted(1.0, 1.0), fitted(3.0, 50.0)
     np.testing.assert_allclose(other.value, usual.value * 3.0 / 50.0, rtol=1e-6)
-    np.testing.assert_allclose(other.missed, usual.missed * 3.0 / 50.0, rtol=1e-5)
+    np.testing.assert_allclose(other.model_error, usual.model_error * 3.0 / 50.0, rtol=1e-5)
     np.testing.assert_allclose(other.variance, usual.variance * (3.0 / 50.0) ** 2, rtol=1e-6)
-    np.testing.assert_allclose(other.through, usual.through * (3.0 / 50.0**2) ** 2, rtol=1e-6)
-    for each in ("coherence", "degrees", "apart"):
+    np.testing.assert_allclose(other.noise_gain, usual.noise_gain * (3.0 / 50.0**2) ** 2, rtol=1e-6)
+    for each in ("coherence", "degrees", "independent"):
         np.testing.assert_allclose(getattr(other, each), getattr(usual, each), rtol=1e-6)
 
 
@@ -160,8 +160,8 @@ def test_model_error_of_sharp_curve_is_stated():
     off = abs(fit.value - truth[lines])
     beside, far = abs(at[lines]) < 8, abs(at[lines]) > 60
     scale = np.sqrt(np.mean(off[beside] ** 2))
-    assert 0.3 * scale < np.sqrt(np.mean(fit.missed[beside] ** 2)) < 3.0 * scale
-    assert fit.missed[far].max() < 0.01 * scale
+    assert 0.3 * scale < np.sqrt(np.mean(fit.model_error[beside] ** 2)) < 3.0 * scale
+    assert fit.model_error[far].max() < 0.01 * scale
 
 
 def test_batch_size_does_not_matter(monkeypatch):
@@ -172,10 +172,10 @@ def test_batch_size_does_not_matter(monkeypatch):
     )
     lines = np.arange(5, 395, 9)
     whole = local_fit(reading, force, np.zeros((2, BINS)), lines, 10)
-    monkeypatch.setattr(local_rational, "_AT_ONCE", 3000)
+    monkeypatch.setattr(local_rational, "_MAX_ELEMENTS", 3000)
     parts = local_fit(reading, force, np.zeros((2, BINS)), lines, 10)
     np.testing.assert_allclose(parts.value, whole.value, rtol=1e-9)
-    np.testing.assert_allclose(parts.missed, whole.missed, rtol=1e-6)
+    np.testing.assert_allclose(parts.model_error, whole.model_error, rtol=1e-6)
 
 
 def test_undriven_lines_have_no_value():
@@ -192,9 +192,9 @@ def test_bent_reference_keeps_only_its_noise():
         read = smooth * (1.0 + 0j) + noise * smooth * gaussian(random, 1, BINS)
         reading = Reading(2.0 * smooth * (1.0 + 0j), np.ones(BINS), np.zeros((0, BINS)))
         fit = local_fit(reading, read, ends, np.arange(100, 300, 10), 12)
-        assert np.median(fit.apart) < 2.0 * noise**2
+        assert np.median(fit.independent) < 2.0 * noise**2
         # If only noise distinguishes the reference from a smooth curve, the estimate tends to zero unnoticed.
         assert np.median(abs(fit.value)) < 0.2
     plain = gaussian(random, 1, BINS)
     reading = Reading(2.0 * plain, np.ones(BINS), np.zeros((0, BINS)))
-    assert np.median(local_fit(reading, plain, ends, np.arange(100, 300, 10), 12).apart) > 0.5
+    assert np.median(local_fit(reading, plain, ends, np.arange(100, 300, 10), 12).independent) > 0.5

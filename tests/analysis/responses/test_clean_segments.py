@@ -1,4 +1,4 @@
-"""Valid and damaged stretches against a count sample by sample."""
+"""Valid and damaged segments against a count sample by sample."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from analysis.responses.clean_stretches import Flaw, clean_stretches, cure, describe_flaws, flaws
+from analysis.responses.clean_segments import Flaw, clean_segments, describe_flaws, flaws, remedy
 from daq.recording.markers import Gap, Marker
 from daq.signal_chain.channel import ChannelInfo
 
@@ -36,7 +36,7 @@ def recordings(draw):
     first=st.integers(0, 20),
     size=st.integers(1, 25),
 )
-def test_clean_stretches_exclude_overloads_and_gaps(rec, wanted, first, size):
+def test_clean_segments_exclude_overloads_and_gaps(rec, wanted, first, size):
     stop = first + size
     spoilt = set()
     for marker in rec.overloads:
@@ -46,14 +46,14 @@ def test_clean_stretches_exclude_overloads_and_gaps(rec, wanted, first, size):
         if wanted & set(gap.channels):
             spoilt |= set(range(gap.first_sample, gap.last_sample + 1))
     found = flaws(rec, wanted, first, stop)
-    stretches = clean_stretches(found, first, stop)
-    covered = [sample for begin, end in stretches for sample in range(begin, end)]
+    segments = clean_segments(found, first, stop)
+    covered = [sample for begin, end in segments for sample in range(begin, end)]
     assert covered == [sample for sample in range(first, stop) if sample not in spoilt]
-    assert all(begin < end for begin, end in stretches)
-    # Damage outside the stretch does not count.
+    assert all(begin < end for begin, end in segments)
+    # Damage outside the segment does not count.
     assert all(flaw.first < stop and flaw.stop > first and flaw.channel in wanted for flaw in found)
     assert [flaw.first for flaw in found] == sorted(flaw.first for flaw in found)
-    assert {flaw.what for flaw in found} <= {"overloaded", "lost"}
+    assert {flaw.reason for flaw in found} <= {"overloaded", "lost"}
 
 
 def test_flaws_are_listed_by_kind():
@@ -67,7 +67,7 @@ def test_flaws_are_listed_by_kind():
 @pytest.mark.parametrize(
     ("sensitivity", "volts", "limit", "named"),
     [
-        # 5 V at 0.1 V per m/s² are 50 m/s²: a sensor that follows 49 stops first, one that follows 51 does not.
+        # 5 V at 0.1 V per m/s² are 50 m/s²: a limit of the sensor of 49 is reached first, a limit of 51 is not.
         (0.1, 5.0, "49 m/s^2", True),
         (0.1, 5.0, "51 m/s^2", False),
         (0.1, None, "51 m/s^2", True),
@@ -84,5 +84,5 @@ def test_remedy_names_the_first_limit(sensitivity, volts, limit, named):
         sensor={"accelerometer.saturation": limit},
     )
     rec = SimpleNamespace(channels={"a1": info})
-    assert (limit in cure(rec, [Flaw(3, 5, "a1", "overloaded")])) == named
-    assert limit not in cure(rec, [Flaw(3, 5, "a1", "lost")])
+    assert (limit in remedy(rec, [Flaw(3, 5, "a1", "overloaded")])) == named
+    assert limit not in remedy(rec, [Flaw(3, 5, "a1", "lost")])

@@ -1,0 +1,275 @@
+"""Frequency responses of tests without tones: local fits to the spectra of complete clean segments.
+
+The local rational method treats random excitation, bursts and hits in the same manner, because the force was measured
+and the transients at the beginning and end of a segment are part of the fit. The response need not decay, no window
+adds damping, and double hits are acceptable. Samples with overloads or losses are excluded.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+from scipy import fft
+
+from analysis.responses.clean_segments import clean_segments, describe_flaws, flaws, remedy
+from analysis.responses.force_pulse import high_passes
+from analysis.responses.local_models.jitter import jitter_factor
+from analysis.responses.local_models.local_spectra import SIDE, LocalSpectra
+from analysis.responses.local_models.low_spectra import low_spectra
+from analysis.responses.measurands import motion_of, reference_of, responses
+from analysis.responses.systematic import in_counts, noise_gain
+from rig.errors import RecordingError
+from rig.results.response import Response
+
+if TYPE_CHECKING:
+    from analysis.responses.clean_segments import Flaw
+    from analysis.responses.hits import Hits
+    from daq.recording.recording import Recording
+
+
+# Shorter segments, relative to the longest, are omitted, because their transients need too many parameters.
+_MIN_LENGTH_RATIO = 0.25
+# Segments that contain a smaller part of a burst are omitted, because most of their vibration was excited before.
+_MIN_BURST = 0.5
+# More spectral lines than this are thinned out.
+_MAX_LINES = 1000
+# Limit of the samples of all channels in segments with hits; with their spectra they use just under a gigabyte.
+_MAX_VALUES = 14_000_000
+#: The systematic part due to motion before a hit.
+MOTION_BEFORE = "motion before the hit"
+# A larger amplitude of this motion, relative to the response to the hit, causes a warning.
+_MAX_MOTION_RATIO = 0.01
+
+
+@dataclass(frozen=True)
+class SegmentFits:
+    """Samples and band of a recording for local fits."""
+
+    # a flaw of one channel excludes the samples of all channels, so that the curves have equal lines
+    channels: tuple[str, ...]
+    first: int  # first sample of the test
+    stop: int  # one past its last sample
+    low: float  # lower edge of the band in which responses are estimated, Hz
+    high: float  # its upper edge, Hz
+    other_flaws: Sequence[Flaw] = ()  # flaws of channels in addition to overloads and losses
+    hits: Hits | None = None  # hits of a hammer, with the noise of the force before and after each hit
+    # period of bursts and duration of each burst in samples; None for tests without bursts
+    bursts: tuple[int, int] | None = None
+    label: str = ""  # for legends
+    warnings: tuple[str, ...] = ()  # in full sentences
+    # stored spectra by channels, and the motion before the hits of each segment
+    computed: dict[tuple[str, ...], tuple[LocalSpectra, list[float]]] = field(default_factory=dict)
+
+    def frf(
+        self, rec: Recording, response: str, reference: str = "force", motion: str = "displacement"
+    ) -> Response:
+        """Estimate the frequency response with coherence, random and systematic errors."""
+        above, below = motion_of(rec, response, motion), reference_of(rec, reference)
+        names, noise = self.channels, None
+        if self.hits is not None:
+            # The channels of each response determine whether the rig was at rest before its hits.
+            names = tuple(dict.fromkeys([*above.channels, *below.channels]))
+        spectra, moving, segments, notes = self.prepare(rec, names, below.channels)
+        if self.hits is not None:
+            noise = self.hits.force_noise(rec, segments, spectra.frequency[spectra.lines])
+        frf = spectra.frf(rec, above, below, reference, motion, self.label, (*self.warnings, *notes), noise)
+        return _with_motion_before(frf, moving)
+
+    def prepare(
+        self, rec: Recording, names: tuple[str, ...], references: Sequence[str]
+    ) -> tuple[LocalSpectra, list[float], list[tuple[int, int]], list[str]]:
+        """Return spectra, motion before the hits of each segment, the segments, and notes on them."""
+        all_flaws = flaws(rec, self.channels, self.first, self.stop)
+        all_flaws = sorted([*all_flaws, *self.other_flaws], key=lambda flaw: flaw.first)
+        segments, notes = self._select_segments(rec, clean_segments(all_flaws, self.first, self.stop))
+        segments, memory_notes = self._limit_memory(segments, rec.rate)
+        notes += memory_notes
+        if all_flaws:
+            kept_ratio = sum(stop - start for start, stop in segments) / (self.stop - self.first)
+            notes.insert(0, f"{1 - kept_ratio:.0%} of the test left out: {describe_flaws(rec, all_flaws)}.")
+        if not segments:
+            flawed = {flaw.channel for flaw in all_flaws}
+            others = [name for name in responses(rec) if name in self.channels and name not in flawed]
+            advice = f"the test is flawed. {remedy(rec, all_flaws)}, and record again"
+            if not all_flaws:
+                advice = "the test is too short to average. Record longer"
+            elif others and not flawed & set(references):
+                advice += f", or use only the other channels: --response {' --response '.join(others)}"
+            raise RecordingError(
+                f"{rec.path}: {' '.join([*notes, f'No response can be estimated: {advice}.'])}"
+            )
+        if names not in self.computed:
+            moving = (
+                [] if self.hits is None else [self.hits.moving(rec, names, *bounds) for bounds in segments]
+            )
+            self.computed[names] = self._spectra(rec, names, segments, moving), moving
+        return *self.computed[names], segments, notes
+
+    def _select_segments(
+        self, rec: Recording, clean: Sequence[tuple[int, int]]
+    ) -> tuple[list[tuple[int, int]], list[str]]:
+        """Select segments of sufficient length; for a hammer, only segments with a hit."""
+        if self.hits is not None:
+            clean = [segment for segment in clean if self.hits.inside(*segment)]
+        if self.bursts is not None:
+            # The samples between bursts carry no information, because the force of an undriven spring follows from
+            # its response. A segment that begins late in a burst responds mainly to the force before it.
+            period, on = self.bursts
+            clean = [
+                (start, stop)
+                for start, stop in clean
+                if np.sum((np.arange(start, stop) - self.first) % period < on)
+                > max(4 * SIDE, _MIN_BURST * on)
+            ]
+        # The frequency range of a fit must be smaller than the band.
+        min_length_s = 2 * SIDE / (self.high - self.low) if self.hits is None else 0.2
+        longest = max((stop - start for start, stop in clean), default=0)
+        selected = [
+            (start, stop)
+            for start, stop in clean
+            if stop - start >= max(_MIN_LENGTH_RATIO * longest, min_length_s * rec.rate, 4 * SIDE)
+        ]
+        if clean and not selected:
+            return [], [f"No segment longer than {longest / rec.rate:.3g} s is clean."]
+        return selected, []
+
+    def _limit_memory(
+        self, segments: list[tuple[int, int]], rate: float
+    ) -> tuple[list[tuple[int, int]], list[str]]:
+        """Limit hits to the first hits that fit into memory; random tests are read in pieces."""
+        if self.hits is None:
+            return segments, []
+        budget, kept = _MAX_VALUES // len(self.channels), []
+        for segment in segments:
+            start, stop = segment
+            if stop - start > budget:
+                start = max(start, self.hits.inside(*segment)[0][0] - budget // 4)
+                begins = [begin for begin, _ in self.hits.inside(start, stop)[1:] if begin - start <= budget]
+                # The response to a single hit is truncated at the memory limit.
+                stop = begins[-1] if begins else min(stop, start + budget)
+            if not self.hits.inside(start, stop):
+                break
+            kept.append((start, stop))
+            budget -= stop - start
+            if kept[-1] != segment:
+                break
+        if kept == segments or not kept:
+            return segments, []
+        used, total = (sum(len(self.hits.inside(*bounds)) for bounds in group) for group in (kept, segments))
+        return kept, [
+            f"Only {used} of {total} hits are used, before {kept[-1][1] / rate:.4g} s, because all of them need "
+            "more than a gigabyte of memory. Record at a lower rate or with a shorter interval between hits."
+        ]
+
+    def _spectra(
+        self,
+        rec: Recording,
+        names: Sequence[str],
+        segments: Sequence[tuple[int, int]],
+        moving: Sequence[float],
+    ) -> LocalSpectra:
+        """Compute the spectra of all segments, zero-padded at the beginning to the length of the longest."""
+        # Zeros before each segment separate the residual vibration at its end from the response to its hit.
+        lead = 0 if self.hits is None else self.hits.interval
+        # The length does not depend on motion before the hits, so that all responses have the same lines.
+        size = fft.next_fast_len(max(stop - start for start, stop in segments) + lead, real=True)
+        # The spectrum of periodic hits is a comb of lines, without excitation between its teeth.
+        teeth = 1.0 if self.hits is None else max(1.0, size / lead)
+        lines, side = self._lines(rec, size), int(np.ceil(SIDE * teeth))
+        # Range of bins of the fits.
+        first = max(int(lines[0]) - side, 0)
+        fitted_bins = slice(first, min(max(int(lines[-1]) + side, first + 2 * side), size // 2) + 1)
+        bins = np.arange(fitted_bins.stop)
+        lengths, at_rest = [stop - start for start, stop in segments], [False] * len(segments)
+        jitter = np.zeros((0, len(names)))
+        if self.hits is None:
+            pairs = [low_spectra(rec, names, *bounds, size, fitted_bins.stop) for bounds in segments]
+            samples = [spectra for spectra, _ in pairs]
+            power = np.average([square for _, square in pairs], axis=0, weights=lengths)
+            gain = np.repeat(noise_gain(in_counts(rec, names, power))[:, None], lines.size, axis=1)
+        else:
+            at_rest = [
+                self.hits.at_rest(motion, *bounds, size)
+                for bounds, motion in zip(segments, moving, strict=True)
+            ]
+            blocks = []
+            for (start, stop), rest in zip(segments, at_rest, strict=True):
+                block = np.stack([rec.read(name, start, stop) for name in names])
+                blocks.append(self.hits.isolate(rec, names, block, start, rest))
+            lengths = [block.shape[1] for block in blocks]
+            padded = [np.pad(block, ((0, 0), (size - block.shape[1], 0))) for block in blocks]
+            samples = [fft.rfft(block, axis=1) for block in padded]
+            # The force includes the whole tail of its high-pass filters, which the recording may truncate.
+            info = rec.channels[self.hits.channel]
+            high_pass = high_passes(info, fft.rfftfreq(size, 1.0 / rec.rate))
+            for spectra in samples:
+                spectra[names.index(self.hits.channel)] *= high_pass
+            inside = [hit for bounds in segments for hit in self.hits.inside(*bounds)]
+            jitter = jitter_factor(rec, names, inside, size, side)
+            gain = self.hits.rounding(rec, names, segments, blocks, samples, lines, side)
+        begins = np.exp(np.outer((size - np.array(lengths)) / size, -2j * np.pi * bins))
+        ends = np.where(np.array(at_rest)[:, None], 0.0, begins)
+        frequency = bins * (rec.rate / size)
+        # The displacement at zero frequency is undefined; this line is not used.
+        frequency[0] = frequency[1]
+        return LocalSpectra(
+            tuple(names),
+            np.stack(samples)[:, :, fitted_bins],
+            ends[:, fitted_bins],
+            frequency[fitted_bins],
+            lines - first,
+            side,
+            sum(lengths) / (size * len(lengths)),
+            gain,
+            np.zeros(gain.shape),
+            jitter,
+        )
+
+    def _lines(self, rec: Recording, size: int) -> NDArray[np.int64]:
+        low, high = (edge * size / rec.rate for edge in (self.low, self.high))
+        first, last = max(int(np.ceil(low - 1e-9)), 1), min(int(high + 1e-9), int(0.45 * size))
+        if last <= first:
+            raise RecordingError(
+                f"{rec.path}: the resolution of {rec.rate / size:.3g} Hz leaves no lines between {self.low:.4g} and "
+                f"{self.high:.4g} Hz. Record longer."
+            )
+        return np.arange(first, last + 1, -(-(last - first) // _MAX_LINES))
+
+
+def _with_motion_before(frf: Response, moving: Sequence[float]) -> Response:
+    """Add the effect of motion before the hits to a curve's uncertainty, and warn if it is large."""
+    largest = max((ratio for ratio in moving if np.isfinite(ratio)), default=None)
+    if largest is None:
+        return frf
+    warning = (
+        f"{frf.response}: motion or drift of {largest:.1%} of the response before a hit, which affects the curve. Hit "
+        "the structure at rest, start recording earlier, or record several hits in a row."
+    )
+    # The spectrum of a free decay decreases with the distance from its resonance in proportion to the response to the
+    # hit. Every line is therefore treated as a resonance with the magnitude and width of the curve at this line.
+    to_acceleration = (2.0 * np.pi * frf.frequency) ** {"displacement": 2, "velocity": 1, "acceleration": 0}[
+        frf.motion
+    ]
+    skirt = 1.0 / (np.pi * (np.abs(np.arange(1 - frf.value.size, frf.value.size)) + 1.0))
+    error = (
+        largest
+        * scipy.signal.fftconvolve(skirt, abs(frf.value) * to_acceleration, mode="valid")
+        / to_acceleration
+    )
+    limited = frf.with_limits({MOTION_BEFORE: error})
+    return limited.warn(warning) if largest > _MAX_MOTION_RATIO else limited
+
+
+def warn_of_dampers(rec: Recording) -> tuple[str, ...]:
+    """Return a warning if dampers may move; the response is then valid only for this excitation."""
+    if not any(damper.moves for damper in rec.scene.dampers):
+        return ()
+    return (
+        "Moving dampers make the structure nonlinear: this curve is valid only for this level and kind of excitation, "
+        "and its error bars assume linearity. Use stepped sine for the response to steady tones.",
+    )

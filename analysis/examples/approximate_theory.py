@@ -2,13 +2,13 @@
 Compare with the approximate theory: Types I to III
 ===================================================
 
-The paper reduces the structure to one mode and finds three types of periodic motion. Type I: the
-damper flies and lands on the floor. Type II: it hits the ceiling and leaves it at once. Type III: it stays there.
-Exact orbits of the full structure show how good the reduction is.
+The paper reduces the structure to one mode and predicts three types of periodic motion. Type I: the damper flies and
+lands on the floor. Type II: it also hits the ceiling and leaves it at once. Type III: it stays at the ceiling for a
+while. Exact orbits of the full structure show the accuracy of the reduction.
 """
 
 # %%
-# The approximate method for mode 3 of the scene of Fig. 9: one damper below a ceiling.
+# The approximate method for mode 3 of the scene of Fig. 9, with one damper below a ceiling.
 import matplotlib.pyplot as plt
 import numpy as np
 

@@ -3,11 +3,11 @@ Choose a damper
 ===============
 
 The worst peak over a band depends on the clearance above the damper. Exact steady motions show which clearance
-gives the lowest. `rig design` also searches places, masses and several force levels.
+gives the lowest worst peak. `rig design` also optimizes positions and masses, for several force levels.
 """
 
 # %%
-# One damper in body 2. A force acts on body 1 directly, as an ideal controller would hold it.
+# One damper in body 2. A force of constant amplitude acts on body 1, as with an ideal controller.
 import matplotlib.pyplot as plt
 import numpy as np
 
@@ -21,11 +21,7 @@ def worst_peak(clearance_mm: float) -> float:
     """Return the highest compliance of any body in the band, µm/N."""
     scene = rig.load(
         "fig9",
-        {
-            "shaker": {"kind": "force", "body": 1},
-            "channels": None,
-            "dampers.clearance": f"{clearance_mm} mm",
-        },
+        {"shaker": {"kind": "force", "body": 1}, "channels": None, "dampers.clearance": f"{clearance_mm} mm"},
     )
     return 1e6 * float(abs(rig.orbit_response(scene, frequencies).compliance).max())
 

@@ -12,13 +12,13 @@ import matplotlib.pyplot as plt
 import analysis
 import daq
 
-bare = daq.open("recordings/demo-impulse-no-damper.mcap")
+undamped = daq.open("recordings/demo-impulse-no-damper.mcap")
 damped = daq.open("recordings/demo-impulse-three-dampers.mcap")
-decays = [analysis.decay(recording, "body3") for recording in (bare, damped)]
+decays = [analysis.decay(recording, "body3") for recording in (undamped, damped)]
 print(*decays, sep="\n")
 
 # %%
-# The decays in one picture.
+# Both decays in one figure.
 axes = plt.subplots(layout="constrained")[1]
 for decay in decays:
     decay.plot(axes)
@@ -27,7 +27,7 @@ for decay in decays:
 # Damping ratio of each mode over its amplitude: constant without dampers, larger with them above 1 g.
 for decay in decays:
     for mode in decay.modes:
-        pairs = zip(mode.amplitude[::4], mode.damping[::4], strict=True)
-        listed = ", ".join(f"{100 * ratio:.2f} % at {level:.2g} m/s²" for level, ratio in pairs)
-        print(f"{decay.label}, {mode.frequency:.1f} Hz: {listed}")
+        points = zip(mode.amplitude[::4], mode.damping[::4], strict=True)
+        text = ", ".join(f"{100 * ratio:.2f} % at {level:.2g} m/s²" for level, ratio in points)
+        print(f"{decay.label}, {mode.frequency:.1f} Hz: {text}")
 print(f"below 1 g from {decays[1].quiet_from:.2f} s on, instead of {decays[0].quiet_from:.2f} s")

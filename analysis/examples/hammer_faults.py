@@ -2,8 +2,8 @@
 Hammer test: double hits and clipping
 =====================================
 
-A rebound of the hammer and a range that is too small are the two common faults of a hammer test. Here both happen on
-purpose, so that their effect on the response is known.
+A rebound of the hammer and a range that is too small are the two common faults of a hammer test. Here both are
+simulated, so that their effect on the response is known.
 """
 
 # %%
@@ -32,7 +32,7 @@ tests = {
 }
 
 # %%
-# Force and response of each test. A double hit has deep minima in the spectrum of its force, where noise dominates.
+# Force and response of each test. The force spectrum of a double hit has deep minima, at which noise dominates.
 figure, (above, below) = plt.subplots(2, layout="constrained", figsize=(6.4, 6.4))
 overloads, peaks = {}, {}
 for name, text in tests.items():
@@ -50,7 +50,9 @@ for name, text in tests.items():
     above.semilogy(np.fft.rfftfreq(4096, 1 / 5120.0), spectrum, label=name)
     below.semilogy(frf.frequency, 1e6 * abs(frf.value), label=name)
     peaks[name] = float(frf.frequency[np.argmax(abs(frf.value))])
-    print(f"{name}: highest at {peaks[name]:.2f} Hz, weakest force line {spectrum[:1600].min():.1e} N s")
+    print(
+        f"{name}: highest peak at {peaks[name]:.2f} Hz, smallest force line {spectrum[:1600].min():.1e} N s"
+    )
 above.set(xlim=(0, 400), ylim=(1e-4, 1), ylabel="force spectrum / (N s)")
 below.set(xlim=(0, 400), xlabel="frequency / Hz", ylabel="compliance of the arm / (µm/N)")
 above.legend()

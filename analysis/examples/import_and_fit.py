@@ -2,11 +2,12 @@
 Import a measured file and fit a model
 ======================================
 
-Measurements of another program become a recording, and a guess of the structure becomes a model with intervals.
+Measurements of another program become a recording. A first guess of the structure is then fitted, with 95 % intervals
+of its values.
 """
 
 # %%
-# A file from elsewhere: here a recording of the repository, written as a table of time histories.
+# In place of a file of another program, a recording of the repository is written as a CSV table of time histories.
 import csv
 from pathlib import Path
 
@@ -25,10 +26,10 @@ with Path("bench.csv").open("w", newline="", encoding="utf-8") as file:
     writer.writerows(np.column_stack([np.arange(samples.shape[1]) / rate, samples.T]).tolist())
 
 # %%
-# Import: the scene says what the channels are, a table gives the units; the hit is detected in the force.
+# Import: the scene defines the channels, and an assignment states columns and units. The hit is detected in the force.
 units = {name: "N" if name == "hammer" else "m/s^2" for name in names}
-table = "".join(f"{name}: {{column: {name}, unit: {unit}}}\n" for name, unit in units.items())
-Path("channels.yaml").write_text(table, encoding="utf-8")
+assignment = "".join(f"{name}: {{column: {name}, unit: {unit}}}\n" for name, unit in units.items())
+Path("channels.yaml").write_text(assignment, encoding="utf-8")
 path = daq.import_files("bench.csv", scene, "bench.mcap", table="channels.yaml", overwrite=True)
 with daq.open(path) as imported:
     hits = [marker for marker in imported.markers if marker.kind == "hit"]
@@ -36,7 +37,7 @@ with daq.open(path) as imported:
 print(f"{len(hits)} hit, at {hits[0].first_sample / rate:.3f} s")
 
 # %%
-# Fit masses, springs and damping, from a guess that is 10 % wrong.
+# Fit masses, springs and damping, from a guess with 10 % errors.
 guess = scene.replace(structure=scene.structure.replace(masses=["0.81 kg", "0.64 kg", "0.70 kg"]))
 fit = analysis.fit(path, guess)
 print(fit)

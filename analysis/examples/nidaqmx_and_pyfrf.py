@@ -28,7 +28,7 @@ channels:
 converter: {rate: 10240 Hz, bits: 24, range: 5 V}
 """)
 RATE, BLOCK, BLOCKS = 10240.0, 40960, 6
-# The same block of noise from 30 to 250 Hz again and again: such a test has no leakage.
+# The same block of noise from 30 to 250 Hz is repeated, so that there is no leakage.
 lines = np.fft.rfftfreq(BLOCK, 1 / RATE)
 phases = np.random.default_rng(1).uniform(0.0, 2 * np.pi, lines.size)
 block = np.fft.irfft(np.where((lines > 30) & (lines < 250), np.exp(1j * phases), 0.0))
@@ -52,14 +52,14 @@ with (
 acceleration, force = volts[:2] / (0.1 / 9.80665), volts[2:] / 0.011
 
 # %%
-# H1 of the blocks without the first, which holds the transient, and the exact response of the scene.
+# H1 of all blocks except the first, which contains the transient, and the exact response of the scene.
 frf = FRF(int(RATE), exc_type="f", resp_type="a", window="none", fft_len=BLOCK)
-read = [values.reshape(-1, BLOCKS, BLOCK).swapaxes(0, 1)[1:] for values in (force, acceleration)]
-frf.add_data(*read)
+blocks = [values.reshape(-1, BLOCKS, BLOCK).swapaxes(0, 1)[1:] for values in (force, acceleration)]
+frf.add_data(*blocks)
 band = (frf.get_f_axis() > 40) & (frf.get_f_axis() < 220)
 frequency, receptance = frf.get_f_axis()[band], frf.get_H1()[1, 0, band]
-tested = scene.replace(test={"kind": "sine", "frequency": "62 Hz", "force": "1 N"})
-exact = rig.frequency_response(tested, frequency).compliance[1]
+sine_scene = scene.replace(test={"kind": "sine", "frequency": "62 Hz", "force": "1 N"})
+exact = rig.frequency_response(sine_scene, frequency).compliance[1]
 axes = plt.subplots(layout="constrained")[1]
 axes.semilogy(frequency, 1e6 * abs(receptance), label="nidaqmx and pyFRF, H1")
 axes.semilogy(frequency, 1e6 * abs(exact), "k--", label="exact")

@@ -2,8 +2,8 @@
 Rehearse a sweep: what the settle time costs
 ============================================
 
-A stepped sine waits at each frequency until the transient of the step before has decayed. Waiting longer costs time on
-the bench; waiting less leaves an error. The rehearsal shows both before the test.
+A stepped sine waits at each frequency until the transient of the previous step has decayed. A longer wait costs bench
+time; a shorter wait leaves an error. The rehearsal shows both before the test.
 """
 
 # %%
@@ -19,7 +19,7 @@ scene = rig.load("fig8-no-damper", changes)
 print(rig.explain(scene))
 
 # %%
-# Record the test with three tolerances of the transient. The controller sees the channels only, as on a bench.
+# Record the test with three tolerances of the transient. As on a bench, the controller uses only the channels.
 durations, frfs = {}, {}
 for tolerance in ("10 %", "0.1 %", "0.001 %"):
     variant = rig.load("fig8-no-damper", {**changes, "test.settle": {"tolerance": tolerance}})
@@ -31,8 +31,8 @@ for tolerance in ("10 %", "0.1 %", "0.001 %"):
 # The error is the deviation from the exact response of the scene.
 errors = {}
 axes = plt.subplots(layout="constrained")[1]
-for tolerance, found in frfs.items():
-    frf = found["body3"]
+for tolerance, response in frfs.items():
+    frf = response["body3"]
     exact = rig.frequency_response(scene, frf.frequency).compliance[2]
     error = abs(frf.value / exact - 1.0)
     errors[tolerance] = float(error.max())
@@ -41,7 +41,7 @@ for tolerance, found in frfs.items():
     )
     print(f"settled to {tolerance}: {durations[tolerance]:.0f} s, largest error {100 * error.max():.2g} %")
 axes.set(xlabel="frequency / Hz", ylabel="error of the compliance of body 3 / %")
-axes.legend(title="transient that may remain")
+axes.legend(title="tolerance of the transient")
 
 # %%
 # The modes of the last recording, with their uncertainties.

@@ -121,7 +121,7 @@ def write_wav(stretch: Slice, path: Path, speed: float = 1.0) -> list[str]:
     `speed`: playback speed factor: with 10, a tone of 30 Hz sounds at 300 Hz. Raises `RecordingError` if samples were
     lost. Raises `SceneError` if the sound is too long for a WAV file, or its rate cannot be stored in the file header.
     """
-    stretch.need_all("a WAV file")
+    stretch.reject_gaps("a WAV file")
     name, count, rate = stretch.recording.path, len(stretch.channels), stretch.recording.rate * speed
     if not (math.isfinite(rate) and 1 <= round(rate) < 2**31 // (3 * count)):
         raise SceneError(

@@ -36,7 +36,10 @@ def write_mat(stretch: Slice, path: Path) -> None:
     _save(
         path,
         {
-            **{name: stretch.whole(channel) for name, channel in zip(names, stretch.channels, strict=True)},
+            **{
+                name: stretch.read_channel(channel)
+                for name, channel in zip(names, stretch.channels, strict=True)
+            },
             "channels": np.array(names, dtype=object),
             "units": np.array([info.unit for info in stretch.infos], dtype=object),
             "fs": rate,

@@ -25,7 +25,7 @@ def write_uff(stretch: Slice, path: Path) -> None:
     Raises `RecordingError` if samples were lost. Raises `SceneError` if there are too many samples for a text file,
     or too few for the format. Raises `RunError` if pyuff is not installed.
     """
-    stretch.need_all("UFF 58")
+    stretch.reject_gaps("UFF 58")
     count = stretch.stop - stretch.start
     if not 2 <= count <= MOST_TEXT_SAMPLES:
         raise SceneError(
@@ -35,7 +35,7 @@ def write_uff(stretch: Slice, path: Path) -> None:
     recording = stretch.recording
     file = universal_file(path)
     for number, info in enumerate(stretch.infos, start=1):
-        data = stretch.whole(info.name)
+        data = stretch.read_channel(info.name)
         write_set(
             file,
             {

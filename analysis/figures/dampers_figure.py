@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-#: Kinds of motion in the order of the legend, with their legend texts.
-_KINDS = {
+# Types of motion in the order of the legend, with their legend texts; `riding`: at rest on the floor.
+_LEGEND_TEXTS = {
     "riding": "at rest on the floor",
     "I": "type I: flies, hits the floor once a period",
     "II": "type II: hits floor and ceiling once a period",
@@ -28,24 +28,30 @@ _KINDS = {
     "unseen": "may fly, impacts below the detection limit",
     "unsure": "impacts missed, or irregular",
 }
-_SHADES = dict(zip(_KINDS, ("#cccccc", *COLORS[:4], "#8c8c8c", "#444444"), strict=True))
+_SHADES = dict(zip(_LEGEND_TEXTS, ("#cccccc", *COLORS[:4], "#8c8c8c", "#444444"), strict=True))
 
 
-def dampers_figure(found: Dampers) -> Figure:
+def dampers_figure(dampers: Dampers) -> Figure:
     """Draw the motion of each damper at each frequency and, if available, the energy per period."""
-    motions, energy, lines = found.bodies, found.energy, found.sweep.lines
-    every = np.append(lines.frequency, lines.left_out)
-    low, high = 0.98 * float(every.min()), 1.02 * float(every.max())
+    motions, energy, lines = dampers.bodies, dampers.energy, dampers.sweep.lines
+    frequencies = np.append(lines.frequency, lines.left_out)
+    low, high = 0.98 * float(frequencies.min()), 1.02 * float(frequencies.max())
     with new_figure(2.0 + 0.3 * len(motions) + (2.6 if energy is not None else 0.0)) as figure:
         heights = [0.45 * len(motions) + 0.15] + ([2.2] if energy is not None else [])
         rows = np.atleast_1d(figure.subplots(len(heights), 1, height_ratios=heights))
         _strip(rows[0], motions)
-        add_title(rows[0], found.label)
+        add_title(rows[0], dampers.label)
         if energy is not None:
-            _energies(rows[1], energy, lines, found.true_impact_energy)
-        for place in lines.left_out:
+            _energies(rows[1], energy, lines, dampers.true_impact_energy)
+        for frequency in lines.left_out:
             rows[0].plot(
-                place, 0.0, "x", color="black", ms=5, clip_on=False, transform=rows[0].get_xaxis_transform()
+                frequency,
+                0.0,
+                "x",
+                color="black",
+                ms=5,
+                clip_on=False,
+                transform=rows[0].get_xaxis_transform(),
             )
         for axes in rows:
             frequency_axis(axes, low, high, axes is rows[-1])
@@ -58,29 +64,29 @@ def _strip(strip: Axes, motions: Sequence[Sequence[DamperMotion]]) -> None:
     used: set[str] = set()
     for row, body in enumerate(motions):
         strip.axhline(row, color="#d9d9d9", lw=0.8, zorder=0)
-        places: dict[str, list[float]] = {}
+        frequencies: dict[str, list[float]] = {}
         for motion in body:
-            places.setdefault(motion.name.split(":")[0], []).append(motion.frequency)
-        for kind, frequency in places.items():
+            frequencies.setdefault(motion.name.split(":")[0], []).append(motion.frequency)
+        for kind, frequency in frequencies.items():
             strip.vlines(frequency, row - 0.35, row + 0.35, color=_SHADES[kind], lw=2.4)
-        used |= places.keys()
+        used |= frequencies.keys()
     strip.set_ylim(len(motions) - 0.4, -0.6)
     strip.set_yticks(range(len(motions)), [escape_figure(body[0].channel) for body in motions])
     strip.grid(False, axis="y")
-    for kind in _KINDS:
+    for kind, text in _LEGEND_TEXTS.items():
         if kind in used:
-            strip.plot([], [], "|", color=_SHADES[kind], ms=8, mew=2.4, label=_KINDS[kind])
+            strip.plot([], [], "|", color=_SHADES[kind], ms=8, mew=2.4, label=text)
 
 
 def _energies(axes: Axes, energy: CycleEnergy, lines: Lines, true: np.ndarray | None) -> None:
-    """Draw the energies against frequency; damper energies as upper limits if their interval includes zero."""
+    """Draw the energies against frequency, with upper limits for damper energies whose interval includes zero."""
     order = np.argsort(energy.frequency, kind="stable")
     frequency = energy.frequency[order]
     gaps = np.searchsorted(frequency, np.sort(lines.left_out))
-    broken = np.insert(frequency, gaps, np.nan)
+    abscissa = np.insert(frequency, gaps, np.nan)
 
-    def curve(joule: np.ndarray, **look: Any) -> None:
-        axes.plot(broken, np.insert(1e3 * joule[order], gaps, np.nan), **look)
+    def curve(joule: np.ndarray, **style: Any) -> None:
+        axes.plot(abscissa, np.insert(1e3 * joule[order], gaps, np.nan), **style)
 
     determined = energy.dampers > energy.bound
     into = np.where(determined, energy.dampers, np.nan)
@@ -111,12 +117,12 @@ def _energies(axes: Axes, energy: CycleEnergy, lines: Lines, true: np.ndarray | 
 
 
 def _caption(energy: CycleEnergy | None, lines: Lines) -> list[str]:
-    """Explanation of error bars and markers."""
+    """Explain error bars and markers in sentences."""
     out = []
     if energy is not None:
-        out.append("Bars: 95 % bounds of the energy, scatter and systematic errors.")
+        out.append("Bars: 95 % intervals of the energy, with scatter and systematic errors.")
     if lines.unsteady is not None and lines.unsteady.any():
-        out.append("Crosses: the motion was not steady.")
+        out.append("Crosses: steady state not reached.")
     if lines.left_out.size:
         out.append("Crosses at the axis: excluded frequencies (see the warnings).")
     return out

@@ -19,12 +19,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 # Number of points over which the roughness of a curve is estimated.
-_AROUND = 25
-# Points with a coherence below this are drawn as noise.
-_COHERENT = 0.5
-# Systematic errors below this share of the curve are too small to be visible.
-_VISIBLE = 3e-3
-# Substitute for zero on a logarithmic axis, as a share of the curve; its inverse replaces infinity.
+_ROUGHNESS_POINTS = 25
+# Points with a coherence below this value are drawn as noise.
+_MIN_COHERENCE = 0.5
+# Systematic errors of a smaller ratio to the curve are not visible.
+_MIN_VISIBLE_RATIO = 3e-3
+# Ratio to the curve that replaces zero on a logarithmic axis; its inverse replaces infinity.
 _ZERO = 1e-9
 THEORY, NOISE = "#555555", "#c4c4c4"
 
@@ -37,11 +37,11 @@ def frf_figure(
 ) -> Figure:
     """Draw measured frequency responses on common axes.
 
-    `frfs`: curves of one kind (same motion and reference); the legend shows their labels; `theory`: curves without
-    error bars, drawn thin and dashed in the colour of their response; `marks`: vertical lines, such as jumps.
+    `frfs`: curves of the same motion and reference, with their labels in the legend. `theory`: curves without error
+    bars, drawn thin and dashed in the colour of their response. `marks`: vertical lines, such as jumps.
     """
-    every = np.concatenate([each for frf in frfs for each in (frf.frequency, frf.omitted)])
-    low, high = float(every.min()), float(every.max())
+    lines = np.concatenate([part for frf in frfs for part in (frf.frequency, frf.omitted)])
+    low, high = float(lines.min()), float(lines.max())
     if high <= low:
         low, high = low / 1.2, high * 1.2
     shades = {frf.response: color_of(index) for index, frf in reversed(list(enumerate(frfs)))}
@@ -52,7 +52,7 @@ def frf_figure(
             shade = shades.get(curve.response, THEORY) if several else THEORY
             style: dict[str, Any] = {"color": shade, "lw": 0.9, "ls": (0, (5, 2)), "zorder": 1}
             upper.plot(curve.frequency, curve.shown_in[1] * abs(curve.value), **style)
-            middle.plot(*_broken(curve.frequency, phase_degrees(curve)), **style)
+            middle.plot(*_break_at_wraps(curve.frequency, phase_degrees(curve)), **style)
         if theory:
             upper.plot([], [], color=THEORY, lw=0.9, ls=(0, (5, 2)), label=escape_figure(theory[0].label))
         for index, measured in enumerate(frfs):
@@ -66,7 +66,8 @@ def frf_figure(
         unit, factor = frfs[0].shown_in
         log_axis(
             upper,
-            [factor * abs(frf.value) for frf in [*frfs, *theory]] + [factor * _reach(frf) for frf in frfs],
+            [factor * abs(frf.value) for frf in [*frfs, *theory]]
+            + [factor * _visible_edges(frf) for frf in frfs],
         )
         for axes, last in ((upper, False), (middle, False), (lower, True)):
             frequency_axis(axes, low, high, last)
@@ -94,7 +95,7 @@ def _caption(frfs: Sequence[Response]) -> list[str]:
     out = []
     if any(np.any(frf.degrees > 0) for frf in frfs):
         out.append("Dark band: 95 % confidence interval of the random error.")
-    parts = shown_parts(frfs)
+    parts = visible_parts(frfs)
     if parts:
         out.append(f"Light band: systematic errors included, each at its limit: {', '.join(parts)}.")
     if any(np.any(_reaches_zero(frf)) for frf in frfs):
@@ -102,7 +103,7 @@ def _caption(frfs: Sequence[Response]) -> list[str]:
     if not all(exceeds_noise(frf).all() for frf in frfs):
         out.append("Grey: within the noise; phase not shown.")
     if any(frf.unsteady is not None and frf.unsteady.any() for frf in frfs):
-        out.append("Crosses: the motion was not steady.")
+        out.append("Crosses: steady state not reached.")
     if any(frf.omitted.size for frf in frfs):
         out.append("Gaps with a mark at the axis: excluded frequencies (see the warnings).")
     return out
@@ -111,69 +112,75 @@ def _caption(frfs: Sequence[Response]) -> list[str]:
 def _curve(frf: Response, shade: str, upper: Axes, middle: Axes, lower: Axes) -> None:
     """Draw one measured curve into the three panels."""
     # A downward sweep has larger, open markers, so that an upward sweep remains visible where both coincide.
-    falls = frf.frequency.size > 1 and frf.frequency[0] > frf.frequency[-1]
+    downward = frf.frequency.size > 1 and frf.frequency[0] > frf.frequency[-1]
     few = frf.frequency.size <= MAX_MARKERS
     curve, frf = frf.sorted(), frf.with_gaps()
     clear = np.insert(exceeds_noise(curve), np.searchsorted(curve.frequency, np.sort(frf.omitted)), False)
-    look: dict[str, Any] = {"marker": "o" if few else None, "color": shade, "zorder": 2.9 if falls else 3}
-    if falls:
-        look |= {"mfc": "none", "ms": 5.0, "mew": 0.9}
+    line_style: dict[str, Any] = {
+        "marker": "o" if few else None,
+        "color": shade,
+        "zorder": 2.9 if downward else 3,
+    }
+    if downward:
+        line_style |= {"mfc": "none", "ms": 5.0, "mew": 0.9}
     factor = frf.shown_in[1]
-    size, half = factor * abs(frf.value), factor * np.nan_to_num(frf.magnitude_bound())
-    whole = factor * _whole(frf)
-    for reach, strength in ((whole, 0.13), (half, 0.25)):
+    size, random = factor * abs(frf.value), factor * np.nan_to_num(frf.magnitude_bound())
+    total = factor * _total_uncertainty(frf)
+    for width, strength in ((total, 0.13), (random, 0.25)):
         upper.fill_between(
-            frf.frequency, np.maximum(size - reach, size * _ZERO), np.minimum(size + reach, size / _ZERO),
+            frf.frequency, np.maximum(size - width, size * _ZERO), np.minimum(size + width, size / _ZERO),
             where=clear, color=shade, alpha=strength, lw=0,
         )  # fmt: skip
-    for place in frf.omitted:
-        upper.plot(place, 0.0, "x", color=shade, ms=5, clip_on=False, transform=upper.get_xaxis_transform())
+    for frequency in frf.omitted:
+        upper.plot(
+            frequency, 0.0, "x", color=shade, ms=5, clip_on=False, transform=upper.get_xaxis_transform()
+        )
     if not (clear | np.isnan(size)).all():
-        # One extra point on either side, so that the line stays continuous where it turns grey.
+        # One extra point on either side makes the line continuous where its colour changes to grey.
         noisy = ~clear | ~np.roll(clear, 1) | ~np.roll(clear, -1)
         upper.plot(frf.frequency, np.where(noisy, size, np.nan), color=NOISE, lw=0.7, zorder=2)
-    upper.plot(frf.frequency, np.where(clear, size, np.nan), label=escape_figure(frf.label), **look)
+    upper.plot(frf.frequency, np.where(clear, size, np.nan), label=escape_figure(frf.label), **line_style)
     if frf.unsteady is not None and frf.unsteady.any():
         upper.plot(frf.frequency[frf.unsteady], size[frf.unsteady], "x", color=shade, markersize=6, zorder=4)
     angle = np.where(clear, phase_degrees(frf), np.nan)
-    for reach, strength in ((whole, 0.13), (half, 0.25)):
-        turn = np.degrees(np.arcsin(np.minimum(reach / np.maximum(size, 1e-300), 1.0)))
-        where, centre = _broken(frf.frequency, angle)
-        wide = _broken(frf.frequency, angle, turn)[1]
-        middle.fill_between(where, centre - wide, centre + wide, color=shade, alpha=strength, lw=0)
-    middle.plot(*_broken(frf.frequency, angle), **look)
+    for width, strength in ((total, 0.13), (random, 0.25)):
+        degrees = np.degrees(np.arcsin(np.minimum(width / np.maximum(size, 1e-300), 1.0)))
+        frequency, centre = _break_at_wraps(frf.frequency, angle)
+        height = _break_at_wraps(frf.frequency, angle, degrees)[1]
+        middle.fill_between(frequency, centre - height, centre + height, color=shade, alpha=strength, lw=0)
+    middle.plot(*_break_at_wraps(frf.frequency, angle), **line_style)
     if np.any(frf.degrees > 0):
         lower.plot(frf.frequency, frf.coherence, color=shade, zorder=3)
 
 
-def shown_parts(frfs: Sequence[Response]) -> list[str]:
+def visible_parts(frfs: Sequence[Response]) -> list[str]:
     """List the systematic errors that are visible anywhere along the curves, the largest first."""
     sizes: dict[str, float] = {}
     for frf in frfs:
         for name, part in frf.limits.items():
-            share = part / np.maximum(abs(frf.value), 1e-300)
-            if np.any(share > _VISIBLE):
-                sizes[name] = max(sizes.get(name, 0.0), float(np.nanmedian(share)))
+            ratio = part / np.maximum(abs(frf.value), 1e-300)
+            if np.any(ratio > _MIN_VISIBLE_RATIO):
+                sizes[name] = max(sizes.get(name, 0.0), float(np.nanmedian(ratio)))
     return sorted(sizes, key=sizes.__getitem__, reverse=True)
 
 
-def _whole(frf: Response) -> Array:
-    """Half-width of the band of random and systematic errors; infinite where the error is unbounded."""
+def _total_uncertainty(frf: Response) -> Array:
+    """Return the half-width of the band of random and systematic errors; infinite if the error is unbounded."""
     return np.hypot(np.nan_to_num(frf.magnitude_bound()), frf.systematic_bound())
 
 
 def _reaches_zero(frf: Response) -> NDArray[np.bool_]:
-    return np.asarray(exceeds_noise(frf) & (_whole(frf) >= abs(frf.value)))
+    return np.asarray(exceeds_noise(frf) & (_total_uncertainty(frf) >= abs(frf.value)))
 
 
-def _reach(frf: Response) -> Array:
-    """Edges of the band that the axis includes: at most a decade beyond the curve."""
-    size, whole = abs(frf.value), _whole(frf)
-    known = exceeds_noise(frf) & np.isfinite(size) & (size > 0)
-    if not known.any():
+def _visible_edges(frf: Response) -> Array:
+    """Return the edges of the band that the axis includes: at most a decade beyond the curve."""
+    size, total = abs(frf.value), _total_uncertainty(frf)
+    visible = exceeds_noise(frf) & np.isfinite(size) & (size > 0)
+    if not visible.any():
         return np.empty(0)
-    size, whole = size[known], whole[known]
-    edges = np.concatenate([np.minimum(size + whole, 10.0 * size.max()), size - whole])
+    size, total = size[visible], total[visible]
+    edges = np.concatenate([np.minimum(size + total, 10.0 * size.max()), size - total])
     return np.asarray(edges[edges > 0.1 * size.min()])
 
 
@@ -184,15 +191,15 @@ def exceeds_noise(frf: Response) -> NDArray[np.bool_]:
     """
     size = np.maximum(abs(frf.value), 1e-300)
     if np.isfinite(frf.error).all():
-        return np.asarray((frf.error < 0.5 * size) & (frf.coherence > _COHERENT))
-    if size.size < 2 * _AROUND:
+        return np.asarray((frf.error < 0.5 * size) & (frf.coherence > _MIN_COHERENCE))
+    if size.size < 2 * _ROUGHNESS_POINTS:
         return np.ones(size.size, dtype=bool)
     rough = abs(np.diff(frf.value, 2, prepend=frf.value[0], append=frf.value[-1])) / np.sqrt(6.0)
-    return np.asarray(scipy.ndimage.median_filter(rough / size, _AROUND, mode="nearest") < 0.35)
+    return np.asarray(scipy.ndimage.median_filter(rough / size, _ROUGHNESS_POINTS, mode="nearest") < 0.35)
 
 
-def _broken(frequency: Array, angle: Array, values: Array | None = None) -> tuple[Array, Array]:
-    """Break a line (by default that of the angle) where the phase wraps."""
+def _break_at_wraps(frequency: Array, angle: Array, values: Array | None = None) -> tuple[Array, Array]:
+    """Insert gaps into a line, by default the line of the angle, where the phase wraps."""
     with np.errstate(invalid="ignore"):
         wraps = np.flatnonzero(abs(np.diff(angle)) > 180.0) + 1
     return np.insert(frequency, wraps, np.nan), np.insert(angle if values is None else values, wraps, np.nan)

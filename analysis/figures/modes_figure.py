@@ -29,12 +29,11 @@ def modes_figure(frfs: Sequence[Response], modes: Modes, title: str) -> Figure:
         rows = figure.add_gridspec(3, max(count, 1), height_ratios=[2.2, 1.3, 1.3])
         fit = figure.add_subplot(rows[0, :])
         chart = figure.add_subplot(rows[1, :])
-        dense = np.unique(np.concatenate([np.geomspace(low, high, 1500), *_around(modes)]))
+        dense = np.unique(np.concatenate([np.geomspace(low, high, 1500), *_resonance_frequencies(modes)]))
         dense = dense[(dense >= low) & (dense <= high)]
         for index, curve in enumerate(curves):
             shade = color_of(index)
-            # Few points are drawn as dots with the model as a line; many as a broad line with the model thin and
-            # dark.
+            # Few points are drawn as dots with a line for the model, many points as a broad line with a thin dark line.
             few = curve.frequency.size <= MAX_MARKERS
             fit.plot(
                 curve.frequency, 1e6 * abs(curve.value), "o" if few else "-", ms=2.4, color=shade,
@@ -52,10 +51,9 @@ def modes_figure(frfs: Sequence[Response], modes: Modes, title: str) -> Figure:
         )
         kinds = ((False, "x", "#bbbbbb", "new pole"), (True, "o", "#009E73", "stable"))
         for stable, mark, shade, text in kinds:
-            some = np.array([(p.frequency, p.order) for p in modes.chart if p.stable == stable]).reshape(
-                -1, 2
-            )
-            chart.plot(some[:, 0], some[:, 1], mark, ms=2.6, color=shade, label=text, ls="")
+            poles = np.array([(p.frequency, p.order) for p in modes.chart if p.stable == stable])
+            frequency, order = poles.reshape(-1, 2).T
+            chart.plot(frequency, order, mark, ms=2.6, color=shade, label=text, ls="")
         frequency_axis(chart, low, high, True)
         chart.set_ylabel("order")
         # The legend is above the axes because poles can lie anywhere inside.
@@ -64,14 +62,14 @@ def modes_figure(frfs: Sequence[Response], modes: Modes, title: str) -> Figure:
             for axes in (fit, chart):
                 axes.axvline(f, color="#777777", lw=0.7, ls=":", zorder=0)
         bodies = modes.of_bodies()
-        places = np.arange(1, len(bodies.names) + 1)
+        heights = np.arange(1, len(bodies.names) + 1)
         for i in range(count):
             axes = figure.add_subplot(rows[2, i])
-            axes.plot(np.append(0, bodies.shapes[:, i].real), np.append(0, places), "o-", color="#333333")
+            axes.plot(np.append(0, bodies.shapes[:, i].real), np.append(0, heights), "o-", color="#333333")
             axes.set(xlim=(-1.25, 1.25), xlabel="shape")
             axes.axvline(0.0, color="#777777", lw=0.7)
-            names = ["ground", *map(escape_figure, bodies.names)] if i == 0 else [""] * (places.size + 1)
-            axes.set_yticks(np.append(0, places), names)
+            names = ["ground", *map(escape_figure, bodies.names)] if i == 0 else [""] * (heights.size + 1)
+            axes.set_yticks(np.append(0, heights), names)
             axes.set_title(
                 f"{format_quantity(modes.frequency[i], 2 * modes.frequency_error[i], 'Hz')}\n{modes.damping_text(i)}",
                 fontsize=9,
@@ -80,8 +78,8 @@ def modes_figure(frfs: Sequence[Response], modes: Modes, title: str) -> Figure:
         return figure
 
 
-def _around(modes: Modes) -> list[np.ndarray]:
-    """Dense frequencies around each resonance, so that the drawn model reaches its peaks."""
+def _resonance_frequencies(modes: Modes) -> list[np.ndarray]:
+    """Return dense frequencies around each resonance, so that the drawn model reaches its peaks."""
     return [
         f * (1.0 + zeta * np.linspace(-8.0, 8.0, 161))
         for f, zeta in zip(modes.frequency, modes.damping, strict=True)

@@ -1,4 +1,4 @@
-"""Delay of a channel: its filter spreads an event over later samples."""
+"""Delay of a channel: the samples over which its filter spreads an event."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ if TYPE_CHECKING:
 def arrival(info: ChannelInfo, first: int, last: int) -> tuple[int, int]:
     """Return the first and last sample of a channel that contain the events between two samples of the clock.
 
-    A marker contains the time of an action. The corresponding samples are later by the channel's delay, unless it was
-    removed, and extend to either side by half the length of the filter.
+    A marker contains the time of an action. Unless the delay of the channel was removed, the corresponding samples are
+    later by this delay. The filter extends them to either side by half its length.
 
     >>> from daq.signal_chain.channel import ChannelInfo
     >>> from daq.signal_chain.decimation_filter import Decimation
     >>> low_pass = Decimation.standard(5120.0)
-    >>> late = ChannelInfo("hammer", "hammer", "force", 1.0, 5120.0, delay=38 / 5120, filter=low_pass.design)
-    >>> arrival(late, 1000, 1020)
+    >>> delayed = ChannelInfo("hammer", "hammer", "force", 1.0, 5120.0, delay=38 / 5120, filter=low_pass.design)
+    >>> arrival(delayed, 1000, 1020)
     (1000, 1096)
     """
-    late = info.delay * info.rate
+    delay = info.delay * info.rate
     spread = info.filter.get("delay", 0.0)
-    # A millionth of a sample is rounding and must not add another sample.
-    begin = math.floor(first + late - spread + 1e-6)
-    return begin, math.ceil(last + late + spread + info.average - 1e-6)
+    # A millionth of a sample is a rounding error and must not add another sample.
+    begin = math.floor(first + delay - spread + 1e-6)
+    return begin, math.ceil(last + delay + spread + info.average - 1e-6)

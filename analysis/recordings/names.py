@@ -55,7 +55,7 @@ def takes_path(
                 return function(rec, *args, **kwargs)
         if not hasattr(recording, "channels"):
             raise RecordingError(
-                f"{function.__name__}: got {recording!r:.60}; expected a path, or a recording opened by daq.open"
+                f"{function.__name__}: got {recording!r:.60}; expected a recording: its path, or the object of daq.open"
             )
         return function(recording, *args, **kwargs)
 

@@ -1,4 +1,4 @@
-"""A segment of a recording: some channels between two times, read in pieces."""
+"""Segments of recordings: channels between two times, read in pieces."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.recording.layout import refuse_reversed
+from rig.arrays import Array
 from rig.errors import RecordingError, SceneError
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
     from daq.signal_chain.channel import ChannelInfo
 
-# Samples of each channel in memory at a time.
+# Number of samples of each channel in memory at a time.
 PIECE = 1 << 16
 
 
@@ -27,8 +27,8 @@ class Slice:
 
     recording: Recording
     channels: tuple[str, ...]
-    start: int
-    stop: int  # first and one-past-last sample
+    start: int  # first sample
+    stop: int  # one past the last sample
     # called with the number of samples read since the last call, summed over the channels
     on_read: Callable[[int], None] = field(default=lambda samples: None, compare=False)
 
@@ -44,8 +44,8 @@ class Slice:
         names = tuple(recording.channels if channels is None else channels)
         for name in names:
             if name not in recording.channels:
-                known = ", ".join(recording.channels)
-                raise SceneError(f"{recording.path}: no channel {name!r}. Choose one of {known}.")
+                available = ", ".join(recording.channels)
+                raise SceneError(f"{recording.path}: no channel {name!r}. Choose one of {available}.")
         refuse_reversed(from_s, to_s)
         start = 0 if from_s is None else max(0, math.ceil(from_s * recording.rate))
         stop = recording.samples if to_s is None else min(recording.samples, math.ceil(to_s * recording.rate))
@@ -60,20 +60,20 @@ class Slice:
         """Return the data sheets of the channels."""
         return [self.recording.channels[name] for name in self.channels]
 
-    def pieces(self, names: Sequence[str]) -> Iterator[tuple[int, NDArray[np.float64]]]:
+    def pieces(self, names: Sequence[str]) -> Iterator[tuple[int, Array]]:
         """Yield the sample number and the samples (channels, piece) of each piece."""
         for first in range(self.start, self.stop, PIECE):
             last = min(first + PIECE, self.stop)
             yield first, np.array([self.recording.read(name, first, last) for name in names])
             self.on_read((last - first) * len(names))
 
-    def whole(self, name: str) -> NDArray[np.float64]:
+    def read_channel(self, name: str) -> Array:
         """Read all samples of a channel."""
         samples = self.recording.read(name, self.start, self.stop)
         self.on_read(samples.size)
         return samples
 
-    def need_all(self, form: str) -> None:
+    def reject_gaps(self, file_format: str) -> None:
         """Reject a segment with lost samples for a format that cannot represent them."""
         for gap in self.recording.gaps:
             if (
@@ -81,30 +81,33 @@ class Slice:
                 and gap.last_sample >= self.start
                 and set(gap.channels) & {*self.channels}
             ):
-                first, last = (at / self.recording.rate for at in (gap.first_sample, gap.last_sample + 1))
+                first, last = (
+                    sample / self.recording.rate for sample in (gap.first_sample, gap.last_sample + 1)
+                )
                 raise RecordingError(
                     f"{self.recording.path}: the samples of {', '.join(gap.channels)} from {first:.6g} to "
-                    f"{last:.6g} s are lost, which {form} cannot represent. Export another part (--from, --to), or "
-                    "use .csv or .npz."
+                    f"{last:.6g} s are lost, which {file_format} cannot represent. Export another part (--from, --to), "
+                    "or use .csv or .npz."
                 )
 
 
 def read_slices(
     rec: Recording, channels: Sequence[str], bounds: Iterable[tuple[int, int]]
-) -> Iterator[NDArray[np.float64]]:
+) -> Iterator[Array]:
     """Yield the samples of each segment ``[start, stop)``.
 
-    The starts do not decrease; segments may overlap. Yields shape (channels, stop - start), NaN where samples are lost
-    or the recording has ended.
+    The starts do not decrease; segments may overlap. Yields shape (channels, stop - start). Samples that are lost or
+    after the end of the recording are NaN.
     """
-    held: dict[int, NDArray[np.float64]] = {}
+    stored: dict[int, Array] = {}
     for start, stop in bounds:
-        wanted = range(start // PIECE, -(-min(stop, rec.samples) // PIECE))
-        held = {
-            number: held[number] if number in held else _piece(rec, channels, number) for number in wanted
+        numbers = range(start // PIECE, -(-min(stop, rec.samples) // PIECE))
+        stored = {
+            number: stored[number] if number in stored else _piece(rec, channels, number)
+            for number in numbers
         }
         out = np.full((len(channels), stop - start), np.nan)
-        for number, piece in held.items():
+        for number, piece in stored.items():
             first = number * PIECE
             low, high = max(first, start), min(first + piece.shape[1], stop)
             if high > low:
@@ -112,7 +115,7 @@ def read_slices(
         yield out
 
 
-def _piece(rec: Recording, channels: Sequence[str], number: int) -> NDArray[np.float64]:
+def _piece(rec: Recording, channels: Sequence[str], number: int) -> Array:
     first, stop = number * PIECE, min((number + 1) * PIECE, rec.samples)
     return np.stack([rec.read(name, first, stop) for name in channels])
 

@@ -25,13 +25,13 @@ _PLACE_STEP = 2.0
 
 def search_group(
     fit: Callable[[list[Jump], int], tuple[list[Jump], float]],
-    places: tuple[float, float],
+    times: tuple[float, float],
     min_distance: float,
     sufficient: float,
 ) -> tuple[list[Jump], float]:
     """Search for the jumps that best explain a stretch; return them with the residual sum of squares.
 
-    `fit`: joint fit of jumps to the stretch with a number of iterations (1: fixed times); `places`: limits of the
+    `fit`: joint fit of jumps to the stretch with a number of iterations (1: fixed times); `times`: limits of the
     times of the jumps, samples; `min_distance`: minimum distance between two jumps, samples; `sufficient`: residual
     sum of squares at which the search ends.
     """
@@ -42,9 +42,9 @@ def search_group(
         for known in sets:
             # The times at which one more jump reduces the residual most, from fits with fixed times.
             tried = [
-                [*known, Jump(float(place), np.zeros(3), 1.0, 0.0)]
-                for place in np.arange(*places, _PLACE_STEP)
-                if all(abs(place - jump.place) >= min_distance for jump in known)
+                [*known, Jump(float(time), np.zeros(3), 1.0, 0.0)]
+                for time in np.arange(*times, _PLACE_STEP)
+                if all(abs(time - jump.time) >= min_distance for jump in known)
             ]
             remaining = [fit(jumps, 1)[1] for jumps in tried]
             order = np.argsort(remaining, kind="stable")[:_PLACES_TRIED]
@@ -66,5 +66,5 @@ def cost(jumps: list[Jump], remaining: float) -> float:
 
 
 def _same(left: list[Jump], right: list[Jump]) -> bool:
-    places = [np.sort([jump.place for jump in jumps]) for jumps in (left, right)]
-    return bool(np.all(abs(places[0] - places[1]) < _PLACE_STEP))
+    times = [np.sort([jump.time for jump in jumps]) for jumps in (left, right)]
+    return bool(np.all(abs(times[0] - times[1]) < _PLACE_STEP))

@@ -147,14 +147,14 @@ def impacts(
             "rate."
         )
     models = impact_models(info, pulse, decimation)
-    least = 4 * models[0].reach * decimation
+    least = 4 * models[0].separation * decimation
     if stop - start < least:
         raise RecordingError(
             f"{info.name}: too few samples to distinguish impacts from noise ({stop - start}). Take at least {least}."
         )
     if samples is None:
         samples = rec.read(info.name, start, stop)
-    good = _good(rec, info.name, samples, start, models[0].ring * decimation)
+    good = _good(rec, info.name, samples, start, models[0].settling * decimation)
     if np.sum(good) < max(least, _MIN_SEARCHED * good.size):
         raise RecordingError(
             f"{info.name}: all but {np.sum(good)} of {good.size} samples in this stretch are lost or overloaded. "
@@ -172,7 +172,7 @@ def impacts(
     rate, floor = rec.rate / decimation, floor / decimation**0.5
     readings, valid = _means(samples, decimation), _means(good, decimation) == 1.0
     search = MatchingPursuit(models, readings, valid, floor, rate, CALM_SHARE)
-    if not search.open.any():
+    if not search.valid.any():
         raise RecordingError(
             f"{info.name}: lost or overloaded samples leave no {least} samples in a row. Choose another stretch, or "
             "record at a lower level or with a larger converter range."
@@ -186,7 +186,7 @@ def impacts(
         calmer_jumps = calmer.run()
         if calmer.jump_noise < NOISE_REDUCTION * noise:
             search, jumps, noise = calmer, calmer_jumps, calmer.jump_noise
-    fitted = [(each.place, each.place_error, each.sizes[0], each.error) for each in jumps]
+    fitted = [(each.time, each.time_error, each.sizes[0], each.error) for each in jumps]
     place, place_error, jump, error = np.array(fitted).reshape(-1, 4).T
     largest = float(abs(jump).max(initial=0.0))
     threshold = search.detection_limit(noise, largest)
@@ -198,7 +198,7 @@ def impacts(
     unresolved = search.unresolved()
     clear &= ~((place[:, None] >= unresolved[:, 0]) & (place[:, None] < unresolved[:, 1])).any(axis=1)
     resolution, duration = search.resolution() / rate, 0.0 if pulse is None else pulse.duration
-    ringing = (search.model.reach + search.model.ring) / rate
+    ringing = (search.model.separation + search.model.settling) / rate
     if pulse is not None:
         time = place / rate
         clear &= ~_secondary(time, jump, resolution + RELEASE_DURATIONS * duration, ringing)

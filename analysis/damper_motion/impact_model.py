@@ -80,7 +80,7 @@ class ImpactModel:
     """Filters for the kink, for the step orthogonal to the kink, and for the jump orthogonal to both, each with unit
     noise gain. Row g is for a jump (g + 1/2) / instants - SHIFT samples after the window's sample 0.
     Shape (2 SHIFT instants, 3, window)."""
-    triangles: Array
+    r_factors: Array
     """Upper triangular matrices from kink, step and jump to filter outputs; shape (2 SHIFT instants, 3, 3)."""
     window_start: int
     """Index of the window's first difference relative to its sample 0."""
@@ -94,7 +94,7 @@ class ImpactModel:
     """Contact duration of an impact, samples; 0: instant."""
 
     @cached_property
-    def scan_space(self) -> tuple[Array, Array]:
+    def search_basis(self) -> tuple[Array, Array]:
         """Orthonormal basis of the search's jump filters and their weights; shapes (rank, window), (filters, rank).
 
         The numerical rank of a few dozen filters is about ten.
@@ -113,7 +113,7 @@ class ImpactModel:
     @cached_property
     def _to_sizes(self) -> Array:
         """Matrices from filter outputs to jump, step and kink; shape (2 SHIFT instants, 3, 3)."""
-        return np.asarray(np.linalg.inv(self.triangles)[:, ::-1], dtype=np.float64)
+        return np.asarray(np.linalg.inv(self.r_factors)[:, ::-1], dtype=np.float64)
 
     @cached_property
     def templates(self) -> Array:
@@ -127,20 +127,20 @@ class ImpactModel:
         return int(self.filters.shape[-1])
 
     @cached_property
-    def reach(self) -> int:
+    def separation(self) -> int:
         """Minimum distance of two jumps whose windows do not overlap, samples."""
         return self.window + self.difference
 
     @cached_property
-    def ring(self) -> int:
+    def settling(self) -> int:
         """Samples until the reading of a jump has decayed."""
         return int(self.shapes.shape[-1])
 
     @cached_property
-    def gain(self) -> float:
+    def noise_gain(self) -> float:
         """Standard deviation of a jump for unit noise of the readings at the worst sub-sample time, m/s."""
         middle = slice(SHIFT * self.instants, (SHIFT + 1) * self.instants)
-        return float(1.0 / abs(self.triangles[middle, 2, 2]).min())
+        return float(1.0 / abs(self.r_factors[middle, 2, 2]).min())
 
     @cached_property
     def template_norm(self) -> float:
@@ -213,7 +213,7 @@ class ImpactModel:
             side = 1 if toward > 0 else -1
             other = self._to_sizes[row + side] @ near[best + side]
             sizes = (1.0 - abs(toward)) * sizes + abs(toward) * other
-        error = noise / abs(self.triangles[row, 2, 2])
+        error = noise / abs(self.r_factors[row, 2, 2])
         return (row + toward + 0.5) / self.instants - SHIFT, sizes, error, float(explained[best])
 
 
@@ -261,21 +261,21 @@ def _impact_models(
     # A decimation filter removes resonances above half the sample rate.
     fastest = np.pi * full_rate if info.filter else np.inf
     fast = [pole for pole in poles if _FAST_POLE * rate < abs(pole) < fastest]
-    turning = max((abs(pole.imag) for pole in fast), default=0.0) / rate if pulse is None else 0.0
-    ringing = max((-rate / pole.real for pole in fast), default=0.0)
+    phase_rate = max((abs(pole.imag) for pole in fast), default=0.0) / rate if pulse is None else 0.0
+    decay_samples = max((-rate / pole.real for pole in fast), default=0.0)
     contact = 0 if pulse is None else int(np.ceil(pulse.duration * rate))
-    stride = _RESONANCE_STRIDE if turning else _FILTER_STRIDE if info.filter and decimation == 1 else 1
-    instants = max(_MIN_INSTANTS, int(np.ceil(turning / _PHASE_STEP))) * stride
+    stride = _RESONANCE_STRIDE if phase_rate else _FILTER_STRIDE if info.filter and decimation == 1 else 1
+    instants = max(_MIN_INSTANTS, int(np.ceil(phase_rate / _PHASE_STEP))) * stride
     side = _SIDE_SAMPLES if integrations == 0 else max(_SIDE_SAMPLES, round(_SIDE_TIME * rate))
-    look = int(np.ceil(_FILTER_WINDOW / decimation)) if info.filter else 0
-    before = SHIFT + side + look
-    after = SHIFT + side + integrations + look + contact
-    after += int(np.ceil(min(_WINDOW_DECAY_TIMES * ringing, 4 * side)))
-    extra = int(np.ceil(_FILTER_SPAN / decimation)) if info.filter else 2
-    decayed = after + int(np.ceil(_DECAY_TIMES * ringing)) + extra
-    readings = _readings(info, integrations, instants, before + extra, decayed, pulse, decimation)
+    filter_samples = int(np.ceil(_FILTER_WINDOW / decimation)) if info.filter else 0
+    before = SHIFT + side + filter_samples
+    after = SHIFT + side + integrations + filter_samples + contact
+    after += int(np.ceil(min(_WINDOW_DECAY_TIMES * decay_samples, 4 * side)))
+    margin = int(np.ceil(_FILTER_SPAN / decimation)) if info.filter else 2
+    decayed = after + int(np.ceil(_DECAY_TIMES * decay_samples)) + margin
+    readings = _readings(info, integrations, instants, before + margin, decayed, pulse, decimation)
     shapes = np.diff(readings, 2, axis=-1) / rate**integrations
-    inside = readings[..., extra : extra + before + after]
+    inside = readings[..., margin : margin + before + after]
     filters = _filters(inside, integrations, rate)
     return tuple(
         ImpactModel(
@@ -283,14 +283,14 @@ def _impact_models(
             instants=instants,
             stride=stride,
             filters=rows,
-            triangles=triangles,
+            r_factors=r_factors,
             window_start=3 - before,
             shapes=shapes,
-            shape_start=3 - before - extra,
+            shape_start=3 - before - margin,
             order=order + integrations,
             contact_samples=contact,
         )
-        for order, (rows, triangles) in zip(ORDERS, filters, strict=True)
+        for order, (rows, r_factors) in zip(ORDERS, filters, strict=True)
     )
 
 
@@ -320,24 +320,24 @@ def _readings(
         # Velocity change within half a sub-sample interval on either side.
         ends = (np.arange(size * instants + 1) - 0.5) / (rate * instants)
         response *= fft.rfft(np.diff(pulse.exchanged(ends)))
-    boxes = integrations + int(info.average)
+    averages = integrations + int(info.average)
     if not info.average:
         # The mean of interval averages is an average over a longer interval; point samples are summed explicitly.
-        late = np.exp(-2j * np.pi * np.outer(np.arange(decimation), frequency) / info.rate)
-        response *= late.mean(axis=0)
+        delays = np.exp(-2j * np.pi * np.outer(np.arange(decimation), frequency) / info.rate)
+        response *= delays.mean(axis=0)
     # Half a sub-sample interval for each average that is not applied: the sums below cover whole intervals.
-    response *= np.exp(2j * np.pi * frequency * 0.5 * (1 - boxes) / (rate * instants))
-    fine = fft.irfft(response, size * instants) * rate * instants
-    for _ in range(boxes):
-        total = np.cumsum(np.concatenate([fine[-instants:], fine]))
-        fine = (total[instants:] - total[:-instants]) / instants
-    fine = np.roll(fine, (before + SHIFT) * instants)
-    step = (np.cumsum(fine) - 0.5 * fine) / (rate * instants)
+    response *= np.exp(2j * np.pi * frequency * 0.5 * (1 - averages) / (rate * instants))
+    impulse_response = fft.irfft(response, size * instants) * rate * instants
+    for _ in range(averages):
+        total = np.cumsum(np.concatenate([impulse_response[-instants:], impulse_response]))
+        impulse_response = (total[instants:] - total[:-instants]) / instants
+    impulse_response = np.roll(impulse_response, (before + SHIFT) * instants)
+    step = (np.cumsum(impulse_response) - 0.5 * impulse_response) / (rate * instants)
     kink = (np.cumsum(step) - 0.5 * step) / (rate * instants)
     instant = np.arange(-SHIFT * instants, SHIFT * instants)
     sample = np.arange(1 - before, after + 1)
     place = (before + SHIFT + sample) * instants - instant[:, None] - 1
-    return np.stack([part[place] for part in (fine, step, kink)], axis=1)
+    return np.stack([part[place] for part in (impulse_response, step, kink)], axis=1)
 
 
 def _filters(readings: Array, integrations: int, rate: float) -> list[tuple[Array, Array]]:
@@ -355,9 +355,9 @@ def _filters(readings: Array, integrations: int, rate: float) -> list[tuple[Arra
         # jump.
         for _ in range(2):
             free = free - smooth @ (smooth.T @ free)
-        basis, triangles = np.linalg.qr(free)
+        basis, r_factors = np.linalg.qr(free)
         filters = np.swapaxes(basis, 1, 2)
         for _ in range(integrations + 2):
             filters = -np.cumsum(filters, axis=-1)[..., :-1]
-        out.append((np.ascontiguousarray(filters), triangles))
+        out.append((np.ascontiguousarray(filters), r_factors))
     return out

@@ -29,7 +29,7 @@ _MAX_DISTANCE = 2.0
 class Jump:
     """Fitted velocity jump with the step and kink of the acceleration at the same time."""
 
-    place: float
+    time: float
     """Time of the jump, in samples."""
     sizes: Array
     """Jump [m/s], step [m/s²], kink [m/s³]; shape (3,)."""
@@ -37,14 +37,14 @@ class Jump:
     """Standard deviation of the jump, including its covariance with the jointly fitted quantities, m/s."""
     explained: float
     """Reduction of the sum of squares by this jump, in units of the noise variance."""
-    place_error: float = np.inf
-    """Standard deviation of `place`, samples."""
+    time_error: float = np.inf
+    """Standard deviation of `time`, samples."""
 
 
-class Noise(NamedTuple):
-    """Standard deviations of the noise, and of the Gaussian priors of steps and kinks."""
+class Deviations(NamedTuple):
+    """Standard deviations of the noise of a reading, and of the Gaussian priors of steps and kinks."""
 
-    readings: float
+    reading: float
     step: float
     """m/s²."""
     kink: float
@@ -53,18 +53,18 @@ class Noise(NamedTuple):
 
 def add(residual: Array, model: ImpactModel, jump: Jump, factor: float) -> None:
     """Add a multiple of a jump to the differenced readings."""
-    placed = model.placed(jump.place)
+    placed = model.placed(jump.time)
     _add_row(residual, placed.begin, factor * (jump.sizes @ placed.units))
 
 
 def fit_group(
-    residual: Array, model: ImpactModel, group: Sequence[Jump], noise: Noise
+    residual: Array, model: ImpactModel, group: Sequence[Jump], noise: Deviations
 ) -> tuple[list[Jump], float]:
     """Fit jumps jointly to the differenced readings around them; return them with the residual sum of squares.
 
     `residual`: differenced readings, with all other jumps subtracted.
     """
-    first, last = _around(model, [jump.place for jump in group])
+    first, last = _around(model, [jump.time for jump in group])
     return fit_within(residual, model, group, (max(first, 0), min(last, residual.size)), noise)
 
 
@@ -73,80 +73,73 @@ def fit_within(
     model: ImpactModel,
     group: Sequence[Jump],
     within: tuple[int, int],
-    noise: Noise,
+    noise: Deviations,
     iterations: int = ITERATIONS,
 ) -> tuple[list[Jump], float]:
     """Fit jumps as `fit_group` does, to the differences `within`; a single iteration keeps their times fixed."""
     first, last = within
-    seen = model.readings(residual[first:last])
-    places = start = np.array([jump.place for jump in group])
+    readings = model.readings(residual[first:last])
+    times = start = np.array([jump.time for jump in group])
     sizes = np.zeros((len(group), 3))
     for iteration in range(iterations):
-        matrix = model.readings(_columns(model, places, sizes if iteration else None, first, last))
-        fit = _least_squares(matrix, seen, _ridge(len(matrix), len(group), noise))
+        matrix = model.readings(_columns(model, times, sizes if iteration else None, first, last))
+        fit = _least_squares(matrix, readings, _ridge(len(matrix), len(group), noise))
         each = fit.solution.reshape(len(group), -1)
         sizes = each[:, :3]
         if 0 < iteration < iterations - 1:
-            moved = places + np.clip(each[:, 3], -_MAX_CHANGE, _MAX_CHANGE)
-            places = np.where(abs(moved - start) < _MAX_DISTANCE, moved, places)
-    error = noise.readings * fit.error.reshape(len(group), -1)
-    fitted = [
-        replace(
-            jump,
-            place=float(places[k]),
-            sizes=sizes[k],
-            error=float(error[k, 0]),
-            place_error=float(error[k, 3]) if iterations > 1 else np.inf,
-            explained=float((sizes[k, 0] / error[k, 0]) ** 2) if error[k, 0] else 0.0,
-        )
-        for k, jump in enumerate(group)
-    ]
+            moved = times + np.clip(each[:, 3], -_MAX_CHANGE, _MAX_CHANGE)
+            times = np.where(abs(moved - start) < _MAX_DISTANCE, moved, times)
+    error = noise.reading * fit.error.reshape(len(group), -1)
+    fitted = []
+    for k, time in enumerate(times):
+        time_error = float(error[k, 3]) if iterations > 1 else np.inf
+        explained = float((sizes[k, 0] / error[k, 0]) ** 2) if error[k, 0] else 0.0
+        fitted.append(Jump(float(time), sizes[k], float(error[k, 0]), explained, time_error))
     return fitted, float(fit.remaining)
 
 
 def with_errors(
-    residual: Array, model: ImpactModel, jumps: Sequence[Jump], noise: Array, usual: tuple[float, float]
+    residual: Array, model: ImpactModel, jumps: Sequence[Jump], noise: Array, prior: tuple[float, float]
 ) -> list[Jump]:
     """Estimate the standard deviations of jumps from the noise, or from the residual if that is larger.
 
     `residual`: differenced readings, with all jumps subtracted; `noise`, shape (jumps,): standard deviation of the
-    readings at each jump; `usual`: prior standard deviations of steps and kinks.
+    readings at each jump; `prior`: prior standard deviations of steps and kinks.
     """
     if not jumps:
         return []
-    whole, row, share = model.locate(np.array([jump.place for jump in jumps]))
+    whole, row, share = model.locate(np.array([jump.time for jump in jumps]))
     sizes = np.array([jump.sizes for jump in jumps])
     windows = np.lib.stride_tricks.sliding_window_view(residual, model.window)
     left = windows[np.clip(whole + model.window_start - model.difference, 0, len(windows) - 1)]
     change = model.templates[row + 1] - model.templates[row]
     units = model.templates[row] + share[:, None, None] * change
-    seen = model.readings(left, model.order) + np.einsum("ji,jil->jl", sizes, units)
+    readings = model.readings(left, model.order) + np.einsum("ji,jil->jl", sizes, units)
     ridge = np.zeros((len(jumps), 4))
-    ridge[:, 1], ridge[:, 2] = noise / usual[0], noise / usual[1]
-    known = _least_squares(units, seen, ridge[:, :3]).solution
-    slopes = np.einsum("ji,jil->jl", known, change) * model.instants
-    fit = _least_squares(np.concatenate([units, slopes[:, None]], axis=1), seen, ridge)
+    ridge[:, 1], ridge[:, 2] = noise / prior[0], noise / prior[1]
+    first_estimate = _least_squares(units, readings, ridge[:, :3]).solution
+    slopes = np.einsum("ji,jil->jl", first_estimate, change) * model.instants
+    fit = _least_squares(np.concatenate([units, slopes[:, None]], axis=1), readings, ridge)
     degrees = model.window - model.order - 5
     error = (np.maximum(noise, np.sqrt(fit.remaining / degrees))[:, None]) * fit.error
     return [
-        replace(jump, error=float(error[k, 0]), place_error=float(error[k, 3]))
-        for k, jump in enumerate(jumps)
+        replace(jump, error=float(error[k, 0]), time_error=float(error[k, 3])) for k, jump in enumerate(jumps)
     ]
 
 
-def jump_error(model: ImpactModel, distance: int | None, noise: Noise) -> float:
+def jump_error(model: ImpactModel, distance: int | None, noise: Deviations) -> float:
     """Return the standard deviation of a 1 m/s jump `distance` samples after an equal jump (None: isolated), m/s."""
     matrix = _equal_jumps(model, distance)
     fit = _least_squares(matrix, matrix[0], _ridge(len(matrix), len(matrix) // 4, noise))
-    return noise.readings * float(fit.error[-4])
+    return noise.reading * float(fit.error[-4])
 
 
 @lru_cache(maxsize=1024)
 def _equal_jumps(model: ImpactModel, distance: int | None) -> Array:
     """Compute the readings of one jump of 1 m/s, or of two."""
-    places = np.array([0.5] if distance is None else [0.5, 0.5 + distance])
-    sizes = np.tile([1.0, 0.0, 0.0], (places.size, 1))
-    return model.readings(_columns(model, places, sizes, *_around(model, places)))
+    times = np.array([0.5] if distance is None else [0.5, 0.5 + distance])
+    sizes = np.tile([1.0, 0.0, 0.0], (times.size, 1))
+    return model.readings(_columns(model, times, sizes, *_around(model, times)))
 
 
 class _Fit(NamedTuple):
@@ -157,7 +150,7 @@ class _Fit(NamedTuple):
     """Residual sum of squares, including the prior terms."""
 
 
-def _least_squares(rows: Array, seen: Array, ridge: Array) -> _Fit:
+def _least_squares(rows: Array, readings: Array, ridge: Array) -> _Fit:
     """Fit readings (..., length) by rows (..., unknowns, length) with prior standard deviations of noise / ridge."""
     scale = np.sqrt(np.sum(np.square(rows), axis=-1) + np.square(ridge))
     scale[scale == 0.0] = 1.0
@@ -165,19 +158,19 @@ def _least_squares(rows: Array, seen: Array, ridge: Array) -> _Fit:
     normal = unit @ np.swapaxes(unit, -1, -2)
     diagonal = np.arange(normal.shape[-1])
     normal[..., diagonal, diagonal] += np.square(ridge / scale) + _ROUNDING
-    inner = np.linalg.solve(normal, unit @ seen[..., None])
-    remaining = np.sum(np.square(seen - (np.swapaxes(inner, -1, -2) @ unit)[..., 0, :]), axis=-1)
+    inner = np.linalg.solve(normal, unit @ readings[..., None])
+    remaining = np.sum(np.square(readings - (np.swapaxes(inner, -1, -2) @ unit)[..., 0, :]), axis=-1)
     solution = inner[..., 0] / scale
     error = np.linalg.norm(np.linalg.inv(np.linalg.cholesky(normal)), axis=-2) / scale
     return _Fit(solution, error, remaining + np.sum(np.square(ridge * solution), axis=-1))
 
 
-def _columns(model: ImpactModel, places: Array, sizes: Array | None, first: int, last: int) -> Array:
-    """Differenced jump, step and kink at each place, and their time derivative; shape (unknowns, differences)."""
+def _columns(model: ImpactModel, times: Array, sizes: Array | None, first: int, last: int) -> Array:
+    """Differenced jump, step and kink at each time, and their time derivative; shape (unknowns, differences)."""
     count = 3 if sizes is None else 4
-    out = np.zeros((count * places.size, last - first))
-    for k, place in enumerate(places):
-        placed = model.placed(place)
+    out = np.zeros((count * times.size, last - first))
+    for k, time in enumerate(times):
+        placed = model.placed(time)
         for row, unit in enumerate(placed.units):
             _add_row(out[count * k + row], placed.begin - first, unit)
         if sizes is not None:
@@ -185,15 +178,15 @@ def _columns(model: ImpactModel, places: Array, sizes: Array | None, first: int,
     return out
 
 
-def _ridge(unknowns: int, jumps: int, noise: Noise) -> Array:
-    prior = [0.0, noise.readings / noise.step, noise.readings / noise.kink, 0.0]
+def _ridge(unknowns: int, jumps: int, noise: Deviations) -> Array:
+    prior = [0.0, noise.reading / noise.step, noise.reading / noise.kink, 0.0]
     return np.tile(prior[: unknowns // jumps], jumps)
 
 
-def _around(model: ImpactModel, places: Sequence[float] | Array) -> tuple[int, int]:
+def _around(model: ImpactModel, times: Sequence[float] | Array) -> tuple[int, int]:
     """First and one-past-last difference of the windows of jumps, with a margin for changes of their times."""
-    first = int(min(places)) + model.window_start - model.difference + SHIFT
-    last = int(max(places)) + model.window_start - model.difference + model.window - SHIFT
+    first = int(min(times)) + model.window_start - model.difference + SHIFT
+    last = int(max(times)) + model.window_start - model.difference + model.window - SHIFT
     return first, last
 
 

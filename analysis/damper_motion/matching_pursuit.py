@@ -19,8 +19,8 @@ from analysis.damper_motion.group_search import cost, search_group
 from analysis.damper_motion.impact_model import SHIFT, ImpactModel, legendre_basis, with_order
 from analysis.damper_motion.joint_fit import (
     ITERATIONS,
+    Deviations,
     Jump,
-    Noise,
     add,
     fit_group,
     fit_within,
@@ -45,27 +45,29 @@ RESIDUAL_SHARE = 0.02
 # contact duration.
 _KINK_SHARE = 1.0
 _CONTACT_SHARE = 1.0 / 6.0
-# Maximum number of search rounds, and of iterations that centre a window on a jump.
 _MAX_ROUNDS = 12
+# Maximum number of iterations that centre a window on a jump.
 _CENTRINGS = 4
-# Jumps closer than the first distance are treated as one; above the second distance they may be resolved, samples.
+# Jumps at a smaller distance are treated as one, samples.
 _MIN_DISTANCE = 4
+# Minimum distance at which two jumps may be resolved, samples.
 MIN_RESOLVED = 6
 # Two jumps are resolved if the presence of one increases the standard deviation of the other by at most this factor.
 _RESOLVED_ERROR = 1.1
-# A stretch whose residual exceeds this multiple of the detection limit is searched for groups of jumps, if it has at
-# most this number of windows. The search ends at a residual below this share of the limit. A stretch stays unresolved
-# if its residual then exceeds a multiple of the limit and a share of its largest jump.
+# A stretch is searched for groups of jumps if its residual exceeds this multiple of the detection limit.
 _GROUP_LIMITS = 3.0
+# Maximum number of windows in such a stretch.
 _MAX_WINDOWS = 4
+# The search ends at a residual below this ratio to the detection limit.
 _SUFFICIENT_SHARE = 0.1
+# A stretch stays unresolved if its residual exceeds this multiple of the limit and this share of its largest jump.
 _UNRESOLVED_LIMITS = 10.0
 _UNRESOLVED_SHARE = 0.5
 # Additional polynomial orders for the smooth motion; a higher order is used if it reduces the residual sum of squares
 # for each degree of freedom by this factor.
 _HIGHER_ORDERS = (2, 4, 6)
 _ORDER_REDUCTION = 2.0
-# A filter of higher order is used if it reduces the noise of a jump below this share.
+# A filter of higher order is used if it reduces the noise of a jump below this ratio to that of the lower order.
 NOISE_REDUCTION = 0.7
 # Maximum number of jumps in a joint fit, start offsets of the new jump (samples), and the distance (samples) below
 # which one of two jumps may be spurious.
@@ -113,65 +115,64 @@ class MatchingPursuit:
             samples = np.interp(np.arange(samples.size), np.flatnonzero(good), samples[good])
         self.model = model = models[0]
         self.residual = np.diff(samples, model.difference)
-        self.usual = self._usual_sizes(samples)
+        self.prior = self._prior_deviations(samples)
         # Distance of a window's sample 0 from its first difference.
-        self.zero = model.difference - model.window_start
-        lost = np.convolve(~good, np.ones(model.reach), mode="full")[model.reach - 1 :]
-        self.open = (lost == 0)[: self.residual.size - model.window + 1]
-        # A jump in the last samples of a stretch is outside all windows and resembles a different jump in the
-        # nearest.
-        self.searchable = minimum_filter1d(self.open, model.window, mode="constant", cval=False)
+        self.window_offset = model.difference - model.window_start
+        lost = np.convolve(~good, np.ones(model.separation), mode="full")[model.separation - 1 :]
+        self.valid = (lost == 0)[: self.residual.size - model.window + 1]
+        # A jump in the last samples of a stretch is outside all windows and appears in the nearest window as a jump at
+        # another time.
+        self.searchable = minimum_filter1d(self.valid, model.window, mode="constant", cval=False)
         self.jumps: list[Jump] = []
-        self._stored: dict[object, Array] = {}
+        self._cache: dict[object, Array] = {}
         quietest = np.inf
-        for model in models if self.open.any() else ():
-            noise = model.gain * float(np.median(self._noise_level(model, calm_share)))
+        for model in models if self.valid.any() else ():
+            noise = model.noise_gain * float(np.median(self._noise_level(model, calm_share)))
             if noise < NOISE_REDUCTION * quietest:
                 quietest, self.model = noise, model
         # Model for the residual of whole windows, which may need a higher polynomial order than the jump filters.
-        self.whole = self.model
+        self.window_model = self.model
 
     def run(self) -> list[Jump]:
         """Detect the jumps; return them in chronological order, with standard deviations."""
         for _ in range(_MAX_ROUNDS):
-            if not self._subtract_largest():
+            if not self._subtract_jumps():
                 break
         for jump in sorted(self.jumps, key=lambda jump: abs(jump.sizes[0])):
-            nearest = min(self.jumps, key=lambda other: abs(other.place - jump.place))
-            self._fit_again(nearest, self.noise(self.calm_share))
+            nearest = min(self.jumps, key=lambda other: abs(other.time - jump.time))
+            self._refine(nearest, self.noise(self.calm_share))
         base, least = self.model.order, np.inf
         for order in (base, *(base + more for more in _HIGHER_ORDERS)):
-            square = float(np.median(self._remaining(order))) / (self.model.window - order - 1)
+            square = float(np.median(self._residual_squares(order))) / (self.model.window - order - 1)
             if _ORDER_REDUCTION * square < least:
-                least, self.whole = square, with_order(self.model, order)
-        limit = self._limit
-        for first, last in self._unexplained(_GROUP_LIMITS * limit):
+                least, self.window_model = square, with_order(self.model, order)
+        limit = self._detection_limit
+        for first, last in self._unexplained_stretches(_GROUP_LIMITS * limit):
             self._search_jointly(first, last, limit)
-        self.jumps.sort(key=lambda jump: jump.place)
+        self.jumps.sort(key=lambda jump: jump.time)
         # With finite-duration contact, kinks also have this duration: the bed is pressed or released.
         contact = self.model.contact_samples
         within = max(1.0, _CONTACT_SHARE * contact) / self.rate
-        real = [
+        accepted = [
             jump
             for jump in self.jumps
             if self.searchable[self.window_of(jump)]
             and (contact or abs(jump.sizes[0]) > DETECTION_SIGMAS * jump.error)
             and abs(jump.sizes[0]) > _KINK_SHARE * abs(jump.sizes[2]) * within**2
         ]
-        noise = self.noise()[[self.window_of(jump) for jump in real]]
-        resolved = with_errors(self.residual, self.model, real, noise, self.usual)
-        # During the first fit of finite-duration impacts, other impacts were still part of the noise.
-        return [
-            jump for jump in resolved if not contact or abs(jump.sizes[0]) > DETECTION_SIGMAS * jump.error
-        ]
+        noise = self.noise()[[self.window_of(jump) for jump in accepted]]
+        fitted = with_errors(self.residual, self.model, accepted, noise, self.prior)
+        # During the first fit of finite-duration impacts, other impacts were still part of the noise, so that the
+        # threshold is applied only now.
+        return [jump for jump in fitted if not contact or abs(jump.sizes[0]) > DETECTION_SIGMAS * jump.error]
 
-    def _subtract_largest(self) -> bool:
+    def _subtract_jumps(self) -> bool:
         """Detect, fit and subtract the largest jump within each `reach`; return whether a jump was detected."""
         from scipy.ndimage import maximum_filter1d
 
         model = self.model
         ratio, noise = self._likelihood_ratio()
-        explained, near = np.zeros(ratio.size), ~self.open
+        explained, near = np.zeros(ratio.size), ~self.valid
         for jump in self.jumps:
             at = self.window_of(jump)
             explained[at] = max(explained[at], jump.explained)
@@ -180,49 +181,53 @@ class MatchingPursuit:
         peaks = free > DETECTION_SIGMAS**2
         if not peaks.any():
             return False
-        peaks &= free >= maximum_filter1d(free, 2 * model.reach + 1)
+        peaks &= free >= maximum_filter1d(free, 2 * model.separation + 1)
         if self.jumps:
-            rings = maximum_filter1d(explained, 2 * (model.reach + model.ring) + 1)
+            rings = maximum_filter1d(explained, 2 * (model.separation + model.settling) + 1)
             peaks &= free > RESIDUAL_SHARE**2 * rings
         places = np.flatnonzero(peaks)
+        added = False
         for first in places[np.argsort(-ratio[places], kind="stable")]:
-            jump = self._centred(int(first), float(noise[first]))
-            if any(abs(jump.place - other.place) < _MIN_DISTANCE for other in self.jumps):
+            jump = self._fit_centred(int(first), float(noise[first]))
+            if any(abs(jump.time - other.time) < _MIN_DISTANCE for other in self.jumps):
                 continue
             self._add(jump, -1.0)
             self.jumps.append(jump)
-            self._fit_again(jump, noise, _STARTS)
-        return bool(places.size)
+            self._refine(jump, noise, _STARTS)
+            added = True
+        return added
 
     def _add(self, jump: Jump, factor: float) -> None:
         """Add a multiple of a jump to the residual."""
         add(self.residual, self.model, jump, factor)
-        self._stored.clear()
+        self._cache.clear()
 
     def window_of(self, jump: Jump) -> int:
         """Return the index of the first difference of the window of a jump."""
-        return min(max(int(np.floor(jump.place)) - self.zero, 0), self.residual.size - self.model.window)
+        return min(
+            max(int(np.floor(jump.time)) - self.window_offset, 0), self.residual.size - self.model.window
+        )
 
-    def _fit_again(self, jump: Jump, noise: Array, starts: tuple[float, ...] = (0.0,)) -> None:
+    def _refine(self, jump: Jump, noise: Array, starts: tuple[float, ...] = (0.0,)) -> None:
         """Fit a jump jointly with overlapping jumps from several starts; drop it if the fit is as good without it."""
         model = self.model
-        group = [other for other in self.jumps if abs(other.place - jump.place) < model.reach]
+        group = [other for other in self.jumps if abs(other.time - jump.time) < model.separation]
         if len(group) == 1 and not self._too_large_step(jump):
             return
-        group.sort(key=lambda other: abs(other.place - jump.place))
+        group.sort(key=lambda other: abs(other.time - jump.time))
         group, others = group[:_MAX_JOINT], group[1:_MAX_JOINT]
         for other in group:
             self._add(other, 1.0)
         deviation = float(noise[self.window_of(jump)])
-        prior = Noise(deviation, *self.usual)
-        places = [jump.place + start for start in starts]
+        prior = Deviations(deviation, *self.prior)
+        times = [jump.time + start for start in starts]
         tries = [
-            fit_group(self.residual, model, [replace(jump, place=place), *others], prior)
-            for place in places
-            if place == jump.place or all(abs(place - other.place) >= _MIN_DISTANCE for other in others)
+            fit_group(self.residual, model, [replace(jump, time=time), *others], prior)
+            for time in times
+            if time == jump.time or all(abs(time - other.time) >= _MIN_DISTANCE for other in others)
         ]
         best, remaining = min(tries, key=lambda fit: fit[1])
-        if any(abs(other.place - jump.place) < _SPURIOUS_DISTANCE for other in others):
+        if any(abs(other.time - jump.time) < _SPURIOUS_DISTANCE for other in others):
             without, more = fit_group(self.residual, model, others, prior)
             if more < remaining + (DETECTION_SIGMAS * deviation) ** 2:
                 best = without
@@ -237,12 +242,12 @@ class MatchingPursuit:
     @property
     def jump_noise(self) -> float:
         """Standard deviation of the estimated jump without an impact, m/s: 95th percentile over the stretch."""
-        if "jump" not in self._stored:
-            self._stored["jump"] = np.asarray(_quantile(self.noise(), 0.95) * self.model.gain)
-        return float(self._stored["jump"])
+        if "jump" not in self._cache:
+            self._cache["jump"] = np.asarray(_quantile(self.noise(), 0.95) * self.model.noise_gain)
+        return float(self._cache["jump"])
 
     @property
-    def _limit(self) -> float:
+    def _detection_limit(self) -> float:
         return self.detection_limit(
             self.jump_noise, max((abs(jump.sizes[0]) for jump in self.jumps), default=0.0)
         )
@@ -255,56 +260,60 @@ class MatchingPursuit:
         duration = self.model.contact_samples / self.rate
         share = _CONTACT_MODEL_ERROR if duration else MODEL_ERROR
         sigmas = DETECTION_SIGMAS + DETECTION_MARGIN_SIGMAS
-        return max(sigmas * noise, share * largest, _SLOW_LANDING * self.usual[0] * duration)
+        return max(sigmas * noise, share * largest, _SLOW_LANDING * self.prior[0] * duration)
 
     def resolution(self) -> int:
         """Return the distance beyond which a second jump hardly increases the error of a jump, samples."""
-        noise = Noise(float(np.median(self.noise())), *self.usual)
-        most = _RESOLVED_ERROR * jump_error(self.whole, None, noise)
+        noise = Deviations(float(np.median(self.noise())), *self.prior)
+        most = _RESOLVED_ERROR * jump_error(self.window_model, None, noise)
         distance = MIN_RESOLVED
-        while distance < self.whole.reach and jump_error(self.whole, distance, noise) > most:
+        while (
+            distance < self.window_model.separation and jump_error(self.window_model, distance, noise) > most
+        ):
             distance += 1
         return distance
 
     def _windows(self) -> NDArray[np.int64]:
         """Index of the first difference of each window, with 50 % overlap."""
-        first = np.flatnonzero(self.open)
+        first = np.flatnonzero(self.valid)
         return first[first % (self.model.window // 2) == 0]
 
-    def _remaining(self, order: int) -> Array:
+    def _residual_squares(self, order: int) -> Array:
         """Residual sum of squares of each of `_windows` after subtraction of a polynomial."""
-        if order not in self._stored:
-            if "readings" not in self._stored:
+        if order not in self._cache:
+            if "readings" not in self._cache:
                 windows = np.lib.stride_tricks.sliding_window_view(self.residual, self.model.window)
-                self._stored["readings"] = self.model.readings(windows[self._windows()], self.model.order)
-            rows = self._stored["readings"]
+                self._cache["readings"] = self.model.readings(windows[self._windows()], self.model.order)
+            rows = self._cache["readings"]
             if order > self.model.order:
                 more = legendre_basis(self.model.window, order)[:, self.model.order + 1 :]
                 rows = rows - (rows @ more) @ more.T
-            self._stored[order] = np.einsum("ij,ij->i", rows, rows)
-        return self._stored[order]
+            self._cache[order] = np.einsum("ij,ij->i", rows, rows)
+        return self._cache[order]
 
-    def _unexplained(self, jump: float) -> list[tuple[int, int]]:
+    def _unexplained_stretches(self, jump: float) -> list[tuple[int, int]]:
         """First and last window of each stretch with a residual larger than a jump of this size, m/s."""
         first = self._windows()
-        large = self._remaining(self.whole.order) > (jump * self.whole.template_norm) ** 2
+        large = (
+            self._residual_squares(self.window_model.order) > (jump * self.window_model.template_norm) ** 2
+        )
         return [(int(first[begin]), int(first[end - 1])) for begin, end in runs_of(large)]
 
     def unresolved(self) -> Array:
         """Return the limits of stretches with a residual far above the detection limit, samples; shape (n, 2)."""
-        model, out = self.whole, []
-        limit = self._limit
-        for first, last in self._unexplained(_UNRESOLVED_LIMITS * limit):
-            ends = first + self.zero - model.window / 2, last + self.zero + model.window / 2
+        model, out = self.window_model, []
+        limit = self._detection_limit
+        for first, last in self._unexplained_stretches(_UNRESOLVED_LIMITS * limit):
+            ends = first + self.window_offset - model.window / 2, last + self.window_offset + model.window / 2
             largest = max(
-                (abs(jump.sizes[0]) for jump in self.jumps if ends[0] <= jump.place < ends[1]), default=0.0
+                (abs(jump.sizes[0]) for jump in self.jumps if ends[0] <= jump.time < ends[1]), default=0.0
             )
             remaining = np.linalg.norm(model.readings(self.residual[first : last + model.window]))
             if remaining > _UNRESOLVED_SHARE * largest * model.template_norm:
                 out.append(ends)
         half = 0.5 * model.window
         out += [
-            (jump.place - half, jump.place + half)
+            (jump.time - half, jump.time + half)
             for jump in self.jumps
             if self._too_large_step(jump) and abs(jump.sizes[0]) > limit
         ]
@@ -315,17 +324,17 @@ class MatchingPursuit:
 
         The contact may then have ended early, and the sign of its jump is undetermined.
         """
-        return self.model.contact_samples > 0 and abs(jump.sizes[1]) > _MAX_STEP * self.usual[0]
+        return self.model.contact_samples > 0 and abs(jump.sizes[1]) > _MAX_STEP * self.prior[0]
 
     def _search_jointly(self, first: int, last: int, limit: float) -> None:
         """Search between two windows for all jumps jointly; keep the old or the new set, whichever fits better."""
-        model = self.whole
+        model = self.window_model
         half = model.window // 2
         if last - first > _MAX_WINDOWS * model.window:
             return
         within = max(first - half, 0), min(last + model.window + half, self.residual.size)
-        places = float(within[0] + self.zero), float(within[1] - model.window + self.zero)
-        old = [jump for jump in self.jumps if places[0] <= jump.place <= places[1]]
+        places = float(within[0] + self.window_offset), float(within[1] - model.window + self.window_offset)
+        old = [jump for jump in self.jumps if places[0] <= jump.time <= places[1]]
         for jump in old:
             self._add(jump, 1.0)
         sufficient = _SUFFICIENT_SHARE * (limit * model.template_norm) ** 2
@@ -333,14 +342,14 @@ class MatchingPursuit:
         noise = max(float(self.noise()[first]), (sufficient / model.window) ** 0.5)
 
         def fit(jumps: list[Jump], iterations: int) -> tuple[list[Jump], float]:
-            return fit_within(self.residual, model, jumps, within, Noise(noise, *self.usual), iterations)
+            return fit_within(self.residual, model, jumps, within, Deviations(noise, *self.prior), iterations)
 
         new, remaining = search_group(fit, places, MIN_RESOLVED, sufficient)
         if old:
             new = min((new, remaining), fit(old, ITERATIONS), key=lambda each: cost(*each))[0]
         self._replace(old, new)
 
-    def _usual_sizes(self, samples: Array) -> tuple[float, float]:
+    def _prior_deviations(self, samples: Array) -> tuple[float, float]:
         """Prior standard deviations of steps and kinks: a share of the acceleration, or of its rounding."""
         order = self.model.difference - 2
         motion = np.diff(samples, order) * self.rate**order
@@ -357,9 +366,9 @@ class MatchingPursuit:
         The result is cached until the residual changes.
         """
         key = "noise", calm_share
-        if key not in self._stored:
-            self._stored[key] = self._noise_level(self.model, calm_share)
-        return self._stored[key]
+        if key not in self._cache:
+            self._cache[key] = self._noise_level(self.model, calm_share)
+        return self._cache[key]
 
     def _noise_level(self, model: ImpactModel, calm_share: float) -> Array:
         """Noise from a quantile of the filter outputs that impacts hardly affect, over a few windows at a time."""
@@ -368,8 +377,8 @@ class MatchingPursuit:
 
         middle = model.filters[(2 * SHIFT + 1) * model.instants // 2, 2]
         size = abs(np.correlate(self.residual, middle, "valid"))
-        typical = float(_quantile(size[self.open], calm_share))
-        size[~self.open] = typical
+        typical = float(_quantile(size[self.valid], calm_share))
+        size[~self.valid] = typical
         parts = max(1, size.size // (_NOISE_WINDOWS * model.window))
         # The first parts have one sample more than the others.
         length, longer = divmod(size.size, parts)
@@ -387,7 +396,7 @@ class MatchingPursuit:
         bound the outputs of all filters, which are therefore computed only where a jump may be detected.
         """
         noise = self.noise(self.calm_share)
-        basis, weights = self.model.scan_space
+        basis, weights = self.model.search_basis
         windows = np.lib.stride_tricks.sliding_window_view(self.residual, self.model.window)
         projected = np.empty((len(basis), len(windows)))
         for begin in range(0, len(windows), _PLACES_AT_ONCE):
@@ -400,14 +409,14 @@ class MatchingPursuit:
             ratio[some] = np.square(weights @ projected[:, some]).max(axis=0)
         return ratio / np.square(noise), noise
 
-    def _centred(self, first: int, noise: float) -> Jump:
+    def _fit_centred(self, first: int, noise: float) -> Jump:
         """Fit the best jump near a window, in a window that is centred on the jump."""
         last = self.residual.size - self.model.window
         for _ in range(_CENTRINGS):
             window = self.residual[first : first + self.model.window]
             instant, sizes, error, explained = self.model.best_instant(window, noise)
-            place = first + self.zero + instant
-            middle = min(max(int(np.floor(place)) - self.zero, 0), last)
+            place = first + self.window_offset + instant
+            middle = min(max(int(np.floor(place)) - self.window_offset, 0), last)
             if middle == first:
                 break
             first = middle

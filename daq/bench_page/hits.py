@@ -63,10 +63,10 @@ class HitJudge:
         else:
             self._readings = np.concatenate([self._readings, readings], axis=1)
             self._overload = np.concatenate([self._overload, overload], axis=1)
-        known = len(self.hits)
+        n_before = len(self.hits)
         while (hit := self._next()) is not None:
             self.hits.append(hit)
-        return self.hits[known:]
+        return self.hits[n_before:]
 
     def _next(self) -> Hit | None:
         assert self._readings is not None

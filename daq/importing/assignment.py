@@ -75,20 +75,20 @@ def choose(
     for place, channel in enumerate(channels):
         column = table.get(channel.name)
         try:
-            found = _matches(channel.name, signals) if column is None else _by_column(column, signals)
-            if len(found) > 1:
-                where = ", ".join(f"{signal.file} ({signal.number}: {signal.name})" for signal in found)
-                wanted = channel.name if column is None else column.column
+            matches = _matches(channel.name, signals) if column is None else _by_column(column, signals)
+            if len(matches) > 1:
+                listed = ", ".join(f"{signal.file} ({signal.number}: {signal.name})" for signal in matches)
+                name = channel.name if column is None else column.column
                 raise ValueError(
-                    f"several signals are called {wanted!r}: {where}. Choose in the table, by column and file."
+                    f"several signals are called {name!r}: {listed}. Choose in the table, by column and file."
                 )
         except ValueError as error:
             mistakes.append(f"{channel.name}: {error}")
             continue
-        if not found:
+        if not matches:
             missing.append(channel.name)
             continue
-        signal = found[0]
+        signal = matches[0]
         chosen.append(Choice(channel, place, signal, column or Column(signal.name)))
         users.setdefault(id(signal), []).append(channel.name)
     mistakes += [f"{' and '.join(same)}: the same signal" for same in users.values() if len(same) > 1]
@@ -110,21 +110,21 @@ def choose(
 def contradicted_units(chosen: Sequence[Choice]) -> list[str]:
     """Warn of units in the table that differ from the file's; only the table can state the meaning of volts."""
     notes = []
-    for each in chosen:
-        signal, unit = each.signal, each.column.unit
+    for choice in chosen:
+        signal, unit = choice.signal, choice.column.unit
         try:
-            (stated, size), (given, given_size) = meaning(signal.unit), meaning(unit or signal.unit)
+            (from_file, size), (from_table, table_size) = meaning(signal.unit), meaning(unit or signal.unit)
         except ValueError:
             continue
-        factor = given_size / size
-        if stated == given and abs(factor - 1.0) > _SAME_UNIT:
+        factor = table_size / size
+        if from_file == from_table and abs(factor - 1.0) > _SAME_UNIT:
             effect = f", {factor:.4g} times as large"
-        elif stated not in (given, "voltage"):
-            effect = f", {given} instead of {stated}"
+        elif from_file not in (from_table, "voltage"):
+            effect = f", {from_table} instead of {from_file}"
         else:
             continue
         notes.append(
-            f"{each.channel.name}: the table gives {unit}, {signal.file} {signal.unit} for {signal.name!r}. The "
+            f"{choice.channel.name}: the table gives {unit}, {signal.file} {signal.unit} for {signal.name!r}. The "
             f"table's unit is used{effect}. Remove unit from the table if the file is right."
         )
     return notes
@@ -135,11 +135,11 @@ def assign(scene: Scene, chosen: Sequence[Choice], rate: float) -> list[Assigned
     skews = delays(complete_from_preset(scene.converter).skew, len(channels_of(scene)), rate)
     assigned: list[Assigned] = []
     mistakes: list[str] = []
-    for each in chosen:
+    for choice in chosen:
         try:
-            assigned.append(_assigned(scene, each, rate, skews[each.place]))
+            assigned.append(_assigned(scene, choice, rate, skews[choice.place]))
         except ValueError as error:
-            mistakes.append(f"{each.channel.name}: {error}")
+            mistakes.append(f"{choice.channel.name}: {error}")
     if mistakes:
         raise SceneError("\n".join(mistakes))
     return assigned
@@ -173,8 +173,8 @@ def _assigned(scene: Scene, chosen: Choice, rate: float, skew: float) -> Assigne
             raise ValueError(
                 f"sensitivity given, but {signal.name!r} is in {unit}, not in volts. Remove the wrong key."
             )
-        known = measured == "voltage" or _has_sensitivity(channel)
-        return Assigned(channel, info, signal, column, column.sign * size * info.sensitivity, known)
+        is_calibrated = measured == "voltage" or _has_sensitivity(channel)
+        return Assigned(channel, info, signal, column, column.sign * size * info.sensitivity, is_calibrated)
     if measured != "voltage":
         raise ValueError(
             f"{signal.name!r} of {signal.file} is in {unit}, {measured}; the channel measures {info.quantity} at "
@@ -259,5 +259,5 @@ def _matches(name: str, signals: Sequence[Signal]) -> list[Signal]:
 
 
 def _hint(name: str, names: Sequence[str]) -> str:
-    near = difflib.get_close_matches(name, names, n=1)
-    return f". Did you mean {near[0]}?" if near else ""
+    similar = difflib.get_close_matches(name, names, n=1)
+    return f". Did you mean {similar[0]}?" if similar else ""

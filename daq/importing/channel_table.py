@@ -71,8 +71,8 @@ def column(given: Mapping[str, Any]) -> Column:
     texts = {key: text for key, value in given.items() if value is not None and (text := str(value).strip())}
     for key in texts:
         if key not in _KEYS:
-            near = difflib.get_close_matches(key, _KEYS, n=1)
-            hint = f". Did you mean {near[0]}?" if near else ""
+            similar = difflib.get_close_matches(key, _KEYS, n=1)
+            hint = f". Did you mean {similar[0]}?" if similar else ""
             raise ValueError(f"unknown key {key!r}; expected one of {', '.join(_KEYS)}{hint}")
     if "column" not in texts:
         raise ValueError("column missing; expected the name of a signal in the files, or its number from 1")

@@ -199,8 +199,8 @@ def _decoder(schema: Any, encoding: str) -> Decoder | None:
     if encoding == "protobuf":
         from daq.recording.protobuf import message_class
 
-        made = message_class(schema.data, schema.name)
-        return lambda data: {each.name: value for each, value in made.FromString(bytes(data)).ListFields()}
+        message = message_class(schema.data, schema.name)
+        return lambda data: {each.name: value for each, value in message.FromString(bytes(data)).ListFields()}
     return None
 
 

@@ -125,8 +125,8 @@ def import_files(
     paths = [as_path(file, "files") for file in named]
     target = as_path(path)
     columns = table if isinstance(table, Mapping) else {} if table is None else read_table(Path(table))
-    for first, again in duplicate_files(paths):
-        raise RecordingError(f"{again}: the same content as {first}. Give each file once.")
+    for first, duplicate in duplicate_files(paths):
+        raise RecordingError(f"{duplicate}: the same content as {first}. Give each file once.")
     with ExitStack() as stack:
         signals = [signal for file in paths for signal in signals_of(file, stack)]
         # Not before: a missing file or scene is the more helpful message.
@@ -168,18 +168,18 @@ def _common_rate(chosen: Sequence[Choice], scene: Scene) -> float:
     def listed(rates: Iterable[float]) -> str:
         return ", ".join(f"{rate:.10g} Hz" for rate in sorted(rates))
 
-    given = {each.column.rate for each in chosen if each.column.rate is not None}
-    if len(given) > 1:
+    table_rates = {each.column.rate for each in chosen if each.column.rate is not None}
+    if len(table_rates) > 1:
         raise SceneError(
-            f"the table gives several rates, {listed(given)}. Give one rate: a recording has one."
+            f"the table gives several rates, {listed(table_rates)}. Give one rate: a recording has one."
         )
-    if given:
-        return given.pop()
+    if table_rates:
+        return table_rates.pop()
     converter = scene.converter
-    stated = "rate" in converter.model_fields_set or converter.preset is not None
+    in_scene = "rate" in converter.model_fields_set or converter.preset is not None
     rates = sorted({each.signal.rate for each in chosen if each.signal.rate is not None})
     if not rates:
-        if not stated:
+        if not in_scene:
             raise SceneError(
                 "the sample rate is not stated: the files have no times, and no rate. Give rate: in the table, or "
                 "converter: {rate: 5120 Hz} in the scene."
@@ -191,7 +191,7 @@ def _common_rate(chosen: Sequence[Choice], scene: Scene) -> float:
             "choose those of one rate in a table."
         )
     rate = rates[0]
-    if stated and abs(converter.sample_rate - rate) > _SAME_RATE * rate:
+    if in_scene and abs(converter.sample_rate - rate) > _SAME_RATE * rate:
         raise SceneError(
             f"the files state {rate:.10g} Hz, the scene's converter {converter.sample_rate:.10g} Hz. Correct the wrong "
             f"value: --set converter.rate={rate:.10g}Hz, or rate: in the table."
@@ -314,9 +314,9 @@ class _Import:
         """Read a piece of a channel in volts, NaN where the file has no number, and examine it."""
         each = self._assigned[row]
         volts = np.full(stop - first, np.nan)
-        there = min(stop, each.signal.samples)
-        if there > first:
-            volts[: there - first] = each.volts(first, there)
+        end = min(stop, each.signal.samples)
+        if end > first:
+            volts[: end - first] = each.volts(first, end)
             volts[~np.isfinite(volts)] = np.nan
         self._missing[row] += [(first + a, first + b) for a, b in runs_of(np.isnan(volts))]
         if len(self._missing[row]) > _MAX_LOST_SEGMENTS:

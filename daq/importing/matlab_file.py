@@ -34,8 +34,13 @@ def matlab_arrays(path: Path) -> dict[str, Any]:
     memory = str(int(max(most() - PROGRAM, most() / 2)))
     # The search path is that of this process: -m alone would search the user's folder first.
     program = [sys.executable, "-P", "-m", __name__, str(path.resolve()), memory]
-    here = {**os.environ, "PYTHONPATH": os.pathsep.join(str(Path(entry).absolute()) for entry in sys.path)}
-    with subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=here) as reader:
+    environment = {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join(str(Path(entry).absolute()) for entry in sys.path),
+    }
+    with subprocess.Popen(
+        program, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=environment
+    ) as reader:
         assert reader.stdout is not None
         try:
             content: dict[str, Any] | str = pickle.load(reader.stdout)

@@ -96,8 +96,8 @@ def _heading(above: list[list[str]], width: int) -> tuple[list[str], list[str]]:
         names, units = rows[0], [cell.strip("[]()") for cell in rows[1]]
     else:
         for place, cell in enumerate(names):
-            if found := _UNIT_IN_BRACKETS.fullmatch(cell) or _UNIT_AFTER_UNDERSCORE.fullmatch(cell):
-                names[place], units[place] = found[1], found[2].strip()
+            if match := _UNIT_IN_BRACKETS.fullmatch(cell) or _UNIT_AFTER_UNDERSCORE.fullmatch(cell):
+                names[place], units[place] = match[1], match[2].strip()
     return [name or UNNAMED.format(k) for k, name in enumerate(names, 1)], units
 
 
@@ -149,8 +149,8 @@ def resolution_of_stamp(cell: str) -> float:
     >>> resolution_of_stamp("2024-05-01 10:00:00"), resolution_of_stamp("2024-05-01 10:00:00.0625")
     (1.0, 0.0001)
     """
-    found = _FRACTION.search(cell)
-    return float(f"1e-{min(len(found[1]), _STAMP_DIGITS)}") if found else 1.0
+    fraction = _FRACTION.search(cell)
+    return float(f"1e-{min(len(fraction[1]), _STAMP_DIGITS)}") if fraction else 1.0
 
 
 def significant_digits(cell: str) -> int:

@@ -132,7 +132,7 @@ class _Blocks:
     def track(self) -> Track:
         channels = 1 if self._averages is None else len(self._averages)
         empty = (np.empty(0, np.int64), *(np.empty(0),) * 3, np.empty((channels, 0), complex))
-        found = zip(empty, *self._tones, strict=True)
-        number, frequency, phase, amplitude, ratio = (np.concatenate(each, axis=-1) for each in found)
+        columns = zip(empty, *self._tones, strict=True)
+        number, frequency, phase, amplitude, ratio = (np.concatenate(each, axis=-1) for each in columns)
         levels = np.concatenate([np.empty(0, np.float32), *self._levels])
         return Track(self._hop * self._averaged, number, frequency, phase, amplitude, ratio, levels)

@@ -30,16 +30,16 @@ def meaning(unit: str) -> tuple[Quantity, float]:
     >>> meaning("g"), meaning("m/s2"), meaning("Volts"), meaning("2.5 mm")
     (('acceleration', 9.80665), ('acceleration', 1.0), ('voltage', 1.0), ('displacement', 0.0025))
     """
-    plain = re.sub(r"\bsec\b|\bsecond\b", "s", unit.strip())
-    plain = re.sub(r"(?<=[a-z])\s*(?:\*\*|\^)?\s*\(?2\)?$", "^2", plain)
-    known = _SPELLED.get(plain.lower(), plain)
-    written = known if re.match(r"[+-]?\.?\d", known) else f"1 {known}"
+    normalized = re.sub(r"\bsec\b|\bsecond\b", "s", unit.strip())
+    normalized = re.sub(r"(?<=[a-z])\s*(?:\*\*|\^)?\s*\(?2\)?$", "^2", normalized)
+    unit_name = _SPELLED.get(normalized.lower(), normalized)
+    written = unit_name if re.match(r"[+-]?\.?\d", unit_name) else f"1 {unit_name}"
     for quantity, kind in KINDS.items():
         try:
             size = parse(written, kind)
         except ValueError:
             continue
-        if size > 0 and known and kind.supports(size) and not re.fullmatch(r"[\d.eE+-]*", known):
+        if size > 0 and unit_name and kind.supports(size) and not re.fullmatch(r"[\d.eE+-]*", unit_name):
             return quantity, size
     raise ValueError(
         f"unknown unit {unit!r}; expected a unit of acceleration, velocity, displacement, force or voltage, such as "

@@ -35,13 +35,13 @@ def connect_scene(scene: rig.Scene | str | Path | None = None, clock: str | Cloc
     """
     if scene is None:
         scene = os.environ.get("SHOTRIG_SCENE") or default_scene()
-    chosen = make_clock(clock if clock is not None else os.environ.get("SHOTRIG_CLOCK") or "real")
+    bench_clock = make_clock(clock if clock is not None else os.environ.get("SHOTRIG_CLOCK") or "real")
     loaded = scene if isinstance(scene, rig.Scene) else rig.load(scene)
 
     terminals = Terminals(loaded)
-    if chosen.runs_free:
+    if bench_clock.runs_free:
         terminals.warm_up()
-    return Chassis(scene_modules(loaded, terminals), terminals, chosen)
+    return Chassis(scene_modules(loaded, terminals), terminals, bench_clock)
 
 
 def scene_modules(scene: rig.Scene, terminals: Terminals) -> list[Module]:
@@ -147,10 +147,10 @@ def _add_output(modules: list[Module], output: Output, row: int) -> None:
         )
     elif output.range is not None:
         like = replace(like, output_range=output.range, output_bits=output.bits)
-    most = 1 << 30 if outputs is None else outputs.channels
+    max_outputs = 1 << 30 if outputs is None else outputs.channels
     settings = ("output_range", "output_bits", "output_rates", "output_on_demand")
     for number, each in enumerate(modules):
-        fits = each.product_type == like.product_type and len(each.outputs) < most
+        fits = each.product_type == like.product_type and len(each.outputs) < max_outputs
         if fits and (not each.outputs or all(getattr(each, key) == getattr(like, key) for key in settings)):
             modules[number] = replace(
                 each, outputs=(*each.outputs, row), **{key: getattr(like, key) for key in settings}

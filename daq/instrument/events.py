@@ -39,27 +39,27 @@ class Events:
         Raises `DaqError` with -200966 or -200967 if there is a listener already, -200980 or -200981 for output
         samples of an input task or input samples of an output task, -200880 for zero samples.
         """
-        chosen = named(EverySamples, kind, "every_n_samples_event_type")
+        event = named(EverySamples, kind, "every_n_samples_event_type")
         if listener is None:
             self._every = None
             return
-        if chosen != (EverySamples.TRANSFERRED if outputs else EverySamples.ACQUIRED):
+        if event != (EverySamples.TRANSFERRED if outputs else EverySamples.ACQUIRED):
             raise DaqError(
-                f"an event for samples {chosen.name.lower()}: the task has "
+                f"an event for samples {event.name.lower()}: the task has "
                 f"{'outputs' if outputs else 'inputs'}",
-                _NOT_SUPPORTED[chosen],
+                _NOT_SUPPORTED[event],
             )
         if self._every is not None:
             raise DaqError(
                 "an every-N-samples event is registered already. Unregister it first by passing None.",
-                _ALREADY_REGISTERED[chosen],
+                _ALREADY_REGISTERED[event],
             )
         if samples < 1:
             raise DaqError(
                 f"an event every {samples} samples. Give at least 1.",
                 Code.EVERY_N_SAMPS_EVENT_INTERVAL_ZERO_NOT_SUPPORTED,
             )
-        self._every = chosen, samples, listener
+        self._every = event, samples, listener
 
     def listen_done(self, listener: Listener | None) -> None:
         """Register a listener that is called with the status when the task ends; None removes it."""
@@ -75,16 +75,16 @@ class Events:
 
     def listen_signal(self, signal: int, listener: Listener | None) -> None:
         """Register a listener that is called whenever a signal occurs; None removes it."""
-        chosen = named(Signal, signal, "signal_id")
+        event = named(Signal, signal, "signal_id")
         if listener is None:
-            self._signals.pop(chosen, None)
+            self._signals.pop(event, None)
             return
-        if chosen in self._signals:
+        if event in self._signals:
             raise DaqError(
-                f"an event for {chosen.name} is registered already. Unregister it first by passing None.",
+                f"an event for {event.name} is registered already. Unregister it first by passing None.",
                 Code.SIGNAL_EVENT_ALREADY_REGISTERED,
             )
-        self._signals[chosen] = listener
+        self._signals[event] = listener
 
     def remove_listener(self, listener: Callable[[Any], None]) -> None:
         """Remove a listener from all events."""

@@ -67,12 +67,12 @@ def check_timing(task: TaskSettings) -> None:
         rates = {each.module.coerced(timing["samp_clk_rate"], task.kind == "ao") for each in task.channels}
         if len(rates) > 1:
             raise bad(
-                f"the task's modules make {', '.join(f'{each:g}' for each in sorted(rates))} S/s of "
-                f"{timing['samp_clk_rate']:g} S/s: choose a rate that all have, or a task for each"
+                f"the task's modules convert {timing['samp_clk_rate']:g} S/s to different rates, "
+                f"{', '.join(f'{each:g}' for each in sorted(rates))} S/s. Choose a common rate, or several tasks."
             )
         _ = task.samples
         if task.kind == "ai" and task.input_size < 1:
-            raise bad("a buffer for no samples: expected 1 at least")
+            raise bad("in_stream.input_buf_size is 0: expected 1 at least")
     for name in ("start_trig_output_term", "ref_trig_output_term", "samp_clk_output_term"):
         terminal = task.groups["exported_signal"][name]
         if terminal and not re.fullmatch(r"(/?[^/]+/)?PFI\d+", terminal, re.IGNORECASE):
@@ -92,7 +92,7 @@ def sources(task: TaskSettings, chassis: Chassis) -> tuple[Source | None, Source
     kinds = [settings[f"{name}_trig_type"] for name in ("start", "ref")]
     if any(kind != TriggerType.NONE for kind in kinds) and not task.clocked:
         raise DaqError(
-            "a trigger needs a sample clock: call timing.cfg_samp_clk_timing",
+            "a trigger needs a sample clock. Call timing.cfg_samp_clk_timing.",
             Code.TRIG_WHEN_ON_DEMAND_SAMP_TIMING,
         )
     for name in ("start", "ref"):
@@ -131,7 +131,7 @@ def _source(task: TaskSettings, name: str, chassis: Chassis) -> Source | None:
                 return row, condition
         raise DaqError(
             f"analog trigger source {source!r}: expected one of the task's input channels, "
-            + (", ".join(each.name for each in task.channels) or "of which there are none"),
+            + (", ".join(each.name for each in task.channels) or "but the task has none"),
             Code.INVALID_ANALOG_TRIG_SRC,
         )
 

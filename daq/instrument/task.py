@@ -60,7 +60,7 @@ class Task:
     def check_idle(self, what: str, code: Code = Code.CAN_NOT_PERFORM_OP_WHILE_TASK_RUNNING) -> None:
         """Check that the task is not running."""
         if self.running:
-            raise DaqError(f"{what}: not possible while the task is running; call stop() first", code)
+            raise DaqError(f"{what}: not possible while the task is running. Call stop() first.", code)
 
     # States
 
@@ -74,7 +74,7 @@ class Task:
         self.check_idle("start")
         if not self.settings.channels:
             raise DaqError(
-                "the task has no channels: add some before starting it",
+                "the task has no channels. Add some before starting it.",
                 Code.CAN_NOT_PERFORM_OP_WHEN_NO_CHANS_IN_TASK,
             )
         with self.chassis.changed:
@@ -208,8 +208,8 @@ class Task:
         short time pass.
         """
         chassis = self.chassis
-        again = self._looked.get(question) == chassis.position
-        if again and self.running and not self.finished:
+        is_repeated = self._looked.get(question) == chassis.position
+        if is_repeated and self.running and not self.finished:
             chassis.clock.pass_query(chassis)
         self._looked[question] = chassis.position
 
@@ -231,11 +231,11 @@ class Task:
             )
             self.raise_failure()
         if not done:
+            hint = "Wait longer, or check that it is triggered."
+            if not self.settings.finite:
+                hint = "Stop it: a continuous task does not end."
             raise DaqError(
-                f"the task is not done after {timeout:g} s"
-                + ("" if self.settings.finite else "; a continuous task never is: stop it")
-                + ". Wait longer, or check that it is triggered",
-                Code.WAIT_UNTIL_DONE_DOES_NOT_INDICATE_DONE,
+                f"the task is not done after {timeout:g} s. {hint}", Code.WAIT_UNTIL_DONE_DOES_NOT_INDICATE_DONE
             )
 
     # Interface for the chassis (`Runner`)
@@ -316,7 +316,7 @@ class Task:
             if not self.settings.clocked:
                 if not (auto_start or self.running):
                     raise DaqError(
-                        "the task is not running, and auto_start is off: call start() before writing",
+                        "the task is not running, and auto_start is False. Call start() before writing.",
                         Code.CANNOT_READ_WHEN_AUTO_START_FALSE_AND_TASK_NOT_RUNNING_OR_COMMITTED,
                     )
                 with self._on_demand():
@@ -373,7 +373,7 @@ class Task:
             return
         if not self.settings.groups["read"]["auto_start"]:
             raise DaqError(
-                "the task is not running, and in_stream.auto_start is off: call start() before reading",
+                "the task is not running, and in_stream.auto_start is False. Call start() before reading.",
                 Code.CANNOT_READ_WHEN_AUTO_START_FALSE_AND_TASK_NOT_RUNNING_OR_COMMITTED,
             )
         self.start(automatic=True)

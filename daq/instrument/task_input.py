@@ -148,7 +148,8 @@ class TaskInput:
         """Return the names of the channels that `overloaded_exist` reported."""
         if self._overloads_reported is None:
             raise DaqError(
-                "ask in_stream.overloaded_chans_exist first: it takes the flags that overloaded_chans names",
+                "overloaded_chans is available after a read of overloaded_chans_exist only. Read in_stream."
+                "overloaded_chans_exist first.",
                 Code.OVERLOADED_CHANS_EXIST_NOT_READ,
             )
         return list(self._overloads_reported)
@@ -214,11 +215,11 @@ class TaskInput:
     ) -> Reading:
         """Read from the present position into `out`, shape (len(rows), n); the caller holds the chassis's lock."""
         chassis, channels = self._chassis, self._settings.channels
-        wanted, began, got, first = out.shape[1], chassis.clock.now(chassis), 0, run.position
+        requested, began, got, first = out.shape[1], chassis.clock.now(chassis), 0, run.position
 
         def piece() -> int:
             # A read may be longer than the buffer: it takes pieces of half the buffer.
-            return min(wanted - got, max(1, run.plan.buffer // 2))
+            return min(requested - got, max(1, run.plan.buffer // 2))
 
         def ended(error: DaqError | None) -> Reading:
             return Reading(out[:, :got], first, error)
@@ -228,12 +229,12 @@ class TaskInput:
                 return ended(
                     DaqError(
                         f"{lost} samples per channel were overwritten before they were read; the next read begins "
-                        "with the oldest one left. Read more often or more at a time, or enlarge "
+                        "with the oldest stored sample. Read more often or more at a time, or enlarge "
                         "in_stream.input_buf_size",
                         Code.SAMPLES_NO_LONGER_AVAILABLE,
                     )
                 )
-            take = min(run.readable - run.position, wanted - got)
+            take = min(run.readable - run.position, requested - got)
             if take > 0:
                 first = first if got else run.position
                 samples = run.take_out(take)
@@ -245,7 +246,7 @@ class TaskInput:
                 got += take
                 if self.log is not None:
                     self.log.follow(run)
-            if got == wanted:
+            if got == requested:
                 return ended(None)
             if run.done and run.readable <= run.position:
                 # A finite task acquires no more; only a read without any sample reports that as an error.
@@ -255,17 +256,17 @@ class TaskInput:
                     Code.SAMPLES_WILL_NEVER_BE_AVAILABLE,
                 )
                 return ended(None if got and run.error is None else run.error or exhausted)
-            left = timeout if timeout < 0 else max(0.0, timeout - (chassis.clock.now(chassis) - began))
+            time_left = timeout if timeout < 0 else max(0.0, timeout - (chassis.clock.now(chassis) - began))
             ready = chassis.wait(
                 lambda: run.done or run.readable - run.position >= piece(),
                 lambda: run.ticks(run.missing(piece()), chassis.position),
-                left,
+                time_left,
             )
             if not ready and run.readable <= run.position:
                 return ended(
                     DaqError(
-                        f"{got} of {wanted} samples per channel came within {timeout:g} s{_reason(run)}; wait longer "
-                        "(timeout), read less, or check that the task is triggered",
+                        f"{got} of {requested} samples per channel were acquired within {timeout:g} s{_reason(run)}. "
+                        "Wait longer (timeout), read fewer samples, or check that the task is triggered.",
                         Code.SAMPLES_NOT_YET_AVAILABLE,
                     )
                 )
@@ -286,7 +287,7 @@ def _counts(channel: Channel, samples: NDArray[Any]) -> NDArray[Any]:
 
 def _reason(run: Acquisition) -> str:
     if run.first_tick is None:
-        return " (the start trigger has not come)"
+        return " (the start trigger has not occurred)"
     if run.plan.reference is not None and run.trigger is None:
-        return " (the reference trigger has not come)"
+        return " (the reference trigger has not occurred)"
     return ""

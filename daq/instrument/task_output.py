@@ -115,8 +115,8 @@ class TaskOutput:
         """Write samples into the buffer; see `Task.write`."""
         if not self._running and (self.buffer is None or self._has_played):
             # A buffer that has been played is complete: a new write starts another buffer.
-            chosen = self._settings.groups["buffer"]
-            size = int(chosen["output_buf_size"]) if chosen.was_set("output_buf_size") else None
+            settings = self._settings.groups["buffer"]
+            size = int(settings["output_buf_size"]) if settings.was_set("output_buf_size") else None
             self.buffer, self._has_played = OutputBuffer(volts.shape[0], size), False
         assert self.buffer is not None
         return self._fill(self.buffer, volts, timeout)
@@ -142,7 +142,7 @@ class TaskOutput:
         return int(buffer.free(generated, self._running, self._settings.regenerates))
 
     def _fill(self, buffer: OutputBuffer, volts: Array, timeout: float) -> int:
-        chassis, wanted, done = self._chassis, volts.shape[1], 0
+        chassis, requested, done = self._chassis, volts.shape[1], 0
         began = chassis.clock.now(chassis)
 
         def running() -> Generation | None:
@@ -153,7 +153,7 @@ class TaskOutput:
             return self._free(buffer, 0 if run is None else run.generated)
 
         def piece() -> int:
-            return min(wanted - done, max(1, buffer.size // 2))
+            return min(requested - done, max(1, buffer.size // 2))
 
         while True:
             run = running()
@@ -165,22 +165,22 @@ class TaskOutput:
                     Code.SAMPLES_CAN_NOT_YET_BE_WRITTEN,
                     done,
                 )
-            take = min(free(), wanted - done)
+            take = min(free(), requested - done)
             if take > 0:
                 buffer.write(volts[:, done : done + take], run is not None)
                 done += take
-            if done == wanted:
+            if done == requested:
                 return done
-            left = timeout if timeout < 0 else max(0.0, timeout - (chassis.clock.now(chassis) - began))
+            time_left = timeout if timeout < 0 else max(0.0, timeout - (chassis.clock.now(chassis) - began))
 
             def ready() -> bool:
                 now = running()
                 return now is None or now.done or free() >= piece()
 
-            if run is None or not chassis.wait(ready, lambda: piece() - free(), left):
+            if run is None or not chassis.wait(ready, lambda: piece() - free(), time_left):
                 raise DaqError(
-                    f"{done} of {wanted} samples per channel found room in the buffer within {timeout:g} s: start "
-                    "the task, write less at a time, or enlarge out_stream.output_buf_size",
+                    f"{done} of {requested} samples per channel were written within {timeout:g} s: the buffer is full. "
+                    "Start the task, write fewer samples at a time, or enlarge out_stream.output_buf_size.",
                     Code.SAMPLES_CAN_NOT_YET_BE_WRITTEN,
                     done,
                 )

@@ -125,9 +125,9 @@ def time_of(task: Task, event: TimestampEvent, timeout: float) -> int:
                 f"the task has not been started or triggered within {timeout:g} s",
                 Code.SAMPLES_NOT_YET_AVAILABLE,
             )
-        found = tick()
-        assert found is not None
-        return task.chassis.time_ns(found)
+        event_tick = tick()
+        assert event_tick is not None
+        return task.chassis.time_ns(event_tick)
 
 
 def full_terminal(task: Task, name: str) -> str:

@@ -96,10 +96,10 @@ class Screen:
 
     def _fit(self, motion: RigPose) -> None:
         """Redraw the rig if its exaggeration has become too large or much too small."""
-        seen = Extremes().widened(motion, [shaker.body for _, shaker in self._scene.tables])
+        present = Extremes().widened(motion, [shaker.body for _, shaker in self._scene.tables])
         since = self._position - round(_MEMORY_S * self._rate)
         self._recent = [(at, extremes) for at, extremes in self._recent if at >= since]
-        self._recent.append((self._position, seen))
+        self._recent.append((self._position, present))
         largest = Extremes(
             *(max(values) for values in zip(*(vars(e).values() for _, e in self._recent), strict=True))
         )

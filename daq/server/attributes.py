@@ -96,10 +96,10 @@ def _get(call: Call, owner: str, name: str) -> Any:
 def _of_device(call: Call, name: str) -> Any:
     chassis = call.instrument.chassis
     module = chassis.devices.module(call.fields["device_name"])
-    found = module.attributes(chassis.devices.modules_of(module.name))
-    if name not in found:
+    attributes = module.attributes(chassis.devices.modules_of(module.name))
+    if name not in attributes:
         raise DaqError(f"{module.product_type} has no property {name}", Code.ATTR_NOT_SUPPORTED)
-    return found[name]
+    return attributes[name]
 
 
 def _of_terminal(call: Call, name: str) -> Any:
@@ -108,23 +108,23 @@ def _of_terminal(call: Call, name: str) -> Any:
     chassis = call.instrument.chassis
     module = chassis.devices.module(port.device)
     module.row(port.kind, port.number)
-    found: dict[str, Any] = {
+    attributes: dict[str, Any] = {
         "ai_supported_meas_types": sorted(module.measurements),
         "ai_term_cfgs": sum(WIRING_BITS.get(each, 0) for each in module.wirings),
         "ai_input_srcs": [port.name],
     }
     if port.kind == "ao":
-        found = {"ao_supported_output_types": [10322], "ao_term_cfgs": 1}
+        attributes = {"ao_supported_output_types": [10322], "ao_term_cfgs": 1}
     elif name.startswith("teds_"):
         return call.instrument.teds.read(port, name)
-    if name not in found:
+    if name not in attributes:
         raise DaqError(f"{port.name} has no property {name}", Code.ATTR_NOT_SUPPORTED)
-    return found[name]
+    return attributes[name]
 
 
 def _of_task(call: Call, name: str) -> Any:
     task: Task = call.task
-    found = {
+    attributes = {
         "name": lambda: task.name,
         "channels": lambda: [each.name for each in task.settings.channels],
         "devices": lambda: task.settings.device_names,
@@ -132,9 +132,9 @@ def _of_task(call: Call, name: str) -> Any:
         "num_devices": lambda: len(task.settings.device_names),
         "complete": task.is_done,
     }
-    if name not in found:
+    if name not in attributes:
         raise unsupported(f"task property {name}")
-    return found[name]()
+    return attributes[name]()
 
 
 def _of_system(call: Call, name: str) -> Any:
@@ -159,12 +159,12 @@ def _of_scale(call: Call, name: str) -> Any:
 
 def _of_saved(call: Call, name: str) -> Any:
     storage: Storage = call.instrument.storage
-    found: tuple[tuple[str, dict[str, Any], Code], ...] = (
+    groups: tuple[tuple[str, dict[str, Any], Code], ...] = (
         ("task_name", storage.tasks, Code.TASK_NOT_IN_DATA_NEIGHBORHOOD),
         ("channel", storage.channels, Code.INVALID_GLOBAL_CHAN),
         ("scale_name", storage.scales, Code.CUSTOM_SCALE_DOES_NOT_EXIST),
     )
-    field, saved, code = next(each for each in found if each[0] in call.fields)
+    field, saved, code = next(each for each in groups if each[0] in call.fields)
     key = call.fields[field]
     if key not in saved:
         raise DaqError(f"nothing is saved under the name {key!r}", code)
@@ -186,7 +186,7 @@ def _of_calibration(call: Call, name: str) -> Any:
 
 
 def _refuse(call: Call, name: str) -> Any:
-    raise DaqError(f"there is no property {name} here", Code.ATTR_NOT_SUPPORTED)
+    raise DaqError(f"the property {name} does not exist", Code.ATTR_NOT_SUPPORTED)
 
 
 _OWNERS: dict[str, Callable[[Any, str], Any]] = {

@@ -72,9 +72,9 @@ def install() -> None:
             owner.__init__ = _with_options(owner.__init__)
     kinds = ("lin", "map", "polynomial", "table")
     for name in ("calculate_reverse_poly_coeff", *(f"create_{kind}_scale" for kind in kinds)):
-        made = getattr(nidaqmx.Scale, name, None)
-        if made is not None:
-            setattr(nidaqmx.Scale, name, staticmethod(_with_options(made)))
+        function = getattr(nidaqmx.Scale, name, None)
+        if function is not None:
+            setattr(nidaqmx.Scale, name, staticmethod(_with_options(function)))
     remote = system.System.remote
     system.System.local = staticmethod(lambda: remote(_options()))
 

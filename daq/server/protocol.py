@@ -69,11 +69,11 @@ def decode(request: Any) -> dict[str, Any]:
     Raises `DaqError` with -200077 for a text, or a list other than samples, above the maximum length, and for a text
     with a null character.
     """
-    found: dict[str, Any] = {}
+    fields: dict[str, Any] = {}
     for name, choice, kind, repeated in _fields(request.DESCRIPTOR):
         if choice:
             given = request.WhichOneof(choice)
-            found[name] = 0 if given is None else getattr(request, given)
+            fields[name] = 0 if given is None else getattr(request, given)
             continue
         value = getattr(request, name)
         if repeated and name not in _SAMPLES and len(value) > _MAX_ENTRIES:
@@ -81,15 +81,15 @@ def decode(request: Any) -> dict[str, Any]:
         if isinstance(value, str):
             _check_text(name, value)
         if repeated:
-            found[name] = value if kind == "message" else _listed(value, kind)
+            fields[name] = value if kind == "message" else _listed(value, kind)
         elif kind == _SESSION:
             _check_text(name, value.name)
-            found[name] = value.name
+            fields[name] = value.name
         elif kind == _TIMESTAMP:
-            found[name] = value.seconds + value.nanos * 1e-9
+            fields[name] = value.seconds + value.nanos * 1e-9
         else:
-            found[name] = value
-    return found
+            fields[name] = value
+    return fields
 
 
 def _check_text(name: str, text: str) -> None:
@@ -106,20 +106,20 @@ def _listed(values: Any, kind: str) -> Any:
 @cache
 def _fields(descriptor: Any) -> list[tuple[str, str, str, bool]]:
     """List the fields of a request: name, choice, kind, and whether it is a list."""
-    found, seen = [], set()
+    fields, names = [], set()
     for field in descriptor.fields:
         choice = field.containing_oneof.name if field.containing_oneof is not None else ""
-        if choice in seen:
+        if choice in names:
             continue
-        seen.add(choice or field.name)
+        names.add(choice or field.name)
         kind = ""
         if field.message_type is not None:
             kind = field.message_type.full_name
             kind = kind if kind in (_SESSION, _TIMESTAMP) else "message"
         elif field.cpp_type == field.CPPTYPE_DOUBLE:
             kind = "double"
-        found.append((choice.removesuffix(_ENUM) or field.name, choice, kind, _is_list(field)))
-    return found
+        fields.append((choice.removesuffix(_ENUM) or field.name, choice, kind, _is_list(field)))
+    return fields
 
 
 def _is_list(field: Any) -> bool:
@@ -166,8 +166,8 @@ def attribute_name(request: Any) -> str | None:
     The name is that of the attribute's number in the protocol, without the prefix of its group.
     """
     field = request.DESCRIPTOR.fields_by_name["attribute"]
-    given = request.WhichOneof("attribute_enum")
-    number = getattr(request, given) if given else 0
+    member = request.WhichOneof("attribute_enum")
+    number = getattr(request, member) if member else 0
     if number == DEFAULT_NUMBER_OF_SAMPLES:
         return "default_number_of_samples"
     value = field.enum_type.values_by_number.get(number)

@@ -167,10 +167,10 @@ def parse_address(address: str, port: int) -> tuple[str, int]:
         address,
     )
     host = match and (match["six"] or match["six_only"] or match["name"])
-    given = match and (match["port"] or match["at"] or "")[1:]
-    if not host or (given and not (given.isdecimal() and int(given) < 65536)):
+    digits = match and (match["port"] or match["at"] or "")[1:]
+    if not host or (digits and not (digits.isdecimal() and int(digits) < 65536)):
         raise SceneError(f"address {address!r}: expected HOST, HOST:PORT or [IPV6]:PORT")
-    return host, int(given) if given else port
+    return host, int(digits) if digits else port
 
 
 def _endpoint(host: str, port: int) -> str:
@@ -180,10 +180,10 @@ def _endpoint(host: str, port: int) -> str:
 def _is_loopback(host: str) -> bool:
     """Return whether all addresses of a host are loopback addresses."""
     try:
-        found = {str(each[4][0]).partition("%")[0] for each in socket.getaddrinfo(host, None)}
+        addresses = {str(each[4][0]).partition("%")[0] for each in socket.getaddrinfo(host, None)}
     except (OSError, UnicodeError):
         return False
-    return bool(found) and all(ipaddress.ip_address(each).is_loopback for each in found)
+    return bool(addresses) and all(ipaddress.ip_address(each).is_loopback for each in addresses)
 
 
 def wait_for_signal() -> None:

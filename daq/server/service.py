@@ -193,10 +193,10 @@ class Server:
     def _watch(self) -> None:
         """End sessions of disconnected clients, periodically."""
         while not self._closing.wait(min(1.0, self.limits.patience / 4)):
-            there = _connected_to(self.port)
-            if there is None:
+            connected = _connected_to(self.port)
+            if connected is None:
                 continue
-            for name in self.sessions.sweep(there, self.limits.patience):
+            for name in self.sessions.sweep(connected, self.limits.patience):
                 print(f"task {name} was closed: its client has gone", file=sys.stderr, flush=True)
 
 
@@ -226,11 +226,11 @@ def _connected_to(port: int) -> set[tuple[str, int]] | None:
     import psutil
 
     try:
-        found = psutil.Process().net_connections(kind="tcp")
+        connections = psutil.Process().net_connections(kind="tcp")
     except (psutil.Error, OSError):
         return None
     return {
         (each.raddr.ip.removeprefix("::ffff:"), each.raddr.port)
-        for each in found
+        for each in connections
         if each.laddr and each.laddr.port == port and each.raddr and each.status == psutil.CONN_ESTABLISHED
     }

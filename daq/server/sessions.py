@@ -135,27 +135,27 @@ class Sessions:
     def end_on(self, device: str, peer: str) -> None:
         """Abort the tasks of a client on a device; with -50103, if other clients use the device too."""
         with self._lock:
-            there = [each for each in self._open.values() if device in each.task.settings.device_names]
-            others = [each.task.name for each in there if each.owner != peer]
+            sessions = [each for each in self._open.values() if device in each.task.settings.device_names]
+            others = [each.task.name for each in sessions if each.owner != peer]
             if others:
                 raise DaqError(
                     f"{device} is in use by other clients (task {', '.join(others)}). End their tasks before a reset.",
                     Code.PAL_RESOURCE_RESERVED,
                 )
-            for each in there:
+            for each in sessions:
                 each.task.control(5)
 
-    def sweep(self, there: Collection[tuple[str, int]], patience: float) -> list[str]:
+    def sweep(self, connected: Collection[tuple[str, int]], patience: float) -> list[str]:
         """End the sessions of clients that disconnected without closing them.
 
-        `there`: address and port of every connected client; `patience`: time for which a session waits for its
+        `connected`: address and port of every connected client; `patience`: time for which a session waits for its
         client to reconnect, s. Returns names of the ended tasks.
         """
         ended = []
         with self._lock:
             now = time.monotonic()
             for name, session in list(self._open.items()):
-                if any(_endpoint(each) in there for each in session.users):
+                if any(_endpoint(each) in connected for each in session.users):
                     session.left_at = None
                 elif session.left_at is None:
                     session.left_at = now

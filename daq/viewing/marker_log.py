@@ -85,13 +85,15 @@ def phases(recording: Recording, start: int, stop: int) -> list[MarkedSlice]:
 
 def overloads(recording: Recording, start: int, stop: int) -> dict[str, list[MarkedSlice]]:
     """Return the segments of [start, stop) in which each channel was overloaded, in order of time."""
-    found: dict[str, list[MarkedSlice]] = {}
+    by_channel: dict[str, list[MarkedSlice]] = {}
     for mark in sorted(recording.overloads, key=lambda mark: mark.first_sample):
         first, last = max(start, mark.first_sample), min(stop, mark.stop)
         if first < last:
             name = str(mark.fields.get("channel", ""))
-            found.setdefault(name, []).append(MarkedSlice(first, last, f"{name} overloaded", OVERLOAD_COLOUR))
-    return found
+            by_channel.setdefault(name, []).append(
+                MarkedSlice(first, last, f"{name} overloaded", OVERLOAD_COLOUR)
+            )
+    return by_channel
 
 
 def format_fields(fields: Mapping[str, Any]) -> str:

@@ -79,11 +79,11 @@ class Measurement:
     def check_units(self, settings: Mapping[str, Any]) -> None:
         """Reject units that do not belong to this kind, with -200077."""
         units = settings[self.units]
-        known = _UNITS_OF.get(self.units)
-        if known is not None and units not in (*known, FROM_CUSTOM_SCALE, FROM_TEDS):
+        supported = _UNITS_OF.get(self.units)
+        if supported is not None and units not in (*supported, FROM_CUSTOM_SCALE, FROM_TEDS):
             raise bad(
                 f"{self.units} is {units}: expected "
-                + ", ".join(f"{UNITS[each][1]} ({each})" for each in known)
+                + ", ".join(f"{UNITS[each][1]} ({each})" for each in supported)
                 + f" or those of a custom scale ({FROM_CUSTOM_SCALE})"
             )
 
@@ -95,8 +95,8 @@ class Measurement:
             VELOCITY: (1.0, 15963),
             MICROPHONE: (1e3, 0),
         }[self.type]
-        found = {self.sensitivity: volts_per_unit * size}
-        return found | ({f"{self.sensitivity}_units": units} if units else {})
+        settings = {self.sensitivity: volts_per_unit * size}
+        return settings | ({f"{self.sensitivity}_units": units} if units else {})
 
     def unit(self, settings: Mapping[str, Any]) -> str:
         """Return the name of the unit of the readings."""

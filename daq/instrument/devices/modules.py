@@ -143,7 +143,7 @@ class Module:
         """Return the error for a terminal that does not exist, or is of the other kind (-200170)."""
         names = self.channel_names("ai") + self.channel_names("ao")
         return DaqError(
-            f"there is no such channel {self.name}/{kind}{number} here: {self.name} has "
+            f"there is no channel {self.name}/{kind}{number}: {self.name} has "
             + (", ".join(names) or "none"),
             Code.PHYSICAL_CHAN_DOES_NOT_EXIST,
         )
@@ -153,7 +153,7 @@ class Module:
 
         `modules`: names of the modules in a chassis.
         """
-        found: dict[str, Any] = {
+        attributes: dict[str, Any] = {
             "product_type": self.product_type,
             "product_category": self.category,
             "product_num": self.number,
@@ -178,10 +178,10 @@ class Module:
             "num_dma_chans": 0,
         }
         lines = ("di_lines", "di_ports", "do_lines", "do_ports", "ci_physical_chans", "co_physical_chans")
-        found |= {key: [] for key in lines}
-        found["teds_hwteds_supported"] = bool(self.inputs) and self.teds
+        attributes |= {key: [] for key in lines}
+        attributes["teds_hwteds_supported"] = bool(self.inputs) and self.teds
         if self.inputs:
-            found |= {
+            attributes |= {
                 "ai_max_single_chan_rate": self.fastest,
                 "ai_max_multi_chan_rate": self.fastest,
                 "ai_min_rate": self.rates.slowest,
@@ -195,7 +195,7 @@ class Module:
                 "ai_num_samp_timing_engines": 1,
             }
         if self.outputs:
-            found |= {
+            attributes |= {
                 "ao_max_rate": self.output_rates.fastest,
                 "ao_min_rate": self.output_rates.slowest,
                 "ao_samp_clk_supported": True,
@@ -204,7 +204,7 @@ class Module:
                 "ao_supported_output_types": [VOLTAGE],
                 "ao_trig_usage": _START_TRIGGER,
             }
-        return found
+        return attributes
 
 
 class DeviceList:
@@ -222,15 +222,15 @@ class DeviceList:
         Raises `DaqError` with -200220, if there is no device of that name.
         """
         bare = name.strip().lstrip("/").partition("/")[0]
-        found = self._modules.get(bare.lower())
-        if found is not None:
-            return found
-        everything = self._modules.get("")
-        if everything is not None and GIVEN_BY_DRIVER.fullmatch(bare):
-            return replace(everything, name=bare)
+        module = self._modules.get(bare.lower())
+        if module is not None:
+            return module
+        unnamed = self._modules.get("")
+        if unnamed is not None and GIVEN_BY_DRIVER.fullmatch(bare):
+            return replace(unnamed, name=bare)
         raise DaqError(
             f"there is no device {name!r}: the bench has {', '.join(self.names)}"
-            + (", which also go by names like Dev1, cDAQ1Mod1, PXI1Slot2" if everything else ""),
+            + (", which also go by names like Dev1, cDAQ1Mod1, PXI1Slot2" if unnamed else ""),
             Code.INVALID_DEVICE_ID,
         )
 
@@ -241,5 +241,5 @@ class DeviceList:
 
     def modules_of(self, chassis: str) -> list[str]:
         """Names of the modules in a chassis, by slot."""
-        found = [each for each in self._modules.values() if each.chassis and each.chassis == chassis]
-        return [each.name for each in sorted(found, key=lambda each: each.slot)]
+        modules = [each for each in self._modules.values() if each.chassis and each.chassis == chassis]
+        return [each.name for each in sorted(modules, key=lambda each: each.slot)]

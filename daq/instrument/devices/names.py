@@ -60,17 +60,17 @@ def unflatten(names: str) -> list[str]:
     >>> unflatten("a03:01")
     ['a03', 'a02', 'a01']
     """
-    found: list[str] = []
+    expanded: list[str] = []
     for item in (part.strip() for part in names.split(",")):
         if ":" in item:
-            found += _expand(item)
+            expanded += _expand(item)
         elif item:
-            found.append(item)
-        if len(found) > MAX_NAMES:
+            expanded.append(item)
+        if len(expanded) > MAX_NAMES:
             raise DaqError(
                 f"a list of more than {MAX_NAMES} names", Code.INVALID_RANGE_OF_OBJECTS_SYNTAX_IN_STRING
             )
-    return found
+    return expanded
 
 
 def _expand(item: str) -> list[str]:

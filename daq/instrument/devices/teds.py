@@ -34,8 +34,8 @@ def basic_teds(data: bytes) -> dict[str, Any]:
     `data`: the memory of the sensor without the checksum bytes, which TEDS readers remove. Returns values by the
     driver's names of the properties. Raises `DaqError` with -200826, if it is not a data sheet.
 
-    >>> found = basic_teds(bytes([17, 64, 0, 32, 4, 57, 48, 0, 120]))
-    >>> found["teds_mfg_id"], found["teds_version_letter"], found["teds_serial_num"], found["teds_template_i_ds"]
+    >>> values = basic_teds(bytes([17, 64, 0, 32, 4, 57, 48, 0, 120]))
+    >>> values["teds_mfg_id"], values["teds_version_letter"], values["teds_serial_num"], values["teds_template_i_ds"]
     (17, 'A', 12345, [30])
     """
     if len(data) < _LEAST_BYTES:
@@ -44,14 +44,14 @@ def basic_teds(data: bytes) -> dict[str, Any]:
             Code.TEDS_SENSOR_DATA_ERROR,
         )
     bits = int.from_bytes(data, "little")
-    found: dict[str, Any] = {"teds_bit_stream": data}
+    values: dict[str, Any] = {"teds_bit_stream": data}
     for name, width in _BASIC:
-        found[name], bits = bits & ((1 << width) - 1), bits >> width
-    found["teds_version_letter"] = chr(ord("A") + found["teds_version_letter"] - 1)
+        values[name], bits = bits & ((1 << width) - 1), bits >> width
+    values["teds_version_letter"] = chr(ord("A") + values["teds_version_letter"] - 1)
     # Two bits select what follows (0: a template of IEEE 1451.4), eight bits are the number of the template.
     selector, template = bits & 3, (bits >> 2) & 0xFF
-    found["teds_template_i_ds"] = [template] if selector == 0 and template else []
-    return found
+    values["teds_template_i_ds"] = [template] if selector == 0 and template else []
+    return values
 
 
 def sensitivity(data: bytes) -> float | None:
@@ -112,23 +112,23 @@ class TedsMemory:
     def write(self, port: Port, data: bytes) -> None:
         """Reject a write into a sensor: the emulated sensors have no writable memory."""
         basic_teds(data)
-        raise DaqError(f"{port.name}: no sensor with a memory was found", Code.TEDS_SENSOR_NOT_DETECTED)
+        raise DaqError(f"{port.name}: the sensor has no writable memory.", Code.TEDS_SENSOR_NOT_DETECTED)
 
     def sheet(self, port: Port) -> bytes:
         """Return the data sheet at a terminal; with -200709, if there is no data sheet."""
-        found = self._virtual.get(port.name.lower()) or self._sensor(port)
-        if found is None:
+        data = self._virtual.get(port.name.lower()) or self._sensor(port)
+        if data is None:
             raise DaqError(
-                f"{port.name}: no electronic data sheet was found; the sensor there has none",
+                f"{port.name}: the sensor has no electronic data sheet. Set its sensitivity in the channel.",
                 Code.TEDS_SENSOR_NOT_DETECTED,
             )
-        return found
+        return data
 
     def read(self, port: Port, name: str) -> Any:
         """Read a property of the data sheet at a terminal; with -200709, if the property is missing."""
-        found = basic_teds(self.sheet(port))
-        if name not in found:
+        values = basic_teds(self.sheet(port))
+        if name not in values:
             raise DaqError(
                 f"{port.name}: the electronic data sheet has no {name}", Code.TEDS_SENSOR_NOT_DETECTED
             )
-        return found[name]
+        return values[name]

@@ -159,13 +159,13 @@ class Acquisition:
 
     def start_tick(self, reference: bool, position: int) -> int | None:
         """Return the tick at or after a position at which this task starts or started (was triggered)."""
-        found = self.first_tick
+        instant = self.first_tick
         if reference:
-            found = None if self.trigger is None else self.instant_of(self.trigger)
-        elif found is None and isinstance(self.plan.start, SyncPulse | AtTime):
-            instant = max(first_sample(self._per_tick, position), self.armed_at)
-            found = self.plan.start.next_tick(instant, self.plan.rate)
-        return None if found is None else self.tick_at(found)
+            instant = None if self.trigger is None else self.instant_of(self.trigger)
+        elif instant is None and isinstance(self.plan.start, SyncPulse | AtTime):
+            earliest = max(first_sample(self._per_tick, position), self.armed_at)
+            instant = self.plan.start.next_tick(earliest, self.plan.rate)
+        return None if instant is None else self.tick_at(instant)
 
     def take(self, tick: int, samples: NDArray[Any], overload: NDArray[np.bool_], moment: Moment) -> None:
         """Process a block of the bench.

@@ -184,14 +184,14 @@ class TaskLog:
             self._logged = oldest
         if self._settings["logging_pause"]:
             self._logged = max(self._logged, stop)
-        most = self._settings["logging_samps_per_file"] or math.inf
+        max_samples = self._settings["logging_samps_per_file"] or math.inf
         while self._logged < stop:
-            if self._in_file >= most:
+            if self._in_file >= max_samples:
                 self._number += 1
                 self._file.close()
                 name = f"{self._base.stem}_{self._number:04d}{self._base.suffix}"
                 self._file, self._in_file = self._open(self._base.with_name(name), self._logged), 0
-            first, count = self._logged, int(min(stop - self._logged, most - self._in_file))
+            first, count = self._logged, int(min(stop - self._logged, max_samples - self._in_file))
             self._file.write(acquisition.ring.read(first, count), acquisition.overloads.read(first, count))
             self._logged += count
             self._in_file += count

@@ -65,11 +65,11 @@ class RingBuffer:
     def write(self, samples: NDArray[Any]) -> None:
         """Append samples, shape (channels, n); they overwrite the oldest samples."""
         count = samples.shape[1]
-        kept = samples[:, -self.size :]
-        start = (self.written + count - kept.shape[1]) % self.size
-        head = min(kept.shape[1], self.size - start)
-        self._data[:, start : start + head] = kept[:, :head]
-        self._data[:, : kept.shape[1] - head] = kept[:, head:]
+        latest = samples[:, -self.size :]
+        start = (self.written + count - latest.shape[1]) % self.size
+        head = min(latest.shape[1], self.size - start)
+        self._data[:, start : start + head] = latest[:, :head]
+        self._data[:, : latest.shape[1] - head] = latest[:, head:]
         self.written += count
 
     def read(self, first: int, count: int) -> NDArray[Any]:

@@ -86,7 +86,7 @@ _FILTER = {
 
 def _trigger(name: str) -> dict[str, Any]:
     """Return the settings of the start trigger or the reference trigger."""
-    found: dict[str, Any] = {
+    defaults: dict[str, Any] = {
         f"{name}_trig_type": TriggerType.NONE,
         f"{name}_trig_delay": 0.0,
         f"{name}_trig_retriggerable": False,
@@ -105,8 +105,8 @@ def _trigger(name: str) -> dict[str, Any]:
         "dig_pattern": {"src": "", "pattern": "", "when": 10254},
     }
     for kind, settings in kinds.items():
-        found |= {f"{kind}_{name}_trig_{key}": value for key, value in settings.items()}
-    return found
+        defaults |= {f"{kind}_{name}_trig_{key}": value for key, value in settings.items()}
+    return defaults
 
 
 TRIGGER: dict[str, Any] = {

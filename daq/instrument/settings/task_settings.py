@@ -58,10 +58,10 @@ class TaskSettings:
     @property
     def rate(self) -> float:
         """Actual rate of the sample clock, S/s."""
-        wanted = self.groups["timing"]["samp_clk_rate"]
+        requested = self.groups["timing"]["samp_clk_rate"]
         if not self.channels:
-            return float(wanted)
-        return self.channels[0].module.coerced(wanted, output=self.kind == "ao")
+            return float(requested)
+        return self.channels[0].module.coerced(requested, output=self.kind == "ao")
 
     @property
     def regenerates(self) -> bool:
@@ -99,7 +99,7 @@ class TaskSettings:
 
         `physical`: terminals, such as "cDAQ1Mod1/ai0:3"; `name`: virtual name, or the common prefix of several
         names. Empty: the names of the terminals; `kind`: kind of measurement of inputs, None for outputs; `given`:
-        settings, by the driver's names. Raises `DaqError`: see `Channel.declare`; -200171 for a name that is taken.
+        settings, by the driver's names. Raises `DaqError`: see `Channel.declare`; -200171 for a duplicate name.
         """
         side = "ao" if kind is None else "ai"
         ports = [parse_port(each) for each in unflatten(physical)]
@@ -127,14 +127,14 @@ class TaskSettings:
             module = self._module(port.device)
             if port.kind != side:
                 raise module.no_channel(port.kind, port.number)
-            taken = [each.name.lower() for each in (*self.channels, *added)]
-            if virtual.lower() in taken and not name:
+            used_names = [each.name.lower() for each in (*self.channels, *added)]
+            if virtual.lower() in used_names and not name:
                 # A terminal may be used twice, under different names.
                 number = 1
-                while f"{virtual}_{number}".lower() in taken:
+                while f"{virtual}_{number}".lower() in used_names:
                     number += 1
                 virtual = f"{virtual}_{number}"
-            elif virtual.lower() in taken:
+            elif virtual.lower() in used_names:
                 raise DaqError(
                     f"the task has a channel {virtual!r} already: choose another name",
                     Code.VIRTUAL_CHAN_NAME_USED,
@@ -155,25 +155,25 @@ class TaskSettings:
 
         Raises `DaqError` with -200488, if there is no channel of that name.
         """
-        found = []
+        matches = []
         for name in unflatten(names):
-            wanted = name.lower().lstrip("/")
-            match = [each for each in self.channels if wanted in (each.name.lower(), each.port.name.lower())]
+            key = name.lower().lstrip("/")
+            match = [each for each in self.channels if key in (each.name.lower(), each.port.name.lower())]
             if not match:
                 raise DaqError(
                     f"the task has no channel {name!r}: it has "
                     + (", ".join(each.name for each in self.channels) or "none"),
                     Code.VIRTUAL_CHAN_DOES_NOT_EXIST,
                 )
-            found.append(match[0])
-        return found if names else list(self.channels)
+            matches.append(match[0])
+        return matches if names else list(self.channels)
 
     @property
     def input_size(self) -> int:
         """Samples per channel in the buffer of an input."""
-        chosen = self.groups["buffer"]
-        if chosen.was_set("input_buf_size"):
-            return int(chosen["input_buf_size"])
+        buffer = self.groups["buffer"]
+        if buffer.was_set("input_buf_size"):
+            return int(buffer["input_buf_size"])
         if not self.clocked:
             return 0
         samples = int(self.groups["timing"]["samp_quant_samp_per_chan"])

@@ -16,21 +16,21 @@ def create_input(kind: str, teds: bool) -> Handler:
 
     `teds`: whether the sensors' electronic data sheets give their sensitivities.
     """
-    chosen, implied = measurement(kind)
+    measured, implied = measurement(kind)
 
     def create(call: Call) -> None:
         call.task.check_idle("adding channels")
         given = {key: plain(value) for key, value in call.fields.items() if key != "task"}
         physical, name = given.pop("physical_channel"), given.pop("name_to_assign_to_channel")
-        settings = chosen.settings(given) | implied
+        settings = measured.settings(given) | implied
         if not teds:
-            call.task.settings.add(physical, name, chosen, settings)
+            call.task.settings.add(physical, name, measured, settings)
             return
         terminals = unflatten(physical)
         names = numbered(name, len(terminals)) if name else [""] * len(terminals)
         for each, virtual in zip(terminals, names, strict=True):
-            own = settings | _settings_of_sensor(call, each, chosen) | {"ai_is_teds": True}
-            call.task.settings.add(each, virtual, chosen, own)
+            own = settings | _settings_of_sensor(call, each, measured) | {"ai_is_teds": True}
+            call.task.settings.add(each, virtual, measured, own)
 
     return create
 
@@ -44,7 +44,7 @@ def _settings_of_sensor(call: Call, physical: str, kind: Measurement) -> dict[st
     volts = sensitivity(call.instrument.teds.sheet(port))
     if volts is None or not kind.sensitivity:
         raise DaqError(
-            f"{port.name}: the electronic data sheet there states no sensitivity of such a sensor",
+            f"{port.name}: the electronic data sheet states no sensitivity of this measurement. Choose another kind.",
             Code.TEDS_SENSOR_DATA_ERROR,
         )
     return kind.sensitivity_settings(volts)

@@ -112,23 +112,25 @@ def _read_waveforms(call: Call) -> Answer:
     task, mode = call.task, call.fields.get("waveform_attribute_mode", 0)
     reading = task.read(call.fields["num_samps_per_chan"], call.fields["timeout"])
     assert waveform_conversion is not None
-    found = []
+    waveforms = []
     for row, samples in zip(task.settings.rows_to_read(), reading.samples, strict=True):
         channel = task.settings.channels[row]
         waveform = DoubleAnalogWaveform(y_data=samples.tolist())
         if mode & 1:
             start = task.input.time_of_sample(reading.first)
             # The time of a waveform counts from 1904, in seconds and fractions of 2^-64 s.
-            seconds, rest = divmod(start, 10**9)
+            seconds, remainder = divmod(start, 10**9)
             waveform.t0.seconds = seconds + 2_082_844_800
-            waveform.t0.fractional_seconds = rest * 2**64 // 10**9
+            waveform.t0.fractional_seconds = remainder * 2**64 // 10**9
             waveform.dt = 1.0 / task.settings.rate
         if mode & 2:
             waveform.attributes["NI_ChannelName"].CopyFrom(WaveformAttributeValue(string_value=channel.name))
             unit = "Volts" if channel.unit == "V" else channel.unit
             waveform.attributes["NI_UnitDescription"].CopyFrom(WaveformAttributeValue(string_value=unit))
-        found.append(waveform)
-    return _with_status(call, reading, {"waveforms": found, "samps_per_chan_read": reading.samples.shape[1]})
+        waveforms.append(waveform)
+    return _with_status(
+        call, reading, {"waveforms": waveforms, "samps_per_chan_read": reading.samples.shape[1]}
+    )
 
 
 def _table(task: Task, data: NDArray[np.float64], samples: int, by_channel: bool) -> NDArray[np.float64]:
@@ -192,8 +194,8 @@ def _write_raw(call: Call) -> Answer:
     given, task = call.fields, call.task
     kind = np.dtype(f"i{_count_bits(task) // 8}")
     # An incomplete sample at the end of the array is not written.
-    whole = given["num_samps"] * len(task.settings.channels)
-    count = min(whole, len(given["write_array"]) // kind.itemsize)
+    n_values = given["num_samps"] * len(task.settings.channels)
+    count = min(n_values, len(given["write_array"]) // kind.itemsize)
     data = np.frombuffer(given["write_array"], dtype=kind, count=max(count, 0))
     table = _table(task, data.astype(float), given["num_samps"], by_channel=False)
     written = task.write(table * _volts_per_count(task), given["auto_start"], given["timeout"])

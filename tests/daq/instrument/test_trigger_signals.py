@@ -136,7 +136,7 @@ def test_missing_trigger_times_out(chassis):
     with Task() as reading:
         inputs(reading, samps_per_chan=100)
         reading.triggers.start_trigger.cfg_anlg_edge_start_trig("Dev1/ai0", Slope.RISING, 400.0)
-        with pytest.raises(DaqReadError, match="start trigger has not come") as caught:
+        with pytest.raises(DaqReadError, match="start trigger has not occurred") as caught:
             reading.read(100, timeout=0.5)
     assert (caught.value.error_code, caught.value.samps_per_chan_read) == (-200284, 0)
     assert chassis.elapsed == 0.5

@@ -235,7 +235,8 @@ class Task:
             if not self.settings.finite:
                 hint = "Stop it: a continuous task does not end."
             raise DaqError(
-                f"the task is not done after {timeout:g} s. {hint}", Code.WAIT_UNTIL_DONE_DOES_NOT_INDICATE_DONE
+                f"the task is not done after {timeout:g} s. {hint}",
+                Code.WAIT_UNTIL_DONE_DOES_NOT_INDICATE_DONE,
             )
 
     # Interface for the chassis (`Runner`)

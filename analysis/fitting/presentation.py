@@ -12,7 +12,7 @@ from rig.errors import RunError, SceneError
 from rig.figure_style import save_figure
 from rig.output_files import atomic_write, create_folder
 from rig.provenance import allow_overwriting, output_source, reject_foreign_files, relative_paths
-from rig.results import format_quantity
+from rig.results.text import format_interval, table_lines
 from rig.scene.scene import Scene
 
 
@@ -57,31 +57,42 @@ def present_fit(
         return [output, *files], found.warnings
 
 
-def describe(found: Fit) -> list[str]:
-    """Lines with values and 95 % intervals, sensors, modes, undetermined combinations and residuals."""
-    width = max(len(one.key) for one in found.parameters)
-    lines = [f"{found.summary()} (95 % intervals)"]
-    for one in found.parameters:
-        value, tail = f"{one.value:.6g} {one.unit}".strip(), "unchanged"
-        if one.status != "undetermined":
-            value = format_quantity(one.value, one.half_width * abs(one.value), one.unit).strip()
-            tail = f"from {one.start:.4g}"
-        lines.append(f"  {one.key:{width}}  {value:30} {one.status:10} {tail}")
-    for name, (deviation, bound) in found.sensitivities.items():
-        lines.append(f"  sensitivity error of {name}: {format_quantity(100 * deviation, 100 * bound, '%')}")
-    for number, mode in enumerate(found.modes, 1):
-        lines.append(
-            f"  mode {number} of the structure: {format_quantity(mode.frequency, mode.frequency_bound, 'Hz')}, "
-            f"damping ratio {format_quantity(100 * mode.damping, 100 * mode.damping_bound, '%')}"
+def describe(result: Fit) -> list[str]:
+    """Return the printed lines: fitted values, sensors, modes and residuals, with 95 % intervals."""
+    values = [("value", "fitted", "unit", "initial", "determined")]
+    for each in result.parameters:
+        value = f"{each.value:.6g}"
+        if each.status != "undetermined":
+            value = format_interval(each.value, each.half_width * abs(each.value))
+        status = {"determined": "yes", "undetermined": "no"}.get(each.status, each.status)
+        values.append((each.key, value, each.unit, f"{each.start:.4g}", status))
+    sensors = [("sensor", "sensitivity error / %")] + [
+        (name, format_interval(100 * deviation, 100 * bound))
+        for name, (deviation, bound) in result.sensitivities.items()
+    ]
+    modes = [("mode of the structure", "frequency / Hz", "damping ratio / %")] + [
+        (
+            str(number),
+            format_interval(mode.frequency, mode.frequency_bound),
+            format_interval(100 * mode.damping, 100 * mode.damping_bound),
         )
-    for level in found.damping:
-        beneath = "with its dampers" if level.damped else "without dampers"
-        values = ", ".join(
-            "undetermined" if isnan(v) else f"{v:.4g} ± {b:.1g}"
-            for v, b in zip(level.value, level.bound, strict=True)
+        for number, mode in enumerate(result.modes, 1)
+    ]
+    levels = [("sweep", "dampers", "largest acceleration / (m/s²)", "damping")]
+    for level in result.damping:
+        damping = ", ".join(
+            "undetermined" if isnan(value) else format_interval(value, bound)
+            for value, bound in zip(level.value, level.bound, strict=True)
         )
-        lines.append(f"  {level.label}, {beneath}, up to {level.acceleration:.3g} m/s²: damping {values}")
-    residuals = (
-        f"{one.curves.label}: residual {one.relative:.2%} of the curves (rms)" for one in found.compared
-    )
-    return lines + [f"  {line}" for line in (*found.together, *residuals)]
+        levels.append(
+            (level.label, "in place" if level.damped else "none", f"{level.acceleration:.3g}", damping)
+        )
+    residuals = [("recording", "residual / % of the curves, rms")] + [
+        (each.curves.label, f"{100 * each.relative:.2g}") for each in result.compared
+    ]
+    tables = ((values, "<><><"), (sensors, "<>"), (modes, "<>>"), (levels, "<<>>"), (residuals, "<>"))
+    lines = [f"{result.summary()} (95 % intervals)"]
+    for rows, alignment in tables:
+        if len(rows) > 1:
+            lines += [f"  {line}" for line in table_lines(rows, alignment)]
+    return lines + [f"  {line}" for line in result.together]

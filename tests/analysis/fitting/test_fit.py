@@ -231,5 +231,5 @@ def test_undetermined_damping_is_described():
     found = Fit(
         rig.load("fig9"), (parameter,), np.eye(1), {}, (), (level,), (), 1.0, "", (), ()
     )  # fmt: skip
-    [said] = [line for line in describe(found) if "without dampers" in line]
-    assert said.endswith("damping 0.01 ± 0.0001, undetermined")
+    [row] = [line for line in describe(found) if "a.mcap" in line]
+    assert row.endswith("0.01000 ± 0.00010, undetermined")

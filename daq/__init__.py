@@ -1,6 +1,6 @@
 """The instrument: sensors, converter, clock, tasks, recorder, replay."""
 
-# A command that is interrupted while it is imported has nothing to say, and least of all a traceback.
+# A command that is interrupted during its import ends without a traceback.
 try:
     from rig.interruption import restore_default_interrupt
 
@@ -10,6 +10,6 @@ except KeyboardInterrupt:
 
 import lazy_loader
 
-# A module is imported when one of the names of `__init__.pyi` is first used, so that importing the package stays
-# quick: numba alone takes longer to import than a whole impulse test takes to run.
+# A module is imported when one of the names of `__init__.pyi` is first used, which keeps the import of the package
+# fast: the import of numba alone takes longer than an impulse test.
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

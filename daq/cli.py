@@ -20,21 +20,21 @@ if TYPE_CHECKING:
 
 app = create_application("The instrument: record, inspect, repair and replay tests.")
 
-# Endings of other formats.
-OTHER_FORMATS = (
+# File name extensions of other formats.
+OTHER_SUFFIXES = (
     ".csv", ".txt", ".npz", ".mat", ".uff", ".wav", ".tdms", ".rrd", ".yaml", ".png", ".svg", ".html",
 )  # fmt: skip
-# Help of the scene that scripts and clients drive.
-ON_THE_BENCH = "Scene on the bench (default: SHOTRIG_SCENE, or three particle dampers)."
+# Help text of the scene that scripts and clients drive.
+BENCH_SCENE_HELP = "Scene on the bench (default: SHOTRIG_SCENE, or three particle dampers)."
 
 
 def _option(metavar: str | None, text: str, *names: str) -> Any:
-    """Give an option with a placeholder for its value and its help."""
+    """Return an option with a placeholder for its value and a help text."""
     return typer.Option(*names, metavar=metavar, help=text)
 
 
 def _output(text: str, metavar: str = "FILE") -> Any:
-    """Give the option -o for a file to write."""
+    """Return the option -o for an output file."""
     return _option(metavar, text, "-o", "--output")
 
 
@@ -82,19 +82,25 @@ def record(
         return
     tests = [
         (scene, load_scene(scene, changes), path)
-        for scene, path in zip(scenes, _recordings(scenes, output), strict=True)
+        for scene, path in zip(scenes, _recording_paths(scenes, output), strict=True)
     ]
-    there = [path for _, setting, path in tests if not overwrite and is_recorded(setting, path)]
-    for path in there:
-        print(f"{path}: holds the whole test of this scene already; --overwrite records it again")
-    tests = [(scene, setting, _free(path, overwrite)) for scene, setting, path in tests if path not in there]
-    for scene, setting, path in tests:
-        check_resources(estimate(setting), path)
-        foreseen = foresee(setting)
-        print(f"{foreseen}\n", file=sys.stderr)
+    complete = [
+        path for _, scene_settings, path in tests if not overwrite and is_recorded(scene_settings, path)
+    ]
+    for path in complete:
+        print(f"{path}: already contains the complete test of this scene. --overwrite records it again.")
+    tests = [
+        (scene, scene_settings, _check_new_recording(path, overwrite))
+        for scene, scene_settings, path in tests
+        if path not in complete
+    ]
+    for scene, scene_settings, path in tests:
+        check_resources(estimate(scene_settings), path)
+        foresight = foresee(scene_settings)
+        print(f"{foresight}\n", file=sys.stderr)
         if not anyway:
-            refuse_certain_abort(scene, foreseen)
-        if code := record_and_report(scene, setting, path, overwrite, block):
+            refuse_certain_abort(scene, foresight)
+        if code := record_and_report(scene, scene_settings, path, overwrite, block):
             raise typer.Exit(code)
 
 
@@ -129,17 +135,17 @@ def import_recording(
     from daq.importing.report import import_and_report, listing
 
     if scene is None:
-        if changes or overwrite or any(each is not None for each in (table, start, stop, output)):
+        if changes or overwrite or any(option is not None for option in (table, start, stop, output)):
             raise typer.BadParameter(
-                "--set, --table, --from, --to, -o and --overwrite require --scene. Add --scene, or leave them out."
+                "--set, --table, --from, --to, -o and --overwrite require --scene. Add --scene, or omit these options."
             )
         for line in listing(files):
             print(line)
         return
-    what = load_scene(scene, changes)
+    settings = load_scene(scene, changes)
     path = output if output is not None else files[0].with_suffix(".mcap")
-    _no_other_format(path)
-    import_and_report(files, what, path, table, start, stop, overwrite)
+    _reject_other_suffix(path)
+    import_and_report(files, settings, path, table, start, stop, overwrite)
 
 
 @app.command("replay", example="daq replay sweep.mcap --screenshot sweep.png")
@@ -196,7 +202,7 @@ def recover(
     """
     from daq.recording.recovery import recover as recover_recording
 
-    _no_other_format(output)
+    _reject_other_suffix(output)
     for line in recover_recording(file, output, overwrite).report():
         print(line)
 
@@ -218,7 +224,7 @@ def run_scope(
     from daq.measurement.run_report import summary
 
     default = Path("recordings") / f"{Path(scene).stem}-scope.mcap"
-    path = _free(output if output is not None else default, overwrite)
+    path = _check_new_recording(output if output is not None else default, overwrite)
     with pause_reports():
         scope(
             load_scene(scene, changes), path, frequency=frequency, force=force, web=web, overwrite=overwrite
@@ -238,7 +244,7 @@ def run_a_script(
         # Not interpreted here.
         typer.Argument(metavar="[ARGS]...", help="Arguments of the script.", callback=lambda given: given),
     ] = None,
-    scene: Annotated[str | None, typer.Option(metavar="SCENE", help=ON_THE_BENCH)] = None,
+    scene: Annotated[str | None, typer.Option(metavar="SCENE", help=BENCH_SCENE_HELP)] = None,
     changes: Changes = None,
     clock: Clock = None,
     seconds: Annotated[
@@ -249,18 +255,18 @@ def run_a_script(
     from daq.server.script import run_script
 
     with user_terminal():
-        code = run_script(script, arguments or [], _bench(scene, changes), clock, seconds)
+        code = run_script(script, arguments or [], _load_bench_scene(scene, changes), clock, seconds)
     if code == 1:
         from rig.shadowing import shadowing_files
 
-        for text in shadowing_files(script.absolute().parent):
-            typer.echo(f"note: {text}, if that was meant", err=True)
+        for note in shadowing_files(script.absolute().parent):
+            typer.echo(f"note: {note}, if that was intended", err=True)
     raise typer.Exit(code)
 
 
 @app.command("serve", example="daq serve fig9 --clock fast")
 def serve_a_rig(
-    scene: Annotated[str | None, typer.Argument(metavar="[SCENE]", help=ON_THE_BENCH)] = None,
+    scene: Annotated[str | None, typer.Argument(metavar="[SCENE]", help=BENCH_SCENE_HELP)] = None,
     changes: Changes = None,
     clock: Clock = None,
     address: Annotated[
@@ -280,7 +286,7 @@ def serve_a_rig(
     output: Annotated[Path | None, _output("Record all channels.")] = None,
     overwrite: Replace = False,
     viewer: Annotated[bool, _option(None, "Show all channels live in the viewer.", "--viewer")] = False,
-    protocol: Annotated[
+    proto_folder: Annotated[
         Path | None, _option("FOLDER", "Write the .proto files for clients in other languages.", "--proto")
     ] = None,
 ) -> None:
@@ -293,10 +299,10 @@ def serve_a_rig(
 
     if (certificate is None) != (key is None) or (client_ca is not None and certificate is None):
         raise typer.BadParameter(
-            "--certificate, --key: one is missing. Give both; --client-ca needs both, too."
+            "--certificate, --key: one is missing. Give both. --client-ca requires both, too."
         )
     if overwrite and output is None:
-        raise typer.BadParameter("--overwrite: no recording is named. Name it with -o FILE.")
+        raise typer.BadParameter("--overwrite requires a recording. Give its name with -o FILE.")
     if not 0 <= port < 65536:
         raise typer.BadParameter(f"--port: {port} is out of range. Give 0 to 65535.")
     if session_timeout <= 0.0:
@@ -306,16 +312,16 @@ def serve_a_rig(
     certificates = None
     if certificate is not None and key is not None:
         certificates = Certificates(certificate, key, client_ca)
-    path = None if output is None else _free(output, overwrite)
+    path = None if output is None else _check_new_recording(output, overwrite)
     limits = Limits(patience=session_timeout)
     with pause_reports():
-        bench = _bench(scene, changes)
-        serve(bench, clock, address, port, certificates, limits, path, overwrite, viewer, protocol)
+        bench = _load_bench_scene(scene, changes)
+        serve(bench, clock, address, port, certificates, limits, path, overwrite, viewer, proto_folder)
 
 
 @app.command("bench", example="daq bench fig9 --port 0")
 def bench_in_the_browser(
-    scene: Annotated[str | None, typer.Argument(metavar="[SCENE]", help=ON_THE_BENCH)] = None,
+    scene: Annotated[str | None, typer.Argument(metavar="[SCENE]", help=BENCH_SCENE_HELP)] = None,
     changes: Changes = None,
     output: Annotated[
         Path | None, _output("First recording of the record switch. Default: recordings/SCENE-bench.mcap.")
@@ -337,24 +343,24 @@ def bench_in_the_browser(
     """
     from daq.bench_page.bench import bench
 
-    named = scene or os.environ.get("SHOTRIG_SCENE") or "default"
-    path = Path("recordings") / f"{Path(named).stem}-bench.mcap"
+    scene_name = scene or os.environ.get("SHOTRIG_SCENE") or "default"
+    path = Path("recordings") / f"{Path(scene_name).stem}-bench.mcap"
     if output is not None:
-        path = _free(output, overwrite)
+        path = _check_new_recording(output, overwrite)
     with pause_reports():
-        bench(_bench(scene, changes), address, port, device_port, path, overwrite, browser)
+        bench(_load_bench_scene(scene, changes), address, port, device_port, path, overwrite, browser)
 
 
-def _bench(scene: str | None, changes: Sequence[str] | None) -> Scene | None:
-    """Load the scene for a bench; None: the default scene."""
-    named = scene or os.environ.get("SHOTRIG_SCENE")
-    if named is None and changes:
-        raise typer.BadParameter("--set requires a scene. Name the scene too.")
-    return None if named is None else load_scene(named, changes)
+def _load_bench_scene(scene: str | None, changes: Sequence[str] | None) -> Scene | None:
+    """Load the scene for a bench; return None for the default scene."""
+    scene_name = scene or os.environ.get("SHOTRIG_SCENE")
+    if scene_name is None and changes:
+        raise typer.BadParameter("--set requires a scene. Give its name, too.")
+    return None if scene_name is None else load_scene(scene_name, changes)
 
 
-def _recordings(scenes: Sequence[str], output: Path | None) -> list[Path]:
-    """Name the recordings of scenes: one file, or files in a folder named after them."""
+def _recording_paths(scenes: Sequence[str], output: Path | None) -> list[Path]:
+    """Return the paths of the recordings: the given file, or files in a folder with the names of the scenes."""
     if output is not None and len(scenes) == 1 and (output.suffix == ".mcap" or not output.is_dir()):
         return [output]
     if output is not None and output.suffix == ".mcap":
@@ -363,31 +369,33 @@ def _recordings(scenes: Sequence[str], output: Path | None) -> list[Path]:
     paths = [folder / f"{Path(scene).stem}.mcap" for scene in scenes]
     if len(set(paths)) < len(paths):
         raise typer.BadParameter(
-            "two scenes, and their recordings, have the same name. Record them one by one."
+            "two scenes, and therefore their recordings, have the same name. Record them one by one."
         )
     return paths
 
 
-def _free(path: Path, overwrite: bool) -> Path:
-    """Check the path of a new recording: the recorder does so only after the bench has been switched on."""
-    _no_other_format(path)
+def _check_new_recording(path: Path, overwrite: bool) -> Path:
+    """Check the path of a new recording early: the recorder checks it only after the bench has been switched on."""
+    _reject_other_suffix(path)
     try:
-        there = path.exists()
+        exists = path.exists()
     except OSError as error:
         raise RecordingError(
-            f"{path}: cannot be made ({error.strerror}). Choose another name or place with -o FILE.mcap."
+            f"{path}: cannot be created ({error.strerror}). Choose another file with -o FILE.mcap."
         ) from None
-    if there and not overwrite:
-        raise RecordingError(f"{path}: exists. Give another name with -o, or --overwrite to replace it.")
+    if exists and not overwrite:
+        raise RecordingError(
+            f"{path}: exists. Give another name with -o, or replace the file with --overwrite."
+        )
     return path
 
 
-def _no_other_format(path: Path) -> None:
-    """Reject the ending of another format, for which programs would take the recording."""
-    if path.suffix.lower() in OTHER_FORMATS:
+def _reject_other_suffix(path: Path) -> None:
+    """Reject the extension of another format, because programs would misinterpret the recording."""
+    if path.suffix.lower() in OTHER_SUFFIXES:
         raise RecordingError(
-            f"{path}: recordings are MCAP files; expected a name such as {path.with_suffix('.mcap')}. Make files for "
-            "other programs with `analysis export`, figures and tables with `analysis frf`."
+            f"{path}: recordings are MCAP files; expected a name such as {path.with_suffix('.mcap')}. Use `analysis "
+            "export` for files of other programs, `analysis frf` for figures and tables."
         )
 
 

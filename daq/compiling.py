@@ -1,4 +1,4 @@
-"""Compile machine code ahead of its use, the engine's and the measuring chain's side by side."""
+"""Compile the machine code of engine and measuring chain in advance, in two processes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from rig.scene.loading import load
 from rig.simulation.motion import Motion
 
 _POINTS = [f"body {number}" for number in (1, 2, 3)] + ["table"]
-# Sensors with limits, delays and noise; without a decimation filter and with one.
+# A sensor with limits and noise; converters with and without a decimation filter.
 _ACCELEROMETER = {
     "noise": 1e-5,
     "noise_corner": 10.0,
@@ -28,9 +28,9 @@ _CONVERTERS = ({"rate": 5120.0, "skew": 1e-6}, {"rate": 5120.0, "filter": "delta
 
 
 def warm_up() -> None:
-    """Compile all kernels now, on two processors: after that nothing waits for it.
+    """Compile all kernels now, on two processors, so that later calls need not wait.
 
-    It takes about a minute once for each version of shotrig, numba and the processor, and else some seconds.
+    It takes about a minute once for each version of shotrig, numba and the processor, otherwise some seconds.
     """
     rig_part = subprocess.Popen([sys.executable, "-c", "import rig; rig.warm_up()"])
     try:
@@ -44,17 +44,17 @@ def _warm_up_chain() -> None:
     channels = [{"name": point.replace(" ", ""), "at": point, **_CHANNEL} for point in _POINTS]
     for converter in _CONVERTERS:
         limited = scene.replace(channels=channels, converter=converter)
-        for each in (limited, scene):
-            Chain(each, each.converter.sample_rate, _POINTS, ("shaker",)).measure(_impact())
+        for variant in (limited, scene):
+            Chain(variant, variant.converter.sample_rate, _POINTS, ("shaker",)).measure(_impact())
 
 
 def _impact() -> Motion:
-    """Give a block with one break, in which the sensors reach their limits."""
-    count, rows = 64, len(_POINTS)
-    rest = np.zeros((rows, count))
+    """Return a block with one break, in which the sensors reach their limits."""
+    samples, rows = 64, len(_POINTS)
+    zeros = np.zeros((rows, samples))
     return Motion(
-        first=0, displacement=rest, velocity=rest, acceleration=rest + 1e3 * (np.arange(count) > 32),
-        gap=rest[:3], contact=np.zeros((3, count), dtype=np.int8), break_sample=np.array([8]),
+        first=0, displacement=zeros, velocity=zeros, acceleration=zeros + 1e3 * (np.arange(samples) > 32),
+        gap=zeros[:3], contact=np.zeros((3, samples), dtype=np.int8), break_sample=np.array([8]),
         break_offset=np.array([1e-4]), break_displacement=np.zeros((rows, 1)),
         break_velocity=np.ones((2, rows, 1)), break_acceleration=np.zeros((2, rows, 1)), events=np.zeros(0),
     )  # fmt: skip

@@ -25,7 +25,7 @@ from rig.system.assembly import assemble
 
 def measurement_effects(scene: Scene) -> Iterable[Effect]:
     """List the effects of each channel, from the chain itself, and those of the recording."""
-    # Before the chain is there: matrices of thousands of bodies take the memory of both.
+    # Computed before the chain exists: with thousands of bodies, the matrices of both would exceed the memory.
     intervals = oversampling(scene)
     system = assemble(scene)
     chain = Chain(scene, scene.converter.true_rate, system.points, system.inputs)
@@ -37,16 +37,16 @@ def measurement_effects(scene: Scene) -> Iterable[Effect]:
     for number in range(1, len(scene.shakers) + 1):
         yield Effect("outputs", f"ao{number - 1}", 0, volt_effect(scene, number))
     if intervals > 1:
-        yield Effect("converter", "oversampling", 0, f"{intervals} intervals a sample, for fast parts")
+        yield Effect("converter", "oversampling", 0, f"{intervals} intervals a sample, for fast oscillations")
     recording = scene.recording
     yield Effect("recording", "samples", 0, stored_as(scene, chain.channels))
     if recording.display:
-        yield Effect("recording", "display", 0, "channels thinned out for plots")
+        yield Effect("recording", "display", 0, "decimated channels for plots")
     if recording.truth:
         yield Effect("recording", "truth", 0, "the true motion in addition to the channels")
 
 
-# Keys of a device that are switched on together, in the order of the signal.
+# Keys of a device that are activated in one step, in the order of the signal path.
 _STEPS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     (
         "sensor",
@@ -73,62 +73,70 @@ _STEPS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
 
 
 def measurement_steps(scene: Scene) -> Iterator[EffectStep]:
-    """Give the steps of the chain and of the recording, on top of the whole motion."""
-    on: dict[str, set[str]] = {"sensor": set(), "integrator": set(), "converter": {"rate"}}
-    before = _with(scene, on)
-    yield _step("channels, ideal", before)
+    """Yield the steps of the chain and of the recording, in addition to the complete motion."""
+    active_keys: dict[str, set[str]] = {"sensor": set(), "integrator": set(), "converter": {"rate"}}
+    previous = _reduce_scene(scene, active_keys)
+    yield _step("channels, ideal", previous)
     for device, name, keys in _STEPS:
-        on[device].update(keys)
-        after = _with(scene, on)
-        if after != before:
-            yield _step(name, after)
-        before = after
-    plain = scene.recording.replace(display=False, truth=False)
-    yield _step("recording", scene.replace(recording=plain), True)
+        active_keys[device].update(keys)
+        next_scene = _reduce_scene(scene, active_keys)
+        if next_scene != previous:
+            yield _step(name, next_scene)
+        previous = next_scene
+    minimal = scene.recording.replace(display=False, truth=False)
+    yield _step("recording", scene.replace(recording=minimal), True)
     if scene.recording.display:
-        yield _step("display", scene.replace(recording=plain.replace(display=True)), True)
+        yield _step("display", scene.replace(recording=minimal.replace(display=True)), True)
     if scene.recording.truth:
         yield _step("truth", scene, True)
 
 
-def _with(scene: Scene, on: dict[str, set[str]]) -> Scene:
-    """Reduce channels and converter to the keys that are on."""
+def _reduce_scene(scene: Scene, active_keys: dict[str, set[str]]) -> Scene:
+    """Reduce channels and converter to the active keys."""
     converter = complete_from_preset(scene.converter)
-    kept = {key: getattr(converter, key) for key in on["converter"]}
-    if kept.get("bits") is None and scene.recording.samples == "counts":
+    settings = {key: getattr(converter, key) for key in active_keys["converter"]}
+    if settings.get("bits") is None and scene.recording.samples == "counts":
         scene = scene.replace(recording=scene.recording.replace(samples=None))
-    channels = None if scene.channels is None else tuple(_channel(channel, on) for channel in scene.channels)
-    return scene.replace(channels=channels, converter=Converter(**kept))
+    channels = (
+        None
+        if scene.channels is None
+        else tuple(_reduce_channel(channel, active_keys) for channel in scene.channels)
+    )
+    return scene.replace(channels=channels, converter=Converter(**settings))
 
 
-def _channel(channel: Channel, on: dict[str, set[str]]) -> Channel:
-    # Limits are in the unit that the channel reads with everything on.
+def _reduce_channel(channel: Channel, active_keys: dict[str, set[str]]) -> Channel:
+    # Limits are removed: their unit is that of the channel with all effects.
     changes: dict[str, Any] = {"alarm": None, "abort": None}
     for name in ("accelerometer", "hammer"):
         device = getattr(channel, name)
         if device is not None:
-            sheet = complete_from_preset(device)
-            given = {key: value for key in on["sensor"] if (value := getattr(sheet, key, None)) is not None}
-            changes[name] = type(device)(**given)
+            completed = complete_from_preset(device)
+            settings = {
+                key: value
+                for key in active_keys["sensor"]
+                if (value := getattr(completed, key, None)) is not None
+            }
+            changes[name] = type(device)(**settings)
     if channel.integrator is not None:
-        off = {name: None for name in ("noise", "saturation") if name not in on["integrator"]}
-        changes["integrator"] = channel.integrator.replace(**off) if on["integrator"] else None
+        removed = {name: None for name in ("noise", "saturation") if name not in active_keys["integrator"]}
+        changes["integrator"] = channel.integrator.replace(**removed) if active_keys["integrator"] else None
     return channel.replace(**changes)
 
 
-def _step(name: str, scene: Scene, recorded: bool = False) -> EffectStep:
+def _step(name: str, scene: Scene, is_recorded: bool = False) -> EffectStep:
     bench = Bench(scene)
     states = sum(effect.states for effect in motion_effects(scene))
     states += sum(effect.states for effect in measurement_effects(scene))
 
     def start() -> AbstractContextManager[Callable[[Array], object]]:
-        return _recorded(scene) if recorded else nullcontext(Bench(scene).acquire)
+        return _recording_bench(scene) if is_recorded else nullcontext(Bench(scene).acquire)
 
     return EffectStep(name, states, start, bench_drive(scene, bench.rate), bench.rate)
 
 
 @contextmanager
-def _recorded(scene: Scene) -> Iterator[Callable[[Array], object]]:
+def _recording_bench(scene: Scene) -> Iterator[Callable[[Array], object]]:
     """Acquire and write into a temporary file."""
     bench = Bench(scene)
     with (

@@ -1,7 +1,7 @@
 """The rig as a source for a library that takes acquisition plug-ins, such as LDAQ.
 
-`VirtualRig` has the three methods such a library calls and the two attributes it looks at; LDAQ itself has a source
-for NI's client, which needs no more than `daq run` (see the README).
+`VirtualRig` has the three methods that such a library calls and the two attributes that it reads. LDAQ itself has a
+source for NI's client, which only needs `daq run` (see the README).
 """
 
 import nidaqmx
@@ -21,7 +21,7 @@ class VirtualRig:
         self.sample_rate = sample_rate
 
     def set_data_source(self) -> None:
-        """Begin to acquire."""
+        """Start the acquisition."""
         self.task = nidaqmx.Task(grpc_options=self.rig)
         for number, name in enumerate(self.channel_names):
             limit = min(500.0, self.rig.sensors[number].range or 500.0)
@@ -29,16 +29,16 @@ class VirtualRig:
                 f"cDAQ1Mod1/ai{number}", name, min_val=-limit, max_val=limit
             )
         self.task.timing.cfg_samp_clk_timing(self.sample_rate, sample_mode=AcquisitionType.CONTINUOUS)
-        # The clock divides: what it makes of a request is the truth for all time axes.
+        # The clock may not support the requested rate: use the actual rate for all time axes.
         self.sample_rate = self.task.timing.samp_clk_rate
         self.task.start()
 
     def read_data(self) -> NDArray[np.float64]:
-        """Give what has come since the last call, shape (samples, channels)."""
+        """Return the samples acquired since the last call, shape (samples, channels)."""
         return np.atleast_2d(np.array(self.task.read(READ_ALL_AVAILABLE))).T
 
     def terminate_data_source(self) -> None:
-        """End."""
+        """Stop the acquisition and disconnect."""
         self.task.close()
         self.rig.close()
 

@@ -1,6 +1,6 @@
 """Finite read: drive the table with a tone and read a second of all four accelerometers.
 
-The output is armed on the start trigger of the inputs, so that both begin at the same sample of one clock.
+The start trigger of the inputs starts the output, so that both begin at the same sample of the common clock.
 """
 
 import nidaqmx
@@ -12,7 +12,7 @@ import daq
 
 def main() -> None:
     """Print the peak acceleration of each channel."""
-    # Ideal sensors: 1 V per m/s^2. On the fast clock time passes as quickly as the machine computes.
+    # Ideal sensors: 1 V per m/s^2. On the fast clock, time passes as fast as the machine computes.
     with (
         daq.connect("bare-structure", clock="fast") as rig,
         nidaqmx.Task(grpc_options=rig) as inputs,
@@ -26,15 +26,13 @@ def main() -> None:
             sensitivity=9806.65,
         )
         inputs.timing.cfg_samp_clk_timing(5000.0, sample_mode=AcquisitionType.FINITE, samps_per_chan=5120)
-        # The clock divides 51.2 kHz by whole numbers: what it makes of a request is the truth for all time
-        # axes.
+        # The clock divides 51.2 kHz by whole numbers: use the actual rate for all time axes.
         rate = inputs.timing.samp_clk_rate
 
         output.ao_channels.add_ao_voltage_chan("cDAQ1Mod2/ao0")
         output.timing.cfg_samp_clk_timing(rate, sample_mode=AcquisitionType.CONTINUOUS)
         output.triggers.start_trigger.cfg_dig_edge_start_trig("/cDAQ1/ai/StartTrigger")
-        # A volt is a millimetre of table travel; 512 samples hold exactly two periods, played again and
-        # again.
+        # A volt is a millimetre of table displacement. The 512 samples contain exactly two periods and are repeated.
         output.write(0.1 * np.sin(2 * np.pi * 20.0 * np.arange(512) / rate))
 
         output.start()

@@ -1,7 +1,7 @@
-"""Live control: hold the acceleration of body 1 by writing the next stretch of a tone after each one read.
+"""Live control: control the acceleration of body 1 by writing the next block of a tone after each block read.
 
-The output does not regenerate: it plays what is written, once; each stretch is written while the one before
-is played. The loop is causal; what is written acts on what is read two stretches later.
+The output does not regenerate: every written block is output once, and the next block is written meanwhile. The loop is
+causal: a written block affects the samples that are read two blocks later.
 """
 
 import nidaqmx
@@ -10,12 +10,15 @@ from nidaqmx.constants import AcquisitionType, RegenerationMode
 
 import daq
 
-RATE, STRETCH, FREQUENCY, WANTED = 5120.0, 512, 20.0, 0.5
+RATE = 5120.0  # samples per second
+BLOCK = 512  # samples
+FREQUENCY = 20.0  # Hz
+TARGET = 0.5  # acceleration amplitude, m/s^2
 
 
-def main(stretches: int = 60) -> float:
-    """Run the loop; return the amplitude reached, m/s^2."""
-    carrier = np.exp(2j * np.pi * FREQUENCY * np.arange(STRETCH) / RATE)
+def main(blocks: int = 60) -> float:
+    """Run the loop and return the final amplitude, m/s^2."""
+    carrier = np.exp(2j * np.pi * FREQUENCY * np.arange(BLOCK) / RATE)
     drive, amplitude = 0.005, 0.0
     with (
         daq.connect("bare-structure", clock="fast") as rig,
@@ -27,21 +30,21 @@ def main(stretches: int = 60) -> float:
         output.ao_channels.add_ao_voltage_chan("cDAQ1Mod2/ao0")
         output.timing.cfg_samp_clk_timing(RATE, sample_mode=AcquisitionType.CONTINUOUS)
         output.out_stream.regen_mode = RegenerationMode.DONT_ALLOW_REGENERATION
-        output.out_stream.output_buf_size = 4 * STRETCH
+        output.out_stream.output_buf_size = 4 * BLOCK
         output.triggers.start_trigger.cfg_dig_edge_start_trig("/cDAQ1/ai/StartTrigger")
-        # The stretch holds whole periods, so that it joins on to itself. Two are in the buffer at all times.
+        # A block contains whole periods, so that blocks join without a phase jump. The buffer always contains two.
         output.write(np.tile(drive * carrier.imag, 2))
         output.start()
         inputs.start()
-        for stretch in range(stretches):
-            samples = np.array(inputs.read(STRETCH))
+        for block in range(blocks):
+            samples = np.array(inputs.read(BLOCK))
             amplitude = 2 * abs((samples * carrier.conj()).mean())
-            if stretch > 10:
-                # Once the start has died down: an eighth of the way to the drive that would be right.
-                drive *= (WANTED / amplitude) ** 0.125
+            if block > 10:
+                # After the decay of the transient: an exponent of 1/8 keeps the loop stable despite the delay.
+                drive *= (TARGET / amplitude) ** 0.125
             output.write(drive * carrier.imag)
-            if stretch % 10 == 0:
-                print(f"{stretch * STRETCH / RATE:4.1f} s: {amplitude:.4f} m/s^2 at {1e3 * drive:.3f} um")
+            if block % 10 == 0:
+                print(f"{block * BLOCK / RATE:4.1f} s: {amplitude:.4f} m/s^2 at {1e3 * drive:.3f} um")
     return amplitude
 
 

@@ -1,4 +1,4 @@
-"""Logging: what a task acquires goes into a recording, as `daq record` makes them, while the script reads it."""
+"""Logging: write the samples of a task into a recording, as `daq record` does, while the script reads them."""
 
 import tempfile
 from pathlib import Path
@@ -23,12 +23,14 @@ def main(folder: str | None = None) -> None:
             task.start()
             blocks = [np.array(task.read(512)) for _ in range(5)]
             task.stop()
-        read = np.concatenate(blocks, axis=1)
+        read_samples = np.concatenate(blocks, axis=1)
         with daq.open(path) as recording:
             for row, (name, channel) in enumerate(recording.channels.items()):
                 logged = recording.read(name)
-                same = np.allclose(logged * channel.sensitivity, read[row], rtol=1e-12, atol=0.0)
-                print(f"{name}: {logged.size} samples in {channel.unit}, {'as' if same else 'NOT as'} read")
+                is_equal = np.allclose(logged * channel.sensitivity, read_samples[row], rtol=1e-12, atol=0.0)
+                print(
+                    f"{name}: {logged.size} samples in {channel.unit}, {'as' if is_equal else 'NOT as'} read"
+                )
 
 
 if __name__ == "__main__":

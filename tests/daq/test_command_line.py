@@ -18,8 +18,8 @@ from rig.errors import RecordingError, SceneError
         ("replay r.mcap --save x.rrd --at 1", "requires --screenshot"),
         ("replay r.mcap --at 1", "requires --screenshot"),
         ("replay r.mcap --screenshot x.png --speed 2", "combined with --screenshot"),
-        ("serve fig9 --overwrite", "Name it with -o"),
-        ("serve --set seed=1", "Name the scene too"),
+        ("serve fig9 --overwrite", "Give its name with -o"),
+        ("serve --set seed=1", "--set requires a scene"),
     ],
 )
 def test_ineffective_option_names_what_it_needs(words, message):

@@ -76,7 +76,7 @@ def test_a_test_already_recorded_is_kept(folder: Path) -> None:
     assert typed(*words, "-o", "hit.mcap").exit_code == 0
     before = (folder / "hit.mcap").stat()
     again = typed(*words, "-o", "hit.mcap")
-    assert again.exit_code == 0 and "holds the whole test" in again.output
+    assert again.exit_code == 0 and "already contains the complete test" in again.output
     assert (folder / "hit.mcap").stat().st_mtime_ns == before.st_mtime_ns
     other = typed(*words, "--set", "seed=2", "-o", "hit.mcap")
     assert isinstance(other.exception, ShotrigError) and "exists" in str(other.exception)

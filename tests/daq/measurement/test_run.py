@@ -344,7 +344,7 @@ def test_command_names_file_and_next_step(
     assert "next: analysis decay recordings/hit.mcap   or: analysis frf recordings/hit.mcap   or: " in out
     assert run_command(monkeypatch, "record", "hit.yaml") == 0
     out = capsys.readouterr().out
-    assert "hit.mcap: holds the whole test of this scene already" in out and "--overwrite" in out
+    assert "hit.mcap: already contains the complete test of this scene" in out and "--overwrite" in out
     assert run_command(monkeypatch, "record", "hit.yaml", "--overwrite", "--block", "100") == 0
 
 
@@ -376,7 +376,7 @@ def test_impossible_name_is_one_line(
     name = tmp_path / f"{'a' * 300}.mcap"
     assert run_command(monkeypatch, command, "fig8-no-damper", "-o", str(name)) == 2
     (said,) = capsys.readouterr().err.splitlines()
-    assert said.startswith(f"error: {name}: cannot be made") and "-o FILE.mcap" in said
+    assert said.startswith(f"error: {name}: cannot be created") and "-o FILE.mcap" in said
 
 
 @pytest.mark.parametrize("scene", ["no-such-scene", "missing.yaml"])

@@ -52,7 +52,7 @@ def numpy_signals(path: Path, _stack: ExitStack) -> list[Signal]:
     except Exception as error:
         # A damaged file can cause any exception in the reader.
         raise RecordingError(
-            f"{path} is not an .npz or .npy file of numbers, or it is damaged: {error!s:.200}"
+            f"{path} is not an .npz or .npy file of numbers, or it is damaged: {error!s:.200}. Save it again."
         ) from error
 
 

@@ -60,7 +60,8 @@ def rate_of_interval(interval: float, resolution: float = 0.0) -> float:
         raise RecordingError(f"a sample interval of {interval!r} s; expected a time above 0")
     if resolution >= interval:
         raise RecordingError(
-            f"a sample interval of {interval!r} s with an error of {resolution!r} s determines no rate"
+            f"a sample interval of {interval!r} s with an error of {resolution!r} s determines no rate. Export the "
+            "times with more digits"
         )
     error = max(resolution / interval, _RATE_ROUNDING)
     stated = 1.0 / interval

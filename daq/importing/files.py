@@ -37,11 +37,13 @@ def signals_of(path: Path, stack: ExitStack) -> list[Signal]:
     Raises `RecordingError` for a file without readable signals, `RunError` for a missing package.
     """
     if not path.exists():
-        raise RecordingError(f"{path}: no such file")
+        raise RecordingError(f"{path}: no such file. Check the path.")
     if not path.is_file():
-        raise RecordingError(f"{path} is not a file")
+        raise RecordingError(f"{path} is not a file. Give the files themselves.")
     if path.suffix.lower() not in READERS:
-        raise RecordingError(f"{path}: expected a file whose name ends in one of {', '.join(READERS)}")
+        raise RecordingError(
+            f"{path}: files of this type cannot be imported. Export it as one of {', '.join(READERS)}."
+        )
     module, function = READERS[path.suffix.lower()]
     read: Callable[[Path, ExitStack], list[Signal]] = getattr(
         import_module(f"daq.importing.{module}"), function
@@ -55,5 +57,5 @@ def signals_of(path: Path, stack: ExitStack) -> list[Signal]:
             f"{path} does not fit into memory. Export it as TDMS, WAV or CSV, which are read in pieces."
         ) from None
     if not signals:
-        raise RecordingError(f"{path} contains no samples")
+        raise RecordingError(f"{path} contains no samples. Export time histories of at least two samples.")
     return signals

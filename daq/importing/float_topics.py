@@ -79,7 +79,7 @@ def mcap_signals(path: Path, _stack: ExitStack) -> list[Signal]:
         ) from error
     if not topics.fields:
         raise RecordingError(
-            f"{path} holds no topic with numbers in JSON, protobuf or ROS 2's Float32/64MultiArray"
+            f"{path} contains no topic with numbers. Record them as JSON, protobuf or ROS 2's Float32/64MultiArray."
         )
     fields_per_topic = Counter(topic for topic, _ in topics.fields)
     return [

@@ -64,7 +64,9 @@ def labview_heading(lines: Sequence[str], where: str) -> LabviewHeading:
             raise ValueError(f"{count} channels under {len(names)} names")
         channels = [_channel(segment, names[1 + step * k], step * k, comma) for k in range(count)]
     except ValueError as error:
-        raise RecordingError(f"{where}: its LabVIEW heading contradicts itself: {error}") from None
+        raise RecordingError(
+            f"{where}: its LabVIEW heading contradicts itself: {error}. Export it again."
+        ) from None
     return LabviewHeading(separator, comma, ends[1] + 2, columns == "One", channels)
 
 

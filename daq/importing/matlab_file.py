@@ -46,7 +46,9 @@ def matlab_arrays(path: Path) -> dict[str, Any]:
             content: dict[str, Any] | str = pickle.load(reader.stdout)
         except (EOFError, pickle.UnpicklingError):
             code = reader.wait()
-            raise RecordingError(f"{path} is damaged: reading it ended with code {code}") from None
+            raise RecordingError(
+                f"{path} is damaged: reading it ended with code {code}. Save it again."
+            ) from None
     if content == _NEEDS_H5PY:
         raise RunError(
             f"{path} is a MATLAB file of version 7.3 (HDF5), which needs the package h5py: pip install "

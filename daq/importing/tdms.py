@@ -49,7 +49,9 @@ def tdms_signals(path: Path, stack: ExitStack) -> list[Signal]:
         raise
     except Exception as error:
         # A damaged file can cause any exception in the reader.
-        raise RecordingError(f"{path} is not a TDMS file, or it is damaged: {_cause(error)}") from error
+        raise RecordingError(
+            f"{path} is not a TDMS file, or it is damaged: {_cause(error)}. Export it again."
+        ) from error
 
 
 @contextmanager
@@ -92,7 +94,7 @@ def _clock(path: Path, channel: Any) -> Clock:
             times = (times - times[:1]) / np.timedelta64(1, "s")
         seconds = times.astype(float)
     except Exception as error:
-        raise RecordingError(f"{where} cannot be read: {_cause(error)}") from error
+        raise RecordingError(f"{where} cannot be read: {_cause(error)}. Export the file again.") from error
     try:
         seconds = seconds * parse(f"1 {channel.properties.get('unit_string') or 's'}", TIME)
     except ValueError as error:
@@ -109,7 +111,7 @@ def _signal(path: Path, number: int, channel: Any, several: bool, clock: Clock |
         own = Clock(rate_of_interval(float(interval)) if interval else None, float(offset))
     except (TypeError, ValueError):
         raise RecordingError(
-            f"{where}: its wf_increment is {interval!r}, its wf_start_offset {offset!r}"
+            f"{where}: wf_increment {interval!r} and wf_start_offset {offset!r} are not times in s. Correct them."
         ) from None
     except RecordingError as error:
         raise RecordingError(f"{where}: {error}") from None
@@ -121,7 +123,9 @@ def _signal(path: Path, number: int, channel: Any, several: bool, clock: Clock |
         try:
             return np.asarray(channel.read_data(first, stop - first), dtype=np.float64)
         except Exception as error:
-            raise RecordingError(f"{where} cannot be read from sample {first} on: {_cause(error)}") from error
+            raise RecordingError(
+                f"{where} cannot be read from sample {first} on: {_cause(error)}. Import the part before it with --to."
+            ) from error
 
     unit = str(properties.get("unit_string") or properties.get("NI_UnitDescription") or "")
     start_ns = _nanoseconds(properties.get("wf_start_time"))

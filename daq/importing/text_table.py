@@ -70,7 +70,9 @@ def text_signals(path: Path, stack: ExitStack) -> list[Signal]:
     if len(columns) > 1 and (named or table.has_stamps or table.begins_with_times()):
         clock, first = table.take_clock(layout.units[0]), 1
     if not table.rows:
-        raise RecordingError(f"{path} contains no line of numbers")
+        raise RecordingError(
+            f"{path} contains no line of numbers. Export time histories as columns of numbers."
+        )
     return [
         table.signal(place, name, unit, first + place - 1, clock)
         for place, (name, unit) in enumerate(columns[first:], 1)
@@ -293,6 +295,8 @@ class _Table:
             if value is None and column == 1:
                 value = seconds_of_stamp(cell)
             if value is None:
-                raise RecordingError(f"{where}, column {column}: {cell!r:.40} is not a number")
+                raise RecordingError(
+                    f"{where}, column {column}: {cell!r:.40} is not a number. Correct or remove it."
+                )
             values.append(value)
         return values

@@ -35,8 +35,8 @@ def uff_signals(path: Path, _stack: ExitStack) -> list[Signal]:
     times = [each for each in sets if is_time(each)]
     if not times:
         kinds = Counter(int(each["func_type"]) for each in sets)
-        hint = ". It contains frequency responses: give it to `analysis modes`." if kinds[FRF] else ""
-        raise RecordingError(f"{path} holds no time response (data set 58, function type 1){hint}")
+        hint = "Give its frequency responses to `analysis modes`." if kinds[FRF] else "Export time histories."
+        raise RecordingError(f"{path} contains no time history (data set 58, function type 1). {hint}")
     names = [title(each) for each in times]
     return [
         _signal(path, number, name if names.count(name) == 1 else f"{name} #{number}", each)
@@ -60,13 +60,16 @@ def functions(path: Path) -> list[dict[str, Any]]:
         stream.seek(max(0, size - 4096))
         if not stream.read().rstrip().endswith(b"-1"):
             raise RecordingError(
-                f"{path} is not a Universal File, or it is cut off: it does not end with the mark -1"
+                f"{path} is not a Universal File, or it is cut off: it does not end with the mark -1. Export it "
+                "again."
             )
     try:
         file = pyuff.UFF(str(path))
         kinds = [int(kind) for kind in file.get_set_types()]
     except Exception as error:
-        raise RecordingError(f"{path} is not a Universal File, or it is damaged: {error!s:.200}") from error
+        raise RecordingError(
+            f"{path} is not a Universal File, or it is damaged: {error!s:.200}. Export it again."
+        ) from error
     sets: list[dict[str, Any]] = []
     units = None
     for index, kind in enumerate(kinds):
@@ -83,7 +86,7 @@ def functions(path: Path) -> list[dict[str, Any]]:
         except Exception as error:
             raise RecordingError(
                 f"{path}: its data set {index + 1}, a {kind}, cannot be read: the file is cut off or damaged "
-                f"({error!s:.100})"
+                f"({error!s:.100}). Export it again."
             ) from error
         sets.append(content)
     if not sets:

@@ -34,7 +34,9 @@ def wav_signals(path: Path, _stack: ExitStack) -> list[Signal]:
         )
     samples = size // frame
     if rate < 1 or samples < 2:
-        raise RecordingError(f"{path}: its header states {rate} samples per second, and it holds {samples}")
+        raise RecordingError(
+            f"{path}: its header states {rate} samples per second, and it contains {samples} samples. Export it again."
+        )
     data = np.memmap(path, np.uint8, "r", offset, (samples, tracks, depth))
     full_scale = None if tag == _FLOAT else 1.0 - 2.0 ** (1 - 8 * depth)
 
@@ -68,7 +70,7 @@ def _chunks(path: Path) -> tuple[bytes, int, int]:
     with path.open("rb") as file:
         head = file.read(12)
         if len(head) < 12 or head[:4] not in (b"RIFF", b"RF64") or head[8:] != b"WAVE":
-            raise RecordingError(f"{path} is not a WAV file, or its beginning is damaged")
+            raise RecordingError(f"{path} is not a WAV file, or its header is damaged. Export it again.")
         while len(chunk := file.read(8)) == 8:
             name, size = struct.unpack("<4sI", chunk)
             at = file.tell()
@@ -79,12 +81,14 @@ def _chunks(path: Path) -> tuple[bytes, int, int]:
             elif name == b"data":
                 size = large or size if size == _UNKNOWN or head[:4] == b"RF64" else size
                 if len(form) < 16:
-                    raise RecordingError(f"{path}: no format in front of its samples; the file is damaged")
+                    raise RecordingError(
+                        f"{path}: no format before its samples: the file is damaged. Export it again."
+                    )
                 if size != _UNKNOWN and at + size > end:
                     raise RecordingError(
                         f"{path} is cut off: its header states {size} bytes of samples, it contains "
-                        f"{end - at}"
+                        f"{end - at}. Export it again."
                     )
                 return form, at, min(size, end - at)
             file.seek(at + size + size % 2)
-    raise RecordingError(f"{path} holds no samples: it is cut off, or damaged")
+    raise RecordingError(f"{path} contains no samples: it is cut off or damaged. Export it again.")

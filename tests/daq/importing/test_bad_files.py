@@ -184,7 +184,7 @@ def test_uff_without_time_responses_names_the_command(tmp_path):
     for number in at:
         lines[number] = "    4" + lines[number][5:]
     (tmp_path / "c.uff").write_text("".join(lines))
-    assert "give it to `analysis modes`" in refused(tmp_path / "c.uff", tmp_path)
+    assert "to `analysis modes`" in refused(tmp_path / "c.uff", tmp_path)
 
 
 def test_own_recording_is_not_imported(tmp_path):

@@ -113,7 +113,7 @@ class Played:
 def play(scene: Scene, bench: Bench) -> Played:
     """Rehearse a test, or its affordable parts."""
     chosen, seconds = shortened(scene, bench.channels), affordable_seconds(scene)
-    parts = _rehearsed(chosen, _LONGEST * max(seconds, expected_seconds(chosen.scenes[0])))
+    parts = _rehearsed(chosen, _LONGEST * max(seconds, expected_seconds(chosen.parts[0][0])))
     test = scene.test
     if chosen.whole and (parts[0].complete or parts[0].aborted is not None):
         return Played(parts, True)
@@ -128,7 +128,7 @@ def play(scene: Scene, bench: Bench) -> Played:
         # The rest of the test does not happen.
         return Played(parts, True)
     extension = 1.0
-    if chosen.extends and isinstance(test, Random):
+    if not chosen.whole and isinstance(test, Random):
         # Expected extremes of a Gaussian process in the whole test and in a part, by its zero crossings.
         crossings = test.from_ + test.to
         whole, part = (np.log(max(crossings * time, 3.0)) for time in (test.duration, parts[0].seconds))
@@ -139,7 +139,7 @@ def play(scene: Scene, bench: Bench) -> Played:
 def _rehearsed(chosen: Shortened, longest: float) -> tuple[Rehearsal, ...]:
     """Rehearse the parts one after another, up to an abort."""
     parts: list[Rehearsal] = []
-    for scene, ahead in zip(chosen.scenes, chosen.ahead, strict=True):
+    for scene, ahead in chosen.parts:
         parts.append(Rehearsal(scene, ahead).run(longest))
         if parts[-1].aborted is not None:
             break

@@ -19,7 +19,7 @@ from daq.measurement.limits import controlled_places
 from daq.signal_chain.channel import ChannelInfo
 from daq.signal_chain.oversampling import oversampling
 from rig.arrays import Array
-from rig.scene.excitation import Free, Impulse, Multisine, Random, Settle, Sine, SteppedSine, SweptSine
+from rig.scene.excitation import Free, Impulse, Multisine, Random, Settle, Sine, SteppedSine, SweptSine, Test
 from rig.scene.presets import complete_from_preset, input_settings
 from rig.scene.scene import Scene
 from rig.scene.shaker import ElectrodynamicShaker
@@ -55,10 +55,9 @@ _SWEEP_POINTS = 400
 class Shortened:
     """The rehearsed parts of a test: scenes whose tests are run one after another."""
 
-    scenes: tuple[Scene, ...]
-    ahead: tuple[int, ...] = (0,)  # steps at the beginning of each scene whose extremes are not used
+    # Each scene with the number of steps at its beginning whose extremes are not used.
+    parts: tuple[tuple[Scene, int], ...]
     whole: bool = False
-    extends: bool = False  # the rest of the test is the same noise, with higher extremes in a longer time
 
 
 def affordable_seconds(scene: Scene) -> float:
@@ -81,19 +80,20 @@ def shortened(scene: Scene, channels: tuple[ChannelInfo, ...]) -> Shortened:
     if isinstance(test, SweptSine) and controlled_places(scene):
         steered = _STEERED_PERIOD_S * (test.from_ + test.to) / 2 * test.duration
     if expected_seconds(scene) / seconds + steered / BUDGET_S <= 1.0:
-        return Shortened((scene,), whole=True)
+        return Shortened(((scene, 0),), whole=True)
     if isinstance(test, SteppedSine | SweptSine):
         return about_peaks(scene, test, channels, seconds)
     if isinstance(test, Random):
-        return Shortened((scene.replace(test=test.replace(duration=seconds)),), extends=True)
-    if isinstance(test, Sine | Free):
-        return Shortened((scene.replace(test=test.replace(duration=min(test.duration, seconds))),))
-    if isinstance(test, Multisine):
+        part: Test = test.replace(duration=seconds)
+    elif isinstance(test, Sine | Free):
+        part = test.replace(duration=min(test.duration, seconds))
+    elif isinstance(test, Multisine):
         once = test.replace(periods=1)
         share = seconds / expected_seconds(scene.replace(test=once))
-        realisations = max(1, min(test.realisations, int(share * test.realisations)))
-        return Shortened((scene.replace(test=once.replace(realisations=realisations)),))
-    return Shortened((scene.replace(test=_fewer_hits(test, seconds)),))
+        part = once.replace(realisations=max(1, min(test.realisations, int(share * test.realisations))))
+    else:
+        part = _fewer_hits(test, seconds)
+    return Shortened(((scene.replace(test=part), 0),))
 
 
 def expected_seconds(scene: Scene) -> float:
@@ -146,20 +146,19 @@ def about_peaks(
     if direction == "down":
         groups = groups[::-1]
     beginning = [rising.size - 2, rising.size - 1] if direction == "down" else [0, 1]
-    scenes: list[Scene] = []
-    ahead: list[int] = []
+    parts: list[tuple[Scene, int]] = []
     for places in (np.clip(beginning, 0, rising.size - 1), *groups):
-        first, last, begins = int(places[0]), int(places[-1]), not scenes
+        first, last, begins = int(places[0]), int(places[-1]), not parts
         if direction != "down" and not begins:
             first = max(first - _AHEAD, 0)
         if direction != "up" and not begins:
             last = min(last + _AHEAD, rising.size - 1)
         frequencies = np.unique(rising[first : last + 1]).tolist()
-        ahead.append(last - int(places[-1]) if direction == "down" else int(places[0]) - first)
+        ahead = last - int(places[-1]) if direction == "down" else int(places[0]) - first
         # A part with the first tone of the test begins as the test does.
-        part = _long_switched_on(scene) if ahead[-1] else scene
-        scenes.append(part.replace(test={**row, "frequencies": frequencies}))
-    return Shortened(tuple(scenes), tuple(ahead))
+        part = _long_switched_on(scene) if ahead else scene
+        parts.append((part.replace(test={**row, "frequencies": frequencies}), ahead))
+    return Shortened(tuple(parts))
 
 
 def _long_switched_on(scene: Scene) -> Scene:

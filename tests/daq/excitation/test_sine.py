@@ -157,7 +157,7 @@ def test_open_loop_tone_starts_with_sine() -> None:
     assert done.marked("measure")[0][2]["settled"] is False
 
 
-def test_held_tone_lasts_for_duration() -> None:
+def test_controlled_tone_has_its_duration() -> None:
     done = run(scene_with({"kind": "sine", "frequency": 25.0, "force": "2.6 N", "duration": "1 s"}))
     first, stop, fields = done.marked("measure")[0]
     assert stop - first == 5120

@@ -56,7 +56,7 @@ def sweep(first: float, last: float, duration: float, force: float) -> dict[str,
 @pytest.mark.thorough
 @pytest.mark.parametrize("scene", ["bare-structure", "fig8-no-damper", "fig8-three-dampers"])
 @pytest.mark.parametrize("band", [(11.0, 17.0), (17.0, 11.0)])
-def test_force_is_held_at_sharp_resonance(scene: str, band: tuple[float, float]) -> None:
+def test_force_is_controlled_at_sharp_resonance(scene: str, band: tuple[float, float]) -> None:
     done = run(rig.load(scene).replace(test=sweep(*band, duration=30.0, force=2.6)))
     ratios = held(done)
     assert ratios.size > 100
@@ -122,7 +122,7 @@ def test_next_mode_is_known_in_time() -> None:
 @pytest.mark.parametrize(
     ("volts", "reported"), [(10.0, "read nothing of the pretest"), (0.2, "less than one count")]
 )
-def test_readings_below_one_count_end_sweep(volts: float, reported: str) -> None:
+def test_readings_below_a_count_end_sweep(volts: float, reported: str) -> None:
     scene = rig.loads(BELOW_COUNT).replace(converter={"rate": 2048.0, "bits": 16, "range": volts})
     done = run(scene)
     first, stop, _ = done.marked("measure")[0]

@@ -49,7 +49,7 @@ def test_long_row_of_tones_reaches_its_steady_maximum() -> None:
 
 
 @pytest.mark.parametrize("number", [1, 2, 5, 7, 9])
-def test_random_scene_records_what_was_foreseen(number: int, tmp_path: Path) -> None:
+def test_random_scene_confirms_prediction(number: int, tmp_path: Path) -> None:
     kind = KINDS[number]
     found = compare(draw(3601, number, kind), kind, tmp_path)
     assert found.kept, found
@@ -58,7 +58,7 @@ def test_random_scene_records_what_was_foreseen(number: int, tmp_path: Path) -> 
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("number", [3, 6])
-def test_long_random_scene_records_what_was_foreseen(number: int, tmp_path: Path) -> None:
+def test_long_random_scene_confirms_prediction(number: int, tmp_path: Path) -> None:
     kind = KINDS[number]
     found = compare(lengthened(draw(3602, number, kind)), kind, tmp_path)
     assert found.kept, found
@@ -99,7 +99,7 @@ def test_largest_level_fits_and_a_larger_does_not() -> None:
     assert "input of 0.1 V" in beyond.summary()
 
 
-def test_overloaded_input_states_what_was_there() -> None:
+def test_overloaded_input_states_true_maximum() -> None:
     scene = one_body(TONE, channels=accelerometer())
     free = daq.foresee(scene)["a1"].largest
     clipped = daq.foresee(scene.replace(converter={"rate": 1024, "range": free * 0.1 / 9.80665 / 2}))["a1"]
@@ -108,7 +108,7 @@ def test_overloaded_input_states_what_was_there() -> None:
     assert clipped.recorded == pytest.approx(free / 2, rel=1e-6)
 
 
-def test_sensor_limit_is_compared_with_what_shakes_it() -> None:
+def test_sensor_limit_is_compared_with_acceleration() -> None:
     scene = one_body(TONE)
     shaken = daq.foresee(scene.replace(channels=accelerometer()))["a1"].largest
     sensor = {"sensitivity": "100 mV/g", "saturation": 2 * shaken}

@@ -36,7 +36,7 @@ def test_test_that_will_abort_does_not_start(tmp_path: Path) -> None:
     assert not path.exists()
 
 
-def test_test_that_will_abort_starts_anyway_when_told(tmp_path: Path) -> None:
+def test_anyway_starts_test_that_will_abort(tmp_path: Path) -> None:
     path = tmp_path / "hit.mcap"
     ended = CliRunner().invoke(app, [*ABORTS, "--anyway", "-o", str(path)])
     assert isinstance(ended.exception, RunError)
@@ -52,7 +52,7 @@ def test_test_that_will_abort_starts_anyway_when_told(tmp_path: Path) -> None:
         ("reference-A", "force on body 1, 1 N/V"),
     ],
 )
-def test_explanation_and_server_state_what_a_volt_does(name: str, effect: str) -> None:
+def test_explanation_and_server_state_effect_of_volt(name: str, effect: str) -> None:
     assert f"ao0                      -  {effect}" in str(rig.explain(name)) or effect in str(
         rig.explain(name)
     )

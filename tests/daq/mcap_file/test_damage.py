@@ -146,7 +146,7 @@ def test_cut_file_keeps_all_records_before_the_cut(tmp_path):
 
 
 @pytest.mark.parametrize("length", [1, 8, 9, 200, (1 << 20) - 9, (1 << 20) + 5])
-def test_record_behind_foreign_bytes_is_found(tmp_path, length):
+def test_record_after_foreign_bytes_is_located(tmp_path, length):
     for filler in (b"\0", b"\xff", b"\x06\x0c\x0f\x07"):
         foreign = (filler * length)[:length]
         parts = parts_of(tmp_path / "a", HEAD + RECORDS[0] + foreign + RECORDS[3] + RECORDS[4] + END)
@@ -157,7 +157,7 @@ def test_record_behind_foreign_bytes_is_found(tmp_path, length):
 
 
 @pytest.mark.parametrize("kind", range(len(RECORDS)))
-def test_any_record_behind_foreign_bytes_is_found(tmp_path, kind):
+def test_any_record_after_foreign_bytes_is_located(tmp_path, kind):
     for tail in (RECORDS[3] + END, END, b""):
         parts = parts_of(tmp_path / "a", HEAD + bytes(20) + RECORDS[kind] + tail)
         assert (parts[0].begin, parts[0].end) == (len(HEAD), len(HEAD) + 20)

@@ -257,7 +257,7 @@ def test_ctrl_c_during_opening_keeps_file_whole(
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
-def test_forbidden_folder_is_one_line(
+def test_forbidden_folder_is_named_in_a_line(
     scene_file: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def refuse(*ignored: Any, **ignored_too: Any) -> None:
@@ -370,7 +370,7 @@ def test_several_scenes_have_own_files(
 
 
 @pytest.mark.parametrize("command", ["record", "scope"])
-def test_impossible_name_is_one_line(
+def test_impossible_name_is_reported_in_a_line(
     command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     name = tmp_path / f"{'a' * 300}.mcap"

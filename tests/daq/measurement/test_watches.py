@@ -76,7 +76,7 @@ def test_finished_stretch_is_marked_early():
     assert len(marked) == 1
 
 
-def test_adjacent_samples_form_one_stretch():
+def test_adjacent_samples_form_an_interval():
     slow, marked = ChannelInfo("s", "body 1", "acceleration", 1.0, 0.5), []
     stretches = Stretches("overload", [slow], lambda kind, *span, channel: marked.append(span))
     stretches.add(0, np.array([[True, True, False, True]]))
@@ -85,7 +85,7 @@ def test_adjacent_samples_form_one_stretch():
 
 
 @given(st.lists(st.lists(st.integers(-6, 6).map(float), min_size=12, max_size=12), min_size=3, max_size=3))
-def test_first_reading_beyond_limit_trips(readings):
+def test_first_reading_over_limit_trips(readings):
     readings, marked = np.array(readings), []
     limits = Limits(scene(), INFOS, lambda kind, *span, channel: marked.append((kind, channel, *span)))
     trip = limits.watch(1000, readings)
@@ -123,7 +123,7 @@ def test_missing_limits_watch_nothing():
         ({"shaker": "electrodynamic, body: 2, spring: 6 kN/m"}, {0, 2}),
     ],
 )
-def test_lasting_overload_ends_held_force(changes, rows, monkeypatch):
+def test_long_overload_ends_controlled_test(changes, rows, monkeypatch):
     held, asked = scene(**changes), []
     monkeypatch.setattr("daq.measurement.limits.bias_overload", lambda *question: asked.append(question))
     for row, info in enumerate(INFOS):

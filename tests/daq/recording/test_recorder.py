@@ -103,7 +103,7 @@ def test_recording_without_display_has_no_display_topics(tmp_path):
 # -- what can go wrong -----------------------------------------------------------------------------------
 
 
-def test_existing_file_is_kept_unless_asked(tmp_path):
+def test_existing_file_needs_overwrite(tmp_path):
     path = tmp_path / "a.mcap"
     path.write_bytes(b"precious")
     with pytest.raises(RecordingError, match=r"a\.mcap exists"):

@@ -142,7 +142,7 @@ def test_recording_stopped_before_samples_is_empty(tmp_path):
         assert (recording.samples, recording.rate, recording.read("body1").size) == (0, RATE, 0)
 
 
-def test_one_channel_reads_only_its_chunks(recorded, monkeypatch):
+def test_channel_reads_only_its_chunks(recorded, monkeypatch):
     with daq.open(recorded) as recording:
         container = recording._container
         read = []

@@ -109,7 +109,7 @@ def test_truncated_file_keeps_every_whole_chunk(whole, tmp_path):
 
 
 @pytest.mark.thorough
-def test_bit_flips_lose_one_chunk_at_most(whole, tmp_path):
+def test_bit_flips_lose_a_chunk_at_most(whole, tmp_path):
     data, chunks, rng = whole.read_bytes(), chunks_of(whole), random.Random(6)
     flipped, fixed = tmp_path / "flipped.mcap", tmp_path / "fixed.mcap"
     for _ in range(100):

@@ -16,7 +16,7 @@ def recorded(tmp_path, *dampers):
     return daq.open(daq.record(scene, tmp_path / "a.mcap"))
 
 
-def test_held_dampers_have_truth_on_their_floors(tmp_path):
+def test_locked_dampers_have_truth_on_floors(tmp_path):
     locked = "{body: 1, mass: 50 g, clearance: 1 mm, locked: true}"
     moving = "{body: 2, mass: 50 g, clearance: 1 mm}"
     filled = "{body: 2, mass: 50 g, clearance: 0}"

@@ -68,7 +68,7 @@ def test_too_fast_module_rate_is_named():
         Settings(preset="NI 9234").replace(rate=60e3)
 
 
-def test_rate_without_module_is_kept():
+def test_rate_without_module_does_not_change():
     settings = Settings(rate=1234.5)
     assert settings.sample_rate == settings.true_rate == 1234.5
 
@@ -131,7 +131,7 @@ def test_skewed_tone_has_stated_phase():
         assert early[row] / last[row] == pytest.approx(complex(stated), rel=1e-9)
 
 
-def test_skew_beyond_an_interval_is_rejected():
+def test_skew_of_an_interval_is_rejected():
     with pytest.raises(SceneError, match=r"converter\.skew"):
         chain_of(scene_of("", "", "", converter="{rate: 5120 Hz, skew: 100 us}"))
 

@@ -116,7 +116,7 @@ class BenchRecordings:
 
     def _mark(self, kind: str, first: int, stop: int, **fields: Any) -> None:
         # An event that began before the recording is not complete in it.
-        if self._recorder is not None and self._recorder.takes_more and first >= self._first:
+        if self._recorder is not None and self._recorder.accepts_samples and first >= self._first:
             self._recorder.mark(kind, first - self._first, stop - 1 - self._first, **fields)
 
     def _complete(self) -> None:

@@ -31,16 +31,16 @@ class History:
     [2.0, 3.0, 4.0]
     """
 
-    def __init__(self, kept: int) -> None:
-        self._kept, self._count = kept, 0
-        self.samples = np.zeros(kept)
+    def __init__(self, length: int) -> None:
+        self._length, self._count = length, 0
+        self.samples = np.zeros(length)
 
     def place(self, count: int) -> Array:
         """Return the place for the next block, shape (count,)."""
-        kept = self.samples[self._count : self._count + self._kept]
-        needed = self._kept + count
+        past = self.samples[self._count : self._count + self._length]
+        needed = self._length + count
         if self.samples.size < needed:
             self.samples = np.zeros(needed)
-        self.samples[: self._kept] = kept
+        self.samples[: self._length] = past
         self._count = count
-        return self.samples[self._kept : needed]
+        return self.samples[self._length : needed]

@@ -202,7 +202,7 @@ class MeasurementRun(BenchLoop):
         self._overloads.add(first - self.bench.latency, overload)
 
     def _note_loss(self) -> None:
-        if self._lost and self._recorder is not None and self._recorder.takes_more:
+        if self._lost and self._recorder is not None and self._recorder.accepts_samples:
             self._recorder.gap(self._lost)
             self._lost = 0
 
@@ -210,7 +210,7 @@ class MeasurementRun(BenchLoop):
         """Write a marker."""
         assert self._recorder is not None
         # No marker is written on a full disk: its error would hide the message that the disk is full.
-        if self._recorder.takes_more:
+        if self._recorder.accepts_samples:
             self._recorder.mark(kind, first, stop - 1, **fields)
 
     def report(self, fraction: float, message: str) -> None:

@@ -41,10 +41,9 @@ class Series:
         self._recent_samples = 0
         try:
             self.scale = float(self.metadata.get("scale", 1.0))
-        except ValueError:
+            check({"scale": self.scale}, {"scale": NOT_ZERO})
+        except (ValueError, RecordingError):
             raise self._error(f"scale = {self.metadata['scale']!r}; expected {NOT_ZERO.expected}.") from None
-        if not NOT_ZERO.holds(self.scale):
-            raise self._error(f"scale = {self.scale!r}; expected {NOT_ZERO.expected}.")
 
     @property
     def stored(self) -> str:

@@ -102,7 +102,7 @@ class Disk:
             ) from error
         self.at = self._final
 
-    def give_up(self) -> None:
+    def discard(self) -> None:
         """Keep the old file, if there is one, and remove the new one, which holds no samples."""
         self.close()
         if self.at != self._final:

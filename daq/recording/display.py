@@ -84,7 +84,7 @@ def display_step(rate: float) -> int:
 
 
 class DisplayDecimator:
-    """Low-passes signals and keeps every `step`-th sample, at sample numbers that are multiples of it.
+    """Low-passes signals and outputs every `step`-th sample, at sample numbers that are multiples of it.
 
     The filter has linear phase without delay: a sample is known half a filter length later. Before the first and after
     the last sample, these continue as constants. `stop` is the expected next sample; None before the first one and
@@ -99,46 +99,48 @@ class DisplayDecimator:
             places = np.arange(-self._half, self._half + 1) * (2 * CUTOFF / step)
             taps = np.sinc(places) * np.kaiser(places.size, KAISER_BETA)
             self._taps = taps / taps.sum()
-        self._held = np.empty((0, 0))
+        self._samples = np.empty((0, 0))
         self._first = 0
         self.stop: int | None = None
         self._next = 0
 
     def run(self, first: int, samples: Array) -> tuple[NDArray[np.int64], Array]:
-        """Take further samples (signals, samples) from `first` on; return kept sample numbers and their values.
+        """Take further samples (signals, samples) from `first` on; return output sample numbers and their values.
 
         `finish` must be called before a gap.
         """
         if self.stop is None:
-            self._held = np.repeat(samples[:, :1], self._half, axis=1)
+            self._samples = np.repeat(samples[:, :1], self._half, axis=1)
             self._first, self._next = first - self._half, -(-first // self.step)
-        self._held = np.concatenate([self._held, samples], axis=1)
+        self._samples = np.concatenate([self._samples, samples], axis=1)
         self.stop = first + samples.shape[1]
         last = (self.stop - 1 - self._half) // self.step
-        return self._kept(last)
+        return self._output_until(last)
 
     def finish(self) -> tuple[NDArray[np.int64], Array]:
         """Give the remaining values of the samples so far, at least one; the next samples start a new signal."""
         assert self.stop is not None
-        self._held = np.concatenate([self._held, np.repeat(self._held[:, -1:], self._half, axis=1)], axis=1)
-        kept = self._kept((self.stop - 1) // self.step)
+        self._samples = np.concatenate(
+            [self._samples, np.repeat(self._samples[:, -1:], self._half, axis=1)], axis=1
+        )
+        output = self._output_until((self.stop - 1) // self.step)
         self.stop = None
-        return kept
+        return output
 
-    def _kept(self, last: int) -> tuple[NDArray[np.int64], Array]:
+    def _output_until(self, last: int) -> tuple[NDArray[np.int64], Array]:
         """Filter at the multiples of the step from the next one to the last one, both included."""
         places = np.arange(self._next, last + 1, dtype=np.int64) * self.step
         if places.size == 0:
-            return places, np.empty((self._held.shape[0], 0))
+            return places, np.empty((self._samples.shape[0], 0))
         begin, end = int(places[0]) - self._half - self._first, int(places[-1]) + self._half + 1 - self._first
-        values = self._held[:, begin:end]
+        values = self._samples[:, begin:end]
         if self.step > 1:
             parts = (values[row : row + _ROWS] for row in range(0, len(values), _ROWS))
             values = np.concatenate([_filtered(part, self._taps, self.step) for part in parts])
         self._next = last + 1
         forget = max(0, self._next * self.step - self._half - self._first)
         # A copy: a view would keep all of it in memory.
-        self._held, self._first = self._held[:, forget:].copy(), self._first + forget
+        self._samples, self._first = self._samples[:, forget:].copy(), self._first + forget
         return places, np.asarray(values)
 
 

@@ -100,8 +100,8 @@ class Recorder:
         kind = SCHEMAS[self._stored][2]
         self._raw = Grouping(len(self.channels), self._group, kind)
         # The same samples, in longer groups, for the display.
-        self._together = layout.shown_groups(len(self.channels))
-        self._shown = Grouping(len(self.channels), self._together * self._group, kind)
+        self._groups_shown = layout.shown_groups(len(self.channels))
+        self._shown = Grouping(len(self.channels), self._groups_shown * self._group, kind)
         self._marks = [Marker("start", 0)]
         self._marked = self._chunks = self._written = 0
         self._full = False
@@ -126,7 +126,7 @@ class Recorder:
         return max(0, self._disk.free() - RESERVE - RESERVE_PER_CHUNK * self._chunks)
 
     @property
-    def takes_more(self) -> bool:
+    def accepts_samples(self) -> bool:
         """Whether more can be recorded: the file is open and its disk is not full."""
         return not (self.closed or self._full or self._disk.failed)
 
@@ -239,7 +239,7 @@ class Recorder:
             error.add_note(str(another))
 
     def _need_open(self) -> None:
-        if not self.takes_more:
+        if not self.accepts_samples:
             raise RunError(f"{self.path}: the recording has ended. Make a new one for more samples.")
 
     def _need_truth(self, samples: int) -> None:
@@ -338,7 +338,7 @@ class Recorder:
         self._file.finish()
         if self._written == 0 and status != "complete":
             self._commit()
-            self._disk.give_up()
+            self._disk.discard()
         else:
             with self._torn_on_failure():
                 self._disk.finish()
@@ -364,7 +364,7 @@ class Recorder:
                 "another disk."
             )
         if self._display is not None:
-            self._show(number // self._together)
+            self._show(number // self._groups_shown)
         self._write_markers((number + 1) * self._group)
         if raw is not None:
             blocks = self._blocks(raw)

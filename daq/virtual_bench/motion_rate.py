@@ -23,9 +23,9 @@ class MotionAtRate:
 
     def __init__(self, rate: Fraction, group: int, tick: float, first: int) -> None:
         self._rate, self._group, self._tick = rate, group, tick
-        self._first = self._next = self._given = first
-        # Instants of an incomplete group, and breaks after the last instant given, with the instant after each.
-        self._held: list[NDArray[Any]] = []
+        self._first = self._next = self._output_stop = first
+        # Instants of an incomplete group, and breaks after the last instant returned, with the instant after each.
+        self._pending: list[NDArray[Any]] = []
         self._breaks: list[NDArray[Any]] = []
         # Displacement, velocity, acceleration and drive at the last tick.
         self._last: list[Array] = []
@@ -34,25 +34,25 @@ class MotionAtRate:
         """Take the next ticks, drive of shape (inputs, ticks); return the complete groups of instants."""
         stop = motion.first + forces.shape[1]
         whole = (stop - 1) % self._group == 0
-        if self._rate == 1 and self._first == 0 and self._given == motion.first and whole:
-            # The instants are the ticks, and none is held: nothing needs to be copied.
-            self._next = self._given = stop
+        if self._rate == 1 and self._first == 0 and self._output_stop == motion.first and whole:
+            # The instants are the ticks, and none is pending: nothing needs to be copied.
+            self._next = self._output_stop = stop
             return motion, forces
-        earliest, found = self._next, self._resampled(motion, forces)
-        if self._held:
-            found = [np.concatenate(pair, axis=1) for pair in zip(self._held, found, strict=True)]
-        first, past = self._given, (self._next - 1 - self._first) // self._group
-        self._given = max(first, self._first + past * self._group + 1)
-        count = self._given - first
-        self._held = [each[:, count:] for each in found]
-        displacement, velocity, acceleration, force, gap, contact = (each[:, :count] for each in found)
+        earliest, values = self._next, self._resampled(motion, forces)
+        if self._pending:
+            values = [np.concatenate(pair, axis=1) for pair in zip(self._pending, values, strict=True)]
+        first, past = self._output_stop, (self._next - 1 - self._first) // self._group
+        self._output_stop = max(first, self._first + past * self._group + 1)
+        count = self._output_stop - first
+        self._pending = [each[:, count:] for each in values]
+        displacement, velocity, acceleration, force, gap, contact = (each[:, :count] for each in values)
         number, offset, *broken = self._breaks_due(motion, earliest)
-        given = replace(
+        resampled = replace(
             motion, first=first - self._first, displacement=displacement, velocity=velocity, acceleration=acceleration,
             gap=gap, contact=contact, break_sample=number - self._first, break_offset=offset,
             break_displacement=broken[0], break_velocity=broken[1], break_acceleration=broken[2],
         )  # fmt: skip
-        return given, force
+        return resampled, force
 
     def _resampled(self, motion: Motion, forces: Array) -> list[NDArray[Any]]:
         """Return displacement, velocity, acceleration, drive, gap and contact at the instants of a block."""
@@ -63,17 +63,17 @@ class MotionAtRate:
         share = rest / ratio.numerator
         # Instants before the first tick of the block lie between ticks and are replaced below.
         at, tick = np.maximum(ticks - motion.first, 0), ticks - motion.first
-        found = [each[:, at] for each in (*_moved(motion), forces, motion.gap, motion.contact)]
+        resampled = [each[:, at] for each in (*_moved(motion), forces, motion.gap, motion.contact)]
         if rest.any():
             between = rest > 0
             new = _between_ticks(motion, forces, self._last, self._tick, tick[between] + share[between])
-            for values, now in zip(found, new, strict=False):
+            for values, now in zip(resampled, new, strict=False):
                 values[:, between] = now
         self._last = [each[:, -1:] for each in (*_moved(motion), forces)]
-        return found
+        return resampled
 
     def _breaks_due(self, motion: Motion, earliest: int) -> list[NDArray[Any]]:
-        """Return the breaks before the instants given, as in `Motion`, each with the instant that ends its interval."""
+        """Return the breaks before `_output_stop`, as in `Motion`, each with the instant that ends its interval."""
         interval = self._tick / float(self._rate)
         if self._rate == 1:
             new = [motion.break_sample, motion.break_offset]
@@ -84,7 +84,7 @@ class MotionAtRate:
         new += [motion.break_displacement, motion.break_velocity, motion.break_acceleration]
         if self._breaks:
             new = [np.concatenate(pair, axis=-1) for pair in zip(self._breaks, new, strict=True)]
-        due = new[0] < self._given
+        due = new[0] < self._output_stop
         self._breaks = [each[..., ~due] for each in new]
         return [each[..., due] for each in new]
 

@@ -133,16 +133,16 @@ def report_written(*files: Path) -> None:
         print(f"wrote {file}")
 
 
-def held_up(cause: str) -> None:
-    """Report a delay from time to time until `go_on`, also while a user program runs."""
+def begin_delay(cause: str) -> None:
+    """Report a delay from time to time until `end_delay`, also while a user program runs."""
     now_s = time.monotonic()
     if not _Activity.delays and now_s - _Activity.delay_end_s > _MAX_DELAY_GAP_S:
         _Activity.delay_start_s = now_s
     _Activity.delays.append(cause)
 
 
-def go_on() -> None:
-    """End the delay that `held_up` began."""
+def end_delay() -> None:
+    """End the delay that `begin_delay` began."""
     _Activity.delays.pop()
     _Activity.delay_end_s = time.monotonic()
 

@@ -96,7 +96,7 @@ def landing_pulse(scene: Scene, place: str, rate: float) -> Pulse | None:
     for number, damper in inside.items():
         [j] = np.flatnonzero(system.damper_number == number)
         for wall in (1, 2) if np.isfinite(damper.clearance) else (1,):
-            if not system.lasting[j]:
+            if not system.finite_contact[j]:
                 pulses.append(_INSTANT_PULSE)
                 continue
             duration, _ = system.duration_and_restitution(int(j), wall)
@@ -124,7 +124,7 @@ def transmissibility(scene: Scene, number: int, frequency: Array) -> NDArray[np.
     from rig.system.assembly import assemble
 
     system = assemble(scene)
-    for j in np.flatnonzero((system.damper_number == number) & system.lasting):
+    for j in np.flatnonzero((system.damper_number == number) & system.finite_contact):
         s = 2j * np.pi * frequency
         push = system.wall_stiffness[j, 0] + s * system.wall_damping[j, 0]
         return np.asarray(push / (push + system.damper_mass[j] * s**2))

@@ -53,7 +53,7 @@ def riding(bench: Scene, curves: Curves, frequency: Array) -> tuple[ComplexArray
     if curves.reference == "table":
         states = states / states[system.points.index(bench.at_driven("table"))]
     beds = states[system.damper_coordinate]
-    beds[system.lasting] += states[system.bed[system.lasting]]
+    beds[system.finite_contact] += states[system.bed[system.finite_contact]]
     return states[: bench.structure.bodies], beds[system.clearance > 0.0]
 
 

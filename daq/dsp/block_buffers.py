@@ -5,19 +5,19 @@ from __future__ import annotations
 import numpy as np
 
 from rig.arrays import Array
-from rig.numerics.simd import LANES, zeros
+from rig.numerics.simd import LANES, aligned_zeros
 
 
 class BlockBuffers:
     """Memory that channels share, one after another: separate memory would not stay in a processor's cache."""
 
     def __init__(self) -> None:
-        self._rows = zeros(0, LANES)
+        self._rows = aligned_zeros(0, LANES)
 
     def rows(self, count: int) -> Array:
         """Return rows of the width of a register, at least `count` of them, with arbitrary content."""
         if len(self._rows) < count:
-            self._rows = zeros(count, LANES)
+            self._rows = aligned_zeros(count, LANES)
         return self._rows
 
 

@@ -8,7 +8,7 @@ from daq.dsp.discretisation import CUBIC, PARTS, Tables
 from daq.dsp.interpolation import JUMP, LENGTH, CubicInput
 from rig.arrays import Array
 from rig.numerics.jit import unfused
-from rig.numerics.simd import copy, multiply, zeros
+from rig.numerics.simd import aligned_zeros, copy, multiply
 
 
 class PartWorkspace(NamedTuple):
@@ -25,8 +25,8 @@ class PartWorkspace(NamedTuple):
 
 def part_workspace(size: int) -> PartWorkspace:
     """Make room to work in for vectors of a size."""
-    vector, term, work, nothing, steady = (zeros(size) for _ in range(5))
-    return PartWorkspace(vector, term, work, nothing, steady, zeros(6))
+    vector, term, work, nothing, steady = (aligned_zeros(size) for _ in range(5))
+    return PartWorkspace(vector, term, work, nothing, steady, aligned_zeros(6))
 
 
 @unfused

@@ -6,9 +6,9 @@ import numpy as np
 
 from daq.dsp.block_buffers import BlockBuffers
 from rig.arrays import Array
-from rig.numerics.fma import WEIGHED, spread
+from rig.numerics.fma import SUM_BLOCK, factored_sums
 from rig.numerics.jit import unfused
-from rig.numerics.simd import LANES, zeros
+from rig.numerics.simd import LANES, aligned_zeros
 
 
 class Decimator:
@@ -19,15 +19,15 @@ class Decimator:
         self._weights = _lane_weights(taps, late)
         self._buffers = buffers
         # The last moments of the previous block; in a block, they come first.
-        self._last = zeros(length * self._oversampling + late - 1, moments)
+        self._last = aligned_zeros(length * self._oversampling + late - 1, moments)
         self._moments = self._last
         self._interval = 0
-        self._samples = zeros(0)
+        self._samples = aligned_zeros(0)
 
     def place(self, count: int) -> Array:
         """Return the place for the moments of the next intervals, shape (count and TOGETHER or more, MOMENTS)."""
         past = len(self._last)
-        end = past + count + WEIGHED * self._oversampling
+        end = past + count + SUM_BLOCK * self._oversampling
         self._moments = self._buffers.rows(end)
         self._moments[:past] = self._last
         # These have no weight, but must be numbers.
@@ -39,8 +39,8 @@ class Decimator:
         oversampling = self._oversampling
         wait = -self._interval % oversampling
         due = max(0, -(-(count - wait) // oversampling))
-        if self._samples.size < due + WEIGHED:
-            self._samples = zeros(due + WEIGHED)
+        if self._samples.size < due + SUM_BLOCK:
+            self._samples = aligned_zeros(due + SUM_BLOCK)
         _weigh(self._weights, self._moments, wait, oversampling, self._samples, due)
         self._interval += count
         self._last[:] = self._moments[count : count + len(self._last)]
@@ -52,7 +52,7 @@ def _lane_weights(taps: Array, late: int) -> Array:
     oversampling, moments, _ = taps.shape
     # Row (p, j) of the taps weighs the interval j samples and p intervals before the sample.
     before = np.concatenate([np.zeros((late, moments)), taps.transpose(2, 0, 1).reshape(-1, moments)])
-    weights = zeros(len(before) + (LANES - 1) * oversampling, moments, LANES)
+    weights = aligned_zeros(len(before) + (LANES - 1) * oversampling, moments, LANES)
     for lane in range(LANES):
         weights[lane * oversampling :, :, lane][: len(before)] = before[::-1]
     return weights.reshape(-1, LANES)
@@ -63,4 +63,4 @@ def _weigh(weights: Array, moments: Array, first: int, oversampling: int, sample
     """Weigh the moments of each sample, from the interval `first` on."""
     width = moments.shape[1]
     registers = -(-count // LANES)
-    spread(weights, moments, first * width, 1, LANES * oversampling * width, samples, 0, registers)
+    factored_sums(weights, moments, first * width, 1, LANES * oversampling * width, samples, 0, registers)

@@ -20,7 +20,7 @@ from scipy.linalg import expm
 from daq.dsp.circuit import Circuit
 from rig.arrays import Array
 from rig.errors import SceneError
-from rig.numerics.simd import LANES, padded, zeros
+from rig.numerics.simd import LANES, aligned_zeros, padded_length
 
 PARTS = 64
 # Size of the generator over the smallest part of a sample interval up to which its series is summed.
@@ -147,7 +147,7 @@ def discretise(
     while remainder > 1e-18:
         terms += 1
         remainder *= norm / (terms - 3)
-    spread = zeros(step.shape[1], LANES)
+    spread = aligned_zeros(step.shape[1], LANES)
     spread[:, :integrals] = input_first(step[states:], states).T
     return Tables(
         states=states,
@@ -182,7 +182,7 @@ def _powers(matrix: Array) -> Array:
 def laid_out(matrices: Array) -> Array:
     """Transpose matrices of shape (count, size, size) and fill them up to whole registers."""
     count, size, _ = matrices.shape
-    room = zeros(count, padded(size), padded(size))
+    room = aligned_zeros(count, padded_length(size), padded_length(size))
     room[:, :size, :size] = matrices.transpose(0, 2, 1)
     return room
 

@@ -20,9 +20,9 @@ from daq.dsp.circuit import RECOVERY, Circuit, Section
 from daq.dsp.discretisation import Entry, Tables, input_first, laid_out, rate_of_change, with_disturbances
 from daq.dsp.interpolation import JUMP, LENGTH, CubicInput, put
 from rig.arrays import Array
-from rig.numerics.fma import weigh
+from rig.numerics.fma import weighted_sums
 from rig.numerics.jit import unfused
-from rig.numerics.simd import copy, multiply, padded, zeros
+from rig.numerics.simd import aligned_zeros, copy, multiply, padded_length
 
 # Checks per period of the circuit's fastest part, and at least per interval: between two, a sine's peak is 2 % higher.
 CHECKS, FEWEST_CHECKS = 16, 8
@@ -81,7 +81,7 @@ def limits_of(
     generator = rate_of_change(circuit, gain, rate, integrals)
     states, size = circuit.c.size, len(generator)
     width, reach = size - 4, np.inf if limit is None else limit
-    output = zeros(padded(size))
+    output = aligned_zeros(padded_length(size))
     output[: leading.c.size], output[width] = leading.c, leading.d[0] * gain
     fastest = float(np.abs(np.linalg.eigvals(circuit.a)).max(initial=0.0)) / (2 * np.pi * rate)
     count = max(FEWEST_CHECKS, int(np.ceil(CHECKS * fastest)))
@@ -177,11 +177,11 @@ def within(limits: Limits, course: Array, sizes: Array, sums: Array, count: int)
     for r in range(course.shape[0]):
         for k in range(count):
             sizes[r, k] = abs(course[r, k])
-    weigh(sizes, 0, 0, limits.safe, course.shape[0], sums, count)
+    weighted_sums(sizes, 0, 0, limits.safe, course.shape[0], sums, count)
     if not _exceeds(sums[:count], 1.0):
         return count
     for check in range(limits.most.size):
-        weigh(course, 0, 0, limits.checks[check], course.shape[0], sums, count)
+        weighted_sums(course, 0, 0, limits.checks[check], course.shape[0], sums, count)
         if _exceeds(sums[:count], limits.most[check]):
             for k in range(count):
                 if abs(sums[k]) > limits.most[check]:

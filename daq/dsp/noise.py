@@ -9,9 +9,9 @@ from zlib import crc32
 import numpy as np
 
 from rig.arrays import Array
-from rig.numerics.fma import follow
+from rig.numerics.fma import update_states
 from rig.numerics.jit import unfused
-from rig.numerics.simd import padded, zeros
+from rig.numerics.simd import aligned_zeros, padded_length
 
 # Variance of the uniform numbers that represent noise faster than the average; a filter sums up so many of them that
 # the sum is normal.
@@ -53,7 +53,9 @@ class Noise:
         if corner is not None:
             loss, weight, self._gain = flicker_filter(corner, rate)
             self.states = loss.size
-            self._retained, self._weight, self._states = (zeros(padded(loss.size)) for _ in range(3))
+            self._retained, self._weight, self._states = (
+                aligned_zeros(padded_length(loss.size)) for _ in range(3)
+            )
             self._retained[: loss.size], self._weight[: loss.size] = 1.0 - loss, weight
 
     def fill(self, samples: Array) -> None:
@@ -118,13 +120,13 @@ def flicker_filter(corner: float, rate: float) -> tuple[Array, Array, float]:
 
     # Zeros of the spectrum at negative y: one between neighbouring poles, one beyond the last.
     ends = np.append(poles, poles[-1] + 2 * np.sum(strength * poles))
-    zeros = np.array(
+    spectrum_zeros = np.array(
         [
             brentq(lambda z: spectrum(-z), low * (1 + 1e-13), high * (1 - 1e-13), xtol=1e-300, rtol=1e-14)
             for low, high in pairwise(ends)
         ]
     )
-    pole_loss, zero_loss = _loss(poles), _loss(zeros)
+    pole_loss, zero_loss = _loss(poles), _loss(spectrum_zeros)
     gain = float(np.sqrt(np.prod((1 - pole_loss) / (1 - zero_loss))))
     weight = zero_loss - pole_loss
     for i in range(poles.size):
@@ -144,4 +146,4 @@ def _colour(samples: Array, retained: Array, weight: Array, gain: float, states:
     """Pass samples through first-order states in parallel, in place."""
     for i in range(samples.size):
         white = samples[i]
-        samples[i] = gain * (white + follow(states, retained, weight, white))
+        samples[i] = gain * (white + update_states(states, retained, weight, white))

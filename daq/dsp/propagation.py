@@ -9,11 +9,11 @@ from daq.dsp.discretisation import Tables
 from daq.dsp.interpolation import CubicInput, put
 from daq.dsp.limiting import Limits, follow_closely, within
 from rig.arrays import Array
-from rig.numerics.fma import fused, spread, weigh
+from rig.numerics.fma import factored_sums, fused, weighted_sums
 from rig.numerics.jit import unfused
-from rig.numerics.simd import LANES, zeros
+from rig.numerics.simd import LANES, aligned_zeros
 
-# Intervals processed at a time, a multiple of `WEIGHED` (`rig.numerics.fma`): enough to keep a processor busy, few
+# Intervals processed at a time, a multiple of `SUM_BLOCK` (`rig.numerics.fma`): enough to keep a processor busy, few
 # enough for its nearest cache.
 STRETCH = 128
 
@@ -32,8 +32,10 @@ def scratch_for(tables: Tables) -> CircuitWorkspace:
     """Make room to work in for a circuit."""
     # Rows a little longer than needed: for the state at the end, and because at powers of two they would compete for
     # the same lines of a cache.
-    course, sizes = (zeros(tables.spread.shape[0], STRETCH + LANES) for _ in range(2))
-    return CircuitWorkspace(part_workspace(tables.generator.shape[1]), course, sizes, zeros(2, STRETCH))
+    course, sizes = (aligned_zeros(tables.spread.shape[0], STRETCH + LANES) for _ in range(2))
+    return CircuitWorkspace(
+        part_workspace(tables.generator.shape[1]), course, sizes, aligned_zeros(2, STRETCH)
+    )
 
 
 @unfused
@@ -87,7 +89,7 @@ def propagate(
             for k in range(first, stop):
                 overload[1 + k] = 0.0
             if not close and tables.integrals:
-                spread(tables.spread, course, 0, course.shape[1], 1, averages, first, stop - first)
+                factored_sums(tables.spread, course, 0, course.shape[1], 1, averages, first, stop - first)
         if broken or close:
             if close and limits is not None:
                 part, excess = follow_closely(
@@ -101,7 +103,7 @@ def propagate(
             for k in range(tables.integrals):
                 averages[first, k] = scratch.parts.vector[tables.states + k]
         for r in range(rows.shape[0]):
-            weigh(course, behind, 1, rows[r], tables.states, scratch.sums[0], stop - first)
+            weighted_sums(course, behind, 1, rows[r], tables.states, scratch.sums[0], stop - first)
             for k in range(first, stop):
                 points[r, k] = fused(rows_input[r], pieces.smooth[1, k], scratch.sums[0, k - first])
             points[r, first] += rows_excess[r] * excess
@@ -124,13 +126,13 @@ def _through_stretch(tables: Tables, state: Array, course: Array, sums: Array, c
     for section in range(tables.sections.size - 1):
         begin, end = tables.sections[section], tables.sections[section + 1]
         known = behind + begin
-        weigh(course, 0, 0, tables.weights[begin], known, sums[0], count)
+        weighted_sums(course, 0, 0, tables.weights[begin], known, sums[0], count)
         if end == begin + 1:
             state[begin] = _first_order(
                 tables.step[begin, begin], state[begin], sums[0][:count], course[known]
             )
         else:
-            weigh(course, 0, 0, tables.weights[begin + 1], known, sums[1], count)
+            weighted_sums(course, 0, 0, tables.weights[begin + 1], known, sums[1], count)
             _second_order(
                 tables.step, begin, state, sums[0][:count], sums[1], course[known], course[known + 1]
             )

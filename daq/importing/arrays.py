@@ -16,7 +16,7 @@ from daq.importing.clock import Clock, clock_of_times, looks_like_times, rate_of
 from daq.importing.matlab_file import matlab_arrays
 from daq.importing.signal import Signal
 from rig.errors import RecordingError, ShotrigError
-from rig.numerics.memory import need_beside_program
+from rig.numerics.memory import require_memory_with_program
 
 # Names of the sample rate, the sample interval and the times.
 _RATES = re.compile(
@@ -44,7 +44,9 @@ def numpy_signals(path: Path, _stack: ExitStack) -> list[Signal]:
                 return _signals(path, {"array": np.load(path, mmap_mode="r", allow_pickle=False)})
         # An archive of zeros is a thousandth of its content.
         with zipfile.ZipFile(path) as packed:
-            need_beside_program(sum(each.file_size for each in packed.infolist()), f"{path}: importing it")
+            require_memory_with_program(
+                sum(each.file_size for each in packed.infolist()), f"{path}: importing it"
+            )
         with np.load(path, allow_pickle=False) as archive:
             return _signals(path, {name: archive[name] for name in archive.files})
     except (OSError, MemoryError, ShotrigError):
@@ -102,7 +104,7 @@ def _signals(path: Path, content: Mapping[str, Any]) -> list[Signal]:
         if array.ndim == 1 and not _TIMES.fullmatch(name):
             rows[name] = array
             continue
-        need_beside_program(in_memory + _CLOCK_BYTES * max(array.shape), f"{path}: importing it")
+        require_memory_with_program(in_memory + _CLOCK_BYTES * max(array.shape), f"{path}: importing it")
         if array.ndim == 1:
             clocks[name] = clock_of_times(array.astype(float), 0.0, where)
             continue

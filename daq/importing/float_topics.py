@@ -33,7 +33,7 @@ from daq.mcap_file.summary import parse
 from daq.recording import layout
 from rig.arrays import Array
 from rig.errors import RecordingError, ShotrigError
-from rig.numerics.memory import need_beside_program
+from rig.numerics.memory import require_memory_with_program
 
 # Messages of ROS 2 in CDR that are rows of numbers, with the type of the numbers.
 _MULTI_ARRAYS = {"std_msgs/msg/Float32MultiArray": "f4", "std_msgs/msg/Float64MultiArray": "f8"}
@@ -129,7 +129,7 @@ class _Topics:
                 self._record(inside, each, len(content) + len(records))
 
     def _need(self, further: float) -> None:
-        need_beside_program(self._in_memory + further, f"{self._path}: importing it")
+        require_memory_with_program(self._in_memory + further, f"{self._path}: importing it")
 
     def _record(self, opcode: int, content: memoryview, container: int) -> None:
         """Process a record; `container` is the size of the chunk that is in memory with it, bytes."""

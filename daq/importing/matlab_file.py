@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.errors import RecordingError, RunError
-from rig.numerics.memory import ALLOWED, PROGRAM, most
+from rig.numerics.memory import LIMIT_VARIABLE, PROGRAM_BYTES, memory_limit
 
 _NEEDS_H5PY, _NEEDS_MEMORY = "needs h5py", "needs more memory"
 # Maximum depth of structures within structures.
@@ -31,7 +31,7 @@ def matlab_arrays(path: Path) -> dict[str, Any]:
 
     Raises `RecordingError` for a damaged file, `RunError` for version 7.3 without h5py.
     """
-    memory = str(int(max(most() - PROGRAM, most() / 2)))
+    memory = str(int(max(memory_limit() - PROGRAM_BYTES, memory_limit() / 2)))
     # The search path is that of this process: -m alone would search the user's folder first.
     program = [sys.executable, "-P", "-m", __name__, str(path.resolve()), memory]
     environment = {
@@ -56,8 +56,8 @@ def matlab_arrays(path: Path) -> dict[str, Any]:
         )
     if content == _NEEDS_MEMORY:
         raise RecordingError(
-            f"{path}: importing it takes more than the {most() / 1e9:.3g} GB of memory that are allowed. Save the "
-            f"channels one by one, or as TDMS or WAV, or allow more: {ALLOWED}=8GB in the environment."
+            f"{path}: importing it takes more than the {memory_limit() / 1e9:.3g} GB of memory that are allowed. Save "
+            f"the channels one by one, or as TDMS or WAV, or allow more: {LIMIT_VARIABLE}=8GB in the environment."
         )
     if isinstance(content, str):
         raise RecordingError(f"{path} {content}")

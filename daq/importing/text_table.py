@@ -37,7 +37,7 @@ from daq.importing.text_layout import (
 )
 from rig.arrays import Array
 from rig.errors import RecordingError
-from rig.numerics.memory import need_beside_program
+from rig.numerics.memory import require_memory_with_program
 from rig.scene.quantities import TIME, parse
 
 _MAX_LINE = 1 << 20
@@ -148,7 +148,7 @@ class _Table:
         if self.rows:
             self._samples.append(last[1])
             piece = min(1.0, PIECE / self.rows) * path.stat().st_size
-            need_beside_program(_READ_BYTES * piece, f"{path}: importing it")
+            require_memory_with_program(_READ_BYTES * piece, f"{path}: importing it")
         self._reading = self._lines()
         self._position = 0
         self._last_piece: tuple[int, int, Array] = (-1, -1, np.empty((0, 0)))

@@ -13,7 +13,7 @@ import numpy as np
 from daq.importing.clock import Clock, clock_of_times, rate_of_interval
 from daq.importing.signal import Signal
 from rig.errors import RecordingError, RunError
-from rig.numerics.memory import need_beside_program
+from rig.numerics.memory import require_memory_with_program
 from rig.results.universal_file import FRF, GENERAL
 
 # Function types of data set 58.
@@ -54,7 +54,7 @@ def functions(path: Path) -> list[dict[str, Any]]:
     except ImportError:
         raise RunError("Universal Files need the package pyuff: pip install 'shotrig[export]'") from None
     size = path.stat().st_size
-    need_beside_program(_READ_BYTES * size, f"{path}: importing it")
+    require_memory_with_program(_READ_BYTES * size, f"{path}: importing it")
     with path.open("rb") as stream:
         # The reader ignores a last data set without an end.
         stream.seek(max(0, size - 4096))

@@ -9,7 +9,7 @@ from pathlib import Path
 from daq.recording.committed_file import RESERVE
 from daq.recording.layout import block_length, flush_length
 from rig.errors import SceneError
-from rig.numerics.memory import need
+from rig.numerics.memory import require_memory
 from rig.scene.excitation import Impulse, Multisine, SteppedSine
 from rig.scene.presets import complete_from_preset
 from rig.scene.scene import Scene
@@ -83,7 +83,9 @@ def check_resources(resources: Estimate, path: Path) -> None:
             f"test: {duration_text(resources.seconds)} and {resources.samples:.3g} samples of each channel are too "
             f"many (at most {MOST_SAMPLES:.0e}). Choose a shorter test or a lower rate."
         )
-    need(resources.memory, "the test with half a second of all its channels, as held before it is written,")
+    require_memory(
+        resources.memory, "the test with half a second of all its channels, as held before it is written,"
+    )
     folder = next(folder for folder in path.absolute().parents if folder.is_dir())
     free = shutil.disk_usage(folder).free
     if resources.disk * FEWEST + RESERVE > free:

@@ -53,9 +53,9 @@ def oversampling(scene: Scene) -> int:
     fastest = 0.0
     if filtered or limited:
         fastest = float(np.abs(system.poles.imag).max(initial=0.0)) / (2 * np.pi)
-    if system.lasting.any():
+    if system.finite_contact.any():
         # A landing may end between two samples, and still acts on the sensor.
-        fastest = max(fastest, system.fastest / (2 * np.pi))
+        fastest = max(fastest, system.max_rate / (2 * np.pi))
     needed = fastest / rate / RESOLVED
     for spheres in spheres_of(scene).values():
         # A contact of grains lasts half a period of their oscillation, and its force acts on the body.

@@ -11,7 +11,7 @@ from daq.dsp.circuit import Circuit
 from daq.dsp.decimator import Decimator
 from daq.signal_chain.decimation_filter import MOMENTS, Decimation, taps_of
 from rig.arrays import Array
-from rig.numerics.fma import TOGETHER
+from rig.numerics.fma import SUMS_AT_ONCE
 from rig.numerics.simd import LANES
 
 
@@ -67,7 +67,7 @@ class AverageSampler:
 
     def place(self, intervals: int) -> Array:
         """Return the place for moments; see `Sampler`."""
-        self._averages = self._buffers.rows(intervals + TOGETHER)
+        self._averages = self._buffers.rows(intervals + SUMS_AT_ONCE)
         return self._averages
 
     def read(self, points: Array, ends: slice) -> Array:

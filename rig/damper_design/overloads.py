@@ -157,7 +157,7 @@ def shaken_by(
     found = [0.0]
     for j, speed in enumerate(closing_speed):
         body = system.damper_coordinate[j]
-        if system.lasting[j]:
+        if system.finite_contact[j]:
             reduced, wall = system.reduced_mass[j], (system.wall_damping[j], system.wall_stiffness[j])
             force = speed * float(np.maximum(wall[0], np.sqrt(reduced * wall[1])).max())
             found.append((1.0 if resonance is None else _SWING) * abs(mobility[row, body]) * force)

@@ -232,13 +232,13 @@ def _dampers(scene: Scene, system: HybridSystem) -> Iterable[Effect]:
     if system.restitution.any():
         ratios = ", ".join(f"{ratio:.3g}" for ratio in system.restitution)
         yield Effect("motion", "restitution", 0, ratios)
-    if system.lasting.any():
+    if system.finite_contact.any():
         yield Effect("motion", "finite-duration contact", 0, "; ".join(_walls(system, scene.structure)))
 
 
 def _walls(system: HybridSystem, structure: Structure) -> Iterable[str]:
     """Describe floor and ceiling of each damper with finite-duration contact."""
-    for j in np.flatnonzero(system.lasting):
+    for j in np.flatnonzero(system.finite_contact):
         texts = []
         for wall in (1, 2):
             stiffness, damping = system.wall_stiffness[j, wall - 1], system.wall_damping[j, wall - 1]

@@ -1,9 +1,9 @@
-"""Contact laws: landing, rebound, separation, and what they set off in neighbouring dampers.
+"""Contact laws: landing, rebound, separation, and their effect on other dampers.
 
-A damper is in `FLIGHT`, or at rest on the `FLOOR` or at the `CEILING` of its cavity. Contact is unilateral: it
-pushes and never pulls. With a diagonal mass matrix and one damper in a body each contact decides for itself; with a
-full one, or several dampers in a body, an impact may lift neighbours at rest, and all contacts of the instant are
-one problem (`rig.numerics.complementarity`).
+A damper is in `FLIGHT`, or at rest on the `FLOOR` or at the `CEILING` of its cavity. Contact is unilateral: its force
+is never tensile. With a diagonal mass matrix and one damper in each body, every contact is independent. With a full
+mass matrix, or several dampers in a body, an impact may lift other dampers at rest, and all contacts of the instant are
+solved together (`rig.numerics.complementarity`).
 
 References
 ----------
@@ -14,17 +14,17 @@ laws on acceleration and on impulse level).
 from __future__ import annotations
 
 from rig.arrays import Array
+from rig.engine.finite_contact import wall_force
 from rig.engine.flow import Flow, Model
-from rig.engine.lasting import push
-from rig.engine.state import CEILING, FLIGHT, FLOOR, SEPARATION, Log, State, note, toggle
-from rig.numerics.complementarity import ROUNDING, ContactWork, close_active, complementarity, contact_matrix
+from rig.engine.state import CEILING, FLIGHT, FLOOR, SEPARATION, Log, State, log_event, toggle_contact
+from rig.numerics.complementarity import ROUNDING, ContactWork, complementarity, contact_matrix, solve_active
 from rig.numerics.jit import compiled, inlined
 from rig.numerics.simd import combine
 
 
 @inlined
-def _lift(flow: Flow, model: Model, state: State, j: int, speed: float, multiplicity: int) -> None:
-    """Damper j leaves its wall with the given velocity."""
+def _set_flying(flow: Flow, model: Model, state: State, j: int, speed: float, multiplicity: int) -> None:
+    """Let damper j leave its wall with the given velocity."""
     height = state.z[model.position[j]]
     if state.mode[j] == CEILING:
         height += model.clearance[j]
@@ -33,14 +33,14 @@ def _lift(flow: Flow, model: Model, state: State, j: int, speed: float, multipli
     state.speed[j] = speed
     state.mode[j] = FLIGHT
     state.multiplicity[j] = multiplicity
-    toggle(flow, model, state, j)
+    toggle_contact(flow, model, state, j)
 
 
 @inlined
 def separate(flow: Flow, model: Model, state: State, log: Log, j: int, multiplicity: int) -> None:
-    """Damper j leaves its wall at the velocity of the wall."""
-    _lift(flow, model, state, j, state.z[model.velocity[j]], multiplicity)
-    note(log, j, SEPARATION, 0.0)
+    """Let damper j leave its wall at the velocity of the wall."""
+    _set_flying(flow, model, state, j, state.z[model.velocity[j]], multiplicity)
+    log_event(log, j, SEPARATION, 0.0)
 
 
 @inlined
@@ -54,15 +54,15 @@ def _forces(model: Model, state: State, force: Array) -> None:
     combine(model.force, model.force_constant, 0, state.z, model.force.shape[1], force)
     for j in range(model.mass.shape[0]):
         if model.bed[j] >= 0 and state.mode[j] != FLIGHT:
-            force[model.bed[j]] += _sign(state.mode[j]) * push(model, state.z, j, state.mode[j])
+            force[model.bed[j]] += _sign(state.mode[j]) * wall_force(model, state.z, j, state.mode[j])
 
 
 @inlined
-def _stays(model: Model, state: State, j: int, rebound: float, force: Array) -> bool:
-    """Whether a rebound is too low to be distinguished from rest on the wall: this ends a Zeno sequence.
+def _rebound_is_negligible(model: Model, state: State, j: int, rebound: float, force: Array) -> bool:
+    """Return whether a rebound is too low to be distinguished from rest on the wall; this ends a Zeno sequence.
 
-    Through a full mass matrix other contacts press or pull too. There only the size of the accelerations counts;
-    a damper that is held wrongly has no weight on its wall and is let go at once.
+    With a full mass matrix other contacts also act on the body, so the magnitude of the accelerations is used. A damper
+    that is kept at rest wrongly has a tensile contact force and is released immediately.
     """
     row = model.position[j]
     if model.coupled:
@@ -79,7 +79,7 @@ def _stays(model: Model, state: State, j: int, rebound: float, force: Array) -> 
 
 @inlined
 def _land(flow: Flow, model: Model, state: State, j: int, rebound: float) -> None:
-    """Damper j, in `mode` FLOOR or CEILING by now, was hit: it comes to rest, or rebounds at the given speed."""
+    """Let damper j, whose `mode` is its wall, come to rest there, or rebound at the given speed."""
     sign = _sign(state.mode[j])
     if rebound > 0.0:
         height = state.z[model.position[j]]
@@ -91,25 +91,25 @@ def _land(flow: Flow, model: Model, state: State, j: int, rebound: float) -> Non
         state.multiplicity[j] = 1 if sign > 0.0 else -1
     else:
         state.multiplicity[j] = 0
-        toggle(flow, model, state, j)
+        toggle_contact(flow, model, state, j)
 
 
 @compiled
-def _touches(model: Model, state: State, j: int) -> int:
-    """Wall that a flying damper touches within rounding while closing on it, or FLIGHT."""
+def _touched_wall(model: Model, state: State, j: int) -> int:
+    """Return the wall that a flying damper touches within rounding while approaching it, or FLIGHT."""
     position = state.z[model.position[j]]
     gap = state.height[j] - position
     closing = state.z[model.velocity[j]] - state.speed[j]
-    near = ROUNDING * (abs(position) + abs(state.height[j]))
-    if closing > 0.0 and state.multiplicity[j] <= 0 and gap <= near:
+    rounding = ROUNDING * (abs(position) + abs(state.height[j]))
+    if closing > 0.0 and state.multiplicity[j] <= 0 and gap <= rounding:
         return FLOOR
-    if closing < 0.0 and state.multiplicity[j] >= 0 and gap >= model.clearance[j] - near:
+    if closing < 0.0 and state.multiplicity[j] >= 0 and gap >= model.clearance[j] - rounding:
         return CEILING
     return FLIGHT
 
 
 @inlined
-def _impact_alone(
+def _independent_impact(
     flow: Flow,
     model: Model,
     state: State,
@@ -118,44 +118,44 @@ def _impact_alone(
     wall: int,
     work: ContactWork,
 ) -> None:
-    """Impact of damper j where the mass matrix couples it to no other."""
+    """Apply the impact of damper j if the mass matrix does not couple it to other dampers."""
     body = model.velocity[j]
     state.mode[j] = wall
     sign = _sign(wall)
     closing = sign * (state.z[body] - state.speed[j])
     rebound = model.restitution[j] * closing
-    if rebound > 0.0 and _stays(model, state, j, rebound, work.force):
+    if rebound > 0.0 and _rebound_is_negligible(model, state, j, rebound, work.force):
         rebound = 0.0
     inverse_mass = model.inverse_mass[model.position[j], model.position[j]]
     impulse = (closing + rebound) / (inverse_mass + 1.0 / model.mass[j])
     state.z[body] -= sign * impulse * inverse_mass
-    note(log, j, wall, closing)
+    log_event(log, j, wall, closing)
     _land(flow, model, state, j, rebound)
 
 
 @compiled
-def _hold_low_lifts(model: Model, state: State, work: ContactWork, count: int) -> None:
-    """Keep contacts that an impact would open too slowly for the gap ever to differ from zero.
+def _close_slow_openings(model: Model, state: State, work: ContactWork, count: int) -> None:
+    """Keep contacts closed that an impact would open too slowly for the gap to exceed rounding.
 
-    Two dampers coupled through the mass matrix can kick each other off their walls in ever smaller and quicker
-    turns, a Zeno sequence as of rebounds, which ends in the same way.
+    Two dampers coupled through the mass matrix can lift each other from their walls at ever shorter intervals. This
+    Zeno sequence ends in the same way as that of rebounds.
     """
-    held = False
+    changed = False
     for a in range(count):
         if work.active[a]:
             continue
         opening = work.opening[a]
         for b in range(count):
             opening += work.matrix[a, b] * work.pressure[b]
-        if _stays(model, state, work.member[a], opening, work.force):
+        if _rebound_is_negligible(model, state, work.member[a], opening, work.force):
             work.active[a] = True
-            held = True
-    if held:
-        close_active(work, count)
+            changed = True
+    if changed:
+        solve_active(work, count)
 
 
 @compiled
-def _impact_together(
+def _coupled_impact(
     flow: Flow,
     model: Model,
     state: State,
@@ -164,14 +164,14 @@ def _impact_together(
     wall: int,
     work: ContactWork,
 ) -> None:
-    """Impact of damper j, with everything in contact or touching at this instant, through a full mass matrix."""
+    """Apply the impact of damper j together with all dampers in contact or touching, through a full mass matrix."""
     count = 0
     for i in range(model.mass.shape[0]):
         if model.bed[i] >= 0:
             continue
-        work.struck[count] = state.mode[i] == FLIGHT
-        if work.struck[count]:
-            contact = wall if i == j else _touches(model, state, i)
+        work.flying[count] = state.mode[i] == FLIGHT
+        if work.flying[count]:
+            contact = wall if i == j else _touched_wall(model, state, i)
             if contact == FLIGHT:
                 continue
             state.mode[i] = contact
@@ -179,15 +179,15 @@ def _impact_together(
         work.member[count] = i
         work.sign[count] = sign
         work.before[count] = state.z[model.velocity[i]]
-        work.opening[count] = sign * (state.speed[i] - work.before[count]) if work.struck[count] else 0.0
+        work.opening[count] = sign * (state.speed[i] - work.before[count]) if work.flying[count] else 0.0
         rebound = -model.restitution[i] * work.opening[count]
-        if rebound > 0.0 and _stays(model, state, i, rebound, work.force):
+        if rebound > 0.0 and _rebound_is_negligible(model, state, i, rebound, work.force):
             rebound = 0.0
         work.right[count] = work.opening[count] - rebound
         count += 1
     contact_matrix(model, work, count)
     complementarity(work, count)
-    _hold_low_lifts(model, state, work, count)
+    _close_slow_openings(model, state, work, count)
     for a in range(count):
         column = model.position[work.member[a]]
         for row in range(model.inverse_mass.shape[0]):
@@ -196,27 +196,27 @@ def _impact_together(
     for a in range(count):
         i = work.member[a]
         body = state.z[model.velocity[i]]
-        if work.struck[a]:
+        if work.flying[a]:
             own = state.speed[i] + work.sign[a] * work.pressure[a] / model.mass[i]
             rebound = work.sign[a] * (own - body)
             if work.active[a] and work.right[a] == work.opening[a]:
                 rebound = 0.0
-            # Its guard is at zero and falling: an opening that no other impact caused is within rounding.
+            # The guard of damper j is at zero and falling: unless another impact opens it, an opening is rounding.
             if i == j and 0.0 < rebound <= work.opening[a]:
                 rebound = 0.0
-            # Another impact may take the wall away before it is touched.
+            # Another impact may move the wall away before the damper touches it.
             if work.pressure[a] > 0.0 or rebound <= 0.0:
-                note(log, i, state.mode[i], -work.opening[a])
+                log_event(log, i, state.mode[i], -work.opening[a])
             _land(flow, model, state, i, rebound)
         elif not work.active[a]:
             opening = work.sign[a] * (work.before[a] - body)
             if opening > ROUNDING * (abs(work.before[a]) + abs(body)):
-                _lift(flow, model, state, i, work.before[a], 1)
-                note(log, i, SEPARATION, 0.0)
+                _set_flying(flow, model, state, i, work.before[a], 1)
+                log_event(log, i, SEPARATION, 0.0)
 
 
 @inlined
-def _release_alone(flow: Flow, model: Model, state: State, log: Log, work: ContactWork) -> None:
+def _release_independent(flow: Flow, model: Model, state: State, log: Log, work: ContactWork) -> None:
     force = work.force
     for i in range(model.mass.shape[0]):
         if model.bed[i] >= 0 or state.mode[i] == FLIGHT:
@@ -233,8 +233,8 @@ def _release_alone(flow: Flow, model: Model, state: State, log: Log, work: Conta
 
 
 @compiled
-def _release_together(flow: Flow, model: Model, state: State, log: Log, work: ContactWork) -> None:
-    """Decide every contact at rest at once, from the accelerations of the bodies without them."""
+def _release_coupled(flow: Flow, model: Model, state: State, log: Log, work: ContactWork) -> None:
+    """Solve for all contacts at rest together, from the accelerations of the bodies without them."""
     count = 0
     for i in range(model.mass.shape[0]):
         if model.bed[i] >= 0 or state.mode[i] == FLIGHT:
@@ -270,12 +270,12 @@ def release_tensile(
     log: Log,
     work: ContactWork,
 ) -> None:
-    """Release every damper at rest whose contact would have to pull; zero within rounding is left to the step."""
+    """Release every damper at rest whose contact force would be tensile by more than rounding."""
     _forces(model, state, work.force)
     if model.coupled:
-        _release_together(flow, model, state, log, work)
+        _release_coupled(flow, model, state, log, work)
     else:
-        _release_alone(flow, model, state, log, work)
+        _release_independent(flow, model, state, log, work)
 
 
 @inlined
@@ -288,10 +288,10 @@ def impact(
     wall: int,
     work: ContactWork,
 ) -> None:
-    """Damper j meets a wall and velocities jump; `release_tensile` is due next."""
+    """Apply the impact of damper j with a wall: velocities jump. `release_tensile` must follow."""
     if model.coupled or model.restitution[j] > 0.0:
         _forces(model, state, work.force)
     if model.coupled:
-        _impact_together(flow, model, state, log, j, wall, work)
+        _coupled_impact(flow, model, state, log, j, wall, work)
     else:
-        _impact_alone(flow, model, state, log, j, wall, work)
+        _independent_impact(flow, model, state, log, j, wall, work)

@@ -1,6 +1,6 @@
-"""What the kernel reads of a system: its exact flow by contact configuration, and the constants of its contacts.
+"""Input of the kernel: exact flow of a system by contact configuration, and the constants of its contacts.
 
-`rig.engine.flow_tables` makes both.
+`rig.engine.flow_tables` computes both.
 """
 
 from __future__ import annotations
@@ -9,25 +9,29 @@ from typing import NamedTuple
 
 import numpy as np
 
-#: Terms of the matrix exponential, which is summed further than the series that guards use.
+#: Number of terms of the matrix exponential; more than those of the series of guards.
 TERMS = 25
 
 
 class Flow(NamedTuple):
     """Tables by slot; matrices are stored [column, row] with padded rows.
 
-    tabulated: the series is; stepping: everything else is. smooth: the drive has no corners, so the derivatives of
-    the accelerations are continuous from step to step. enveloping: steps are so short that an envelope pays.
-    propagate: z over a full step, and behind it the accelerations of the coordinates then, and as far as there is
-    room their derivatives with respect to tau. derivative: both of a state itself. series: (A h)^k / k! for every k.
-    margin: times |z|, what the guard of each damper may at most fall below its values at the ends of a step (an
-    eighth of its second derivative's bound, and rounding). bound: times |z|, for each damper bounds the fourth
-    derivative of its guard with respect to tau over the step, then the size of the terms that it is the sum of.
-    rates: nonzero elements of A in compressed rows (pointer, column). neighbour[slot, i]: slot after the change i of
-    `HybridSystem.toggles`, or -1.
+    A is the state matrix, h the step length, tau = t / h the time in a step.
 
-    The guard of a damper depends on the position of its body in flight, and on the body's acceleration at rest; that of
-    a finite-duration contact on the gap, and on the wall's force.
+    tabulated: whether `series` is filled. stepping: whether all other tables are.
+    smooth: the drive has no corners, so the derivatives of the accelerations are continuous from step to step.
+    enveloping: whether steps are so short that an envelope saves time.
+    propagate: state after a full step; its accelerations follow, then as far as there is room their derivatives with
+    respect to tau. derivative: both for a state itself. series: (A h)^k / k! for every k.
+    margin: times |z|, largest decrease of each damper's guard below its values at the ends of a step (an eighth of the
+    bound of its second derivative, and rounding).
+    bound: times |z|, for each damper the bound of the fourth derivative of its guard with respect to tau over the step,
+    then the sum of the magnitudes of the guard's terms.
+    rates: nonzero elements of A in compressed rows (pointer, column).
+    neighbour[slot, i]: slot after the change i of `HybridSystem.toggles`, or -1.
+
+    The guard of a damper depends on the position of its body in flight, and on the body's acceleration at rest. The
+    guard of a finite-duration contact depends on the gap in flight, and on the wall's force in contact.
     """
 
     tabulated: bool
@@ -52,7 +56,11 @@ class Flow(NamedTuple):
 
 
 class Model(NamedTuple):
-    """Constants of a system that the contact laws and the guards need."""
+    """Constants of a system for the contact laws and the guards.
+
+    position, velocity: indices of the body of each damper in the state. first_velocity: index of the first velocity.
+    first_acceleration: index of the accelerations that are stored after the state.
+    """
 
     gravity: float
     step: float
@@ -66,7 +74,7 @@ class Model(NamedTuple):
     position: np.ndarray
     velocity: np.ndarray
     first_velocity: int
-    behind: int
+    first_acceleration: int
     inverse_mass: np.ndarray
     force: np.ndarray
     force_constant: np.ndarray

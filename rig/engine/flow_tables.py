@@ -1,17 +1,17 @@
-"""The exact flow, one set of numbers per contact configuration, made when a configuration is first visited.
+"""The exact flow: tables for each contact configuration, computed when the configuration is first visited.
 
-The configuration says which dampers ride. With the drive included as states, z' = A z + b, and
+The configuration states which dampers are at rest on a wall. With the drive included as states, z' = A z + b, and
 
     z(t + tau h) = sum_k tau^k (A h)^k / k! z + ...
 
-converges to rounding at degree `rig.numerics.bernstein.DEGREE` because the step is chosen so that h times the fastest
-rate of the system is at most `REACH`. No eigenvectors are formed and no particular solution is subtracted:
-repeated, zero and critically damped eigenvalues, and a drive at exact resonance, are cases like any other.
+converges to rounding at degree `rig.numerics.bernstein.DEGREE` because the step is chosen so that h times the largest
+rate of the system is at most `MAX_RATE_TIMES_STEP`. There are no eigenvectors and no particular solution, so that
+repeated, zero and critically damped eigenvalues, and a drive at exact resonance, are not special cases.
 
-How much is tabulated for a configuration goes with the system's size and with the number of configurations it can
-be in. A small system has all its matrix powers tabulated. A larger one has the matrix of a whole step, and its
-series is summed from the sparse matrix A when a contact has to be looked for: A z, A (A z), ..., at a cost in
-proportion to the number of springs. A large system with many dampers does every step that way.
+What is tabulated depends on the number of states and of possible configurations. For a small system all matrix powers
+are tabulated. For a larger one the matrix of a full step is tabulated; where a contact may change, the series is summed
+from the sparse matrix A as A z, A (A z), ..., at a cost proportional to the number of springs. A large system with many
+dampers is propagated by this series only.
 """
 
 from __future__ import annotations
@@ -26,38 +26,40 @@ from numpy.typing import NDArray
 from rig.engine.flow import TERMS, Flow, Model
 from rig.numerics.bernstein import LENGTH
 from rig.numerics.complementarity import ROUNDING
-from rig.numerics.simd import SUMS, padded, zeros
+from rig.numerics.simd import SUMS, aligned_zeros, padded_length
 from rig.system.hybrid_system import Drive, HybridSystem
 
-#: Step length times the fastest rate; 0.7^16 / 16! is below the rounding of float64.
-REACH = 0.7
-#: States, drive included, up to which the matrix powers are tabulated; and up to which they are if there are so
-#: few dampers that the configurations can be counted on two hands.
-TABULATED_UP_TO = 16
-TABULATED_WITH_FEW = 40
+#: Largest product of step length and rate; 0.7^16 / 16! is below the rounding of float64.
+MAX_RATE_TIMES_STEP = 0.7
+#: Largest number of states, drive included, for which the matrix powers are tabulated.
+MAX_TABULATED_STATES = 16
+#: The same for systems with at most `FEW_DAMPERS`, which have at most eight configurations.
+MAX_TABULATED_STATES_FEW_DAMPERS = 40
 FEW_DAMPERS = 3
-#: States and dampers up to which the matrix of a whole step is tabulated.
-STEPS_UP_TO = 400
-STEPS_WITH_DAMPERS = 6
-#: Bytes that these matrices may occupy in a larger system whose series would take longer than a product, because A is
-#: dense (modal damping, given matrices); and the bytes of an element, with those of the derivatives and bounds.
-STEPS_BYTES = 1 << 29
+#: Largest number of states for which the matrix of a full step is always tabulated.
+MAX_STEP_MATRIX_STATES = 400
+#: Largest number of dampers for which the matrix of a full step is tabulated.
+MAX_STEP_MATRIX_DAMPERS = 6
+#: Largest memory of these matrices in a system with more states. They are faster than the series if A is dense (modal
+#: damping, given matrices).
+MAX_STEP_MATRIX_BYTES = 1 << 29
+#: Memory of a matrix element, with its derivatives and bounds.
 ELEMENT_BYTES = 20
-#: Bits of a configuration up to which slots are looked up in an array of all configurations.
-DIRECT_UP_TO = 12
-#: Steps that turn a tone by less than this are seldom near a contact, on an envelope's coarse view too.
-FINE = 0.2
-#: Systems whose tables are kept for the next run; only small ones are.
-RECENT = 32
+#: Largest number of bits of a configuration for which slots are found in an array of all configurations.
+MAX_DIRECT_BITS = 12
+#: Largest phase advance of the drive per step with which the coarse bounds of an envelope are useful.
+MAX_ENVELOPE_PHASE_RAD = 0.2
+#: Number of systems whose tables are cached for the next run; only those of small systems are.
+MAX_CACHED_SYSTEMS = 32
 
-_RECENT: OrderedDict[tuple[Any, ...], FlowTables] = OrderedDict()
+_CACHE: OrderedDict[tuple[Any, ...], FlowTables] = OrderedDict()
 _LOCK = Lock()
 
 
 class FlowTables:
-    """The flow of one system under one kind of drive, for as many configurations as have been visited.
+    """The flow of one system under one kind of drive, for all visited configurations.
 
-    `drive`: how the inputs evolve inside a segment; `step`: step length h in seconds.
+    `drive`: evolution of the inputs within a segment; `step`: step length h in seconds.
     """
 
     def __init__(self, system: HybridSystem, drive: Drive, step: float) -> None:
@@ -69,29 +71,31 @@ class FlowTables:
         self._lock = Lock()
         self._toggles = system.toggles
         bits = len(self._toggles)
-        self._direct = np.full(1 << bits, -1, dtype=np.int64) if bits <= DIRECT_UP_TO else None
-        most = TABULATED_WITH_FEW if system.dampers <= FEW_DAMPERS else TABULATED_UP_TO
-        self.tabulated = self.size <= most
-        # What is tabulated is used a million times over: it is computed with digits to spare.
+        self._direct = np.full(1 << bits, -1, dtype=np.int64) if bits <= MAX_DIRECT_BITS else None
+        limit = MAX_TABULATED_STATES_FEW_DAMPERS if system.dampers <= FEW_DAMPERS else MAX_TABULATED_STATES
+        self.tabulated = self.size <= limit
+        # Tables are applied millions of times, so they are computed in extended precision.
         self._precision = np.longdouble if self.tabulated else np.float64
         self._pointer, self._column = self._pattern()
-        self.stepping = self.tabulated or (system.dampers <= STEPS_WITH_DAMPERS and self._steps_pay(bits))
+        self.stepping = self.tabulated or (
+            system.dampers <= MAX_STEP_MATRIX_DAMPERS and self._step_matrix_is_faster(bits)
+        )
         self.model = self._model()
         self.flow = self._empty(4)
 
-    def _steps_pay(self, bits: int) -> bool:
-        """Whether the matrix of a whole step is quicker than the series of the sparse matrix, within the memory."""
-        if self.size <= STEPS_UP_TO:
+    def _step_matrix_is_faster(self, bits: int) -> bool:
+        """Return whether the matrix of a full step is faster than the series, within the memory limit."""
+        if self.size <= MAX_STEP_MATRIX_STATES:
             return True
         dense = len(self._column) * TERMS > self.size**2
-        return dense and self.size**2 * ELEMENT_BYTES << bits <= STEPS_BYTES
+        return dense and self.size**2 * ELEMENT_BYTES << bits <= MAX_STEP_MATRIX_BYTES
 
     def slot(self, configuration: int) -> int:
-        """Slot of a configuration (bit j set: damper j at rest), made now if it is new."""
+        """Return the slot of a configuration (bit j set: damper j in contact); compute its tables if it is new."""
         with self._lock:
-            known = self.slots.get(configuration)
-            if known is not None:
-                return known
+            existing = self.slots.get(configuration)
+            if existing is not None:
+                return existing
             slot = len(self.slots)
             if slot == self.flow.neighbour.shape[0]:
                 self._grow()
@@ -102,13 +106,13 @@ class FlowTables:
             return slot
 
     def slots_of(self, configurations: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Slots of many configurations, shape as given; new ones are made."""
+        """Return the slots of many configurations, in their shape; compute the tables of new ones."""
         if not configurations.size:
             return configurations
         if self._direct is None:
-            visited, place = np.unique(configurations, return_inverse=True)
-            known = np.array([self.slot(int(configuration)) for configuration in visited], dtype=np.int64)
-            return known[place].reshape(configurations.shape)
+            distinct, index = np.unique(configurations, return_inverse=True)
+            slots = np.array([self.slot(int(configuration)) for configuration in distinct], dtype=np.int64)
+            return slots[index].reshape(configurations.shape)
         slots = self._direct[configurations]
         if (slots < 0).any():
             for configuration in np.unique(configurations[slots < 0]):
@@ -117,38 +121,38 @@ class FlowTables:
         return slots
 
     def generator(self, configuration: int) -> tuple[np.ndarray, np.ndarray]:
-        """Matrix A (size, size) and vector b (size,) of z' = A z + b in one configuration."""
+        """Return matrix A (size, size) and vector b (size,) of z' = A z + b in one configuration."""
         system, drive = self.system, self.drive
         nq, ns = system.coordinates, system.states
-        kind = self._precision
-        riding = [j for j in range(system.dampers) if configuration >> j & 1 and not system.lasting[j]]
-        pushes, offsets = system.contact_forces(configuration)
-        mass = system.mass.astype(kind)
-        constant = system.force_constant.astype(kind) + offsets
+        dtype = self._precision
+        riding = [j for j in range(system.dampers) if configuration >> j & 1 and not system.finite_contact[j]]
+        contact_matrix, contact_constant = system.contact_forces(configuration)
+        mass = system.mass.astype(dtype)
+        constant = system.force_constant.astype(dtype) + contact_constant
         for j in riding:
             row = system.damper_coordinate[j]
             mass[row, row] += system.damper_mass[j]
-            constant[row] -= kind(system.damper_mass[j]) * kind(system.gravity)
-        matrix = np.zeros((self.size, self.size), dtype=kind)
-        offset = np.zeros(self.size, dtype=kind)
-        matrix[:nq, nq : 2 * nq] = np.eye(nq, dtype=kind)
-        force = np.zeros((nq, self.size), dtype=kind)
-        force[:, :ns] = system.force_state.astype(kind) + pushes
-        force[:, ns:] = system.force_drive.astype(kind) @ drive.output.astype(kind)
+            constant[row] -= dtype(system.damper_mass[j]) * dtype(system.gravity)
+        matrix = np.zeros((self.size, self.size), dtype=dtype)
+        offset = np.zeros(self.size, dtype=dtype)
+        matrix[:nq, nq : 2 * nq] = np.eye(nq, dtype=dtype)
+        force = np.zeros((nq, self.size), dtype=dtype)
+        force[:, :ns] = system.force_state.astype(dtype) + contact_matrix
+        force[:, ns:] = system.force_drive.astype(dtype) @ drive.output.astype(dtype)
         matrix[nq : 2 * nq] = _solve(mass, force)
         offset[nq : 2 * nq] = _solve(mass, constant[:, None])[:, 0]
         matrix[2 * nq : ns, :ns] = system.rate_state
-        matrix[2 * nq : ns, ns:] = system.rate_drive.astype(kind) @ drive.output.astype(kind)
+        matrix[2 * nq : ns, ns:] = system.rate_drive.astype(dtype) @ drive.output.astype(dtype)
         matrix[ns:, ns:] = drive.generator
         return matrix, offset
 
     def _model(self) -> Model:
         system, drive = self.system, self.drive
         nq = system.coordinates
-        force = np.zeros((1, self.size, padded(nq)))
+        force = np.zeros((1, self.size, padded_length(nq)))
         force[0, : system.states, :nq] = system.force_state.T
         force[0, system.states :, :nq] = (system.force_drive @ drive.output).T
-        constant = np.zeros((1, padded(nq)))
+        constant = np.zeros((1, padded_length(nq)))
         constant[0, :nq] = system.force_constant
         return Model(
             gravity=float(system.gravity),
@@ -163,7 +167,7 @@ class FlowTables:
             position=system.damper_coordinate.astype(np.int64),
             velocity=system.damper_coordinate.astype(np.int64) + nq,
             first_velocity=nq,
-            behind=self.size,
+            first_acceleration=self.size,
             inverse_mass=np.ascontiguousarray(np.linalg.inv(system.mass)),
             force=force,
             force_constant=constant,
@@ -171,9 +175,9 @@ class FlowTables:
         )
 
     def _pattern(self) -> tuple[np.ndarray, np.ndarray]:
-        """Compressed rows of A: where elements may be nonzero in any configuration."""
+        """Return the elements of A that may be nonzero in any configuration, as compressed rows."""
         everything = self.generator(0)[0] != 0
-        for change in self._toggles if self.system.lasting.any() else ():
+        for change in self._toggles if self.system.finite_contact.any() else ():
             everything |= self.generator(change)[0] != 0
         if self.system.coupled:
             n = self.system.coordinates
@@ -182,33 +186,33 @@ class FlowTables:
         return pointer, np.nonzero(everything)[1].astype(np.int64)
 
     def _shapes(self) -> dict[str, tuple[int, ...]]:
-        rows = padded(self.size)
+        rows = padded_length(self.size)
         shapes: dict[str, tuple[int, ...]] = {}
         widths = {
-            "propagate": padded(self.size + self.system.coordinates),
-            "margin": padded(self.system.dampers),
+            "propagate": padded_length(self.size + self.system.coordinates),
+            "margin": padded_length(self.system.dampers),
             "series": (LENGTH + 1) * rows,
-            "bound": padded(2 * self.system.dampers),
-            "derivative": padded(2 * self.system.coordinates),
+            "bound": padded_length(2 * self.system.dampers),
+            "derivative": padded_length(2 * self.system.coordinates),
         }
         for name, width in widths.items():
-            filled = self.tabulated if name == "series" else self.stepping
-            # With columns of zeros up to a full number of sums the product of every step is quicker.
+            needed = self.tabulated if name == "series" else self.stepping
+            # Columns of zeros up to a multiple of SUMS make the product of every step faster.
             columns = -(-self.size // SUMS) * SUMS if name == "propagate" else self.size
-            shapes[name] = (columns if filled else 0, width)
+            shapes[name] = (columns if needed else 0, width)
             shapes[f"{name}_constant"] = (width,)
         shapes["rates"] = (len(self._column),)
         shapes["rates_constant"] = (self.size,)
         return shapes
 
     def _empty(self, capacity: int) -> Flow:
-        arrays = {name: zeros(capacity, *shape) for name, shape in self._shapes().items()}
+        arrays = {name: aligned_zeros(capacity, *shape) for name, shape in self._shapes().items()}
         neighbour = np.full((capacity, max(1, len(self._toggles))), -1, dtype=np.int64)
         return Flow(
             tabulated=self.tabulated,
             stepping=self.stepping,
-            smooth=self.drive.fastest > 0.0,
-            enveloping=self.step * self.drive.fastest < FINE,
+            smooth=self.drive.max_rate > 0.0,
+            enveloping=self.step * self.drive.max_rate < MAX_ENVELOPE_PHASE_RAD,
             pointer=self._pointer,
             column=self._column,
             neighbour=neighbour,
@@ -219,8 +223,8 @@ class FlowTables:
         old = self.flow
         self.flow = self._empty(2 * len(old.neighbour))
         for name in (*self._shapes(), "neighbour"):
-            before, after = getattr(old, name), getattr(self.flow, name)
-            after[: len(before)] = before
+            source, target = getattr(old, name), getattr(self.flow, name)
+            target[: len(source)] = source
 
     def _fill(self, slot: int, configuration: int) -> None:
         flow = self.flow
@@ -245,10 +249,10 @@ class FlowTables:
         constants = np.zeros((TERMS, size), dtype=self._precision)
         constants[1:] = terms[:-1] @ offset * h / np.arange(1, TERMS)[:, None]
         rows = slice(0, size)
-        # Small terms first, so that the sum keeps its last bits.
-        over, over_constant = terms[::-1].sum(axis=0), constants[::-1].sum(axis=0)
-        flow.propagate[slot][:size, rows] = over.T
-        flow.propagate_constant[slot][rows] = over_constant
+        # Small terms first, so that the sum is accurate to its last bits.
+        step_matrix, step_constant = terms[::-1].sum(axis=0), constants[::-1].sum(axis=0)
+        flow.propagate[slot][:size, rows] = step_matrix.T
+        flow.propagate_constant[slot][rows] = step_constant
         if self.tabulated:
             series = flow.series[slot].reshape(size, LENGTH + 1, -1)
             series[:, :, rows] = terms[: LENGTH + 1].transpose(2, 0, 1)
@@ -256,43 +260,45 @@ class FlowTables:
         second = matrix[nq : 2 * nq]
         derivative = np.concatenate([second, second @ scaled])
         constant = np.concatenate([offset[nq : 2 * nq], second @ offset * h])
-        behind = slice(size, size + 2 * nq)
+        following = slice(size, size + 2 * nq)
         room = flow.propagate.shape[2] - size
-        flow.propagate[slot][:size, behind] = (derivative @ over).T[:, :room]
-        flow.propagate_constant[slot][behind] = (derivative @ over_constant + constant)[:room]
+        flow.propagate[slot][:size, following] = (derivative @ step_matrix).T[:, :room]
+        flow.propagate_constant[slot][following] = (derivative @ step_constant + constant)[:room]
         flow.derivative[slot][:, : 2 * nq] = derivative.T
         flow.derivative_constant[slot][: 2 * nq] = constant
         self._fill_bounds(slot, configuration, terms, constants)
 
     def _fill_bounds(self, slot: int, configuration: int, terms: np.ndarray, constants: np.ndarray) -> None:
-        """Bound and margin tables, from the series of every guard."""
+        """Fill the tables of bounds and margins, from the series of every guard."""
         flow, system, dampers = self.flow, self.system, self.system.dampers
         at_rest = np.array([configuration >> j & 1 for j in range(dampers)], dtype=bool)
         rows = system.damper_coordinate + system.coordinates * at_rest
-        used, used_constant = (np.abs(part[:, rows]).astype(np.float64) for part in (terms, constants))
+        guard_terms, guard_constants = (
+            np.abs(part[:, rows]).astype(np.float64) for part in (terms, constants)
+        )
         # The acceleration's series is (k + 1) terms[k + 1] / h.
         k = np.arange(TERMS)[:, None]
         size = np.where(at_rest, k / self.step, 1.0)
         power = np.where(at_rest, k - 1, k)
         fourth = size * np.abs(power * (power - 1) * (power - 2) * (power - 3))
-        # Between its values at both ends a guard sags by at most an eighth of its second derivative's bound.
-        sag = size * np.abs(power * (power - 1)) / 8 + 2 * ROUNDING * size
-        fall = np.where(at_rest, 0.0, float(system.gravity) * self.step**2 / 8)
-        for table, constant, weight, place in (
+        # Between its values at both ends a guard falls by at most an eighth of its second derivative's bound.
+        decrease = size * np.abs(power * (power - 1)) / 8 + 2 * ROUNDING * size
+        free_fall = np.where(at_rest, 0.0, float(system.gravity) * self.step**2 / 8)
+        for table, constant, weight, columns in (
             (flow.bound, flow.bound_constant, fourth, slice(0, dampers)),
             (flow.bound, flow.bound_constant, size, slice(dampers, 2 * dampers)),
-            (flow.margin, flow.margin_constant, sag, slice(0, dampers)),
+            (flow.margin, flow.margin_constant, decrease, slice(0, dampers)),
         ):
-            table[slot][:, place] = np.einsum("kj,kjc->cj", weight, used)
-            constant[slot][place] = np.einsum("kj,kj->j", weight, used_constant)
-        flow.margin_constant[slot][:dampers] += fall
-        for j in np.flatnonzero(system.lasting):
-            self._fill_lasting_bounds(slot, configuration, int(j), terms, constants)
+            table[slot][:, columns] = np.einsum("kj,kjc->cj", weight, guard_terms)
+            constant[slot][columns] = np.einsum("kj,kj->j", weight, guard_constants)
+        flow.margin_constant[slot][:dampers] += free_fall
+        for j in np.flatnonzero(system.finite_contact):
+            self._fill_finite_contact_bounds(slot, configuration, int(j), terms, constants)
 
-    def _fill_lasting_bounds(
+    def _fill_finite_contact_bounds(
         self, slot: int, configuration: int, j: int, terms: np.ndarray, constants: np.ndarray
     ) -> None:
-        """Do the same for the gap of a finite-duration contact, or for the force of the wall that it touches."""
+        """Fill bounds and margins of a finite-duration contact: of its gap, or of the force of the touched wall."""
         flow, system = self.flow, self.system
         closed, wall = configuration >> j & 1, configuration >> system.dampers + j & 1
         on_gap, on_speed = (
@@ -301,49 +307,49 @@ class FlowTables:
         guard = np.zeros(self.size)
         guard[[system.bed[j], system.coordinates + system.bed[j]]] = on_gap, on_speed
         height = system.clearance[j] if wall or not closed else 0.0
-        # What cancels in the guard leaves its rounding.
+        # Terms that cancel in the guard leave their rounding errors.
         rows = terms.swapaxes(1, 2)
-        used, used_constant = (
+        guard_terms, guard_constants = (
             np.abs(rows @ guard).astype(np.float64),
             np.abs(constants @ guard).astype(np.float64),
         )
-        whole = (np.abs(rows) @ np.abs(guard)).astype(np.float64).sum(axis=0)
-        whole_constant = float((np.abs(constants) @ np.abs(guard)).sum())
-        whole_constant += on_gap * height if np.isfinite(height) else 0.0
+        magnitude = (np.abs(rows) @ np.abs(guard)).astype(np.float64).sum(axis=0)
+        magnitude_constant = float((np.abs(constants) @ np.abs(guard)).sum())
+        magnitude_constant += on_gap * height if np.isfinite(height) else 0.0
         k = np.arange(TERMS)
         fourth, second = k * (k - 1) * (k - 2) * (k - 3), k * (k - 1) / 8
         size = system.dampers + j
-        flow.bound[slot][:, j], flow.bound_constant[slot][j] = fourth @ used, fourth @ used_constant
-        flow.bound[slot][:, size], flow.bound_constant[slot][size] = whole, whole_constant
-        flow.margin[slot][:, j] = second @ used + 2 * ROUNDING * whole
-        flow.margin_constant[slot][j] = second @ used_constant + 2 * ROUNDING * whole_constant
+        flow.bound[slot][:, j], flow.bound_constant[slot][j] = fourth @ guard_terms, fourth @ guard_constants
+        flow.bound[slot][:, size], flow.bound_constant[slot][size] = magnitude, magnitude_constant
+        flow.margin[slot][:, j] = second @ guard_terms + 2 * ROUNDING * magnitude
+        flow.margin_constant[slot][j] = second @ guard_constants + 2 * ROUNDING * magnitude_constant
 
 
 def tables_for(system: HybridSystem, drive: Drive, step: float) -> FlowTables:
-    """Give the tables of a system: those made for it the last time, if that is not long ago."""
+    """Return the tables of a system, from the cache if it was used recently."""
     arrays = [
         value for part in (system, drive) for value in vars(part).values() if isinstance(value, np.ndarray)
     ]
-    key = (step, drive.fastest, system.gravity, *(array.tobytes() for array in arrays))
+    key = (step, drive.max_rate, system.gravity, *(array.tobytes() for array in arrays))
     with _LOCK:
-        tables = _RECENT.pop(key, None) or FlowTables(system, drive, step)
+        tables = _CACHE.pop(key, None) or FlowTables(system, drive, step)
         if tables.tabulated:
-            _RECENT[key] = tables
-        while len(_RECENT) > RECENT:
-            _RECENT.popitem(last=False)
+            _CACHE[key] = tables
+        while len(_CACHE) > MAX_CACHED_SYSTEMS:
+            _CACHE.popitem(last=False)
     return tables
 
 
 def _power_terms(matrix: np.ndarray) -> np.ndarray:
-    """matrix^k / k! for k below TERMS, in the precision of the matrix."""
+    """Return matrix^k / k! for k below TERMS, in the precision of the matrix."""
     powers = np.empty((TERMS, *matrix.shape), dtype=matrix.dtype)
     powers[0] = np.eye(len(matrix), dtype=matrix.dtype)
     powers[1] = matrix
-    known = 2
-    while known < TERMS:
-        more = min(known - 1, TERMS - known)
-        powers[known : known + more] = powers[known - 1] @ powers[1 : 1 + more]
-        known += more
+    done = 2
+    while done < TERMS:
+        count = min(done - 1, TERMS - done)
+        powers[done : done + count] = powers[done - 1] @ powers[1 : 1 + count]
+        done += count
     factorials = np.cumprod(np.maximum(np.arange(TERMS), 1).astype(matrix.dtype))
     return powers / factorials[:, None, None]
 

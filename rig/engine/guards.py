@@ -1,7 +1,7 @@
-"""Guards that screening did not prove free of zeros: the first crossing over a step, from power series.
+"""First crossing over a step of the guards that screening did not prove free of zeros, from power series.
 
-A guard is the gap of a damper in flight to a wall, or the contact force of a damper at rest on one. Its power series
-goes through `rig.numerics.bernstein.first_crossing`.
+A guard is the gap of a damper in flight to a wall, or the contact force of a damper at rest on a wall.
+`rig.numerics.bernstein.first_crossing` isolates the crossing of its power series.
 """
 
 from __future__ import annotations
@@ -9,19 +9,19 @@ from __future__ import annotations
 import numpy as np
 
 from rig.arrays import Array
+from rig.engine.finite_contact import find_crossing, first_contact_change
 from rig.engine.flow import Flow, Model
-from rig.engine.lasting import crossing, examine_lasting
 from rig.engine.screening import CEILING_GAP, CONTACT_FORCE, FLOOR_GAP
 from rig.engine.state import AMBIGUOUS, FLIGHT, FLOOR, State
 from rig.engine.workspace import Workspace
-from rig.numerics.bernstein import LENGTH, NONE
+from rig.numerics.bernstein import LENGTH, NO_CROSSING
 from rig.numerics.jit import compiled, inlined
 from rig.numerics.simd import combine
 
 
 @inlined
 def bound_by_tables(flow: Flow, slot: int, z: Array, workspace: Workspace) -> None:
-    """Bounds of the guards over the step, from the tables."""
+    """Compute the bounds of the guards over the step, from the tables."""
     for i in range(workspace.size.shape[0]):
         workspace.size[i] = abs(z[i])
     combine(
@@ -31,18 +31,25 @@ def bound_by_tables(flow: Flow, slot: int, z: Array, workspace: Workspace) -> No
 
 @compiled
 def bound_by_series(
-    model: Model, mode: Array, tableau: Array, length: float, z: Array, new: Array, behind: int, bound: Array
+    model: Model,
+    mode: Array,
+    tableau: Array,
+    length: float,
+    z: Array,
+    new: Array,
+    first_acceleration: int,
+    bound: Array,
 ) -> None:
-    """Bounds of the guards over the step, and behind both states what dampers at rest need, from the series itself."""
+    """Compute the bounds of the guards over the step from the series, and the accelerations of dampers at rest."""
     dampers, points = model.mass.shape[0], model.first_velocity
     for j in range(dampers):
         if model.bed[j] >= 0:
-            # No bound: the series itself is looked at.
+            # Without a bound, the series is always examined.
             bound[j] = np.inf
             continue
         at_rest = mode[j] != FLIGHT
         row = model.velocity[j] if at_rest else model.position[j]
-        place = behind + model.position[j]
+        index = first_acceleration + model.position[j]
         shift = 1 if at_rest else 0
         end = 0.0
         slope = 0.0
@@ -56,10 +63,10 @@ def bound_by_series(
             fourth += k * (k - 1) * (k - 2) * (k - 3) * abs(term)
             size += abs(term)
             if at_rest and k <= 1:
-                z[place + k * points] = term
+                z[index + k * points] = term
         if at_rest:
-            new[place] = end
-            new[place + points] = slope
+            new[index] = end
+            new[index + points] = slope
         bound[j] = fourth
         bound[dampers + j] = size
 
@@ -68,18 +75,18 @@ def bound_by_series(
 def _gap_series(
     model: Model, state: State, workspace: Workspace, j: int, length: float, ceiling: bool
 ) -> tuple[int, float]:
-    """Fill the series of a gap in flight; return its multiplicity and the size of its terms."""
+    """Fill the series of a gap in flight; return its multiplicity and the magnitude of its terms."""
     series = workspace.series
     row = model.position[j]
-    flown = model.step * length
+    duration = model.step * length
     power = 1.0
     for k in range(LENGTH):
         series[k] = -workspace.tableau[k, row] * power
         power *= length
     series[0] += state.height[j]
-    series[1] += state.speed[j] * flown
-    series[2] -= 0.5 * model.gravity * flown * flown
-    size = abs(state.height[j]) + flown * (abs(state.speed[j]) + model.gravity * flown)
+    series[1] += state.speed[j] * duration
+    series[2] -= 0.5 * model.gravity * duration * duration
+    size = abs(state.height[j]) + duration * (abs(state.speed[j]) + model.gravity * duration)
     size += workspace.bound[model.mass.shape[0] + j]
     if not ceiling:
         return state.multiplicity[j], size
@@ -93,7 +100,7 @@ def _gap_series(
 def _force_series(
     model: Model, state: State, workspace: Workspace, j: int, length: float
 ) -> tuple[int, float]:
-    """Fill the series of a contact force per mass; return its multiplicity and the size of its terms."""
+    """Fill the series of a contact force per mass; return its multiplicity and the magnitude of its terms."""
     series = workspace.series
     row = model.velocity[j]
     sign = 1.0 if state.mode[j] == FLOOR else -1.0
@@ -107,24 +114,24 @@ def _force_series(
 
 @inlined
 def first_event(
-    model: Model, state: State, workspace: Workspace, length: float, near: int, ceilings: int
+    model: Model, state: State, workspace: Workspace, length: float, unproven: int, unproven_ceilings: int
 ) -> tuple[float, int, int]:
-    """Earliest event of the step over the guards that `screen` marked; the tableau is filled if there are any.
+    """Find the earliest event of the step among the guards that `screen` marked; the tableau must be filled for these.
 
-    Return (fraction of `length` or NONE, damper, guard).
+    Return (fraction of `length` or NO_CROSSING, damper, guard).
     """
-    first, which, what = NONE, -1, 0
+    first_tau, damper, crossed = NO_CROSSING, -1, 0
     for j in range(model.mass.shape[0]):
-        if (near | ceilings) >> j & 1 == 0:
+        if (unproven | unproven_ceilings) >> j & 1 == 0:
             continue
         if model.bed[j] >= 0:
-            tau, guard, ambiguous = examine_lasting(model, state, workspace, j, length)
+            tau, guard, ambiguous = first_contact_change(model, state, workspace, j, length)
             state.counters[AMBIGUOUS] += ambiguous
-            if tau < first:
-                first, which, what = tau, j, guard
+            if tau < first_tau:
+                first_tau, damper, crossed = tau, j, guard
             continue
         for side in range(2):
-            if (ceilings if side == 1 else near) >> j & 1 == 0:
+            if (unproven_ceilings if side == 1 else unproven) >> j & 1 == 0:
                 continue
             if state.mode[j] == FLIGHT:
                 guard = CEILING_GAP if side == 1 else FLOOR_GAP
@@ -132,8 +139,8 @@ def first_event(
             else:
                 guard = CONTACT_FORCE
                 multiplicity, size = _force_series(model, state, workspace, j, length)
-            tau, ambiguous = crossing(workspace, max(multiplicity, 0), size)
+            tau, ambiguous = find_crossing(workspace, max(multiplicity, 0), size)
             state.counters[AMBIGUOUS] += ambiguous
-            if tau < first:
-                first, which, what = tau, j, guard
-    return first, which, what
+            if tau < first_tau:
+                first_tau, damper, crossed = tau, j, guard
+    return first_tau, damper, crossed

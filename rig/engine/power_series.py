@@ -1,6 +1,6 @@
-"""The state over one step: its power series, the sum of it, and the derivatives that guards need.
+"""The state over one step: its power series, the sum of the series, and the derivatives that guards need.
 
-From the tables of `rig.engine.flow`; a system too large for them has its series summed from the sparse matrix.
+They are computed from the tables of `rig.engine.flow`, or for a system without tables from the sparse matrix.
 """
 
 from __future__ import annotations
@@ -12,14 +12,14 @@ from rig.numerics.bernstein import LENGTH
 from rig.numerics.jit import inlined
 from rig.numerics.simd import combine, combine_many
 
-#: What is known of the present state: not even that its contacts push; nothing more; the accelerations, which are
-#: behind it, and the margins of its configuration; and also that every guard lies above its margin.
+#: Status of the present state. UNSETTLED: contact forces may be tensile. STALE: its accelerations are unknown. CURRENT:
+#: its accelerations follow it. CLEAR: in addition, every guard exceeds its margin.
 UNSETTLED, STALE, CURRENT, CLEAR = -1, 0, 1, 2
 
 
 @inlined
 def expand(flow: Flow, model: Model, slot: int, z: Array, tableau: Array) -> None:
-    """Power series of the state over one step: tableau[k] = (A h)^k z / k!, with what the constant adds."""
+    """Compute the power series of the state over one step: tableau[k] = (A h)^k z / k!, plus the constant part."""
     size = flow.rates_constant.shape[1]
     if flow.tabulated:
         combine_many(flow.series, flow.series_constant, slot, z, size, tableau)
@@ -37,7 +37,7 @@ def expand(flow: Flow, model: Model, slot: int, z: Array, tableau: Array) -> Non
 
 @inlined
 def sum_series(workspace: Workspace, tau: float, out: Array) -> None:
-    """State at the fraction tau of the step: the tableau's rows times the powers of tau."""
+    """Compute the state at the fraction tau of the step: the rows of the tableau times the powers of tau."""
     powers = workspace.powers
     square = tau * tau
     powers[0] = 1.0
@@ -50,16 +50,16 @@ def sum_series(workspace: Workspace, tau: float, out: Array) -> None:
 
 
 @inlined
-def differentiate(flow: Flow, model: Model, slot: int, z: Array, work: Array, known: int) -> None:
-    """Put behind a state its accelerations, unless they are known, and their derivatives with respect to tau.
+def differentiate(flow: Flow, model: Model, slot: int, z: Array, work: Array, status: int) -> None:
+    """Store the accelerations after a state, unless they are known, and their derivatives with respect to tau.
 
-    The derivatives of a system without tables for whole steps come from its series.
+    For a system without tables for full steps, the derivatives are computed from its series instead.
     """
     columns = flow.rates_constant.shape[1]
     points = model.first_velocity
     if flow.stepping:
         combine(flow.derivative, flow.derivative_constant, slot, z, columns, work)
-        for i in range(points if known != STALE else 0, 2 * points):
+        for i in range(points if status != STALE else 0, 2 * points):
             z[columns + i] = work[i]
         return
     for i in range(points, 2 * points):

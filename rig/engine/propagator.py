@@ -1,8 +1,8 @@
-"""A system in motion: the kernel's state, its log, and the two ways to drive it through time.
+"""Propagation of a system in time: the kernel's state, its log, and the two kinds of drive.
 
-Sampled drive: one segment for each sample interval, the drive exact inside (first-order hold). Pure tone:
-segments between marks; a mark is a sample instant, or the start of a period, where the drive's phase is set
-exactly again, so that a million periods keep it.
+Sampled drive: one segment for each sample interval; the drive is exact inside (first-order hold). Pure tone: segments
+between marks. A mark is a sample instant, or the start of a period, where the phase of the drive is reset, so that it
+is still exact after a million periods.
 """
 
 from __future__ import annotations
@@ -13,38 +13,39 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.arrays import Array
-from rig.engine.flow_tables import REACH, tables_for
+from rig.engine.flow_tables import MAX_RATE_TIMES_STEP, tables_for
 from rig.engine.kernel import DONE, LOG_FULL, NEED_TABLE, STUCK, advance
 from rig.engine.power_series import STALE, UNSETTLED, differentiate
-from rig.engine.samples import MotionSamples, StateSamples, keep_state, show_motion
-from rig.engine.screening import fold_envelope
+from rig.engine.samples import MotionSamples, StateSamples, store_motion, store_state
+from rig.engine.screening import reset_envelope
 from rig.engine.state import CONFIGURATION, SLOT, empty_log, state_at_rest
 from rig.engine.trajectory import Trajectory
 from rig.engine.workspace import Workspace, workspace_for
 from rig.errors import RunError, SceneError
 from rig.numerics.bernstein import LENGTH as TERMS
 from rig.numerics.jit import compiled
-from rig.numerics.simd import LANES, padded, zeros
+from rig.numerics.simd import LANES, aligned_zeros, padded_length
 from rig.scene.quantities import LENGTH
-from rig.system.hybrid_system import Drive, HybridSystem, sampled, tone
+from rig.system.hybrid_system import Drive, HybridSystem, first_order_hold, pure_tone
 
+#: Smallest number of rows of a new log.
 LOG_ROWS = 1024
-# Steps in a sample interval or a period; a processor takes some seconds for as many.
-MOST_STEPS = 1e7
-#: Every segment begins with the drive set again.
-EVERY = np.ones(1, dtype=bool)
+# Largest number of steps in a sample interval or a period; they take some seconds.
+MAX_STEPS = 1e7
+#: Every segment sets the drive at its start.
+ALL_SEGMENTS = np.ones(1, dtype=bool)
 #: The row of the only segment.
-_FIRST = np.zeros(1, dtype=np.int64)
-# A segment in which no time passes.
-_NO_TIME, _NEVER, _NOWHERE = np.zeros(1), np.zeros(1, dtype=bool), np.full(1, -1)
+_FIRST_ROW = np.zeros(1, dtype=np.int64)
+# Steps, renewal and row of a segment of zero duration, whose motion is not stored.
+_ZERO_STEPS, _NO_RENEWAL, _NO_ROW = np.zeros(1), np.zeros(1, dtype=bool), np.full(1, -1)
 
 
 class Segments(NamedTuple):
-    """A way through time between the columns of a drive.
+    """Time segments between the columns of a drive.
 
-    steps, renew: length in step lengths, and whether the segment begins with the drive and its change over the
-    segment as drive states; one entry, or one for each segment. drive (inputs, segments + 1). row (segments,): where
-    the motion at the end of each goes, or -1.
+    steps, renew: duration in step lengths, and whether the drive and its change over the segment are set as drive
+    states at the start; one entry, or one for each segment. drive (inputs, segments + 1). row (segments,): row in which
+    the motion at the end of each segment is stored, or -1.
     """
 
     steps: Array
@@ -53,45 +54,47 @@ class Segments(NamedTuple):
     row: NDArray[np.int64]
 
     def ends(self, step: float) -> Array:
-        """Time after the start at the end of each, s."""
+        """Return the end of each segment, s after the start."""
         ends: Array = np.cumsum(np.broadcast_to(self.steps, self.row.shape)) * step
         return ends
 
 
 @compiled
 def _propagate(
-    flow: Any, model: Any, state: Any, workspace: Any, log: Any, way: Segments, begin: int, left: float,
-    kept: StateSamples, seen: MotionSamples, known: int,
+    flow: Any, model: Any, state: Any, workspace: Any, log: Any, segments: Segments, begin: int, remaining: float,
+    states: StateSamples, motion: MotionSamples, status: int,
 ) -> tuple[int, int, float]:  # fmt: skip
-    """Propagate through segments, filling the rows (columns) of what is kept (seen).
+    """Propagate through segments, and fill the rows of `states` and the columns of `motion`.
 
-    Returns early, with the segment and the steps left in it (negative: not begun), if the kernel needs something.
+    Returns early, with the segment and its remaining steps (negative: not begun), if the caller must act.
     """
-    steps, renew, drive, row = way
-    inputs, segments = drive.shape[0], drive.shape[1] - 1
+    steps, renew, drive, row = segments
+    inputs, count = drive.shape[0], drive.shape[1] - 1
     first = flow.rates_constant.shape[1] - 2 * inputs
     stride = 1 if steps.shape[0] > 1 else 0
-    fold_envelope(flow, workspace)
-    for k in range(begin, segments):
-        whole, shown = steps[stride * k], row[k] >= 0
-        if left < 0.0:
-            left = whole
+    reset_envelope(flow, workspace)
+    for k in range(begin, count):
+        segment_steps, stored = steps[stride * k], row[k] >= 0
+        if remaining < 0.0:
+            remaining = segment_steps
             if renew[stride * k]:
                 for i in range(inputs):
                     state.z[first + i] = drive[i, k]
                     state.z[first + inputs + i] = drive[i, k + 1] - drive[i, k]
-        status, left, known = advance(flow, model, state, workspace, log, k, whole, left, known, shown)
-        if status != DONE:
-            return status, k, left
+        reason, remaining, status = advance(
+            flow, model, state, workspace, log, k, segment_steps, remaining, status, stored
+        )
+        if reason != DONE:
+            return reason, k, remaining
         if state.counters[SLOT] < 0:
             return NEED_TABLE, k, 0.0
-        if shown:
-            if kept.slot.shape[0] > 0:
-                keep_state(state, row[k], kept)
-            if seen.rows.shape[1] > 0:
-                show_motion(flow, model, state, seen, row[k], k == segments - 1)
-        left = -1.0
-    return DONE, segments, -1.0
+        if stored:
+            if states.slot.shape[0] > 0:
+                store_state(state, row[k], states)
+            if motion.rows.shape[1] > 0:
+                store_motion(flow, model, state, motion, row[k], k == count - 1)
+        remaining = -1.0
+    return DONE, count, -1.0
 
 
 @compiled
@@ -100,14 +103,14 @@ def _accelerations(flow: Any, model: Any, states: Array, slots: NDArray[np.int64
         differentiate(flow, model, slots[k], states[k], work, STALE)
 
 
-#: Bodies farther from rest than this have run away, m: no length in a scene is larger.
-FARTHEST = LENGTH.most
+#: Largest displacement; a larger motion has diverged, because no length in a scene is larger.
+MAX_DISPLACEMENT_M = LENGTH.most
 
 
 class Propagator:
-    """A system on its way through time.
+    """Propagates a system in time.
 
-    `step`: step length in seconds; `step_for` finds one.
+    `step`: step length in seconds, see `step_for`.
     """
 
     def __init__(self, system: HybridSystem, drive: Drive, step: float) -> None:
@@ -119,49 +122,54 @@ class Propagator:
             )
         self.system, self.drive = system, drive
         self.tables = tables_for(system, drive, step)
-        dampers, size = system.dampers, padded(self.tables.size + 2 * system.coordinates)
+        dampers, size = system.dampers, padded_length(self.tables.size + 2 * system.coordinates)
         self.state = state_at_rest(size, dampers)
         self.log = empty_log(max(LOG_ROWS, 16 * dampers), size, dampers)
         self.workspace: Workspace = workspace_for(self.tables.flow, size)
-        self.state.counters[CONFIGURATION] = system.at_rest
-        self._window = zeros(LANES, padded(3 * system.coordinates + dampers))
-        self._unseen, self._unkept = self.motion_samples(0), self.room(0)
+        self.state.counters[CONFIGURATION] = system.all_on_floor
+        self._window = aligned_zeros(LANES, padded_length(3 * system.coordinates + dampers))
+        self._no_motion, self._no_states = self.motion_samples(0), self.room(0)
         self._no_drive = np.zeros((len(system.inputs), 2))
         self._elapsed = 0.0
         self._find_table()
 
     @property
     def ambiguous(self) -> int:
-        """Number of decisions that lay within rounding so far."""
+        """Number of decisions within rounding until now."""
         return int(self.state.counters[3])
 
     @property
     def work(self) -> int:
-        """Count the multiplications of a step, about."""
+        """Approximate number of multiplications of a step."""
         flow = self.tables.flow
         return self.tables.size**2 if flow.stepping else flow.column.size * TERMS
 
     def place(self, state: Array, drive: Array) -> NDArray[np.int64]:
-        """Put the system at a state with every damper on its floor; dampers whose contact would pull lift off.
+        """Set the state, with every damper on its floor; dampers whose contact force would be tensile separate.
 
-        Returns dampers (from 0) that lifted off at once.
+        Returns the dampers (from 0) that have separated.
         """
         self.state.z[: self.system.states] = state
         self.state.z[self.system.states : self.tables.size] = drive
-        self._go(Segments(_NO_TIME, _NEVER, self._no_drive, _NOWHERE), self._unkept, self._unseen, UNSETTLED)
-        lifted = self.log.damper[: self.log.filled[0]].copy()
+        self._go(
+            Segments(_ZERO_STEPS, _NO_RENEWAL, self._no_drive, _NO_ROW),
+            self._no_states,
+            self._no_motion,
+            UNSETTLED,
+        )
+        separated = self.log.damper[: self.log.filled[0]].copy()
         self.log.filled[:] = 0
         self._find_table()
-        return lifted
+        return separated
 
     def snapshot(self) -> tuple[Array, ...]:
-        """Copy of the whole state of motion, for `resume`."""
+        """Return a copy of the complete state of motion, for `resume`."""
         return tuple(part.copy() for part in self.state)
 
     def resume(self, snapshot: tuple[Array, ...]) -> None:
-        """Go on from a state of motion of this system, perhaps under another drive."""
-        for part, kept in zip(self.state, snapshot, strict=True):
-            part[...] = kept
+        """Continue from a state of motion of this system; the drive may be different."""
+        for current, copy in zip(self.state, snapshot, strict=True):
+            current[...] = copy
         self._find_table()
 
     def start_period(self, level: float) -> None:
@@ -169,40 +177,44 @@ class Propagator:
         self.state.z[self.system.states : self.tables.size] = (level, 0.0)
 
     def present(self) -> Trajectory:
-        """Present state as a course of one sample in which nothing happened."""
+        """Return the present state as a trajectory of one sample without events."""
         return Trajectory(
             self.state.z[None].copy(),
             self.state.counters[SLOT : SLOT + 1].copy(),
             self.state.height[None].copy(),
             self.state.mode[None].astype(np.int8),
-            *self._page(),
+            *self._take_log(),
         )
 
     def through_samples(self, drive: Array, interval_steps: float) -> Trajectory:
-        """Run through the sample intervals between the columns of a sampled drive (inputs, samples + 1)."""
+        """Propagate through the sample intervals between the columns of a sampled drive (inputs, samples + 1)."""
         intervals = drive.shape[1] - 1
-        way = Segments(np.array([interval_steps]), EVERY, drive, np.arange(intervals))
-        return self._run(way, self.room(intervals), self._unseen)
+        segments = Segments(np.array([interval_steps]), ALL_SEGMENTS, drive, np.arange(intervals))
+        return self._run(segments, self.room(intervals), self._no_motion)
 
-    def through_interval(self, drive: Array, interval_steps: Array, kept: StateSamples) -> Trajectory | None:
-        """Run through one sample interval, as one of very many: what may be made once is given.
+    def through_interval(
+        self, drive: Array, interval_steps: Array, states: StateSamples
+    ) -> Trajectory | None:
+        """Propagate through one sample interval; fast, because the caller provides reusable arrays.
 
-        `kept`: of one sample, for the state at the end; see `room`. Returns None if nothing happened.
+        `states`: of one sample, for the state at the end; see `room`. Returns None if there was no event.
         """
-        self._go(Segments(interval_steps, EVERY, drive, _FIRST), kept, self._unseen)
+        self._go(Segments(interval_steps, ALL_SEGMENTS, drive, _FIRST_ROW), states, self._no_motion)
         self._elapsed += float(interval_steps[0]) * self.tables.step
-        return Trajectory(*kept, *self._page()) if self.log.filled[:2].any() else None
+        return Trajectory(*states, *self._take_log()) if self.log.filled[:2].any() else None
 
     def sample_motion(
-        self, drive: Array, interval_steps: float, seen: MotionSamples, column: int
+        self, drive: Array, interval_steps: float, motion: MotionSamples, column: int
     ) -> Trajectory:
-        """Do the same, but instead of keeping states fill what is seen, from a column on."""
-        seen.begin[0] = column
+        """Propagate through sample intervals, and store the motion from a column on, but no states."""
+        motion.begin[0] = column
         rows = np.arange(column, column + drive.shape[1] - 1)
-        return self._run(Segments(np.array([interval_steps]), EVERY, drive, rows), self._unkept, seen)
+        return self._run(
+            Segments(np.array([interval_steps]), ALL_SEGMENTS, drive, rows), self._no_states, motion
+        )
 
     def motion_samples(self, samples: int) -> MotionSamples:
-        """Room for what is seen at a number of samples."""
+        """Allocate the motion at a number of samples."""
         return MotionSamples(
             rows=np.empty((self._window.shape[1], samples)),
             contact=np.empty((self.system.dampers, samples), dtype=np.int8),
@@ -210,16 +222,18 @@ class Propagator:
             window=self._window,
         )
 
-    def parts(self, seen: MotionSamples) -> tuple[Array, Array, Array, Array]:
-        """Displacements, velocities and accelerations (points, samples) and gaps (dampers, samples) in it."""
-        n, points, rows = self.system.coordinates, len(self.system.points), seen.rows
+    def parts(self, motion: MotionSamples) -> tuple[Array, Array, Array, Array]:
+        """Return displacements, velocities and accelerations (points, samples) and gaps (dampers, samples)."""
+        n, points, rows = self.system.coordinates, len(self.system.points), motion.rows
         displacement, velocity, acceleration = (rows[k * n : k * n + points] for k in range(3))
         return displacement, velocity, acceleration, rows[3 * n : 3 * n + self.system.dampers]
 
-    def sample_present(self, seen: MotionSamples, column: int) -> None:
-        """Fill one column of what is seen with the present motion."""
-        seen.begin[0] = column
-        self._go(Segments(_NO_TIME, _NEVER, self._no_drive, np.array([column])), self._unkept, seen)
+    def sample_present(self, motion: MotionSamples, column: int) -> None:
+        """Store the present motion in one column."""
+        motion.begin[0] = column
+        self._go(
+            Segments(_ZERO_STEPS, _NO_RENEWAL, self._no_drive, np.array([column])), self._no_states, motion
+        )
 
     def through_marks(
         self,
@@ -228,27 +242,27 @@ class Propagator:
         new_period: NDArray[np.bool_],
         level: float = 1.0,
     ) -> Trajectory:
-        """Run through segments of given lengths under a tone.
+        """Propagate through segments of given durations under a tone.
 
-        `steps`: lengths in step lengths; `sample_row`: row in which to keep the state at the end of the segment, or
-        -1; `new_period`: whether the segment begins with a period of the drive; `level`: times the amplitudes of the
-        tone.
+        `steps`: durations in step lengths; `sample_row`: row in which the state at the end of the segment is stored, or
+        -1; `new_period`: whether a period of the drive begins with the segment; `level`: factor on the amplitudes of
+        the tone.
         """
-        # The tone's states (cos, sin) begin a period as a drive that does not change would.
+        # At the start of a period the drive states are (level, 0), as for a constant sampled drive.
         drive = np.full((1, len(steps) + 1), level)
-        kept = self.room(int(sample_row.max(initial=-1)) + 1)
-        return self._run(Segments(steps, new_period, drive, sample_row), kept, self._unseen)
+        states = self.room(int(sample_row.max(initial=-1)) + 1)
+        return self._run(Segments(steps, new_period, drive, sample_row), states, self._no_motion)
 
     def accelerations(self, states: Array, slots: NDArray[np.int64]) -> Array:
-        """Acceleration of every coordinate for rows of a `Trajectory`, shape (coordinates, samples)."""
+        """Return the acceleration of every coordinate for rows of a `Trajectory`, shape (coordinates, samples)."""
         if not len(states):
             return np.zeros((self.system.coordinates, 0))
         _accelerations(self.tables.flow, self.tables.model, states, slots, self.workspace.derivative)
-        behind = self.tables.size
-        return np.ascontiguousarray(states[:, behind : behind + self.system.coordinates].T)
+        first = self.tables.size
+        return np.ascontiguousarray(states[:, first : first + self.system.coordinates].T)
 
     def room(self, samples: int) -> StateSamples:
-        """Room for the states at a number of samples."""
+        """Allocate the states at a number of samples."""
         size, dampers = self.state.z.shape[0], self.system.dampers
         return StateSamples(
             state=np.zeros((samples, size)),
@@ -257,26 +271,30 @@ class Propagator:
             mode=np.zeros((samples, dampers), dtype=np.int8),
         )
 
-    def _run(self, way: Segments, kept: StateSamples, seen: MotionSamples) -> Trajectory:
-        self._go(way, kept, seen)
-        self._need_bounded(way, kept, seen)
-        self._elapsed += float(way.steps.sum()) * (way.row.size // way.steps.size) * self.tables.step
-        return Trajectory(*kept, *self._page())
+    def _run(self, segments: Segments, states: StateSamples, motion: MotionSamples) -> Trajectory:
+        self._go(segments, states, motion)
+        self._check_divergence(segments, states, motion)
+        self._elapsed += (
+            float(segments.steps.sum()) * (segments.row.size // segments.steps.size) * self.tables.step
+        )
+        return Trajectory(*states, *self._take_log())
 
-    def _go(self, way: Segments, kept: StateSamples, seen: MotionSamples, known: int = STALE) -> None:
-        begin, left = 0, -1.0
+    def _go(
+        self, segments: Segments, states: StateSamples, motion: MotionSamples, status: int = STALE
+    ) -> None:
+        begin, remaining = 0, -1.0
         while True:
-            status, begin, left = _propagate(
-                self.tables.flow, self.tables.model, self.state, self.workspace, self.log, way, begin, left,
-                kept, seen, known,
+            reason, begin, remaining = _propagate(
+                self.tables.flow, self.tables.model, self.state, self.workspace, self.log, segments, begin, remaining,
+                states, motion, status,
             )  # fmt: skip
-            known = STALE
-            if status == NEED_TABLE:
+            status = STALE
+            if reason == NEED_TABLE:
                 self._find_table()
-            elif status == LOG_FULL:
+            elif reason == LOG_FULL:
                 self._double_log()
-            elif status == STUCK:
-                self._need_bounded(way, kept, seen)
+            elif reason == STUCK:
+                self._check_divergence(segments, states, motion)
                 damper = self.system.damper_number[self.log.damper[self.log.filled[0] - 1]]
                 raise RunError(
                     f"damper {damper} separates and lands repeatedly at one instant, which contradicts "
@@ -286,28 +304,28 @@ class Propagator:
                 return
 
     def _double_log(self) -> None:
-        full = self.log
-        self.log = empty_log(2 * len(full.segment), self.state.z.size, self.system.dampers)
-        for before, after in zip(full, self.log, strict=True):
-            after[: len(before)] = before
+        old = self.log
+        self.log = empty_log(2 * len(old.segment), self.state.z.size, self.system.dampers)
+        for source, target in zip(old, self.log, strict=True):
+            target[: len(source)] = source
 
-    def _need_bounded(self, way: Segments, kept: StateSamples, seen: MotionSamples) -> None:
-        """Refuse a motion that has run away, saying where it was first seen to."""
+    def _check_divergence(self, segments: Segments, states: StateSamples, motion: MotionSamples) -> None:
+        """Raise `RunError` if the motion has diverged, with the first sample at which it had."""
         n = self.system.coordinates
-        if np.abs(self.state.z[:n]).max() <= FARTHEST:
+        if np.abs(self.state.z[:n]).max() <= MAX_DISPLACEMENT_M:
             return
-        far = self.state.z[:n]
-        row, ends = way.row, self._elapsed + way.ends(self.tables.step)
+        displacement = self.state.z[:n]
+        row, ends = segments.row, self._elapsed + segments.ends(self.tables.step)
         time = ends[-1]
-        for samples in (kept.state[:, :n], seen.rows[:n].T):
-            shown = samples[row[row >= 0]] if len(samples) else samples
-            away = np.flatnonzero(~(np.abs(shown) <= FARTHEST).all(axis=1))
-            if away.size:
-                far, time = shown[away[0]], ends[row >= 0][away[0]]
-        q = int(np.argmax(np.where(np.isfinite(far), np.abs(far), np.inf)))
+        for samples in (states.state[:, :n], motion.rows[:n].T):
+            stored = samples[row[row >= 0]] if len(samples) else samples
+            diverged = np.flatnonzero(~(np.abs(stored) <= MAX_DISPLACEMENT_M).all(axis=1))
+            if diverged.size:
+                displacement, time = stored[diverged[0]], ends[row >= 0][diverged[0]]
+        q = int(np.argmax(np.where(np.isfinite(displacement), np.abs(displacement), np.inf)))
         name = self.system.points[q] if q < len(self.system.points) else "a damper in its cavity"
         raise RunError(
-            f"the motion diverges: {name} is {abs(far[q]):.3g} m away from rest {time:.4g} s after the "
+            f"the motion diverges: {name} is {abs(displacement[q]):.3g} m away from rest {time:.4g} s after the "
             "start. Check for negative damping, with riding dampers or with the coil spring attached, "
             "and for a drive that is too large."
         )
@@ -315,41 +333,41 @@ class Propagator:
     def _find_table(self) -> None:
         self.state.counters[SLOT] = self.tables.slot(int(self.state.counters[CONFIGURATION]))
 
-    def _page(self) -> tuple[Any, ...]:
-        """Take what the log holds and empty it."""
+    def _take_log(self) -> tuple[Any, ...]:
+        """Return the content of the log, and empty it."""
         log, (events, breaks, _) = self.log, self.log.filled
-        page = (
+        content = (
             *(part[:events].copy() for part in (log.segment, log.offset, log.damper, log.kind, log.closing)),
             *(part[:breaks].copy() for part in (log.break_segment, log.break_offset, log.before, log.after)),
             *(part[:breaks].copy() for part in (log.speed_before, log.speed_after)),
             *self.tables.slots_of(log.configuration[:breaks]).T,
         )
         log.filled[:2] = 0
-        return page
+        return content
 
 
-def step_for(span: float, fastest: float) -> tuple[float, float]:
-    """Step length that divides a time span and stays within reach of the series; (step, steps in the span)."""
-    steps = max(1.0, float(np.ceil(span * fastest / REACH)))
-    if not steps <= MOST_STEPS:
+def step_for(span: float, max_rate: float) -> tuple[float, float]:
+    """Return a step length that divides a time span and is short enough for the series; (step, steps in the span)."""
+    steps = max(1.0, float(np.ceil(span * max_rate / MAX_RATE_TIMES_STEP)))
+    if not steps <= MAX_STEPS:
         raise RunError(
-            f"the fastest motion of the scene, {fastest / (2.0 * np.pi):.3g} Hz, needs {steps:.2g} "
-            f"steps in {span:.3g} s (a sample interval or a period); the limit is {MOST_STEPS:.0e}. "
+            f"the fastest motion of the scene, {max_rate / (2.0 * np.pi):.3g} Hz, needs {steps:.2g} "
+            f"steps in {span:.3g} s (a sample interval or a period); the limit is {MAX_STEPS:.0e}. "
             "Choose larger masses, softer springs, or a higher rate or frequency."
         )
     return span / steps, steps
 
 
 def sampled_propagator(system: HybridSystem, interval: float) -> tuple[Propagator, float]:
-    """March under a sampled drive, and the number of steps in a sample interval."""
-    step, steps = step_for(interval, system.fastest)
-    return Propagator(system, sampled(len(system.inputs), interval), step), steps
+    """Return a propagator under a sampled drive, and the number of steps in a sample interval."""
+    step, steps = step_for(interval, system.max_rate)
+    return Propagator(system, first_order_hold(len(system.inputs), interval), step), steps
 
 
 def tone_propagator(
     system: HybridSystem, amplitudes: NDArray[np.complex128], omega: float, interval: float | None = None
 ) -> tuple[Propagator, float]:
-    """March under a tone u(t) = Re(U e^{i omega t}), and the number of steps in a period, or in a shorter interval."""
+    """Return a propagator under a tone u(t) = Re(U e^{i omega t}), and the number of steps in a period or interval."""
     span = 2.0 * np.pi / omega if interval is None else interval
-    step, steps = step_for(span, max(system.fastest, omega))
-    return Propagator(system, tone(amplitudes, omega), step), steps
+    step, steps = step_for(span, max(system.max_rate, omega))
+    return Propagator(system, pure_tone(amplitudes, omega), step), steps

@@ -1,4 +1,4 @@
-"""The state of a system in motion as the kernel writes it, and its log of events and breaks."""
+"""State of a system in motion, which the kernel updates, and its log of events and breaks."""
 
 from __future__ import annotations
 
@@ -9,22 +9,22 @@ import numpy as np
 from rig.arrays import Array
 from rig.engine.flow import Flow, Model
 from rig.numerics.jit import inlined
-from rig.numerics.simd import zeros
+from rig.numerics.simd import aligned_zeros
 
-#: What a damper does.
+#: Modes of a damper.
 FLIGHT, FLOOR, CEILING = 0, 1, 2
 #: Event kinds in the log.
 SEPARATION, FLOOR_IMPACT, CEILING_IMPACT, FLOOR_TOUCH, CEILING_TOUCH, RELEASE = 0, 1, 2, 3, 4, 5
 #: Entries of `State.counters`.
-SLOT, CONFIGURATION, IN_A_ROW, AMBIGUOUS = 0, 1, 2, 3
+SLOT, CONFIGURATION, EVENTS_IN_ROW, AMBIGUOUS = 0, 1, 2, 3
 
 
 class State(NamedTuple):
-    """What changes while a system moves; every field is an array so that the kernel can write into it.
+    """State of a system in motion; every field is an array, so that the kernel can update it.
 
     `multiplicity[j]` counts the leading coefficients of damper j's guard that are exactly zero at this instant:
     1 after a rebound, 2 after a release, 3 after a separation at zero contact force; negative for the ceiling.
-    `recovering[j]` is the wall that has released a bed of finite-duration contact which still overlaps it.
+    `recovering[j]` is the wall that has released a bed with finite-duration contact while they still overlap.
     """
 
     z: np.ndarray
@@ -37,13 +37,13 @@ class State(NamedTuple):
 
 
 class Log(NamedTuple):
-    """Events and breaks as they happen.
+    """Events and breaks in the order of time.
 
-    `filled` holds the number of events, of breaks, and the segment of the present instant; `now` its time after the
-    start of the segment, s.
+    `filled`: number of events, number of breaks, and segment of the present instant. `now`: time of the present instant
+    after the start of its segment, s.
 
-    A break is an instant at which velocities or accelerations jump, with the state and the dampers' own speeds
-    before and after it.
+    A break is an instant at which velocities or accelerations jump. It is logged with the state and the speeds of the
+    dampers before and after it.
     """
 
     filled: np.ndarray
@@ -63,9 +63,9 @@ class Log(NamedTuple):
 
 
 def state_at_rest(size: int, dampers: int) -> State:
-    """State of a system that lies still, every damper on its floor; size is padded."""
+    """Return the state of a system at rest, with every damper on its floor; `size` is padded."""
     return State(
-        z=zeros(size),
+        z=aligned_zeros(size),
         height=np.zeros(dampers),
         speed=np.zeros(dampers),
         mode=np.full(dampers, FLOOR, dtype=np.int64),
@@ -76,7 +76,7 @@ def state_at_rest(size: int, dampers: int) -> State:
 
 
 def empty_log(rows: int, size: int, dampers: int) -> Log:
-    """Log with room for a number of rows."""
+    """Return a log with room for a number of rows."""
     return Log(
         filled=np.zeros(3, dtype=np.int64),
         now=np.zeros(1),
@@ -96,7 +96,7 @@ def empty_log(rows: int, size: int, dampers: int) -> Log:
 
 
 @inlined
-def note(log: Log, damper: int, kind: int, closing: float) -> None:
+def log_event(log: Log, damper: int, kind: int, closing: float) -> None:
     """Log an event of the present instant."""
     row = log.filled[0]
     log.segment[row] = log.filled[2]
@@ -108,15 +108,15 @@ def note(log: Log, damper: int, kind: int, closing: float) -> None:
 
 
 @inlined
-def toggle(flow: Flow, model: Model, state: State, which: int) -> None:
-    """Change the configuration, and the table if there is one: a contact opens or closes."""
-    state.counters[CONFIGURATION] ^= model.toggles[which]
+def toggle_contact(flow: Flow, model: Model, state: State, contact: int) -> None:
+    """Open or close a contact: update the configuration, and the slot of its table."""
+    state.counters[CONFIGURATION] ^= model.toggles[contact]
     if state.counters[SLOT] >= 0:
-        state.counters[SLOT] = flow.neighbour[state.counters[SLOT], which]
+        state.counters[SLOT] = flow.neighbour[state.counters[SLOT], contact]
 
 
 @inlined
-def _own_speeds(model: Model, state: State, out: Array) -> None:
+def _damper_speeds(model: Model, state: State, out: Array) -> None:
     for j in range(model.mass.shape[0]):
         if model.bed[j] >= 0:
             out[j] = state.z[model.velocity[j]] + state.z[model.first_velocity + model.bed[j]]
@@ -126,9 +126,9 @@ def _own_speeds(model: Model, state: State, out: Array) -> None:
 
 @inlined
 def open_break(model: Model, state: State, log: Log) -> None:
-    """Keep the state before the contacts change."""
+    """Log the state before the contacts change."""
     row = log.filled[1]
-    _own_speeds(model, state, log.speed_before[row])
+    _damper_speeds(model, state, log.speed_before[row])
     log.break_segment[row] = log.filled[2]
     log.break_offset[row] = log.now[0]
     log.configuration[row, 0] = state.counters[CONFIGURATION]
@@ -138,9 +138,9 @@ def open_break(model: Model, state: State, log: Log) -> None:
 
 @inlined
 def close_break(model: Model, state: State, log: Log) -> None:
-    """Keep the state after the contacts have changed."""
+    """Log the state after the contacts have changed."""
     row = log.filled[1]
-    _own_speeds(model, state, log.speed_after[row])
+    _damper_speeds(model, state, log.speed_after[row])
     log.configuration[row, 1] = state.counters[CONFIGURATION]
     for i in range(state.z.shape[0]):
         log.after[row, i] = state.z[i]

@@ -1,4 +1,4 @@
-"""What came of a march: states at samples, events and breaks; and how users see events, gaps and contacts."""
+"""Result of a propagation: states at samples, events and breaks; its events, gaps and contacts for users."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from rig.engine.state import CEILING_IMPACT, CEILING_TOUCH, FLIGHT, FLOOR, FLOOR
 from rig.system.hybrid_system import HybridSystem
 
 EVENT = np.dtype([("time", "f8"), ("damper", "i4"), ("kind", "U10"), ("speed", "f8")])
-#: Kinds of events in which a damper comes to a wall.
-STRIKES = (FLOOR_IMPACT, CEILING_IMPACT, FLOOR_TOUCH, CEILING_TOUCH)
-KINDS = np.array(["separation", "floor", "ceiling", "touch", "touch", "release"])
+#: Kinds of events at which a damper comes into contact with a wall.
+CONTACT_EVENTS = (FLOOR_IMPACT, CEILING_IMPACT, FLOOR_TOUCH, CEILING_TOUCH)
+EVENT_NAMES = np.array(["separation", "floor", "ceiling", "touch", "touch", "release"])
 
 
 @dataclass(frozen=True)
 class Trajectory:
-    """What happened over a number of segments."""
+    """States, events and breaks over a number of segments."""
 
     state: Array
-    """At the samples, after any break there; shape (samples, states)."""
+    """State at each sample, after any break at this instant; shape (samples, states)."""
     slot: NDArray[np.int64]
     """The table of the configuration at each sample; shape (samples,)."""
     height: Array
-    """Of dampers in flight, m; meaningless at rest; shape (samples, dampers)."""
+    """Height of each damper in flight, m; undefined at rest; shape (samples, dampers)."""
     mode: NDArray[np.int8]
     """FLIGHT, FLOOR or CEILING; shape (samples, dampers)."""
     event_segment: NDArray[np.int64]
@@ -53,23 +53,23 @@ class Trajectory:
 def event_table(
     times: Array, damper: NDArray[np.int64], kind: NDArray[np.int64], speed: Array, system: HybridSystem
 ) -> NDArray[Any]:
-    """Events as users see them: dampers by their number in the scene, kinds by name."""
+    """Return events for users: dampers by their number in the scene, kinds by name."""
     table = np.zeros(len(times), dtype=EVENT)
     if not len(times):
         return table
     table["time"] = times
     table["damper"] = system.damper_number[damper]
-    table["kind"] = KINDS[kind]
+    table["kind"] = EVENT_NAMES[kind]
     table["speed"] = speed
     return table
 
 
 def gaps_and_contacts(trajectory: Trajectory, system: HybridSystem) -> tuple[Array, NDArray[np.int8]]:
-    """Gap (dampers, samples) above each floor in m, and contact state (dampers, samples)."""
+    """Return the gap above each floor, m, and the contact state; both of shape (dampers, samples)."""
     positions = trajectory.state[:, system.damper_coordinate].T
     gap = trajectory.height.T - positions
     mode = trajectory.mode.T
     ceiling = np.broadcast_to(system.clearance[:, None], gap.shape)
     gap = np.maximum(np.where(mode == FLIGHT, gap, np.where(mode == FLOOR, 0.0, ceiling)), 0.0)
-    gap[system.lasting] = trajectory.state[:, system.bed[system.lasting]].T
+    gap[system.finite_contact] = trajectory.state[:, system.bed[system.finite_contact]].T
     return gap, np.ascontiguousarray(mode)

@@ -1,4 +1,4 @@
-"""Work space of one running kernel, which itself allocates nothing."""
+"""Work space of the kernel, which itself allocates no memory."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from typing import NamedTuple
 import numpy as np
 
 from rig.engine.flow import Flow
-from rig.numerics.bernstein import BERNSTEIN, DEEPEST, LENGTH
-from rig.numerics.complementarity import ContactWork, contact_work
-from rig.numerics.simd import padded, zeros
+from rig.numerics.bernstein import BERNSTEIN, LENGTH, MAX_HALVINGS
+from rig.numerics.complementarity import ContactWork, allocate_contact_work
+from rig.numerics.simd import aligned_zeros, padded_length
 
 
 class Workspace(NamedTuple):
-    """Work space of one running kernel."""
+    """Work space of one running kernel; the fields are scratch arrays."""
 
     new: np.ndarray
     size: np.ndarray
@@ -35,23 +35,23 @@ class Workspace(NamedTuple):
 def workspace_for(flow: Flow, size: int) -> Workspace:
     """Allocate the work space for a flow and states of a padded size."""
     columns = flow.rates_constant.shape[1]
-    tableau = zeros(LENGTH + 1, padded(columns))
-    envelope = zeros(padded(columns))
+    tableau = aligned_zeros(LENGTH + 1, padded_length(columns))
+    envelope = aligned_zeros(padded_length(columns))
     envelope[columns:] = np.inf
     return Workspace(
-        new=zeros(size),
-        size=zeros(padded(columns)),
+        new=aligned_zeros(size),
+        size=aligned_zeros(padded_length(columns)),
         envelope=envelope,
-        margin=zeros(flow.margin_constant.shape[1]),
+        margin=aligned_zeros(flow.margin_constant.shape[1]),
         tableau=tableau,
         series_rows=tableau[None],
         powers=np.zeros(LENGTH + 1),
-        nothing=zeros(1, padded(columns)),
-        bound=zeros(flow.bound_constant.shape[1]),
-        derivative=zeros(flow.derivative_constant.shape[1]),
-        contact=contact_work(flow.neighbour.shape[1], flow.derivative_constant.shape[1]),
-        series=zeros(LENGTH),
-        work=zeros(DEEPEST + 3, LENGTH),
-        spans=np.zeros((DEEPEST + 3, 2)),
+        nothing=aligned_zeros(1, padded_length(columns)),
+        bound=aligned_zeros(flow.bound_constant.shape[1]),
+        derivative=aligned_zeros(flow.derivative_constant.shape[1]),
+        contact=allocate_contact_work(flow.neighbour.shape[1], flow.derivative_constant.shape[1]),
+        series=aligned_zeros(LENGTH),
+        work=aligned_zeros(MAX_HALVINGS + 3, LENGTH),
+        spans=np.zeros((MAX_HALVINGS + 3, 2)),
         bernstein=BERNSTEIN,
     )

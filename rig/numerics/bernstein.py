@@ -1,8 +1,8 @@
 """First downward crossing of a guard, isolated in Bernstein form so that no root can be stepped over.
 
 A guard (gap, contact force) is, over one step, a power series in tau = t/h that has converged to rounding at
-degree `DEGREE`. Its Bernstein coefficients on an interval bound it from below and above there; repeated
-halving from the left either proves an interval free of zeros or ends at the first one.
+degree `DEGREE`. Its Bernstein coefficients on an interval are lower and upper bounds of the guard there. Repeated
+halving from the left either proves an interval free of zeros, or ends at the first zero.
 
 References
 ----------
@@ -18,13 +18,14 @@ import numpy as np
 
 from rig.arrays import Array
 from rig.numerics.jit import compiled, inlined
-from rig.numerics.simd import combine, lowest, negatives
+from rig.numerics.simd import combine, minimum, negative_bits
 
 DEGREE = 15
 LENGTH = DEGREE + 1
-#: Intervals are halved at most this often; by then they are shorter than the rounding of tau.
-DEEPEST = 56
-NONE = 2.0
+#: Largest number of halvings of an interval; after these it is shorter than the rounding of tau.
+MAX_HALVINGS = 56
+#: Result without a crossing: a tau outside the step.
+NO_CROSSING = 2.0
 
 
 def _bernstein_matrices() -> np.ndarray:
@@ -39,15 +40,15 @@ def _bernstein_matrices() -> np.ndarray:
 
 
 BERNSTEIN = _bernstein_matrices()
-#: Infinity after the coefficients of a deflated series.
-BEYOND = np.where(np.add.outer(np.arange(LENGTH), np.arange(LENGTH)) > DEGREE, np.inf, 0.0)
+#: Infinity in the places after the coefficients of a deflated series, 0 elsewhere.
+PADDING = np.where(np.add.outer(np.arange(LENGTH), np.arange(LENGTH)) > DEGREE, np.inf, 0.0)
 
 
 @inlined
-def _value_slope_bend(series: Array, start: int, tau: float) -> tuple[float, float, float]:
-    """Value, slope and half the second derivative of series[start:] at tau.
+def _value_and_derivatives(series: Array, start: int, tau: float) -> tuple[float, float, float]:
+    """Return value, slope and half the second derivative of series[start:] at tau.
 
-    Even and odd powers are two polynomials in tau^2, E + tau O, so that the additions wait half as often.
+    Even and odd powers are two polynomials in tau^2, E + tau O, which the processor evaluates in parallel.
     """
     square = tau * tau
     even, even_slope, even_bend = 0.0, 0.0, 0.0
@@ -70,24 +71,24 @@ def _value_slope_bend(series: Array, start: int, tau: float) -> tuple[float, flo
 
 
 @inlined
-def _polish(series: Array, start: int, left: float, right: float, tau: float) -> float:
-    """Root in a bracket that holds exactly one (positive at left, negative at right): Halley, else bisection."""
+def _refine_root(series: Array, start: int, left: float, right: float, tau: float) -> float:
+    """Return the only root in a bracket (positive at left, negative at right), by Halley's method or bisection."""
     for _ in range(200):
-        value, slope, bend = _value_slope_bend(series, start, tau)
+        value, slope, half_curvature = _value_and_derivatives(series, start, tau)
         if value > 0.0:
             left = tau
         else:
             right = tau
-        # Between two neighbouring roots the slope vanishes, and Halley's step with it: there the bracket is halved.
-        curved = value * bend
-        following = right
-        if slope < 0.0 and abs(curved) < 0.5 * slope * slope:
-            change = -value * slope / (slope * slope - curved)
-            following = tau + change
-            if left <= following <= right:
-                tau = following
-                # Convergence is cubic: what is left is about (bend / slope)^2 change^3.
-                if (bend * change) ** 2 * abs(change) <= 1e-17 * tau * slope * slope:
+        # Where the slope is too small for Halley's step, the bracket is halved.
+        product = value * half_curvature
+        next_tau = right
+        if slope < 0.0 and abs(product) < 0.5 * slope * slope:
+            change = -value * slope / (slope * slope - product)
+            next_tau = tau + change
+            if left <= next_tau <= right:
+                tau = next_tau
+                # Convergence is cubic: the remaining error is about (half_curvature / slope)^2 change^3.
+                if (half_curvature * change) ** 2 * abs(change) <= 1e-17 * tau * slope * slope:
                     break
                 continue
         tau = 0.5 * (left + right)
@@ -97,11 +98,11 @@ def _polish(series: Array, start: int, left: float, right: float, tau: float) ->
 
 
 @inlined
-def _only_crossing(coefficients: Array, degree: int) -> float:
-    """Guess at the only root, where the coefficients change sign once: their polygon's, on [0, 1]; else `NONE`."""
-    positive = ~negatives(coefficients) & ((1 << (degree + 1)) - 1)
+def _estimate_single_root(coefficients: Array, degree: int) -> float:
+    """Return the root of the control polygon on [0, 1] if the coefficients change sign once, else `NO_CROSSING`."""
+    positive = ~negative_bits(coefficients) & ((1 << (degree + 1)) - 1)
     if positive & (positive + 1) != 0:
-        return NONE
+        return NO_CROSSING
     last = -1
     while positive > 0:
         positive >>= 1
@@ -112,7 +113,7 @@ def _only_crossing(coefficients: Array, degree: int) -> float:
 
 @compiled
 def _split(work: Array, level: int, degree: int) -> None:
-    """De Casteljau at the middle: the right half stays in work[level], the left half goes to work[level + 1]."""
+    """Split at the middle by de Casteljau's algorithm: right half in work[level], left half in work[level + 1]."""
     right = work[level]
     left = work[level + 1]
     left[0] = right[0]
@@ -122,31 +123,31 @@ def _split(work: Array, level: int, degree: int) -> None:
         left[i] = right[0]
     for i in range(degree + 1, LENGTH):
         left[i] = np.inf
-    # The triangle leaves right[k] = b_k^(degree - k), which is the k-th coefficient of the right half.
+    # Now right[k] = b_k^(degree - k), which is the k-th coefficient of the right half.
 
 
 @compiled
 def first_crossing(
-    series: Array, start: int, allowance: float, work: Array, spans: Array, bernstein: Array
+    series: Array, start: int, rounding: float, work: Array, spans: Array, bernstein: Array
 ) -> tuple[float, int]:
     """Find where a guard first falls below zero on (0, 1].
 
     `series`: power-series coefficients in tau of a guard that should stay positive; `start`: number of leading
-    coefficients known to be exactly zero (multiplicity of the root at tau = 0); `allowance`: rounding of the guard:
-    values within it are rounding errors of zero; `work`: scratch space; `bernstein`: the conversion matrices
-    `BERNSTEIN`. Returns `tau`, the crossing; 0 when the guard is at zero within rounding and falling; `NONE` when
-    there is none; `ambiguous`, number of dips whose depth lies within the allowance; they are decided as no event.
+    coefficients known to be exactly zero (multiplicity of the root at tau = 0); `rounding`: largest
+    value of the guard that is a rounding error of zero; `work`: scratch space; `bernstein`: the conversion matrices
+    `BERNSTEIN`. Returns `tau`, the crossing; 0 if the guard is at zero within rounding and falling; `NO_CROSSING` if
+    there is none; `ambiguous`, number of dips whose depth is within rounding; they are not crossings.
     """
-    while start < LENGTH and abs(series[start]) <= allowance:
+    while start < LENGTH and abs(series[start]) <= rounding:
         start += 1
     if start == LENGTH:
-        return NONE, 0
+        return NO_CROSSING, 0
     if series[start] < 0.0:
         return 0.0, 0
     degree = DEGREE - start
-    combine(bernstein, BEYOND, start, series, LENGTH, work[0])
-    if lowest(work[0]) > allowance:
-        return NONE, 0
+    combine(bernstein, PADDING, start, series, LENGTH, work[0])
+    if minimum(work[0]) > rounding:
+        return NO_CROSSING, 0
     ambiguous = 0
     touched = -1.0
     spans[0, 0] = 0.0
@@ -156,23 +157,23 @@ def first_crossing(
         coefficients = work[level]
         left = spans[level, 0]
         right = spans[level, 1]
-        deepest = lowest(coefficients)
-        # A dip of the deflated guard counts when it is one of the guard itself, tau^start times larger.
-        rounding = allowance / right**start
-        if deepest >= -rounding:
-            # No dip deeper than rounding here; what touches zero within rounding is counted, once for a dip.
-            if deepest <= allowance and right < 1.0:
+        lower_bound = minimum(coefficients)
+        # The guard is tau^start times the deflated guard, whose rounding is larger by this factor.
+        deflated_rounding = rounding / right**start
+        if lower_bound >= -deflated_rounding:
+            # There is no dip below rounding; a dip that touches zero within rounding is counted once.
+            if lower_bound <= rounding and right < 1.0:
                 if left != touched:
                     ambiguous += 1
                 touched = right
             level -= 1
             continue
-        if coefficients[degree] < -rounding and coefficients[0] > allowance:
-            part = _only_crossing(coefficients, degree)
-            if part != NONE:
-                guess = left + (right - left) * part
-                return _polish(series, start, left, right, guess), ambiguous
-        if level >= DEEPEST or right - left < 1e-15 * max(right, 1e-3):
+        if coefficients[degree] < -deflated_rounding and coefficients[0] > rounding:
+            fraction = _estimate_single_root(coefficients, degree)
+            if fraction != NO_CROSSING:
+                estimate = left + (right - left) * fraction
+                return _refine_root(series, start, left, right, estimate), ambiguous
+        if level >= MAX_HALVINGS or right - left < 1e-15 * max(right, 1e-3):
             return left, ambiguous
         middle = 0.5 * (left + right)
         _split(work, level, degree)
@@ -180,4 +181,4 @@ def first_crossing(
         spans[level + 1, 0] = left
         spans[level + 1, 1] = middle
         level += 1
-    return NONE, ambiguous
+    return NO_CROSSING, ambiguous

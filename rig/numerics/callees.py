@@ -1,7 +1,7 @@
-"""Faster compiling, and faster kernels with the same bits, by internals of numba: see `rig.numerics.jit`.
+"""Faster compilation and faster kernels with the same bits, by internals of numba; see `rig.numerics.jit`.
 
-A callee gets no wrapper for Python, is optimized in its callers, and is compiled once per type, not per constant.
-Kernels create no arrays: they need no reference counting (`_nrt`), and no registries of numba when they are loaded.
+A callee has no wrapper for Python, is optimized in its callers, and is compiled once for each type, not for each
+constant. Kernels create no arrays, so they need no reference counting (`_nrt`) and no registries of numba at loading.
 """
 
 import functools
@@ -14,7 +14,7 @@ from numba.core.caching import FunctionCache
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 
-# An `AttributeError` here selects the public options alone.
+# An `AttributeError` here selects the public options of numba.
 getattr(JITCodeLibrary, "_optimize_final_module"), getattr(FunctionCache, "_load_overload")  # noqa: B009
 
 

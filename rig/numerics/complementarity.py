@@ -1,4 +1,4 @@
-"""All contacts of one instant: a linear complementarity problem.
+"""Contact forces or impulses of one instant: a linear complementarity problem.
 
 Find p >= 0 with A p + q >= 0 and p (A p + q) = 0, where
 
@@ -22,10 +22,10 @@ import numpy as np
 
 from rig.numerics.jit import compiled
 
-#: Values smaller than this share of their terms are rounding errors of zero.
+#: Largest ratio of a value to its terms that is a rounding error of zero.
 ROUNDING = 16 * 2.3e-16
-#: Pivots at most; the number needed in practice is about the number of contacts.
-PIVOTS = 100_000
+#: Largest number of pivots; in practice about as many are needed as there are contacts.
+MAX_PIVOTS = 100_000
 
 
 class ContactWork(NamedTuple):
@@ -34,7 +34,7 @@ class ContactWork(NamedTuple):
     force: np.ndarray
     member: np.ndarray
     sign: np.ndarray
-    struck: np.ndarray
+    flying: np.ndarray
     before: np.ndarray
     opening: np.ndarray
     right: np.ndarray
@@ -44,13 +44,13 @@ class ContactWork(NamedTuple):
     block: np.ndarray
 
 
-def contact_work(dampers: int, forces: int) -> ContactWork:
+def allocate_contact_work(dampers: int, forces: int) -> ContactWork:
     """Allocate the work space for a number of dampers and of padded force rows."""
     return ContactWork(
         force=np.zeros(forces),
         member=np.zeros(dampers + 1, dtype=np.int64),
         sign=np.zeros(dampers + 1),
-        struck=np.zeros(dampers + 1, dtype=np.bool_),
+        flying=np.zeros(dampers + 1, dtype=np.bool_),
         before=np.zeros(dampers + 1),
         opening=np.zeros(dampers + 1),
         right=np.zeros(dampers + 1),
@@ -74,8 +74,8 @@ def contact_matrix(model: Any, work: ContactWork, count: int) -> None:
 
 
 @compiled
-def close_active(work: ContactWork, count: int) -> None:
-    """Pressures that close the active contacts; zero for the others. Elimination on a positive definite block."""
+def solve_active(work: ContactWork, count: int) -> None:
+    """Compute the pressures that close the active contacts, by elimination; the pressures of the others are 0."""
     block = work.block
     size = 0
     for a in range(count):
@@ -111,11 +111,11 @@ def complementarity(work: ContactWork, count: int) -> None:
     for a in range(count):
         work.active[a] = False
         work.pressure[a] = 0.0
-    for _ in range(PIVOTS):
-        wrong = -1
+    for _ in range(MAX_PIVOTS):
+        violated = -1
         for a in range(count):
             if work.active[a]:
-                bad = work.pressure[a] < 0.0
+                is_violated = work.pressure[a] < 0.0
             else:
                 value = work.right[a]
                 size = abs(value)
@@ -123,11 +123,11 @@ def complementarity(work: ContactWork, count: int) -> None:
                     term = work.matrix[a, b] * work.pressure[b]
                     value += term
                     size += abs(term)
-                bad = value < -ROUNDING * size
-            if bad:
-                wrong = a
+                is_violated = value < -ROUNDING * size
+            if is_violated:
+                violated = a
                 break
-        if wrong < 0:
+        if violated < 0:
             return
-        work.active[wrong] = not work.active[wrong]
-        close_active(work, count)
+        work.active[violated] = not work.active[violated]
+        solve_active(work, count)

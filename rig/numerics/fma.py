@@ -1,7 +1,6 @@
-"""Sums of products in vector registers, each product rounded once with its sum.
+"""Sums of products in vector registers, by fused multiply-add (a single rounding of product and sum).
 
-For signals that come in blocks: every sum has one fixed order, so that a sample comes out the same to the last bit
-wherever in a block it is.
+The order of every sum is fixed, so that a sample of a signal has the same bits at every position in a block.
 """
 
 from __future__ import annotations
@@ -17,16 +16,16 @@ from numba.extending import intrinsic
 from rig.numerics.jit import compiled, inlined
 from rig.numerics.simd import LANES, WIDE, broadcast, load, store
 
-#: Registers in use at a time: enough that no sum waits for another, and no more than the processor has. Where eight
-#: lanes take two of its sixteen, eight sums would be in memory, which takes three times as long.
-TOGETHER = 8 if get_host_cpu_features().get("avx512f") else 4
-#: Sums that `weigh` forms at least.
-WEIGHED = TOGETHER * LANES
+#: Number of sums that are computed in parallel: enough to hide the latency of an addition, and few enough for the
+#: registers. Without AVX-512 eight lanes need two of sixteen registers, and eight sums would be stored in memory.
+SUMS_AT_ONCE = 8 if get_host_cpu_features().get("avx512f") else 4
+#: `weighted_sums` computes a multiple of this number of sums.
+SUM_BLOCK = SUMS_AT_ONCE * LANES
 
 
 @intrinsic
-def _fused(typing_context: Any, one: Any, other: Any, third: Any) -> Any:
-    """One times other plus third."""
+def _fused(typing_context: Any, factor: Any, other_factor: Any, addend: Any) -> Any:
+    """Factor * other_factor + addend."""
     signature = types.float64(types.float64, types.float64, types.float64)
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -36,23 +35,23 @@ def _fused(typing_context: Any, one: Any, other: Any, third: Any) -> Any:
 
 
 @inlined
-def fused(one: float, other: float, third: float) -> float:
-    """Multiply two numbers and add a third."""
-    return _fused(one, other, third)  # type: ignore[call-arg]  # numba supplies the context
+def fused(factor: float, other_factor: float, addend: float) -> float:
+    """Return factor * other_factor + addend with a single rounding."""
+    return _fused(factor, other_factor, addend)  # type: ignore[call-arg]  # numba supplies the context
 
 
 def _fused_lanes(builder: Any) -> Any:
-    """Return the function of LLVM that does this in all lanes of a register."""
+    """Return the LLVM function for a fused multiply-add in all lanes of a register."""
     kind = ir.FunctionType(WIDE, [WIDE] * 3)
     return cgutils.get_or_insert_function(builder.module, kind, f"llvm.fma.v{LANES}f64")
 
 
 def _sums(same_rows: bool) -> Any:
-    """Make sums for several registers at a time.
+    """Return an intrinsic for sums in several registers at a time.
 
     out[place + 8 c + i] = sum_e rows[row + e stride + 8 c + i] factors[factor + e step] for the lanes i of all
-    registers c; or, where all have the same rows and each its factors,
-    sum_e rows[row + e stride + i] factors[factor + e step + c apart]. Flat indices.
+    registers c; or with `same_rows` sum_e rows[row + e stride + i] factors[factor + e step + c apart]. The indices are
+    those of flat arrays.
     """
 
     @intrinsic
@@ -83,13 +82,13 @@ def _sums(same_rows: bool) -> Any:
                 start = builder.add(factor, builder.mul(entry, step))
                 if same_rows:
                     shared = rows_at(first)
-                    return [(shared, factors_at(along(start, c, apart))) for c in range(TOGETHER)]
+                    return [(shared, factors_at(along(start, c, apart))) for c in range(SUMS_AT_ONCE)]
                 shared = factors_at(start)
                 lanes = ir.Constant(number, LANES)
-                return [(rows_at(along(first, c, lanes)), shared) for c in range(TOGETHER)]
+                return [(rows_at(along(first, c, lanes)), shared) for c in range(SUMS_AT_ONCE)]
 
             zero = ir.Constant(WIDE, [0.0] * LANES)
-            totals = [cgutils.alloca_once_value(builder, zero) for _ in range(TOGETHER)]
+            totals = [cgutils.alloca_once_value(builder, zero) for _ in range(SUMS_AT_ONCE)]
             begin, one = ir.Constant(number, 0), ir.Constant(number, 1)
             with cgutils.for_range_slice(builder, begin, count, one, number) as (entry, _):
                 for total, pair in zip(totals, entries(entry), strict=True):
@@ -104,45 +103,45 @@ def _sums(same_rows: bool) -> Any:
     return sums
 
 
-_weigh, _spread = _sums(same_rows=False), _sums(same_rows=True)
+_weighted_sums, _factored_sums = _sums(same_rows=False), _sums(same_rows=True)
 
 
 @compiled
-def weigh(rows: Any, first: int, column: int, weights: Any, count: int, out: Any, length: int) -> None:
-    """Sum up rows, each times its weight: out[k] = sum_j weights[j] rows[first + j, column + k] for k < length.
+def weighted_sums(
+    rows: Any, first: int, column: int, weights: Any, count: int, out: Any, length: int
+) -> None:
+    """Compute the weighted sums out[k] = sum_j weights[j] rows[first + j, column + k] for k < length.
 
-    The length is rounded up to a multiple of `WEIGHED`: rows and `out` must have that much room.
-
-    `first`, `column`: where to begin.
+    The length is rounded up to a multiple of `SUM_BLOCK`, for which rows and `out` must have room.
     """
     stride = rows.shape[1]
     start = first * stride + column
-    for place in range(0, length, WEIGHED):
-        _weigh(rows, start + place, stride, weights, 0, 1, 0, count, out, place)
+    for place in range(0, length, SUM_BLOCK):
+        _weighted_sums(rows, start + place, stride, weights, 0, 1, 0, count, out, place)
 
 
 @compiled
-def spread(
+def factored_sums(
     rows: Any, factors: Any, start: int, step: int, apart: int, out: Any, first: int, count: int
 ) -> None:
-    """Sum up the same rows with factors that differ from sum to sum.
+    """Compute sums of the same rows with different factors.
 
     out[8 (first + b) + i] = sum_e rows[e, i] factors[start + e step + b apart] for all lanes i and b < count;
-    flat indices of `factors` and `out`. The count is rounded up to a multiple of `TOGETHER`: factors and `out`
-    must have that much room.
+    flat indices of `factors` and `out`. The count is rounded up to a multiple of `SUMS_AT_ONCE`, for which
+    factors and `out` must have room.
 
-    `start`, `step`, `apart`: place of the first factor; how far it is to that of the next entry, and of the next
-    sum; `first`, `count`: number of the first sum, and how many there are.
+    `start`, `step`, `apart`: index of the first factor, and the distances to the factor of the next entry and of the
+    next sum; `first`, `count`: number of the first sum, and number of sums.
     """
     entries = rows.shape[0]
-    for done in range(0, count, TOGETHER):
+    for done in range(0, count, SUMS_AT_ONCE):
         place, factor = LANES * (first + done), start + done * apart
-        _spread(rows, 0, LANES, factors, factor, step, apart, entries, out, place)
+        _factored_sums(rows, 0, LANES, factors, factor, step, apart, entries, out, place)
 
 
 @intrinsic
-def _follow(typing_context: Any, states: Any, keep: Any, weights: Any, value: Any) -> Any:
-    """Sum up weights times states; states = keep states + value."""
+def _update_states(typing_context: Any, states: Any, keep: Any, weights: Any, value: Any) -> Any:
+    """Return the sum of weights times states; then states = keep states + value."""
     signature = types.float64(states, keep, weights, types.float64)
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -169,9 +168,9 @@ def _follow(typing_context: Any, states: Any, keep: Any, weights: Any, value: An
 
 
 @inlined
-def follow(states: Any, keep: Any, weights: Any, value: float) -> float:
-    """Sum up weights times states; then each state keeps its share of itself and adds a value.
+def update_states(states: Any, keep: Any, weights: Any, value: float) -> float:
+    """Return the sum of weights times states; then set states = keep * states + value.
 
-    All are float64 of shape (multiple of LANES,); `states` is updated.
+    All arrays are float64 of shape (multiple of LANES,); `states` is updated.
     """
-    return _follow(states, keep, weights, value)  # type: ignore[call-arg]
+    return _update_states(states, keep, weights, value)  # type: ignore[call-arg]

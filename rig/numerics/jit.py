@@ -1,8 +1,8 @@
-"""Decorators that compile kernels with numba, and keep the machine code on disk.
+"""Decorators that compile kernels with numba, and store the machine code on disk.
 
-Kernels release the GIL, may fuse multiplications with additions (never reorder them), and only fill arrays that they
-are given. The folder of the machine code is keyed by a digest of all files that may be compiled in, because numba looks
-at the file of the function that is called, not at its callees: with a changed callee it would run stale code.
+Kernels release the GIL, may fuse multiplications with additions (but never reorder them), and create no arrays. The
+folder of the machine code is named by a digest of all files that may be compiled in. numba checks only the file of the
+function that is called, not those of its callees; after a change of a callee it would run outdated code.
 """
 
 from __future__ import annotations
@@ -34,42 +34,42 @@ _COMPILING = "compiling machine code for this processor, once"
 _LOG = logging.getLogger("shotrig.compiling")
 _ROOT = Path(__file__).parents[2]
 _IMPORTS = re.compile(rb"^from ((?:rig|daq)(?:\.\w+)+) import", re.MULTILINE)
-#: Machine code that was not used for so long is removed, s: other checkouts may still use code of another version.
-_FORGOTTEN = 30 * 86400.0
+#: Machine code that was not used for this time is removed; other checkouts may use code of another version.
+_MAX_UNUSED_S = 30 * 86400.0
 
 try:
     from rig.numerics import callees
 except (ImportError, AttributeError):
-    # Another version of numba: its public options give the same bits, but slower kernels after longer compiling.
+    # Another version of numba: its public options give the same bits, but slower kernels and longer compile times.
     callees = None  # type: ignore[assignment]
 
 
 @functools.cache
-def _digest(room: Path) -> str:
-    """Digest everything that may be compiled into a kernel of a folder, and the compiler.
+def _digest(folder: Path) -> str:
+    """Return a digest of the compiler and of all files that may be compiled into a kernel of a folder.
 
-    These are the files of the folder, and of those folders with kernels from which it imports.
+    These are the files of the folder, and of the folders with kernels from which it imports.
     """
     digest = hashlib.sha256(repr((numba.__version__, callees is None)).encode())
     digest.update(
         repr((llvmlite.binding.get_host_cpu_name(), llvmlite.binding.get_host_cpu_features())).encode()
     )
-    rooms, seen = [room], {room}
-    while rooms:
-        texts = [file.read_bytes() for file in sorted(rooms.pop().glob("*.py"))]
+    pending, visited = [folder], {folder}
+    while pending:
+        texts = [file.read_bytes() for file in sorted(pending.pop().glob("*.py"))]
         for text in texts:
             digest.update(text)
         for name in sorted({name for text in texts for name in _IMPORTS.findall(text)}):
             imported = (_ROOT / name.decode().replace(".", "/")).parent
-            if imported not in seen and _has_kernels(imported):
-                rooms.append(imported)
-            seen.add(imported)
+            if imported not in visited and _has_kernels(imported):
+                pending.append(imported)
+            visited.add(imported)
     return digest.hexdigest()[:16]
 
 
 @functools.cache
-def _has_kernels(room: Path) -> bool:
-    return any(b"from rig.numerics.jit import" in file.read_bytes() for file in room.glob("*.py"))
+def _has_kernels(folder: Path) -> bool:
+    return any(b"from rig.numerics.jit import" in file.read_bytes() for file in folder.glob("*.py"))
 
 
 def code_base() -> Path:
@@ -79,30 +79,30 @@ def code_base() -> Path:
 
 
 @functools.cache
-def code_folder(room: Path) -> Path | None:
-    """Make the folder for the machine code of a folder's kernels, or return None where none can be written."""
-    folder = code_base() / f"{room.name}-{_digest(room)}"
+def code_folder(source: Path) -> Path | None:
+    """Create the folder for the machine code of the kernels in a source folder; None if it cannot be written."""
+    folder = code_base() / f"{source.name}-{_digest(source)}"
     try:
         folder.mkdir(parents=True, exist_ok=True)
         TemporaryFile(dir=folder).close()
         os.utime(folder)
         for other in folder.parent.iterdir():
-            if time.time() - other.stat().st_mtime > _FORGOTTEN:
+            if time.time() - other.stat().st_mtime > _MAX_UNUSED_S:
                 shutil.rmtree(other, ignore_errors=True)
     except OSError:
         _warn_once(
-            "no folder for machine code can be written to, so kernels are compiled at every start (up to a minute). "
-            "Name a folder in NUMBA_CACHE_DIR."
+            "the folder for machine code cannot be written, so kernels are compiled at every start (up to a minute). "
+            "Set NUMBA_CACHE_DIR to a folder that can be written."
         )
         return None
     return folder
 
 
 class CodeFolder:
-    """Where numba keeps the machine code of a function (`NUMBA_CACHE_LOCATOR_CLASSES`): the same for every checkout."""
+    """Location of a function's machine code for numba (`NUMBA_CACHE_LOCATOR_CLASSES`), common to all checkouts."""
 
     def __init__(self, function: Callable[..., object]) -> None:
-        self._folder, self._line = code_folder(_room(function)), function.__code__.co_firstlineno
+        self._folder, self._line = code_folder(_source_folder(function)), function.__code__.co_firstlineno
 
     @classmethod
     def from_function(cls, function: Callable[..., object], file: str) -> CodeFolder:
@@ -117,30 +117,30 @@ class CodeFolder:
         return str(self._folder)
 
     def get_source_stamp(self) -> str:
-        """Return a constant: the folder is another when the source changes."""
+        """Return a constant, because another source has another folder."""
         return ""
 
     def get_disambiguator(self) -> str:
-        """Distinguish functions of one name."""
+        """Return the line of the function, to distinguish functions of the same name."""
         return str(self._line)
 
 
-def _room(function: Callable[..., object]) -> Path:
+def _source_folder(function: Callable[..., object]) -> Path:
     return Path(inspect.getfile(function)).parent
 
 
 class _Compiling(Listener):
-    """Report compiling: in the log, and again and again while a command waits for it."""
+    """Report compilation in the log, and at intervals while a command waits for it."""
 
     def on_start(self, event: Event) -> None:
         """Report the start."""
         if event.data is None or event.data["dispatcher"].py_func.__module__.startswith(("rig.", "daq.")):
             _warn_once(f"{_COMPILING}: about 20 s, up to a minute for several parts")
-        console.held_up(_COMPILING)
+        console.begin_delay(_COMPILING)
 
     def on_end(self, event: Event) -> None:
         """Report the end."""
-        console.go_on()
+        console.end_delay()
 
 
 register("numba:compile", _Compiling())
@@ -152,13 +152,13 @@ def _warn_once(text: str) -> None:
 
 
 def _njit(function: F, kernel: bool, **options: Any) -> F:
-    folder = code_folder(_room(function))
+    folder = code_folder(_source_folder(function))
     compiler = numba.njit if callees is None else functools.partial(callees.njit, kernel=kernel)
-    before, _CONFIG.CACHE_LOCATOR_CLASSES = _CONFIG.CACHE_LOCATOR_CLASSES, "rig.numerics.jit.CodeFolder"
+    previous, _CONFIG.CACHE_LOCATOR_CLASSES = _CONFIG.CACHE_LOCATOR_CLASSES, "rig.numerics.jit.CodeFolder"
     try:
         return cast(F, compiler(function, cache=folder is not None, **options))
     finally:
-        _CONFIG.CACHE_LOCATOR_CLASSES = before
+        _CONFIG.CACHE_LOCATOR_CLASSES = previous
 
 
 def stored(function: F) -> F:
@@ -172,14 +172,14 @@ def compiled(function: F) -> F:
 
 
 def inlined(function: F) -> F:
-    """Compile a function of a kernel into each of its callers: handing it hundreds of arrays takes longer."""
+    """Compile a function of a kernel into each of its callers, because passing hundreds of arrays takes longer."""
     return _njit(function, kernel=True, forceinline=True, nogil=True, fastmath={"contract"})
 
 
 def unfused(function: F) -> F:
-    """Compile a function of a kernel in which multiplications and additions stay separate.
+    """Compile a function of a kernel in which multiplications and additions are not fused.
 
-    For loops over samples: a processor handles several at a time and the rest one by one, and both have to give the
-    same bits, however samples come in blocks.
+    It is for loops over samples: the processor handles most samples in groups and the others one by one. Both must give
+    the same bits for every block size.
     """
     return _njit(function, kernel=True, nogil=True, fastmath=False)

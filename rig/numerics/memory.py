@@ -1,4 +1,4 @@
-"""Limit on the memory of a computation, checked before it begins."""
+"""Memory limit of a computation, checked before its start."""
 
 from __future__ import annotations
 
@@ -7,50 +7,51 @@ import re
 
 from rig.errors import RunError
 
-# What a command takes unless it is allowed more, bytes.
-USUAL = 1e9
-# What a process that reads files takes before it reads one, bytes, measured.
-PROGRAM = 0.2e9
-ALLOWED = "SHOTRIG_MEMORY"
+# Memory limit of a command, unless the environment variable sets another.
+DEFAULT_LIMIT_BYTES = 1e9
+# Memory of a process that reads files, before it reads one; measured.
+PROGRAM_BYTES = 0.2e9
+# Environment variable with the memory limit.
+LIMIT_VARIABLE = "SHOTRIG_MEMORY"
 _PREFIXES = {"": 1.0, "M": 1e6, "G": 1e9, "T": 1e12}
 
 
-def need(size: float, what: str) -> None:
-    """Refuse what would need more memory than is allowed.
+def require_memory(size: float, what: str) -> None:
+    """Reject a computation that would exceed the memory limit.
 
-    `size`: bytes; `what`: what takes them. Raises `RunError` if they are more than 1 GB, or than the environment
-    variable `SHOTRIG_MEMORY` allows.
+    `size`: bytes; `what`: name of the computation. Raises `RunError` if `size` exceeds 1 GB, or the limit in the
+    environment variable `SHOTRIG_MEMORY`.
 
-    >>> need(1e15, "a motion")  # doctest: +ELLIPSIS
+    >>> require_memory(1e15, "a motion")  # doctest: +ELLIPSIS
     Traceback (most recent call last):
     rig.errors.RunError: a motion would need 1e+06 GB of memory; the limit is 1 GB. ...
     """
-    allowed = most()
-    if size > allowed:
+    limit = memory_limit()
+    if size > limit:
         raise RunError(
-            f"{what} would need {size / 1e9:.4g} GB of memory; the limit is {allowed / 1e9:.3g} GB. The "
-            f"environment variable {ALLOWED} raises it, such as {ALLOWED}=8GB."
+            f"{what} would need {size / 1e9:.4g} GB of memory; the limit is {limit / 1e9:.3g} GB. Raise it by "
+            f"the environment variable {LIMIT_VARIABLE}, such as {LIMIT_VARIABLE}=8GB."
         )
 
 
-def need_beside_program(size: float, what: str) -> None:
-    """Refuse what would need more memory than is allowed, the program's own memory included.
+def require_memory_with_program(size: float, what: str) -> None:
+    """Reject a computation that would exceed the memory limit together with the program itself.
 
-    Parameters and errors as `need`; 0 bytes are never refused.
+    Parameters and errors as `require_memory`; 0 bytes are never rejected.
     """
     if size > 0.0:
-        need(PROGRAM + size, what)
+        require_memory(PROGRAM_BYTES + size, what)
 
 
-def most() -> float:
-    """Give what a command may take, bytes.
+def memory_limit() -> float:
+    """Return the memory limit of a command, bytes.
 
-    Raises `RunError` if the environment variable says no amount.
+    Raises `RunError` if the environment variable is not an amount of memory.
     """
-    written = os.environ.get(ALLOWED, "")
-    if not written:
-        return USUAL
-    match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([MGT]?)B\s*", written, re.IGNORECASE)
+    text = os.environ.get(LIMIT_VARIABLE, "")
+    if not text:
+        return DEFAULT_LIMIT_BYTES
+    match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([MGT]?)B\s*", text, re.IGNORECASE)
     if match is None:
-        raise RunError(f"{ALLOWED}={written[:40]!r}: expected an amount of memory such as 8GB")
+        raise RunError(f"{LIMIT_VARIABLE}={text[:40]!r}: not an amount of memory. Set an amount such as 8GB.")
     return float(match[1]) * _PREFIXES[match[2].upper()]

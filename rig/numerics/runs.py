@@ -1,4 +1,4 @@
-"""Runs of flags."""
+"""Runs of equal flags."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 
 def runs_of(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Find where flags are set, as [first, stop).
+    """Return the intervals [first, stop) in which flags are set.
 
     >>> runs_of(np.array([True, True, False, True]))
     [(0, 2), (3, 4)]

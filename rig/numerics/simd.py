@@ -1,8 +1,8 @@
-"""Matrix times vector in vector registers: here, and in `rig.numerics.fma`, the instructions are chosen explicitly.
+"""Matrix times vector in vector registers; the instructions are chosen explicitly, as in `rig.numerics.fma`.
 
-The kernel multiplies small matrices with a vector millions of times a second. Written as plain loops numba
-keeps the sums in memory; as eight lanes of one register the same product costs half. The order of the sums is
-fixed, so results do not depend on the number of columns handled at once, the block size or the optimiser.
+The kernel multiplies small matrices with a vector millions of times a second. With plain loops numba stores the sums in
+memory; with eight lanes of a register the product takes half the time. The order of the sums is fixed, so that results
+do not depend on the number of columns, the block size or the optimizer.
 """
 
 from __future__ import annotations
@@ -18,35 +18,35 @@ from numba.extending import intrinsic
 
 from rig.numerics.jit import compiled, inlined
 
-#: Rows are padded to a multiple of this.
+#: Number of values in a register; rows are padded to a multiple of it.
 LANES = 8
-#: Sums that run at the same time in a product, a power of two.
+#: Number of sums that a product computes in parallel, a power of two.
 SUMS = 4
 
 
-def padded(count: int) -> int:
+def padded_length(count: int) -> int:
     """Round a number of rows up to full registers.
 
-    >>> padded(0), padded(8), padded(9)
+    >>> padded_length(0), padded_length(8), padded_length(9)
     (8, 8, 16)
     """
     return max(LANES, -(-count // LANES) * LANES)
 
 
-def zeros(*shape: int) -> np.ndarray:
-    """Zeros that begin on the boundary of a register in memory: then no register has to be read in two halves."""
+def aligned_zeros(*shape: int) -> np.ndarray:
+    """Return zeros that are aligned to registers in memory, so that no register is read in two parts."""
     count = math.prod(shape)
     room = np.zeros(count + LANES)
     start = -(room.__array_interface__["data"][0] // room.itemsize) % LANES
     return room[start : start + count].reshape(shape)
 
 
-#: A register.
+#: LLVM type of a register.
 WIDE = ir.VectorType(ir.DoubleType(), LANES)
 
 
 def _place(context: Any, builder: Any, kind: Any, array: Any, index: Any) -> Any:
-    """Pointer to eight lanes of an array, from a flat index on."""
+    """Return a pointer to eight lanes of an array, from a flat index on."""
     data = context.make_array(kind)(context, builder, array).data
     return builder.bitcast(builder.gep(data, [index]), WIDE.as_pointer())
 
@@ -77,8 +77,8 @@ _INDEX = ir.IntType(64)
 def _add_product(builder: Any, arguments: list[Any], row: Any, registers: int) -> None:
     """Add the code of a product for the rows of a number of registers, a divisor of `SUMS`.
 
-    out[row + i] = constant[row + i] + sum_c matrix[c rows + row + i] vector[c]. An addition takes longer than the next
-    may be started, so `SUMS` of them run at a time: of several registers, or of several columns.
+    out[row + i] = constant[row + i] + sum_c matrix[c rows + row + i] vector[c]. The latency of an addition
+    is hidden by `SUMS` parallel sums, of several registers or of several columns.
     """
     matrix, constant, vector, out, columns, rows = arguments
     at_once = SUMS // registers
@@ -120,7 +120,7 @@ def _add_product(builder: Any, arguments: list[Any], row: Any, registers: int) -
 
 
 def _many_rows(module: Any) -> Any:
-    """Return the function for the rows of `SUMS` registers at a time; inlined, its loop would be short of registers."""
+    """Return the function for the rows of `SUMS` registers at a time; not inlined, because it needs all registers."""
     name = "shotrig_many_rows"
     if name not in module.globals:
         function = ir.Function(module, ir.FunctionType(ir.VoidType(), [_DOUBLES] * 4 + [_INDEX] * 3), name)
@@ -138,7 +138,7 @@ def _many_rows(module: Any) -> Any:
 
 
 def _product(many: bool) -> Any:
-    """Make the product for one register from `row` on, or for many of them up to `row`."""
+    """Return an intrinsic for the product of one register from `row` on, or of many registers up to `row`."""
 
     @intrinsic
     def product(
@@ -178,7 +178,7 @@ _one, _many = _product(many=False), _product(many=True)
 
 @intrinsic
 def _lanes_exceed(typing_context: Any, vector: Any, bound: Any, row: Any) -> Any:
-    """Whether |vector[row + i]| > bound[row + i] for any of i = 0..7; not a number counts as exceeding."""
+    """Return whether |vector[row + i]| > bound[row + i] for any i = 0..7; NaN exceeds every bound."""
     signature = types.boolean(vector, bound, types.intp)
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -197,7 +197,7 @@ def _lanes_exceed(typing_context: Any, vector: Any, bound: Any, row: Any) -> Any
 
 @intrinsic
 def _lane_minimum(typing_context: Any, vector: Any, row: Any) -> Any:
-    """Smallest of vector[row + 0..7], none of which is not a number."""
+    """Return the smallest of vector[row + 0..7], none of which is NaN."""
     signature = types.float64(vector, types.intp)
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -211,7 +211,7 @@ def _lane_minimum(typing_context: Any, vector: Any, row: Any) -> Any:
 
 @intrinsic
 def _negative_lanes(typing_context: Any, vector: Any, row: Any) -> Any:
-    """Bit i is set where vector[row + i] is below zero."""
+    """Return bits that are set for each i with vector[row + i] < 0."""
     signature = types.int64(vector, types.intp)
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -223,8 +223,8 @@ def _negative_lanes(typing_context: Any, vector: Any, row: Any) -> Any:
 
 
 @inlined
-def lowest(vector: Any) -> float:
-    """Smallest element of a vector of shape (multiple of LANES,)."""
+def minimum(vector: Any) -> float:
+    """Return the smallest element of a vector of shape (multiple of LANES,)."""
     least = np.inf
     for row in range(0, vector.shape[0], LANES):
         least = min(least, _lane_minimum(vector, row))  # type: ignore[call-arg]  # numba supplies the context
@@ -232,8 +232,8 @@ def lowest(vector: Any) -> float:
 
 
 @inlined
-def negatives(vector: Any) -> int:
-    """Bit i is set where element i of a vector of shape (multiple of LANES, at most 56,) is below zero."""
+def negative_bits(vector: Any) -> int:
+    """Return bits that are set for each negative element of a vector of shape (multiple of LANES, at most 56,)."""
     bits = 0
     for row in range(0, vector.shape[0], LANES):
         bits |= _negative_lanes(vector, row) << row  # type: ignore[call-arg]
@@ -308,7 +308,7 @@ def transpose(window: Any, rows: Any, column: int) -> None:
 
 @inlined
 def exceeds(vector: Any, bound: Any) -> bool:
-    """Whether any element is larger than its bound in size, or not a number; shapes (multiple of LANES,)."""
+    """Return whether the magnitude of any element exceeds its bound, or is NaN; shapes (multiple of LANES,)."""
     any_exceeds = False
     for row in range(0, bound.shape[0], LANES):
         any_exceeds |= _lanes_exceed(vector, bound, row)  # type: ignore[call-arg]
@@ -317,21 +317,21 @@ def exceeds(vector: Any, bound: Any) -> bool:
 
 @inlined
 def combine(matrix: Any, constant: Any, slot: int, vector: Any, columns: int, out: Any) -> None:
-    """Out = matrix[slot]^T vector + constant[slot].
+    """Compute out = matrix[slot]^T vector + constant[slot].
 
-    `columns`: a multiple of SUMS is quickest.
+    The product is fastest if `columns` is a multiple of SUMS.
     """
     _combine_from(matrix, constant, slot, vector, columns, out, 0)
 
 
 @inlined
 def combine_many(matrix: Any, constant: Any, slot: int, vector: Any, columns: int, out: Any) -> None:
-    """Do the same for many rows: longer code, which reads the vector a quarter as often."""
+    """Compute out = matrix[slot]^T vector + constant[slot] for many rows; more code, but fewer reads of the vector."""
     rows = constant.shape[1]
-    start, most = slot * matrix.shape[1] * rows, rows - rows % (SUMS * LANES)
-    if most > 0:
-        _many(matrix, start, constant, slot * rows, vector, columns, rows, out, most)
-    _combine_from(matrix, constant, slot, vector, columns, out, most)
+    start, many = slot * matrix.shape[1] * rows, rows - rows % (SUMS * LANES)
+    if many > 0:
+        _many(matrix, start, constant, slot * rows, vector, columns, rows, out, many)
+    _combine_from(matrix, constant, slot, vector, columns, out, many)
 
 
 @inlined
@@ -346,9 +346,9 @@ def _combine_from(
 
 @compiled
 def multiply(matrix: Any, slot: int, vector: Any, constant: Any, out: Any) -> None:
-    """Out = matrix[slot]^T vector + constant, the same for all slots.
+    """Compute out = matrix[slot]^T vector + constant, with the same constant for all slots.
 
-    `constant`, `out`: not the same array.
+    `constant` and `out` must be different arrays.
     """
     columns, rows = matrix.shape[1], matrix.shape[2]
     for row in range(0, rows, LANES):

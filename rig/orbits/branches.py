@@ -22,7 +22,7 @@ from rig.orbits.periodic_orbit import refine_orbit, search_orbit, set_to_orbit, 
 from rig.orbits.problem import OperatingPoint, OrbitProblem, Parameter, base_frequency, parameter_values, vary
 from rig.scene.loading import SceneLike, scene_of
 
-STEPS = continuation.Steps(first=5e-3, longest=0.25, turn=0.12, shortest=1e-7, points=1500)
+STEPS = continuation.Steps(first_step=5e-3, max_step=0.25, max_angle_rad=0.12, min_step=1e-7, max_points=1500)
 # Step past a border, relative to the parameter, at which Newton's iteration for the next orbit starts.
 BORDER_STEP = 2e-6
 # Steps past a border, relative to the parameter, at which the motion is simulated until it is steady.

@@ -129,7 +129,7 @@ def derive_plan(
                 f"an impact of damper {damper + 1} acts on damper {dampers[simultaneous[-1]] + 1} at the same "
                 "instant, through a common body or the mass matrix. Use rig.frequency_response."
             )
-        if system.lasting[damper]:
+        if system.finite_contact[damper]:
             events.append(_finite_contact_kind(trajectory, k, system))
         elif kind in (FLOOR_IMPACT, CEILING_IMPACT):
             impact = kinds.FLOOR if kind == FLOOR_IMPACT else kinds.CEILING
@@ -170,7 +170,7 @@ def _finite_contact_kind(trajectory: Trajectory, event: int, system: HybridSyste
 
 def walls_from_modes(modes: NDArray[Any], system: HybridSystem) -> NDArray[np.int64]:
     """Return the walls of a sequence for the engine's contact states, shape (dampers,)."""
-    return np.asarray(modes, dtype=np.int64) + np.where(system.lasting, kinds.FORCELESS, kinds.FLYING)
+    return np.asarray(modes, dtype=np.int64) + np.where(system.finite_contact, kinds.FORCELESS, kinds.FLYING)
 
 
 def modes_from_walls(walls: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -119,7 +119,7 @@ class Orbit(Result):
         wall = sequence.wall[len(sequence.wall) - len(track.times) :, None, :]
         gaps = np.where(wall == kinds.FLYING, np.maximum(track.guards[..., 0], 0.0), 0.0)
         gaps = np.where(wall == kinds.RIDES_CEILING, system.clearance, gaps)
-        gaps[..., system.lasting] = track.motion[..., system.bed[system.lasting]]
+        gaps[..., system.finite_contact] = track.motion[..., system.bed[system.finite_contact]]
         motion = track.motion[..., : self.problem.scene.structure.bodies]
         return {
             "time_s": track.times.ravel(),

@@ -7,7 +7,7 @@ import numpy as np
 from rig.arrays import Array
 from rig.engine.propagator import Propagator, tone_propagator
 from rig.engine.state import CEILING, CONFIGURATION, FLIGHT, FLOOR
-from rig.engine.trajectory import STRIKES, Trajectory
+from rig.engine.trajectory import CONTACT_EVENTS, Trajectory
 from rig.errors import RunError
 from rig.orbits import event_kinds as kinds
 from rig.orbits.event_sequence import (
@@ -126,7 +126,7 @@ def _nearby_orbit(
         return None
     # An irregular motion may pass close to an orbit without settling, so check that the distance decreases.
     trajectory = _simulate(propagator, steps, CONFIRMATION_PERIODS * repetition)
-    n_impacts = np.count_nonzero(np.isin(trajectory.event_kind, STRIKES)) // repetition
+    n_impacts = np.count_nonzero(np.isin(trajectory.event_kind, CONTACT_EVENTS)) // repetition
     n_orbit_impacts = np.count_nonzero(~np.isin(orbit.events["kind"], ("separation", "release")))
     same_impacts = n_impacts == CONFIRMATION_PERIODS * n_orbit_impacts // orbit.repetition
     return orbit if same_impacts and _distance(propagator, orbit) < max(distance, CLOSE_DISTANCE) else None

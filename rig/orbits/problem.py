@@ -131,7 +131,7 @@ class OrbitProblem:
         return self._systems[ratio]
 
     def _assemble(self, ratio: float) -> HybridSystem:
-        if not self.system.lasting.any():
+        if not self.system.finite_contact.any():
             return replace(self.system, damper_mass=ratio * self.system.damper_mass)
         # A bed with its own coordinate is part of the mass matrix, and its contact duration determines the wall
         # stiffness and damping.
@@ -163,7 +163,7 @@ class OrbitProblem:
         generator, change = np.zeros((2, len(plan.configurations), n + 3, n + 3))
         generator[:, :n, :n] = matrices.state_matrix
         generator[:, :n, n : n + 2] = matrices.input_matrix[:, :, :-1] @ drive
-        pressable = system.lasting & np.isfinite(system.clearance)
+        pressable = system.finite_contact & np.isfinite(system.clearance)
         generator[:, :n, n + 2] = matrices.input_matrix[:, :, -1]
         generator[:, nq : 2 * nq, n + 2] += (
             matrices.clearance_input[:, :, pressable] @ system.clearance[pressable]
@@ -284,7 +284,7 @@ class OrbitProblem:
 
     def _wall_changes(self, mass_ratio: float) -> tuple[Array, Array]:
         """Differentiate wall stiffness and damping by the mass ratio, which matters for a given contact duration."""
-        if not self.system.lasting.any():
+        if not self.system.finite_contact.any():
             return np.zeros((self.system.dampers, 2)), np.zeros((self.system.dampers, 2))
         # The functions are smooth: finite differences are accurate to about 1e-10.
         above, below = (self._system_at((1.0 + sign * RELATIVE_STEP) * mass_ratio) for sign in (1, -1))
@@ -307,7 +307,8 @@ def vary(setting: OperatingPoint, parameter: Parameter) -> Callable[[float], Ope
 def _riding_mass_and_forces(system: HybridSystem, configuration: int) -> tuple[Array, Array]:
     """Return the mass matrix with the riding dampers of a configuration, and constant forces with their weight."""
     riding = np.array(
-        [j for j in range(system.dampers) if configuration >> j & 1 and not system.lasting[j]], dtype=np.intp
+        [j for j in range(system.dampers) if configuration >> j & 1 and not system.finite_contact[j]],
+        dtype=np.intp,
     )
     rows, masses = system.damper_coordinate[riding], system.damper_mass[riding]
     added = np.zeros_like(system.mass)
@@ -319,6 +320,6 @@ def _finite_contact_forces(system: HybridSystem, configuration: int) -> tuple[Ar
     """Return the forces of finite-duration contacts: rows for the state, and derivatives by clearance."""
     force, constant = replace(system, clearance=np.ones(system.dampers)).contact_forces(configuration)
     clearance_force = np.zeros((system.coordinates, system.dampers))
-    lasting = np.flatnonzero(system.lasting)
+    lasting = np.flatnonzero(system.finite_contact)
     clearance_force[system.bed[lasting], lasting] = constant[system.bed[lasting]]
     return force, clearance_force

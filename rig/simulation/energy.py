@@ -237,7 +237,7 @@ def _integrate(
         for slot in np.unique(slots):
             rows = slots == slot
             terms = _series(tables, int(slot), states[rows])
-            in_contact = np.flatnonzero(system.lasting & (walls[slot] != FLIGHT))
+            in_contact = np.flatnonzero(system.finite_contact & (walls[slot] != FLIGHT))
             damping = system.wall_damping[in_contact, walls[slot, in_contact] - 1]
             for node, weight in zip(*_GAUSS_NODES, strict=True):
                 at_node = _sum_series(terms, ratio[rows] * node)
@@ -261,7 +261,7 @@ def _walls(tables: FlowTables) -> NDArray[np.int64]:
     configurations = np.array(sorted(tables.slots, key=tables.slots.__getitem__), dtype=np.int64)[:, None]
     bits = np.arange(system.dampers)
     in_contact = configurations >> bits & 1
-    if not system.lasting.any():
+    if not system.finite_contact.any():
         return in_contact
     return np.asarray(in_contact * np.where(configurations >> system.dampers + bits & 1, CEILING, FLOOR))
 
@@ -269,7 +269,7 @@ def _walls(tables: FlowTables) -> NDArray[np.int64]:
 def _contact_energy(system: HybridSystem, walls: NDArray[Any], states: Array) -> Array:
     """Return the energy in contact springs, J; walls (states, dampers) as in `_walls`."""
     energy = np.zeros(len(states))
-    for j in np.flatnonzero(system.lasting):
+    for j in np.flatnonzero(system.finite_contact):
         stiffness = np.append(0.0, system.wall_stiffness[j])[walls[:, j]]
         overlap = states[:, system.bed[j]] - np.where(walls[:, j] == CEILING, system.clearance[j], 0.0)
         energy += 0.5 * stiffness * overlap**2
@@ -323,14 +323,14 @@ def _stored_energy(tables: FlowTables, forms: QuadraticForms, complete: Complete
     energy = float(_quadratic(forms.stored, state)) - float(system.force_constant @ state[:n])
     energy += float(_contact_energy(system, complete.mode[None], state[None])[0])
     # Beds with finite-duration contact are part of the mass matrix.
-    masses = np.where(system.lasting, 0.0, system.damper_mass)
+    masses = np.where(system.finite_contact, 0.0, system.damper_mass)
     return energy + float(masses @ (system.gravity * height + 0.5 * speed**2))
 
 
 def _impact_losses(system: HybridSystem, trajectory: Trajectory) -> float:
     """Return the kinetic energy lost at the breaks, J."""
     n = system.coordinates
-    masses = np.where(system.lasting, 0.0, system.damper_mass)
+    masses = np.where(system.finite_contact, 0.0, system.damper_mass)
     loss = 0.0
     for sign, states, damper_speeds in (
         (1.0, trajectory.before, trajectory.speed_before),

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.engine.trajectory import KINDS
+from rig.engine.trajectory import EVENT_NAMES
 from rig.errors import SceneError
 from rig.output_files import atomic_write
 from rig.provenance import reject_foreign_files
@@ -81,7 +81,7 @@ def summary(run: Run) -> str:
     for damper in sorted({int(number) for number in run.events["damper"]}):
         events = run.events[run.events["damper"] == damper]
         counts = Counter(str(kind) for kind in events["kind"])
-        parts = [f"{kind} {counts[kind]}" for kind in dict.fromkeys(KINDS.tolist()) if counts[kind]]
+        parts = [f"{kind} {counts[kind]}" for kind in dict.fromkeys(EVENT_NAMES.tolist()) if counts[kind]]
         lines.append(f"damper {damper}: {', '.join(parts)}; hardest impact {events['speed'].max():.4g} m/s")
     lines.append(f"events: {len(run.events)}, decided within rounding: {run.ambiguous}")
     energy = run.energy

@@ -15,7 +15,7 @@ from rig.arrays import Array
 from rig.engine.propagator import Propagator, sampled_propagator, tone_propagator
 from rig.engine.trajectory import EVENT, Trajectory, event_table, gaps_and_contacts
 from rig.errors import RunError, SceneError
-from rig.numerics.memory import need
+from rig.numerics.memory import require_memory
 from rig.ranks import size
 from rig.results import Result, complete_style
 from rig.scene.loading import SceneLike, scene_of
@@ -184,7 +184,7 @@ def simulate(
 def _check_memory(system: HybridSystem, instants: float) -> None:
     """Reject a run whose motion exceeds the memory: states, points, dampers and extended-precision times."""
     numbers = 3 * system.states + 3 * len(system.points) + 4 * len(system.damper_mass) + 16
-    need(8.0 * numbers * instants, f"a motion of {instants:.3g} instants")
+    require_memory(8.0 * numbers * instants, f"a motion of {instants:.3g} instants")
 
 
 def _sampled_drive(drive: ArrayLike, system: HybridSystem) -> Array:

@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-_NEAR = continuation.Steps(iterations=25)
-_STEPS = continuation.Steps(first=3e-3, longest=0.1, turn=0.15)
+_NEAR = continuation.Steps(max_iterations=25)
+_STEPS = continuation.Steps(first_step=3e-3, max_step=0.1, max_angle_rad=0.15)
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rig.arrays import Array
 from rig.engine.propagator import Propagator, tone_propagator
-from rig.engine.trajectory import STRIKES
+from rig.engine.trajectory import CONTACT_EVENTS
 from rig.errors import SceneError
 from rig.results import Result, complete_style
 from rig.scene.loading import SceneLike, scene_of
@@ -356,7 +356,7 @@ class SteadyContinuation:
         else:
             force = complex(spring_force_row(self.scene, system) @ harmonic[: system.states])
         types = motion_types(trajectory, system, steady.repetition, float(durations[0]))
-        is_impact = np.isin(trajectory.event_kind, STRIKES)
+        is_impact = np.isin(trajectory.event_kind, CONTACT_EVENTS)
         impact_dampers, closing_speed = trajectory.event_damper[is_impact], np.zeros(system.dampers)
         np.maximum.at(closing_speed, impact_dampers, trajectory.event_speed[is_impact])
         bodies = self.scene.structure.bodies

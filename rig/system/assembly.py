@@ -250,11 +250,11 @@ def static_equilibrium(scene: Scene, system: HybridSystem) -> Array:
     """
     n = system.coordinates
     load = system.force_constant.copy()
-    riding = ~system.lasting
+    riding = ~system.finite_contact
     np.subtract.at(load, system.damper_coordinate[riding], system.damper_mass[riding] * system.gravity)
     if not load.any():
         return np.zeros(n)
-    stiffness = -(system.force_state + system.contact_forces(system.at_rest)[0])[:, :n]
+    stiffness = -(system.force_state + system.contact_forces(system.all_on_floor)[0])[:, :n]
     if not stiffness.any() or np.linalg.cond(stiffness) > 1e13:
         raise SceneError(
             f"scene {scene.name!r}: the structure has no support, so it has no static equilibrium under "

@@ -77,11 +77,11 @@ class HybridSystem:
     @property
     def coupled(self) -> bool:
         """Whether an impact of a damper instantly affects another damper in the same body, or another coordinate."""
-        hit = self.damper_coordinate[~self.lasting]
+        hit = self.damper_coordinate[~self.finite_contact]
         return bool(np.count_nonzero(self.mass[hit]) > np.unique(hit).size)
 
     @property
-    def lasting(self) -> np.ndarray:
+    def finite_contact(self) -> np.ndarray:
         """Whether the contact of each damper has a duration, bool (dampers,)."""
         return self.bed >= 0
 
@@ -105,10 +105,10 @@ class HybridSystem:
         """
         floors = [1 << j for j in range(self.dampers)]
         ceilings = [1 << j | 1 << self.dampers + j for j in range(self.dampers)]
-        return floors + ceilings if self.lasting.any() else floors
+        return floors + ceilings if self.finite_contact.any() else floors
 
     @property
-    def at_rest(self) -> int:
+    def all_on_floor(self) -> int:
         """Configuration with every damper on its floor."""
         return (1 << self.dampers) - 1
 
@@ -116,7 +116,7 @@ class HybridSystem:
         """Return the matrix (coordinates, states) and the constant forces (coordinates,) of closed contacts."""
         n = self.coordinates
         force, constant = np.zeros((n, self.states)), np.zeros(n)
-        for j in np.flatnonzero(self.lasting):
+        for j in np.flatnonzero(self.finite_contact):
             if not configuration >> int(j) & 1:
                 continue
             wall = configuration >> self.dampers + int(j) & 1
@@ -143,14 +143,14 @@ class HybridSystem:
         return np.asarray(np.linalg.eigvals(self.matrix()), dtype=complex)
 
     @cached_property
-    def fastest(self) -> float:
+    def max_rate(self) -> float:
         """Upper bound of the rates of the system in all configurations, rad/s.
 
         Dampers at rest reduce the rates; finite-duration contacts increase them.
         """
         configurations = {0}
-        if self.lasting.any():
-            dampers = np.flatnonzero(self.lasting)
+        if self.finite_contact.any():
+            dampers = np.flatnonzero(self.finite_contact)
             stiffer_wall = np.argmax(self.wall_stiffness, axis=1)
             all_closed = sum(self.toggles[j + self.dampers * stiffer_wall[j]] for j in dampers)
             configurations |= {
@@ -170,7 +170,7 @@ class Drive:
 
     generator: np.ndarray
     output: np.ndarray
-    fastest: float
+    max_rate: float
 
     @property
     def states(self) -> int:
@@ -178,7 +178,7 @@ class Drive:
         return self.generator.shape[0]
 
 
-def tone(amplitudes: np.ndarray, angular_frequency: float) -> Drive:
+def pure_tone(amplitudes: np.ndarray, angular_frequency: float) -> Drive:
     """Return the drive of a pure tone u(t) = Re(U e^{i w t}), with p = (cos w t, sin w t).
 
     `amplitudes`: U of each input; `angular_frequency`: w in rad/s.
@@ -188,7 +188,7 @@ def tone(amplitudes: np.ndarray, angular_frequency: float) -> Drive:
     return Drive(generator, np.column_stack([amplitudes.real, -amplitudes.imag]), angular_frequency)
 
 
-def sampled(inputs: int, interval: float) -> Drive:
+def first_order_hold(inputs: int, interval: float) -> Drive:
     """Return the drive of linearly interpolated samples: p = (u, change of u over the sample interval)."""
     generator = np.zeros((2 * inputs, 2 * inputs))
     generator[:inputs, inputs:] = np.eye(inputs) / interval

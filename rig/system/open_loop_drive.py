@@ -137,11 +137,11 @@ def riding_equations(system: HybridSystem, name: str) -> tuple[Array, Array, Arr
     n, ns = system.coordinates, system.states
     inertia, matrix, input_column = np.eye(ns), np.zeros((ns, ns)), np.zeros(ns)
     mass = system.mass.copy()
-    riding = system.damper_coordinate[~system.lasting]
-    np.add.at(mass, (riding, riding), system.damper_mass[~system.lasting])
+    riding = system.damper_coordinate[~system.finite_contact]
+    np.add.at(mass, (riding, riding), system.damper_mass[~system.finite_contact])
     inertia[n : 2 * n, n : 2 * n] = mass
     matrix[:n, n : 2 * n] = np.eye(n)
-    force, _ = system.contact_forces(system.at_rest)
+    force, _ = system.contact_forces(system.all_on_floor)
     matrix[n : 2 * n] = system.force_state + force
     matrix[2 * n :] = system.rate_state
     column = system.inputs.index(name)

@@ -101,7 +101,7 @@ class FirstOrderForm:
         one = self.one
         for j, wall in enumerate(mode):
             row = self.rows[j]
-            if self.system.lasting[j]:
+            if self.system.finite_contact[j]:
                 if wall != FLIGHT:
                     gap = int(self.system.bed[j])
                     stiffness, damping = (values[j, wall - FLOOR] for values in self._walls)
@@ -129,7 +129,7 @@ class FirstOrderForm:
     def gap(self, j: int, wall: int) -> NDArray[Any]:
         """Return the row vector whose product with z is the distance of a damper from a wall, m."""
         row = np.full(self.size, self._zero)
-        if self.system.lasting[j]:
+        if self.system.finite_contact[j]:
             row[int(self.system.bed[j])] = self._unit
         else:
             row[self.first + j], row[self.rows[j]] = self._unit, -self._unit
@@ -141,7 +141,7 @@ class FirstOrderForm:
     def pressing(self, j: int, wall: int, matrix: NDArray[Any]) -> NDArray[Any]:
         """Return the row vector of wall force over damper mass, m/s^2; of wall force, N, in finite-duration contact."""
         n = self.system.coordinates
-        if self.system.lasting[j]:
+        if self.system.finite_contact[j]:
             gap = int(self.system.bed[j])
             stiffness, damping = (values[j, wall - FLOOR] for values in self._walls)
             row = stiffness * self.gap(j, wall)

@@ -138,7 +138,7 @@ class DecimalMotion:
     def __init__(self, system: HybridSystem, tone: ToneDrive, digits: int, integrals: bool = False) -> None:
         self.system, self.context = system, decimal.Context(prec=digits)
         self._smallest = Decimal(10) ** (-digits - 5)
-        self._fastest = max(system.fastest, tone.omega)
+        self._fastest = max(system.max_rate, tone.omega)
         with decimal.localcontext(self.context):
             self.form = FirstOrderForm(system, tone, 0, Decimal, PI, integrals)
         self._flows: dict[tuple[int, ...], tuple[NDArray[Any], list[Any]]] = {}
@@ -162,7 +162,7 @@ class DecimalMotion:
             rebounds = self._rebounds(events, resting)
             for (guess, j, kind), restitution in zip(events, rebounds, strict=True):
                 self._sample(ahead, guess)
-                if self.system.lasting[j]:
+                if self.system.finite_contact[j]:
                     self._to_contact_change(Decimal(guess), j, kind)
                 else:
                     self._to_event(guess, j, kind, restitution, last)

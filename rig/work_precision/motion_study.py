@@ -156,7 +156,7 @@ def _methods(scene: Scene, system: HybridSystem, tone: ToneDrive, periods: int) 
         for share in SAMPLED:
             sampled = _sampled(scene, system, tone, share, periods)
             yield "engine, sampled drive", f"{share * frequency:.4g} Hz", sampled
-    if system.lasting.any():
+    if system.finite_contact.any():
         return  # the other methods support instantaneous contact only
     problem = FirstOrderForm(system, tone, periods)
     yield from _without_events(problem)

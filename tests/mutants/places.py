@@ -7,7 +7,7 @@ _SLOW = (
     "million_periods or hundred_thousand_periods or ever_shorter or response_is_followed or cut_into_blocks"
 )
 _ENGINE = (
-    "tests/rig/engine/test_reference.py tests/rig/engine/test_lasting.py tests/rig/engine/test_limits.py "
+    "tests/rig/engine/test_reference.py tests/rig/engine/test_finite_contact.py tests/rig/engine/test_limits.py "
     f"tests/rig/engine/test_invariants.py -k 'not ({_SLOW})'"
 )
 
@@ -18,7 +18,7 @@ PLACES: dict[str, dict[str, str]] = {
             "tests/rig/system/test_structural_model.py tests/rig/system/test_receptance.py "
             "tests/rig/system/test_several_shakers.py"
         ),
-        "rig/system/landing.py": "tests/rig/engine/test_lasting.py -k 'not ever_shorter_landings_when_simulated'",
+        "rig/system/landing.py": ("tests/rig/engine/test_finite_contact.py -k 'not short_landings_converge'"),
     },
     "guards": {"rig/engine/guards.py": f"tests/rig/engine/test_guards.py {_ENGINE}"},
     "contact decisions": {"rig/engine/contact.py": f"tests/rig/engine/test_contact.py {_ENGINE}"},

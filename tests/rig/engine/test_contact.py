@@ -9,12 +9,12 @@ from hypothesis import strategies as st
 
 import rig
 from rig.engine.contact import (
+    _close_slow_openings,
     _forces,
-    _hold_low_lifts,
-    _release_alone,
-    _release_together,
-    _stays,
-    _touches,
+    _rebound_is_negligible,
+    _release_coupled,
+    _release_independent,
+    _touched_wall,
     impact,
     release_tensile,
 )
@@ -22,22 +22,24 @@ from rig.engine.propagator import Propagator
 from rig.engine.state import CEILING, FLIGHT, FLOOR, SEPARATION, State
 from rig.numerics.complementarity import ROUNDING
 from rig.system.assembly import assemble
-from rig.system.hybrid_system import tone
-from tests.rig.numerics.test_complementarity import by_trying
+from rig.system.hybrid_system import pure_tone
+from tests.rig.numerics.test_complementarity import solve_by_enumeration
 
 CLEARANCE = 2e-3
 SIGN = {FLOOR: 1.0, CEILING: -1.0}
 
 
-def engine(coupling: float, restitution: float = 0.0, lasting: int = 0, apart: int = 0) -> Propagator:
-    """Three bodies with a damper in each, coupled through their masses but for the last ones; first contacts last."""
+def engine(
+    coupling: float, restitution: float = 0.0, finite_contacts: int = 0, uncoupled: int = 0
+) -> Propagator:
+    """Return three bodies with a damper each; the first contacts have a duration, the last bodies are uncoupled."""
     contact = {"contact": {"duration": "2 ms"}}
     dampers = [
         {"body": body, "mass": 0.1 * body, "clearance": CLEARANCE, "restitution": restitution}
-        | (contact if body <= lasting else {})
+        | (contact if body <= finite_contacts else {})
         for body in (1, 2, 3)
     ]
-    coupled = np.arange(3) < 3 - apart
+    coupled = np.arange(3) < 3 - uncoupled
     mass = np.diag([1.0, 0.8, 0.6]) + coupling * (1 - np.eye(3)) * np.outer(coupled, coupled)
     scene = rig.Scene.model_validate(
         {
@@ -52,10 +54,10 @@ def engine(coupling: float, restitution: float = 0.0, lasting: int = 0, apart: i
             "test": {"kind": "sine", "frequency": 10.0, "force": 1.0},
         }
     )
-    return Propagator(assemble(scene), tone(np.ones(1), 60.0), 2e-3)
+    return Propagator(assemble(scene), pure_tone(np.ones(1), 60.0), 2e-3)
 
 
-def strike(run: Propagator, damper: int, wall: int) -> None:
+def apply_impact(run: Propagator, damper: int, wall: int) -> None:
     """Let a damper hit a wall 0.25 s after the start of segment 7."""
     flow, model, work = run.tables.flow, run.tables.model, run.workspace.contact
     run.log.filled[2], run.log.now[0] = 7, 0.25
@@ -64,7 +66,7 @@ def strike(run: Propagator, damper: int, wall: int) -> None:
 
 
 def scatter(run: Propagator, modes: list[int], seed: int) -> State:
-    """Put it in some motion with dampers in given modes, flying ones away from their walls."""
+    """Set a random motion with dampers in given modes; those in flight are away from their walls."""
     chance, state, model = np.random.default_rng(seed), run.state, run.tables.model
     size = run.tables.size
     state.z[:size] = 1e-3 * chance.standard_normal(size)
@@ -79,18 +81,20 @@ def scatter(run: Propagator, modes: list[int], seed: int) -> State:
 MODES = st.lists(st.sampled_from([FLIGHT, FLOOR, CEILING]), min_size=3, max_size=3)
 
 
-@given(modes=MODES, lasting=st.integers(0, 3), seed=st.integers(0, 10_000))
-def test_finite_contact_forces_are_those_of_the_system(modes: list[int], lasting: int, seed: int) -> None:
-    run = engine(0.1, lasting=lasting)
+@given(modes=MODES, finite_contacts=st.integers(0, 3), seed=st.integers(0, 10_000))
+def test_finite_contact_forces_equal_the_system_matrices(
+    modes: list[int], finite_contacts: int, seed: int
+) -> None:
+    run = engine(0.1, finite_contacts=finite_contacts)
     state, model, system = scatter(run, modes, seed), run.tables.model, run.system
     bits = sum((mode != FLIGHT) << j | (mode == CEILING) << 3 + j for j, mode in enumerate(modes))
     force, constant = system.contact_forces(bits)
     z, drive = state.z[: system.states], state.z[system.states : run.tables.size]
-    wanted = (system.force_state + force) @ z + constant + system.force_constant
-    wanted += system.force_drive @ (run.drive.output @ drive)
+    expected = (system.force_state + force) @ z + constant + system.force_constant
+    expected += system.force_drive @ (run.drive.output @ drive)
     work = run.workspace.contact
     _forces(model, state, work.force)
-    np.testing.assert_allclose(work.force[: system.coordinates], wanted, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(work.force[: system.coordinates], expected, rtol=1e-9, atol=1e-9)
 
 
 @given(
@@ -98,47 +102,51 @@ def test_finite_contact_forces_are_those_of_the_system(modes: list[int], lasting
     restitution=st.sampled_from([0.0, 0.4]),
     wall=st.sampled_from([FLOOR, CEILING]),
     modes=MODES,
-    struck=st.integers(0, 2),
+    impacting=st.integers(0, 2),
     seed=st.integers(0, 10_000),
 )
 @settings(deadline=None)
 def test_hit_transfers_momentum_by_contact_laws(
-    coupled: bool, restitution: float, wall: int, modes: list[int], struck: int, seed: int
+    coupled: bool, restitution: float, wall: int, modes: list[int], impacting: int, seed: int
 ) -> None:
     run = engine(0.15 if coupled else 0.0, restitution)
-    modes[struck] = FLIGHT
+    modes[impacting] = FLIGHT
     state, model = scatter(run, modes, seed), run.tables.model
     position, body = state.z[model.position], state.z[model.velocity]
     sign, own = SIGN[wall], np.where(state.mode == FLIGHT, state.speed, body)
-    state.height[struck] = at = position[struck] + (CLEARANCE if wall == CEILING else 0.0)
-    closing = 0.1 + abs(own[struck])
-    own[struck] = state.speed[struck] = body[struck] - sign * closing
-    strike(run, struck, wall)
+    state.height[impacting] = at = position[impacting] + (CLEARANCE if wall == CEILING else 0.0)
+    closing = 0.1 + abs(own[impacting])
+    own[impacting] = state.speed[impacting] = body[impacting] - sign * closing
+    apply_impact(run, impacting, wall)
     after = state.z[model.velocity]
     own_after = np.where(state.mode == FLIGHT, state.speed, after)
     impulse = model.mass * (own_after - own)
     np.testing.assert_allclose(run.system.mass @ (after - body), -impulse, atol=1e-12)
-    walls = np.array([wall if j == struck else modes[j] for j in range(3)])
+    walls = np.array([wall if j == impacting else modes[j] for j in range(3)])
     for j in range(3):
         assert SIGN.get(walls[j], 0.0) * impulse[j] >= -1e-12
         # Dampers in flight elsewhere are unaffected, as are all dampers if the bodies are not coupled.
-        assert j == struck or (coupled and walls[j] != FLIGHT) or impulse[j] == 0.0
-    assert sign * (own_after[struck] - after[struck]) == pytest.approx(restitution * closing, abs=1e-12)
-    assert state.height[struck] == at or not restitution
-    if state.mode[struck] == wall:
-        assert state.multiplicity[struck] == 0
-    assert state.multiplicity[struck] == sign or not restitution
+        assert j == impacting or (coupled and walls[j] != FLIGHT) or impulse[j] == 0.0
+    assert sign * (own_after[impacting] - after[impacting]) == pytest.approx(restitution * closing, abs=1e-12)
+    assert state.height[impacting] == at or not restitution
+    if state.mode[impacting] == wall:
+        assert state.multiplicity[impacting] == 0
+    assert state.multiplicity[impacting] == sign or not restitution
     log, count = run.log, run.log.filled[0]
     (hit,) = np.flatnonzero(log.kind[:count] != SEPARATION)
-    told = [int(each[hit]) for each in (log.segment, log.damper, log.kind)]
+    logged = [int(each[hit]) for each in (log.segment, log.damper, log.kind)]
     assert (
-        told == [7, struck, wall] and log.offset[hit] == 0.25 and log.closing[hit] == pytest.approx(closing)
+        logged == [7, impacting, wall]
+        and log.offset[hit] == 0.25
+        and log.closing[hit] == pytest.approx(closing)
     )
-    left = [int(j) for j in log.damper[:count][log.kind[:count] == SEPARATION]]
-    bounced = {struck} if restitution else set()
-    assert {j for j in range(3) if walls[j] != FLIGHT and state.mode[j] == FLIGHT} - bounced == set(left)
-    for j in left:
-        # It keeps the speed of its wall before the impact, or the speed of a wall that releases it without force.
+    separated = [int(j) for j in log.damper[:count][log.kind[:count] == SEPARATION]]
+    rebounded = {impacting} if restitution else set()
+    assert {j for j in range(3) if walls[j] != FLIGHT and state.mode[j] == FLIGHT} - rebounded == set(
+        separated
+    )
+    for j in separated:
+        # Its speed is that of its wall before the impact, or of a wall that releases it without force.
         behind = SIGN[walls[j]] * (own_after[j] - after[j])
         assert own_after[j] == (after[j] if behind == 0.0 else body[j])
         assert behind >= 0.0 and state.height[j] == position[j] + (CLEARANCE if walls[j] == CEILING else 0.0)
@@ -146,7 +154,7 @@ def test_hit_transfers_momentum_by_contact_laws(
 
 @given(coupled=st.booleans(), modes=MODES, seed=st.integers(0, 10_000))
 @settings(deadline=None)
-def test_release_agrees_with_trying_all_combinations(coupled: bool, modes: list[int], seed: int) -> None:
+def test_release_agrees_with_enumeration(coupled: bool, modes: list[int], seed: int) -> None:
     run = engine(0.15 if coupled else 0.0)
     state, model, system = scatter(run, modes, seed), run.tables.model, run.system
     work = run.workspace.contact
@@ -157,14 +165,14 @@ def test_release_agrees_with_trying_all_combinations(coupled: bool, modes: list[
     free = inverse @ work.force[:3]
     right = sign * (-model.gravity - free[riding])
     matrix = sign[:, None] * inverse[np.ix_(riding, riding)] * sign + np.diag(1.0 / model.mass[riding])
-    pressure = by_trying(matrix, right)
+    pressure = solve_by_enumeration(matrix, right)
     release_tensile(run.tables.flow, model, state, run.log, work)
-    lifted = riding[(pressure == 0.0) & (matrix @ pressure + right > 1e-9)]
+    released = riding[(pressure == 0.0) & (matrix @ pressure + right > 1e-9)]
     assert set(np.flatnonzero(state.mode == FLIGHT)) - set(np.flatnonzero(np.array(modes) == FLIGHT)) == set(
-        lifted
+        released
     )
-    assert run.log.damper[: run.log.filled[0]].tolist() == lifted.tolist()
-    for j in lifted:
+    assert run.log.damper[: run.log.filled[0]].tolist() == released.tolist()
+    for j in released:
         floor = modes[j] == FLOOR
         assert state.speed[j] == state.z[model.velocity[j]]
         assert state.height[j] == state.z[model.position[j]] + (0.0 if floor else CLEARANCE)
@@ -187,18 +195,20 @@ def test_rebound_within_rounding_stays_at_its_wall(wall: int, coupled: bool) -> 
         pull = SIGN[wall] * (model.gravity + inverse[1] * force[1])
     lowest = np.sqrt(2 * pull * ROUNDING * size)
     work.force[:3] = force
-    assert _stays(model, state, 1, 0.999 * lowest, work.force)
-    assert not _stays(model, state, 1, 1.001 * lowest, work.force)
+    assert _rebound_is_negligible(model, state, 1, 0.999 * lowest, work.force)
+    assert not _rebound_is_negligible(model, state, 1, 1.001 * lowest, work.force)
     if not coupled:
-        # No force presses it against the wall.
+        # The contact force would be tensile.
         work.force[1] = -100.0 * SIGN[wall]
-        assert not _stays(model, state, 1, 1e-30, work.force)
+        assert not _rebound_is_negligible(model, state, 1, 1e-30, work.force)
 
 
 @pytest.mark.parametrize("wall", [FLOOR, CEILING])
 @pytest.mark.parametrize("coupled", [False, True])
-@pytest.mark.parametrize(("part", "lifts"), [(-2.0, False), (0.0, False), (0.99, False), (1.01, True)])
-def test_pull_within_rounding_is_left_to_the_step(wall: int, coupled: bool, part: float, lifts: bool) -> None:
+@pytest.mark.parametrize(("ratio", "releases"), [(-2.0, False), (0.0, False), (0.99, False), (1.01, True)])
+def test_tension_within_rounding_does_not_release(
+    wall: int, coupled: bool, ratio: float, releases: bool
+) -> None:
     run = engine(0.2 if coupled else 0.0)
     state, model, system = scatter(run, [FLIGHT, wall, FLIGHT], 3), run.tables.model, run.system
     # Far from rest, so that large terms nearly cancel.
@@ -207,14 +217,14 @@ def test_pull_within_rounding_is_left_to_the_step(wall: int, coupled: bool, part
     inverse = np.linalg.inv(system.mass)[1]
     size = model.gravity + np.abs(inverse) @ np.abs(terms * state.z[: terms.shape[1]]).sum(axis=1)
     assert np.count_nonzero(inverse) == (3 if coupled else 1) and size > 1e3 * model.gravity
-    acceleration = -SIGN[wall] * part * ROUNDING * size
+    acceleration = -SIGN[wall] * ratio * ROUNDING * size
     work = run.workspace.contact
     work.force[:3] = 0.0, (acceleration - model.gravity) / inverse[1], 0.0
-    release = _release_together if coupled else _release_alone
+    release = _release_coupled if coupled else _release_independent
     run.log.filled[2], run.log.now[0] = 7, 0.25
     release(run.tables.flow, model, state, run.log, work)
-    assert (state.mode[1] == FLIGHT) == lifts and run.log.filled[0] == lifts
-    if lifts:
+    assert (state.mode[1] == FLIGHT) == releases and run.log.filled[0] == releases
+    if releases:
         log = run.log
         assert (log.segment[0], log.offset[0], log.damper[0]) == (7, 0.25, 1)
 
@@ -233,7 +243,7 @@ def test_low_rebound_comes_to_rest(wall: int, coupled: bool, closing: float, sta
     state.height[0] = state.z[model.position[0]] + (CLEARANCE if wall == CEILING else 0.0)
     state.speed[0] = 0.25 - SIGN[wall] * closing
     before = run.system.mass @ state.z[model.velocity] + model.mass * state.speed
-    strike(run, 0, wall)
+    apply_impact(run, 0, wall)
     assert state.mode.tolist() == [wall if stays else FLIGHT, FLIGHT, FLIGHT]
     assert state.multiplicity[0] == (0 if stays else SIGN[wall])
     body = state.z[model.velocity]
@@ -243,20 +253,20 @@ def test_low_rebound_comes_to_rest(wall: int, coupled: bool, closing: float, sta
     assert rebound == (0.0 if stays else pytest.approx(0.4 * closing, rel=1e-9))
 
 
-def test_unreached_damper_stays_at_rest() -> None:
-    run = engine(0.2, apart=1)
+def test_uncoupled_damper_stays_at_rest() -> None:
+    run = engine(0.2, uncoupled=1)
     state, model = run.state, run.tables.model
     state.mode[:], state.counters[0] = (FLIGHT, FLIGHT, FLOOR), -1
     state.height[:], state.speed[:] = state.z[model.position] + 0.5 * CLEARANCE, 0.0
     state.height[0], state.speed[0] = state.z[model.position[0]], -0.5
-    strike(run, 0, FLOOR)
+    apply_impact(run, 0, FLOOR)
     assert state.z[model.velocity[2]] == 0.0 and state.mode.tolist() == [FLOOR, FLIGHT, FLOOR]
     assert run.log.filled[0] == 1
 
 
 @pytest.mark.parametrize("wall", [FLOOR, CEILING])
-@pytest.mark.parametrize(("part", "held"), [(0.999, True), (1.001, False)])
-def test_slowly_opened_contact_is_held(wall: int, part: float, held: bool) -> None:
+@pytest.mark.parametrize(("part", "closed"), [(0.999, True), (1.001, False)])
+def test_slowly_opened_contact_stays_closed(wall: int, part: float, closed: bool) -> None:
     run = engine(0.2)
     state, model, work = run.state, run.tables.model, run.workspace.contact
     state.mode[:], row = wall, model.position[1]
@@ -269,14 +279,14 @@ def test_slowly_opened_contact_is_held(wall: int, part: float, held: bool) -> No
     work.matrix[:2, :2], work.pressure[:2] = matrix, pressure
     work.opening[:2] = part * lowest - matrix[0] @ pressure, -0.5
     work.right[:2] = work.opening[:2]
-    _hold_low_lifts(model, state, work, 2)
-    assert work.active[:2].tolist() == [held, True]
-    wanted = np.linalg.solve(matrix, -work.right[:2]) if held else pressure
-    np.testing.assert_allclose(work.pressure[:2], wanted, rtol=1e-12)
+    _close_slow_openings(model, state, work, 2)
+    assert work.active[:2].tolist() == [closed, True]
+    expected = np.linalg.solve(matrix, -work.right[:2]) if closed else pressure
+    np.testing.assert_allclose(work.pressure[:2], expected, rtol=1e-12)
 
 
 @pytest.mark.parametrize(
-    ("gap", "closing", "known", "wall"),
+    ("gap", "closing", "multiplicity", "wall"),
     [
         (0.0, 1.0, 0, FLOOR),
         (1e-17, 1.0, 0, FLOOR),
@@ -293,14 +303,16 @@ def test_slowly_opened_contact_is_held(wall: int, part: float, held: bool) -> No
         (CLEARANCE, -1.0, 1, CEILING),
     ],
 )
-def test_flying_damper_touches_a_wall_when_closing(gap: float, closing: float, known: int, wall: int) -> None:
+def test_flying_damper_touches_a_wall_when_closing(
+    gap: float, closing: float, multiplicity: int, wall: int
+) -> None:
     run = engine(0.1)
     state, model = run.state, run.tables.model
     state.mode[1] = FLIGHT
     state.z[model.position[1]], state.z[model.velocity[1]] = -1.0 / 64, 0.5
     state.height[1], state.speed[1] = -1.0 / 64 + gap, 0.5 - closing
-    state.multiplicity[1] = known
-    assert _touches(model, state, 1) == wall
+    state.multiplicity[1] = multiplicity
+    assert _touched_wall(model, state, 1) == wall
 
 
 def test_negligible_coupling_changes_no_event() -> None:

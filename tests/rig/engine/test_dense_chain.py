@@ -30,7 +30,7 @@ def displacement() -> np.ndarray:
 
 def test_steps_by_one_product_equal_the_series(monkeypatch: pytest.MonkeyPatch) -> None:
     by_product = displacement()
-    monkeypatch.setattr(flow_tables, "STEPS_BYTES", 0)
+    monkeypatch.setattr(flow_tables, "MAX_STEP_MATRIX_BYTES", 0)
     by_series = displacement()
     assert abs(by_product).max() > 1e-5
     np.testing.assert_allclose(by_product, by_series, atol=1e-10 * abs(by_series).max())

@@ -15,9 +15,9 @@ import rig
 from rig.engine.guards import bound_by_series, bound_by_tables, first_event
 from rig.engine.power_series import expand
 from rig.engine.propagator import Propagator, sampled_propagator
-from rig.engine.screening import _margin, above_margins, draw_envelope, fold_envelope, screen
+from rig.engine.screening import _margin, above_margins, reset_envelope, screen, widen_envelope
 from rig.engine.state import CEILING, FLIGHT, FLOOR
-from rig.numerics.bernstein import LENGTH, NONE
+from rig.numerics.bernstein import LENGTH, NO_CROSSING
 from rig.system.assembly import assemble
 
 TAU = np.linspace(0.0, 1.0, 201)[1:]
@@ -114,12 +114,14 @@ class Course:
             [3e-3 * drawn[:count], 0.1 * drawn[count : 2 * count], 5.0 * drawn[2 * count : size]]
         )
         place, speed = drawn[size : size + dampers], drawn[size + dampers :]
-        for j in np.flatnonzero(system.lasting):
+        for j in np.flatnonzero(system.finite_contact):
             # A gap within the cavity, or within the wall.
             inside = (0.5 + 0.48 * np.sin(place[j])) * CLEARANCE
             z[model.bed[j]] = [inside, -0.1 * inside, CLEARANCE + 0.1 * inside][modes[j]]
         self.bits = sum((mode != FLIGHT) << j for j, mode in enumerate(modes))
-        self.bits |= sum((modes[j] == CEILING) << dampers + int(j) for j in np.flatnonzero(system.lasting))
+        self.bits |= sum(
+            (modes[j] == CEILING) << dampers + int(j) for j in np.flatnonzero(system.finite_contact)
+        )
         self.matrix, self.offset = (part.astype(float) for part in run.tables.generator(self.bits))
         state.mode[:] = modes
         state.height[:] = z[model.position] + (0.5 + 0.48 * np.sin(place)) * CLEARANCE
@@ -140,9 +142,9 @@ class Course:
         for j, mode in enumerate(self.modes):
             sign = -1.0 if mode == CEILING else 1.0
             row, offset, own = np.zeros(run.tables.size), 0.0, np.zeros(3)
-            if run.system.lasting[j] and mode != FLIGHT:
+            if run.system.finite_contact[j] and mode != FLIGHT:
                 row[: run.system.states], offset = sign * force[model.bed[j]], sign * constant[model.bed[j]]
-            elif run.system.lasting[j]:
+            elif run.system.finite_contact[j]:
                 row[model.bed[j]] = 1.0
             elif mode != FLIGHT:
                 row = sign * self.matrix[model.velocity[j]]
@@ -206,9 +208,9 @@ def test_first_falling_guard_is_located(contact: str, modes: list[int], seed: in
         assert (np.abs(guard[2]) <= course.bound[j] * (1 + 1e-6) + 1e-12).all()
     assume(all(guard[0, 0] > 0.0 for _, guard in guards))
     _, tau, which = course.look(length)
-    before = parts < (length if tau == NONE else tau * length) - 1e-9
+    before = parts < (length if tau == NO_CROSSING else tau * length) - 1e-9
     assert all((guard[0, before] > 0.0).all() for _, guard in guards)
-    if tau != NONE:
+    if tau != NO_CROSSING:
         hit = [guard[:2, 0] for j, guard in course.guards(np.array([tau * length])) if j == which]
         value, slope = min(hit, key=lambda guard: abs(guard[0]))
         largest = max(np.abs(guard[0]).max() for j, guard in guards if j == which)
@@ -278,11 +280,11 @@ def test_envelope_contains_all_states_until_restart() -> None:
     flow, work, columns = run.tables.flow, run.workspace, run.tables.size
     states = np.zeros((5, len(work.size)))
     states[:, :columns] = np.random.default_rng(2).standard_normal((5, columns))
-    draw_envelope(flow, 0, np.ones(len(work.size)), work)
-    fold_envelope(flow, work)
+    widen_envelope(flow, 0, np.ones(len(work.size)), work)
+    reset_envelope(flow, work)
     assert (work.envelope[:columns] == 0.0).all()
     for z in states:
-        draw_envelope(flow, 0, z, work)
+        widen_envelope(flow, 0, z, work)
     largest = np.abs(states).max(axis=0)[:columns]
     assert (work.envelope[:columns] >= largest).all()
     wanted = flow.margin_constant[0] + work.envelope[:columns] @ flow.margin[0]

@@ -8,13 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.numerics.bernstein import BERNSTEIN, DEEPEST, LENGTH, NONE, first_crossing
+from rig.numerics.bernstein import BERNSTEIN, LENGTH, MAX_HALVINGS, NO_CROSSING, first_crossing
 
 ALLOWANCE = 1e-15
 
 
 def crossing(series: np.ndarray, start: int = 0, allowance: float = ALLOWANCE) -> tuple[float, int]:
-    work, spans = np.zeros((DEEPEST + 3, LENGTH)), np.zeros((DEEPEST + 3, 2))
+    work, spans = np.zeros((MAX_HALVINGS + 3, LENGTH)), np.zeros((MAX_HALVINGS + 3, 2))
     return first_crossing(np.asarray(series, dtype=float), start, allowance, work, spans, BERNSTEIN)
 
 
@@ -25,7 +25,7 @@ def padded(*coefficients: float) -> np.ndarray:
 
 
 def test_positive_guard_has_no_crossing() -> None:
-    assert crossing(padded(1.0, -0.5, 0.2)) == (NONE, 0)
+    assert crossing(padded(1.0, -0.5, 0.2)) == (NO_CROSSING, 0)
 
 
 def test_first_of_two_roots_is_returned() -> None:
@@ -45,13 +45,13 @@ def test_deep_graze_is_detected(depth: float) -> None:
 
 @pytest.mark.parametrize("height", [1e-3, 1e-9, 1e-13])
 def test_near_miss_is_not_detected(height: float) -> None:
-    assert crossing(padded(0.25 + height, -1.0, 1.0)) == (NONE, 0)
+    assert crossing(padded(0.25 + height, -1.0, 1.0)) == (NO_CROSSING, 0)
 
 
 def test_dip_within_rounding_is_ambiguous() -> None:
     tau, ambiguous = crossing(padded(0.25, -1.0, 1.0))
 
-    assert tau == NONE
+    assert tau == NO_CROSSING
     assert ambiguous == 1
 
 
@@ -91,4 +91,4 @@ def test_first_sign_change_of_random_roots(roots: list[float], multiplicity: int
 
     tau, _ = crossing(series, start=multiplicity, allowance=1e-16)
 
-    assert tau == (pytest.approx(inside[0], abs=1e-9) if inside else NONE)
+    assert tau == (pytest.approx(inside[0], abs=1e-9) if inside else NO_CROSSING)

@@ -6,19 +6,19 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.numerics.complementarity import complementarity, contact_work
+from rig.numerics.complementarity import allocate_contact_work, complementarity
 
 
 def solved(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
     count = len(right)
-    work = contact_work(count, 8)
+    work = allocate_contact_work(count, 8)
     work.matrix[:count, :count] = matrix
     work.right[:count] = right
     complementarity(work, count)
     return work.pressure[:count].copy()
 
 
-def by_trying(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+def solve_by_enumeration(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
     for pattern in product([False, True], repeat=len(right)):
         active = np.array(pattern)
         pressure = np.zeros(len(right))
@@ -39,10 +39,10 @@ def test_solution_agrees_with_every_combination(seed: int, count: int) -> None:
     pressure = solved(matrix, right)
 
     assert (pressure >= 0.0).all()
-    np.testing.assert_allclose(pressure, by_trying(matrix, right), atol=1e-9)
+    np.testing.assert_allclose(pressure, solve_by_enumeration(matrix, right), atol=1e-9)
 
 
-def test_given_separating_contacts_when_solved_then_none_pushes() -> None:
+def test_separating_contacts_have_no_force() -> None:
     assert (solved(np.eye(3), np.ones(3)) == 0.0).all()
 
 

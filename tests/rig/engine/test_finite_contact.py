@@ -14,14 +14,14 @@ from scipy.linalg import expm
 import rig
 from rig.system.assembly import assemble
 from rig.system.landing import duration_and_restitution, spring_damper
-from tests.rig.engine.lasting_exact import SwitchedMotion
+from tests.rig.engine.finite_contact_exact import SwitchedMotion
 from tests.rig.landing_force import peak_force
 
 PER_PERIOD = 16
 
 
 def random_scene(seed: int, bodies: int) -> rig.Scene:
-    """A driven chain with a damper in every body, its walls given in one of the four ways."""
+    """Return a driven chain with a damper in every body, whose walls are defined in one of four forms."""
     draw = np.random.default_rng(seed)
     masses, springs = draw.uniform(0.3, 1.2, bodies), draw.uniform(8e3, 4e4, bodies)
     frequency = float(draw.uniform(0.5, 1.6) * math.sqrt(springs.mean() / masses.mean()) / (2 * math.pi))
@@ -38,13 +38,13 @@ def random_scene(seed: int, bodies: int) -> rig.Scene:
     for body in range(1, bodies + 1):
         bed = float(draw.uniform(0.03, 0.4) * masses[body - 1])
         clearance = float(draw.uniform(2e-4, 2e-3)) if draw.random() < 0.7 else math.inf
-        ways = [
+        forms = [
             {"contact": {"duration": duration()}},
             {"contact": {"duration": duration()}, "restitution": float(draw.uniform(0.02, 0.95))},
             {"contact": wall(bed)},
             {"contact": {"floor": wall(bed), "ceiling": wall(bed)}},
         ]
-        dampers.append({"body": body, "mass": bed, "clearance": clearance, **ways[draw.integers(4)]})
+        dampers.append({"body": body, "mass": bed, "clearance": clearance, **forms[draw.integers(4)]})
     return rig.Scene.model_validate(
         {
             "structure": {
@@ -68,7 +68,7 @@ def test_finite_contact_motion_agrees_to_forty_digits(seed: int, bodies: int) ->
     scene = random_scene(seed, bodies)
     run = rig.simulate(scene, 3 / scene.test.frequency, rate=PER_PERIOD * scene.test.frequency)
     states = 2 * (bodies + len(scene.dampers))
-    exact, events = SwitchedMotion(scene).follow([0.0] * states, len(run.time), PER_PERIOD)
+    exact, events = SwitchedMotion(scene).propagate([0.0] * states, len(run.time), PER_PERIOD)
     error = np.abs(run.displacement - exact.astype(float)).max() / np.abs(run.displacement).max()
     kinds = [("touch" if mode else "release", damper + 1) for _, damper, mode in events]
     assert kinds == [(str(event["kind"]), int(event["damper"])) for event in run.events]
@@ -81,7 +81,7 @@ def test_finite_contact_motion_agrees_to_forty_digits(seed: int, bodies: int) ->
 
 @pytest.mark.parametrize("ratio", [0.0, 1e-14, 1e-11, 1e-9, 1e-7])
 @pytest.mark.parametrize("seed", [9000, 9147, 9149])
-def test_weak_dashpot_does_not_land_again(seed: int, ratio: float) -> None:
+def test_weak_dashpot_causes_no_second_landing(seed: int, ratio: float) -> None:
     scene = random_scene(seed, 2)
     beds = [0.03 * mass for mass in scene.structure.masses]
     rates = [2e3, 5e3]
@@ -99,8 +99,8 @@ def test_weak_dashpot_does_not_land_again(seed: int, ratio: float) -> None:
 
 @given(st.floats(1e-5, 0.1), st.floats(1e-3, 0.999), st.floats(1e-3, 10.0))
 def test_spring_damper_has_duration_and_restitution(duration: float, restitution: float, mass: float) -> None:
-    found = duration_and_restitution(*spring_damper(duration, restitution, mass), mass)
-    np.testing.assert_allclose(found, (duration, restitution), rtol=1e-11)
+    computed = duration_and_restitution(*spring_damper(duration, restitution, mass), mass)
+    np.testing.assert_allclose(computed, (duration, restitution), rtol=1e-11)
 
 
 @pytest.mark.parametrize("ratio", [0.05, 0.3, 0.499, 0.7, 1.0, 4.0])
@@ -114,19 +114,17 @@ def test_largest_contact_force_is_closed_form(ratio: float) -> None:
     assert peak_force(stiffness, damping, mass, speed) == pytest.approx(largest, rel=1e-6)
 
 
-def test_shorter_landings_without_restitution_give_less_back() -> None:
-    shares = [
+def test_residual_restitution_decreases_with_the_duration() -> None:
+    restitutions = [
         duration_and_restitution(*spring_damper(t, 0.0, 0.05), 0.05)[1] for t in (1e-2, 1e-3, 1e-4, 1e-5)
     ]
-    assert shares[0] == pytest.approx(math.exp(-2.0))
-    assert all(later < 0.2 * earlier for earlier, later in pairwise(shares))
+    assert restitutions[0] == pytest.approx(math.exp(-2.0))
+    assert all(later < 0.2 * earlier for earlier, later in pairwise(restitutions))
 
 
 @pytest.mark.parametrize("restitution", [0.3, 0.6, 0.9])
-def test_free_landing_is_closed_form(
-    restitution: float,
-) -> None:
-    # A hammer throws a free body at its bed; without gravity only the walls act between hits.
+def test_free_landing_is_closed_form(restitution: float) -> None:
+    # A hammer accelerates a free body towards its bed; without gravity only the walls act between landings.
     scene = rig.loads(
         f"""
         structure: {{masses: [0.8 kg], springs: [0 N/m]}}
@@ -137,14 +135,14 @@ def test_free_landing_is_closed_form(
     )
     run = rig.simulate(scene, 0.2, rate=100e3)
     touch = int(np.flatnonzero((run.events["kind"] == "touch") & (run.events["time"] > 1e-3))[0])
-    landed, left = run.events[touch], run.events[touch + 1]
-    assert left["kind"] == "release"
-    assert left["time"] - landed["time"] == pytest.approx(2e-3, rel=1e-9)
-    assert run.events[touch + 2]["speed"] == pytest.approx(restitution * landed["speed"], rel=1e-9)
-    during = (run.time >= landed["time"]) & (run.time <= left["time"])
+    landing, release = run.events[touch], run.events[touch + 1]
+    assert release["kind"] == "release"
+    assert release["time"] - landing["time"] == pytest.approx(2e-3, rel=1e-9)
+    assert run.events[touch + 2]["speed"] == pytest.approx(restitution * landing["speed"], rel=1e-9)
+    during = (run.time >= landing["time"]) & (run.time <= release["time"])
     system = assemble(scene)
     stiffness, damping = system.wall_stiffness[0, 0], system.wall_damping[0, 0]
-    peak = peak_force(stiffness, damping, float(system.reduced_mass[0]), float(landed["speed"]))
+    peak = peak_force(stiffness, damping, float(system.reduced_mass[0]), float(landing["speed"]))
     assert np.abs(run.acceleration[0, during]).max() == pytest.approx(peak / 0.8, rel=2e-3)
 
 

@@ -1,0 +1,210 @@
+"""Finite-duration contact: floor and ceiling are spring-dampers without adhesion.
+
+The *bed* is the particles of a damper, modelled as one mass. The force on the bed is -k (z - o) - c z' (z the gap, o
+the height of the wall) while the bed overlaps the wall and the force points away from the wall. Only the force may
+jump. Three guards detect the changes:
+
+- a free bed touches a wall when the gap falls to zero;
+- the wall releases the bed when the force falls to zero; with a dashpot this is before the overlap is zero;
+- a released bed that still overlaps the wall (`recovering`) is touched again if the force law rises to zero, and is
+  free when the overlap is zero. The latter does not change a force and is not an event.
+
+All three guards are linear in the state, in which the gap is a coordinate.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from rig.arrays import Array
+from rig.engine.flow import Flow, Model
+from rig.engine.state import (
+    CEILING,
+    CEILING_TOUCH,
+    FLIGHT,
+    FLOOR,
+    FLOOR_TOUCH,
+    RELEASE,
+    Log,
+    State,
+    log_event,
+    toggle_contact,
+)
+from rig.engine.workspace import Workspace
+from rig.numerics.bernstein import LENGTH, first_crossing
+from rig.numerics.complementarity import ROUNDING
+from rig.numerics.jit import compiled, inlined
+
+#: Meaning of a guard's crossing, in addition to the walls `FLOOR` and `CEILING` that a bed touches.
+RELEASED, FREE = 0, 3
+#: Largest force, relative to the forces of spring and dashpot, that is a rounding error of their sum.
+MAX_ZERO_FORCE_RATIO = 1e-6
+#: Largest force, relative to speed times sqrt(stiffness mass), that is a rounding error of the gap.
+GAP_ROUNDING_RATIO = 1e-9
+
+
+@inlined
+def bed_gap(model: Model, z: Array, j: int) -> float:
+    """Return the height of a bed above its floor, m."""
+    return z[model.bed[j]]
+
+
+@inlined
+def gap_rate(model: Model, z: Array, j: int) -> float:
+    """Return the rate of the gap, m/s."""
+    return z[model.first_velocity + model.bed[j]]
+
+
+@inlined
+def overlap(model: Model, z: Array, j: int, wall: int) -> float:
+    """Return the overlap of a bed and a wall, m; negative without contact."""
+    gap = bed_gap(model, z, j)
+    return -gap if wall == FLOOR else gap - model.clearance[j]
+
+
+@inlined
+def wall_force(model: Model, z: Array, j: int, wall: int) -> float:
+    """Return the force law of a wall, N; negative where it would pull."""
+    closing = -gap_rate(model, z, j) if wall == FLOOR else gap_rate(model, z, j)
+    stiffness, damping = model.wall_stiffness[j, wall - 1], model.wall_damping[j, wall - 1]
+    return stiffness * overlap(model, z, j, wall) + damping * closing
+
+
+@inlined
+def wall_force_rate(model: Model, z: Array, j: int, wall: int) -> float:
+    """Return the rate of that force, N/s; the accelerations must follow the state."""
+    acceleration = z[model.first_acceleration + model.bed[j]]
+    rate = (
+        model.wall_stiffness[j, wall - 1] * gap_rate(model, z, j)
+        + model.wall_damping[j, wall - 1] * acceleration
+    )
+    return -rate if wall == FLOOR else rate
+
+
+@inlined
+def _is_zero_force(model: Model, z: Array, j: int, wall: int) -> bool:
+    """Return whether the force of a wall is zero within rounding.
+
+    It is, unless an impact of another damper opens or closes the contact through a full mass matrix. Without a dashpot,
+    the force of the spring is the rounding error of the overlap.
+    """
+    spring = model.wall_stiffness[j, wall - 1] * abs(overlap(model, z, j, wall))
+    dashpot = model.wall_damping[j, wall - 1] * abs(gap_rate(model, z, j))
+    return abs(wall_force(model, z, j, wall)) <= MAX_ZERO_FORCE_RATIO * (spring + dashpot) + _force_rounding(
+        model, z, j, wall
+    )
+
+
+@inlined
+def _force_rounding(model: Model, z: Array, j: int, wall: int) -> float:
+    """Return the largest force that is a rounding error of the gap, N."""
+    return (
+        GAP_ROUNDING_RATIO
+        * abs(gap_rate(model, z, j))
+        * math.sqrt(model.wall_stiffness[j, wall - 1] * model.mass[j])
+    )
+
+
+@inlined
+def lowest_guard(model: Model, state: State, z: Array, j: int) -> float:
+    """Return the smallest guard of a bed at a state; 0 for a recovering bed."""
+    mode = state.mode[j]
+    if mode != FLIGHT:
+        return wall_force(model, z, j, mode)
+    if state.recovering[j] != FLIGHT:
+        return 0.0
+    gap = bed_gap(model, z, j)
+    return min(gap, model.clearance[j] - gap)
+
+
+@inlined
+def _guard_series(
+    model: Model, workspace: Workspace, j: int, length: float, on_gap: float, on_speed: float, offset: float
+) -> float:
+    """Fill the series of on_gap (z - offset) + on_speed z' over `length` steps; return the magnitude of its terms."""
+    series = workspace.series
+    bed = model.bed[j]
+    size = abs(on_gap) * offset
+    power = 1.0
+    for k in range(LENGTH):
+        by_gap = on_gap * workspace.tableau[k, bed] * power
+        by_speed = on_speed * workspace.tableau[k, model.first_velocity + bed] * power
+        series[k] = by_gap + by_speed
+        size += abs(by_gap) + abs(by_speed)
+        power *= length
+    series[0] -= on_gap * offset
+    return size
+
+
+@inlined
+def find_crossing(workspace: Workspace, start: int, size: float) -> tuple[float, int]:
+    """Find the first crossing of the guard in `workspace.series`, with terms of a magnitude: (tau, ambiguous)."""
+    return first_crossing(
+        workspace.series, start, ROUNDING * size, workspace.work, workspace.spans, workspace.bernstein
+    )
+
+
+@compiled
+def first_contact_change(
+    model: Model, state: State, workspace: Workspace, j: int, length: float
+) -> tuple[float, int, int]:
+    """Find the first change of a finite-duration contact in a step: (fraction of the step, change, ambiguous)."""
+    mode, wall = state.mode[j], state.recovering[j]
+    multiplicity = state.multiplicity[j]
+    clearance = model.clearance[j]
+    if mode == FLIGHT and wall == FLIGHT:
+        size = _guard_series(model, workspace, j, length, 1.0, 0.0, 0.0)
+        tau, ambiguous = find_crossing(workspace, max(multiplicity, 0), size)
+        change = FLOOR
+        if clearance < np.inf:
+            size = _guard_series(model, workspace, j, length, -1.0, 0.0, clearance)
+            ceiling_tau, ceiling_ambiguous = find_crossing(workspace, max(-multiplicity, 0), size)
+            ambiguous += ceiling_ambiguous
+            if ceiling_tau < tau:
+                tau, change = ceiling_tau, CEILING
+        return tau, change, ambiguous
+    wall = wall if mode == FLIGHT else mode
+    outward = 1.0 if wall == FLOOR else -1.0
+    sign = outward if mode == FLIGHT else -outward
+    offset = 0.0 if wall == FLOOR else clearance
+    stiffness, damping = model.wall_stiffness[j, wall - 1], model.wall_damping[j, wall - 1]
+    size = _guard_series(model, workspace, j, length, sign * stiffness, sign * damping, offset)
+    tau, ambiguous = find_crossing(workspace, max(multiplicity, 0), size)
+    if mode != FLIGHT:
+        return tau, RELEASED, ambiguous
+    change = wall
+    size = _guard_series(model, workspace, j, length, -outward, 0.0, offset)
+    free_tau, free_ambiguous = find_crossing(workspace, 0, size)
+    if free_tau <= tau:
+        tau, change = free_tau, FREE
+    return tau, change, ambiguous + free_ambiguous
+
+
+@compiled
+def change_contact(flow: Flow, model: Model, state: State, log: Log, j: int, change: int) -> None:
+    """Apply a change to damper j: it touches a wall, is released by it, or has no overlap any more."""
+    if change == FREE:
+        state.multiplicity[j] = 1 if state.recovering[j] == FLOOR else -1
+        state.recovering[j] = FLIGHT
+        return
+    ceiling = state.mode[j] == CEILING if change == RELEASED else change == CEILING
+    wall = CEILING if ceiling else FLOOR
+    multiplicity = 1 if _is_zero_force(model, state.z, j, wall) else 0
+    if change == RELEASED:
+        state.mode[j] = FLIGHT
+        spring = model.wall_stiffness[j, wall - 1] * overlap(model, state.z, j, wall)
+        if spring > _force_rounding(model, state.z, j, wall):
+            state.recovering[j] = wall
+            state.multiplicity[j] = multiplicity
+        else:
+            state.multiplicity[j] = -1 if ceiling else 1
+        log_event(log, j, RELEASE, 0.0)
+    else:
+        closing = gap_rate(model, state.z, j) if ceiling else -gap_rate(model, state.z, j)
+        state.mode[j] = wall
+        state.recovering[j] = FLIGHT
+        state.multiplicity[j] = multiplicity
+        log_event(log, j, CEILING_TOUCH if ceiling else FLOOR_TOUCH, closing)
+    toggle_contact(flow, model, state, j + model.mass.shape[0] if ceiling else j)

@@ -1,0 +1,218 @@
+"""Finite-duration contact to 40 digits, independent of the engine: Taylor series of a switched linear system.
+
+Only the scene's matrices are shared with the engine. The coordinates are absolute heights, and the springs and dashpots
+of the walls are computed independently. A contact is closed exactly while overlap and wall force are both positive,
+which is tested at several times of every short step. The drive is F sin(w t) on some bodies, or zero.
+"""
+
+from __future__ import annotations
+
+import decimal
+import itertools
+from decimal import Decimal
+
+import mpmath
+import numpy as np
+
+import rig
+from rig.scene.damper import Landing, Walls
+from rig.system.structural_model import structural_model, structure_matrices
+
+DIGITS = 40
+#: Largest omitted term of a Taylor series.
+MAX_OMITTED_TERM = Decimal(10) ** -45
+#: Largest product of rate and step.
+MAX_RATE_TIMES_STEP = 1.0
+#: Number of times in a step at which contacts are tested.
+TESTS_PER_STEP = 8
+PI = Decimal("3.14159265358979323846264338327950288419716939937510582097494459")
+FREE, FLOOR, CEILING = 0, 1, 2
+
+
+def spring_damper(wall, restitution: float, reduced: mpmath.mpf) -> tuple[Decimal, Decimal]:
+    """Return stiffness and damping of a wall, from the condition that the force is zero after the duration."""
+    with mpmath.workdps(DIGITS):
+        if not isinstance(wall, Landing):
+            return Decimal(wall.stiffness), Decimal(wall.damping)
+        duration = mpmath.mpf(wall.duration)
+
+        def scaled_duration(ratio):
+            """Return the duration times the undamped rate of a landing, computed in complex numbers."""
+            root = mpmath.sqrt(mpmath.mpc(ratio * ratio - 1))
+            return mpmath.re(mpmath.log((ratio + root) / (ratio - root)) / root)
+
+        if restitution > 0:
+            target = -mpmath.log(mpmath.mpf(restitution))
+            ratio = mpmath.findroot(
+                lambda z: z * scaled_duration(z) - target, (mpmath.mpf("1e-6"), 40), solver="anderson"
+            )
+        elif wall.duration >= 5e-3:
+            ratio = mpmath.mpf(1) + mpmath.mpf("1e-30")
+        else:
+            recovery = mpmath.mpf(5e-3) / duration
+            ratio = mpmath.findroot(
+                lambda z: 2 * z / scaled_duration(z) - recovery, (mpmath.mpf("1.01"), 80), solver="anderson"
+            )
+        rate = scaled_duration(ratio) / duration
+        return tuple(Decimal(mpmath.nstr(v, DIGITS)) for v in (reduced * rate**2, 2 * ratio * rate * reduced))
+
+
+class SwitchedMotion:
+    """Motion of a scene whose dampers all have finite-duration contact."""
+
+    def __init__(self, scene: rig.Scene) -> None:
+        self.context = decimal.Context(prec=DIGITS)
+        mass, damping, stiffness = (
+            [[Decimal(float(v)) for v in row] for row in matrix]
+            for matrix in structure_matrices(scene.structure)
+        )
+        self.bodies = len(mass)
+        self.bed_body = [int(b) for b in structural_model(scene).bed_body]
+        self.beds = [Decimal(float(m)) for m in structural_model(scene).bed_mass]
+        self.gravity = Decimal(scene.gravity)
+        self.clearance = [Decimal(d.clearance) if np.isfinite(d.clearance) else None for d in scene.dampers]
+        self.walls = []
+        for damper, body, bed in zip(scene.dampers, self.bed_body, self.beds, strict=True):
+            contact = damper.contact
+            walls = (contact.floor, contact.ceiling) if isinstance(contact, Walls) else (contact, contact)
+            reduced = 1 / (1 / mpmath.mpf(float(bed)) + 1 / mpmath.mpf(float(mass[body][body])))
+            self.walls.append([spring_damper(wall, damper.restitution, reduced) for wall in walls])
+        self.mass, self.damping, self.stiffness = mass, damping, stiffness
+        driven = scene.shaker is not None
+        self.frequency = Decimal(scene.test.frequency) if driven else Decimal(0)
+        self.force = {b - 1: Decimal(scene.test.force) for b in scene.shaker.bodies} if driven else {}
+        with decimal.localcontext(self.context):
+            self.omega = 2 * PI * self.frequency
+        self.flows: dict[tuple[int, ...], tuple[list, float]] = {}
+
+    def flow(self, modes: tuple[int, ...]):
+        """Return the sparse rows of the generator of (x, y, x', y', cos, sin, 1), and its largest rate."""
+        if modes not in self.flows:
+            n, nd = self.bodies, len(self.beds)
+            coordinates, size = n + nd, 2 * (n + nd) + 3
+            rows = [dict.fromkeys(range(size), Decimal(0)) for _ in range(size)]
+            for i in range(coordinates):
+                rows[i][coordinates + i] = Decimal(1)
+            for i in range(n):
+                body_mass = self.mass[i][i]
+                for k in range(n):
+                    rows[coordinates + i][k] -= self.stiffness[i][k] / body_mass
+                    rows[coordinates + i][coordinates + k] -= self.damping[i][k] / body_mass
+                rows[coordinates + i][2 * coordinates + 1] += self.force.get(i, Decimal(0)) / body_mass
+            for j, mode in enumerate(modes):
+                bed, body = n + j, self.bed_body[j]
+                rows[coordinates + bed][size - 1] -= self.gravity
+                if mode == FREE:
+                    continue
+                k, c = self.walls[j][mode - 1]
+                height = self.clearance[j] if mode == CEILING else Decimal(0)
+                for row, factor in ((bed, -1 / self.beds[j]), (body, 1 / self.mass[body][body])):
+                    for column, value in (
+                        (bed, k),
+                        (body, -k),
+                        (coordinates + bed, c),
+                        (coordinates + body, -c),
+                    ):
+                        rows[coordinates + row][column] += factor * value
+                    rows[coordinates + row][size - 1] -= factor * k * height
+            rows[2 * coordinates][2 * coordinates + 1] = -self.omega
+            rows[2 * coordinates + 1][2 * coordinates] = self.omega
+            dense = np.array([[float(row[k]) for k in range(size)] for row in rows])
+            max_rate = float(np.abs(np.linalg.eigvals(dense)).max())
+            self.flows[modes] = [[(k, v) for k, v in row.items() if v] for row in rows], max_rate
+        return self.flows[modes]
+
+    def series(self, modes: tuple[int, ...], state: list[Decimal], step: Decimal) -> list[list[Decimal]]:
+        """Return the Taylor terms of the state over a step."""
+        rows, _ = self.flow(modes)
+        terms = [state]
+        while max(map(abs, terms[-1][:-3])) > MAX_OMITTED_TERM or len(terms) < 4:
+            factor = step / len(terms)
+            last = terms[-1]
+            terms.append([factor * sum((v * last[k] for k, v in row), Decimal(0)) for row in rows])
+        return terms
+
+    def closure(self, j: int, wall: int, gap: Decimal, rate: Decimal) -> Decimal:
+        """Return a number that is positive exactly while a contact is closed."""
+        k, c = self.walls[j][wall - 1]
+        overlap, closing = (-gap, -rate) if wall == FLOOR else (gap - self.clearance[j], rate)
+        return min(k * overlap, k * overlap + c * closing)
+
+    def mode_change(self, j: int, mode: int, gap: Decimal, rate: Decimal) -> int | None:
+        """Return the mode to which a damper changes; None without a change."""
+        if mode != FREE:
+            return FREE if self.closure(j, mode, gap, rate) < 0 else None
+        for wall in (FLOOR, CEILING):
+            if (wall == FLOOR or self.clearance[j] is not None) and self.closure(j, wall, gap, rate) > 0:
+                return wall
+        return None
+
+    def propagate(self, start, samples: int, per_period: int, step: Decimal | None = None):
+        """Return displacements of the bodies (bodies, samples) and events (time, damper, mode after).
+
+        `start`: initial state (x, y, x', y').
+        """
+        with decimal.localcontext(self.context):
+            return self._propagate(start, samples, per_period, step)
+
+    def _propagate(self, start, samples, per_period, step):
+        n, nd = self.bodies, len(self.beds)
+        coordinates = n + nd
+        state = [Decimal(float(v)) for v in start] + [Decimal(1), Decimal(0), Decimal(1)]
+        modes, now = (FLOOR,) * nd, Decimal(0)
+        step = step or 1 / (per_period * self.frequency)
+        displacements, events = [], []
+        for sample in range(samples):
+            target = sample * step
+            while now < target:
+                max_rate = max(self.flow(modes)[1], 1.0)
+                length = min(target - now, Decimal(MAX_RATE_TIMES_STEP / max_rate))
+                terms = self.series(modes, state, length)
+                paths = [
+                    [[t[n + j + o] - t[self.bed_body[j] + o] for t in terms] for o in (0, coordinates)]
+                    for j in range(nd)
+                ]
+                change = self._first(modes, paths)
+                if change is None:
+                    state = [sum(column, Decimal(0)) for column in zip(*terms, strict=True)]
+                    now = target if length == target - now else now + length
+                    continue
+                fraction, j, mode = change
+                powers = [fraction**k for k in range(len(terms))]
+                state = [
+                    sum((t * p for t, p in zip(column, powers, strict=True)), Decimal(0))
+                    for column in zip(*terms, strict=True)
+                ]
+                now += fraction * length
+                modes = (*modes[:j], mode, *modes[j + 1 :])
+                events.append((now, j, mode))
+            displacements.append(state[:n])
+        return np.array(displacements, dtype=object).T, events
+
+    def _first(self, modes, paths):
+        """Return the first change of a contact in a step: (fraction of the step, damper, mode after), or None."""
+        first = None
+        for test, (j, mode) in itertools.product(range(1, TESTS_PER_STEP + 1), enumerate(modes)):
+            if first is not None and test > first[0] * TESTS_PER_STEP + 1:
+                break
+            right = Decimal(test) / TESTS_PER_STEP
+            after = self.mode_change(j, mode, *(_value(path, right) for path in paths[j]))
+            if after is None or (first is not None and j == first[1]):
+                continue
+            left = right - Decimal(1) / TESTS_PER_STEP
+            for _ in range(140):
+                middle = (left + right) / 2
+                if self.mode_change(j, mode, *(_value(path, middle) for path in paths[j])) is None:
+                    left = middle
+                else:
+                    right = middle
+            if first is None or right < first[0]:
+                first = (right, j, after)
+        return first
+
+
+def _value(series: list[Decimal], tau: Decimal) -> Decimal:
+    value = Decimal(0)
+    for term in reversed(series):
+        value = value * tau + term
+    return value

@@ -29,7 +29,7 @@ from daq.foresight.shortened import (
 from daq.measurement.estimate import estimate
 from daq.measurement.limits import controlled_places
 from daq.virtual_bench.bench import Bench
-from rig.damper_design.overloads import shaken_by
+from rig.damper_design.overloads import impact_acceleration
 from rig.scene.excitation import Multisine, Random, SteppedSine, SweptSine
 from rig.scene.loading import load
 from rig.scene.presets import complete_from_preset
@@ -232,7 +232,7 @@ class _Assessment:
                 continue
             row = self.system.points.index(channel.at)
             smooth, frequency, time = self.free.largest("accelerations", row)
-            landing = shaken_by(self.system, row, speeds.tolist(), sensor.resonance)
+            landing = impact_acceleration(self.system, row, speeds.tolist(), sensor.resonance)
             reached = any(part.overloaded[names.index(channel.name)] for part in self.played.parts)
             largest = max(smooth, landing)
             # A sample does not show which limit it met; the acceleration does.

@@ -57,13 +57,13 @@ class Answers:
         waits for. It is called again after every result, so that no worker is idle while any search needs a design.
         Returns trials in the order of the designs.
         """
-        asked: set[Choice] = set()
+        requested: set[Choice] = set()
         pieces: list[Piece] = []
 
         def ask() -> None:
             for choice in chain.from_iterable(search(partial(self.trial, question)) for search in searches):
-                if choice not in asked:
-                    asked.add(choice)
+                if choice not in requested:
+                    requested.add(choice)
                     missing = [
                         (part, choice) for part in question.parts if (part, choice) not in self._stored
                     ]
@@ -78,7 +78,7 @@ class Answers:
                 self._progress(self._done, max(self._total, self._done + 1))
             if self.trial(question, pieces[number][1]) is not None:
                 ask()
-        trials = [self.trial(question, choice) for choice in sorted(asked)]
+        trials = [self.trial(question, choice) for choice in sorted(requested)]
         return {trial.choice: trial for trial in trials if trial is not None}
 
     def sort(self) -> None:

@@ -12,12 +12,12 @@ import numpy as np
 
 from rig.arrays import Array
 from rig.damper_design.answers import Answers
-from rig.damper_design.asked import asked
 from rig.damper_design.check import Expected, check, expected
 from rig.damper_design.choice import FINE, Choice, Question, Space, Trial, mass_unit
 from rig.damper_design.flight import Flight, flight, idle_levels, shortfall
 from rig.damper_design.other_modes import ModePeaks, best_outside, mode_peaks
 from rig.damper_design.ranking import equally_good, front
+from rig.damper_design.request import parse_request
 from rig.damper_design.search import pieces, search
 from rig.damper_design.tolerance import Tolerance, tolerance
 from rig.damper_design.worst_peak import Peak
@@ -34,11 +34,11 @@ if TYPE_CHECKING:
 #: Clearances of the chart, relative to the best design.
 CHART_CLEARANCES = np.geomspace(0.25, 4.0, 7)
 #: Factor by which the chart extends beyond the requested levels.
-BEYOND = 2.0
+CHART_MARGIN = 2.0
 #: Smallest ratio of the outermost levels to the middle level.
-AT_LEAST = 4.0
+MIN_LEVEL_RATIO = 4.0
 #: Ratio of neighbouring levels.
-APART = 2.0**0.5
+LEVEL_STEP_RATIO = 2.0**0.5
 
 
 @dataclass(frozen=True, repr=False)
@@ -207,7 +207,17 @@ def design(
         If a worker process ends unexpectedly.
     """
     scene = scene_of(scene)
-    question, space = asked(scene, budget, bodies, dampers, clearance, levels, band, watched, uncertain)
+    question, space = parse_request(
+        scene,
+        budget=budget,
+        bodies=bodies,
+        dampers=dampers,
+        clearance=clearance,
+        levels=levels,
+        band=band,
+        watched=watched,
+        uncertain=uncertain,
+    )
     forces = chart_levels(question.levels)
     with Workers(cluster) as workers:
         answers = Answers(
@@ -251,14 +261,18 @@ def design(
     )
 
 
-def chart_levels(asked: Sequence[float]) -> Array:
+def chart_levels(requested: Sequence[float]) -> Array:
     """Return the requested levels, with further levels between and beyond them, N.
 
     >>> chart_levels([1.0, 4.0]).round(2).tolist()
     [0.5, 0.71, 1.0, 1.41, 2.0, 2.83, 4.0, 5.66, 8.0]
     """
-    middle = (asked[0] * asked[-1]) ** 0.5
-    corners = [min(asked[0] / BEYOND, middle / AT_LEAST), *asked, max(asked[-1] * BEYOND, middle * AT_LEAST)]
-    steps = [max(round(np.log(high / low) / np.log(APART)), 1) for low, high in pairwise(corners)]
+    middle = (requested[0] * requested[-1]) ** 0.5
+    corners = [
+        min(requested[0] / CHART_MARGIN, middle / MIN_LEVEL_RATIO),
+        *requested,
+        max(requested[-1] * CHART_MARGIN, middle * MIN_LEVEL_RATIO),
+    ]
+    steps = [max(round(np.log(high / low) / np.log(LEVEL_STEP_RATIO)), 1) for low, high in pairwise(corners)]
     rows = [np.geomspace(*ends, n + 1)[1:-1] for ends, n in zip(pairwise(corners), steps, strict=True)]
     return np.unique(np.concatenate([corners, *rows]))

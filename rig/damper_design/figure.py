@@ -11,8 +11,8 @@ import numpy as np
 from rig.damper_design.check import Expected
 from rig.damper_design.choice import Choice, mass_unit
 from rig.damper_design.design import Design
-from rig.damper_design.one_mass import rests_on
-from rig.damper_design.overloads import named, overloads
+from rig.damper_design.one_mass import grain_check
+from rig.damper_design.overloads import overload_lines, overloads
 from rig.damper_design.ranking import MACHINABLE
 from rig.escaping import escape_figure
 from rig.figure_style import COLORS, cell_edges, new_figure, save_figure, set_log_scale
@@ -140,7 +140,7 @@ def next_step(design: Design, scene: Path) -> str:
             f"{FORCE_TOLERANCE:.1%} and the motion steady within {test.settle.tolerance:.1%}",
             f"{'force, N':>14}{'peak of':>9}{'at Hz':>9}{'under a tone':>15}  of that test",
             *map(_expected, design.expected),
-            *named(beyond, lasting),
+            *overload_lines(beyond, lasting),
             "",
             "to check it, without and with dampers:",
             f"daq record {file} --set dampers=null --set test.force={format_number(test.levels[0])}N{changes} "
@@ -149,7 +149,7 @@ def next_step(design: Design, scene: Path) -> str:
             f"analysis frf {without} {with_them}",
             f"analysis compare {without} {with_them}",
             "",
-            *rests_on(design.scene.dampers, design.expected, scene),
+            *grain_check(design.scene.dampers, design.expected, scene),
         ]
     )
 

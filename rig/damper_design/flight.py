@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rig.damper_design.choice import COARSE, Question, Trial
-from rig.damper_design.ranking import ALIKE
+from rig.damper_design.ranking import EQUAL_DB
 from rig.damper_design.worst_peak import Peak, curve
 from rig.motion_map.grid import columns, natural_frequencies, take_off
 from rig.orbits.problem import OrbitProblem
@@ -77,7 +77,7 @@ def idle_levels(trial: Trial, bare: Peak, flight_: Flight) -> list[float]:
     return sorted(
         peak.level
         for peak in trial.peaks
-        if peak.reduction_from(bare) <= ALIKE or flight_.reach(peak.level) <= 1.0
+        if peak.reduction_from(bare) <= EQUAL_DB or flight_.reach(peak.level) <= 1.0
     )
 
 

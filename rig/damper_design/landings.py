@@ -34,7 +34,7 @@ class Landings:
 INSTANT = Landings()
 
 
-def landings_of(dampers: Sequence[Damper]) -> Landings:
+def landings_from(dampers: Sequence[Damper]) -> Landings:
     """Return the landings of the dampers of a scene; if these differ, those of the first damper.
 
     Raises `SceneError` if the contact is given by stiffness and damping, which depend on the mass of the bed.

@@ -20,14 +20,20 @@ class Agreement(NamedTuple):
     settings: int
 
 
-#: Agreement of grains with one mass, from the table of `analysis beds`; a test compares these figures with the table.
-#: Without a ceiling, below a ceiling, and the interquartile range of the deviation below a ceiling in percent.
-WITHOUT_CEILING, BELOW_CEILING, MIDDLE_HALF = Agreement(21, 36), Agreement(6, 61), (-50, -16)
-#: Shot diameter of the grain simulation, m; relative half-width of its band around the peak; number of frequencies.
-_SHOT, _REACH, _POINTS = 2e-3, 0.01, 3
+# Agreement of grains with one mass, from the table of `analysis beds`; a test compares these figures with the table.
+WITHOUT_CEILING = Agreement(21, 36)
+BELOW_CEILING = Agreement(6, 61)
+#: Interquartile range of the deviation below a ceiling, percent.
+MIDDLE_HALF = (-50, -16)
+#: Diameter of the shot in the grain simulation, m.
+_SHOT_DIAMETER = 2e-3
+#: Half-width of the band of the grain simulation around the peak, relative.
+_HALF_WIDTH = 0.01
+#: Number of frequencies in that band.
+_POINTS = 3
 
 
-def rests_on(dampers: Sequence[Damper], expected: Sequence[Expected], scene: Path) -> list[str]:
+def grain_check(dampers: Sequence[Damper], expected: Sequence[Expected], scene: Path) -> list[str]:
     """Report how well one mass agrees with grains, and the command that simulates these dampers as grains.
 
     `dampers`: the dampers of the design; `expected`: expected results of the check; the command uses the largest of
@@ -35,7 +41,7 @@ def rests_on(dampers: Sequence[Damper], expected: Sequence[Expected], scene: Pat
     """
     peak = max(one.peak for one in expected)
     beds = ", ".join(_as_shot(damper) for damper in dampers)
-    low, high = (f"{peak.frequency * (1.0 + side):.4g}Hz" for side in (-_REACH, _REACH))
+    low, high = (f"{peak.frequency * (1.0 + side):.4g}Hz" for side in (-_HALF_WIDTH, _HALF_WIDTH))
     (near, settings), (near_below, below) = WITHOUT_CEILING, BELOW_CEILING
     less, least = (-off for off in MIDDLE_HALF)
     return [
@@ -43,7 +49,7 @@ def rests_on(dampers: Sequence[Damper], expected: Sequence[Expected], scene: Pat
         f"the compliance was within 10 % in {near} of {settings} settings without a ceiling, and in {near_below} of "
         f"{below} with one,",
         f"where the middle half of the results with grains was {least} to {less} % lower. These dampers as shot of "
-        f"{format_number(1e3 * _SHOT)} mm, which may take hours:",
+        f"{format_number(1e3 * _SHOT_DIAMETER)} mm, which may take hours:",
         f"rig grains {quote(str(scene))} --set {quote(f'dampers=[{beds}]')} "
         f"--set test.force={format_number(peak.level)}N --from {low} --to {high} --points {_POINTS} "
         f"-o {quote(str(scene.with_name(f'{scene.stem}-grains.csv')))}",
@@ -52,6 +58,6 @@ def rests_on(dampers: Sequence[Damper], expected: Sequence[Expected], scene: Pat
 
 def _as_shot(damper: Damper) -> str:
     assert damper.mass is not None  # every damper of a design has a mass
-    mass, shot = (format_number(1e3 * each) for each in (damper.mass, _SHOT))
+    mass, shot = (format_number(1e3 * each) for each in (damper.mass, _SHOT_DIAMETER))
     clearance = ".inf" if isinf(damper.clearance) else f"{format_number(1e3 * damper.clearance)} mm"
     return f"{{body: {damper.body}, mass: {mass} g, clearance: {clearance}, grains: {{diameter: {shot} mm}}}}"

@@ -9,7 +9,7 @@ import numpy as np
 
 from rig.damper_design.answers import Answers
 from rig.damper_design.choice import Question, Trial
-from rig.damper_design.ranking import ALIKE, MACHINABLE, equals
+from rig.damper_design.ranking import EQUAL_DB, MACHINABLE, equals
 from rig.damper_design.worst_peak import Peak
 from rig.system.structural_model import structural_model
 
@@ -74,7 +74,7 @@ def mode_peaks(question: Question, trial: Trial, answers: Answers) -> tuple[Mode
 def best_outside(question: Question, trials: Sequence[Trial], best: Trial, answers: Answers) -> Trial:
     """Select, among equal designs in the band, the design with the largest reduction outside the band.
 
-    The criterion is the mean over modes and levels in dB; ties keep the order of `ranked`. Clearances too small to
+    The criterion is the mean over modes and levels in dB; ties keep the order of `rank_trials`. Clearances too small to
     build are compared only if no others are available.
     """
     low, high = question.band
@@ -89,5 +89,5 @@ def best_outside(question: Question, trials: Sequence[Trial], best: Trial, answe
     for about in outside:
         sizes += [20.0 * np.log10(trial.mean) for trial in answers.of(about, [r.choice for r in rivals])]
     sizes /= len(outside)
-    first = 0 if sizes[0] <= sizes.min() + ALIKE else int(sizes.argmin())
+    first = 0 if sizes[0] <= sizes.min() + EQUAL_DB else int(sizes.argmin())
     return rivals[first]

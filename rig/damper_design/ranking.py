@@ -9,29 +9,29 @@ import numpy as np
 from rig.damper_design.choice import Trial
 
 #: Reductions that differ by less than this, dB, are equal: grids and averages resolve no smaller difference.
-ALIKE = 0.05
-#: `ALIKE` as a ratio of peaks.
-AS_GOOD = 10.0 ** (ALIKE / 20.0)
+EQUAL_DB = 0.05
+#: `EQUAL_DB` as a ratio of peaks.
+EQUAL_RATIO = 10.0 ** (EQUAL_DB / 20.0)
 #: Ratio of equal peaks where part of the motion is irregular. Averages of irregular motion are uncertain by some
 #: percent: a change of the clearance by 1 % changes them by up to 6 %.
-SCATTERED = 1.03
+IRREGULAR_RATIO = 1.03
 #: Smallest clearance that can be built, m: the depth of a bed of shot is uncertain by about as much.
 MACHINABLE = 1e-4
 #: Weight of the mean over the levels relative to the worst level in the objective of the search.
-_OTHERS = 0.01
+_MEAN_WEIGHT = 0.01
 
 
-def ranked(trials: Iterable[Trial]) -> list[Trial]:
+def rank_trials(trials: Iterable[Trial]) -> list[Trial]:
     """Sort trials, best first.
 
-    The criteria, each applied to trials that are equal by the previous criteria within `ALIKE`: smallest worst peak;
+    The criteria, each applied to trials that are equal by the previous criteria within `EQUAL_DB`: smallest worst peak;
     smallest mean peak over the levels in dB; smallest mass; fewest dampers; clearances that can be built; no ceiling;
     distance from the middle of the equal clearances, because the worst peak changes near the ends. A design with
     fewer dampers precedes the best if the scatter of irregular motion does not distinguish them.
     """
     trials = list(trials)
-    worst = AS_GOOD * min(trial.peak.size for trial in trials)
-    mean = AS_GOOD * min(trial.mean for trial in trials if trial.peak.size <= worst)
+    worst = EQUAL_RATIO * min(trial.peak.size for trial in trials)
+    mean = EQUAL_RATIO * min(trial.mean for trial in trials if trial.peak.size <= worst)
 
     def merits(trial: Trial) -> tuple[float, ...]:
         choice = trial.choice
@@ -53,7 +53,7 @@ def ranked(trials: Iterable[Trial]) -> list[Trial]:
         return 0.0 if clearance == middle else abs(clearance - middle)
 
     order = sorted(trials, key=lambda trial: (merits(trial), from_middle(trial), trial.choice))
-    fewer = [trial for trial in order if _with_fewer_as_good(trial, order[0])]
+    fewer = [trial for trial in order if _equal_with_fewer(trial, order[0])]
     first = min(fewer, key=lambda trial: len(trial.choice.bodies), default=order[0])
     order.remove(first)
     return [first, *order]
@@ -61,7 +61,7 @@ def ranked(trials: Iterable[Trial]) -> list[Trial]:
 
 def equally_good(trial: Trial, best: Trial) -> bool:
     """Whether a trial equals the best trial at the worst level and in the mean over levels."""
-    return trial.peak.size <= AS_GOOD * best.peak.size and trial.mean <= AS_GOOD * best.mean
+    return trial.peak.size <= EQUAL_RATIO * best.peak.size and trial.mean <= EQUAL_RATIO * best.mean
 
 
 def equals(trials: Iterable[Trial], best: Trial) -> list[Trial]:
@@ -75,10 +75,10 @@ def equals(trials: Iterable[Trial], best: Trial) -> list[Trial]:
     return sorted(alike.values(), key=lambda trial: trial.choice.clearances)
 
 
-def _with_fewer_as_good(trial: Trial, best: Trial) -> bool:
+def _equal_with_fewer(trial: Trial, best: Trial) -> bool:
     """Whether fewer dampers, no heavier, equal the best design within the resolution of the search."""
     one, other = trial.choice, best.choice
-    ratio = SCATTERED if any(peak.simulated for peak in (*trial.peaks, *best.peaks)) else AS_GOOD
+    ratio = IRREGULAR_RATIO if any(peak.simulated for peak in (*trial.peaks, *best.peaks)) else EQUAL_RATIO
     return (
         len(one.bodies) < len(other.bodies)
         and round(one.mass, 9) <= round(other.mass, 9)
@@ -89,11 +89,13 @@ def _with_fewer_as_good(trial: Trial, best: Trial) -> bool:
 
 def merit(trial: Trial) -> float:
     """Return the objective to be minimized; all levels contribute, for a gradient where the worst peak is flat."""
-    return float(np.log(trial.peak.size) + _OTHERS * np.log(trial.mean))
+    return float(np.log(trial.peak.size) + _MEAN_WEIGHT * np.log(trial.mean))
 
 
 def front(trials: Sequence[Trial]) -> list[Trial]:
     """Return the Pareto front of worst peak against mass, from light to heavy."""
     masses = sorted({round(trial.choice.mass, 9) for trial in trials})
-    best = [ranked(trial for trial in trials if round(trial.choice.mass, 9) <= mass)[0] for mass in masses]
+    best = [
+        rank_trials(trial for trial in trials if round(trial.choice.mass, 9) <= mass)[0] for mass in masses
+    ]
     return list(dict.fromkeys(best))

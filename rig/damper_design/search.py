@@ -12,7 +12,7 @@ from scipy.optimize import minimize, minimize_scalar
 
 from rig.damper_design.answers import Answers, Computed
 from rig.damper_design.choice import FINE, Choice, Question, Space, Trial
-from rig.damper_design.ranking import AS_GOOD, merit, ranked
+from rig.damper_design.ranking import EQUAL_RATIO, merit, rank_trials
 from rig.damper_design.worst_peak import Peak
 
 #: The grid: shares of the largest added mass, and number of clearances between smallest and largest.
@@ -49,14 +49,14 @@ def pieces(question: Question, space: Space) -> int:
 
 
 def search(question: Question, space: Space, answers: Answers) -> tuple[Trial, list[Trial]]:
-    """Search for the dampers with the smallest worst peak at each mass; ties are resolved as in `ranked`.
+    """Search for the dampers with the smallest worst peak at each mass; ties are resolved as in `rank_trials`.
 
     Returns `best`, best design, with its peaks on a finer grid of frequencies; `trials`, all designs computed,
     including the best.
     """
     grid = [[c for place in space.places for c in _row(space, place, share)] for share in SHARES]
     tried = _grid_trials(question, grid, answers)
-    rows = [ranked(tried[c] for c in row if c in tried) for row in grid]
+    rows = [rank_trials(tried[c] for c in row if c in tried) for row in grid]
     starts = [
         start
         for number, row in enumerate(rows)
@@ -65,7 +65,7 @@ def search(question: Question, space: Space, answers: Answers) -> tuple[Trial, l
     refine = partial(_refine, step=_step(space), bounds=space.clearance)
     tried |= answers.follow(question, [partial(_requests, refine, start) for start in starts])
     if space.dampers > 1:
-        rows = [ranked(tried[c] for c in tried if _same_mass(c, row[0].choice)) for row in rows]
+        rows = [rank_trials(tried[c] for c in tried if _same_mass(c, row[0].choice)) for row in rows]
         starts = [
             start
             for number, row in enumerate(rows)
@@ -73,7 +73,9 @@ def search(question: Question, space: Space, answers: Answers) -> tuple[Trial, l
         ]
         polish = partial(_polish, bounds=space.clearance)
         tried |= answers.follow(question, [partial(_requests, polish, start) for start in starts])
-        first = [ranked(tried[c] for c in tried if _same_mass(c, row[0].choice))[0].choice for row in rows]
+        first = [
+            rank_trials(tried[c] for c in tried if _same_mass(c, row[0].choice))[0].choice for row in rows
+        ]
         fewer = [choice.without_lightest() for choice in _multiple(first) if choice.has_ceiling]
         tried |= answers.follow(question, [partial(_requests, refine, each) for each in fewer])
     # A coarse frequency grid may miss a peak, so the first three designs are compared on a fine grid. The first
@@ -83,18 +85,18 @@ def search(question: Question, space: Space, answers: Answers) -> tuple[Trial, l
     while first := [choice for choice in _first(tried.values(), space) if choice not in closely]:
         tried |= {trial.choice: trial for trial in answers.of(fine, first)}
         closely |= set(first)
-    return ranked(tried.values())[0], list(tried.values())
+    return rank_trials(tried.values())[0], list(tried.values())
 
 
 def _first(trials: Iterable[Trial], space: Space) -> list[Choice]:
     """Return the best designs, the first of them without its lightest damper, and the best of each smaller mass."""
     trials = list(trials)
-    first = [trial.choice for trial in ranked(trials)[:COMPARED]]
+    first = [trial.choice for trial in rank_trials(trials)[:COMPARED]]
     if len(first[0].bodies) > 1:
         first.append(first[0].without_lightest())
     for share in SHARES[1:]:
         light = [trial for trial in trials if trial.choice.mass <= (1.0 + ROUNDING) * share * space.mass]
-        first += [trial.choice for trial in ranked(light)[:1]]
+        first += [trial.choice for trial in rank_trials(light)[:1]]
     return list(dict.fromkeys(first))
 
 
@@ -153,7 +155,7 @@ def _branch_and_bound(
             if trial is None:
                 return
             best = min(best, trial.peak.size)
-        if least[choice].size >= AS_GOOD * best:
+        if least[choice].size >= EQUAL_RATIO * best:
             return
         yield choice
 

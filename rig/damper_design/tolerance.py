@@ -110,12 +110,12 @@ def _end(serves: Callable[[float], bool], known: Iterable[float], limit: float) 
         steps = max(1, int(np.ceil(abs(np.log(point / last)) / np.log(_STEP) - 0.01)))
         for following in [*np.geomspace(last, point, steps + 1)[1:-1].tolist(), point]:
             if not serves(following):
-                return _bisected(serves, last, following), False
+                return _bisect(serves, last, following), False
             last = following
     return limit, True
 
 
-def _bisected(serves: Callable[[float], bool], last: float, beyond: float) -> float:
+def _bisect(serves: Callable[[float], bool], last: float, beyond: float) -> float:
     while abs(np.log(beyond / last)) > np.log(_RESOLUTION):
         middle = float(np.sqrt(beyond * last))
         if serves(middle):

@@ -12,9 +12,9 @@ import time
 from pathlib import Path
 
 import rig
-from rig.damper_design.asked import asked
 from rig.damper_design.choice import Choice
 from rig.damper_design.figure import write
+from rig.damper_design.request import parse_request
 from rig.workers import Workers
 
 # Of the tasks that do nothing, to see what it costs to hand one out.
@@ -42,7 +42,7 @@ def designed(scene: str, workers: int, folder: Path) -> tuple[float, dict[str, b
 def main() -> int:
     """Print it all; exit code 1 if the files differ."""
     name = sys.argv[1] if len(sys.argv) > 1 else "fig8-three-dampers"
-    whole, space = asked(rig.load(name), None, None, 1, None, None, None, None, (0.0, 0.0))
+    whole, space = parse_request(rig.load(name))
     choice = Choice(space.places[0], (space.mass,), space.clearance[:1])
     question = whole.parts[0]
     piece = question, choice

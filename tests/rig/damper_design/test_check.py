@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 
 import rig
-from rig.damper_design.asked import asked
 from rig.damper_design.check import check, expected
 from rig.damper_design.choice import Choice, Trial
 from rig.damper_design.landings import INSTANT
+from rig.damper_design.request import parse_request
 from rig.damper_design.worst_peak import Peak
 from rig.scene.excitation import SteppedSine
 
 
 def test_check_covers_all_levels_and_peaks() -> None:
     scene = rig.load("fig9")
-    question, _ = asked(scene, None, None, 1, None, [2.0, 4.0], (30.0, 55.0), None, (0.0, 0.0))
+    question, _ = parse_request(scene, levels=[2.0, 4.0], band=(30.0, 55.0))
     choice = Choice((2,), (0.1,), (1e-3,))
     peaks = tuple(Peak(1e-4, f, level, 1, 1.0, 0.0) for f, level in ((34.1, 2.0), (48.7, 4.0)))
     test = check(scene, Trial(choice, peaks), question).test
@@ -30,7 +30,7 @@ def test_check_covers_all_levels_and_peaks() -> None:
 
 def test_expectation_includes_force_harmonics() -> None:
     scene = rig.load("fig9", {"shaker": {"kind": "table", "body": 1, "spring": "6.6 kN/m"}})
-    question, _ = asked(scene, None, [2], 1, None, [1.5], None, None, (0.0, 0.0))
+    question, _ = parse_request(scene, bodies=[2], levels=[1.5])
     choice = Choice((2,), (0.1,), (0.969e-3,))
     peak = question.worst(choice)
     (one,) = expected(check(scene, Trial(choice, (peak,)), question), Trial(choice, (peak,)))
@@ -48,6 +48,6 @@ def test_check_drives_the_same_shaker() -> None:
     shakers = [{"kind": "force", "body": 1}, {"kind": "force", "body": 3}]
     drive = {"kind": "sine", "frequency": "49 Hz", "force": "3 N", "shaker": 2}
     scene = rig.load("fig9", {"shaker": shakers, "test": drive, "channels": None})
-    question, _ = asked(scene, None, None, 1, None, None, (45.0, 55.0), None, (0.0, 0.0))
+    question, _ = parse_request(scene, band=(45.0, 55.0))
     trial = Trial(Choice((2,), (0.1,), (1e-3,)), (Peak(1e-4, 48.7, 3.0, 1, 1.0, 0.0),))
     assert check(scene, trial, question).driven == 2

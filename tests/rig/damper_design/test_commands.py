@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 
 import rig
-from rig.damper_design.asked import asked
 from rig.damper_design.check import check, missing_channels
 from rig.damper_design.choice import Choice, Trial
 from rig.damper_design.figure import next_step, summary, write
+from rig.damper_design.request import parse_request
 from rig.damper_design.worst_peak import Peak
 
 BRACKET = """
@@ -53,7 +53,7 @@ def test_printed_commands_run(shaker: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize(("shaker", "added"), [(FORCE, ["body 1", "shaker"]), (TABLE, ["body 1", "table"])])
 def test_channels_that_a_check_needs_are_added(shaker: str, added: list[str]) -> None:
     scene = _bracket(shaker)
-    question, _ = asked(scene, None, None, 1, None, None, None, None, (0.0, 0.0))
+    question, _ = parse_request(scene)
     trial = Trial(Choice((2,), (0.1,), (1e-3,)), (Peak(1e-4, 62.0, 4.0, 1, 1.0, 0.0),))
     checked = check(scene, trial, question)
     channels = {channel.at: channel for channel in checked.channels or ()}

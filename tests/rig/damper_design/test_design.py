@@ -16,13 +16,13 @@ import analysis
 import daq
 import rig
 from rig.damper_design.answers import Answers
-from rig.damper_design.asked import asked, mass_of
 from rig.damper_design.check import Expected
 from rig.damper_design.choice import FINE, Choice
 from rig.damper_design.design import chart_levels
 from rig.damper_design.figure import clearance_label, next_step, summary, write
 from rig.damper_design.landings import INSTANT
-from rig.damper_design.one_mass import rests_on
+from rig.damper_design.one_mass import grain_check
+from rig.damper_design.request import mass_of, parse_request
 from rig.damper_design.worst_peak import Peak, curve
 from rig.errors import SceneError
 from rig.orbits.problem import OrbitProblem
@@ -103,7 +103,7 @@ def test_every_level_has_its_column(chosen: rig.Design) -> None:
 
 def test_torn_table_loses_no_answer(tmp_path: Path) -> None:
     table = tmp_path / "table.csv"
-    question, _ = asked(rig.load("fig9"), None, [2], 1, None, [0.5], (49.0, 50.0), [2], (0.0, 0.0))
+    question, _ = parse_request(rig.load("fig9"), bodies=[2], levels=[0.5], band=(49.0, 50.0), watched=[2])
     choices = [Choice((2,), (0.05,), (clearance,)) for clearance in (1e-3, 2e-3)]
     with Workers() as workers:
         first = Answers(workers, table, None, 1).of(question, choices[:1])
@@ -130,35 +130,37 @@ def test_charted_levels_are_closely_spaced(levels: list[float]) -> None:
 def test_drive_test_uses_forces_as_levels() -> None:
     drive = {"kind": "stepped_sine", "from": "46 Hz", "to": "54 Hz", "points": 9, "drive": "1 mm"}
     changes = {"shaker": {"kind": "table", "body": 1, "spring": "6.6 kN/m"}, "test": drive}
-    driven, requested = rig.load("fig9", changes), (None, [2], 1, None, ["3.3 N"], None, None, (0.0, 0.0))
-    question, _ = asked(driven, *requested)
+    driven, requested = rig.load("fig9", changes), {"bodies": [2], "levels": ["3.3 N"]}
+    question, _ = parse_request(driven, **requested)
     choice = Choice((2,), (0.1,), (1e-3,))
-    assert question.worst(choice) == asked(rig.load("fig9"), *requested)[0].worst(choice)
+    assert question.worst(choice) == parse_request(rig.load("fig9"), **requested)[0].worst(choice)
     with pytest.raises(SceneError, match="levels: not given, and the test of the scene states a drive"):
-        asked(driven, None, None, 1, None, None, None, None, (0.0, 0.0))
+        parse_request(driven)
 
 
 def test_worst_peak_without_dampers_is_the_receptance() -> None:
-    question, _ = asked(rig.load("fig9"), None, None, 1, None, None, None, None, (0.0, 0.0))
+    question, _ = parse_request(rig.load("fig9"))
     fine = np.linspace(49.4, 49.9, 2001)
     exact = np.abs(receptance(rig.load("fig9"), fine)).max()
     assert question.bare.size == pytest.approx(exact, rel=1e-5)
 
 
 def test_least_damped_variant_counts() -> None:
-    question, _ = asked(rig.load("fig9"), None, None, 1, None, None, None, None, (0.2, 0.0))
-    sure, _ = asked(rig.load("fig9"), None, None, 1, None, None, None, None, (0.0, 0.0))
+    question, _ = parse_request(rig.load("fig9"), uncertain=(0.2, 0.0))
+    sure, _ = parse_request(rig.load("fig9"))
     assert len(question.scenes) == 3
     assert question.bare.size == pytest.approx(sure.bare.size / 0.8, rel=1e-2)
 
 
 def test_body_named_twice_carries_two() -> None:
-    question, space = asked(rig.load("fig9"), None, [2, 1, 2], 2, None, [3.3], None, [2, 2], (0.0, 0.0))
+    question, space = parse_request(
+        rig.load("fig9"), bodies=[2, 1, 2], dampers=2, levels=[3.3], watched=[2, 2]
+    )
     assert (space.places, question.bodies) == (((1,), (2,), (1, 2), (2, 2)), (2,))
 
 
 def test_two_dampers_give_their_settled_peak() -> None:
-    question, _ = asked(rig.load("fig9"), None, None, 1, None, [3.3], (48.5, 50.5), [2], (0.0, 0.0))
+    question, _ = parse_request(rig.load("fig9"), levels=[3.3], band=(48.5, 50.5), watched=[2])
     choice = Choice((2, 2), (0.06, 0.04), (1e-3, 1.1e-3))
     peak = question.worst(choice)
     scene = question.scenes[0].replace(dampers=choice.dampers(INSTANT))
@@ -187,13 +189,18 @@ def test_nonsensical_requests_are_rejected(requested: dict, message: str) -> Non
 
 def test_quantities_with_units_are_accepted() -> None:
     scene = rig.load("fig9")
-    question, space = asked(
-        scene, "5 %", ["1", "3"], 1, ["1 mm", 2e-3], ["3 N", "1 N"], None, None, ["20 %", 0.0]
+    question, space = parse_request(
+        scene,
+        budget="5 %",
+        bodies=["1", "3"],
+        clearance=["1 mm", 2e-3],
+        levels=["3 N", "1 N"],
+        uncertain=["20 %", 0.0],
     )
     assert space.mass == pytest.approx(0.1045) and mass_of("50 g", scene) == pytest.approx(0.05)
     assert (space.places, space.clearance, question.levels) == (((1,), (3,)), (1e-3, 2e-3), (1.0, 3.0))
     with pytest.raises(SceneError, match="band: got 40 Hz; expected two"):
-        asked(scene, None, None, 1, None, None, ["40 Hz"], None, (0.0, 0.0))
+        parse_request(scene, band=["40 Hz"])
 
 
 def test_grain_command_follows_the_same_dampers() -> None:
@@ -204,7 +211,7 @@ def test_grain_command_follows_the_same_dampers() -> None:
     peaks = [
         Expected(Peak(size, 49.0, level, 2, 1.0, 0.0), None, ()) for size, level in ((1e-4, 2.0), (2e-4, 4.0))
     ]
-    *_, command = rests_on(dampers, peaks, Path("a folder/check.yaml"))
+    *_, command = grain_check(dampers, peaks, Path("a folder/check.yaml"))
     words = shlex.split(command)
     assert words[:3] == ["rig", "grains", "a folder/check.yaml"]
     changes = [words[k + 1].split("=", 1) for k, word in enumerate(words) if word == "--set"]

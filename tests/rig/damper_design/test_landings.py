@@ -8,10 +8,10 @@ from typing import Any
 import pytest
 
 import rig
-from rig.damper_design.asked import asked
 from rig.damper_design.check import check
 from rig.damper_design.choice import Choice, Trial
-from rig.damper_design.landings import INSTANT, landings_of
+from rig.damper_design.landings import INSTANT, landings_from
+from rig.damper_design.request import parse_request
 from rig.errors import SceneError
 
 LASTING = {"contact": {"duration": "4 ms"}, "restitution": 0.2}
@@ -25,7 +25,7 @@ def with_dampers(*each: dict[str, Any]) -> rig.Scene:
 
 def test_new_dampers_land_as_the_scenes() -> None:
     scene = with_dampers(LASTING, LASTING)
-    question, _ = asked(scene, None, [2], 1, None, [3.3], (48.5, 50.5), [2], (0.0, 0.0))
+    question, _ = parse_request(scene, bodies=[2], levels=[3.3], band=(48.5, 50.5), watched=[2])
     assert str(question.landings) == "new dampers land in 4 ms, restitution 0.2: as the scene's"
     choice = Choice((2,), (0.1,), (1e-3,))
     peak = question.worst(choice)
@@ -39,14 +39,14 @@ def test_new_dampers_land_as_the_scenes() -> None:
 
 
 def test_first_of_different_landings_is_taken() -> None:
-    landings = landings_of(with_dampers(LASTING, {}).dampers)
+    landings = landings_from(with_dampers(LASTING, {}).dampers)
     assert (landings.restitution, landings.taken) == (0.2, "as the scene's first; others of it differ")
     walls = {"contact": {"floor": {"duration": "4 ms"}, "ceiling": {"duration": "1 ms"}}}
-    assert "in 4 ms on floors and 1 ms on ceilings" in str(landings_of(with_dampers(walls).dampers))
-    assert landings_of(()) == INSTANT and "at once, restitution 0" in str(INSTANT)
+    assert "in 4 ms on floors and 1 ms on ceilings" in str(landings_from(with_dampers(walls).dampers))
+    assert landings_from(()) == INSTANT and "at once, restitution 0" in str(INSTANT)
 
 
 def test_contact_by_stiffness_is_rejected() -> None:
     scene = with_dampers({"contact": {"stiffness": "100 kN/m", "damping": "5 N s/m"}})
     with pytest.raises(SceneError, match=r"dampers\[1\]\.contact: .* Give contact: \{duration"):
-        landings_of(scene.dampers)
+        landings_from(scene.dampers)

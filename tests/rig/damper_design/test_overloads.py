@@ -10,7 +10,7 @@ import pytest
 import daq
 import rig
 from rig.damper_design.check import Expected
-from rig.damper_design.overloads import named, overloads, shaken_by
+from rig.damper_design.overloads import impact_acceleration, overload_lines, overloads
 from rig.damper_design.worst_peak import Peak
 from rig.system.assembly import assemble
 
@@ -45,7 +45,7 @@ def test_finite_landings_overload_a_small_sensor(contact: dict[str, Any] | None,
     resonance = {"resonance": "5 kHz", "q": 30}
     scene = _scene(contact, resonance)
     expected = _expected(scene)
-    shaken = shaken_by(assemble(scene), 1, expected.closing_speed, 5000.0)
+    shaken = impact_acceleration(assemble(scene), 1, expected.closing_speed, 5000.0)
     for share in (0.5, 2.0):
         limited = _scene(contact, {**resonance, "saturation": share * shaken})
         path = tmp_path / f"{share}.mcap"
@@ -65,7 +65,7 @@ def test_instant_landings_without_resonance_are_skipped() -> None:
         and "saturates at 5000 g, from landings of up to" in found.reason
     )
     assert found.changes == ("channels[2].accelerometer.saturation=null",)
-    lines = named([found], lasting=False)
+    lines = overload_lines([found], lasting=False)
     assert "contact: {duration: 2 ms}" in lines[-1] and found.changes[0] in lines[-1]
 
 

@@ -1,4 +1,4 @@
-"""Choices are ranked over all levels, and lighter choices with equal performance are listed."""
+"""Choices are rank_trials over all levels, and lighter choices with equal performance are listed."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rig.damper_design.choice import Choice, Trial
-from rig.damper_design.ranking import front, ranked
+from rig.damper_design.ranking import front, rank_trials
 from rig.damper_design.worst_peak import Peak
 
 
@@ -20,7 +20,7 @@ def test_one_damper_wins_only_against_irregular_motion(irregular: float, bodies:
     two = trial(1.0, (1, 2), (0.001, 0.099), (1e-3, 1e-3))
     one = trial(1.01, (2,), (0.1,), (1e-3,))
     far = trial(1.05, (1,), (0.1,), (1e-3,))
-    order = ranked([two, far, one])
+    order = rank_trials([two, far, one])
     assert order[0].choice.bodies == bodies and len(order) == 3 and order[-1] == far
 
 
@@ -30,18 +30,18 @@ def test_mean_reduction_decides_equal_worst_levels() -> None:
         tried(0.1, 2e-3, 2.010, 1.0),
         tried(0.1, 3e-3, 2.020, 0.1),
     )
-    assert ranked([best_at_worst, poorer, as_good]) == [as_good, best_at_worst, poorer]
+    assert rank_trials([best_at_worst, poorer, as_good]) == [as_good, best_at_worst, poorer]
 
 
 def test_middle_clearance_wins_among_equals() -> None:
     low, middle, tall = (tried(0.1, clearance, 2.0, 1.001) for clearance in (1e-3, 3e-3, 1e-2))
     wider = tried(0.1, 3e-2, 2.0, 1.2)
-    assert ranked([wider, tall, low, middle])[0] == middle and ranked([wider, middle])[1] == wider
+    assert rank_trials([wider, tall, low, middle])[0] == middle and rank_trials([wider, middle])[1] == wider
 
 
 def test_no_ceiling_first_and_unbuildable_last_of_equals() -> None:
     tiny, usual, none = (tried(0.1, clearance, 2.0) for clearance in (1.4e-5, 1e-3, np.inf))
-    assert ranked([tiny, usual, none]) == [none, usual, tiny]
+    assert rank_trials([tiny, usual, none]) == [none, usual, tiny]
 
 
 def tried(mass: float, clearance: float, *sizes: float) -> Trial:

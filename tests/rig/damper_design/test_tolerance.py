@@ -11,10 +11,10 @@ import pytest
 
 import rig
 from rig.damper_design.answers import Answers
-from rig.damper_design.asked import asked
 from rig.damper_design.choice import Choice, Question, Space, Trial
 from rig.damper_design.flight import Flight, flight, idle_levels, shortfall
 from rig.damper_design.other_modes import best_outside, mode_peaks, modes_of
+from rig.damper_design.request import parse_request
 from rig.damper_design.tolerance import tolerance
 from rig.damper_design.worst_peak import Peak
 
@@ -105,7 +105,7 @@ class Steep(Plateau):
 
 
 def test_modes_inside_and_outside_the_band_are_listed() -> None:
-    question, _ = asked(rig.load("fig9"), None, [2], 1, None, [0.01], (46.0, 54.0), None, (0.0, 0.0))
+    question, _ = parse_request(rig.load("fig9"), bodies=[2], levels=[0.01], band=(46.0, 54.0))
     choice = Choice((2,), (1e-6,), (1e-3,))
     trial = Trial(choice, (question.worst(choice),))
     modes = mode_peaks(question, trial, _answers())
@@ -117,7 +117,7 @@ def test_modes_inside_and_outside_the_band_are_listed() -> None:
 
 
 def test_flight_height_equals_the_simulated_motion() -> None:
-    question, _ = asked(rig.load("fig9"), None, [2], 1, None, [0.25], (47.0, 52.0), None, (0.0, 0.0))
+    question, _ = parse_request(rig.load("fig9"), bodies=[2], levels=[0.25], band=(47.0, 52.0))
     choice = Choice((2,), (0.04,), (np.inf,))
     trial = Trial(choice, (question.worst(choice),))
     found = flight(question, trial, unreached=True)

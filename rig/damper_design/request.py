@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from rig.damper_design.choice import Question, Space, variants
-from rig.damper_design.landings import landings_of
+from rig.damper_design.landings import landings_from
 from rig.errors import SceneError
 from rig.motion_map.grid import columns
 from rig.scene.body_names import body_number
@@ -85,16 +85,17 @@ def total_mass(scene: Scene) -> float:
     return float(np.trace(structural_model(scene).mass))
 
 
-def asked(
+def parse_request(
     scene: Scene,
-    budget: float | str | None,
-    bodies: Sequence[int | str] | None,
-    dampers: int,
-    clearance: Sequence[float | str] | None,
-    levels: Sequence[float | str] | None,
-    band: Sequence[float | str] | None,
-    watched: Sequence[int | str] | None,
-    uncertain: Sequence[float | str],
+    *,
+    budget: float | str | None = None,
+    bodies: Sequence[int | str] | None = None,
+    dampers: int = 1,
+    clearance: Sequence[float | str] | None = None,
+    levels: Sequence[float | str] | None = None,
+    band: Sequence[float | str] | None = None,
+    watched: Sequence[int | str] | None = None,
+    uncertain: Sequence[float | str] = (0.0, 0.0),
 ) -> tuple[Question, Space]:
     """Fill in defaults and check the request; parameters as of `rig.design`.
 
@@ -118,7 +119,7 @@ def asked(
         raise SceneError(
             "gravity: got 0; expected more than 0, because dampers without weight do not return to their floor"
         )
-    landings = landings_of(scene.dampers)
+    landings = landings_from(scene.dampers)
     plain = with_ideal_force(_under_force(scene.replace(dampers=[], channels=None), levels))
     usual = [level_of(plain) * factor for factor in LEVELS]
     forces = tuple(sorted(positive_values(levels or usual, FORCE, "levels").tolist()))

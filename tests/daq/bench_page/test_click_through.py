@@ -40,7 +40,7 @@ return chart ? chart.getOption().series.map(each => [each.name, each.data]) : []
 
 @pytest.fixture
 def bench(tmp_path):
-    """A bench in a process of its own: address of the page, address of the device, process."""
+    """A bench in a separate process: address of the page, address of the device, process."""
     (tmp_path / "bracket.yaml").write_text(BRACKET.replace("PLACE", "shaker") + SHAKEN, encoding="utf-8")
     command = [sys.executable, "-m", "daq", "bench", "bracket.yaml", "--no-browser", "-o", "rec/test.mcap"]
     process = subprocess.Popen(
@@ -79,7 +79,7 @@ def part(browser, name):
 
 
 def wait_for(browser, condition):
-    # A busy machine may have the page load again.
+    # On a busy machine the page may be loaded twice.
     wait = WebDriverWait(browser, PATIENCE_S, ignored_exceptions=(StaleElementReferenceException,))
     return wait.until(lambda driver: condition())
 
@@ -110,8 +110,8 @@ def test_sweep_is_started_seen_recorded_and_analysed(bench, browser, tmp_path):
     wait_for(browser, lambda: "recording to" in part(browser, "file").text)
     wait_for(browser, lambda: part(browser, "state").text == "ready")
     wait_for(browser, lambda: dict(browser.execute_script(CURVES, "Frequency response"))["arm"])
-    seen = np.array(dict(browser.execute_script(CURVES, "Frequency response"))["arm"])
-    assert seen[np.argmax(seen[:, 1]), 0] == pytest.approx(62.0, abs=1.0)
+    curve = np.array(dict(browser.execute_script(CURVES, "Frequency response"))["arm"])
+    assert curve[np.argmax(curve[:, 1]), 0] == pytest.approx(62.0, abs=1.0)
     assert browser.find_elements(By.CSS_SELECTOR, "#rig-body_2")
     width = browser.execute_script("return [document.documentElement.scrollWidth, window.innerWidth]")
     assert width[0] <= width[1]

@@ -121,7 +121,7 @@ def mat(path: Path, rows: np.ndarray) -> None:
 
 
 def mat_hdf5(path: Path, rows: np.ndarray) -> None:
-    """As MATLAB's `save -v7.3` writes a structure: columns are rows, texts are numbers, cells refer."""
+    """Write a structure as MATLAB's `save -v7.3` does: columns are rows, texts are numbers, cells are references."""
     with h5py.File(path, "w", userblock_size=512) as file:
         run = file.create_group("run")
         run.attrs["MATLAB_class"] = np.bytes_("struct")
@@ -131,9 +131,9 @@ def mat_hdf5(path: Path, rows: np.ndarray) -> None:
             cell = file.create_dataset(key, (1, len(texts)), h5py.ref_dtype)
             cell.attrs["MATLAB_class"] = np.bytes_("cell")
             for k, text in enumerate(texts):
-                held = file.create_dataset(f"#refs#/{key}{k}", data=np.array([list(map(ord, text))], "u2").T)
-                held.attrs["MATLAB_class"] = np.bytes_("char")
-                cell[0, k] = held.ref
+                item = file.create_dataset(f"#refs#/{key}{k}", data=np.array([list(map(ord, text))], "u2").T)
+                item.attrs["MATLAB_class"] = np.bytes_("char")
+                cell[0, k] = item.ref
     head = b"MATLAB 7.3 MAT-file, Platform: PCWIN64".ljust(124) + b"\0\2IM"
     path.write_bytes(head + path.read_bytes()[len(head) :])
 

@@ -60,12 +60,12 @@ def zeros_in_an_archive(path: Path, numbers: int) -> None:
 
 def refused(path: Path, folder: Path) -> str:
     before = path.read_bytes() if path.is_file() else b""
-    with pytest.raises((RecordingError, SceneError)) as told:
+    with pytest.raises((RecordingError, SceneError)) as error:
         daq.import_files(path, bench(), folder / "r.mcap", table=TABLE)
     gc.collect()
     assert not (folder / "r.mcap").exists() and not list(folder.glob(".*.mcap"))
     assert (path.read_bytes() if path.is_file() else b"") == before
-    return str(told.value)
+    return str(error.value)
 
 
 ODD = {
@@ -102,7 +102,7 @@ ODD = {
 
 
 @pytest.mark.parametrize("name", ODD)
-def test_odd_file_is_rejected_in_words(name, tmp_path):
+def test_unusable_file_is_rejected_with_message(name, tmp_path):
     path = tmp_path / name
     if ODD[name] == "folder":
         path.mkdir()
@@ -134,7 +134,7 @@ def test_cut_file_is_rejected_or_partly_imported(form, part, tmp_path):
 
 
 @pytest.mark.parametrize("form", WRITERS)
-def test_wrong_bytes_end_in_words_or_samples(form, tmp_path):
+def test_wrong_bytes_give_message_or_samples(form, tmp_path):
     ending, make, _ = WRITERS[form]
     make(tmp_path / f"whole{ending}", histories(300))
     data = (tmp_path / f"whole{ending}").read_bytes()
@@ -166,7 +166,7 @@ def test_file_without_samples_lists_its_content(tmp_path):
     assert "d.npz" in refused(tmp_path / "d.npz", tmp_path)
 
 
-def test_wav_that_states_too_much_is_rejected(tmp_path):
+def test_truncated_wav_is_rejected(tmp_path):
     wavfile.write(tmp_path / "a.wav", int(RATE), np.zeros((500, 3), np.int16))
     data = bytearray((tmp_path / "a.wav").read_bytes())
     data[40:44] = struct.pack("<I", 10**6)
@@ -192,16 +192,16 @@ def test_own_recording_is_not_imported(tmp_path):
     assert "is a recording already" in refused(path, tmp_path)
 
 
-def test_dead_and_absurd_channels_are_reported(tmp_path):
+def test_dead_and_implausible_channels_are_reported(tmp_path):
     rows = histories(600)
     rows[0], rows[2] = 3.0, 1e9 * rows[2]
     WRITERS["tdms"][1](tmp_path / "a.tdms", rows)
-    with warnings.catch_warnings(record=True) as heard:
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         daq.import_files(tmp_path / "a.tdms", bench(), tmp_path / "r.mcap")
-    told = "\n".join(str(each.message) for each in heard)
-    assert "body1 ('body1' of a.tdms) reads 29.4199 m/s^2 throughout" in told
-    assert "force ('force' of a.tdms) reads up to" in told and "wrong unit or sensitivity" in told
+    message = "\n".join(str(each.message) for each in caught)
+    assert "body1 ('body1' of a.tdms) reads 29.4199 m/s^2 throughout" in message
+    assert "force ('force' of a.tdms) reads up to" in message and "wrong unit or sensitivity" in message
 
 
 def json_topic(path: Path, messages: list[bytes]) -> None:
@@ -268,7 +268,7 @@ def test_tdms_scaling_without_input_is_rejected(tmp_path):
     assert "is damaged" in refused(tmp_path / "a.tdms", tmp_path)
 
 
-def test_matlab_cells_that_refer_to_themselves_end(tmp_path):
+def test_self_referring_matlab_cells_are_rejected(tmp_path):
     with h5py.File(tmp_path / "a.mat", "w", userblock_size=512) as file:
         cell = file.create_dataset("a", (1, 100), h5py.ref_dtype)
         for place in range(100):
@@ -293,8 +293,8 @@ def test_cut_tdms_file_gives_one_warning(tmp_path, caplog):
     WRITERS["tdms"][1](tmp_path / "whole.tdms", histories(600))
     data = (tmp_path / "whole.tdms").read_bytes()
     (tmp_path / "cut.tdms").write_bytes(data[: len(data) - 1000])
-    with warnings.catch_warnings(record=True) as heard:
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", RunWarning)
         daq.import_files(tmp_path / "cut.tdms", bench(), tmp_path / "r.mcap")
-    assert [str(each.message) for each in heard if "cut.tdms is cut off or damaged" in str(each.message)]
+    assert [str(each.message) for each in caught if "cut.tdms is cut off or damaged" in str(each.message)]
     assert not caplog.records

@@ -24,10 +24,10 @@ TRACKS = {
 
 
 def imported(files, scene, path, **options) -> tuple[daq.Recording, list[str]]:
-    with warnings.catch_warnings(record=True) as heard:
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         recording = daq.open(daq.import_files(files, scene, path, **options))
-    return recording, [str(each.message) for each in heard]
+    return recording, [str(each.message) for each in caught]
 
 
 @pytest.mark.parametrize("form", WRITERS)
@@ -36,9 +36,9 @@ def test_foreign_file_gives_its_samples_and_rate(form, tmp_path):
     rows = histories()
     write(tmp_path / f"a{ending}", rows)
     table = TRACKS if form == "wav" else None
-    recording, heard = imported(tmp_path / f"a{ending}", bench(), tmp_path / "r.mcap", table=table)
+    recording, messages = imported(tmp_path / f"a{ending}", bench(), tmp_path / "r.mcap", table=table)
     with recording:
-        assert recording.rate == RATE and not heard
+        assert recording.rate == RATE and not messages
         read = np.array([recording.read(name) for name in NAMES])
         np.testing.assert_allclose(
             read, rows * IN_SI, rtol=0, atol=max(error, 1e-15) * abs(rows * IN_SI).max()
@@ -59,8 +59,10 @@ def test_wav_full_scale_is_the_converter_range(kind, tmp_path):
     elif np.dtype(kind).kind == "f":
         wavfile.write(path, 2048, rows.T.astype(kind))
     else:
-        half = 2.0 ** (8 * np.dtype(kind).itemsize - 1)
-        wavfile.write(path, 2048, np.rint(rows.T * half + (128 if kind is np.uint8 else 0)).astype(kind))
+        full_scale = 2.0 ** (8 * np.dtype(kind).itemsize - 1)
+        wavfile.write(
+            path, 2048, np.rint(rows.T * full_scale + (128 if kind is np.uint8 else 0)).astype(kind)
+        )
     scene = bench(more="converter: {range: 5 V}")
     table = {"body1": Column("1", sensitivity="100 mV/g"), "body2": Column("2", unit="2 V", sign=-1)}
     if np.dtype(kind if kind != "int24" else "i4").kind == "f":
@@ -93,7 +95,7 @@ def test_unmarked_hits_are_detected(tmp_path):
         rows[2, at : at + 8] -= size * pulse
     csv(tmp_path / "a.csv", rows)
     scene = bench("{kind: impulse, body: 2, peak: 50 N, width: 4 ms}")
-    recording, heard = imported(tmp_path / "a.csv", scene, tmp_path / "r.mcap")
+    recording, messages = imported(tmp_path / "a.csv", scene, tmp_path / "r.mcap")
     with recording:
         hits = [marker for marker in recording.markers if marker.kind == "hit"]
         assert [round(hit.first_sample, -2) for hit in hits] == [1000, 5000, 9000]
@@ -101,7 +103,7 @@ def test_unmarked_hits_are_detected(tmp_path):
             hit.first_sample < at and hit.end >= at + 7
             for hit, at in zip(hits, (1000, 5000, 9000), strict=True)
         )
-    assert not heard
+    assert not messages
 
 
 def test_clipped_and_lost_samples_are_marked(tmp_path):
@@ -110,7 +112,7 @@ def test_clipped_and_lost_samples_are_marked(tmp_path):
     rows[1] = np.clip(rows[1], -15.0, 15.0)
     rows[0, 700:720] = np.nan
     csv(tmp_path / "a.csv", rows)
-    recording, heard = imported(tmp_path / "a.csv", bench(), tmp_path / "r.mcap")
+    recording, messages = imported(tmp_path / "a.csv", bench(), tmp_path / "r.mcap")
     with recording:
         clipped = np.zeros(4000, bool)
         for marker in recording.overloads:
@@ -121,10 +123,10 @@ def test_clipped_and_lost_samples_are_marked(tmp_path):
         (gap,) = recording.gaps
         assert (gap.first_sample, gap.last_sample, gap.channels) == (700, 719, ("body1",))
         assert np.array_equal(np.isnan(recording.read("body1")), np.isnan(rows[0]))
-    assert any("clipped" in note for note in heard) and any("lost" in note for note in heard)
+    assert any("clipped" in note for note in messages) and any("lost" in note for note in messages)
 
 
-def test_rounded_tops_are_no_overload(tmp_path):
+def test_rounded_tops_are_not_overloads(tmp_path):
     rows = np.round(40.0 * np.sin(0.003 * np.arange(20000))) + np.zeros((3, 1))
     csv(tmp_path / "a.csv", rows)
     recording, _ = imported(tmp_path / "a.csv", bench(), tmp_path / "r.mcap")
@@ -132,7 +134,7 @@ def test_rounded_tops_are_no_overload(tmp_path):
         assert not recording.overloads
 
 
-def test_long_file_is_imported_without_a_seam(tmp_path):
+def test_long_file_is_imported_without_gap(tmp_path):
     rows = histories(200_000)
     tdms(tmp_path / "a.tdms", rows)
     recording, _ = imported(tmp_path / "a.tdms", bench(), tmp_path / "r.mcap")
@@ -149,12 +151,12 @@ def test_two_files_give_channels_of_one_test(tmp_path):
         imported([tmp_path / "a.tdms", tmp_path / "b.csv"], bench(), tmp_path / "r.mcap", table=table)
     table["body1"] = Column("body1", file="a")
     table["body2"] = Column("body2", file="a")
-    recording, heard = imported(
+    recording, messages = imported(
         [tmp_path / "a.tdms", tmp_path / "b.csv"], bench(), tmp_path / "r.mcap", table=table
     )
     with recording:
         assert recording.samples == 5000 and recording.gaps[0].first_sample == 4000
-    assert any("force (4000)" in note for note in heard)
+    assert any("force (4000)" in note for note in messages)
 
 
 @pytest.mark.parametrize("form", ["csv", "tdms"])
@@ -166,14 +168,14 @@ def test_late_release_is_reported_and_can_be_cut(form, tmp_path):
     scene = bench().replace(
         test={"kind": "free", "mode": 1, "amplitude": 1e-3}, shaker=None, channels=bench().channels[:2]
     )
-    recording, heard = imported(tmp_path / f"a{ending}", scene, tmp_path / "r.mcap")
+    recording, messages = imported(tmp_path / f"a{ending}", scene, tmp_path / "r.mcap")
     recording.close()
-    assert any("moves most at 1.5 s" in note for note in heard)
-    recording, heard = imported(
+    assert any("moves most at 1.5 s" in note for note in messages)
+    recording, messages = imported(
         tmp_path / f"a{ending}", scene, tmp_path / "r.mcap", from_s=1.5, to_s=2.5, overwrite=True
     )
     with recording:
-        assert recording.samples == 2048 and not any("moves most" in note for note in heard)
+        assert recording.samples == 2048 and not any("moves most" in note for note in messages)
         np.testing.assert_allclose(recording.read("body2"), rows[1, 3072:5120], rtol=1e-8, atol=1e-9)
 
 
@@ -249,9 +251,9 @@ def test_labview_text_has_names_units_and_clock(columns, separator, point, tmp_p
         )
         lines.append(line([*cells, "lost contact"] if k % 7 == 0 else cells))
     (tmp_path / "a.lvm").write_text(heading + "".join(lines))
-    recording, heard = imported(tmp_path / "a.lvm", bench(), tmp_path / "r.mcap")
+    recording, messages = imported(tmp_path / "a.lvm", bench(), tmp_path / "r.mcap")
     with recording:
-        assert recording.rate == RATE and not heard
+        assert recording.rate == RATE and not messages
         np.testing.assert_allclose(recording.read("force"), rows[2], rtol=0, atol=1e-6)
         np.testing.assert_allclose(recording.read("body2"), 9.80665 * rows[1], rtol=0, atol=1e-5)
 
@@ -267,14 +269,14 @@ def test_unnamed_even_column_is_the_clock(form, tmp_path):
     table = {
         name: Column(str(k), unit="m/s^2" if name != "force" else "N") for k, name in enumerate(NAMES, 1)
     }
-    recording, heard = imported(file, bench(), tmp_path / "r.mcap", table=table)
+    recording, messages = imported(file, bench(), tmp_path / "r.mcap", table=table)
     with recording:
         assert recording.rate == RATE
         np.testing.assert_allclose(recording.read("body1"), rows[1], rtol=1e-6)
-    assert any("rises evenly" in text and "taken for times" in text for text in heard)
+    assert any("rises evenly" in text and "taken for times" in text for text in messages)
 
 
-def test_counted_lines_are_no_clock(tmp_path):
+def test_line_numbers_are_not_a_clock(tmp_path):
     np.savetxt(tmp_path / "a.txt", np.vstack([np.arange(1, 401), histories(400)]).T)
     table = {"body1": Column("2", unit="m/s^2")}
     with pytest.raises(SceneError, match="sample rate is not stated"):
@@ -283,12 +285,12 @@ def test_counted_lines_are_no_clock(tmp_path):
 
 def test_uneven_times_are_reported(tmp_path):
     rows = histories(400)
-    off = np.random.default_rng(2).uniform(-0.2, 0.2, 400)
-    for name, times in {"even": np.arange(400.0), "uneven": np.arange(400) + off}.items():
+    jitter = np.random.default_rng(2).uniform(-0.2, 0.2, 400)
+    for name, times in {"even": np.arange(400.0), "uneven": np.arange(400) + jitter}.items():
         np.savez(tmp_path / f"{name}.npz", time=times / RATE, body1=rows[0])
         table = {"body1": Column("body1", unit="g")}
-        _, heard = imported(tmp_path / f"{name}.npz", bench(), tmp_path / f"{name}.mcap", table=table)
-        assert any("from an even grid by up to" in text for text in heard) == (name == "uneven")
+        _, messages = imported(tmp_path / f"{name}.npz", bench(), tmp_path / f"{name}.mcap", table=table)
+        assert any("from an even grid by up to" in text for text in messages) == (name == "uneven")
 
 
 def test_missing_value_in_first_line_keeps_its_column(tmp_path):
@@ -330,10 +332,10 @@ def test_uncertain_labview_clock_is_reported(tmp_path):
         + "X_Value\tbody1\n"
     )
     (tmp_path / "a.lvm").write_text(heading + "".join(f"\t{value}\n" for value in (0.1, -0.1, 0.2)))
-    recording, heard = imported(tmp_path / "a.lvm", bench(), tmp_path / "r.mcap")
+    recording, messages = imported(tmp_path / "a.lvm", bench(), tmp_path / "r.mcap")
     recording.close()
-    assert any("9 samples, its table has 3" in text for text in heard)
-    assert any("1023.02 to 1024.07 Hz" in text for text in heard)
+    assert any("9 samples, its table has 3" in text for text in messages)
+    assert any("1023.02 to 1024.07 Hz" in text for text in messages)
 
 
 TABLES = {
@@ -359,7 +361,7 @@ TABLES = {
 
 
 @pytest.mark.parametrize("text", TABLES)
-def test_wrong_table_is_rejected_in_words(text, tmp_path):
+def test_wrong_table_is_rejected_with_message(text, tmp_path):
     csv(tmp_path / "a.csv", histories(100))
     (tmp_path / "t.yaml").write_text(text)
     with pytest.raises(SceneError, match=TABLES[text]):
@@ -390,8 +392,8 @@ def test_import_command_lists_imports_and_never_overwrites(tmp_path, monkeypatch
     assert done.exit_code == 0 and "3000 samples of 3 channels" in done.output, done.output
     content = Path("a.mcap").read_bytes()
     assert CliRunner().invoke(app, words).exit_code == 0
-    again = CliRunner().invoke(app, [*words, "--to", "1"])
-    assert isinstance(again.exception, ShotrigError) and "exists" in str(again.exception)
+    repeated = CliRunner().invoke(app, [*words, "--to", "1"])
+    assert isinstance(repeated.exception, ShotrigError) and "exists" in str(repeated.exception)
     assert Path("a.mcap").read_bytes() == content
     Path("user.mcap").write_bytes(b"mine")
     refused = CliRunner().invoke(app, [*words, "-o", "user.mcap"])
@@ -403,7 +405,7 @@ def test_import_command_lists_imports_and_never_overwrites(tmp_path, monkeypatch
     assert "b.csv: no such file" in str(no_file.exception)
 
 
-def test_a_unit_against_the_files_own_is_reported(tmp_path):
+def test_unit_that_contradicts_file_is_reported(tmp_path):
     csv(tmp_path / "a.csv", histories(3000))
     for unit, said in (("m/s^2", "0.102 times"), ("mm", "displacement instead of acceleration"), ("g", "")):
         channels = bench()
@@ -414,17 +416,17 @@ def test_a_unit_against_the_files_own_is_reported(tmp_path):
                     for one in bench().channels
                 ]
             )
-        recording, heard = imported(
+        recording, messages = imported(
             tmp_path / "a.csv",
             channels,
             tmp_path / f"{said}.mcap",
             table={"body1": Column("body1", unit=unit)},
         )
         recording.close()
-        assert any(said in each for each in heard) if said else not heard
+        assert any(said in each for each in messages) if said else not messages
 
 
-def test_a_file_given_twice_is_refused(tmp_path):
+def test_duplicate_file_is_rejected(tmp_path):
     csv(tmp_path / "a.csv", histories(3000))
     (tmp_path / "b.csv").write_bytes((tmp_path / "a.csv").read_bytes())
     with pytest.raises(RecordingError, match=r"b\.csv: the same content as .*a\.csv"):

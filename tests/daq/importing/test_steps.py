@@ -19,9 +19,9 @@ FILTER = signal.bilinear([1.0, 0.0, 0.0], [1.0, 2 * 0.03 * 2 * np.pi * MODE, (2 
 
 def stepped(frequencies, levels=(1.0,), dwell=3.0, glide=0.1) -> np.ndarray:
     """Force that dwells at frequencies and glides between them, and what a resonance makes of it."""
-    held = [(f, level) for level in levels for f in frequencies]
+    settings = [(f, level) for level in levels for f in frequencies]
     frequency, amplitude = [], []
-    for (f, level), (after, _) in zip(held, [*held[1:], held[-1]], strict=True):
+    for (f, level), (after, _) in zip(settings, [*settings[1:], settings[-1]], strict=True):
         count = round(dwell * RATE)
         frequency += [np.full(count, f), np.linspace(f, after, round(glide * RATE))]
         amplitude.append(np.full(count + round(glide * RATE), level))
@@ -47,15 +47,15 @@ def test_unmarked_steps_are_detected_with_right_response(level, tmp_path):
     levels = (1.0,) if level == "1 N" else (0.5, 2.0)
     npz(tmp_path / "a.npz", stepped(frequencies, levels))
     scene = bench(f"{{kind: stepped_sine, from: 30 Hz, to: 50 Hz, points: 5, force: {level}}}")
-    recording, heard = imported(tmp_path / "a.npz", scene, tmp_path / "r.mcap")
+    recording, messages = imported(tmp_path / "a.npz", scene, tmp_path / "r.mcap")
     with recording:
-        found = marks(recording)
+        steps = marks(recording)
         np.testing.assert_allclose(
-            [mark.fields["frequency"] for mark in found], np.tile(frequencies, len(levels)), rtol=1e-6
+            [mark.fields["frequency"] for mark in steps], np.tile(frequencies, len(levels)), rtol=1e-6
         )
-        assert [mark.fields["level"] for mark in found] == np.repeat(levels, 5).tolist()
-        assert {mark.fields["direction"] for mark in found} == {"up"}
-        for number, mark in enumerate(found):
+        assert [mark.fields["level"] for mark in steps] == np.repeat(levels, 5).tolist()
+        assert {mark.fields["direction"] for mark in steps} == {"up"}
+        for number, mark in enumerate(steps):
             begin = round(number * 3.1 * RATE)
             assert begin < mark.first_sample and mark.end < begin + 3.02 * RATE
             assert mark.end - mark.first_sample > 0.6 * RATE and mark.fields["settled"]
@@ -67,7 +67,7 @@ def test_unmarked_steps_are_detected_with_right_response(level, tmp_path):
             assert np.all(abs(curve.value - truth) < curve.bound()) and np.all(
                 curve.bound() < 0.02 * abs(truth)
             )
-    assert not heard
+    assert not messages
 
 
 def test_steps_up_and_down_are_two_sweeps(tmp_path):
@@ -76,9 +76,9 @@ def test_steps_up_and_down_are_two_sweeps(tmp_path):
     scene = bench("{kind: stepped_sine, from: 20 Hz, to: 31 Hz, points: 3, force: 1 N, direction: both}")
     recording, _ = imported(tmp_path / "a.npz", scene, tmp_path / "r.mcap")
     with recording:
-        found = [(round(mark.fields["frequency"], 3), mark.fields["direction"]) for mark in marks(recording)]
+        steps = [(round(mark.fields["frequency"], 3), mark.fields["direction"]) for mark in marks(recording)]
     # The highest frequency is held longer, so that it is a single step.
-    assert found == [(20.0, "up"), (25.0, "up"), (31.0, "up"), (25.0, "down"), (20.0, "down")]
+    assert steps == [(20.0, "up"), (25.0, "up"), (31.0, "up"), (25.0, "down"), (20.0, "down")]
 
 
 def test_tone_after_silence_is_one_step(tmp_path):
@@ -86,11 +86,11 @@ def test_tone_after_silence_is_one_step(tmp_path):
     tone[round(6 * RATE) :] = np.sin(2 * np.pi * 17.3 * np.arange(round(14 * RATE)) / RATE)
     npz(tmp_path / "a.npz", responded(tone))
     scene = bench("{kind: sine, frequency: 17 Hz, force: 1 N}")
-    recording, heard = imported(tmp_path / "a.npz", scene, tmp_path / "r.mcap")
+    recording, messages = imported(tmp_path / "a.npz", scene, tmp_path / "r.mcap")
     with recording:
         [mark] = marks(recording)
         assert abs(mark.fields["frequency"] - 17.3) < 1e-5 and mark.first_sample > 6 * RATE
-    assert not heard
+    assert not messages
 
 
 def _forces() -> dict[str, np.ndarray]:
@@ -121,12 +121,12 @@ def _forces() -> dict[str, np.ndarray]:
 def test_signal_without_steps_has_none_detected(kind, tmp_path):
     npz(tmp_path / "a.npz", responded(_forces()[kind]))
     scene = bench("{kind: stepped_sine, from: 10 Hz, to: 60 Hz, points: 5, force: 1 N}")
-    recording, heard = imported(tmp_path / "a.npz", scene, tmp_path / "r.mcap")
+    recording, messages = imported(tmp_path / "a.npz", scene, tmp_path / "r.mcap")
     with recording:
         assert not marks(recording)
         with pytest.raises(RecordingError, match="no step was detected"):
             analysis.frequency_responses(recording)
-    assert any("no step was detected" in each for each in heard)
+    assert any("no step was detected" in each for each in messages)
 
 
 def test_import_command_reports_steps(tmp_path, monkeypatch):

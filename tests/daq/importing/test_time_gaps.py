@@ -64,10 +64,10 @@ def npz(path: Path, times: np.ndarray, rows: np.ndarray) -> None:
 
 
 def imported(path: Path, target: Path) -> tuple[daq.Recording, list[str]]:
-    with warnings.catch_warnings(record=True) as heard:
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         recording = daq.open(daq.import_files(path, bench(), target, table=TABLE))
-    return recording, [str(each.message) for each in heard]
+    return recording, [str(each.message) for each in caught]
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
@@ -77,7 +77,7 @@ def imported(path: Path, target: Path) -> tuple[daq.Recording, list[str]]:
 def test_missing_rows_are_imported_as_lost_samples(ending, make, tmp_path):
     path = tmp_path / f"a.{ending}"
     make(path, np.arange(4000)[KEPT] / RATE, ROWS[:, KEPT])
-    recording, heard = imported(path, tmp_path / "r.mcap")
+    recording, messages = imported(path, tmp_path / "r.mcap")
     with recording:
         assert recording.rate == RATE and recording.samples == 4000
         for name, row in zip(NAMES, ROWS * IN_SI, strict=True):
@@ -86,13 +86,13 @@ def test_missing_rows_are_imported_as_lost_samples(ending, make, tmp_path):
             np.testing.assert_allclose(read[KEPT], row[KEPT], rtol=1e-6)
             gaps = [gap for gap in recording.gaps if name in gap.channels]
             assert [(gap.first_sample, gap.last_sample + 1) for gap in gaps] == LOST
-    assert any("gaps in 3 places" in each and "1004 samples are missing" in each for each in heard)
+    assert any("gaps in 3 places" in each and "1004 samples are missing" in each for each in messages)
 
 
-def test_gaps_are_found_across_pieces():
+def test_gaps_are_detected_across_pieces():
     number = np.arange(3 * PIECE)
-    kept = np.delete(number, [PIECE, PIECE + 1, 2 * PIECE + 5])
-    pieces = np.split(kept / RATE, [PIECE, 2 * PIECE - 1])
+    present = np.delete(number, [PIECE, PIECE + 1, 2 * PIECE + 5])
+    pieces = np.split(present / RATE, [PIECE, 2 * PIECE - 1])
     assert missing_rows(pieces, 0.0) == [(PIECE, 2), (2 * PIECE + 3, 1)]
 
 
@@ -111,19 +111,19 @@ def test_times_without_even_steps_have_no_gaps(times):
 
 
 @pytest.mark.parametrize("cut", [1, 4, 10, 20, 40, 48])
-def test_torn_last_line_is_left_out(cut, tmp_path):
+def test_truncated_last_line_is_omitted(cut, tmp_path):
     path = tmp_path / "a.csv"
     text(path, np.arange(4000) / RATE, ROWS)
     data = path.read_bytes()
     path.write_bytes(data[: -1 - cut])
-    recording, heard = imported(path, tmp_path / "r.mcap")
+    recording, messages = imported(path, tmp_path / "r.mcap")
     with recording:
         assert recording.samples == 3999
         np.testing.assert_allclose(recording.read("force"), ROWS[2, :3999], rtol=1e-9)
-    assert any("last line is cut off and is omitted" in each for each in heard)
+    assert any("last line is cut off and is omitted" in each for each in messages)
 
 
-def test_torn_line_elsewhere_is_refused(tmp_path):
+def test_truncated_inner_line_is_rejected(tmp_path):
     path = tmp_path / "a.csv"
     text(path, np.arange(4000) / RATE, ROWS)
     lines = path.read_text().splitlines(keepends=True)

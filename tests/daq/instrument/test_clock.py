@@ -11,7 +11,7 @@ from tests.daq.client import Task, connect
 
 
 class Counter:
-    """A bench of nothing but a sample count."""
+    """A bench that only counts samples."""
 
     rate = 1000.0
 

@@ -35,7 +35,7 @@ def start_s(waveform):
 
 
 def bump(at, length=4000):
-    """A millimetre of travel for a hundredth of a second."""
+    """A displacement of 1 mm for 10 ms."""
     wave = np.zeros(length)
     wave[at : at + 51] = np.hanning(51)
     return wave
@@ -58,14 +58,14 @@ def test_hysteresis_ignores_grazing():
 def test_block_size_does_not_move_edge(size):
     samples = np.random.default_rng(5).normal(size=200)
     whole = CrossingFinder(edge(values.Slope.RISING, 1.5, 1.0)).find(samples, 20)
-    finder, found = CrossingFinder(edge(values.Slope.RISING, 1.5, 1.0)), None
+    finder, tick = CrossingFinder(edge(values.Slope.RISING, 1.5, 1.0)), None
     for start in range(0, 200, size):
         part = samples[start : start + size]
         at = finder.find(part, min(max(0, 20 - start), part.size))
         if at is not None:
-            found = start + at
+            tick = start + at
             break
-    assert whole is not None and found == whole
+    assert whole is not None and tick == whole
 
 
 def test_sync_output_has_one_edge_per_second():

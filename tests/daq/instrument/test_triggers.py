@@ -27,11 +27,11 @@ from daq.instrument.values import Slope, WindowCondition
 LEVELS = st.integers(-4, 4).map(float)
 
 
-def watched(samples, skip, beyond, arms):
-    """Check sample by sample: the first sample beyond the level after an arming sample."""
+def first_crossing(samples, skip, fires, arms):
+    """Return the first sample that meets the condition after an arming sample, sample by sample."""
     armed = False
     for i, x in enumerate(samples):
-        if beyond(x):
+        if fires(x):
             if armed and i >= skip:
                 return i
             armed = False
@@ -40,7 +40,7 @@ def watched(samples, skip, beyond, arms):
     return None
 
 
-def found(condition, samples, skip, cuts):
+def find_in_pieces(condition, samples, skip, cuts):
     """Index in the whole signal of the trigger that is detected in its parts."""
     ((_, finder),) = AnalogSource(((0, condition),)).finders()
     start = 0
@@ -63,22 +63,24 @@ def found(condition, samples, skip, cuts):
 )
 def test_blocks_do_not_change_triggers(samples, skip, cuts, level, hysteresis, low, width):
     def rising(signal, level):
-        return watched(signal, skip, lambda x: x > level, lambda x: x <= level - hysteresis)
+        return first_crossing(signal, skip, lambda x: x > level, lambda x: x <= level - hysteresis)
 
-    assert found(edge(Slope.RISING, level, hysteresis), samples, skip, cuts) == rising(samples, level)
+    assert find_in_pieces(edge(Slope.RISING, level, hysteresis), samples, skip, cuts) == rising(
+        samples, level
+    )
     mirrored = rising([-x for x in samples], -level)
-    assert found(edge(Slope.FALLING, level, hysteresis), samples, skip, cuts) == mirrored
+    assert find_in_pieces(edge(Slope.FALLING, level, hysteresis), samples, skip, cuts) == mirrored
     top = low + width
-    entering = watched(samples, skip, lambda x: low <= x <= top, lambda x: not low <= x <= top)
-    assert found(window(WindowCondition.ENTERING, low, top), samples, skip, cuts) == entering
-    leaving = watched(samples, skip, lambda x: not low <= x <= top, lambda x: low <= x <= top)
-    assert found(window(WindowCondition.LEAVING, low, top), samples, skip, cuts) == leaving
+    entering = first_crossing(samples, skip, lambda x: low <= x <= top, lambda x: not low <= x <= top)
+    assert find_in_pieces(window(WindowCondition.ENTERING, low, top), samples, skip, cuts) == entering
+    leaving = first_crossing(samples, skip, lambda x: not low <= x <= top, lambda x: low <= x <= top)
+    assert find_in_pieces(window(WindowCondition.LEAVING, low, top), samples, skip, cuts) == leaving
 
 
 @pytest.mark.parametrize("cuts", [cuts for n in range(5) for cuts in combinations(range(1, 5), n)])
 def test_uncounted_crossing_disarms(cuts):
-    assert found(edge(Slope.RISING, 0.0, 0.0), [-1.0, 1.0, 1.0, -1.0, 1.0], 2, cuts) == 4
-    assert found(edge(Slope.RISING, 0.0, 0.0), [-1.0, 1.0, 1.0, 1.0, 1.0], 2, cuts) is None
+    assert find_in_pieces(edge(Slope.RISING, 0.0, 0.0), [-1.0, 1.0, 1.0, -1.0, 1.0], 2, cuts) == 4
+    assert find_in_pieces(edge(Slope.RISING, 0.0, 0.0), [-1.0, 1.0, 1.0, 1.0, 1.0], 2, cuts) is None
 
 
 @given(

@@ -39,13 +39,13 @@ def driven(source, **timing):
         driving.ao_channels.add_ao_voltage_chan("cDAQ1Mod2/ao0")
         driving.timing.cfg_samp_clk_timing(RATE, sample_mode=AcquisitionType.CONTINUOUS)
         driving.write(0.5 * np.sin(2 * np.pi * 20 * np.arange(256) / RATE))
-        for terminal, given in enumerate((source, ExcitationSource.INTERNAL, ExcitationSource.NONE)):
+        for terminal, excitation in enumerate((source, ExcitationSource.INTERNAL, ExcitationSource.NONE)):
             task.ai_channels.add_ai_accel_chan(
                 f"cDAQ1Mod1/ai{terminal}",
                 sensitivity=100.0,
                 min_val=-50.0,
                 max_val=50.0,
-                current_excit_source=given,
+                current_excit_source=excitation,
                 current_excit_val=0.002,
             )
         task.timing.cfg_samp_clk_timing(RATE, samps_per_chan=4000)
@@ -53,14 +53,14 @@ def driven(source, **timing):
         return spread(task)
 
 
-def test_unfed_sensor_has_no_signal():
+def test_sensor_without_supply_has_no_signal():
     connected()
-    fed = driven(ExcitationSource.INTERNAL)
+    supplied = driven(ExcitationSource.INTERNAL)
     connected()
-    unfed = driven(ExcitationSource.NONE)
-    assert fed[0] > 1e-2 and unfed[0] < 1e-3 * fed[0]
+    unsupplied = driven(ExcitationSource.NONE)
+    assert supplied[0] > 1e-2 and unsupplied[0] < 1e-3 * supplied[0]
     # The other inputs are unaffected; the sensor without an internal amplifier works even without supply.
-    np.testing.assert_allclose(unfed[1:], fed[1:], rtol=1e-3)
+    np.testing.assert_allclose(unsupplied[1:], supplied[1:], rtol=1e-3)
 
 
 def test_dc_coupling_shows_bias():

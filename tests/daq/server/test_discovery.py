@@ -16,7 +16,7 @@ RATE = 5120.0
 
 
 class ReflectedClient:
-    """A client that has the names of reflection's calls alone and takes all else from the server."""
+    """A client that knows only the calls of the reflection service; the server describes all others."""
 
     def __init__(self, address):
         from grpc_reflection.v1alpha.proto_reflection_descriptor_database import (
@@ -61,14 +61,14 @@ def test_reflection_lists_all_services(client):
 
 
 def test_client_of_reflection_writes_and_reads(client):
-    sent, seen = (
+    written_task, read_task = (
         client.daqmx("CreateTask", session_name="out").task,
         client.daqmx("CreateTask", session_name="in").task,
     )
     timing = {"rate": RATE, "active_edge": "EDGE1_RISING", "sample_mode": "ACQUISITION_TYPE_FINITE_SAMPS"}
     client.daqmx(
         "CreateAOVoltageChan",
-        task=sent,
+        task=written_task,
         physical_channel="cDAQ1Mod2/ao0",
         min_val=-10,
         max_val=10,
@@ -76,22 +76,24 @@ def test_client_of_reflection_writes_and_reads(client):
     )
     client.daqmx(
         "CreateAIVoltageChan",
-        task=seen,
+        task=read_task,
         physical_channel="cDAQ1Mod1/ai0",
         min_val=-500,
         max_val=500,
         terminal_config_raw=-1,
         units_raw=10348,
     )
-    for task in (sent, seen):
+    for task in (written_task, read_task):
         client.daqmx("CfgSampClkTiming", task=task, samps_per_chan=500, **timing)
-    client.daqmx("WriteAnalogF64", task=sent, num_samps_per_chan=500, timeout=10.0, write_array=[5.0] * 500)
-    client.daqmx("StartTask", task=sent)
-    found = client.daqmx(
-        "ReadAnalogF64", task=seen, num_samps_per_chan=500, timeout=10.0, array_size_in_samps=500
+    client.daqmx(
+        "WriteAnalogF64", task=written_task, num_samps_per_chan=500, timeout=10.0, write_array=[5.0] * 500
     )
-    client.daqmx("ClearTask", task=sent)
-    client.daqmx("ClearTask", task=seen)
+    client.daqmx("StartTask", task=written_task)
+    found = client.daqmx(
+        "ReadAnalogF64", task=read_task, num_samps_per_chan=500, timeout=10.0, array_size_in_samps=500
+    )
+    client.daqmx("ClearTask", task=written_task)
+    client.daqmx("ClearTask", task=read_task)
     assert found.samps_per_chan_read == 500
     assert max(map(abs, found.read_array)) > 0.01
 

@@ -23,7 +23,7 @@ RATE = 5120.0
 
 
 class WallClock(ManualClock):
-    """A manual clock that presents itself as a real-time clock."""
+    """A manual clock with the properties of a real-time clock."""
 
     runs_free = True
 
@@ -54,8 +54,8 @@ def test_idle_bench_gives_wall_time(monkeypatch):
             waveform = task.read_waveform(100)
         begun.append(waveform.timing.start_time)
         assert waveform.timing.sample_interval.total_seconds() == pytest.approx(1 / RATE, abs=1e-9)
-    apart = [(each - begun[0]).total_seconds() for each in begun]
-    assert apart == pytest.approx([0.0, 3.0, 103.0], abs=1e-6)
+    intervals = [(each - begun[0]).total_seconds() for each in begun]
+    assert intervals == pytest.approx([0.0, 3.0, 103.0], abs=1e-6)
     assert begun[0].year == 2023
 
 

@@ -42,7 +42,7 @@ FIELDS = {
 
 
 def two_modules():
-    """Give a scene with inputs at two modules, of which one is the witness's."""
+    """Return a scene with inputs at two modules; one of them is used by the witness."""
     import rig
 
     sensor = {"sensitivity": "100 mV/g", "noise": "20 ug/sqrt(Hz)"}
@@ -152,7 +152,7 @@ def read_beside(actions):
 
 
 def test_random_calls_harm_only_their_client(capfd):
-    chance, sessions, heard = random.Random(20), ["nobody"], []
+    chance, sessions, answers = random.Random(20), ["nobody"], []
     known = [each for each in methods() if not each.streams and answer_to(each.name)]
     # The drive of the shaker is visible to all clients by design.
     quiet = [each for each in known if "AO" not in each.name and "Write" not in each.name]
@@ -161,10 +161,12 @@ def test_random_calls_harm_only_their_client(capfd):
         for number in range(CALLS):
             if number % 20 == 0:
                 declare(channel, sessions)
-            yield lambda: heard.append(ask(channel, chance.choice(quiet), chance, sessions[-4:]))
+            yield lambda: answers.append(ask(channel, chance.choice(quiet), chance, sessions[-4:]))
 
     beside = read_beside(calls)
-    assert not [text for text in heard if "fault" in text or "Exception" in text or "Stream removed" in text]
+    assert not [
+        text for text in answers if "fault" in text or "Exception" in text or "Stream removed" in text
+    ]
     assert "Traceback" not in capfd.readouterr().err
     np.testing.assert_array_equal(beside, read_beside(lambda channel: [lambda: None] * CALLS))
 
@@ -207,7 +209,7 @@ def test_invalid_number_keeps_old_one():
 
 def test_endless_wait_does_not_block_others():
     with daq.connect(two_modules(), clock="fast") as rig:
-        channel, heard = open_channel(rig.address), []
+        channel, answers = open_channel(rig.address), []
         with inputs(nidaqmx.GrpcSessionOptions(channel, ""), samps_per_chan=100) as waiting:
             waiting.triggers.start_trigger.cfg_anlg_edge_start_trig("cDAQ1Mod1/ai0", trigger_level=4.9)
             waiting.start()
@@ -215,7 +217,7 @@ def test_endless_wait_does_not_block_others():
             def wait():
                 with pytest.raises(DaqError) as caught:
                     waiting.read(100, timeout=-1.0)
-                heard.append(caught.value.error_code)
+                answers.append(caught.value.error_code)
 
             thread = threading.Thread(target=wait)
             thread.start()
@@ -224,7 +226,7 @@ def test_endless_wait_does_not_block_others():
                     assert np.shape(other.read(100)) == (3, 100)
             waiting.stop()
             thread.join()
-    assert len(heard) == 1
+    assert len(answers) == 1
 
 
 def test_silent_listener_does_not_stop_time():

@@ -44,12 +44,12 @@ def test_viewer_shows_channels(tmp_path):
         moving += chunk.entity_path == "/rig/body_2" and not chunk.is_static
     assert moving
     for info, volts in zip(infos, read, strict=True):
-        seen = np.concatenate(shown[info.name])
-        assert seen.size == 1000
+        displayed = np.concatenate(shown[info.name])
+        assert displayed.size == 1000
         # The viewer's unit is another one, by a power of ten.
-        scale = np.ptp(seen) / np.ptp(np.array(volts) / info.sensitivity)
+        scale = np.ptp(displayed) / np.ptp(np.array(volts) / info.sensitivity)
         np.testing.assert_allclose(
-            np.sort(seen), scale * np.sort(volts) / info.sensitivity, rtol=1e-9, atol=1e-12
+            np.sort(displayed), scale * np.sort(volts) / info.sensitivity, rtol=1e-9, atol=1e-12
         )
 
 
@@ -113,14 +113,14 @@ def test_ipv6_and_names_can_be_listened_at(address):
 
 
 @pytest.mark.parametrize("address", ["", "[::1", "[::1]x:4", "localhost:port", "localhost:70000", "[::1]:-1"])
-def test_address_without_meaning_is_refused(address):
+def test_invalid_address_is_rejected(address):
     with pytest.raises(SceneError, match="HOST:PORT"):
         parse_address(address, 0)
 
 
-def test_name_of_other_machines_is_no_loopback(monkeypatch):
-    for found, expected in ((["::1", "127.0.0.1"], True), (["::1", "192.0.2.1"], False)):
-        answer = [(0, 0, 0, "", (each, 0)) for each in found]
+def test_name_with_other_address_is_not_loopback(monkeypatch):
+    for addresses, expected in ((["::1", "127.0.0.1"], True), (["::1", "192.0.2.1"], False)):
+        answer = [(0, 0, 0, "", (each, 0)) for each in addresses]
         monkeypatch.setattr(socket, "getaddrinfo", lambda *_, answer=answer: answer)
         assert _is_loopback("a.name") is expected
 

@@ -27,7 +27,7 @@ def shared():
 
 
 def client(rig, name="", **options):
-    """Give session options of a client of its own."""
+    """Return session options of a separate client."""
     return nidaqmx.GrpcSessionOptions(open_channel(rig.address), name, **options)
 
 

@@ -246,9 +246,9 @@ def test_callback_runs_at_each_multiple(chassis):
         task.register_every_n_samples_acquired_into_buffer_event(100, look)
         task.start()
         chassis.pass_time(0.1)
-        heard = [calls.get(timeout=60.0) for _ in range(5)]
+        events = [calls.get(timeout=60.0) for _ in range(5)]
         task.stop()
-    assert heard == [(EveryNSamplesEventType.ACQUIRED_INTO_BUFFER.value, 100, 100)] * 5
+    assert events == [(EveryNSamplesEventType.ACQUIRED_INTO_BUFFER.value, 100, 100)] * 5
     assert calls.empty()
 
 
@@ -258,13 +258,13 @@ def test_output_callbacks_run(chassis):
     with Task() as driving:
         output(driving, np.zeros(50), samps_per_chan=250)
         driving.register_every_n_samples_transferred_from_buffer_event(
-            100, lambda *given: calls.put(given[2])
+            100, lambda *event: calls.put(event[2])
         )
         driving.register_done_event(lambda handle, status, data: done.put(status))
         driving.start()
         driving.wait_until_done()
-        heard = [each.get(timeout=60.0) for each in (calls, calls, done)]
-    assert heard == [100, 100, 0]
+        events = [each.get(timeout=60.0) for each in (calls, calls, done)]
+    assert events == [100, 100, 0]
     assert calls.empty() and done.empty()
 
 
@@ -372,7 +372,7 @@ def test_repeated_reads_without_timeout_succeed(chassis):
         polled_until(arrived, task)
 
 
-def test_single_looks_pass_no_time(chassis):
+def test_single_queries_pass_no_time(chassis):
     with inputs(Task(), sample_mode=AcquisitionType.CONTINUOUS) as task:
         task.start()
         task.read(100)
@@ -383,7 +383,7 @@ def test_single_looks_pass_no_time(chassis):
 
 
 @pytest.mark.parametrize(
-    ("given", "expected"),
+    ("name", "expected"),
     [
         ("", ["Dev1/ai0", "Dev1/ai1", "Dev1/ai2"]),
         ("body", ["body0", "body1", "body2"]),
@@ -391,9 +391,9 @@ def test_single_looks_pass_no_time(chassis):
         ("low, middle", ["low", "middle", "Dev1/ai2"]),
     ],
 )
-def test_every_channel_gets_its_name(chassis, given, expected):
+def test_every_channel_gets_its_name(chassis, name, expected):
     with Task() as task:
-        task.ai_channels.add_ai_accel_chan("Dev1/ai0:2", given)
+        task.ai_channels.add_ai_accel_chan("Dev1/ai0:2", name)
         assert task.channel_names == expected
 
 

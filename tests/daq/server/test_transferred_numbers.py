@@ -50,7 +50,7 @@ def sent(channel, method, **fields):
 
 
 def code_of(error):
-    """Give the driver's code of an error; fail if it is not the driver's."""
+    """Return the driver's code of an error; fail for other errors."""
     codes = [int(value) for key, value in error.trailing_metadata() if key == "ni-error"]
     assert error.code() is grpc.StatusCode.UNKNOWN and codes and codes[0] < 0, error.details()
     assert "unexpected error" not in error.details()
@@ -139,9 +139,9 @@ def test_counts_read_are_twos_complement(bench, kind):
                 sent(channel, f"ReadBinary{kind}", **wanted)
             assert code_of(caught.value) == DAQmxErrors.READ_DATA_TYPE_TOO_SMALL
             return
-        found = sent(channel, f"ReadBinary{kind}", **wanted)
+        response = sent(channel, f"ReadBinary{kind}", **wanted)
     assert signed.min() < 0 < signed.max()
-    assert np.array_equal(found.read_array, signed.astype(COUNTS[kind]))
+    assert np.array_equal(response.read_array, signed.astype(COUNTS[kind]))
 
 
 @pytest.mark.parametrize("kind", COUNTS)

@@ -227,7 +227,7 @@ def test_missing_folder_is_named_by_the_replay(recording, tmp_path):
         save(Replay(recording), tmp_path / "nowhere" / "x.rrd")
 
 
-def test_hits_last_to_the_next_despite_overloads(tmp_path):
+def test_hit_phase_extends_to_next_hit(tmp_path):
     scene = rig.load("bare-structure").replace(shaker=None, test=None)
     path = tmp_path / "hits.mcap"
     channels = Chain(scene, 5120.0, ["body 1", "body 2", "body 3"]).channels

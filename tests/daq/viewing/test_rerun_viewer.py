@@ -25,8 +25,8 @@ NAMED = "mesa-vulkan-drivers libvulkan1"
 
 
 def has_vulkan():
-    found = [driver for folder in DRIVERS for driver in Path(folder).glob("*.json")]
-    return ctypes.util.find_library("vulkan") is not None and bool(found)
+    drivers = [driver for folder in DRIVERS for driver in Path(folder).glob("*.json")]
+    return ctypes.util.find_library("vulkan") is not None and bool(drivers)
 
 
 @pytest.fixture(scope="module")
@@ -44,11 +44,11 @@ def run_daq(*arguments, **environment):
 
 
 def clean(environment):
-    """Give the environment without a display, so that no test opens a window."""
+    """Return the environment without a display, so that no test opens a window."""
     import os
 
-    kept = {key: value for key, value in os.environ.items() if key not in ("DISPLAY", "WAYLAND_DISPLAY")}
-    return kept | environment
+    displays = ("DISPLAY", "WAYLAND_DISPLAY")
+    return {key: value for key, value in os.environ.items() if key not in displays} | environment
 
 
 def png_size(png):
@@ -145,8 +145,8 @@ def test_missing_recording_ends_with_one_line(tmp_path, content, said):
 def test_missing_display_names_other_outputs(recorded):
     ended = run_daq("replay", recorded)
     assert ended.returncode == 1
-    for way in ("--web", "--screenshot", "--save"):
-        assert way in ended.stderr
+    for option in ("--web", "--screenshot", "--save"):
+        assert option in ended.stderr
 
 
 def test_two_outputs_at_once_are_rejected(recorded, tmp_path):

@@ -10,8 +10,9 @@ from itertools import count
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from rig.arrays import Array
 from rig.escaping import escape_html
 from rig.figure_style import COLORS
 
@@ -19,6 +20,8 @@ from rig.figure_style import COLORS
 _LOGARITHMIC_FROM = 3.0
 # Significant digits of a number in a chart: more than a screen can resolve.
 _DIGITS = 5
+# Difference between the brightest and the darkest level of an image, dB.
+IMAGE_SPAN_DB = 80.0
 # Longer columns are written as 32-bit binary, which halves their size.
 _MAX_TEXT_COLUMN = 4000
 
@@ -49,17 +52,6 @@ class Curve:
 
 
 @dataclass(frozen=True)
-class Image:
-    """Levels in dB over a rectangle, shape (rows, columns), first row at the top."""
-
-    levels: NDArray[np.float64]
-    x: tuple[float, float]
-    y: tuple[float, float]
-    span: float = 80.0
-    """Difference between the brightest and the darkest level, dB."""
-
-
-@dataclass(frozen=True)
 class Panel:
     """Axes that share their abscissa with the other panels of a chart."""
 
@@ -70,7 +62,7 @@ class Panel:
     logarithmic: bool = False
     limits: tuple[float, float] | None = None
     ticks: Sequence[float] | None = None
-    image: Image | None = None
+    image: dict[str, Any] | None = None  # from `level_image`
 
 
 @dataclass(frozen=True)
@@ -93,14 +85,9 @@ class ChartWriter:
 
     def write(self, chart: Chart) -> str:
         """Return the HTML of a chart: a figure that the page's script fills, and its data."""
-        name = f"chart-{next(self._numbers)}"
+        name, label = f"chart-{next(self._numbers)}", f"{chart.x_name} / {chart.x_unit}"
         data = {
-            "x": {
-                "label": f"{chart.x_name} / {chart.x_unit}",
-                "name": chart.x_name,
-                "unit": chart.x_unit,
-                "log": chart.logarithmic,
-            },
+            "x": {"label": label, "name": chart.x_name, "unit": chart.x_unit, "log": chart.logarithmic},
             "panels": [_panel(panel) for panel in chart.panels],
         }
         # The text "</script>" inside the data would end the script element.
@@ -128,7 +115,7 @@ def _panel(panel: Panel) -> dict[str, Any]:
         "range": panel.limits,
         "ticks": panel.ticks,
         "curves": [_curve(curve, panel.logarithmic) for curve in panel.curves],
-        "image": None if panel.image is None else _image(panel.image),
+        "image": panel.image,
     }
 
 
@@ -160,14 +147,9 @@ def _column(values: ArrayLike, positive: bool = False, exact: bool = False) -> A
     ]
 
 
-def _image(image: Image) -> dict[str, Any]:
-    top = float(np.max(image.levels))
-    share = np.clip((image.levels - top) / image.span + 1.0, 0.0, 1.0)
-    rows, columns = image.levels.shape
-    return {
-        "levels": base64.b64encode(np.round(255 * share).astype(np.uint8).tobytes()).decode(),
-        "rows": rows,
-        "columns": columns,
-        "x": image.x,
-        "y": image.y,
-    }
+def level_image(levels: Array, x: tuple[float, float], y: tuple[float, float]) -> dict[str, Any]:
+    """Return an image of levels in dB, shape (rows, columns), first row at the top, over a rectangle."""
+    share = np.clip((levels - float(np.max(levels))) / IMAGE_SPAN_DB + 1.0, 0.0, 1.0)
+    rows, columns = levels.shape
+    pixels = base64.b64encode(np.round(255 * share).astype(np.uint8).tobytes()).decode()
+    return {"levels": pixels, "rows": rows, "columns": columns, "x": x, "y": y}

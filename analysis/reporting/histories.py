@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.reporting.charts import Chart, Curve, EvenlySpaced, Image, Panel
+from analysis.reporting.charts import IMAGE_SPAN_DB, Chart, Curve, EvenlySpaced, Panel, level_image
 from rig.arrays import Array
 from rig.system.structural_model import structural_model
 
@@ -89,13 +89,14 @@ def spectrograms(rec: Recording) -> list[Chart]:
             samples = np.nan_to_num(rec.read(name, int(start), int(start) + block))
             power = np.abs(np.fft.rfft((samples - samples.mean()) * window)[:lines]) ** 2
             levels[:, k] = 10.0 * np.log10(np.maximum(power, np.finfo(float).tiny))
-        image = Image(levels[::-1], (0.0, rec.duration), (0.0, lines * rec.rate / block))
+        band = (0.0, lines * rec.rate / block)
+        image = level_image(levels[::-1], (0.0, rec.duration), band)
         charts.append(
             Chart(
-                f"Spectrogram of {name} ({info.quantity}); the colors span {image.span:g} dB below the highest level. "
-                f"{starts.size} Hann windows of {block / rec.rate:.3g} s.",
+                f"Spectrogram of {name} ({info.quantity}); the colors span {IMAGE_SPAN_DB:g} dB below the highest "
+                f"level. {starts.size} Hann windows of {block / rec.rate:.3g} s.",
                 f"Spectrogram of {name} from 0 to {highest:.4g} Hz over {rec.duration:.4g} s.",
-                [Panel("frequency", "Hz", height=190, limits=image.y, image=image)],
+                [Panel("frequency", "Hz", height=190, limits=band, image=image)],
                 x_name="time",
                 x_unit="s",
             )

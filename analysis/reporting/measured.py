@@ -44,9 +44,7 @@ class Pass:
     @property
     def highest(self) -> tuple[Response, Peak] | None:
         """The highest of `peaks`."""
-        return max(
-            (pair for pair in self.peaks if pair is not None), key=lambda pair: pair[1].value, default=None
-        )
+        return max(filter(None, self.peaks), key=lambda pair: pair[1].value, default=None)
 
 
 @dataclass(frozen=True)
@@ -96,15 +94,15 @@ class Measurements:
         ]
 
     def _measure(self, path: Path, label: str, rec: Recording) -> Measured:
-        groups: list[Response] = []
+        groups = None
         if rec.test.drives:
-            groups = (
-                self._attempt(path, "Frequency responses", frequency_responses, rec, progress=self.progress)
-                or []
-            )
-        passes = tuple(self._pass(path, label, rec, group) for group in groups)
+            what = "Frequency responses"
+            groups = self._attempt(path, what, frequency_responses, rec, progress=self.progress)
+        passes = tuple(self._pass(path, label, rec, group) for group in groups or ())
         stepped = rec.test.kind is TestKind.TONES and rec.scene.dampers
-        dampers = self._attempt(path, "Dampers", self._dampers, path, rec) if stepped else None
+        dampers = self._attempt(path, "Dampers", dampers_in, rec, progress=self.progress) if stepped else None
+        for each in dampers or ():
+            self._note(path, [*each.missing, *each.warnings])
         decayed = None
         if rec.test.decays:
             decayed = self._attempt(path, "Free decay", decay, rec)
@@ -121,12 +119,6 @@ class Measurements:
             return Pass(frfs, None)
         self._note(path, modes.warnings)
         return Pass(frfs, relabel(modes, rec.scene.name, label), _highest_peaks(frfs, modes))
-
-    def _dampers(self, path: Path, rec: Recording) -> list[Dampers]:
-        found = dampers_in(rec, progress=self.progress)
-        for each in found:
-            self._note(path, [*each.missing, *each.warnings])
-        return found
 
     def _attempt(
         self, path: Path, what: str, compute: Callable[P, Found], *args: P.args, **kwargs: P.kwargs
@@ -148,10 +140,8 @@ def _highest_peaks(frfs: Sequence[Response], modes: Modes) -> tuple[tuple[Respon
     _, low, high = surroundings(modes)
     out: list[tuple[Response, Peak] | None] = []
     for rank in np.argsort(np.argsort(modes.frequency)):
-        peaks = [
-            (curve, found) for curve in curves if (found := peak(curve, low[rank], high[rank])) is not None
-        ]
-        inside = [pair for pair in peaks if not pair[1].at_end]
+        peaks = [(curve, peak(curve, low[rank], high[rank])) for curve in curves]
+        inside = [(curve, each) for curve, each in peaks if each is not None and not each.at_end]
         out.append(max(inside, key=lambda pair: pair[1].value, default=None))
     return tuple(out)
 

@@ -95,9 +95,8 @@ def damper_chart(measured: Measured, result: Dampers) -> Chart:
     energy = result.energy
     if energy is not None:
         share, bound = _percent(energy.dampers, energy.supplied), _percent(energy.bound, energy.supplied)
-        curve = Curve(
-            "dampers", frequency[order], share[order], (share - bound)[order], (share + bound)[order]
-        )
+        low, high = (share - bound)[order], (share + bound)[order]
+        curve = Curve("dampers", frequency[order], share[order], low, high)
         panels.append(Panel("share of energy", "%", [curve], height=170, limits=(-5.0, 105.0)))
     return Chart(
         f"{measured.label}, {result.sweep.direction}, level {result.sweep.level:.4g}: impacts per period on floor and "
@@ -130,9 +129,8 @@ def decay_charts(measurements: Sequence[Measured]) -> list[Chart]:
                 name = f"{label}, {mode.centre:.4g} Hz"
                 order = np.argsort(mode.amplitude)
                 low, high = (percent - half)[order], (percent + half)[order]
-                damping.append(
-                    Curve(name, mode.amplitude[order], percent[order], low, high, color=len(damping))
-                )
+                amplitude = mode.amplitude[order]
+                damping.append(Curve(name, amplitude, percent[order], low, high, color=len(damping)))
     channels = ", ".join(dict.fromkeys(one.channel for _, one in found))
     charts = [
         Chart(

@@ -81,24 +81,15 @@ def changes_table(found: Sequence[tuple[Measured, Measured, PeakChange]]) -> str
             rows.append((pair,))
         best, low, high = change.decibel
         shift, down, up = change.shift
-        rows.append(
-            (
-                f"{change.response}, {change.mode:.2f} Hz",
-                f"{best:+.1f}" if isfinite(low) or isfinite(high) else "unknown",
-                _interval(low, high),
-                f"{shift:+.2f} ({down:+.2f} to {up:+.2f})",
-                _exceeds(low, high),
-            )
+        exceeds = (
+            "yes" if low > 0.0 or high < 0.0 else "no" if isfinite(low) and isfinite(high) else "not bounded"
         )
+        decibel = f"{best:+.1f}" if isfinite(low) or isfinite(high) else "unknown"
+        shift_text = f"{shift:+.2f} ({down:+.2f} to {up:+.2f})"
+        where = f"{change.response}, {change.mode:.2f} Hz"
+        rows.append((where, decibel, _interval(low, high), shift_text, exceeds))
     heading = ["response, mode", "peak / dB", "95 % interval / dB", "shift / Hz", "exceeds the bounds"]
     return table("Changes of the resonance peaks", heading, rows) if rows else ""
-
-
-def _exceeds(low: float, high: float) -> str:
-    """Whether the interval from `low` to `high` excludes zero."""
-    if low > 0.0 or high < 0.0:
-        return "yes"
-    return "no" if isfinite(low) and isfinite(high) else "not bounded"
 
 
 def _interval(low: float, high: float) -> str:
@@ -125,11 +116,9 @@ def decays(measurements: Sequence[Measured]) -> str:
                     for k in (0, -1)
                 )
                 ends = (first, last)
-            frequency = (
-                with_bound(mode.frequency, 2.0 * mode.frequency_error)
-                if np.isfinite(mode.frequency)
-                else (f"{mode.centre:.4g}")
-            )
+            frequency = f"{mode.centre:.4g}"
+            if np.isfinite(mode.frequency):
+                frequency = with_bound(mode.frequency, 2.0 * mode.frequency_error)
             rows.append((frequency, *ends))
     heading = ["natural frequency / Hz", "damping ratio / % at the largest amplitude", "at the smallest"]
     return table("Free decay of each mode, with 95 % intervals", heading, rows) if rows else ""
@@ -166,15 +155,13 @@ def settings(measured: Measured) -> str:
     """Write the tables of the test settings and of the channels."""
     rec, scene = measured.rec, measured.rec.scene
     test = scene.test
+    dampers = "; ".join(_damper(each, scene.structure.label(each.body)) for each in scene.dampers)
     facts = [
         ("recording", str(measured.path)),
         ("scene", scene.name),
         ("test", "none" if test is None else test.kind.replace("_", " ")),
         ("shaker", ", ".join(each.kind for each in scene.shakers) or "none"),
-        (
-            "dampers",
-            "; ".join(_damper(each, scene.structure.label(each.body)) for each in scene.dampers) or "none",
-        ),
+        ("dampers", dampers or "none"),
         ("duration", f"{rec.duration:.2f} s, {rec.samples} samples at {rec.rate:g} Hz"),
         ("overloads", _places(rec, [(m.first_sample, m.fields.get("channel", "?")) for m in rec.overloads])),
         ("lost samples", _places(rec, [(gap.first_sample, ", ".join(gap.channels)) for gap in rec.gaps])),

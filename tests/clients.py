@@ -1,10 +1,10 @@
-"""The server with several releases of NI's client, each in an environment of its own.
+"""The server with several releases of NI's client, each in a separate environment.
 
     python -m tests.clients [VERSION ...]
 
-The releases are the oldest with the protocol, the last that needs an older protobuf than this project, the oldest
-that can be installed with it, one in between and the newest. The client of a script may be older than the one of
-this project, whose message classes the server uses.
+The releases are the oldest with the protocol, the last that needs an older protobuf than this project, the oldest that
+can be installed with this project, an intermediate release and the newest. The client of a script may be older than the
+client of this project, whose message classes the server uses.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ with nidaqmx.Task(grpc_options=options) as task, nidaqmx.Task(grpc_options=optio
     driving.timing.cfg_samp_clk_timing(5120.0, sample_mode=AcquisitionType.FINITE, samps_per_chan=1000)
     driving.triggers.start_trigger.cfg_dig_edge_start_trig("/cDAQ1/ai/StartTrigger")
     AnalogSingleChannelWriter(driving.out_stream).write_many_sample(np.sin(np.arange(1000) / 20.0))
-    heard = threading.Event()
-    task.register_done_event(lambda *given: heard.set() or 0)
+    done = threading.Event()
+    task.register_done_event(lambda *arguments: done.set() or 0)
     driving.start()
     task.start()
     found = np.zeros((4, 1000))
     assert AnalogMultiChannelReader(task.in_stream).read_many_sample(found, READ_ALL_AVAILABLE) == 1000
     assert np.ptp(found, axis=1).min() > 0.0
-    assert heard.wait(60.0)
+    assert done.wait(60.0)
     driving.wait_until_done()
     task.stop()
     try:
@@ -53,7 +53,7 @@ with nidaqmx.Task(grpc_options=options) as task, nidaqmx.Task(grpc_options=optio
     except nidaqmx.errors.DaqError as error:
         assert int(error.error_code) == -200220, error.error_code
     else:
-        raise AssertionError("a device that is not there was found")
+        raise AssertionError("a device that does not exist was accepted")
 print("passed")
 """
 
@@ -65,11 +65,19 @@ def main() -> int:
         script = Path(folder, "script.py")
         script.write_text(SCRIPT)
         for release in sys.argv[1:] or RELEASES:
-            home = Path(folder, release)
-            venv.create(home, with_pip=True)
-            python = home / ("Scripts/python" if sys.platform == "win32" else "bin/python")
-            wanted = f"nidaqmx[grpc]=={release}"
-            command = [str(python), "-m", "pip", "install", "--quiet", "--disable-pip-version-check", wanted]
+            environment = Path(folder, release)
+            venv.create(environment, with_pip=True)
+            python = environment / ("Scripts/python" if sys.platform == "win32" else "bin/python")
+            requirement = f"nidaqmx[grpc]=={release}"
+            command = [
+                str(python),
+                "-m",
+                "pip",
+                "install",
+                "--quiet",
+                "--disable-pip-version-check",
+                requirement,
+            ]
             installed = subprocess.run(command, check=False).returncode == 0
             passed = (
                 installed and subprocess.run([str(python), script, rig.address], check=False).returncode == 0

@@ -1,4 +1,4 @@
-"""What all tests share: property-based tests try the same cases on every machine, however slow it is."""
+"""Settings of all tests: property-based tests use the same cases on every machine, without a time limit."""
 
 from __future__ import annotations
 
@@ -9,21 +9,17 @@ from hypothesis import HealthCheck, settings
 from rig import console
 
 settings.register_profile(
-    "project",
-    derandomize=True,
-    deadline=None,
-    database=None,
-    suppress_health_check=[HealthCheck.too_slow],
+    "project", derandomize=True, deadline=None, database=None, suppress_health_check=[HealthCheck.too_slow]
 )
 settings.load_profile("project")
 
-# A busy machine would have commands say that they are still at work, between the lines that tests look at.
+# On a busy machine, commands would report that they are still running, between the lines that tests check.
 console.MAX_SILENCE_S = float("inf")
 
-# A shell starts what it runs in the background with interrupts ignored, and programs that tests start inherit it:
-# those that are to be interrupted would go on for ever.
+# A shell starts background programs with interrupts ignored, and child processes inherit this setting: programs that
+# a test interrupts would not end.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
-# And so does nohup with the end of a terminal.
+# The same is true for nohup and the hang-up signal.
 if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
     signal.signal(signal.SIGHUP, signal.SIG_DFL)

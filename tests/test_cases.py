@@ -24,28 +24,30 @@ FOLDER = Path(__file__).parent / "cases"
 
 @dataclass(frozen=True)
 class Case:
-    """A scene file and its head."""
+    """A scene file and its header."""
 
     path: Path
-    head: dict[str, Any]
+    header: dict[str, Any]
 
     @classmethod
     def read(cls, path: Path) -> Case:
         lines = [line[2:] for line in path.read_text(encoding="utf-8").splitlines() if line.startswith("# ")]
-        parts: dict[str, str] = {}
+        sections: dict[str, str] = {}
         key = ""
         for line in lines:
-            name, colon, rest = line.partition(": ")
+            name, colon, remainder = line.partition(": ")
             if colon and name in ("Why hard", "Run", "Bench", "Vary", "Must hold"):
-                key, line = name, rest
-            parts[key] = f"{parts.get(key, '')} {line}"
-        assert parts.get("Why hard"), f"{path}: the header lacks `Why hard`"
-        return cls(path, {name: yaml.safe_load(text) for name, text in parts.items() if name != "Why hard"})
+                key, line = name, remainder
+            sections[key] = f"{sections.get(key, '')} {line}"
+        assert sections.get("Why hard"), f"{path}: the header lacks `Why hard`"
+        return cls(
+            path, {name: yaml.safe_load(text) for name, text in sections.items() if name != "Why hard"}
+        )
 
     def scenes(self) -> Iterator[rig.Scene]:
         """The scene, or its variants."""
         scene = rig.load(self.path)
-        vary = self.head.get("Vary")
+        vary = self.header.get("Vary")
         if vary is None:
             yield scene
             return
@@ -65,34 +67,34 @@ CASES = [Case.read(path) for path in sorted(FOLDER.glob("*.yaml"))]
 @pytest.mark.parametrize("case", CASES, ids=[case.path.stem for case in CASES])
 def test_hard_case_meets_its_requirements(case: Case) -> None:
     for scene in case.scenes():
-        if "Bench" in case.head:
-            check_bench(scene, case.head["Bench"], case.head["Must hold"])
+        if "Bench" in case.header:
+            check_measurement(scene, case.header["Bench"], case.header["Must hold"])
         else:
-            check_run(scene, case.head["Run"], case.head["Must hold"])
+            check_simulation(scene, case.header["Run"], case.header["Must hold"])
 
 
-def check_run(scene: rig.Scene, how: dict[str, Any], must: dict[str, Any]) -> None:
-    frequency = parse(how["frequency"], FREQUENCY) if "frequency" in how else None
-    rate = parse(how.get("rate", "2 kHz"), FREQUENCY)
-    run = rig.simulate(scene, parse(how["duration"], TIME), rate, frequency=frequency)
+def check_simulation(scene: rig.Scene, settings: dict[str, Any], requirements: dict[str, Any]) -> None:
+    frequency = parse(settings["frequency"], FREQUENCY) if "frequency" in settings else None
+    rate = parse(settings.get("rate", "2 kHz"), FREQUENCY)
+    run = rig.simulate(scene, parse(settings["duration"], TIME), rate, frequency=frequency)
     check_invariants(run)
     kinds = [str(kind) for kind in run.events["kind"]]
-    count = must.get("events")
+    count = requirements.get("events")
     assert len(kinds) > 0 if count == "some" else count in (None, len(kinds))
-    assert must.get("kinds", kinds) == kinds
-    assert must.get("ambiguous", run.ambiguous) == run.ambiguous
-    if "first" in must:
-        assert kinds[0] == must["first"]
-    if "first_time" in must:
-        assert run.events["time"][0] == parse(must["first_time"], TIME)
-    if "unison" in must:
-        together = run.events[: len(run.events) // 3 * 3].reshape(-1, 3)
+    assert requirements.get("kinds", kinds) == kinds
+    assert requirements.get("ambiguous", run.ambiguous) == run.ambiguous
+    if "first" in requirements:
+        assert kinds[0] == requirements["first"]
+    if "first_time" in requirements:
+        assert run.events["time"][0] == parse(requirements["first_time"], TIME)
+    if "unison" in requirements:
+        simultaneous = run.events[: len(run.events) // 3 * 3].reshape(-1, 3)
         # Equal to the last bit of the time.
-        assert np.ptp(together["time"], axis=1).max() < 1e-14
+        assert np.ptp(simultaneous["time"], axis=1).max() < 1e-14
         assert len(run.events) % 3 == 0 and len(run.events) > 0
-    if "drift" in must:
-        assert np.ptp(run.displacement[0, len(run.time) // 10 :]) < parse(must["drift"], LENGTH)
-    if "at_rest" in must:
+    if "drift" in requirements:
+        assert np.ptp(run.displacement[0, len(run.time) // 10 :]) < parse(requirements["drift"], LENGTH)
+    if "at_rest" in requirements:
         assert (run.contact[:, -1] == 1).all()
         assert np.abs(run.velocity[:, -1]).max() < 1e-12
 
@@ -106,58 +108,60 @@ def check_invariants(run: rig.Run) -> None:
     assert (run.gap <= clearance[:, None] + 1e-12).all()
     assert (np.diff(run.events["time"]) >= 0.0).all()
     energy = run.energy
-    turnover = (
+    exchanged_energy = (
         abs(energy.work) + energy.dissipated + energy.impacts + abs(energy.stored) + abs(energy.stored_before)
     )
-    assert abs(energy.residual) <= 1e-10 * turnover
+    assert abs(energy.residual) <= 1e-10 * exchanged_energy
 
 
-def check_bench(scene: rig.Scene, how: dict[str, Any], must: dict[str, Any]) -> None:
+def check_measurement(scene: rig.Scene, settings: dict[str, Any], requirements: dict[str, Any]) -> None:
     bench = Bench(scene)
-    samples = int(parse(how["duration"], TIME) * bench.rate)
-    drive = drive_of(bench, how.get("drive"), samples)
+    samples = int(parse(settings["duration"], TIME) * bench.rate)
+    drive = sampled_drive(bench, settings.get("drive"), samples)
     readings, overloads, truths = [], [], []
-    follows = must.get("follows")
+    comparison = requirements.get("follows")
     for start in range(0, samples, 65_536):
         block = bench.acquire(drive[:, start : start + 65_536])
         readings.append(bench.physical(block.samples))
         overloads.append(block.overload)
         assert np.isfinite(readings[-1]).all()
-        if follows is not None:
-            channel = next(c for c in bench.channels if c.name == follows["channel"])
+        if comparison is not None:
+            channel = next(c for c in bench.channels if c.name == comparison["channel"])
             row = int(channel.at.removeprefix("body ")) - 1
             truths.append(getattr(block.motion, channel.quantity)[row])
     reading = np.concatenate(readings, axis=1)
-    if "overloads" in must:
+    if "overloads" in requirements:
         overload = np.concatenate(overloads, axis=1)
-        assert overload.any() == must["overloads"]
+        assert overload.any() == requirements["overloads"]
         assert not overload[:, -samples // 10 :].any()
-    if "growth" in must:
+    if "growth" in requirements:
         sixths = np.array_split(reading, 6, axis=1)
-        assert np.std(sixths[5]) < must["growth"] * np.std(sixths[1])
-    if "peak_below" in must:
-        assert np.abs(reading).max() < parse(must["peak_below"], LENGTH)
-    if follows is not None:
+        assert np.std(sixths[5]) < requirements["growth"] * np.std(sixths[1])
+    if "peak_below" in requirements:
+        assert np.abs(reading).max() < parse(requirements["peak_below"], LENGTH)
+    if comparison is not None:
         names = [channel.name for channel in bench.channels]
-        begin = int(parse(follows["from"], TIME) * bench.rate)
-        read = reading[names.index(follows["channel"]), begin:]
+        begin = int(parse(comparison["from"], TIME) * bench.rate)
+        measured = reading[names.index(comparison["channel"]), begin:]
         # An accelerometer reads changes, so that the displacement at power-on is missing in its reading.
         true = np.concatenate(truths)
         true = (true - true[0])[begin:]
-        assert np.std(read - true) < parse(follows["within"], RATIO) * np.std(true)
-        share = parse(follows.get("on_average_within", follows["within"]), RATIO)
-        assert abs(np.mean(read - true)) < share * np.std(true)
+        assert np.std(measured - true) < parse(comparison["within"], RATIO) * np.std(true)
+        tolerance = parse(comparison.get("on_average_within", comparison["within"]), RATIO)
+        assert abs(np.mean(measured - true)) < tolerance * np.std(true)
 
 
-def drive_of(bench: Bench, how: dict[str, Any] | None, samples: int) -> np.ndarray:
-    """Tone or step on the first input; nothing where the case names none."""
+def sampled_drive(bench: Bench, settings: dict[str, Any] | None, samples: int) -> np.ndarray:
+    """Return a tone or a step on the first input; zero if the case has no drive."""
     drive = np.zeros((len(bench.inputs), samples))
-    if how is None:
+    if settings is None:
         return drive
     time = np.arange(samples) / bench.rate
-    if "tone" in how:
-        signal = parse(how["level"], FORCE) * np.sin(2 * np.pi * parse(how["tone"], FREQUENCY) * time)
+    if "tone" in settings:
+        signal = parse(settings["level"], FORCE) * np.sin(
+            2 * np.pi * parse(settings["tone"], FREQUENCY) * time
+        )
     else:
-        signal = np.where(time >= parse(how["at"], TIME), parse(how["step"], VOLTAGE), 0.0)
-    drive[0] = np.where(time < parse(how.get("until", "1e9 s"), TIME), signal, 0.0)
+        signal = np.where(time >= parse(settings["at"], TIME), parse(settings["step"], VOLTAGE), 0.0)
+    drive[0] = np.where(time < parse(settings.get("until", "1e9 s"), TIME), signal, 0.0)
     return drive

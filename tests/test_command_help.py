@@ -21,11 +21,11 @@ def command(program, name):
 
 @pytest.mark.parametrize(("program", "name"), COMMANDS)
 def test_each_command_has_a_valid_example(program, name):
-    one = command(program, name)
-    words = shlex.split(one.epilog)
+    tested = command(program, name)
+    words = shlex.split(tested.epilog)
     assert words[:2] == [program, name]
-    one.make_context(name, words[2:])
-    assert one.epilog in one.get_help(one.make_context(name, words[2:]))
+    tested.make_context(name, words[2:])
+    assert tested.epilog in tested.get_help(tested.make_context(name, words[2:]))
 
 
 @pytest.mark.parametrize(("program", "name"), COMMANDS)

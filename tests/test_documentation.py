@@ -42,14 +42,14 @@ def commands(page: Path, *kinds: str) -> list[list[str]]:
 
 def scenes() -> dict[str, str]:
     """Scene files that pages tell their reader to save, by name."""
-    found = {}
+    scene_texts = {}
     for page in PAGES:
         text = page.read_text(encoding="utf-8")
         for name, block in re.findall(
             r"[Ss]ave this as `(\w+\.yaml)`:\n\n```yaml\n(.*?)^```", text, re.S | re.M
         ):
-            found[name] = block
-    return found
+            scene_texts[name] = block
+    return scene_texts
 
 
 @pytest.fixture
@@ -72,9 +72,9 @@ def test_commands_of_pages_run_as_typed(page, folder) -> None:
         with warnings.catch_warnings():
             # A few coarse steps do not settle, and the recording reports it.
             warnings.simplefilter("ignore")
-            done = CliRunner().invoke(import_module(f"{words[0]}.cli").app, words[1:])
-        assert done.exit_code == 0, (words, done.output, done.exception)
-        assert done.output, words
+            result = CliRunner().invoke(import_module(f"{words[0]}.cli").app, words[1:])
+        assert result.exit_code == 0, (words, result.output, result.exception)
+        assert result.output, words
 
 
 @pytest.mark.thorough

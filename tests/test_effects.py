@@ -12,13 +12,13 @@ import rig
 from daq.virtual_bench.bench import Bench
 
 
-def full() -> rig.Scene:
+def full_scene() -> rig.Scene:
     return rig.load("fig8-three-dampers")
 
 
 def without_sensor_effect(key: str) -> rig.Scene:
     """The scene without one effect of the second channel's sensor or amplifier."""
-    scene = full()
+    scene = full_scene()
     first, second, *rest = scene.channels
     if key == "integrator":
         second = second.replace(integrator=None)
@@ -27,53 +27,53 @@ def without_sensor_effect(key: str) -> rig.Scene:
     return scene.replace(channels=(first, second, *rest))
 
 
-def samples(scene: rig.Scene) -> np.ndarray:
+def acquire_samples(scene: rig.Scene) -> np.ndarray:
     bench = Bench(scene)
     time = np.arange(800) / bench.rate
     return bench.acquire(8.0 * np.sin(2 * np.pi * 34.8 * time)[None]).samples
 
 
 @pytest.mark.parametrize("key", ["resonance", "noise", "low_cutoff", "integrator"])
-def test_effect_of_one_channel_changes_no_other(
-    key: str,
-) -> None:
-    with_it, without = samples(full()), samples(without_sensor_effect(key))
+def test_effect_of_one_channel_changes_no_other(key: str) -> None:
+    with_it, without = acquire_samples(full_scene()), acquire_samples(without_sensor_effect(key))
     np.testing.assert_array_equal(without[[0, 2, 3]], with_it[[0, 2, 3]])
     assert (without[1] != with_it[1]).any()
 
 
 def test_removed_channel_changes_no_other() -> None:
-    scene = full()
+    scene = full_scene()
     fewer = scene.replace(channels=(scene.channels[0], *scene.channels[2:]))
-    np.testing.assert_array_equal(samples(fewer), samples(scene)[[0, 2, 3]])
+    np.testing.assert_array_equal(acquire_samples(fewer), acquire_samples(scene)[[0, 2, 3]])
 
 
 @pytest.mark.parametrize(
     "part", [{"channels": None}, {"converter": {"rate": 5120.0}}, {"recording": {"truth": True}}]
 )
-def test_measurement_settings_do_not_change_motion(
-    part: dict[str, object],
-) -> None:
+def test_measurement_settings_do_not_change_motion(part: dict[str, object]) -> None:
     time = np.arange(800) / 5120.0
     drive = 8.0 * np.sin(2 * np.pi * 34.8 * time)[None]
-    with_it, without = (Bench(scene).acquire(drive).motion for scene in (full(), full().replace(**part)))
+    with_it, without = (
+        Bench(scene).acquire(drive).motion for scene in (full_scene(), full_scene().replace(**part))
+    )
     for field in ("displacement", "velocity", "acceleration", "gap", "break_offset", "events"):
         np.testing.assert_array_equal(getattr(without, field), getattr(with_it, field))
 
 
 @pytest.mark.parametrize("part", ["display", "truth"])
 def test_display_and_truth_do_not_change_channels(part: str, tmp_path: Path) -> None:
-    scene = full().replace(test={"kind": "sine", "frequency": 34.8, "drive": 8.0, "duration": 0.3})
-    recorded = []
-    for on in (True, False):
-        settings = {"display": True, "truth": True} | {part: on}
-        with daq.open(daq.record(scene.replace(recording=settings), tmp_path / f"{on}.mcap")) as recording:
-            recorded.append(np.array([recording.read(name) for name in recording.channels]))
-    np.testing.assert_array_equal(*recorded)
+    scene = full_scene().replace(test={"kind": "sine", "frequency": 34.8, "drive": 8.0, "duration": 0.3})
+    recordings = []
+    for enabled in (True, False):
+        settings = {"display": True, "truth": True} | {part: enabled}
+        with daq.open(
+            daq.record(scene.replace(recording=settings), tmp_path / f"{enabled}.mcap")
+        ) as recording:
+            recordings.append(np.array([recording.read(name) for name in recording.channels]))
+    np.testing.assert_array_equal(*recordings)
 
 
 def test_unreachable_ceiling_does_not_change_motion() -> None:
-    scene = full()
+    scene = full_scene()
     ceilings = scene.replace(dampers=[damper.replace(clearance=10.0) for damper in scene.dampers])
     drive = 8.0 * np.sin(2 * np.pi * 34.8 * np.arange(2000) / 5120.0)[None]
     with_them, without = (rig.Plant(variant, 5120.0).advance(drive) for variant in (ceilings, scene))

@@ -1,4 +1,4 @@
-"""No module of the product needs itself, deferred and type-only imports counted."""
+"""No module of the product imports itself indirectly, including deferred and type-only imports."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ ROOT = Path(__file__).parents[1]
 
 
 def imports(package: str) -> dict[str, set[str]]:
-    """Give what each module of the product imports anywhere in its text."""
+    """Return the modules that each module of the product imports anywhere in its text."""
     files = {
         ".".join(file.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): file
         for file in (ROOT / package).rglob("*.py")
     }
-    found: dict[str, set[str]] = {}
+    imported: dict[str, set[str]] = {}
     for module, file in files.items():
         names: set[str] = set()
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
             if isinstance(node, ast.Import):
                 names |= {alias.name for alias in node.names}
             elif isinstance(node, ast.ImportFrom) and node.module and node.level == 0:
-                inside = [f"{node.module}.{alias.name}" for alias in node.names]
-                names |= {name if name in files else node.module for name in inside}
-        found[module] = {name for name in names if name in files and name != module}
-    return found
+                candidates = [f"{node.module}.{alias.name}" for alias in node.names]
+                names |= {name if name in files else node.module for name in candidates}
+        imported[module] = {name for name in names if name in files and name != module}
+    return imported
 
 
 @pytest.mark.parametrize("package", ["rig", "daq", "analysis"])

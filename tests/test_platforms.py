@@ -1,4 +1,4 @@
-"""Differences between systems that can be emulated: rules of Windows for open files, consoles with few characters."""
+"""Emulated differences between systems: rules of Windows for open files, consoles with few characters."""
 
 from __future__ import annotations
 
@@ -30,19 +30,19 @@ SCENE = {
 def windows_files(monkeypatch: pytest.MonkeyPatch) -> None:
     """Open files cannot be renamed, replaced or removed, and files open for reading cannot be synced."""
 
-    def refused(path: Path) -> None:
+    def reject_open_file(path: Path) -> None:
         if str(path.resolve()) in {file.path for file in psutil.Process().open_files()}:
             raise PermissionError(errno.EACCES, "The process cannot access the file", str(path))
 
     replace, unlink, sync = Path.replace, Path.unlink, os.fsync
 
     def careful_replace(self: Path, target: Path) -> Path:
-        refused(self)
-        refused(Path(target))
+        reject_open_file(self)
+        reject_open_file(Path(target))
         return replace(self, target)
 
     def careful_unlink(self: Path, missing_ok: bool = False) -> None:
-        refused(self)
+        reject_open_file(self)
         unlink(self, missing_ok)
 
     def careful_sync(number: int) -> None:

@@ -1,4 +1,4 @@
-"""Compile what the tests need, once and on both cores: otherwise every worker would compile it for itself."""
+"""Compile the kernels of the tests once, on both cores: otherwise every worker would compile them."""
 
 from __future__ import annotations
 

@@ -5,25 +5,25 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
-from tests.benchmarks import answers, chain, engine, growth, orbits, recordings, waits
+from tests.benchmarks import chain, command_times, compared_times, engine, orbits, recordings, scaling
 
 
 def main() -> None:
-    """Print them, part by part."""
-    for part in (answers, growth, engine, orbits, chain, recordings, waits):
-        print(f"\n== {(part.__doc__ or '').splitlines()[0]}", flush=True)
-        if part in (answers, growth, engine):
-            part.main()
-        elif part is waits:
-            Path("build").mkdir(exist_ok=True)
-            waits.main(["build/bench.json"])
-        elif part is orbits:
-            print(*orbits.measure(), sep="\n")
-        elif part is chain:
-            print(*chain.measure(), sep="\n")
-        else:
-            with tempfile.TemporaryDirectory() as folder:
-                print(*recordings.measure(Path(folder), hour=False), sep="\n")
+    """Run all benchmarks and print their results."""
+    Path("build").mkdir(exist_ok=True)
+    with tempfile.TemporaryDirectory() as folder:
+        benchmarks = {
+            command_times: command_times.main,
+            scaling: scaling.main,
+            engine: engine.main,
+            orbits: lambda: print(*orbits.measure(), sep="\n"),
+            chain: lambda: print(*chain.measure(), sep="\n"),
+            recordings: lambda: print(*recordings.measure(Path(folder), one_hour=False), sep="\n"),
+            compared_times: lambda: compared_times.main(["build/bench.json"]),
+        }
+        for module, run in benchmarks.items():
+            print(f"\n== {(module.__doc__ or '').splitlines()[0]}", flush=True)
+            run()
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
-"""How fast the measurement chain is, effect by effect and as a whole: `python -m tests.benchmarks.chain`.
+"""Speed of the measurement chain, effect by effect and in total: `python -m tests.benchmarks.chain`.
 
-CPU time of one thread; set OPENBLAS_NUM_THREADS=1, or idle threads of a linear algebra library count as well.
+Times are CPU times of one thread. Set OPENBLAS_NUM_THREADS=1: otherwise idle threads of BLAS are included.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from rig.scene.scene import Scene
 from rig.simulation.plant import Plant
 
 RATE, SECONDS, BLOCK = 51200.0, 4, 5120
-# A recording takes some 10 ms to begin and to end, which is not what is asked for here.
+# Long enough that the 10 ms for opening and closing a recording are negligible.
 RECORDED_SECONDS = 20
 PLACES = ("body 1", "body 2", "body 3", "table")
 
-# Each step adds to the accelerometer, the integrator or the converter of those before it.
-LADDER: tuple[tuple[str, dict[str, Any], dict[str, Any] | None, dict[str, Any]], ...] = (
+# Keys that each step adds to accelerometer, integrator and converter.
+EFFECT_STEPS: tuple[tuple[str, dict[str, Any], dict[str, Any] | None, dict[str, Any]], ...] = (
     ("ideal", {}, None, {}),
     ("resonance, low cut-off", {"resonance": "30 kHz", "low_cutoff": "0.5 Hz"}, None, {}),
     ("integrator", {}, {"order": 2, "corner": "1 Hz", "gain": 1000.0, "low_cutoff": "0.5 Hz"}, {}),
@@ -60,15 +60,15 @@ LADDER: tuple[tuple[str, dict[str, Any], dict[str, Any] | None, dict[str, Any]],
 )
 
 
-def steps(scene: Scene) -> Iterator[tuple[str, Scene]]:
-    """Give the scene with ever more effects."""
+def scenes_with_effects(scene: Scene) -> Iterator[tuple[str, Scene]]:
+    """Yield the scene with an increasing number of effects."""
     sensor: dict[str, Any] = {}
     integrator: dict[str, Any] | None = None
     converter: dict[str, Any] = {"rate": RATE}
-    for name, to_sensor, to_integrator, to_converter in LADDER:
-        sensor, converter = sensor | to_sensor, converter | to_converter
-        if to_integrator is not None:
-            integrator = (integrator or {}) | to_integrator
+    for name, sensor_keys, integrator_keys, converter_keys in EFFECT_STEPS:
+        sensor, converter = sensor | sensor_keys, converter | converter_keys
+        if integrator_keys is not None:
+            integrator = (integrator or {}) | integrator_keys
         channels = [
             {"name": place.replace(" ", ""), "at": place, "accelerometer": sensor, "integrator": integrator}
             for place in PLACES
@@ -77,51 +77,51 @@ def steps(scene: Scene) -> Iterator[tuple[str, Scene]]:
 
 
 def full_scene() -> Scene:
-    """Give three dampers and an electrodynamic shaker, measured with every effect the product has."""
-    return [step for _, step in steps(rig.load("fig8-three-dampers"))][-1]
+    """Return a scene with three dampers and an electrodynamic shaker, measured with all effects."""
+    return [step for _, step in scenes_with_effects(rig.load("fig8-three-dampers"))][-1]
 
 
 def measure() -> Iterator[str]:
-    """Yield a line for each step: time per channel and sample, and how many times real time four channels run."""
+    """Yield a line for each step: time per channel and sample, and speed of four channels relative to real time."""
     scene = rig.load("fig8-three-dampers")
-    for name, step in steps(scene):
+    for name, step in scenes_with_effects(scene):
         rate = step.converter.true_rate
-        best = np.inf
+        shortest = np.inf
         # The first pass compiles.
         for _ in range(4):
             plant = Plant(step, rate)
             chain = Chain(step, rate, plant.points, plant.inputs)
             converter = Quantiser(step.converter)
-            took, breaks = 0.0, 0
+            elapsed, breaks = 0.0, 0
             for first in range(0, round(SECONDS * RATE), BLOCK):
                 drive = 3.0 * np.sin(2 * np.pi * 34.8 / RATE * np.arange(first, first + BLOCK))[None]
                 motion = plant.advance(drive)
                 breaks += motion.break_sample.size
-                began = time.process_time()
+                start = time.process_time()
                 converter.convert(chain.measure(motion, drive))
-                took += time.process_time() - began
-            best = min(best, took)
-        each = best / (SECONDS * RATE * len(PLACES))
+                elapsed += time.process_time() - start
+            shortest = min(shortest, elapsed)
+        per_sample = shortest / (SECONDS * RATE * len(PLACES))
         yield (
-            f"{name:36s} {each * 1e9:6.1f} ns per channel and sample, {SECONDS / best:5.0f} times real time, "
+            f"{name:36s} {per_sample * 1e9:6.1f} ns per channel and sample, {SECONDS / shortest:5.0f} times real time, "
             f"{breaks / SECONDS:.0f} breaks a second"
         )
     scene = full_scene()
     for name, display in (("all, and recorded", False), ("all, recorded with display", True)):
-        took = min(record(scene.replace(recording={"display": display})) for _ in range(4))
-        yield f"{name:36s} motion and all: {RECORDED_SECONDS / took:5.1f} times real time"
+        elapsed = min(recording_time(scene.replace(recording={"display": display})) for _ in range(4))
+        yield f"{name:36s} motion and all: {RECORDED_SECONDS / elapsed:5.1f} times real time"
 
 
-def record(scene: Scene) -> float:
-    """Run a bench and record what it gives; give the CPU time that takes, s."""
+def recording_time(scene: Scene) -> float:
+    """Run a bench, record its samples, and return the CPU time, s."""
     bench = Bench(scene)
     with tempfile.TemporaryDirectory() as folder:
-        began = time.process_time()
+        start = time.process_time()
         with Recorder(Path(folder) / "chain.mcap", scene, bench.channels, bench.rate) as recorder:
             for first in range(0, round(RECORDED_SECONDS * RATE), BLOCK):
                 drive = 3.0 * np.sin(2 * np.pi * 34.8 / RATE * np.arange(first, first + BLOCK))[None]
                 recorder.write(bench.acquire(drive).samples)
-        return time.process_time() - began
+        return time.process_time() - start
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Earlier commits as folders of their own, to be measured beside this one."""
+"""Earlier commits in separate folders, for comparison with this checkout."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _REPOSITORY = Path(__file__).parents[2]
 
 
 @contextmanager
-def checked_out(commit: str, folder: Path) -> Iterator[Path]:
+def temporary_checkout(commit: str, folder: Path) -> Iterator[Path]:
     """Check a commit out into a folder that does not exist yet, and remove it at the end."""
     add = ["git", "worktree", "add", "--quiet", "--detach", str(folder), commit]
     remove = ["git", "worktree", "remove", "--force", str(folder)]

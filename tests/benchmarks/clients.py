@@ -1,8 +1,8 @@
 """Several clients at once: `python -m tests.benchmarks.clients [--clients 10] [--seconds 60] [--separate]`.
 
 Each client is a process that reads four channels at 51.2 kS/s ten times a second from one served rig, and checks that
-no sample is lost. Printed are the latency of the reads, from the moment their last sample was due on the wall clock,
-the memory of the server and what of the processors it took. `--separate`: forty channels, four for each client.
+no sample is lost. The program prints the latency of the reads relative to the wall-clock time of their last sample, and
+the memory and processor load of the server. `--separate`: forty channels, four for each client.
 """
 
 from __future__ import annotations
@@ -54,13 +54,13 @@ print(json.dumps(late))
 
 
 def main() -> None:
-    """Serve, let the clients read, and print what came of it."""
+    """Start the server and the clients, and print the results."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--clients", type=int, default=10)
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--separate", action="store_true")
-    given = parser.parse_args()
-    count = 4 * given.clients if given.separate else 4
+    options = parser.parse_args()
+    count = 4 * options.clients if options.separate else 4
     channel = "  - {name: cN, at: body 1, accelerometer: {preset: PCB 352C33}}"
     text = SCENE.replace("CHANNELS", "\n".join(channel.replace("cN", f"c{n}") for n in range(count)))
     with tempfile.TemporaryDirectory() as folder:
@@ -71,17 +71,17 @@ def main() -> None:
             assert server.stdout is not None
             port = server.stdout.readline().split()[4]
             try:
-                _measure(given, server.pid, f"127.0.0.1:{port}")
+                _measure(options, server.pid, f"127.0.0.1:{port}")
             finally:
                 server.terminate()
 
 
-def _measure(given: argparse.Namespace, server: int, address: str) -> None:
+def _measure(options: argparse.Namespace, server: int, address: str) -> None:
     process, size = psutil.Process(server), round(RATE / READS_PER_SECOND)
-    names = [f"cDAQ1Mod{n}" if given.separate else f"Dev{n}" for n in range(1, given.clients + 1)]
+    names = [f"cDAQ1Mod{n}" if options.separate else f"Dev{n}" for n in range(1, options.clients + 1)]
     clients = [
         subprocess.Popen(
-            [sys.executable, "-c", CLIENT, address, f"{name}/ai0:3", str(given.seconds), str(size)],
+            [sys.executable, "-c", CLIENT, address, f"{name}/ai0:3", str(options.seconds), str(size)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
@@ -95,21 +95,29 @@ def _measure(given: argparse.Namespace, server: int, address: str) -> None:
         assert client.stdin is not None
         client.stdin.write("\n")
         client.stdin.flush()
-    time.sleep(min(15.0, given.seconds / 2))
-    before, busy, wall = process.memory_info().rss, sum(process.cpu_times()[:2]), time.monotonic()
-    time.sleep(max(0.0, given.seconds / 2 - 5.0))
-    took, busy = time.monotonic() - wall, sum(process.cpu_times()[:2]) - busy
-    after, found = process.memory_info().rss, [client.communicate()[0] for client in clients]
-    late = 1e3 * np.array([json.loads(each) for each in found if each])
-    print(
-        f"load {os.getloadavg()[0]:.1f}; server {100 * busy / took:.0f} % of a core, {after >> 20} MB", end=""
+    time.sleep(min(15.0, options.seconds / 2))
+    initial_memory, cpu_time, start = (
+        process.memory_info().rss,
+        sum(process.cpu_times()[:2]),
+        time.monotonic(),
     )
-    print(f" ({(after - before) / 1e6:+.1f} MB); {len(late)} of {given.clients} clients lost nothing")
-    middle, most, worst = np.percentile(late, [50, 99, 100])
-    slow = np.flatnonzero((late > 25.0).any(axis=0)) / READS_PER_SECOND
-    print(f"reads later than 25 ms: {(late > 25.0).sum()}, at {', '.join(f'{at:.1f}' for at in slow[:30])} s")
+    time.sleep(max(0.0, options.seconds / 2 - 5.0))
+    elapsed, cpu_time = time.monotonic() - start, sum(process.cpu_times()[:2]) - cpu_time
+    final_memory, outputs = process.memory_info().rss, [client.communicate()[0] for client in clients]
+    delays = 1e3 * np.array([json.loads(line) for line in outputs if line])
     print(
-        f"latency of {late.size} reads: median {middle:.1f} ms, 99 % below {most:.1f} ms, longest {worst:.1f} ms"
+        f"load {os.getloadavg()[0]:.1f}; server {100 * cpu_time / elapsed:.0f} % of a core, {final_memory >> 20} MB",
+        end="",
+    )
+    print(
+        f" ({(final_memory - initial_memory) / 1e6:+.1f} MB); {len(delays)} of {options.clients} clients lost nothing"
+    )
+    median, high, worst = np.percentile(delays, [50, 99, 100])
+    late_times = np.flatnonzero((delays > 25.0).any(axis=0)) / READS_PER_SECOND
+    times = ", ".join(f"{late_time:.1f}" for late_time in late_times[:30])
+    print(f"reads later than 25 ms: {(delays > 25.0).sum()}, at {times} s")
+    print(
+        f"latency of {delays.size} reads: median {median:.1f} ms, 99 % below {high:.1f} ms, longest {worst:.1f} ms"
     )
 
 

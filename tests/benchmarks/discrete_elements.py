@@ -32,15 +32,15 @@ SETTINGS = (
 )  # fmt: skip
 PACKINGS = (1, 2, 3)
 #: Rayleigh's times in a step.
-STEP = 0.1
+STEP_RAYLEIGH_TIMES = 0.1
 #: Distance up to which spheres are neighbours, in radii.
-SKIN = 0.3
+SKIN_RADII = 0.3
 FLOOR, CEILING, SIDE = range(3)
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def contact(
-    normal: Array, overlap: float, radius: float, mass: float, relative: Array, spin: Array, stretch: Array,
+def contact_force(
+    normal: Array, overlap: float, radius: float, mass: float, relative: Array, spin: Array, displacement: Array,
     law: Array, friction: float, step: float, force: Array, shear: Array,
 ) -> None:  # fmt: skip
     """Give the force of a contact and its tangential part, and carry its stretch on.
@@ -49,24 +49,24 @@ def contact(
     shear modulus, damping of the restitution.
     """
     closing = relative @ normal
-    reach = math.sqrt(radius * overlap)
-    dashpot = 2.0 * math.sqrt(5.0 / 6.0) * law[2] * math.sqrt(2.0 * law[0] * reach * mass)
-    push = 4.0 / 3.0 * law[0] * reach * overlap - dashpot * closing
-    slide = relative - closing * normal - np.cross(spin, normal)
+    contact_radius = math.sqrt(radius * overlap)
+    dashpot = 2.0 * math.sqrt(5.0 / 6.0) * law[2] * math.sqrt(2.0 * law[0] * contact_radius * mass)
+    normal_force = 4.0 / 3.0 * law[0] * contact_radius * overlap - dashpot * closing
+    sliding_velocity = relative - closing * normal - np.cross(spin, normal)
     # The stretch turns with the contact and keeps its length.
-    before = math.sqrt(stretch @ stretch)
-    stretch -= (stretch @ normal) * normal
-    after = math.sqrt(stretch @ stretch)
-    if after > 0.0:
-        stretch *= before / after
-    stretch += slide * step
-    stiffness = 8.0 * law[1] * reach
-    shear[:] = -stiffness * stretch - dashpot * slide
-    size, most = math.sqrt(shear @ shear), friction * abs(push)
-    if size > most:
-        shear *= most / size
-        stretch[:] = -(shear + dashpot * slide) / stiffness
-    force[:] = push * normal + shear
+    previous_length = math.sqrt(displacement @ displacement)
+    displacement -= (displacement @ normal) * normal
+    length = math.sqrt(displacement @ displacement)
+    if length > 0.0:
+        displacement *= previous_length / length
+    displacement += sliding_velocity * step
+    stiffness = 8.0 * law[1] * contact_radius
+    shear[:] = -stiffness * displacement - dashpot * sliding_velocity
+    shear_force, friction_limit = math.sqrt(shear @ shear), friction * abs(normal_force)
+    if shear_force > friction_limit:
+        shear *= friction_limit / shear_force
+        displacement[:] = -(shear + dashpot * sliding_velocity) / stiffness
+    force[:] = normal_force * normal + shear
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
@@ -75,25 +75,25 @@ def pair_forces(
     pairs: NDArray[np.int64], stretch: Array, force: Array, torque: Array,
 ) -> None:  # fmt: skip
     """Add the forces and torques of pairs of spheres."""
-    push, shear = np.empty(3), np.empty(3)
+    force_ij, shear = np.empty(3), np.empty(3)
     for i, j in pairs:
-        apart = at[i] - at[j]
-        distance = math.sqrt(apart @ apart)
+        separation = at[i] - at[j]
+        distance = math.sqrt(separation @ separation)
         overlap = 2.0 * radius - distance
         if overlap <= 0.0:
             stretch[i, j] = 0.0
             continue
-        normal, arm = apart / distance, radius - 0.5 * overlap
-        turning = arm * (spin[i] + spin[j])
-        contact(
-            normal, overlap, 0.5 * radius, 0.5 * mass, speed[i] - speed[j], turning, stretch[i, j],
-            law, friction, step, push, shear,
+        normal, arm = separation / distance, radius - 0.5 * overlap
+        surface_velocity = arm * (spin[i] + spin[j])
+        contact_force(
+            normal, overlap, 0.5 * radius, 0.5 * mass, speed[i] - speed[j], surface_velocity, stretch[i, j],
+            law, friction, step, force_ij, shear,
         )  # fmt: skip
-        force[i] += push
-        force[j] -= push
-        turn = -arm * np.cross(normal, shear)
-        torque[i] += turn
-        torque[j] += turn
+        force[i] += force_ij
+        force[j] -= force_ij
+        torque_ij = -arm * np.cross(normal, shear)
+        torque[i] += torque_ij
+        torque[j] += torque_ij
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
@@ -120,7 +120,7 @@ def wall_forces(
                 stretch[i, wall] = 0.0
                 continue
             arm = radius - 0.5 * overlap
-            contact(
+            contact_force(
                 normal, overlap, curved, mass, speed[i], arm * spin[i], stretch[i, wall],
                 law, frictions[wall], step, push, shear,
             )  # fmt: skip
@@ -144,7 +144,7 @@ def neighbours(at: Array, within: float) -> NDArray[np.int64]:
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def shaken(
+def shake_bed(
     at: Array, radius: float, mass: float, law: Array, frictions: Array, cavity: Array, step: float, steps: int,
     amplitude: float, omega: float, gravity: float,
 ) -> Array:  # fmt: skip
@@ -152,7 +152,7 @@ def shaken(
     count = len(at)
     speed, spin, force, torque = np.zeros((4, count, 3))
     of_pairs, of_walls, lift = np.zeros((count, count, 3)), np.zeros((count, 3, 3)), np.zeros(3)
-    kept, moved, skin = np.empty((steps, 3)), 0.0, SKIN * radius
+    kept, moved, skin = np.empty((steps, 3)), 0.0, SKIN_RADII * radius
     pairs = neighbours(at, 2.0 * radius + skin)
     inertia = 0.4 * mass * radius**2
     floor = np.zeros(3)
@@ -177,17 +177,17 @@ def shaken(
     return kept
 
 
-def followed(spheres: Spheres, amplitude: float, block: int) -> Array:
+def simulate_bed(spheres: Spheres, amplitude: float, block: int) -> Array:
     """Follow a bed on a floor of an amplitude in m; floor's and ceiling's impulse, and energy, as `told` tells them."""
     grains = spheres.settings
     positions = settled(spheres)
-    per_period = math.ceil(1.0 / (FREQUENCY * STEP * rayleigh_time(grains, spheres.density())))
+    per_period = math.ceil(1.0 / (FREQUENCY * STEP_RAYLEIGH_TIMES * rayleigh_time(grains, spheres.density())))
     step, omega = 1.0 / (FREQUENCY * per_period), 2.0 * math.pi * FREQUENCY
     side = grains.friction if grains.side_friction is None else grains.side_friction
     loss = -math.log(grains.restitution) / math.hypot(math.log(grains.restitution), math.pi)
     shear = grains.modulus / (4.0 * (2.0 - grains.poisson_ratio) * (1.0 + grains.poisson_ratio))
     law = np.array([grains.modulus / (2.0 * (1.0 - grains.poisson_ratio**2)), shear, loss])
-    lift = shaken(
+    lift = shake_bed(
         positions.copy(), 0.5 * grains.diameter, spheres.mass / spheres.count, law,
         np.array([grains.friction, grains.friction, side]),
         np.array([0.5 * grains.cavity, highest(spheres, positions) + spheres.clearance]),
@@ -201,7 +201,7 @@ def followed(spheres: Spheres, amplitude: float, block: int) -> Array:
     )
 
 
-def both(setting: Setting, block: int) -> tuple[Array, Array]:
+def compare_programs(setting: Setting, block: int) -> tuple[Array, Array]:
     """Follow a bed by LAMMPS in a structure, and by the program above on the same floor."""
     scene = scene_of_bed(setting)
     (spheres,) = spheres_of(scene).values()
@@ -211,24 +211,27 @@ def both(setting: Setting, block: int) -> tuple[Array, Array]:
     assert isinstance(test, Sine)
     assert test.force is not None
     _, floor, ceiling, energy, *_ = summary_row(scene, motion)
-    other = followed(spheres, abs(motion.compliance[0]) * test.force, block)
+    other = simulate_bed(spheres, abs(motion.compliance[0]) * test.force, block)
     return np.array([float(floor), float(ceiling), float(energy)]), other
 
 
 def main() -> None:
     """Print means over packings with their standard errors, and how far the two are apart."""
     for level, clearance, layers, block in SETTINGS:
-        found = np.array([both(Setting(level, clearance, layers, packing), block) for packing in PACKINGS])
+        results = np.array(
+            [compare_programs(Setting(level, clearance, layers, packing), block) for packing in PACKINGS]
+        )
         # Both begin alike: how far they are apart scatters less from packing to packing than either.
-        values = np.stack([found[:, 0], found[:, 1], found[:, 0] - found[:, 1]])
+        values = np.stack([results[:, 0], results[:, 1], results[:, 0] - results[:, 1]])
         means, errors = values.mean(axis=1), values.std(axis=1, ddof=1) / math.sqrt(len(PACKINGS))
         print(f"{level:g} g, clearance {1e3 * clearance:g} mm, {layers} layers:")
         names = ("floor's impulse", "ceiling's impulse", "energy")
-        for name, (ours, other, apart), (one, two, three) in zip(names, means.T, errors.T, strict=True):
+        for name, mean, error in zip(names, means.T, errors.T, strict=True):
+            (lammps, other, difference), (lammps_error, other_error, difference_error) = mean, error
             if other > 0.0:
                 print(
-                    f"  {name:18} LAMMPS {ours:.4g} ±{one:.2g}, other {other:.4g} ±{two:.2g}, "
-                    f"apart {100 * apart / other:+.1f} ±{100 * three / other:.1f} %",
+                    f"  {name:18} LAMMPS {lammps:.4g} ±{lammps_error:.2g}, other {other:.4g} ±{other_error:.2g}, "
+                    f"apart {100 * difference / other:+.1f} ±{100 * difference_error / other:.1f} %",
                     flush=True,
                 )
 

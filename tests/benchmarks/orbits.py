@@ -13,8 +13,8 @@ from rig.system.open_loop_drive import with_ideal_force
 
 T = TypeVar("T")
 
-# Scene, band [Hz], points: resonances of the scenes of Figs 5, 8 and 9 where the motion is regular; and, last, a
-# band where some of it is not, which both have to wait for.
+# Scene, band [Hz], points: resonances of the scenes of Figs 5, 8 and 9 with regular motion and, last, a band with
+# some irregular motion, which both methods must simulate.
 CURVES = (
     ("fig9", (47.0, 50.85), 200),
     ("fig5-single-damper", (46.0, 51.0), 200),
@@ -34,28 +34,31 @@ def measure() -> Iterator[str]:
     for name, band, points in CURVES:
         scene = with_ideal_force(rig.load(name))
         frequencies = np.linspace(*band, points)
-        # What is compiled is loaded here; the rest is run in turns and the best kept.
+        # These calls load compiled code, which is not measured.
         rig.frequency_response(scene, frequencies[:2])
         rig.orbit_response(scene, frequencies[:2])
-        waited, settled = _best(lambda: rig.frequency_response(scene, frequencies))  # noqa: B023
-        took, swept = _best(lambda: rig.orbit_response(scene, frequencies))  # noqa: B023
-        both = settled.converged & ~swept.simulated
-        size = np.abs(settled.compliance).max(axis=0)
-        differ = np.median((np.abs(swept.compliance - settled.compliance).max(axis=0) / size)[both])
-        residual = max(orbit.residual for orbit in swept.orbits if orbit is not None)
+        simulation_time, simulated = _shortest_time(lambda: rig.frequency_response(scene, frequencies))  # noqa: B023
+        orbit_time, orbits = _shortest_time(lambda: rig.orbit_response(scene, frequencies))  # noqa: B023
+        both_converged = simulated.converged & ~orbits.simulated
+        magnitude = np.abs(simulated.compliance).max(axis=0)
+        difference = np.median(
+            (np.abs(orbits.compliance - simulated.compliance).max(axis=0) / magnitude)[both_converged]
+        )
+        residual = max(orbit.residual for orbit in orbits.orbits if orbit is not None)
         yield (
-            f"{name + f', {band[0]:g} to {band[1]:g} Hz':38} {points:6} {1e3 * waited:9.0f} ms {1e3 * took:7.0f} ms "
-            f"{waited / took:6.1f} {differ:8.0e} {residual:8.0e} {int(swept.simulated.sum()):9}"
+            f"{name + f', {band[0]:g} to {band[1]:g} Hz':38} {points:6} {1e3 * simulation_time:9.0f} ms "
+            f"{1e3 * orbit_time:7.0f} ms {simulation_time / orbit_time:6.1f} "
+            f"{difference:8.0e} {residual:8.0e} {int(orbits.simulated.sum()):9}"
         )
 
 
-def _best(run: Callable[[], T]) -> tuple[float, T]:
-    """CPU time of the quickest of some runs, and what came of it."""
+def _shortest_time(run: Callable[[], T]) -> tuple[float, T]:
+    """Return the shortest CPU time of some runs, and the result."""
     times = []
     for _ in range(REPEATS):
-        began = time.process_time()
+        start = time.process_time()
         result = run()
-        times.append(time.process_time() - began)
+        times.append(time.process_time() - start)
     return min(times), result
 
 

@@ -1,7 +1,7 @@
-"""Whether a live bench keeps up with the wall clock: `python -m tests.benchmarks.realtime [--minutes 10]`.
+"""Real-time capability of a live bench: `python -m tests.benchmarks.realtime [--minutes 10]`.
 
-Three dampers, electrodynamic shaker, every sensor effect, 24 bits, four channels at 51.2 kS/s, logged into a recording
-with display channels; a reader takes what has come ten times a second.
+The bench has three dampers, an electrodynamic shaker, all sensor effects, 24 bits and four channels at 51.2 kS/s. It is
+logged into a recording with display channels, and a client reads ten times a second.
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ READS_PER_SECOND = 10
 
 
 def memory() -> float:
-    """Give the memory this process holds now, MB."""
+    """Return the current memory of this process, MB."""
     pages = int(Path("/proc/self/statm").read_text(encoding="utf-8").split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 def measure(folder: Path, minutes: float) -> Iterator[str]:
-    """Yield a line for each minute, and what came of it all."""
+    """Yield a line for each minute, and the final results."""
     path, samples = folder / "live.mcap", round(RATE / READS_PER_SECOND)
     # Five seconds are a whole number of periods.
     drive = 3.0 * np.sin(2 * np.pi * 34.8 / RATE * np.arange(round(5 * RATE)))
-    overruns, read, held = 0, 0, []
+    overruns, samples_read, memories = 0, 0, []
     with (
         daq.connect(full_scene(), clock="real") as rig,
         nidaqmx.Task(grpc_options=rig) as inputs,
@@ -54,25 +54,25 @@ def measure(folder: Path, minutes: float) -> Iterator[str]:
         inputs.start()
         reader = AnalogMultiChannelReader(inputs.in_stream)
         data = np.zeros((4, samples))
-        wall, busy = time.monotonic(), time.process_time()
-        for turn in range(round(60 * minutes * READS_PER_SECOND)):
+        start, cpu_start = time.monotonic(), time.process_time()
+        for number in range(round(60 * minutes * READS_PER_SECOND)):
             try:
-                read += reader.read_many_sample(data, samples)
+                samples_read += reader.read_many_sample(data, samples)
             except nidaqmx.DaqError as error:
                 overruns += 1
-                yield f"after {turn / READS_PER_SECOND:.1f} s: {error}"
-            if turn % (60 * READS_PER_SECOND) == 60 * READS_PER_SECOND - 1:
-                held.append(memory())
-                took, share = time.monotonic() - wall, time.process_time() - busy
+                yield f"after {number / READS_PER_SECOND:.1f} s: {error}"
+            if number % (60 * READS_PER_SECOND) == 60 * READS_PER_SECOND - 1:
+                memories.append(memory())
+                elapsed, cpu_time = time.monotonic() - start, time.process_time() - cpu_start
                 yield (
-                    f"{len(held):3d} min: {overruns} errors, {read} samples per channel read in {took:.1f} s, "
-                    f"{100 * share / took:.1f} % of a core, {held[-1]:.0f} MB in memory"
+                    f"{len(memories):3d} min: {overruns} errors, {samples_read} samples per channel read in "
+                    f"{elapsed:.1f} s, {100 * cpu_time / elapsed:.1f} % of a core, {memories[-1]:.0f} MB in memory"
                 )
     with daq.open(path) as recording:
         lost = sum(gap.samples for gap in recording.gaps)
         yield f"recording: {recording.samples} samples per channel, {lost} lost, {path.stat().st_size / 1e6:.0f} MB"
-    if held:
-        yield f"memory from the first minute to the last: {held[-1] - held[0]:+.1f} MB"
+    if memories:
+        yield f"memory from the first minute to the last: {memories[-1] - memories[0]:+.1f} MB"
 
 
 if __name__ == "__main__":

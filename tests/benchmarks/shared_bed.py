@@ -2,9 +2,9 @@
 
     python -m tests.benchmarks.shared_bed [RANKS]
 
-Beds have fallen into their cavities and ride on a body that is shaken at 29 Hz. It is the processor's time of the first
-rank that counts, with its waiting for the others, of each few steps the shortest of several turns: ranks that share
-their cores with other programs wait for each other far longer than their work takes.
+Beds at rest in their cavities ride on a body that is shaken at 29 Hz. The result is the processor time of the first
+rank, including its waiting for the others. Of every few steps the shortest time of several repeats is used, because
+ranks that share their cores with other programs wait for each other far longer than they compute.
 """
 
 from __future__ import annotations
@@ -25,11 +25,12 @@ from rig.scene.scene import Scene
 
 #: Mass of the bed, kg; diameter of the cavity, m; steps to follow.
 BEDS = ((0.071, 0.04, 1000), (0.285, 0.06, 400), (1.14, 0.08, 100))
-TURNS, FEW = 6, 5
+REPEATS = 6
+STEPS_PER_MEASUREMENT = 5
 
 
 def scene_of(mass: float, cavity: float) -> Scene:
-    """Put a bed of 2 mm lead into a body ten times as heavy."""
+    """Return a scene with a bed of 2 mm lead shot in a body of ten times its mass."""
     grains = {"diameter": 2e-3, "modulus": 1e7, "cavity": cavity}
     return Scene.model_validate(
         {
@@ -41,34 +42,34 @@ def scene_of(mass: float, cavity: float) -> Scene:
     )
 
 
-def follow(fallen: str, mass: float, cavity: float, steps: int) -> None:
-    """Print the seconds that each few steps take."""
+def print_step_times(positions_path: str, mass: float, cavity: float, steps: int) -> None:
+    """Print the times of groups of steps, s."""
     ranks.join()
-    coupling.settled = lambda _: np.load(fallen)
+    coupling.settled = lambda _: np.load(positions_path)
     coupled = coupling.CoupledPropagator(scene_of(mass, cavity), 1e-3)
-    turns = 29.0 * coupled.step * np.arange(steps + 1)
-    drive = 70.0 * mass * np.sin(2.0 * np.pi * turns)[None]
+    periods = 29.0 * coupled.step * np.arange(steps + 1)
+    drive = 70.0 * mass * np.sin(2.0 * np.pi * periods)[None]
     coupled.place(coupled.system.initial, drive[:, 0])
-    taken = []
-    for first in range(0, steps, FEW):
-        begin = time.process_time()
-        coupled.march(drive[:, first : first + FEW + 1])
-        taken.append(time.process_time() - begin)
-    print(json.dumps(taken))
+    times = []
+    for first in range(0, steps, STEPS_PER_MEASUREMENT):
+        start = time.process_time()
+        coupled.march(drive[:, first : first + STEPS_PER_MEASUREMENT + 1])
+        times.append(time.process_time() - start)
+    print(json.dumps(times))
 
 
-def measured(several: int) -> None:
-    """Print the time of a step by number of grains and of ranks."""
+def compare_ranks(n_ranks: int) -> None:
+    """Print the time of a step for each number of grains and ranks."""
     with tempfile.TemporaryDirectory() as folder:
-        fallen = Path(folder) / "fallen.npy"
+        positions_path = Path(folder) / "fallen.npy"
         for mass, cavity, steps in BEDS:
             spheres = spheres_of(scene_of(mass, cavity))[0]
-            np.save(fallen, packing._fallen(spheres))
-            given = [str(fallen), str(mass), str(cavity), str(steps)]
-            taken: dict[int, list[list[float]]] = {1: [], several: []}
-            for _ in range(TURNS):
-                for number, turns in taken.items():
-                    words = [
+            np.save(positions_path, packing._fallen(spheres))
+            arguments = [str(positions_path), str(mass), str(cavity), str(steps)]
+            times: dict[int, list[list[float]]] = {1: [], n_ranks: []}
+            for _ in range(REPEATS):
+                for number, turns in times.items():
+                    command = [
                         Path(sys.prefix) / "bin" / "mpiexec",
                         "-n",
                         str(number),
@@ -76,18 +77,22 @@ def measured(several: int) -> None:
                         "-m",
                         __spec__.name,
                     ]
-                    done = subprocess.run([*words, *given], capture_output=True, text=True, check=True)
-                    turns.append(json.loads(done.stdout))
-            one, more = (1e3 * np.min(turns, axis=0).sum() / steps for turns in taken.values())
+                    process = subprocess.run(
+                        [*command, *arguments], capture_output=True, text=True, check=True
+                    )
+                    turns.append(json.loads(process.stdout))
+            single_time, several_time = (
+                1e3 * np.min(turns, axis=0).sum() / steps for turns in times.values()
+            )
             print(
-                f"{spheres.count} grains: {one:.2f} ms a step on one rank, {more:.2f} ms on {several}, "
-                f"{one / more:.2f} times as fast",
+                f"{spheres.count} grains: {single_time:.2f} ms a step on one rank, {several_time:.2f} ms on {n_ranks}, "
+                f"{single_time / several_time:.2f} times as fast",
                 flush=True,
             )
 
 
 if __name__ == "__main__":
     if len(sys.argv) > 2:
-        follow(sys.argv[1], float(sys.argv[2]), float(sys.argv[3]), int(sys.argv[4]))
+        print_step_times(sys.argv[1], float(sys.argv[2]), float(sys.argv[3]), int(sys.argv[4]))
     else:
-        measured(int(sys.argv[1]) if len(sys.argv) > 1 else 2)
+        compare_ranks(int(sys.argv[1]) if len(sys.argv) > 1 else 2)

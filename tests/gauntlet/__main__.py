@@ -1,7 +1,7 @@
 """Compare the analysis with the truth on random scenes: ``python -m tests.gauntlet --scenes 300 --seed 7``.
 
-Prints a table by judge and kind of test. Exit code 1: an answer was wrong without a warning, or the share of points
-within their 95 % bounds is too small or too large.
+Prints a table by judge and kind of test. Exit code 1: a result was wrong without a warning, or the fraction of points
+within their 95 % intervals is too small or too large.
 """
 
 from __future__ import annotations
@@ -21,10 +21,11 @@ from tests.gauntlet.scenes import KINDS
 from tests.gauntlet.trial import run_trial
 from tests.gauntlet.verdict import Verdict
 
-# Share of the points within their 95 % bounds, over all scenes of a kind. Bounds that always hold are too wide,
-# except where they contain the limit of a data sheet, which no sensor exceeds.
-FEWEST_INSIDE, MOST_INSIDE = 0.90, 0.99
-NARROW = ("responses, as built",)
+# Fraction of the points within their 95 % intervals, over all scenes of a kind: smallest, and largest for intervals
+# without the limit of a data sheet, which no sensor exceeds.
+MIN_COVERAGE = 0.90
+MAX_COVERAGE = 0.99
+TIGHT_BOUND_JUDGES = ("responses, as built",)
 OUTCOMES = ("right", "warned", "refused", "wrong")
 
 
@@ -35,32 +36,34 @@ def main() -> int:
     parser.add_argument("--kind", action="append", choices=KINDS, help="only this kind of test (repeatable)")
     parser.add_argument("--workers", type=int, default=os.cpu_count())
     parser.add_argument("--verbose", action="store_true", help="print every scene, not only wrong ones")
-    given = parser.parse_args()
-    kinds = given.kind or KINDS
-    found: list[Verdict] = []
-    with ProcessPoolExecutor(given.workers) as pool:
+    options = parser.parse_args()
+    kinds = options.kind or KINDS
+    verdicts: list[Verdict] = []
+    with ProcessPoolExecutor(options.workers) as pool:
         jobs = {
-            pool.submit(run_trial, given.seed, number, kind := kinds[number % len(kinds)]): f"{number} {kind}"
-            for number in range(given.scenes)
+            pool.submit(
+                run_trial, options.seed, number, kind := kinds[number % len(kinds)]
+            ): f"{number} {kind}"
+            for number in range(options.scenes)
         }
-        done = as_completed(jobs)
+        completed = as_completed(jobs)
         try:
-            for job in track(done, "gauntlet", total=len(jobs), console=Console(stderr=True)):
-                found += job.result()
+            for job in track(completed, "gauntlet", total=len(jobs), console=Console(stderr=True)):
+                verdicts += job.result()
         except KeyboardInterrupt:
             # Report the finished scenes, and name those that were running.
             print("running:", *(name for job, name in jobs.items() if job.running()), sep="\n  ")
             pool.shutdown(wait=False, cancel_futures=True)
-    for verdict in sorted(found, key=lambda verdict: (verdict.kind, verdict.scene)):
-        if verdict.outcome == "wrong" or given.verbose:
-            share = f"{verdict.inside / verdict.points:.0%}" if verdict.points else "-"
-            print(f"{verdict.outcome:8} {verdict.judge} {verdict.scene} {share}: {verdict.note}")
-    return print_summary(found)
+    for verdict in sorted(verdicts, key=lambda verdict: (verdict.kind, verdict.scene)):
+        if verdict.outcome == "wrong" or options.verbose:
+            coverage = f"{verdict.inside / verdict.points:.0%}" if verdict.points else "-"
+            print(f"{verdict.outcome:8} {verdict.judge} {verdict.scene} {coverage}: {verdict.note}")
+    return print_summary(verdicts)
 
 
-def print_summary(found: list[Verdict]) -> int:
+def print_summary(all_verdicts: list[Verdict]) -> int:
     groups: dict[tuple[str, str], list[Verdict]] = defaultdict(list)
-    for verdict in found:
+    for verdict in all_verdicts:
         groups[verdict.judge, verdict.kind].append(verdict)
     table = Table(
         "judge",
@@ -79,12 +82,14 @@ def print_summary(found: list[Verdict]) -> int:
         points = sum(verdict.points for verdict in verdicts)
         inside = sum(verdict.inside for verdict in verdicts)
         counts = [sum(v.outcome == outcome for v in verdicts) for outcome in OUTCOMES]
-        share = inside / points if points else np.nan
-        most = MOST_INSIDE if judge in NARROW else 1.0
-        failed |= counts[-1] > 0 or (points > 0 and not FEWEST_INSIDE <= share <= most)
+        coverage = inside / points if points else np.nan
+        max_coverage = MAX_COVERAGE if judge in TIGHT_BOUND_JUDGES else 1.0
+        failed |= counts[-1] > 0 or (points > 0 and not MIN_COVERAGE <= coverage <= max_coverage)
         widths = [v.width for v in verdicts if v.points and np.isfinite(v.width)]
         width = f"{np.median(widths):.2%}" if widths else "-"
-        table.add_row(judge, kind, str(len(verdicts)), str(points), f"{share:.1%}", width, *map(str, counts))
+        table.add_row(
+            judge, kind, str(len(verdicts)), str(points), f"{coverage:.1%}", width, *map(str, counts)
+        )
     Console(width=140).print(table)
     return int(failed)
 

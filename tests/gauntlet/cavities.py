@@ -9,8 +9,8 @@ import rig
 from rig.system.structural_model import receptance
 from tests.gauntlet.scenes import INSTRUMENTS, Draw, Settings, coupling, instrumented, structure
 
-# Amplitude of the acceleration of a damper's body without dampers, in g: below 1 nothing flies.
-_LEVELS = (1.3, 8.0)
+# Range of the acceleration amplitude of a damper's body without dampers, in g: dampers fly only above 1.
+_ACCELERATIONS_G = (1.3, 8.0)
 GRAVITY = 9.80665
 # Kinds of tests: one tone, steps around a mode, and free decay of one body.
 TONE, STEPS, DECAY = "tone_dampers", "steps_dampers", "decay_dampers"
@@ -21,7 +21,7 @@ def draw_cavities(seed: int, number: int, kind: str) -> rig.Scene:
     dice = Draw(seed, number)
     chain, modes = structure(dice)
     bodies = len(chain["masses"])
-    with_damper = sorted({dice.whole(1, bodies) for _ in range(dice.whole(1, 2))})
+    damper_bodies = sorted({dice.whole(1, bodies) for _ in range(dice.whole(1, 2))})
     dampers = [
         {
             "body": body,
@@ -29,11 +29,13 @@ def draw_cavities(seed: int, number: int, kind: str) -> rig.Scene:
             "clearance": dice.one([".inf", f"{dice.log(0.3, 3.0):.3g} mm"]),
             "restitution": dice.one([0.0, dice.even(0.05, 0.6)]),
         }
-        for body in with_damper
+        for body in damper_bodies
     ]
     # Above 80 Hz a period with its impacts has fewer than 64 samples.
-    near = dice.one([mode for mode in modes if mode < 80.0])
-    first, last = (float(f"{near * dice.even(*share):.4g}") for share in ((0.85, 0.95), (1.05, 1.15)))
+    mode_frequency = dice.one([mode for mode in modes if mode < 80.0])
+    first, last = (
+        float(f"{mode_frequency * dice.even(*fractions):.4g}") for fractions in ((0.85, 0.95), (1.05, 1.15))
+    )
     tones = {TONE: {"kind": "sine", "frequency": first, "duration": 2.0}}
     tones[STEPS] = {"kind": "stepped_sine", "from": first, "to": last, "points": 6}
     settings: Settings = {
@@ -43,7 +45,7 @@ def draw_cavities(seed: int, number: int, kind: str) -> rig.Scene:
         "shaker": {"kind": "force", "body": dice.whole(1, bodies)},
         "test": {**tones[kind], "force": 1.0},
         "channels": [
-            *({"name": f"a{body}", "at": f"body {body}", **_accelerometer(dice)} for body in with_damper),
+            *({"name": f"a{body}", "at": f"body {body}", **_accelerometer(dice)} for body in damper_bodies),
             {"name": "force", "at": "shaker"},
         ],
         "converter": {
@@ -54,13 +56,13 @@ def draw_cavities(seed: int, number: int, kind: str) -> rig.Scene:
         "seed": dice.whole(1, 10**6),
     }
     scene = rig.loads(yaml.safe_dump(settings, sort_keys=False), where=settings["name"])
-    scene = scene.replace(test=scene.test.replace(force=force_that_flies(dice, scene, with_damper[0])))
+    scene = scene.replace(test=scene.test.replace(force=force_that_flies(dice, scene, damper_bodies[0])))
     return instrumented(Draw(seed, number + INSTRUMENTS + 1), scene)
 
 
 def draw_decay(seed: int, number: int, kind: str) -> rig.Scene:
     """Draw the free decay of a single body, from flight of its damper to rest on the floor."""
-    dice, more = Draw(seed, number), Draw(seed, number + INSTRUMENTS)
+    dice, other_dice = Draw(seed, number), Draw(seed, number + INSTRUMENTS)
     mass, frequency, ratio = dice.log(0.3, 3.0), dice.even(12.0, 40.0), dice.log(0.002, 0.01)
     damper = {
         "body": 1,
@@ -81,9 +83,9 @@ def draw_decay(seed: int, number: int, kind: str) -> rig.Scene:
             {"name": "a1", "at": "body 1", "accelerometer": {"sensitivity": "100 mV/g", "noise": 2e-4}}
         ],
         "converter": {
-            "rate": more.one([2560.0, 5120.0]),
+            "rate": other_dice.one([2560.0, 5120.0]),
             "filter": "delta_sigma",
-            **coupling(more, False),
+            **coupling(other_dice, False),
         },
         "recording": {"display": False},
         "seed": dice.whole(1, 10**6),
@@ -114,9 +116,9 @@ def _accelerometer(dice: Draw) -> Settings:
 
 
 def force_that_flies(dice: Draw, scene: rig.Scene, body: int) -> float:
-    """Draw the force that gives a body without dampers an acceleration of `_LEVELS`."""
+    """Draw the force that gives a body without dampers an acceleration of `_ACCELERATIONS_G`."""
     test = scene.test
     frequency = np.array([test.frequency if test.kind == "sine" else 0.5 * (test.from_ + test.to)])
-    linear = abs(receptance(scene.replace(dampers=[]), frequency)[body - 1, 0])
-    asked = dice.log(*_LEVELS) * GRAVITY / (linear * (2 * np.pi * frequency[0]) ** 2)
-    return float(f"{asked:.4g}")
+    compliance = abs(receptance(scene.replace(dampers=[]), frequency)[body - 1, 0])
+    force = dice.log(*_ACCELERATIONS_G) * GRAVITY / (compliance * (2 * np.pi * frequency[0]) ** 2)
+    return float(f"{force:.4g}")

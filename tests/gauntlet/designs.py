@@ -32,12 +32,16 @@ from rig.damper_design.worst_peak import Peak
 from rig.system.structural_model import natural_modes, receptance, structure_matrices
 from tests.gauntlet.scenes import Draw, Settings, structure
 
-# Cost of brute force as a multiple of the search, its largest relative advantage, and the largest difference in dB
-# between the designed and the recorded reduction.
-MORE, WORSE, LARGEST_DIFFERENCE = 20, 0.01, 0.3
-# Shares of the mass budget that brute force tries, and the number of its best choices that are compared with the
-# design.
-_SHARES, _FINALISTS = (1.0, 0.7), 8
+# Cost of brute force as a multiple of the search.
+COST_FACTOR = 20
+# Largest relative advantage of brute force.
+MAX_ADVANTAGE = 0.01
+# Largest difference between the designed and the recorded reduction.
+MAX_DIFFERENCE_DB = 0.3
+# Fractions of the mass budget that brute force tries.
+_MASS_FRACTIONS = (1.0, 0.7)
+# Number of the best choices of brute force that are compared with the design.
+_FINALISTS = 8
 
 
 def draw(seed: int, number: int) -> tuple[rig.Scene, dict[str, Any]]:
@@ -47,7 +51,7 @@ def draw(seed: int, number: int) -> tuple[rig.Scene, dict[str, Any]]:
         chain, _ = structure(dice)
         if 2 <= (bodies := len(chain["masses"])) <= 5:
             break
-    built = _across(dice, chain) if dice.chance(0.5) else chain
+    built_structure = _add_cross_spring(dice, chain) if dice.chance(0.5) else chain
     driven = dice.whole(1, bodies)
     sensor = {"sensitivity": "100 mV/g", "noise": "20 ug/sqrt(Hz)"}
     channels: list[Settings] = [
@@ -70,17 +74,17 @@ def draw(seed: int, number: int) -> tuple[rig.Scene, dict[str, Any]]:
             }
         )
     settings: Settings = {
-        "name": f"structure {seed}/{number}", "structure": built, "shaker": shaker,
+        "name": f"structure {seed}/{number}", "structure": built_structure, "shaker": shaker,
         "test": {"kind": "sine", "frequency": 20.0, "force": 1.0}, "channels": channels,
         "converter": {"rate": 8192.0, "bits": 24, "range": 20.0}, "recording": {"display": False},
     }  # fmt: skip
     scene = rig.loads(yaml.safe_dump(settings, sort_keys=False), where=str(settings["name"]))
     modes = natural_modes(*structure_matrices(scene.structure)[::2])[0] / (2 * np.pi)
-    first = dice.whole(0, bodies - 1)
-    band = 0.85 * modes[first], 1.15 * modes[dice.whole(first, min(first + 2, bodies - 1))]
-    line = np.unique(np.append(np.linspace(*band, 4001), modes[(modes > band[0]) & (modes < band[1])]))
-    largest = float((np.abs(receptance(scene, line)) * (2 * np.pi * line) ** 2).max())
-    force = float(f"{dice.log(3.0, 12.0) * 9.81 / largest:.4g}")
+    first_mode = dice.whole(0, bodies - 1)
+    band = 0.85 * modes[first_mode], 1.15 * modes[dice.whole(first_mode, min(first_mode + 2, bodies - 1))]
+    frequencies = np.unique(np.append(np.linspace(*band, 4001), modes[(modes > band[0]) & (modes < band[1])]))
+    peak_acceleration = float((np.abs(receptance(scene, frequencies)) * (2 * np.pi * frequencies) ** 2).max())
+    force = float(f"{dice.log(3.0, 12.0) * 9.81 / peak_acceleration:.4g}")
     requirements = {
         "budget": f"{dice.even(2.0, 10.0)} %", "dampers": min(dice.whole(1, 3), bodies), "band": band,
         "levels": [factor * force for factor in (0.5, 1.0, 2.0)],
@@ -88,45 +92,47 @@ def draw(seed: int, number: int) -> tuple[rig.Scene, dict[str, Any]]:
     return scene.replace(test=scene.test.replace(force=force)), requirements
 
 
-def _across(dice: Draw, chain: Settings) -> Settings:
-    """Add a spring to the ground or to a body that is no neighbour, with a full damping matrix."""
+def _add_cross_spring(dice: Draw, chain: Settings) -> Settings:
+    """Add a spring to the ground or to a body that is not adjacent, with a full damping matrix."""
     scene = rig.loads(yaml.safe_dump({"name": "chain", "structure": chain}))
     mass, damping, stiffness = structure_matrices(scene.structure)
     bodies = len(mass)
-    end = np.zeros(bodies)
-    end[dice.whole(min(1, bodies - 1), bodies - 1)] = 1.0
+    direction = np.zeros(bodies)
+    direction[dice.whole(min(1, bodies - 1), bodies - 1)] = 1.0
     if bodies > 2 and dice.chance(0.5):
-        end[:] = 0.0
-        end[[0, dice.whole(2, bodies - 1)]] = 1.0, -1.0
-    stiffness = stiffness + dice.log(0.3, 1.5) * stiffness.diagonal().mean() / 2 * np.outer(end, end)
+        direction[:] = 0.0
+        direction[[0, dice.whole(2, bodies - 1)]] = 1.0, -1.0
+    stiffness = stiffness + dice.log(0.3, 1.5) * stiffness.diagonal().mean() / 2 * np.outer(
+        direction, direction
+    )
     names = {"mass": mass, "damping": damping, "stiffness": stiffness}
     return {"matrices": {name: matrix.tolist() for name, matrix in names.items()}}
 
 
-def brute_force(found: rig.Design, places: list[tuple[int, ...]]) -> Iterator[Choice]:
-    """List choices spread evenly over places, masses and clearances, at `MORE` times the cost of the search."""
-    levels, dampers = len(found.question.levels), found.space.dampers
-    searched = (
-        len(found.trials) * levels
+def brute_force(design: rig.Design, places: list[tuple[int, ...]]) -> Iterator[Choice]:
+    """List choices spread evenly over places, masses and clearances, at `COST_FACTOR` times the cost of the search."""
+    levels, dampers = len(design.question.levels), design.space.dampers
+    search_cost = (
+        len(design.trials) * levels
         + len(places) * len(SHARES) * CLEARANCES
         + COMPARED * levels * FINE // COARSE
     )
-    each = -(-MORE * searched // (levels * len(places) * len(_SHARES)))
-    spread = qmc.Halton(2 * dampers - 1, scramble=False).random(each)
+    count = -(-COST_FACTOR * search_cost // (levels * len(places) * len(_MASS_FRACTIONS)))
+    points = qmc.Halton(2 * dampers - 1, scramble=False).random(count)
     clearances = np.exp(
-        qmc.scale(spread[:, :dampers], *np.log(np.array(found.space.clearance)[:, None] * np.ones(dampers)))
+        qmc.scale(points[:, :dampers], *np.log(np.array(design.space.clearance)[:, None] * np.ones(dampers)))
     )
     # Gaps between sorted uniform points are distributed evenly over all divisions of a mass.
-    cuts = np.sort(spread[:, dampers:], axis=1)
-    masses = found.space.mass * np.diff(cuts, axis=1, prepend=0.0, append=1.0)
+    cuts = np.sort(points[:, dampers:], axis=1)
+    masses = design.space.mass * np.diff(cuts, axis=1, prepend=0.0, append=1.0)
     for place in places:
-        for share in _SHARES:
-            for m, c in zip(share * masses, clearances, strict=True):
+        for fraction in _MASS_FRACTIONS:
+            for m, c in zip(fraction * masses, clearances, strict=True):
                 if m.min() > 0.0:
                     yield Choice(place, tuple(m.tolist()), tuple(c.tolist()))
 
 
-def beats(question: Question, order: list[float], bound: float, choice: Choice) -> float | None:
+def worst_peak_below(question: Question, order: list[float], bound: float, choice: Choice) -> float | None:
     """Return the worst peak of a choice if it is below a bound, else None; levels are tried until one exceeds it."""
     worst = 0.0
     for level in order:
@@ -136,21 +142,21 @@ def beats(question: Question, order: list[float], bound: float, choice: Choice) 
     return worst
 
 
-def best_of(found: rig.Design, choices: list[Choice], workers: ProcessPoolExecutor) -> float:
+def best_peak(design: rig.Design, choices: list[Choice], workers: ProcessPoolExecutor) -> float:
     """Return the smallest worst peak of all choices on the final frequency grid of the design, m/N."""
-    fine, level = replace(found.question, density=FINE), found.best.peak.level
-    order = sorted(fine.levels, key=lambda each: each != level)
-    peak_below = partial(beats, found.question, order, found.best.peak.size)
-    rivals = [
+    fine, level = replace(design.question, density=FINE), design.best.peak.level
+    order = sorted(fine.levels, key=lambda candidate_level: candidate_level != level)
+    peak_below = partial(worst_peak_below, design.question, order, design.best.peak.size)
+    candidates = [
         (size, choice)
         for size, choice in zip(workers.map(peak_below, choices, chunksize=20), choices, strict=True)
         if size is not None
     ]
-    nearest = [choice for _, choice in sorted(rivals, key=lambda rival: rival[0])[:_FINALISTS]]
-    return min((peak.size for peak in workers.map(fine.worst, nearest)), default=np.inf)
+    finalists = [choice for _, choice in sorted(candidates, key=lambda candidate: candidate[0])[:_FINALISTS]]
+    return min((peak.size for peak in workers.map(fine.worst, finalists)), default=np.inf)
 
 
-def recorded(scene: rig.Scene, peak: Peak, folder: Path) -> float:
+def record_compliance(scene: rig.Scene, peak: Peak, folder: Path) -> float:
     """Record a scene near a peak, and return the largest measured compliance of its body at its level, m/N."""
     path = folder / "check.mcap"
     path.unlink(missing_ok=True)
@@ -165,29 +171,29 @@ def recorded(scene: rig.Scene, peak: Peak, folder: Path) -> float:
 def run_trial(seed: int, number: int, workers: ProcessPoolExecutor) -> bool:
     """Design dampers, compare them with brute force and a recording, and print the result; True if both agree."""
     scene, requirements = draw(seed, number)
-    begun = time.perf_counter()
-    found = rig.design(scene, **requirements)
-    seconds = time.perf_counter() - begun
-    places = [place for place in found.space.places if len(place) == found.space.dampers]
-    choices = list(brute_force(found, places))
-    best = best_of(found, choices, workers)
-    seconds_more = time.perf_counter() - begun - seconds
-    peak, bare = found.best.peak, found.bare
+    start = time.perf_counter()
+    design = rig.design(scene, **requirements)
+    seconds = time.perf_counter() - start
+    places = [place for place in design.space.places if len(place) == design.space.dampers]
+    choices = list(brute_force(design, places))
+    best = best_peak(design, choices, workers)
+    brute_force_seconds = time.perf_counter() - start - seconds
+    peak, bare = design.best.peak, design.bare
     with tempfile.TemporaryDirectory() as folder:
-        damped = recorded(found.scene, peak, Path(folder))
+        damped = record_compliance(design.scene, peak, Path(folder))
         test = {"kind": "stepped_sine", "frequencies": [bare.frequency], "force": bare.level}
-        plain = recorded(scene.replace(test=test), bare, Path(folder))
-    difference = 20 * np.log10(plain / damped) - found.reduction(peak)
+        undamped = record_compliance(scene.replace(test=test), bare, Path(folder))
+    difference = 20 * np.log10(undamped / damped) - design.reduction(peak)
     low, high = requirements["band"]
-    worse = max(peak.size / best - 1, 0.0)
+    advantage = max(peak.size / best - 1, 0.0)
     print(
         f"{scene.name}: {scene.structure.bodies} bodies, {low:.3g} to {high:.3g} Hz: "
-        f"{found.best.choice}: {found.reduction(peak):.2f} dB, {len(found.trials)} trials, {seconds:.0f} s; "
-        f"brute force {len(choices)}, {seconds_more:.0f} s: {worse:.2%} above the best of them; "
+        f"{design.best.choice}: {design.reduction(peak):.2f} dB, {len(design.trials)} trials, {seconds:.0f} s; "
+        f"brute force {len(choices)}, {brute_force_seconds:.0f} s: {advantage:.2%} above the best of them; "
         f"recorded {difference:+.3f} dB from the design",
         flush=True,
     )
-    return worse <= WORSE and abs(difference) <= LARGEST_DIFFERENCE
+    return advantage <= MAX_ADVANTAGE and abs(difference) <= MAX_DIFFERENCE_DB
 
 
 def main() -> int:
@@ -195,10 +201,10 @@ def main() -> int:
     parser.add_argument("--structures", type=int, default=5, help="how many (default: 5)")
     parser.add_argument("--first", type=int, default=0, help="number of the first structure")
     parser.add_argument("--seed", type=int, default=1, help="another seed draws other structures")
-    given = parser.parse_args()
-    numbers = range(given.first, given.first + given.structures)
+    options = parser.parse_args()
+    numbers = range(options.first, options.first + options.structures)
     with ProcessPoolExecutor() as workers:
-        verdicts = [run_trial(given.seed, number, workers) for number in numbers]
+        verdicts = [run_trial(options.seed, number, workers) for number in numbers]
     return int(not all(verdicts))
 
 

@@ -1,7 +1,7 @@
-"""Foreseen and recorded maxima on random scenes: ``python -m tests.gauntlet.foresights --scenes 40 --seed 7``.
+"""Predicted and recorded maxima on random scenes: ``python -m tests.gauntlet.foresights --scenes 40 --seed 7``.
 
-Prints a line for each scene and the largest relative difference of linear scenes and of scenes with dampers. Exit
-code 1 where a channel is beyond what is promised.
+Prints a line for each scene and the largest relative error of linear scenes and of scenes with dampers. Exit code 1:
+the error of a channel exceeds the documented limit.
 """
 
 from __future__ import annotations
@@ -34,18 +34,18 @@ KINDS = (
     "swept_sine_dampers",
     "impulse_dampers",
 )
-# Largest relative difference of a foreseen maximum.
-PROMISED = {"linear": 0.05, "with dampers": 0.20}
+# Documented largest relative error of a predicted maximum.
+MAX_RELATIVE_ERROR = {"linear": 0.05, "with dampers": 0.20}
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Foreseen maxima of the channels of a scene against those that were recorded."""
+    """Comparison of predicted and recorded maxima of the channels of a scene."""
 
     kind: str
-    worst: float
+    max_error: float
     channel: str
-    whole: bool
+    fully_rehearsed: bool
     overloaded: bool
     abort_agrees: bool
     seconds: float
@@ -56,12 +56,12 @@ class Comparison:
         return "with dampers" if self.kind.endswith("_dampers") else "linear"
 
     @property
-    def kept(self) -> bool:
-        return self.worst <= PROMISED[self.group] and self.abort_agrees
+    def is_accurate(self) -> bool:
+        return self.max_error <= MAX_RELATIVE_ERROR[self.group] and self.abort_agrees
 
 
-def lengthened(scene: rig.Scene) -> rig.Scene:
-    """Give a scene a test that is too long to be rehearsed whole."""
+def with_long_test(scene: rig.Scene) -> rig.Scene:
+    """Return the scene with a test that is too long for a complete rehearsal."""
     test = scene.test
     changes = {
         "random": lambda: {"duration": 10.0 * test.duration},
@@ -74,33 +74,33 @@ def lengthened(scene: rig.Scene) -> rig.Scene:
 
 
 def compare(scene: rig.Scene, kind: str, folder: Path) -> Comparison:
-    """Foresee a scene, record it, and compare the maxima of every channel."""
-    started = time.process_time()
+    """Predict the maxima of a scene, record it, and compare the maxima of every channel."""
+    start = time.process_time()
     foreseen = daq.foresee(scene)
-    seconds = time.process_time() - started
+    seconds = time.process_time() - start
     path, aborted = folder / "recorded.mcap", False
     with warnings.catch_warnings(), suppress(RunError):
         warnings.simplefilter("ignore")
         aborted = True
         daq.record(scene, path, overwrite=True)
         aborted = False
-    worst, name = 0.0, ""
+    max_error, channel_name = 0.0, ""
     with daq.open(path) as recording:
         for channel in recording.channels:
             recorded = float(np.nanmax(abs(recording.read(channel))))
-            differs = abs(foreseen[channel].recorded / recorded - 1.0) if recorded else 0.0
-            if differs > worst:
-                worst, name = differs, channel
+            error = abs(foreseen[channel].recorded / recorded - 1.0) if recorded else 0.0
+            if error > max_error:
+                max_error, channel_name = error, channel
         duration = recording.samples / recording.rate
-    overloaded = any(each.overloaded for each in foreseen.expectations)
-    agrees = aborted == (foreseen.aborts is not None)
+    overloaded = any(expectation.overloaded for expectation in foreseen.expectations)
+    abort_agrees = aborted == (foreseen.aborts is not None)
     return Comparison(
         kind,
-        worst,
-        name,
+        max_error,
+        channel_name,
         not foreseen.rehearsed,
         overloaded,
-        agrees,
+        abort_agrees,
         seconds,
         foreseen.seconds / duration - 1.0,
     )
@@ -110,28 +110,31 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--scenes", type=int, default=40, help="how many scenes (default: 40)")
     parser.add_argument("--seed", type=int, default=1, help="another seed draws other scenes")
-    parser.add_argument("--long", action="store_true", help="tests too long to be rehearsed whole")
-    given = parser.parse_args()
-    found = []
+    parser.add_argument("--long", action="store_true", help="tests too long for a complete rehearsal")
+    options = parser.parse_args()
+    comparisons = []
     with tempfile.TemporaryDirectory() as folder:
-        for number in range(given.scenes):
+        for number in range(options.scenes):
             kind = KINDS[number % len(KINDS)]
-            scene = draw(given.seed, number, kind)
-            if given.long:
-                scene = lengthened(scene)
-            each = compare(scene, kind, Path(folder))
-            found.append(each)
+            scene = draw(options.seed, number, kind)
+            if options.long:
+                scene = with_long_test(scene)
+            comparison = compare(scene, kind, Path(folder))
+            comparisons.append(comparison)
             print(
-                f"{number:3} {kind:22} {each.worst:7.2%} {each.channel:8} {'whole' if each.whole else 'parts'} "
-                f"{'overload ' if each.overloaded else ''}{'' if each.abort_agrees else 'ABORT DIFFERS '}"
-                f"CPU {each.seconds:.2f} s, duration {each.duration_error:+.0%}",
+                f"{number:3} {kind:22} {comparison.max_error:7.2%} {comparison.channel:8} "
+                f"{'whole' if comparison.fully_rehearsed else 'parts'} "
+                f"{'overload ' if comparison.overloaded else ''}{'' if comparison.abort_agrees else 'ABORT DIFFERS '}"
+                f"CPU {comparison.seconds:.2f} s, duration {comparison.duration_error:+.0%}",
                 flush=True,
             )
-    for group, most in PROMISED.items():
-        errors = [each.worst for each in found if each.group == group]
-        inside = sum(error <= most for error in errors)
-        print(f"{group}: {inside} of {len(errors)} within {most:.0%}, largest {max(errors, default=0.0):.2%}")
-    return 0 if all(each.kept for each in found) else 1
+    for group, limit in MAX_RELATIVE_ERROR.items():
+        errors = [comparison.max_error for comparison in comparisons if comparison.group == group]
+        inside = sum(error <= limit for error in errors)
+        print(
+            f"{group}: {inside} of {len(errors)} within {limit:.0%}, largest {max(errors, default=0.0):.2%}"
+        )
+    return 0 if all(comparison.is_accurate for comparison in comparisons) else 1
 
 
 if __name__ == "__main__":

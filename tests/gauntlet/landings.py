@@ -9,23 +9,28 @@ from rig.system.landing import spring_damper
 from tests.gauntlet.cavities import force_that_flies
 from tests.gauntlet.scenes import INSTRUMENTS, Draw, Settings, instrumented
 
-_MASSES, _SPRINGS, _MODES = (0.74, 0.71, 0.64), (24.3e3, 21.8e3, 19.8e3), (12.6, 34.8, 49.2)
-# Durations of a landing, s.
-_DURATIONS = (5e-4, 8e-3)
+# The paper's rig: masses [kg], springs [N/m], natural frequencies [Hz].
+_MASSES = (0.74, 0.71, 0.64)
+_SPRINGS = (24.3e3, 21.8e3, 19.8e3)
+_MODES = (12.6, 34.8, 49.2)
+# Range of contact durations.
+_CONTACT_DURATIONS_S = (5e-4, 8e-3)
 LANDINGS, STEPPED_LANDINGS = "tone_landings", "steps_landings"
 
 
 def draw_landings(seed: int, number: int, kind: str) -> rig.Scene:
     """Draw a tone, or steps, near a mode of the paper's rig with one to three dampers; the truth is recorded."""
     dice = Draw(seed, number)
-    with_damper = sorted({dice.whole(1, 3) for _ in range(dice.whole(1, 3))})
-    near = dice.one(_MODES)
-    first, last = (float(f"{near * dice.even(*share):.4g}") for share in ((0.88, 1.0), (1.01, 1.1)))
+    damper_bodies = sorted({dice.whole(1, 3) for _ in range(dice.whole(1, 3))})
+    mode_frequency = dice.one(_MODES)
+    first, last = (
+        float(f"{mode_frequency * dice.even(*fractions):.4g}") for fractions in ((0.88, 1.0), (1.01, 1.1))
+    )
     test: Settings = {"kind": "sine", "frequency": first, "duration": 1.5}
     if kind == STEPPED_LANDINGS:
         test = {"kind": "stepped_sine", "from": first, "to": last, "points": 6}
     rate = dice.one([5120.0, 12800.0, 25600.0, 51200.0])
-    chain, converter = _instruments(dice, rate)
+    sensor, converter = _instruments(dice, rate)
     settings: Settings = {
         "name": f"gauntlet {seed}/{number} {kind}",
         "structure": {
@@ -33,11 +38,11 @@ def draw_landings(seed: int, number: int, kind: str) -> rig.Scene:
             "springs": [spring * dice.even(0.8, 1.25) for spring in _SPRINGS],
             "damping": {"modal": dice.log(0.003, 0.02)},
         },
-        "dampers": [_damper(dice, body) for body in with_damper],
+        "dampers": [_damper(dice, body) for body in damper_bodies],
         "shaker": {"kind": "force", "body": dice.whole(1, 3)},
         "test": {**test, "force": 1.0},
         "channels": [
-            *({"name": f"a{body}", "at": f"body {body}", **chain} for body in with_damper),
+            *({"name": f"a{body}", "at": f"body {body}", **sensor} for body in damper_bodies),
             {"name": "force", "at": "shaker"},
         ],
         "converter": converter,
@@ -45,22 +50,22 @@ def draw_landings(seed: int, number: int, kind: str) -> rig.Scene:
         "seed": dice.whole(1, 10**6),
     }
     scene = rig.loads(yaml.safe_dump(settings, sort_keys=False), where=settings["name"])
-    scene = scene.replace(test=scene.test.replace(force=force_that_flies(dice, scene, with_damper[0])))
+    scene = scene.replace(test=scene.test.replace(force=force_that_flies(dice, scene, damper_bodies[0])))
     return instrumented(Draw(seed, number + INSTRUMENTS), scene)
 
 
 def _damper(dice: Draw, body: int) -> Settings:
-    ratio, duration = dice.even(0.03, 0.15), dice.log(*_DURATIONS)
-    rebound = dice.one([0.0, dice.even(0.05, 0.6)])
+    ratio, duration = dice.even(0.03, 0.15), dice.log(*_CONTACT_DURATIONS_S)
+    restitution = dice.one([0.0, dice.even(0.05, 0.6)])
     damper: Settings = {
         "body": body,
         "mass_ratio": ratio,
         "clearance": dice.one([".inf", f"{dice.log(0.3, 3.0):.3g} mm"]),
     }
     if dice.chance(0.7):
-        return {**damper, "restitution": rebound, "contact": {"duration": duration}}
-    reduced = _MASSES[body - 1] * ratio / (1.0 + ratio)
-    stiffness, damping = spring_damper(duration, rebound, reduced)
+        return {**damper, "restitution": restitution, "contact": {"duration": duration}}
+    reduced_mass = _MASSES[body - 1] * ratio / (1.0 + ratio)
+    stiffness, damping = spring_damper(duration, restitution, reduced_mass)
     return {**damper, "contact": {"stiffness": float(stiffness), "damping": float(damping)}}
 
 

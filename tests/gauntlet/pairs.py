@@ -12,16 +12,18 @@ from rig.system.structural_model import receptance
 from tests.gauntlet.scenes import INSTRUMENTS, Draw, Settings, instrumented
 
 CURVES, MULTISINE, STEPPED = "curves_pairs", "multisine_pairs", "stepped_sine_pairs"
-# Smallest relative distance of the two modes, and the damping ratio of all modes: without noise, and with noise.
-_EXACT, _NOISY = (0.004, 0.002), (0.01, 0.005)
+# Smallest relative distance of the two modes, and damping ratio of all modes, for curves without noise.
+_EXACT_DISTANCE_AND_DAMPING = (0.004, 0.002)
+# The same for noisy curves.
+_NOISY_DISTANCE_AND_DAMPING = (0.01, 0.005)
 # Smallest ratio of the two modes' contributions at the driven and measured bodies.
-_LEAST_SHARE = 0.25
+_MIN_CONTRIBUTION_RATIO = 0.25
 
 
 def draw_pair(seed: int, number: int, kind: str) -> rig.Scene:
     """Draw a structure of 2 to 4 bodies with a close pair, and a test that resolves it with noisy accelerometers."""
-    dice, more = Draw(seed, number), Draw(seed, number + INSTRUMENTS)
-    distance, ratio = _EXACT if kind == CURVES else _NOISY
+    dice, other_dice = Draw(seed, number), Draw(seed, number + INSTRUMENTS)
+    distance, ratio = _EXACT_DISTANCE_AND_DAMPING if kind == CURVES else _NOISY_DISTANCE_AND_DAMPING
     bodies = dice.whole(2, 4)
     first = dice.even(20.0, 40.0)
     modes = [first, first * (1.0 + distance * dice.even(1.0, 1.5)), 1.7 * first, 2.9 * first][:bodies]
@@ -52,20 +54,20 @@ def draw_pair(seed: int, number: int, kind: str) -> rig.Scene:
             *({"name": f"a{body}", "at": f"body {body}", **sensor} for body in (1, 2)),
             {"name": "force", "at": "shaker"},
         ],
-        "converter": {"rate": more.one([1024.0, 2048.0]), "bits": 24, "range": 10.0},
+        "converter": {"rate": other_dice.one([1024.0, 2048.0]), "bits": 24, "range": 10.0},
         "recording": {"display": False},
         "seed": dice.whole(1, 10**6),
     }
-    if more.chance(0.5):
+    if other_dice.chance(0.5):
         settings["converter"] |= {"filter": "delta_sigma"}
     scene = rig.loads(yaml.safe_dump(settings, sort_keys=False), where=settings["name"])
-    return scene if kind == CURVES else instrumented(more, scene)
+    return scene if kind == CURVES else instrumented(other_dice, scene)
 
 
 def exact_curves(scene: rig.Scene, seed: int, number: int) -> list[Response]:
     """Receptances in closed form, with 2 to 6 lines in each half-power bandwidth."""
     dice = Draw(seed, number + 10**6)
-    width = 2.0 * _EXACT[1] * scene.test.from_
+    width = 2.0 * _EXACT_DISTANCE_AND_DAMPING[1] * scene.test.from_
     spacing = width / dice.even(2.0, 6.0)
     frequency = np.arange(scene.test.from_, scene.test.to, spacing)
     values = receptance(scene, frequency)[: dice.whole(1, 2)]
@@ -77,6 +79,6 @@ def _shapes(dice: Draw, bodies: int) -> Array:
     """Draw orthonormal shapes; the first two are of similar size at the driven and measured bodies."""
     while True:
         shapes = np.linalg.qr([[dice.even(-1.0, 1.0) for _ in range(bodies)] for _ in range(bodies)])[0]
-        driven = abs(shapes[:2, :2] * shapes[0, :2])
-        if driven.min() > _LEAST_SHARE * driven.max():
+        contributions = abs(shapes[:2, :2] * shapes[0, :2])
+        if contributions.min() > _MIN_CONTRIBUTION_RATIO * contributions.max():
             return np.asarray(shapes)

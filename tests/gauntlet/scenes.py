@@ -39,14 +39,19 @@ KINDS = (
     "multisine_pairs",
     "stepped_sine_pairs",
 )
-# Time constant of the slowest mode, s: transients must decay within seconds.
-_SLOWEST = 1.6
-# Shares of the scenes with a fault.
-_TIGHT_RANGE, _LOST, _DOUBLE_HIT, _SATURATED = 0.2, 0.15, 0.2, 0.2
-# Share of the inputs that are AC coupled, and their corners, Hz.
-_AC_COUPLED, _AC_CORNERS = 0.4, (0.05, 0.8)
+# Largest time constant of a mode: transients must decay within seconds.
+_MAX_TIME_CONSTANT_S = 1.6
+# Fractions of the scenes with a fault.
+_TIGHT_RANGE_FRACTION = 0.2
+_LOST_BLOCK_FRACTION = 0.15
+_DOUBLE_HIT_FRACTION = 0.2
+_SATURATED_FRACTION = 0.2
+# Fraction of the inputs that are AC coupled, and range of their corner frequencies.
+_AC_COUPLED_FRACTION = 0.4
+_AC_CORNERS_HZ = (0.05, 0.8)
 # Offsets of the seeds of later additions, so that all earlier draws of a scene stay the same.
-_COUPLINGS, INSTRUMENTS = 2_000_000, 3_000_000
+_COUPLING_SEED_OFFSET = 2_000_000
+INSTRUMENTS = 3_000_000
 
 
 class Draw:
@@ -67,8 +72,8 @@ class Draw:
     def one(self, choices: Any) -> Any:
         return choices[self.whole(0, len(choices) - 1)]
 
-    def chance(self, share: float) -> bool:
-        return bool(self._random.random() < share)
+    def chance(self, probability: float) -> bool:
+        return bool(self._random.random() < probability)
 
 
 def draw(seed: int, number: int, kind: str) -> rig.Scene:
@@ -88,20 +93,20 @@ def draw(seed: int, number: int, kind: str) -> rig.Scene:
     if not any("preset" in channel.get("accelerometer", {}) for channel in settings["channels"]):
         # The module feeds the sensors of a data sheet, and couples them accordingly.
         module = "preset" in settings["converter"]
-        settings["converter"] |= coupling(Draw(seed, number + _COUPLINGS), module)
+        settings["converter"] |= coupling(Draw(seed, number + _COUPLING_SEED_OFFSET), module)
     if kind.startswith("imported_"):
         # Real converters have a filter. Importing without one warns that the bounds exclude aliasing.
         settings["converter"] |= {"filter": "delta_sigma"}
         settings["converter"].pop("sampling", None)
     settings["recording"] = {"display": False}
     settings["seed"] = dice.whole(1, 10**6)
-    scene = _ranged(dice, rig.loads(yaml.safe_dump(settings, sort_keys=False), where=settings["name"]))
+    scene = _draw_range(dice, rig.loads(yaml.safe_dump(settings, sort_keys=False), where=settings["name"]))
     # A file of samples does not mark overloads of sensors, and after a filter no clipped peak is flat.
-    return scene if kind.startswith("imported_") else _limited(dice, scene)
+    return scene if kind.startswith("imported_") else _draw_saturation(dice, scene)
 
 
 def structure(dice: Draw) -> tuple[Settings, list[float]]:
-    """A chain of 1 to 6 bodies and its natural frequencies, Hz."""
+    """Draw a chain of 1 to 6 bodies; return it with its natural frequencies, Hz."""
     bodies = dice.whole(1, 6)
     masses = [dice.log(0.3, 3.0) for _ in range(bodies)]
     springs = np.array([dice.log(0.4, 2.5) for _ in range(bodies)])
@@ -111,21 +116,21 @@ def structure(dice: Draw) -> tuple[Settings, list[float]]:
     modes = np.sqrt(np.linalg.eigvalsh(root[:, None] * stiffness * root)) / (2 * np.pi)
     factor = dice.log(8.0, 25.0) / modes[0]
     modes = modes * factor
-    slowest = 1.0 / (2 * np.pi * modes[0] * _SLOWEST)
+    min_damping_ratio = 1.0 / (2 * np.pi * modes[0] * _MAX_TIME_CONSTANT_S)
     damping: Settings
     damping_model = dice.whole(0, 2)
     if damping_model == 0:
-        damping = {"modal": dice.log(max(0.003, slowest), 0.04)}
+        damping = {"modal": dice.log(max(0.003, min_damping_ratio), 0.04)}
     elif damping_model == 1:
-        damping = {"modal": [dice.log(max(0.003, slowest), 0.04) for _ in range(bodies)]}
+        damping = {"modal": [dice.log(max(0.003, min_damping_ratio), 0.04) for _ in range(bodies)]}
     else:
-        # Mass- and stiffness-proportional: `ratio` at the first mode, of which `share` grows with frequency.
-        ratio, share = dice.log(max(0.005, 1.5 * slowest), 0.03), dice.even(0.1, 0.5)
+        # Mass- and stiffness-proportional: `ratio` at the first mode, of which `fraction` grows with frequency.
+        ratio, fraction = dice.log(max(0.005, 1.5 * min_damping_ratio), 0.03), dice.even(0.1, 0.5)
         angular = 2 * np.pi * modes[0]
         damping = {
             "rayleigh": {
-                "alpha": float(2 * ratio * (1 - share) * angular),
-                "beta": float(2 * ratio * share / angular),
+                "alpha": float(2 * ratio * (1 - fraction) * angular),
+                "beta": float(2 * ratio * fraction / angular),
             }
         }
     chain = {
@@ -146,10 +151,14 @@ def _dampers(dice: Draw, bodies: int) -> list[Settings]:
 
 def _shaker(dice: Draw, structure: Settings, bodies: int, kind: str) -> Settings:
     body = dice.whole(1, bodies)
-    chosen = dice.one(["force", "table", "electrodynamic"])
-    if chosen == "force" or kind == "swept_sine_dampers":
+    kind_of_shaker = dice.one(["force", "table", "electrodynamic"])
+    if kind_of_shaker == "force" or kind == "swept_sine_dampers":
         return {"kind": "force", "body": body}
-    return {"kind": chosen, "body": body, "spring": round(structure["springs"][0] * dice.even(0.1, 0.6), 1)}
+    return {
+        "kind": kind_of_shaker,
+        "body": body,
+        "spring": round(structure["springs"][0] * dice.even(0.1, 0.6), 1),
+    }
 
 
 def _test(dice: Draw, test: str, modes: list[float], bodies: int, settings: Settings) -> Settings:
@@ -158,46 +167,46 @@ def _test(dice: Draw, test: str, modes: list[float], bodies: int, settings: Sett
     high = float(f"{max(min(top * dice.even(1.1, 1.5), 8 * low), 1.6 * low):.3g}")
     level = dice.log(0.2, 20.0)
     if test == "impulse":
-        found: Settings = {
+        test_settings: Settings = {
             "kind": "impulse", "body": dice.whole(1, bodies), "peak": dice.log(5.0, 200.0),
             "width": dice.log(2e-3, 8e-3), "repeats": dice.whole(1, 6), "interval": dice.even(2.0, 8.0),
         }  # fmt: skip
-        if dice.chance(_DOUBLE_HIT):
-            found["double_hit"] = {
-                "hits": sorted({dice.whole(1, found["repeats"]) for _ in range(2)}),
+        if dice.chance(_DOUBLE_HIT_FRACTION):
+            test_settings["double_hit"] = {
+                "hits": sorted({dice.whole(1, test_settings["repeats"]) for _ in range(2)}),
                 "after": dice.even(12e-3, 60e-3),
                 "ratio": dice.even(0.15, 0.7),
             }
-        return found
+        return test_settings
     band: Settings = {"from": low, "to": high}
-    closed = settings["shaker"]["kind"] != "force"
+    has_spring = settings["shaker"]["kind"] != "force"
     # The force of a sweep is controlled period by period, which takes ten times as long as everything else.
-    amount: Settings = {"force": level}
-    if (closed and test == "swept_sine") or (
-        closed and test in ("random", "burst_random", "multisine") and dice.chance(0.3)
+    level_settings: Settings = {"force": level}
+    if (has_spring and test == "swept_sine") or (
+        has_spring and test in ("random", "burst_random", "multisine") and dice.chance(0.3)
     ):
-        amount = {"drive": _open_drive(settings, level)}
+        level_settings = {"drive": _open_drive(settings, level)}
     if test in ("random", "burst_random"):
-        found = {"kind": "random", **band, "duration": dice.even(20.0, 60.0), **amount}
+        test_settings = {"kind": "random", **band, "duration": dice.even(20.0, 60.0), **level_settings}
         if test == "burst_random":
-            found["burst"] = dice.even(0.2, 0.7)
-            found["duration"] = dice.even(32.0, 80.0)
-        return found
+            test_settings["burst"] = dice.even(0.2, 0.7)
+            test_settings["duration"] = dice.even(32.0, 80.0)
+        return test_settings
     if test == "multisine":
         period = dice.even(1.0, 4.0)
         return {
             "kind": "multisine", **band, "period": period, "periods": dice.whole(2, 6),
-            "realisations": dice.whole(1, 4), **amount,
+            "realisations": dice.whole(1, 4), **level_settings,
         }  # fmt: skip
     if test == "stepped_sine":
-        found = {"kind": "stepped_sine", **band, "points": dice.whole(6, 14), **amount}
+        test_settings = {"kind": "stepped_sine", **band, "points": dice.whole(6, 14), **level_settings}
         if "dampers" in settings:
-            found["direction"] = dice.one(["up", "down"])
-        return found
+            test_settings["direction"] = dice.one(["up", "down"])
+        return test_settings
     ends = {"from": low, "to": high} if dice.chance(0.7) else {"from": high, "to": low}
     return {
         "kind": "swept_sine", **ends, "duration": dice.even(20.0, 60.0),
-        "spacing": dice.one(["log", "linear"]), **amount,
+        "spacing": dice.one(["log", "linear"]), **level_settings,
     }  # fmt: skip
 
 
@@ -272,12 +281,12 @@ def _force_sensor(dice: Draw, sensors: str) -> Settings:
 
 
 def _converter(dice: Draw, settings: Settings, modes: list[float]) -> Settings:
-    slowest = max(1024.0, 12.0 * modes[-1])
-    converter: Settings = {"rate": round(max(slowest, dice.one([1024.0, 2048.0, 2560.0, 5120.0])), 1)}
+    min_rate = max(1024.0, 12.0 * modes[-1])
+    converter: Settings = {"rate": round(max(min_rate, dice.one([1024.0, 2048.0, 2560.0, 5120.0])), 1)}
     if settings["test"]["kind"] == "impulse":
         converter["rate"] = round(max(converter["rate"], 6.0 / settings["test"]["width"], 2048.0), 1)
-    preset = any("preset" in channel.get("accelerometer", {}) for channel in settings["channels"])
-    if preset or dice.chance(0.3):
+    has_preset = any("preset" in channel.get("accelerometer", {}) for channel in settings["channels"])
+    if has_preset or dice.chance(0.3):
         converter["preset"] = "NI 9234"
         converter["rate"] = max(converter["rate"], 1652.0)
     elif dice.chance(0.5):
@@ -294,7 +303,7 @@ def _converter(dice: Draw, settings: Settings, modes: list[float]) -> Settings:
         converter["skew"] = min(dice.log(1e-6, 1e-4), 0.9 / converter["rate"] / len(settings["channels"]))
     if dice.chance(0.15):
         converter["clock_error"] = dice.even(-5e-5, 5e-5)
-    if dice.chance(_LOST):
+    if dice.chance(_LOST_BLOCK_FRACTION):
         length = 30.0
         converter["dropped_blocks"] = [
             {"at": dice.even(1.0, length), "samples": dice.whole(1, 3000)} for _ in range(dice.whole(1, 3))
@@ -304,9 +313,9 @@ def _converter(dice: Draw, settings: Settings, modes: list[float]) -> Settings:
 
 def coupling(dice: Draw, module: bool) -> Settings:
     """Draw the coupling of all inputs; a module has its own corner frequency."""
-    if not dice.chance(_AC_COUPLED):
+    if not dice.chance(_AC_COUPLED_FRACTION):
         return {"coupling": "DC"}
-    return {"coupling": "AC"} | ({} if module else {"ac_corner": dice.log(*_AC_CORNERS)})
+    return {"coupling": "AC"} | ({} if module else {"ac_corner": dice.log(*_AC_CORNERS_HZ)})
 
 
 def instrumented(dice: Draw, scene: rig.Scene, tolerances: bool = True) -> rig.Scene:
@@ -318,7 +327,7 @@ def instrumented(dice: Draw, scene: rig.Scene, tolerances: bool = True) -> rig.S
     integrated = any(channel.integrator is not None for channel in scene.channels)
     if converter.preset is None and not integrated and dice.chance(0.5):
         # Readings of impacts are much larger than the linear response.
-        largest = max(volts for volts, _ in _largest(scene).values())
+        largest = max(volts for volts, _ in _largest_signals(scene).values())
         volts = float(f"{largest * dice.log(10.0, 50.0):.3g}")
         converter = converter.replace(bits=dice.one([16, 24]), range=volts)
     if dice.chance(0.3):
@@ -332,27 +341,30 @@ def instrumented(dice: Draw, scene: rig.Scene, tolerances: bool = True) -> rig.S
     return scene.replace(converter=converter, channels=tuple(channels))
 
 
-def _ranged(dice: Draw, scene: rig.Scene) -> rig.Scene:
+def _draw_range(dice: Draw, scene: rig.Scene) -> rig.Scene:
     """Draw the range of the converter: mostly with margin, sometimes too small for the test."""
     if "bits" not in scene.converter.model_fields_set and dice.chance(0.3):
         return scene
-    margin = dice.log(0.15, 0.8) if dice.chance(_TIGHT_RANGE) else dice.log(1.5, 50.0)
-    largest = max(volts for volts, _ in _largest(scene).values())
+    margin = dice.log(0.15, 0.8) if dice.chance(_TIGHT_RANGE_FRACTION) else dice.log(1.5, 50.0)
+    largest = max(volts for volts, _ in _largest_signals(scene).values())
     volts = float(f"{max(largest * margin, 1e-6):.3g}")
     return scene.replace(converter=scene.converter.replace(range=volts))
 
 
-def _limited(dice: Draw, scene: rig.Scene) -> rig.Scene:
-    """Give a sensor a limit that the test may reach, sometimes with a slow recovery from overload."""
-    if not dice.chance(_SATURATED):
+def _draw_saturation(dice: Draw, scene: rig.Scene) -> rig.Scene:
+    """Draw a saturation limit that the test may reach, sometimes with a slow recovery from overload."""
+    if not dice.chance(_SATURATED_FRACTION):
         return scene
-    largest, chosen = _largest(scene), dice.one([channel.name for channel in scene.channels])
-    limit = {"saturation": float(f"{largest[chosen][1] * dice.log(0.2, 2.0):.3g}")}
+    largest_signals, channel_name = (
+        _largest_signals(scene),
+        dice.one([channel.name for channel in scene.channels]),
+    )
+    limit = {"saturation": float(f"{largest_signals[channel_name][1] * dice.log(0.2, 2.0):.3g}")}
     channels = []
     for channel in scene.channels:
-        if channel.name == chosen and channel.measures_force:
+        if channel.name == channel_name and channel.measures_force:
             channel = channel.replace(hammer=(channel.hammer or Hammer()).replace(**limit))
-        elif channel.name == chosen:
+        elif channel.name == channel_name:
             if dice.chance(0.3):
                 limit["overload_recovery"] = dice.log(2e-3, 0.2)
             channel = channel.replace(
@@ -362,9 +374,9 @@ def _limited(dice: Draw, scene: rig.Scene) -> rig.Scene:
     return scene.replace(channels=tuple(channels))
 
 
-def _largest(scene: rig.Scene) -> dict[str, tuple[float, float]]:
+def _largest_signals(scene: rig.Scene) -> dict[str, tuple[float, float]]:
     """Estimate the largest voltage of each channel and the largest input of its sensor, without dampers."""
-    test, sweep = scene.test, scene.test.kind in ("sine", "stepped_sine", "swept_sine")
+    test, is_sweep = scene.test, scene.test.kind in ("sine", "stepped_sine", "swept_sine")
     if test.kind == "sine":
         band, level = np.array([test.frequency]), test.force
     elif test.kind == "impulse":
@@ -382,12 +394,13 @@ def _largest(scene: rig.Scene) -> dict[str, tuple[float, float]]:
             motion = abs(response[int(info.at.split()[1]) - 1])
         elif info.at == "table":
             motion = 1.0 / scene.shaker.spring + abs(response[scene.shaker.bodies[0] - 1])
-        read = abs(info.response(band)) * info.sensitivity * (2 * np.pi * band) ** order * motion
-        shaken = motion if info.quantity == "force" else (2 * np.pi * band) ** 2 * motion
+        readings = abs(info.response(band)) * info.sensitivity * (2 * np.pi * band) ** order * motion
+        inputs = motion if info.quantity == "force" else (2 * np.pi * band) ** 2 * motion
         if test.kind == "impulse" and info.quantity != "force":
             # The pulse excites all modes together.
-            read, shaken = 4.0 * test.width * read, 4.0 * test.width * shaken
+            readings, inputs = 4.0 * test.width * readings, 4.0 * test.width * inputs
         largest[info.name] = tuple(
-            float(level * (row.max() if sweep else 3.0 * np.sqrt(np.mean(row**2)))) for row in (read, shaken)
+            float(level * (row.max() if is_sweep else 3.0 * np.sqrt(np.mean(row**2))))
+            for row in (readings, inputs)
         )
     return largest

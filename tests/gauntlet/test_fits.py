@@ -10,6 +10,6 @@ def test_determined_values_of_random_bench_are_right():
     trial = run_trial(1, 12)
     determined = [value for value in trial.values if value.status == "determined"]
     assert len(draw(1, 12).dampers) == 1
-    assert {"frequency", "mass_ratio"} <= {value.what for value in determined}
+    assert {"frequency", "mass_ratio"} <= {value.name for value in determined}
     assert sum(abs(value.error) <= value.bound for value in determined) >= 0.9 * len(determined)
     assert max(abs(value.error) for value in determined) < 0.02

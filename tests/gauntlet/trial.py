@@ -21,18 +21,18 @@ from tests.gauntlet.scenes import draw
 from tests.gauntlet.verdict import Case, Verdict
 
 _FORMATS = (".npz", ".csv")
-_DRAWS = {TONE: draw_cavities, STEPS: draw_cavities, DECAY: draw_decay}
-_DRAWS |= dict.fromkeys((LANDINGS, STEPPED_LANDINGS), draw_landings)
-_DRAWS |= dict.fromkeys((CURVES, MULTISINE, STEPPED), draw_pair)
+_DRAW_FUNCTIONS = {TONE: draw_cavities, STEPS: draw_cavities, DECAY: draw_decay}
+_DRAW_FUNCTIONS |= dict.fromkeys((LANDINGS, STEPPED_LANDINGS), draw_landings)
+_DRAW_FUNCTIONS |= dict.fromkeys((CURVES, MULTISINE, STEPPED), draw_pair)
 
 
 def run_trial(seed: int, number: int, kind: str) -> list[Verdict]:
     """Draw a scene, record its test, and collect the verdicts of all judges."""
-    scene = _DRAWS.get(kind, draw)(seed, number, kind)
+    scene = _DRAW_FUNCTIONS.get(kind, draw)(seed, number, kind)
     if kind == CURVES:
         # Curves in closed form need no recording.
         return [modes.judged(scene, exact_curves(scene, seed, number), kind)]
-    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings(record=True) as caught:
+    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings(record=True) as warnings_:
         warnings.simplefilter("always", daq.RunWarning)
         path = Path(folder) / "gauntlet.mcap"
         try:
@@ -42,16 +42,16 @@ def run_trial(seed: int, number: int, kind: str) -> list[Verdict]:
             if not path.exists():
                 return [Verdict("record", kind, "refused", note=str(error), scene=scene.name)]
         if kind.startswith("imported_"):
-            path = _imported(path, scene, _FORMATS[number % len(_FORMATS)])
+            path = _import_again(path, scene, _FORMATS[number % len(_FORMATS)])
         with daq.open(path) as recording:
-            case = Case(scene, recording, [str(warning.message) for warning in caught])
-            found = [
+            case = Case(scene, recording, [str(warning.message) for warning in warnings_])
+            verdicts = [
                 verdict for name, judge in JUDGES.items() for verdict in _verdicts(name, judge, case, kind)
             ]
-    return [replace(verdict, scene=scene.name) for verdict in found]
+    return [replace(verdict, scene=scene.name) for verdict in verdicts]
 
 
-def _imported(path: Path, scene: rig.Scene, ending: str) -> Path:
+def _import_again(path: Path, scene: rig.Scene, ending: str) -> Path:
     """Export the samples and import them again, as a file of another program without markers."""
     with daq.open(path) as recording:
         export(Slice.of(recording), path.with_suffix(ending))

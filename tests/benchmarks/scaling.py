@@ -1,8 +1,8 @@
-"""Growth of processor time with the size of a test, as exponents: `python -m tests.benchmarks.growth`.
+"""Scaling of processor time with the size of a test, as exponents: `python -m tests.benchmarks.scaling`.
 
-A chain of bodies under a random force is explained, recorded and analysed with more bodies, dampers, channels or
-seconds. An exponent of 1 is a time in proportion; a chain with modal damping has full matrices, whose product with the
-state grows with the square of the bodies.
+A chain of bodies under a random force is explained, recorded and analysed with increasing numbers of bodies, dampers,
+channels or seconds. An exponent of 1 means a proportional time. A chain with modal damping has full matrices, so that
+the time of a matrix-vector product grows with the square of the number of bodies.
 """
 
 from __future__ import annotations
@@ -24,15 +24,11 @@ from tests.benchmarks.engine import engine_period
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-# Bodies, dampers, channels and seconds of the smallest test, and the sizes of each that are measured.
+# Bodies, dampers, channels and seconds of the smallest test.
 SMALLEST = {"bodies": 3, "dampers": 1, "channels": 4, "seconds": 60}
-SIZES = {
-    "bodies": (3, 30, 300),
-    "dampers": (1, 8, 62),
-    "channels": (4, 16, 64),
-    "seconds": (60, 600, 3600),
-}
-# Other values where a size is varied: bodies for all dampers, and few seconds for large systems.
+# Measured values of each quantity.
+SIZES = {"bodies": (3, 30, 300), "dampers": (1, 8, 62), "channels": (4, 16, 64), "seconds": (60, 600, 3600)}
+# Changed values of the other quantities: enough bodies for all dampers, and few seconds for large systems.
 OTHER_VALUES = {
     "bodies": {"seconds": 5},
     "dampers": {"bodies": 64, "seconds": 5},
@@ -41,20 +37,24 @@ OTHER_VALUES = {
 }
 
 
-def chain(bodies: int, dampers: int, spring: float, damping: dict[str, Any], **rest: Any) -> rig.Scene:
+def chain(bodies: int, dampers: int, spring: float, damping: dict[str, Any], **settings: Any) -> rig.Scene:
     """Build a chain of equal bodies with dampers spread over it."""
-    places = np.unique(np.linspace(1, bodies, dampers).round().astype(int)).tolist() if dampers else []
+    bodies_with_dampers = (
+        np.unique(np.linspace(1, bodies, dampers).round().astype(int)).tolist() if dampers else []
+    )
     return rig.Scene.model_validate(
         {
             "name": f"{bodies} bodies, {dampers} dampers",
             "structure": {"masses": [0.7] * bodies, "springs": [spring] * bodies, "damping": damping},
-            "dampers": [{"body": place, "mass_ratio": 0.1, "clearance": "1 mm"} for place in places],
-            **rest,
+            "dampers": [
+                {"body": place, "mass_ratio": 0.1, "clearance": "1 mm"} for place in bodies_with_dampers
+            ],
+            **settings,
         }
     )
 
 
-def under_tone(bodies: int, dampers: int) -> rig.Scene:
+def tone_chain(bodies: int, dampers: int) -> rig.Scene:
     """Build a chain with sparse matrices, driven near a low mode."""
     return chain(
         bodies,
@@ -66,7 +66,7 @@ def under_tone(bodies: int, dampers: int) -> rig.Scene:
     )
 
 
-def under_random_force(bodies: int, dampers: int, channels: int, seconds: float) -> rig.Scene:
+def random_force_chain(bodies: int, dampers: int, channels: int, seconds: float) -> rig.Scene:
     """Build a chain with full matrices, accelerometers spread over it, and a random force at its end."""
     accelerometer = {"sensitivity": "100 mV/g"}
     return chain(
@@ -95,38 +95,38 @@ def measure(scene: rig.Scene, path: Path) -> dict[str, float]:
     }
     times = {}
     for name, call in calls.items():
-        begun = time.process_time()
+        start = time.process_time()
         call()
-        times[name] = time.process_time() - begun
+        times[name] = time.process_time() - start
     return times
 
 
-def engine_growth(over: str, sizes: list[tuple[int, int]], at: int, axes: Axes) -> None:
-    """Print and plot the time per period over a size, and the exponent by least squares of the larger half."""
-    number = np.array([size[at] for size in sizes], dtype=float)
-    times = np.array([engine_period(under_tone(*size), 40, 5) for size in sizes])
+def engine_scaling(quantity: str, sizes: list[tuple[int, int]], size_index: int, axes: Axes) -> None:
+    """Print and plot the time per period over a quantity, and the exponent fitted to the larger half of its values."""
+    values = np.array([size[size_index] for size in sizes], dtype=float)
+    times = np.array([engine_period(tone_chain(*size), 40, 5) for size in sizes])
     for size, seconds in zip(sizes, times, strict=True):
         print(f"  {size[0]:4d} bodies {size[1]:3d} dampers  {seconds * 1e6:9.1f} us a period")
-    half = slice(len(sizes) // 2, None)
-    exponent, level = np.polyfit(np.log(number[half]), np.log(times[half]), 1)
-    print(f"  over {over}: exponent {exponent:.2f}")
-    axes.loglog(number, times * 1e6, "o-", color="black", label="measured")
-    line = np.exp(level) * number[half] ** exponent
-    axes.loglog(number[half], line * 1e6, "--", color="tab:red", label=f"exponent {exponent:.2f}")
-    axes.set(xlabel=f"Number of {over}", ylabel="CPU time a period, \u00b5s")
+    larger_half = slice(len(sizes) // 2, None)
+    exponent, intercept = np.polyfit(np.log(values[larger_half]), np.log(times[larger_half]), 1)
+    print(f"  over {quantity}: exponent {exponent:.2f}")
+    axes.loglog(values, times * 1e6, "o-", color="black", label="measured")
+    line = np.exp(intercept) * values[larger_half] ** exponent
+    axes.loglog(values[larger_half], line * 1e6, "--", color="tab:red", label=f"exponent {exponent:.2f}")
+    axes.set(xlabel=f"Number of {quantity}", ylabel="CPU time a period, \u00b5s")
     axes.grid(True, which="both", alpha=0.3)
     axes.legend()
 
 
-def draw_engine_growth(path: Path) -> None:
-    """Print and draw how the time per period grows with bodies and with dampers."""
+def draw_engine_scaling(path: Path) -> None:
+    """Print and draw the time per period over the numbers of bodies and dampers."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(9.0, 3.8), layout="constrained")
     bodies, dampers = figure.subplots(1, 2)
-    engine_growth("bodies", [(n, 0) for n in (3, 6, 12, 25, 50, 100, 150)], 0, bodies)
+    engine_scaling("bodies", [(n, 0) for n in (3, 6, 12, 25, 50, 100, 150)], 0, bodies)
     bodies.set_title("Chain without dampers")
-    engine_growth("dampers", [(40, n) for n in (1, 2, 4, 6, 8, 12, 20)], 1, dampers)
+    engine_scaling("dampers", [(40, n) for n in (1, 2, 4, 6, 8, 12, 20)], 1, dampers)
     dampers.set_title("Chain of 40 bodies")
     path.parent.mkdir(exist_ok=True)
     figure.savefig(path, dpi=130)
@@ -137,20 +137,20 @@ def main() -> None:
     """Print a row for each size and the exponent between the two largest sizes."""
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        # The first test compiles and imports.
-        measure(under_random_force(3, 1, 4, 5), Path(folder) / "first.mcap")
-        for over, sizes in SIZES.items():
+        # The first test includes compilation and imports.
+        measure(random_force_chain(3, 1, 4, 5), Path(folder) / "first.mcap")
+        for quantity, sizes in SIZES.items():
             rows = []
             for size in sizes:
-                scene = under_random_force(**{**SMALLEST, **OTHER_VALUES[over], over: size})
-                rows.append(measure(scene, Path(folder) / f"{over}-{size}.mcap"))
+                scene = random_force_chain(**{**SMALLEST, **OTHER_VALUES[quantity], quantity: size})
+                rows.append(measure(scene, Path(folder) / f"{quantity}-{size}.mcap"))
                 row = "  ".join(f"{name} {seconds:8.2f} s" for name, seconds in rows[-1].items())
-                print(f"{size:6d} {over:10s}{row}", flush=True)
-            length = np.log(sizes[-1] / sizes[-2])
-            exponents = {name: np.log(rows[-1][name] / rows[-2][name]) / length for name in rows[-1]}
+                print(f"{size:6d} {quantity:10s}{row}", flush=True)
+            log_ratio = np.log(sizes[-1] / sizes[-2])
+            exponents = {name: np.log(rows[-1][name] / rows[-2][name]) / log_ratio for name in rows[-1]}
             print(f"       exponents   {'  '.join(f'{name} {e:10.2f}' for name, e in exponents.items())}")
     print("CPU time of the engine for a period of a tone")
-    draw_engine_growth(Path("recordings/engine-growth.png"))
+    draw_engine_scaling(Path("recordings/engine-growth.png"))
 
 
 if __name__ == "__main__":

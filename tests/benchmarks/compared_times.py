@@ -1,0 +1,198 @@
+"""Processor times of tasks, each next to a reference time: `python -m tests.benchmarks.compared_times FILE.json`.
+
+Times are processor times, including child processes, because wall-clock times on a shared machine depend on its load.
+The reference is the real time of a test, the import of numpy, or the required time of a study. `--quick` omits the
+studies, the compilation of a first run, and the analysis of a long recording.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import analysis
+import daq
+import rig
+from tests.benchmarks.engine import engine_period, tone_of
+
+PLACES = ("body 1", "body 2", "body 3", "table")
+DATA_SHEET_PARTS = {
+    "converter": {"preset": "NI 9234", "rate": "51.2 kHz"},
+    "accelerometer": {"preset": "PCB 352C33"},
+}
+PARTS_WITH_ALL_EFFECTS = {
+    "converter": {
+        **DATA_SHEET_PARTS["converter"], "skew": "1 us", "jitter": "1 ns", "clock_error": "10 ppm", "coupling": "AC",
+        "noise": "50 nV/sqrt(Hz)",
+    },
+    "accelerometer": {
+        **DATA_SHEET_PARTS["accelerometer"], "temperature_drift": "0.05 %/K", "temperature_change": "10 K",
+        "overload_recovery": "10 ms",
+    },
+}  # fmt: skip
+# Required processor times of studies, summed over both cores, s.
+MAX_STUDY_SECONDS = {
+    "rig map fig9 --points 60 --rows 40": 20.0,
+    "rig cost fig9": 20.0,
+    "analysis cost fig9": 20.0,
+    "analysis paper": 180.0,
+}
+
+
+class ComparedTime(NamedTuple):
+    """Name and processor time of a task, and name and time of its reference, s."""
+
+    name: str
+    seconds: float
+    peer: str
+    peer_seconds: float
+
+    def __str__(self) -> str:
+        ratio = self.peer_seconds / self.seconds
+        return (
+            f"{self.name:52s} {self.seconds:10.4g} s   {ratio:8.3g} x {self.peer} ({self.peer_seconds:.3g} s)"
+        )
+
+
+def command_time(*words: str, repeats: int = 1, folder: Path | None = None, **environment: str) -> float:
+    """Return the shortest processor time of a command, s."""
+    times, variables = [], os.environ | environment
+    for _ in range(repeats):
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        subprocess.run([sys.executable, *words], check=True, capture_output=True, cwd=folder, env=variables)
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        times.append(after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime)
+    return min(times)
+
+
+def random_test_at_51_200_hz(parts: dict[str, Any]) -> rig.Scene:
+    """Return the rig with three dampers with 2 ms contact, under random drive, measured with the given parts."""
+    channels = [
+        {"name": at.replace(" ", ""), "at": at, "accelerometer": parts["accelerometer"]} for at in PLACES
+    ]
+    damper = {"mass_ratio": 0.1, "clearance": float("inf"), "contact": {"duration": "2 ms"}}
+    return rig.load("fig8-three-dampers").replace(
+        channels=channels,
+        converter=parts["converter"],
+        dampers=[{"body": body, **damper} for body in (1, 2, 3)],
+        test={"kind": "random", "from": "5 Hz", "to": "100 Hz", "duration": "10 s", "drive": "1 V"},
+        recording={"display": True},
+    )
+
+
+def recording_time(name: str, scene: rig.Scene, folder: Path) -> ComparedTime:
+    """Measure the recording of a test after compilation and import."""
+    shortest, duration = float("inf"), 0.0
+    for number in range(4):
+        path, before = folder / f"{number}.mcap", resource.getrusage(resource.RUSAGE_SELF)
+        daq.record(scene, path)
+        after = resource.getrusage(resource.RUSAGE_SELF)
+        if number:
+            shortest = min(shortest, after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime)
+        with daq.open(path) as recording:
+            duration = recording.samples / recording.rate
+        path.unlink()
+    return ComparedTime(name, shortest, "real time", duration)
+
+
+def command_startups() -> Iterator[ComparedTime]:
+    """Measure the start of commands."""
+    numpy_import = command_time("-c", "import numpy", repeats=5)
+    demo = str(Path("recordings/demo-impulse-no-damper.mcap").absolute())
+    for words in ("rig --help", "rig scenes", f"daq info {demo}", "rig simulate reference-A"):
+        program, *rest = words.split()
+        seconds = command_time("-m", program, *rest, repeats=5)
+        yield ComparedTime(words.replace(demo, "REC"), seconds, "import of numpy", numpy_import)
+
+
+def complete_tests() -> Iterator[ComparedTime]:
+    """Measure complete tests with display."""
+    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        fig8 = rig.load("fig8-three-dampers", {"test.points": 12})
+        for name, scene in (
+            ("Fig 8, three dampers, display", fig8),
+            ("4 x 51.2 kS/s, data sheets, random, display", random_test_at_51_200_hz(DATA_SHEET_PARTS)),
+            (
+                "4 x 51.2 kS/s, every effect, random, display",
+                random_test_at_51_200_hz(PARTS_WITH_ALL_EFFECTS),
+            ),
+        ):
+            yield recording_time(name, scene, Path(folder))
+
+
+def engine_periods() -> Iterator[ComparedTime]:
+    """Measure the engine under a tone."""
+    for case in "ABC":
+        scene = rig.load(f"reference-{case}")
+        period = 2 * math.pi / tone_of(scene)[1].omega
+        yield ComparedTime(f"period of reference-{case}", engine_period(scene), "real time", period)
+
+
+def analyses() -> Iterator[ComparedTime]:
+    """Measure an analysis of ten minutes."""
+    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        scene = random_test_at_51_200_hz(DATA_SHEET_PARTS)
+        test = {"kind": "random", "from": "5 Hz", "to": "100 Hz", "duration": "10 min", "drive": "1 V"}
+        path = daq.record(scene.replace(test=test), Path(folder) / "long.mcap")
+        times = []
+        for _ in range(3):
+            start = time.process_time()
+            with daq.open(path) as recording:
+                analysis.frfs(recording)
+            times.append(time.process_time() - start)
+        yield ComparedTime("FRFs of ten minutes at 4 x 51.2 kS/s", min(times), "required time", 2.0)
+
+
+def studies() -> Iterator[ComparedTime]:
+    """Measure studies that compute many motions."""
+    with tempfile.TemporaryDirectory() as folder:
+        # Run in another folder, because a checkout contains stored results.
+        for words, max_seconds in MAX_STUDY_SECONDS.items():
+            program, *rest = words.split()
+            yield ComparedTime(
+                words, command_time("-m", program, *rest, folder=Path(folder)), "required time", max_seconds
+            )
+
+
+def first_runs() -> Iterator[ComparedTime]:
+    """Measure a first simulation and a first recording, including compilation."""
+    with tempfile.TemporaryDirectory() as folder:
+        sweep = ("fig8-three-dampers", "--set", "test.points=2", "-o", f"{folder}/sweep.mcap")
+        seconds = (
+            command_time("-m", *words, NUMBA_CACHE_DIR=folder)
+            for words in (("rig", "simulate", "reference-A"), ("daq", "record", *sweep))
+        )
+        yield ComparedTime("first rig simulate and daq record", sum(seconds), "required time", 30.0)
+
+
+def main(words: list[str]) -> None:
+    """Print the times, and write them into a JSON file."""
+    os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(Path.cwd()), os.environ.get("PYTHONPATH")]))
+    seconds = {}
+    for part in (
+        command_startups,
+        engine_periods,
+        complete_tests,
+        *(() if "--quick" in words else (analyses, first_runs, studies)),
+    ):
+        for figure in part():
+            print(figure, flush=True)
+            seconds[figure.name] = figure.seconds
+    for path in (word for word in words if word.endswith(".json")):
+        Path(path).write_text(json.dumps(seconds, indent=2) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -5,34 +5,14 @@ import pytest
 
 import rig
 from rig.orbits import event_kinds as kinds
-from rig.orbits.orbit import OrbitFamily
 from rig.orbits.periodic_orbit import set_to_orbit, simulate_cycle, start_propagator
-from rig.orbits.problem import PARAMETERS, OperatingPoint, OrbitProblem, Parameter
+from rig.orbits.problem import OrbitProblem
 from rig.scene.scene import Scene
+from tests.rig.orbits.scenes import finite_contact_scene
 
 
 def fig9(**contact: float) -> Scene:
-    scene = rig.load("fig9")
-    return scene.replace(dampers=[d.replace(contact=contact) for d in scene.dampers])
-
-
-@pytest.mark.parametrize("parameter", PARAMETERS)
-@pytest.mark.parametrize("contact", [{"duration": 4e-3}, {"stiffness": 1e5, "damping": 300.0}])
-def test_finite_contact_jacobian_equals_finite_differences(
-    contact: dict[str, float], parameter: Parameter
-) -> None:
-    scene = fig9(**contact)
-    problem, orbit = OrbitProblem(scene), rig.periodic_orbit(scene, 49.7)
-    setting = OperatingPoint(49.7, problem.level, float(problem.system.clearance[0]), 1.0)
-    family = OrbitFamily(problem, orbit.plan, setting, parameter, orbit.unknowns)
-    x = np.append(orbit.unknowns, getattr(setting, parameter))
-
-    residual, jacobian = family(x)
-
-    assert np.abs(residual).max() < 1e-12
-    for column, unit in enumerate(np.diag(1e-6 * family.scale)):
-        slope = (family(x + unit)[0] - family(x - unit)[0]) / 2e-6
-        np.testing.assert_allclose(jacobian[:, column] * family.scale[column], slope, atol=5e-8)
+    return finite_contact_scene("fig9", contact)
 
 
 def test_finite_contact_sweep_equals_settled_simulation() -> None:

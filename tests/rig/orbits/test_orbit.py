@@ -23,6 +23,7 @@ from rig.single_mode.approximate_response import Approximation, follow_mode
 from rig.single_mode.reduction import SingleMode, single_mode
 from rig.system.open_loop_drive import with_ideal_force
 from rig.system.structural_model import receptance, structure_matrices
+from tests.rig.orbits.scenes import driven_table_scene, finite_contact_scene, scene_with
 
 
 @cache
@@ -35,33 +36,6 @@ def propagator_on_orbit(scene: Scene, orbit: Orbit) -> tuple[Propagator, float]:
     propagator, steps = start_propagator(OrbitProblem(scene), orbit.setting)
     set_to_orbit(propagator, orbit)
     return propagator, steps
-
-
-def scene_with(
-    name: str, force: float, mass_ratio: float, clearance: float, restitution: float = 0.0
-) -> Scene:
-    """Change what the paper's scenes have in common, on a pure force."""
-    scene = with_ideal_force(rig.load(name))
-    changes = {"mass": None, "mass_ratio": mass_ratio, "clearance": clearance, "restitution": restitution}
-    test = {"kind": "stepped_sine", "frequencies": [49.0], "force": force}
-    return scene.replace(dampers=[d.replace(**changes) for d in scene.dampers], test=test)
-
-
-def driven_table_scene() -> Scene:
-    """Drive the table of Fig 9 with a fixed amplitude, through its servo."""
-    return rig.load("fig9").replace(
-        shaker={"kind": "table", "body": 1, "spring": 6600.0},
-        test={"kind": "stepped_sine", "frequencies": [51.0], "drive": 1.0e-3},
-    )
-
-
-def finite_contact_scene(
-    name: str, contact: dict[str, object], only_last: bool = False, **changes: float
-) -> Scene:
-    """A bundled scene with finite-duration contact in all dampers or in the last."""
-    scene = rig.load(name)
-    dampers = [d.replace(contact=contact, **changes) for d in scene.dampers]
-    return scene.replace(dampers=[*scene.dampers[:-1], dampers[-1]] if only_last else dampers)
 
 
 def coupled_scene(coupling: float) -> Scene:
@@ -350,17 +324,16 @@ def test_invalid_frequency_of_an_orbit_is_named() -> None:
         follow_orbits(rig.load("fig9"), "force", (1.0, 2.0))
 
 
-def test_endless_rebounds_are_rejected_with_a_remedy() -> None:
-    scene = rig.load("fig9")
-    bouncy = scene.replace(dampers=[scene.dampers[0].replace(restitution=0.3)])
-
-    with pytest.raises(RunError, match="rebounds infinitely often"):
-        periodic_orbit(bouncy, 49.0)
-
-
-def test_impact_that_kicks_a_neighbour_is_rejected() -> None:
-    with pytest.raises(RunError, match="at the same instant"):
-        periodic_orbit(coupled_scene(0.05), 51.2)
+@pytest.mark.parametrize(
+    ("scene", "frequency", "reason"),
+    [
+        (rig.load("fig9", {"dampers[1].restitution": 0.3}), 49.0, "rebounds infinitely often"),
+        (coupled_scene(0.05), 51.2, "at the same instant"),
+    ],
+)
+def test_motion_without_a_plan_is_rejected(scene: Scene, frequency: float, reason: str) -> None:
+    with pytest.raises(RunError, match=f"{reason}.*Use rig.frequency_response"):
+        periodic_orbit(scene, frequency)
 
 
 def test_far_start_reports_where_the_solution_failed() -> None:

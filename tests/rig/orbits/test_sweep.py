@@ -5,19 +5,8 @@ import pytest
 
 import rig
 from rig.errors import SceneError
-from rig.scene.scene import Scene
 from rig.system.open_loop_drive import with_ideal_force
-
-
-def scene_with(name: str, mass_ratio: float, clearance: float, force: float) -> Scene:
-    scene = with_ideal_force(rig.load(name))
-    dampers = [
-        d.replace(mass=None, mass_ratio=mass_ratio, clearance=clearance, restitution=0.0)
-        for d in scene.dampers
-    ]
-    test = {"kind": "stepped_sine", "frequencies": [49.0], "force": force}
-    return scene.replace(dampers=dampers, test=test)
-
+from tests.rig.orbits.scenes import scene_with
 
 CURVES = [
     ("fig9", 0.06, 0.98e-3, 3.3, np.linspace(48.0, 50.9, 30)),
@@ -31,7 +20,7 @@ CURVES = [
 def test_orbit_sweep_equals_settled_simulation(
     name: str, mass_ratio: float, clearance: float, force: float, frequencies: np.ndarray
 ) -> None:
-    scene = scene_with(name, mass_ratio, clearance, force)
+    scene = scene_with(name, force, mass_ratio, clearance)
 
     orbits = rig.orbit_response(scene, frequencies)
 

@@ -16,6 +16,9 @@ _REPORTED = 0.02
 # Ratio of resolution to half of the half-power bandwidth at which leakage causes this uncertainty.
 _WIDENING_RATIO = float(np.sqrt(_REPORTED / LEAKAGE_FACTOR))
 
+# A larger residual, relative to the peak height, indicates a nonlinear response.
+_NONLINEAR = 0.005
+
 
 def doubts(
     modes: Modes,
@@ -31,10 +34,16 @@ def doubts(
     if modes.model_error:
         stated = any(np.isfinite(curve.error).any() for curve in curves)
         expected = "error bars" if stated else "scatter"
-        yield (
-            f"The response is nonlinear: the best linear fit leaves a residual of {modes.model_error:.0%} of the peak "
-            f"height, more than the {expected}. These modes are the linear equivalent at this force level."
+        found = (
+            f"the best linear fit leaves a residual of {100.0 * modes.model_error:.2g} % of the peak height"
         )
+        if modes.model_error > _NONLINEAR:
+            yield (
+                f"The response is nonlinear: {found}, more than the {expected}. These modes are the linear equivalent "
+                "at this force level."
+            )
+        else:
+            yield f"Small model error: {found}, more than the {expected}. The uncertainties of the modes include it."
     if dropped:
         yield (
             f"Rejected the stable poles at {_listed(np.sort(dropped))} Hz: their damping or height is below the "

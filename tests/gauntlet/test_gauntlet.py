@@ -15,7 +15,7 @@ NUMBERS = {
     "multisine": 0,
     "impulse": 1,
     "stepped_sine": 8,
-    "imported_stepped_sine": 10,
+    "imported_stepped_sine": 14,
     "swept_sine": 0,
     "stepped_sine_dampers": 0,
     "multisine_dampers": 2,

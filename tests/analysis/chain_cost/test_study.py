@@ -141,7 +141,7 @@ def test_reference_follows_the_recorded_drive() -> None:
         ONE_BODY.replace("shaker:", "dampers: [{body: 1, mass_ratio: 10 %, clearance: .inf}]\nshaker:")
     )
     found = chain_study(scene, [24.0])
-    assert "under the drive that the recording notes" in found.reference
+    assert "under the drive stated in the recording" in found.reference
     assert found.quiet.error < 1e-4
 
 

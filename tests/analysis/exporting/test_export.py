@@ -193,7 +193,7 @@ def test_missing_stretch_names_available_range(recording, wanted, message):
         ("a.csv", {"speed": 2.0}, "--speed"),
         ("a.wav", {"speed": 1e9}, "Choose another --speed"),
         ("a.wav", {"speed": 0.0}, "Choose another --speed"),
-        ("missing/a.csv", {}, "no folder"),
+        ("missing/a.csv", {}, "does not exist"),
     ],
 )
 def test_impossible_export_leaves_no_file(recording, tmp_path, name, options, message):

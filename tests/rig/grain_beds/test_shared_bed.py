@@ -105,7 +105,9 @@ def test_two_ranks_run_a_command_once(tmp_path: Path) -> None:
         )
     )
 
-    assert (done.returncode, done.stderr) == (0, "")
+    # On a busy machine, lines of progress appear.
+    reported = [line for line in done.stderr.splitlines() if not line.startswith("running")]
+    assert (done.returncode, reported) == (0, [])
     assert done.stdout.count("work of the drive") == 1
     assert file.is_file()
 

@@ -65,7 +65,7 @@ class Dampers(Result):
             energies = [self.energy.supplied, self.energy.structure, self.energy.dampers, self.energy.bound]
         energies.append(nothing if self.true_impact_energy is None else self.true_impact_energy)
         names = ("supplied_J", "structure_J", "dampers_J", "dampers_bound_J", "true_impacts_J")
-        count, bodies = frequency.size, max(len(self.bodies), 1)
+        count, bodies = frequency.size, len(self.bodies)
         motions = [body[i] for i in range(count) for body in self.bodies]
         # If impacts may have been missed, their number is unknown.
         floor, ceiling = (

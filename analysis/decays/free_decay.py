@@ -34,16 +34,16 @@ if TYPE_CHECKING:
 LOWEST_MODE = 2.0
 HIGHEST_MODE = 200.0
 # Minimum number of samples in a decay.
-_FEWEST = 256
+_MIN_SAMPLES = 256
 # If the last tenth of a record contains more than this share of the energy, and the energy does not fall there, the
 # motion is not a decay.
-_STILL_MUCH = 0.02
+_MAX_FINAL_ENERGY_SHARE = 0.02
 #: Energy levels between which the slope of the initial decay is fitted, dB.
 FIRST_FALL = -1.0, -11.0
 # Relative energy below which only rounding errors remain.
-_LEAST_ENERGY = 1e-30
+_MIN_ENERGY_RATIO = 1e-30
 # If the channel is overloaded for more than this share of a decay, its amplitudes are unusable.
-_MOST_CLIPPED = 0.1
+_MAX_OVERLOADED_SHARE = 0.1
 
 
 @dataclass(frozen=True, repr=False)
@@ -176,7 +176,7 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
     if not names:
         raise RecordingError(f"{rec.path}: no motion channel on a body. Add one to the scene's channels.")
     info = motion_channel(rec, channel if channel is not None else names[-1])
-    before, begin, stop, end = _stretch(rec, info, hit)
+    before, begin, stop, end = _decay_limits(rec, info, hit)
     notes: list[str] = []
     samples = rec.read(info.name, before, end)
     lost = ~np.isfinite(samples)
@@ -196,15 +196,16 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
     first = arrival(info, begin, begin)[0]
     spans = [(m.first_sample, m.end) for m in rec.overloads if m.fields.get("channel") == info.name]
     overloaded = sum(max(min(last + 1, end) - max(start, first), 0) for start, last in spans)
-    clipped = overloaded / max(end - first, 1)
-    if clipped > _MOST_CLIPPED:
+    overloaded_share = overloaded / max(end - first, 1)
+    if overloaded_share > _MAX_OVERLOADED_SHARE:
         raise RecordingError(
-            f"{rec.path}: {info.name} was overloaded for {clipped:.0%} of hit {hit}'s decay. Hit more softly, widen "
-            "the converter's range, or lower the sensitivity in the scene."
+            f"{rec.path}: {info.name} was overloaded for {overloaded_share:.0%} of hit {hit}'s decay. Hit more softly, "
+            "widen the converter's range, or lower the sensitivity in the scene."
         )
-    if clipped:
+    if overloaded_share:
         notes.append(
-            f"{info.name} was overloaded for {clipped:.2%} of the decay; amplitudes at its beginning are too low."
+            f"{info.name} was overloaded for {overloaded_share:.2%} of the decay; amplitudes at its beginning are too "
+            "low."
         )
     most = modes if modes is not None else rec.scene.structure.bodies
     # At least an octave above the highest mode of the scene.
@@ -215,13 +216,13 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
     free = begin - before
     found = spectral_peaks(acceleration[free:], rec.rate, most, lowest, min(highest, high))
     clock = clock_deviation(rec)
-    parts = tuple(
+    decays = tuple(
         modal_decay(acceleration, rec.rate, float(f), band_width(found, i), free, clock=clock)
         for i, f in enumerate(found)
     )
-    if len(parts) < most:
+    if len(decays) < most:
         notes.append(
-            f"Only {len(parts)} of {most} modes have a peak in the decay of {info.name} between {lowest:.3g} and "
+            f"Only {len(decays)} of {most} modes have a peak in the decay of {info.name} between {lowest:.3g} and "
             f"{min(highest, high):.4g} Hz."
         )
     cycle = int(rec.rate / found[0]) if found.size else int(rec.rate / 10.0)
@@ -232,11 +233,11 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
     envelope = abs(scipy.signal.hilbert(np.concatenate([acceleration, acceleration[::-1]])))[free:last]
     where, _ = scipy.signal.find_peaks(abs(shown), distance=max(cycle, 1))
     power = np.cumsum(shown[::-1] ** 2)[::-1]
-    after = _energy_after(shown)
+    after = _energy_after_end(shown)
     energy = np.zeros(shown.size)
     if not np.isinf(after):
         # If the samples end in zeros, the energy is zero there, and its logarithm is undefined.
-        energy = 10.0 * np.log10(np.maximum((power + after) / (power[0] + after), _LEAST_ENERGY))
+        energy = 10.0 * np.log10(np.maximum((power + after) / (power[0] + after), _MIN_ENERGY_RATIO))
     if energy.min() > FIRST_FALL[1]:
         notes.append(
             f"The energy of {info.name}'s motion does not fall by {-FIRST_FALL[1]:.0f} dB within the record, so its "
@@ -252,13 +253,13 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
         peak_time=where / rec.rate,
         peak=abs(shown)[where],
         energy=energy,
-        modes=parts,
+        modes=decays,
         gravity=rec.scene.gravity or STANDARD_GRAVITY,
         warnings=tuple(notes),
     )
 
 
-def _energy_after(shown: Array) -> float:
+def _energy_after_end(shown: Array) -> float:
     """Energy after the end of the record, extrapolated exponentially from its last two tenths.
 
     If the energy does not fall there, it is noise and the result is 0, or infinite if its share is large.
@@ -267,10 +268,10 @@ def _energy_after(shown: Array) -> float:
     before, last = (float(np.sum(each**2)) for each in (shown[-2 * tenth : -tenth], shown[-tenth:]))
     if before > last:
         return last * last / (before - last)
-    return np.inf if last > _STILL_MUCH * float(np.sum(shown**2)) else 0.0
+    return np.inf if last > _MAX_FINAL_ENERGY_SHARE * float(np.sum(shown**2)) else 0.0
 
 
-def _stretch(rec: Recording, info: ChannelInfo, hit: int) -> tuple[int, int, int, int]:
+def _decay_limits(rec: Recording, info: ChannelInfo, hit: int) -> tuple[int, int, int, int]:
     """Return the first sample to read, the beginning and end of the decay, and the end of the samples to read."""
     marked = hits(rec)
     if not 1 <= hit <= len(marked):
@@ -283,9 +284,9 @@ def _stretch(rec: Recording, info: ChannelInfo, hit: int) -> tuple[int, int, int
     begin = last + 1
     # Include samples before the hit, so that the band-pass starts with the structure at rest.
     before = max(first - int(0.5 * rec.rate), marked[hit - 2][1] + 1 if hit > 1 else 0, 0)
-    if stop - begin < _FEWEST:
+    if stop - begin < _MIN_SAMPLES:
         raise RecordingError(
-            f"{rec.path}: only {max(stop - begin, 0)} samples follow hit {hit}. Record at least {_FEWEST} after a hit "
-            "(test: interval)."
+            f"{rec.path}: only {max(stop - begin, 0)} samples follow hit {hit}. Record at least {_MIN_SAMPLES} after a "
+            "hit (test: interval)."
         )
     return before, begin, stop, end

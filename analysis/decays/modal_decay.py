@@ -22,18 +22,19 @@ WORST = 0.05
 # Half of the fitted fall, in nepers: the damping ratio at an amplitude is the slope of the envelope while it falls by
 # 6 dB around that amplitude. The amplitudes are 1.5 dB apart.
 _HALF = 3.0 / 20.0 * np.log(10.0)
-# Band-pass and fall average a damping ratio that depends on amplitude. This bias is estimated by repeating the fit
-# with a band-pass whose impulse response is longer, and with a longer fall, by these factors.
-_SMEAR, _FALL = 2.0**0.5, 1.5
+# Band-pass and fall average a damping ratio that depends on amplitude. This bias is estimated by two more fits: with an
+# impulse response of the band-pass that is longer by the first factor, and with a fall longer by the second.
+_SMEAR = 2.0**0.5
+_FALL = 1.5
 # The bias grows with the square of the length of the impulse response for a smooth change, and linearly for a kink.
 # In the linear case the bias is the observed difference times 1 / (sqrt(2) - 1), rounded up.
 _SMEAR_SHARE = 2.5
 # If the fall has a kink in its middle, the error of the slope is this multiple of the rms residual of the parabola.
 _KINK = 8.0
-# A change of damping affects this number of levels on either side.
-_FELT = 2
+# Number of levels on either side that a change of damping affects.
+_AFFECTED_LEVELS = 2
 # Maximum number of envelope points in the fit of one damping ratio.
-_POINTS = 64
+_MAX_POINTS = 64
 
 
 @dataclass(frozen=True, repr=False)
@@ -123,12 +124,12 @@ def spectral_peaks(acceleration: Array, rate: float, most: int, low: float, high
     inside = (frequency >= low) & (frequency <= high)
     level, frequency = level[inside], frequency[inside]
     where, _ = scipy.signal.find_peaks(level, prominence=10.0, height=float(np.median(level)) + 20.0)
-    kept: list[int] = []
+    distinct: list[int] = []
     for peak in where[np.argsort(level[where], kind="stable")[::-1]]:
         # Dampers that come to rest shift the natural frequency. This smears or splits the peak of a single mode.
-        if all(abs(frequency[peak] / frequency[other] - 1.0) > _SAME_MODE for other in kept):
-            kept.append(int(peak))
-    where = np.sort(np.array(kept[:most], dtype=int))
+        if all(abs(frequency[peak] / frequency[other] - 1.0) > _SAME_MODE for other in distinct):
+            distinct.append(int(peak))
+    where = np.sort(np.array(distinct[:most], dtype=int))
     left, mid, right = level[where - 1], level[where], level[where + 1]
     shift = 0.5 * (left - right) / (left - 2.0 * mid + right)
     return frequency[where] + shift * (frequency[1] - frequency[0])
@@ -178,13 +179,14 @@ def modal_decay(
     longer, natural_longer, _ = _damping(analytic[usable], levels, _FALL * _HALF)
     # Subtract the residual that noise alone causes.
     kink = np.sqrt(np.maximum(kink**2 - (_KINK * np.sqrt(1.5) * noise / amplitude / _HALF) ** 2, 0.0))
-    smear = _smear(damping, smeared, longer, kink)
-    error = np.hypot(relative * damping, 0.5 * smear)
+    bias = _bias_bound(damping, smeared, longer, kink)
+    error = np.hypot(relative * damping, 0.5 * bias)
     # Phase and logarithm of the envelope have the same uncertainty, relative to a much larger change of the phase.
-    natural_error = np.hypot(
-        np.hypot(relative * damping, 0.5 * clock) * natural,
-        0.5 * _natural_smear(natural, natural_smeared, natural_longer),
-    )
+    natural_bias = np.full(natural.size, np.nan)
+    # Undetermined if one of the two effects is.
+    if np.isfinite(natural_smeared - natural).any() and np.isfinite(natural_longer - natural).any():
+        natural_bias = _bias_bound(natural, natural_smeared, natural_longer, np.zeros(natural.size))
+    natural_error = np.hypot(np.hypot(relative * damping, 0.5 * clock) * natural, 0.5 * natural_bias)
     good = np.ones(levels.size, dtype=bool)
     if amplitudes is None:
         good = np.isfinite(damping) & (damping > 0) & (relative < WORST)
@@ -198,7 +200,7 @@ def modal_decay(
         best = float(natural[k]), float(natural_error[k])
     return ModalDecay(
         *best, frequency, time[begin:], envelope[begin:], noise,
-        amplitude[good], damping[good], error[good], smear[good], natural, natural_error,
+        amplitude[good], damping[good], error[good], bias[good], natural, natural_error,
     )  # fmt: skip
 
 
@@ -226,11 +228,11 @@ def _noise(analytic: ComplexArray, rate: float, frequency: float, width: float) 
     slow = tail * np.exp(-2j * np.pi * frequency * t)
     weight = abs(slow)
     decay, size = np.polyfit(t, np.log(np.maximum(weight, 1e-300)), 1, w=weight)
-    turn, angle = np.polyfit(t, np.unwrap(np.angle(slow)), 1, w=weight)
-    left = slow - np.exp(decay * t + size + 1j * (turn * t + angle))
+    rotation, angle = np.polyfit(t, np.unwrap(np.angle(slow)), 1, w=weight)
+    residual = slow - np.exp(decay * t + size + 1j * (rotation * t + angle))
     # The fit has four real parameters, that is two complex degrees of freedom.
     independent = max(t[-1] * np.sqrt(np.pi) * width, 3.0)
-    return float(np.sqrt(np.mean(abs(left) ** 2) * independent / (independent - 2.0)))
+    return float(np.sqrt(np.mean(abs(residual) ** 2) * independent / (independent - 2.0)))
 
 
 def _falling(envelope: Array) -> Array:
@@ -256,15 +258,15 @@ def _damping(analytic: ComplexArray, levels: Array, half: float) -> tuple[Array,
         nothing = np.full(levels.size, np.nan)
         return nothing, nothing, np.zeros(levels.size)
     hull = _falling(envelope)
-    upper, lower = _passed(hull, levels + half), _passed(hull, levels - half)
+    upper, lower = _crossings(hull, levels + half), _crossings(hull, levels - half)
     logarithm, phase = np.log(np.maximum(envelope, 1e-300)), np.unwrap(np.angle(analytic))
     place = np.arange(envelope.size)
     turned = np.interp(lower, place, phase) - np.interp(upper, place, phase)
     fits = [_slope(logarithm, a, b, level) for a, b, level in zip(upper, lower, levels, strict=True)]
-    fall, rest = np.array(fits).reshape(-1, 2).T
+    fall, residual = np.array(fits).reshape(-1, 2).T
     with np.errstate(divide="ignore", invalid="ignore"):
         natural = np.hypot(turned / (lower - upper), fall)
-        return np.asarray(fall / natural), natural, _KINK * rest / half
+        return np.asarray(fall / natural), natural, _KINK * residual / half
 
 
 def _slope(logarithm: Array, first: float, last: float, level: float) -> tuple[float, float]:
@@ -274,40 +276,33 @@ def _slope(logarithm: Array, first: float, last: float, level: float) -> tuple[f
     """
     if not (np.isfinite(first) and np.isfinite(last)) or last - first < 4.0:
         return float("nan"), 0.0
-    places = np.arange(round(first), round(last) + 1, max(1, int((last - first) / _POINTS)))
+    places = np.arange(round(first), round(last) + 1, max(1, int((last - first) / _MAX_POINTS)))
     middle, half = 0.5 * (first + last), 0.5 * (last - first)
     along = (places - middle) / half
     bend, slope, value = np.polyfit(along, logarithm[places] - level, 2)
-    rest = logarithm[places] - level - (bend * along**2 + slope * along + value)
+    residual = logarithm[places] - level - (bend * along**2 + slope * along + value)
     # Crossing of the parabola with the level: one Newton step from the crossing of its linear part.
     at = -value / slope if slope < 0 else 0.0
     steep = slope + 2.0 * bend * at
     if steep < 0:
         at -= (value + slope * at + bend * at**2) / steep
     fall = float(-(slope + 2.0 * bend * float(np.clip(at, -0.5, 0.5))) / half)
-    return fall, float(np.sqrt(np.mean(rest**2)))
+    return fall, float(np.sqrt(np.mean(residual**2)))
 
 
-def _smear(damping: Array, smeared: Array, longer: Array, kink: Array) -> Array:
+def _bias_bound(damping: Array, smeared: Array, longer: Array, kink: Array) -> Array:
     """Bias bound of damping ratios, from their change with a longer band-pass response and a longer fall."""
     out = np.nan_to_num(kink * damping)
     for other, share in ((smeared, _SMEAR_SHARE), (longer, 1.0)):
-        off = abs(other - damping)
-        known = np.flatnonzero(np.isfinite(off))
+        difference = abs(other - damping)
+        known = np.flatnonzero(np.isfinite(difference))
         if known.size:
             # The longer fits do not reach the first and last levels; the nearest known difference is used there.
-            out += share * np.interp(np.arange(off.size), known, off[known])
-    return np.asarray(scipy.ndimage.maximum_filter1d(out, 2 * _FELT + 1) if out.size else out)
+            out += share * np.interp(np.arange(difference.size), known, difference[known])
+    return np.asarray(scipy.ndimage.maximum_filter1d(out, 2 * _AFFECTED_LEVELS + 1) if out.size else out)
 
 
-def _natural_smear(natural: Array, smeared: Array, longer: Array) -> Array:
-    """Bias bound of natural frequencies due to band-pass and fall; NaN if one effect is undetermined."""
-    if not (np.isfinite(smeared - natural).any() and np.isfinite(longer - natural).any()):
-        return np.full(natural.size, np.nan)
-    return _smear(natural, smeared, longer, np.zeros(natural.size))
-
-
-def _passed(hull: Array, levels: Array) -> Array:
+def _crossings(hull: Array, levels: Array) -> Array:
     """Interpolated sample index at which a falling curve crosses each level; NaN if it does not."""
     after = hull.size - np.searchsorted(hull[::-1], levels, side="left")
     inside = (after > 0) & (after < hull.size)

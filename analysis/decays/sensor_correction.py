@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft
 
-from rig.arrays import Array
+from rig.arrays import Array, ComplexArray
 from rig.results.response import MOTIONS
 
 if TYPE_CHECKING:
@@ -20,7 +19,8 @@ class CorrectedMotion:
 
     The samples are mirrored at both ends before the Fourier transform, so that the periodic continuation has no step
     between the last sample and the first. If the samples are differentiated, the mirror image is also inverted (odd
-    extension), which removes the kink at the ends. It changes the mean, which differentiation removes.
+    extension), which removes the kink at the ends. This changes the mean value, which differentiation
+    removes.
 
     `samples`, shape (n,): uncorrected samples in the channel's unit, evenly spaced; `low`, `high`: limits of the
     pass band, Hz. The correction is exact inside and fades out over half an octave outside.
@@ -36,9 +36,9 @@ class CorrectedMotion:
         inside = np.flatnonzero(window)
         # The pass band is one contiguous interval of frequencies.
         self._inside = slice(int(inside[0]), int(inside[-1]) + 1) if inside.size else slice(0, 0)
-        self._size, self._angular = size, 2j * np.pi * frequency[self._inside]
+        self._size, self._j_omega = size, 2j * np.pi * frequency[self._inside]
         self._factor = window[self._inside] / info.response(frequency[self._inside])
-        self._spectra: dict[bool, NDArray[np.complex128]] = {}
+        self._spectra: dict[bool, ComplexArray] = {}
 
     def __call__(self, motion: str) -> Array:
         """Return ``"displacement"``, ``"velocity"`` or ``"acceleration"``, shape (n,), in m, m/s or m/s².
@@ -47,22 +47,22 @@ class CorrectedMotion:
         """
         quantity, count = self.info.quantity, self.samples.size
         order = MOTIONS.index(motion) - MOTIONS.index(quantity) if quantity in MOTIONS else 0
-        factor = self._factor if order == 0 else self._factor * self._angular**order
+        factor = self._factor if order == 0 else self._factor * self._j_omega**order
         spectrum = np.zeros(self._size // 2 + 1, dtype=complex)
         spectrum[self._inside] = self._spectrum(order > 0) * factor
         return fft.irfft(spectrum, self._size)[count - 1 : 2 * count - 1]
 
-    def _spectrum(self, upside_down: bool) -> NDArray[np.complex128]:
-        if upside_down not in self._spectra:
+    def _spectrum(self, odd: bool) -> ComplexArray:
+        if odd not in self._spectra:
             samples, fade = self.samples, self._fade
             head, tail = samples[:0:-1], samples[-2::-1]
-            if upside_down:
+            if odd:
                 head, tail = 2.0 * samples[0] - head, 2.0 * samples[-1] - tail
-            longer = np.concatenate([head, samples, tail])
-            longer[: fade.size] *= fade
-            longer[longer.size - fade.size :] *= fade[::-1]
-            self._spectra[upside_down] = fft.rfft(longer, self._size)[self._inside]
-        return self._spectra[upside_down]
+            extended = np.concatenate([head, samples, tail])
+            extended[: fade.size] *= fade
+            extended[extended.size - fade.size :] *= fade[::-1]
+            self._spectra[odd] = fft.rfft(extended, self._size)[self._inside]
+        return self._spectra[odd]
 
 
 def corrected(info: ChannelInfo, samples: Array, motion: str, low: float, high: float) -> Array:
@@ -75,10 +75,10 @@ def _band(frequency: Array, low: float, high: float) -> Array:
     out = np.ones(frequency.size)
     if low > 0:
         below = slice(1, int(np.searchsorted(frequency, low)))
-        octaves = np.clip(np.log2(frequency[below] / low) * 2.0 + 1.0, 0.0, 1.0)
-        out[below] = 0.5 - 0.5 * np.cos(np.pi * octaves)
+        taper = np.clip(np.log2(frequency[below] / low) * 2.0 + 1.0, 0.0, 1.0)
+        out[below] = 0.5 - 0.5 * np.cos(np.pi * taper)
         out[0] = 0.0
     above = slice(int(np.searchsorted(frequency, high)), None)
-    octaves = np.clip(np.log2(np.maximum(frequency[above], 1e-300) / high) * 2.0, 0.0, 1.0)
-    out[above] *= 0.5 + 0.5 * np.cos(np.pi * octaves)
+    taper = np.clip(np.log2(np.maximum(frequency[above], 1e-300) / high) * 2.0, 0.0, 1.0)
+    out[above] *= 0.5 + 0.5 * np.cos(np.pi * taper)
     return out

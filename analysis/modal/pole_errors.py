@@ -22,9 +22,9 @@ _WIDTH_PARTS = (ALIASING, RESOLUTION, MODEL, REFERENCE_NOISE)
 # Systematic parts are evaluated within this number of half-widths around a pole.
 _FLANK_HALF_WIDTHS = 10.0
 # Leakage of a Hann window widens a resonance. The fitted half of the half-power bandwidth is too large by this factor
-# times the squared resolution over the half-width,
+# times the squared resolution over the half-width.
 LEAKAGE_FACTOR = 0.16
-# and by at most this multiple of the resolution.
+# Largest widening by leakage, as a multiple of the resolution.
 _MAX_WIDENING = 0.5
 # Largest frequency error of a peak that is narrower than the resolution, as a multiple of the resolution.
 _MAX_LINE_ERROR = 2.0 / 3.0

@@ -18,9 +18,9 @@ import numpy as np
 from analysis.modal.modes import Modes
 from rig.arrays import ComplexArray
 
-# A further singular value of a residue is significant above this multiple of its standard uncertainty,
+# A further singular value of a residue is significant above this multiple of its standard uncertainty.
 _DETECTION_SIGMAS = 5.0
-# and above this ratio to the largest.
+# Smallest ratio of a significant singular value to the largest; smaller values are errors of the model.
 _MIN_RATIO = 0.02
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Protocol
 from analysis.recordings.names import takes_path
 from analysis.responses.curve_checks import reversed_force
 from analysis.responses.estimators import ESTIMATORS
-from analysis.responses.measurands import input_location, place, required_channels, select_channels
+from analysis.responses.measurands import input_location, location_of, required_channels, select_channels
 from analysis.responses.several_inputs import driven_forces, response_matrix
 from daq.recording.recorded_test import TestKind
 from rig.errors import RecordingError, SceneError
@@ -247,7 +247,8 @@ def frequency_responses(
 def annotate(rec: Recording, curves: Sequence[Response]) -> list[Response]:
     """Add positions to the curves of one sweep, and a warning to all of them if the force has the wrong sign."""
     curves = [
-        curve.placed(place(rec, curve.response), input_location(rec, curve.reference)) for curve in curves
+        curve.placed(location_of(rec, curve.response), input_location(rec, curve.reference))
+        for curve in curves
     ]
     warning = reversed_force(curves)
     return [curve.warn(warning) for curve in curves] if warning else curves

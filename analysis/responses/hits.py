@@ -33,9 +33,9 @@ _MAX_REST_RATIO = 2e-3
 _DETECTION_SIGMAS = 4.0
 # A marker whose largest force is a smaller part of the largest force until the next hit does not mark the hit.
 _MIN_MARKED_RATIO = 0.5
-# A rebound of the hammer has at least this ratio to the first force,
+# Smallest ratio of a rebound of the hammer to the first force.
 _MIN_REBOUND_RATIO = 0.05
-# and at least this multiple of the standard deviation of the noise.
+# Smallest ratio of a rebound to the standard deviation of the noise.
 _REBOUND_SIGMAS = 8.0
 # The usable force spectrum ends where the power is below this ratio to its maximum (-20 dB).
 _MIN_POWER_RATIO = 1e-2
@@ -43,9 +43,9 @@ _MIN_POWER_RATIO = 1e-2
 # Step sizes of coarser converters, in counts, and the ratio of the mean square of the changes that they cause to the
 # mean square of the original rounding (1/12).
 _COARSER = ((2.0, 6.0), (3.0, 8.0))
-# A coarser converter does not resolve a signal of fewer counts,
+# A coarser converter does not resolve a signal of fewer counts, unless it is dithered by noise.
 _MIN_COUNTS = 6.0
-# unless noise of at least half a count leaves at most this part of the rounding error equal in every hit.
+# Noise dithers a signal if at most this part of the rounding error is equal in every hit (half a count of noise).
 _MAX_REPRODUCIBLE = 0.007
 
 

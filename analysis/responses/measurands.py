@@ -56,10 +56,10 @@ def select_channels(rec: Recording, channels: Sequence[str] | str | None) -> lis
     return list(names)
 
 
-def motion_channel_at(rec: Recording, place: str) -> ChannelInfo | None:
+def motion_channel_at(rec: Recording, location: str) -> ChannelInfo | None:
     """Return the first motion channel at a position (``"body 1"``, ``"table"``), or None."""
     return next(
-        (info for info in rec.channels.values() if info.at == place and info.quantity in MOTIONS), None
+        (info for info in rec.channels.values() if info.at == location and info.quantity in MOTIONS), None
     )
 
 
@@ -120,12 +120,12 @@ def reference_of(rec: Recording, reference: str) -> Measurand:
     F1 = k0 (x0 - x1), from the channels on the table and on the driven body.
     """
     if reference == "table":
-        place = rec.scene.at_driven("table")
-        table = motion_channel_at(rec, place)
+        location = rec.scene.at_driven("table")
+        table = motion_channel_at(rec, location)
         if table is None:
             raise RecordingError(
                 f"{rec.path}: no channel on the table ({_places(rec)}). "
-                f"Add {{name: table, at: {place}}} to the scene's channels."
+                f"Add {{name: table, at: {location}}} to the scene's channels."
             )
         return Measurand((table.name,), (1.0,), "displacement")
     if reference != "force":
@@ -166,7 +166,7 @@ def input_location(rec: Recording, reference: str) -> str:
     return " and ".join(label(number) for number in rec.scene.force_on) if reference == "force" else ""
 
 
-def place(rec: Recording, channel: str) -> str:
+def location_of(rec: Recording, channel: str) -> str:
     """Return the name of the body on which a channel is mounted."""
     at = rec.channels[channel].at
     return rec.scene.structure.label(int(at.removeprefix("body "))) if at.startswith("body ") else at

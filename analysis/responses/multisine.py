@@ -39,11 +39,11 @@ LIFTED = (
 )
 # Assumed crest factor of a sum of tones, limited by the sum of their amplitudes.
 _CREST_FACTOR = 4.0
-# Distortion is detected if more than this part of the lines is distorted:
+# Distortion is detected if more than this part of the lines is distorted.
 _MIN_DISTORTED_LINES = 0.2
-# lines at which the realisations scatter by more than this multiple of the noise,
+# Smallest ratio of the scatter of realisations at a distorted line to the noise.
 _NOISE_RATIO = 3.0
-# and by more than this ratio to the mean.
+# Smallest ratio of this scatter to the mean.
 _MEAN_RATIO = 2e-3
 
 

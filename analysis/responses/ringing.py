@@ -20,7 +20,7 @@ _POINTS_ONE_POLE = 3
 _MIN_RESIDUAL_RATIO = 1e-3
 # A pole is resolved if the spacing of points is below this multiple of the distance to it.
 _MAX_SPACING_RATIO = 1.5
-# A resonance at a distance of more half-widths relevant with the tone, which is visible in the window itself.
+# A resonance at a distance of more half-widths beats with the tone, which is visible in the window itself.
 _MAX_HALF_WIDTHS = 4.0
 # A change below this number of standard uncertainties may be noise.
 _NOISE_SIGMAS = 4.0

@@ -25,7 +25,7 @@ from analysis.responses.budget import assemble_budget
 from analysis.responses.estimators import Averages, leakage
 from analysis.responses.local_models.local_rational import local_fit
 from analysis.responses.local_models.local_spectra import SIDE
-from analysis.responses.measurands import Measurand, motion_of, place
+from analysis.responses.measurands import Measurand, location_of, motion_of
 from analysis.responses.multisine import period_spectra
 from analysis.responses.random_errors import MatrixErrors
 from analysis.responses.scatter import moderate
@@ -254,7 +254,7 @@ def _measurands(
 
 
 def _outputs(rec: Recording, names: Sequence[str], motion: str) -> tuple[Point, ...]:
-    return tuple(Point(name, motion, place(rec, name)) for name in names)
+    return tuple(Point(name, motion, location_of(rec, name)) for name in names)
 
 
 def _matrix_budget(

@@ -36,21 +36,21 @@ def test_stepped_sine_gives_frequencies_and_damping(tmp_path):
     np.testing.assert_allclose(modes.collinearity, 1.0, atol=1e-6)
 
 
-def test_table_reference_gives_attached_resonances(tmp_path):
+def test_table_reference_gives_resonances_with_spring(tmp_path):
     with daq.open(synthetic.stepped_sine(tmp_path / "a.mcap", np.linspace(8.0, 60.0, 105))) as rec:
         [curves] = analysis.frequency_responses(rec, reference="table")
         modes = analysis.identify(curves)
     np.testing.assert_allclose(2 * np.pi * modes.frequency, ATTACHED, rtol=1e-5)
 
 
-def limited(curve, limits):
-    """The curve with only these systematic errors."""
+def with_only(curve, limits):
+    """Return the curve with only these systematic errors."""
     return replace(curve, uncertainty=curve.uncertainty.without(*curve.limits).with_limits(limits))
 
 
 @pytest.mark.thorough
-def test_mode_errors_scatter_as_stated(tmp_path):
-    off = []
+def test_mode_errors_agree_with_stated_uncertainty(tmp_path):
+    normalized = []
     for seed in range(6):
         path = synthetic.stepped_sine(
             tmp_path / "a.mcap", np.linspace(8.0, 60.0, 105), noise=3e-6, seed=seed, periods=10
@@ -58,13 +58,13 @@ def test_mode_errors_scatter_as_stated(tmp_path):
         with daq.open(path) as rec:
             [curves] = analysis.frequency_responses(rec)
             # The synthetic data contain no aliased images of the drive.
-            modes = analysis.identify([limited(curve, {}) for curve in curves])
+            modes = analysis.identify([with_only(curve, {}) for curve in curves])
             omega, _ = theory(rec.scene)
-        off.append((modes.frequency - omega / (2 * np.pi)) / modes.frequency_error)
-        off.append((modes.damping - 0.005) / modes.damping_error)
+        normalized.append((modes.frequency - omega / (2 * np.pi)) / modes.frequency_error)
+        normalized.append((modes.damping - 0.005) / modes.damping_error)
         np.testing.assert_allclose(modes.frequency, omega / (2 * np.pi), rtol=2e-4)
         np.testing.assert_allclose(modes.damping, 0.005, rtol=0.02)
-    assert 0.3 < np.std(off) < 2.0
+    assert 0.3 < np.std(normalized) < 2.0
 
 
 def test_few_points_warn_of_uncertain_damping(tmp_path):
@@ -98,18 +98,18 @@ def curves(frequency, value, error):
     ]
 
 
-def two_modes(natural, apart, zeta, lines, noise=0.0, seed=0):
-    """Three responses with two modes, and noise as a share of their largest value."""
+def two_modes(natural, distance, zeta, lines, noise=0.0, seed=0):
+    """Return three responses with two modes, and noise relative to their largest value."""
     random = np.random.default_rng(seed)
     shapes = random.uniform(0.2, 1.0, (3, 2)) * random.choice([-1.0, 1.0], (3, 2))
     frequency = np.linspace(0.7 * natural, 1.4 * natural, lines)
     s = 2j * np.pi * frequency
-    omega = 2 * np.pi * natural * np.array([1.0, 1.0 + apart])
+    omega = 2 * np.pi * natural * np.array([1.0, 1.0 + distance])
     modes = 1.0 / (s**2 + 2.0 * zeta * omega[:, None] * s + omega[:, None] ** 2)
     value = shapes @ modes
     error = noise * abs(value).max() * np.ones(lines)
-    both = random.standard_normal((2, *value.shape))
-    return omega / (2 * np.pi), curves(frequency, value + error * (both[0] + 1j * both[1]), error)
+    parts = random.standard_normal((2, *value.shape))
+    return omega / (2 * np.pi), curves(frequency, value + error * (parts[0] + 1j * parts[1]), error)
 
 
 @pytest.mark.parametrize("zeta", [0.002, 0.01])
@@ -121,7 +121,7 @@ def test_close_modes_without_noise_are_separated(zeta, seed):
     np.testing.assert_allclose(modes.damping, zeta, rtol=1e-4)
 
 
-def test_close_modes_with_noise_stay_within_bounds():
+def test_close_noisy_modes_lie_within_uncertainty():
     natural, frfs = two_modes(30.0, 0.01, 0.005, 250, noise=0.01, seed=3)
     modes = analysis.identify(frfs)
     assert modes.frequency.size == 2
@@ -132,17 +132,19 @@ def test_close_modes_with_noise_stay_within_bounds():
 
 def test_clock_error_limits_frequencies():
     natural, frfs = two_modes(30.0, 0.2, 0.005, 250, noise=1e-6, seed=3)
-    off = 50e-6
+    clock = 50e-6
     modes = analysis.identify(
         [
             replace(
-                frf, uncertainty=replace(frf.uncertainty, clock=off), frequency=frf.frequency / (1.0 + off)
+                frf,
+                uncertainty=replace(frf.uncertainty, clock=clock),
+                frequency=frf.frequency / (1.0 + clock),
             )
             for frf in frfs
         ]
     )
     assert np.all(abs(modes.frequency - natural) < 1.96 * modes.frequency_error)
-    assert modes.frequency_error == pytest.approx(off * natural / 1.96, rel=0.2)
+    assert modes.frequency_error == pytest.approx(clock * natural / 1.96, rel=0.2)
 
 
 def test_modes_below_band_are_not_counted():
@@ -156,8 +158,8 @@ def test_modes_below_band_are_not_counted():
 
 
 @pytest.mark.parametrize(("ratio", "warned"), [(0.33, False), (0.5, True)])
-def test_leakage_warns_of_wrong_damping(ratio, warned):
-    # One mode, as random through Hann windows measures it: smeared by the square of the window's spectrum.
+def test_leakage_warns_of_increased_damping(ratio, warned):
+    # One mode as measured by a random test with Hann windows: widened by the squared spectrum of the window.
     natural, zeta = 30.0, 0.01
     resolution = ratio * zeta * natural
     bins = resolution / 1.5
@@ -179,8 +181,8 @@ def test_leakage_warns_of_wrong_damping(ratio, warned):
 
 
 @pytest.mark.parametrize("windowed", [False, True])
-def test_narrow_foreign_peaks_have_wide_bounds(windowed, tmp_path):
-    # One hit, cut off long before the motion has died away, or random seen through Hann windows.
+def test_narrow_peaks_in_files_have_large_uncertainty(windowed, tmp_path):
+    # One hit whose response is truncated before it has decayed, or a random test with Hann windows.
     random, spacing = np.random.default_rng(5), 0.25
     natural, half = np.array([31.4, 71.23]), np.array([0.04, 0.2]) * spacing
     frequency = spacing * np.arange(60, 400)
@@ -218,7 +220,7 @@ def test_flying_dampers_give_linear_equivalents():
     with daq.open(Path(__file__).parents[3] / "recordings" / "demo-sweep-three-dampers.mcap") as recording:
         frfs = analysis.frfs(recording)
     modes = analysis.identify(frfs)
-    size = max((abs(frf.value) for frf in frfs), key=lambda each: each.max())
+    size = max((abs(frf.value) for frf in frfs), key=lambda magnitude: magnitude.max())
     assert len(modes.frequency) == 3
     # The first peak is the highest.
     top = frfs[0].frequency[size.argmax()]
@@ -226,7 +228,7 @@ def test_flying_dampers_give_linear_equivalents():
     assert "The response is nonlinear" in " ".join(modes.warnings) and modes.model_error > 0.01
 
 
-def test_unbounded_lines_keep_warning_of_misfit():
+def test_unbounded_lines_do_not_hide_nonlinearity():
     with daq.open(Path(__file__).parents[3] / "recordings" / "demo-sweep-three-dampers.mcap") as recording:
         frfs = analysis.frfs(recording)
     open_lines = np.where(abs(frfs[0].frequency - 24.0) < 4.0, np.inf, 0.0)
@@ -238,14 +240,14 @@ def test_unbounded_lines_keep_warning_of_misfit():
     assert np.isfinite(modes.frequency_error).all() and np.isfinite(modes.damping_error).all()
 
 
-def test_spring_force_tolerance_is_in_frequency():
-    # Two sensors that differ by 1 % leave some motion in the force, which appears as a different stiffness.
+def test_spring_force_tolerance_is_in_frequency_uncertainty():
+    # Two sensors that differ by 1 % add some motion to the force, which resembles a different stiffness.
     natural, frfs = two_modes(30.0, 0.2, 0.01, 400, noise=1e-4, seed=4)
     driven = 0.2 * frfs[0].value / abs(frfs[0].value).max()
     values = [frf.value / (1.0 + driven) for frf in frfs]
     modes = analysis.identify(
         [
-            limited(replace(frf, value=value), {SENSITIVITY: abs(driven * value)})
+            with_only(replace(frf, value=value), {SENSITIVITY: abs(driven * value)})
             for frf, value in zip(frfs, values, strict=True)
         ]
     )
@@ -254,8 +256,8 @@ def test_spring_force_tolerance_is_in_frequency():
     assert np.max(abs(modes.frequency / natural - 1.0)) > 1e-4
 
 
-def in_a_gap(lines):
-    """Curves with a peak at 12.85 Hz of a half-power width of 0.3 Hz, measured beside it and at some lines."""
+def peak_in_gap(lines):
+    """Return curves with a peak at 12.85 Hz, half-power bandwidth 0.3 Hz, measured outside it and at some lines."""
     frequency = np.concatenate([np.linspace(8.4, 10.5, 140), lines, np.linspace(14.8, 15.7, 40)])
     s = 2j * np.pi * frequency
     omega = 2 * np.pi * np.array([[12.85], [41.1], [56.9]])
@@ -270,7 +272,7 @@ def in_a_gap(lines):
 
 def test_damping_of_single_line_lies_within_error():
     # The curvature due to distant modes is below the noise of each line, but larger than the effect of damping.
-    modes = analysis.identify(in_a_gap([12.75]))
+    modes = analysis.identify(peak_in_gap([12.75]))
     assert modes.damping == pytest.approx([0.0117], abs=2.0 * modes.damping_error[0])
     assert modes.damping_error[0] < 0.2 * 0.0117
 
@@ -278,45 +280,45 @@ def test_damping_of_single_line_lies_within_error():
 def test_omitted_peak_gives_no_mode():
     # The flanks would determine a single pole with small errors, although there may be two.
     with pytest.raises(RecordingError, match=r"12\.8.* Hz\) only in gaps"):
-        analysis.identify(in_a_gap([]))
+        analysis.identify(peak_in_gap([]))
 
 
-def test_sensor_tolerance_is_in_its_shape(tmp_path):
+def test_sensor_tolerance_is_in_shape_uncertainty(tmp_path):
     with daq.open(synthetic.stepped_sine(tmp_path / "a.mcap", np.linspace(8.0, 60.0, 105))) as rec:
         [curves] = analysis.frequency_responses(rec)
-    poor = limited(curves[1], {SENSITIVITY: 0.2 * abs(curves[1].value)})
+    poor = with_only(curves[1], {SENSITIVITY: 0.2 * abs(curves[1].value)})
     modes = analysis.identify([curves[0], poor, curves[2]])
-    share = modes.shape_error / abs(modes.shapes)
+    relative = modes.shape_error / abs(modes.shapes)
     top = abs(modes.shapes).argmax(axis=0)
     for mode in range(3):
         for response in range(3):
             # If the inaccurate sensor has the largest element, all other elements are scaled by it.
             wide = response != top[mode] and 1 in (response, top[mode])
-            assert (0.09 < share[response, mode] < 0.15) if wide else share[response, mode] < 0.01
+            assert (0.09 < relative[response, mode] < 0.15) if wide else relative[response, mode] < 0.01
 
 
-def test_force_tolerance_is_in_no_shape(tmp_path) -> None:
+def test_force_tolerance_does_not_affect_shapes(tmp_path) -> None:
     with daq.open(synthetic.stepped_sine(tmp_path / "a.mcap", np.linspace(8.0, 60.0, 105))) as rec:
         [curves] = analysis.frequency_responses(rec)
     wide = [
-        replace(limited, uncertainty=replace(limited.uncertainty, scale=0.15))
-        for limited in (curve.with_limits({SENSITIVITY: 0.15 * abs(curve.value)}) for curve in curves)
+        replace(tolerant, uncertainty=replace(tolerant.uncertainty, scale=0.15))
+        for tolerant in (curve.with_limits({SENSITIVITY: 0.15 * abs(curve.value)}) for curve in curves)
     ]
-    known, modes = analysis.identify(curves), analysis.identify(wide)
+    exact, modes = analysis.identify(curves), analysis.identify(wide)
     assert modes.shape_error.max() < 0.01
-    np.testing.assert_allclose(modes.shape_error, known.shape_error, atol=1e-3)
+    np.testing.assert_allclose(modes.shape_error, exact.shape_error, atol=1e-3)
 
 
 @pytest.mark.parametrize(("unsettled", "identified"), [(1.5, False), (0.5, True)])
-def test_bump_within_error_is_no_mode(unsettled, identified):
+def test_peak_within_systematic_error_is_rejected(unsettled, identified):
     frequency = np.linspace(10.0, 60.0, 400)
 
     def peak(natural, zeta, height):
         return height * 2 * zeta * natural**2 / (natural**2 - frequency**2 + 2j * zeta * natural * frequency)
 
     # The pole is visible on the flanks of the peak, but not in its height.
-    off = np.where(abs(frequency - 40.0) < 0.5, unsettled * 0.02, 2e-4)
+    limit = np.where(abs(frequency - 40.0) < 0.5, unsettled * 0.02, 2e-4)
     [curve] = curves(frequency, (peak(20.0, 0.012, 1.0) + peak(40.0, 0.05, 0.02))[None], np.full(400, 1e-5))
-    modes = analysis.identify([limited(curve, {UNSETTLED: off})])
+    modes = analysis.identify([with_only(curve, {UNSETTLED: limit})])
     np.testing.assert_allclose(modes.frequency, [20.0, 40.0] if identified else [20.0], rtol=1e-4)
     assert any("Rejected the stable poles" in text for text in modes.warnings) != identified

@@ -30,14 +30,14 @@ recording: {{display: false}}
 
 
 def coverage(rec, curves, low=3.0, high=60.0):
-    """Share of the lines within their bounds, and the median error over both responses, relative."""
-    inside, wrong = [], []
+    """Return the share of lines within their uncertainties, and the larger median relative error of the responses."""
+    inside, error = [], []
     for body, frf in enumerate(curves):
         frf = frf.between(low, high)
         exact = receptance(rec.scene, frf.frequency)[body]
         inside.append(np.mean(abs(frf.value - exact) <= frf.bound(0.95)))
-        wrong.append(np.median(abs(frf.value / exact - 1)))
-    return np.mean(inside), max(wrong)
+        error.append(np.median(abs(frf.value / exact - 1)))
+    return np.mean(inside), max(error)
 
 
 def test_ringing_between_hits_is_corrected(tmp_path):
@@ -48,20 +48,20 @@ def test_ringing_between_hits_is_corrected(tmp_path):
     np.testing.assert_allclose(modes.damping, 0.005, rtol=0.02)
 
 
-def test_bounds_of_one_hit_hold(tmp_path):
+def test_uncertainty_of_single_hit_contains_truth(tmp_path):
     with daq.open(synthetic.impulses(tmp_path / "a.mcap", hits=1, interval=5.0, noise=1e-4)) as rec:
         [curves] = analysis.frequency_responses(rec)
         exact = receptance(rec.scene, curves[0].frequency)
     f = curves[0].frequency
-    near = (f > 5.0) & (f < 60.0)
+    band = (f > 5.0) & (f < 60.0)
     for body, frf in enumerate(curves):
         # The force is linear between samples, which at 60 Hz is 0.2 % less than the sampled amplitude.
         inside = abs(frf.value - exact[body]) < frf.bound(0.95) + 0.005 * abs(exact[body])
-        assert np.mean(inside[near]) > 0.9
+        assert np.mean(inside[band]) > 0.9
         assert np.isfinite(frf.error).all()
 
 
-def test_rebound_counts_as_measured(tmp_path):
+def test_measured_rebound_causes_no_error(tmp_path):
     with daq.open(synthetic.impulses(tmp_path / "a.mcap", hits=1, interval=8.0, rebound=(1,))) as rec:
         [[frf]] = analysis.frequency_responses(rec, ["body3"])
         exact = receptance(rec.scene, frf.frequency)[2]
@@ -69,21 +69,21 @@ def test_rebound_counts_as_measured(tmp_path):
     np.testing.assert_allclose(frf.value[strong], exact[strong], rtol=0.02)
 
 
-def test_overload_is_cut_out_and_reported(tmp_path):
-    where = {"cutoff": "", "converter": "{rate: 2560 Hz, range: 5 V}"}
-    path = hit(tmp_path / "a.mcap", where, repeats=3)
+def test_overload_is_excluded_and_reported(tmp_path):
+    settings = {"cutoff": "", "converter": "{rate: 2560 Hz, range: 5 V}"}
+    path = hit(tmp_path / "a.mcap", settings, repeats=3)
     with daq.open(path) as rec:
         [clean] = analysis.frequency_responses(rec)
         second = sorted(marker.first_sample for marker in rec.markers if marker.kind == "hit")[1]
         share, _ = coverage(rec, clean)
         rec.markers.append(Marker("overload", second, second + 20, {"channel": "a1"}))
         [cut] = analysis.frequency_responses(rec)
-        cut_share, wrong = coverage(rec, cut)
+        cut_share, error = coverage(rec, cut)
     assert "a1 overloaded" in " ".join(cut[0].warnings) and not clean[0].warnings
-    assert share > 0.9 and cut_share > 0.9 and wrong < 0.01
+    assert share > 0.9 and cut_share > 0.9 and error < 0.01
 
 
-def test_overloaded_channel_leaves_the_others(tmp_path):
+def test_other_channels_remain_after_overload(tmp_path):
     path = hit(tmp_path / "a.mcap", {"cutoff": "", "converter": "{rate: 2560 Hz, range: 5 V}"})
     with daq.open(path) as rec:
         rec.markers.append(Marker("overload", 0, rec.samples - 1, {"channel": "a1"}))
@@ -93,7 +93,7 @@ def test_overloaded_channel_leaves_the_others(tmp_path):
     assert not frf.warnings
 
 
-def test_settling_bias_keeps_bounds(tmp_path):
+def test_settling_bias_is_within_uncertainty(tmp_path):
     scene = rig.loads(
         HIT.format(cutoff="", converter="{preset: NI 9234, rate: 2560 Hz}")
         .replace("sensitivity: 100 mV/g, low_cutoff: 0.3 Hz", "preset: PCB 352C33")
@@ -102,28 +102,28 @@ def test_settling_bias_keeps_bounds(tmp_path):
     with daq.open(daq.record(scene, tmp_path / "a.mcap")) as rec:
         first = next(marker for marker in rec.markers if marker.kind == "hit").first_sample
         [curves] = analysis.frequency_responses(rec)
-        share, wrong = coverage(rec, curves)
+        share, error = coverage(rec, curves)
     assert first > 8.0 * rec.rate
-    assert share > 0.9 and wrong < 0.12
+    assert share > 0.9 and error < 0.12
     assert set(curves[0].limits) >= {SENSITIVITY}
 
 
 @pytest.mark.parametrize(("interval", "reported"), [(6.0, False), (2.0, True)])
-def test_motion_before_hit_is_in_bound(interval, reported, tmp_path):
-    where = {"cutoff": "", "converter": "{rate: 2560 Hz, range: 5 V, remove_delay: true}"}
-    scene = rig.loads(HIT.format(**where).replace("6 s", f"{interval} s"))
+def test_motion_before_hit_is_within_uncertainty(interval, reported, tmp_path):
+    settings = {"cutoff": "", "converter": "{rate: 2560 Hz, range: 5 V, remove_delay: true}"}
+    scene = rig.loads(HIT.format(**settings).replace("6 s", f"{interval} s"))
     with daq.open(daq.record(scene, tmp_path / "a.mcap")) as rec:
-        again = [marker for marker in rec.markers if marker.kind == "hit"][1]
-        rows = {name: rec.read(name, again.first_sample - 125) for name in rec.channels}
+        second = [marker for marker in rec.markers if marker.kind == "hit"][1]
+        rows = {name: rec.read(name, second.first_sample - 125) for name in rec.channels}
     np.savez(tmp_path / "cut.npz", **rows)
     units = {name: Column(name, unit="N" if name == "hammer" else "m/s^2") for name in rows}
-    scene = rig.loads(HIT.format(**where).replace("repeats: 2", "repeats: 1"))
+    scene = rig.loads(HIT.format(**settings).replace("repeats: 2", "repeats: 1"))
     with warnings.catch_warnings(action="ignore"):
         daq.import_files(tmp_path / "cut.npz", scene, tmp_path / "cut.mcap", table=units)
     with daq.open(tmp_path / "cut.mcap") as rec:
         [curves] = analysis.frequency_responses(rec)
-        share, wrong = coverage(rec, curves)
-    assert share > 0.9 and wrong < 0.2
+        share, error = coverage(rec, curves)
+    assert share > 0.9 and error < 0.2
     assert reported == any("before a hit" in text for text in curves[0].warnings)
     np.testing.assert_array_equal(curves[0].frequency, curves[1].frequency)
 
@@ -144,11 +144,11 @@ seed: 2
     with daq.open(daq.record(scene, tmp_path / "a.mcap")) as rec:
         [curves] = analysis.frequency_responses(rec)
         # Far above the resonance at 8 Hz, where displacements are smallest.
-        share, wrong = coverage(rec, curves, 20.0, 230.0)
-    assert share > 0.95 and wrong < 0.05
+        share, error = coverage(rec, curves, 20.0, 230.0)
+    assert share > 0.95 and error < 0.05
 
 
-def test_coarse_channel_leaves_modes_to_others(tmp_path):
+def test_coarse_channel_is_excluded_from_modes(tmp_path):
     scene = rig.loads(HIT.format(cutoff="", converter="{rate: 2 kHz, bits: 12, range: 5 V}"))
     channels = [
         scene.channels[0].model_dump(),
@@ -156,13 +156,13 @@ def test_coarse_channel_leaves_modes_to_others(tmp_path):
     ]
     scene = scene.replace(channels=(*channels, scene.channels[2].model_dump()))
     with daq.open(daq.record(scene, tmp_path / "a.mcap")) as rec:
-        [both] = analysis.frequency_responses(rec)
-    assert [np.isfinite(frf.bound(0.95)).any() for frf in both] == [True, False]
-    modes = analysis.identify(both)
+        [curves] = analysis.frequency_responses(rec)
+    assert [np.isfinite(frf.bound(0.95)).any() for frf in curves] == [True, False]
+    modes = analysis.identify(curves)
     assert modes.responses == ("a1",)
     assert any(note.startswith("a2 was left out") for note in modes.warnings)
     with pytest.raises(RecordingError, match="uncertainty of the responses at a2"):
-        analysis.identify(both[1:])
+        analysis.identify(curves[1:])
 
 
 def test_missing_force_channel_is_explained(tmp_path):
@@ -171,29 +171,29 @@ def test_missing_force_channel_is_explained(tmp_path):
         analysis.frequency_responses(rec)
 
 
-def hit(path, where, repeats=2):
-    """A recording of hits on body 1 with a scene's sensors and converter."""
-    scene = rig.loads(HIT.format(**where).replace("repeats: 2", f"repeats: {repeats}"), where="a test")
+def hit(path, settings, repeats=2):
+    """Record hits on body 1 with the sensors and converter of a scene."""
+    scene = rig.loads(HIT.format(**settings).replace("repeats: 2", f"repeats: {repeats}"), where="a test")
     return daq.record(scene, path)
 
 
-def wrong_by(rec, curves, low, high):
-    """Largest error of magnitude, relative, and of phase, degrees."""
-    worst = []
+def largest_errors(rec, curves, low, high):
+    """Return the largest relative error of magnitude, and the largest error of phase in degrees."""
+    errors = []
     for body, frf in enumerate(curves):
         frf = frf.between(low, high)
         ratio = frf.value / receptance(rec.scene, frf.frequency)[body]
-        worst.append((abs(abs(ratio) - 1.0).max(), abs(np.angle(ratio, deg=True)).max()))
-    return np.max(worst, axis=0)
+        errors.append((abs(abs(ratio) - 1.0).max(), abs(np.angle(ratio, deg=True)).max()))
+    return np.max(errors, axis=0)
 
 
 @pytest.mark.parametrize("rate", ["5120 Hz", "25.6 kHz"])
 def test_force_window_follows_delayed_hit(tmp_path, rate):
-    where = {"cutoff": "", "converter": f"{{rate: {rate}, filter: delta_sigma}}"}
-    with daq.open(hit(tmp_path / "a.mcap", where)) as rec:
+    settings = {"cutoff": "", "converter": f"{{rate: {rate}, filter: delta_sigma}}"}
+    with daq.open(hit(tmp_path / "a.mcap", settings)) as rec:
         assert rec.channels["hammer"].delay > 0
         [curves] = analysis.frequency_responses(rec)
-        magnitude, phase = wrong_by(rec, curves, 2.0, 120.0)
+        magnitude, phase = largest_errors(rec, curves, 2.0, 120.0)
     assert magnitude < 0.005 and phase < 0.5
 
 
@@ -201,13 +201,13 @@ def test_force_window_follows_delayed_hit(tmp_path, rate):
     ("sensor", "converter"), [("0.01 Hz", "0.5 Hz"), ("0.5 Hz", "0.5 Hz"), ("0.05 Hz", "5 Hz")]
 )
 def test_high_passes_keep_receptance_exact(tmp_path, sensor, converter):
-    where = {
+    settings = {
         "cutoff": f", low_cutoff: {sensor}",
         "converter": f"{{rate: 2560 Hz, filter: delta_sigma, coupling: AC, ac_corner: {converter}}}",
     }
-    with daq.open(hit(tmp_path / "a.mcap", where)) as rec:
+    with daq.open(hit(tmp_path / "a.mcap", settings)) as rec:
         [curves] = analysis.frequency_responses(rec)
-        magnitude, phase = wrong_by(rec, curves, 1.0, 120.0)
+        magnitude, phase = largest_errors(rec, curves, 1.0, 120.0)
     assert magnitude < 0.001 and phase < 0.1
 
 
@@ -216,14 +216,14 @@ def test_missed_hit_is_reported(tmp_path):
     force[840:856] = 50.0
     infos = [info for info in synthetic.channels("acceleration") if info.at != "table"]
     infos.append(ChannelInfo("hammer", "hammer", "force", sensitivity=1.0, rate=synthetic.RATE))
-    where = synthetic.scene("{kind: impulse, body: 1, peak: 50 N, width: 6.25 ms}")
+    scene = synthetic.scene("{kind: impulse, body: 1, peak: 50 N, width: 6.25 ms}")
     rows = np.vstack([synthetic.simulate(force), force])
-    path = synthetic.write(tmp_path / "a.mcap", where, infos, rows, [("hit", 640, 655, {})])
+    path = synthetic.write(tmp_path / "a.mcap", scene, infos, rows, [("hit", 640, 655, {})])
     with daq.open(path) as rec, pytest.raises(RecordingError, match="at most 0 N at the marker of the hit"):
         analysis.frequency_responses(rec)
 
 
-def test_hits_beyond_memory_are_left_out(tmp_path, monkeypatch):
+def test_hits_beyond_memory_limit_are_omitted(tmp_path, monkeypatch):
     scene = rig.loads(
         """
         structure: {masses: [1 kg], springs: [30 kN/m], damping: {modal: 1 %}}
@@ -235,16 +235,16 @@ def test_hits_beyond_memory_are_left_out(tmp_path, monkeypatch):
     daq.record(scene, tmp_path / "a.mcap")
     with daq.open(tmp_path / "a.mcap") as recording:
         monkeypatch.setattr("analysis.responses.segment_fits._MAX_VALUES", recording.samples)
-        found = analysis.frfs(recording)["a"]
-    reported = [warning for warning in found.warnings if "hits are used" in warning]
+        frf = analysis.frfs(recording)["a"]
+    reported = [warning for warning in frf.warnings if "hits are used" in warning]
     assert len(reported) == 1
     assert reported[0].startswith("Only 2 of 6 hits")
-    near = (found.frequency > 15.0) & (found.frequency < 60.0)
-    missed = abs(found.value - receptance(scene, found.frequency)[0]) / found.bound()
-    assert (missed[near] < 1.0).mean() > 0.9
+    band = (frf.frequency > 15.0) & (frf.frequency < 60.0)
+    normalized = abs(frf.value - receptance(scene, frf.frequency)[0]) / frf.bound()
+    assert (normalized[band] < 1.0).mean() > 0.9
 
 
-def test_hammer_tolerance_is_in_no_shape(tmp_path):
+def test_hammer_tolerance_does_not_affect_shapes(tmp_path):
     text = HIT.format(cutoff="", converter="{rate: 2560 Hz}").replace(", low_cutoff: 0.3 Hz", "")
     scene = rig.loads(text.replace("hammer: {", "hammer: {sensitivity_tolerance: 15 %, "))
     with daq.open(daq.record(scene, tmp_path / "a.mcap")) as rec:

@@ -20,10 +20,6 @@ RATE, OVER = synthetic.RATE, synthetic.OVERSAMPLED
 RANDOM = "{kind: random, from: 8 Hz, to: 60 Hz, duration: 60 s, force: 1 N}"
 
 
-def inside(frf, exact):
-    return float(np.mean(abs(frf.value - exact) < frf.bound(0.95)))
-
-
 @pytest.fixture(scope="module")
 def random_file(tmp_path_factory):
     force = synthetic.band_noise(90.0, 6.0, 62.0)
@@ -32,11 +28,11 @@ def random_file(tmp_path_factory):
     return synthetic.driven(path, force, RANDOM, marks, noise=0.02)
 
 
-def test_bounds_hold_away_from_unresolved_peaks(random_file):
+def test_uncertainty_holds_away_from_unresolved_peaks(random_file):
     with daq.open(random_file) as rec:
         [curves] = analysis.frequency_responses(rec, block=8.0)
         exact = receptance(rec.scene, curves[0].frequency)
-    # A Hann window wider than the resonance smears it; the resolution of the curve accounts for this.
+    # A Hann window wider than the resonance widens its peak; the resolution of the curve states this.
     f = curves[0].frequency
     away = np.all([abs(f - peak) > 2.0 for peak in (13.04, 34.78, 49.66)], axis=0)
     for body, frf in enumerate(curves):
@@ -133,13 +129,13 @@ def multisine(path, periods=4, realisations=4, noise=0.01, cubic=0.0):
     return synthetic.driven(path, force + cubic * force**3, test, marks, noise=noise)
 
 
-def test_multisine_is_exact_within_bounds(tmp_path):
+def test_multisine_is_exact_within_uncertainty(tmp_path):
     with daq.open(multisine(tmp_path / "a.mcap")) as rec:
         [curves] = analysis.frequency_responses(rec)
         exact = receptance(rec.scene, curves[0].frequency)
         modes = analysis.identify(curves)
-    held = [abs(frf.value - exact[body]) < frf.random_bound(0.95) for body, frf in enumerate(curves)]
-    assert 0.93 < np.mean(held) < 0.99
+    inside = [abs(frf.value - exact[body]) < frf.random_bound(0.95) for body, frf in enumerate(curves)]
+    assert 0.93 < np.mean(inside) < 0.99
     np.testing.assert_allclose(2 * np.pi * modes.frequency, [81.911, 218.512, 312.041], rtol=2e-4)
     np.testing.assert_allclose(modes.damping, 0.005, rtol=0.02)
 
@@ -153,7 +149,7 @@ def test_linear_structure_shows_no_distortion(tmp_path):
     assert 0.7 < total / noise < 1.3
 
 
-def test_flightless_multisine_recommends_steady_tones(tmp_path):
+def test_multisine_without_flight_recommends_steady_tones(tmp_path):
     test = {"kind": "multisine", "from": 30.0, "to": 40.0, "period": 2.0, "realisations": 2, "force": 0.05}
     scene = rig.load("fig8-three-dampers").replace(
         shaker={"kind": "force", "body": 1},
@@ -166,21 +162,21 @@ def test_flightless_multisine_recommends_steady_tones(tmp_path):
     )
     with daq.open(daq.record(scene, tmp_path / "a.mcap")) as rec:
         [curves] = analysis.frequency_responses(rec)
-    [said] = curves[0].warnings
-    force, frequency = re.search(r"of more than (\S+) N at (\S+) Hz lift one", said).groups()
-    at, tone = float(frequency), {"kind": "stepped_sine", "frequencies": [float(frequency)]}
+    [warning] = curves[0].warnings
+    force, frequency = re.search(r"of more than (\S+) N at (\S+) Hz lift one", warning).groups()
+    line, tone = float(frequency), {"kind": "stepped_sine", "frequencies": [float(frequency)]}
     below, above = (scene.replace(test=tone | {"force": share * float(force)}) for share in (0.9, 1.1))
-    assert rig.frequency_response(below, [at]).motion_type[0] == "riding"
-    assert rig.frequency_response(above, [at]).motion_type[0] != "riding"
+    assert rig.frequency_response(below, [line]).motion_type[0] == "riding"
+    assert rig.frequency_response(above, [line]).motion_type[0] != "riding"
 
 
 def sweep(path, duration, spacing="log"):
     rate = RATE * OVER
     time = np.arange(int(duration * rate)) / rate
     if spacing == "log":
-        turns = duration * 8.0 * np.expm1(np.log(7.5) * time / duration) / np.log(7.5)
+        cycles = duration * 8.0 * np.expm1(np.log(7.5) * time / duration) / np.log(7.5)
     else:
-        turns = 8.0 * time + 52.0 * time**2 / 2 / duration
+        cycles = 8.0 * time + 52.0 * time**2 / 2 / duration
     fields = {
         "from": 8.0,
         "to": 60.0,
@@ -193,12 +189,12 @@ def sweep(path, duration, spacing="log"):
     test = (
         f"{{kind: swept_sine, from: 8 Hz, to: 60 Hz, duration: {duration} s, force: 1 N, spacing: {spacing}}}"
     )
-    return synthetic.driven(path, np.sin(2 * np.pi * turns), test, marks, noise=1e-3)
+    return synthetic.driven(path, np.sin(2 * np.pi * cycles), test, marks, noise=1e-3)
 
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("spacing", ["log", "linear"])
-def test_slow_sweep_gives_right_curve(tmp_path, spacing):
+def test_slow_sweep_gives_exact_curve(tmp_path, spacing):
     with daq.open(sweep(tmp_path / "a.mcap", 70.0, spacing)) as rec:
         [curves] = analysis.frequency_responses(rec)
         f = curves[0].frequency
@@ -211,7 +207,7 @@ def test_slow_sweep_gives_right_curve(tmp_path, spacing):
 
 
 @pytest.mark.thorough
-def test_fast_sweep_smears_no_mode(tmp_path):
+def test_fast_sweep_does_not_widen_peaks(tmp_path):
     with daq.open(sweep(tmp_path / "a.mcap", 20.0)) as rec:
         [curves] = analysis.frequency_responses(rec)
         modes = analysis.identify(curves, count=3)
@@ -234,4 +230,4 @@ converter: {{rate: 2560 Hz}}
     with daq.open(daq.record(scene, tmp_path / "a.mcap")) as recording:
         [curve] = analysis.frfs(recording)
     assert (LIFTED in curve.warnings) == lifted
-    assert any("No nonlinear distortion is detected" in said for said in curve.warnings) != lifted
+    assert any("No nonlinear distortion is detected" in warning for warning in curve.warnings) != lifted

@@ -9,58 +9,58 @@ from analysis.responses.local_models import local_rational
 from analysis.responses.local_models.local_rational import Reading, local_fit
 
 BINS = 400
-at = np.arange(BINS) - 200.0
+OFFSET = np.arange(BINS) - 200.0  # distance of each bin from the middle
 
 
 def gaussian(random, *shape):
-    """Complex numbers of unit power."""
+    """Draw complex numbers of unit power."""
     return (random.standard_normal(shape) + 1j * random.standard_normal(shape)) / np.sqrt(2.0)
 
 
 def resonance(width):
-    """Ratio of a linear and a quadratic polynomial, with a peak of 1 in the middle."""
-    return (1.0 + 2e-3 * at) * width**2 / ((at - 0.5j * width) ** 2 - width**2) / (-0.8)
+    """Return a quotient of a linear and a quadratic polynomial, with a peak of 1 in the middle."""
+    return (1.0 + 2e-3 * OFFSET) * width**2 / ((OFFSET - 0.5j * width) ** 2 - width**2) / (-0.8)
 
 
-def quotient_of_what_ends_add(random, segments, width):
-    """Transient (leakage) term of a spectrum: a quadratic polynomial over the same denominator."""
-    powers = (at / 100.0) ** np.arange(3)[:, None]
-    return gaussian(random, segments, 3) @ powers / ((at - 0.5j * width) ** 2 - width**2) * width**2
+def transient(random, segments, width):
+    """Return a transient (leakage) of each segment: a quadratic polynomial over the same denominator."""
+    powers = (OFFSET / 100.0) ** np.arange(3)[:, None]
+    return gaussian(random, segments, 3) @ powers / ((OFFSET - 0.5j * width) ** 2 - width**2) * width**2
 
 
-@pytest.mark.parametrize("ends", ["at rest", "joined", "apart"])
+@pytest.mark.parametrize("ends", ["at rest", "joined", "separate"])
 def test_rational_response_is_exact(ends):
     random = np.random.default_rng(7)
     force, width = gaussian(random, 3, BINS), 20.0
-    response = 1.0 / (1.0 + 0.02j * (at + 230.0))
-    begin = {
+    response = 1.0 / (1.0 + 0.02j * (OFFSET + 230.0))
+    start_phase = {
         "at rest": np.zeros((3, BINS), dtype=complex),
         "joined": np.ones((3, BINS), dtype=complex),
-        "apart": np.exp(-2j * np.pi * np.arange(BINS) * np.array([0.37, 0.21, 0.45])[:, None]),
+        "separate": np.exp(-2j * np.pi * np.arange(BINS) * np.array([0.37, 0.21, 0.45])[:, None]),
     }[ends]
-    spectra = response * force * resonance(width) + quotient_of_what_ends_add(random, 3, width)
-    if ends == "apart":
-        spectra = spectra + begin * quotient_of_what_ends_add(random, 3, width)
+    spectra = response * force * resonance(width) + transient(random, 3, width)
+    if ends == "separate":
+        spectra = spectra + start_phase * transient(random, 3, width)
     lines = np.array([0, 3, 150, 199, 205, 390, 399])
-    fit = local_fit(Reading(spectra, response, np.zeros((0, BINS))), force, begin, lines, 12)
+    fit = local_fit(Reading(spectra, response, np.zeros((0, BINS))), force, start_phase, lines, 12)
     np.testing.assert_allclose(fit.value, resonance(width)[lines], rtol=1e-7)
     assert (np.sqrt(fit.variance) < 1e-7 * abs(fit.value)).all()
     assert (fit.model_error < 1e-6 * abs(fit.value)).all()
     assert fit.coherence == pytest.approx(np.ones(7), abs=1e-9)
 
 
-def test_slow_transient_is_no_response():
+def test_slow_transient_is_separated_from_response():
     random = np.random.default_rng(8)
     force, slow = gaussian(random, 2, BINS), 1.0 / (1j * np.arange(BINS) + 0.4)
     spectra = 2.0 * force + 50.0 * gaussian(random, 2, 1) * slow
     lines = np.arange(1, 40)
     none = np.zeros((2, BINS))
-    told = local_fit(Reading(spectra, np.ones(BINS), slow[None]), force, none, lines, 12)
-    np.testing.assert_allclose(told.value, 2.0, rtol=1e-7)
+    fit = local_fit(Reading(spectra, np.ones(BINS), slow[None]), force, none, lines, 12)
+    np.testing.assert_allclose(fit.value, 2.0, rtol=1e-7)
 
 
 @pytest.mark.parametrize(("side", "noise"), [(6, 0.3), (15, 0.3), (15, 3.0)])
-def test_noise_scatters_as_stated(side, noise):
+def test_scatter_by_noise_equals_stated_variance(side, noise):
     random = np.random.default_rng(9)
     segments, ratios, coherences, degrees = 3, [], [], []
     lines = np.arange(30, 370, 2 * side + 1)
@@ -82,17 +82,17 @@ def test_noise_scatters_as_stated(side, noise):
 
 def test_reference_noise_scatters_at_narrow_peak():
     random = np.random.default_rng(14)
-    noise, middle, off = 0.02, np.array([200]), []
+    noise, middle, squares = 0.02, np.array([200]), []
     for _ in range(60):
         force = gaussian(random, 1, BINS)
         reading = Reading(resonance(1.5) * force, np.ones(BINS), np.zeros((0, BINS)))
         read = force + noise * gaussian(random, 1, BINS)
         fit = local_fit(reading, read, np.zeros((1, BINS)), middle, 12)
-        off.append([abs(fit.value[0] - 1.0) ** 2 / 2.0, fit.variance[0], noise**2 * fit.noise_gain[0]])
-    seen, left_over, stated = np.median(off, axis=0)
-    # The median of half the square is ln 2 of its mean. Poles fit the noise, so that the residual underestimates it.
-    assert stated * np.log(2.0) == pytest.approx(seen, rel=0.5)
-    assert left_over < 0.5 * stated
+        squares.append([abs(fit.value[0] - 1.0) ** 2 / 2.0, fit.variance[0], noise**2 * fit.noise_gain[0]])
+    error, residual, stated = np.median(squares, axis=0)
+    # The median of half the square is ln 2 times its mean. The poles fit the noise, so that the residual is too small.
+    assert stated * np.log(2.0) == pytest.approx(error, rel=0.5)
+    assert residual < 0.5 * stated
 
 
 def test_reference_noise_scatters_in_flat_response():
@@ -107,35 +107,35 @@ def test_reference_noise_scatters_in_flat_response():
     assert np.mean(ratios) == pytest.approx(1.0, rel=0.15)
 
 
-def test_wrong_end_bins_count_in_errors():
+def test_error_in_end_bin_changes_nearby_fits():
     random = np.random.default_rng(17)
     force, none, lines = gaussian(random, 2, BINS), np.zeros((2, BINS)), np.array([3, 200, BINS - 4])
-    for bin_, beside in ((0, [True, False, False]), (BINS - 1, [False, False, True])):
+    for bin_, affected in ((0, [True, False, False]), (BINS - 1, [False, False, True])):
         spectra = 2.0 * force
         spectra[:, bin_] += 1.0
         fit = local_fit(Reading(spectra, np.ones(BINS), np.zeros((0, BINS))), force, none, lines, 12)
-        assert (abs(fit.value - 2.0) > 1e-6).tolist() == beside
+        assert (abs(fit.value - 2.0) > 1e-6).tolist() == affected
 
 
-def test_units_scale_everything():
+def test_results_are_proportional_to_units():
     random = np.random.default_rng(16)
     force, none, lines = gaussian(random, 2, BINS), np.zeros((2, BINS)), np.arange(100, 300, 20)
     spectra = force * resonance(30.0) + 0.01 * gaussian(random, 2, BINS)
 
-    def fitted(of_response, of_force):
-        reading = Reading(of_response * spectra, np.ones(BINS), np.zeros((0, BINS)))
-        return local_fit(reading, of_force * force, none, lines, 12)
+    def fit(response_unit, force_unit):
+        reading = Reading(response_unit * spectra, np.ones(BINS), np.zeros((0, BINS)))
+        return local_fit(reading, force_unit * force, none, lines, 12)
 
-    usual, other = fitted(1.0, 1.0), fitted(3.0, 50.0)
+    usual, other = fit(1.0, 1.0), fit(3.0, 50.0)
     np.testing.assert_allclose(other.value, usual.value * 3.0 / 50.0, rtol=1e-6)
     np.testing.assert_allclose(other.model_error, usual.model_error * 3.0 / 50.0, rtol=1e-5)
     np.testing.assert_allclose(other.variance, usual.variance * (3.0 / 50.0) ** 2, rtol=1e-6)
     np.testing.assert_allclose(other.noise_gain, usual.noise_gain * (3.0 / 50.0**2) ** 2, rtol=1e-6)
-    for each in ("coherence", "degrees", "independent"):
-        np.testing.assert_allclose(getattr(other, each), getattr(usual, each), rtol=1e-6)
+    for name in ("coherence", "degrees", "independent"):
+        np.testing.assert_allclose(getattr(other, name), getattr(usual, name), rtol=1e-6)
 
 
-def test_leading_zeros_reduce_weights():
+def test_zero_padding_increases_the_variance():
     random = np.random.default_rng(10)
     force = gaussian(random, 3, BINS)
     reading = Reading(force + 0.1 * gaussian(random, 3, BINS), np.ones(BINS), np.zeros((0, BINS)))
@@ -152,15 +152,15 @@ def test_leading_zeros_reduce_weights():
 def test_model_error_of_sharp_curve_is_stated():
     random = np.random.default_rng(11)
     # A denominator of second order cannot represent three peaks in one fit.
-    truth = sum(5.0 / (1j * (at - place) + 1.0) for place in (-6.0, 0.0, 6.0))
+    truth = sum(5.0 / (1j * (OFFSET - peak) + 1.0) for peak in (-6.0, 0.0, 6.0))
     force = gaussian(random, 6, BINS)
     reading = Reading(truth * force, np.ones(BINS), np.zeros((0, BINS)))
     lines = np.arange(20, 380)
     fit = local_fit(reading, force, np.zeros((6, BINS)), lines, 12)
-    off = abs(fit.value - truth[lines])
-    beside, far = abs(at[lines]) < 8, abs(at[lines]) > 60
-    scale = np.sqrt(np.mean(off[beside] ** 2))
-    assert 0.3 * scale < np.sqrt(np.mean(fit.model_error[beside] ** 2)) < 3.0 * scale
+    error = abs(fit.value - truth[lines])
+    peaks, far = abs(OFFSET[lines]) < 8, abs(OFFSET[lines]) > 60
+    scale = np.sqrt(np.mean(error[peaks] ** 2))
+    assert 0.3 * scale < np.sqrt(np.mean(fit.model_error[peaks] ** 2)) < 3.0 * scale
     assert fit.model_error[far].max() < 0.01 * scale
 
 
@@ -178,14 +178,14 @@ def test_batch_size_does_not_matter(monkeypatch):
     np.testing.assert_allclose(parts.model_error, whole.model_error, rtol=1e-6)
 
 
-def test_undriven_lines_have_no_value():
+def test_lines_without_excitation_have_no_value():
     random = np.random.default_rng(13)
     reading = Reading(gaussian(random, 2, BINS), np.ones(BINS), np.zeros((0, BINS)))
     fit = local_fit(reading, np.zeros((2, BINS), dtype=complex), np.zeros((2, BINS)), np.array([50, 60]), 8)
     assert np.isnan(fit.value).all()
 
 
-def test_bent_reference_keeps_only_its_noise():
+def test_smooth_reference_resembles_a_transient():
     random = np.random.default_rng(21)
     smooth, ends = 1.0 + 2e-3 * np.arange(BINS)[None] ** 1.5, np.ones((1, BINS))
     for noise in (1e-3, 1e-1):
@@ -193,8 +193,8 @@ def test_bent_reference_keeps_only_its_noise():
         reading = Reading(2.0 * smooth * (1.0 + 0j), np.ones(BINS), np.zeros((0, BINS)))
         fit = local_fit(reading, read, ends, np.arange(100, 300, 10), 12)
         assert np.median(fit.independent) < 2.0 * noise**2
-        # If only noise distinguishes the reference from a smooth curve, the estimate tends to zero unnoticed.
+        # If only noise distinguishes the reference from a smooth curve, the estimate tends to zero.
         assert np.median(abs(fit.value)) < 0.2
-    plain = gaussian(random, 1, BINS)
-    reading = Reading(2.0 * plain, np.ones(BINS), np.zeros((0, BINS)))
-    assert np.median(local_fit(reading, plain, ends, np.arange(100, 300, 10), 12).independent) > 0.5
+    noise_reference = gaussian(random, 1, BINS)
+    reading = Reading(2.0 * noise_reference, np.ones(BINS), np.zeros((0, BINS)))
+    assert np.median(local_fit(reading, noise_reference, ends, np.arange(100, 300, 10), 12).independent) > 0.5

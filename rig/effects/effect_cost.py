@@ -1,4 +1,4 @@
-"""CPU time of effects: a scene is built up from its bare structure, one effect at a time, and measured."""
+"""CPU time of effects: they are added to the bare structure of a scene one at a time, and measured."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from rig.system.assembly import assemble
 from rig.system.open_loop_drive import drive_per_level, level_of, sampled_drive
 from rig.system.structural_model import structural_model
 
-#: Entry points for costs of packages that build on the rig.
+#: Group of entry points through which other packages add steps.
 GROUP = "shotrig.effect_costs"
 #: Simulated seconds measured separately after one second of warm-up; the shortest CPU time is used.
 SECONDS = 3
@@ -31,7 +31,7 @@ REPEATS = 3
 
 @dataclass(frozen=True)
 class EffectStep:
-    """A scene with some of its effects on, before it is measured."""
+    """A scene with some of its effects, to be measured."""
 
     name: str
     """The effect that this step adds."""
@@ -61,14 +61,14 @@ def effect_costs(scene: Scene, progress: Callable[[str], None] | None = None) ->
     """
     steps: list[EffectStep] = list(motion_steps(scene))
     for point in sorted(entry_points(group=GROUP), key=lambda point: point.name):
-        more = cast(Callable[[Scene], Iterable[EffectStep]], point.load())
-        steps += more(scene)
+        steps_of = cast(Callable[[Scene], Iterable[EffectStep]], point.load())
+        steps += steps_of(scene)
     times = np.full(len(steps), np.inf)
     for repeat in range(REPEATS):
         for k, step in enumerate(steps):
             if progress is not None:
                 progress(f"{step.name} ({repeat + 1} of {REPEATS})")
-            times[k] = min(times[k], measured(step))
+            times[k] = min(times[k], measure_cpu_time(step))
     states = [0, *(step.states for step in steps)]
     totals = [0.0, *times.tolist()]
     return tuple(
@@ -79,29 +79,29 @@ def effect_costs(scene: Scene, progress: Callable[[str], None] | None = None) ->
 
 def text(costs: tuple[EffectCost, ...]) -> str:
     """Format a table of the costs; percentages refer to the CPU time with all effects."""
-    last = costs[-1].total
+    total = costs[-1].total
     width = max(len(cost.name) for cost in costs) + 2
     lines = [f"{'effect':{width}}{'states':>7}{'ms per simulated s':>20}{'added':>9}{'share':>8}"]
     for cost in costs:
         lines.append(
             f"{cost.name:{width}}{cost.states or '-':>7}{1e3 * cost.total:20.3f}{1e3 * cost.added:9.3f}"
-            f"{100 * cost.added / last:7.1f}%"
+            f"{100 * cost.added / total:7.1f}%"
         )
-    lines.append(f"with all effects: {1 / last:.0f} times real time on one core")
+    lines.append(f"with all effects: {1 / total:.0f} times real time on one core")
     return "\n".join(lines)
 
 
-def measured(step: EffectStep) -> float:
+def measure_cpu_time(step: EffectStep) -> float:
     """Return the shortest of several measurements of CPU time per simulated second, s."""
     block = round(step.rate)
     times = []
     with step.start() as advance:
         advance(step.drive[:, :block])
         for second in range(1, SECONDS + 1):
-            part = step.drive[:, second * block : (second + 1) * block]
-            begun = time.process_time()
-            advance(part)
-            times.append(time.process_time() - begun)
+            drive = step.drive[:, second * block : (second + 1) * block]
+            start_s = time.process_time()
+            advance(drive)
+            times.append(time.process_time() - start_s)
     return min(times)
 
 
@@ -126,12 +126,12 @@ def motion_steps(scene: Scene) -> Iterator[EffectStep]:
         "restitution": {"contact": None},
         "finite-duration contact": {},
     }
-    before: tuple[object, ...] = ()
-    for name, off in variants.items():
-        dampers = tuple(damper.replace(**off) for damper in scene.dampers)
-        if dampers != before:
+    previous: tuple[object, ...] = ()
+    for name, without in variants.items():
+        dampers = tuple(damper.replace(**without) for damper in scene.dampers)
+        if dampers != previous:
             yield _step(name, scene.replace(dampers=dampers, **channels))
-        before = dampers
+        previous = dampers
 
 
 def _of_one_shaker(test: Test | None) -> Test | None:

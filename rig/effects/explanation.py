@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 #: Largest number of natural frequencies that are listed.
 _MAX_LISTED = 7
-#: Entry points for effects of packages that build on the rig.
+#: Group of entry points through which other packages add effects.
 GROUP = "shotrig.effects"
 
 
@@ -91,16 +91,16 @@ class Explanation(Result):
     def __str__(self) -> str:
         width = max(len(effect.name) for effect in self.effects) + 2
         # Parts with the same effects, such as the channels of a test, share one list.
-        alike: dict[tuple[str, ...], list[str]] = {}
+        parts_of_rows: dict[tuple[str, ...], list[str]] = {}
         for part, states in self.states.items():
             rows = tuple(
                 f"  {effect.name:{width}}{effect.states or '-':>3}  {effect.detail}".rstrip()
                 for effect in self.effects
                 if effect.part == part
             )
-            alike.setdefault(rows, []).append(f"{part}: {states} state{'' if states == 1 else 's'}")
+            parts_of_rows.setdefault(rows, []).append(f"{part}: {states} state{'' if states == 1 else 's'}")
         lines = [self.title]
-        for rows, parts in alike.items():
+        for rows, parts in parts_of_rows.items():
             lines += ["", *parts, *rows]
         if self.absent:
             lines += ["", f"not in the scene, so not modelled: {', '.join(self.absent)}"]
@@ -134,8 +134,8 @@ def explain(scene: SceneLike) -> Explanation:
         "coil current",
     )
     for point in sorted(entry_points(group=GROUP), key=lambda point: point.name):
-        announce = cast(Callable[[Scene], Iterable[Effect]], point.load())
-        effects += announce(scene)
+        effects_of = cast(Callable[[Scene], Iterable[Effect]], point.load())
+        effects += effects_of(scene)
     return Explanation(scene.name, tuple(effects), tuple(name for name in possible if name not in names))
 
 
@@ -143,26 +143,28 @@ def motion_effects(scene: Scene) -> Iterable[Effect]:
     """List the effects on the motion; their states add up to those of the compiled system."""
     system = assemble(scene)
     bodies = scene.structure.bodies
-    many = "body" if bodies == 1 else "bodies"
-    given = "by matrices" if scene.structure.matrices is not None else "on springs"
-    called = "" if scene.structure.names is None else f" ({', '.join(scene.structure.names[:_MAX_LISTED])})"
-    what = f"{bodies} {many} {given}{called}, {_natural_frequencies(scene)}, {_damping(scene)}"
-    yield Effect("motion", "structure", 2 * bodies, what)
+    noun = "body" if bodies == 1 else "bodies"
+    form = "by matrices" if scene.structure.matrices is not None else "on springs"
+    names = "" if scene.structure.names is None else f" ({', '.join(scene.structure.names[:_MAX_LISTED])})"
+    detail = f"{bodies} {noun} {form}{names}, {_natural_frequencies(scene)}, {_damping(scene)}"
+    yield Effect("motion", "structure", 2 * bodies, detail)
     if system.coupled and system.dampers:
         several = np.unique(system.damper_coordinate).size < system.dampers
-        why = "several dampers in a body" if several else "full mass matrix"
-        yield Effect("motion", "coupled impacts", 0, f"{why}: all contacts of an instant are solved together")
+        reason = "several dampers in a body" if several else "full mass matrix"
+        yield Effect(
+            "motion", "coupled impacts", 0, f"{reason}: all contacts of an instant are solved together"
+        )
     for shaker in scene.shakers:
         yield from _shaker(shaker, scene.structure)
     yield from _dampers(scene, system)
 
 
 def _natural_frequencies(scene: Scene) -> str:
-    """List the natural frequencies of the structure alone, which reveal a wrong unit first."""
-    listed = [f"{frequency:.4g}" for frequency in structural_model(scene).modes.frequency]
-    if len(listed) > _MAX_LISTED:
-        listed = [*listed[: _MAX_LISTED - 1], "...", listed[-1]]
-    return f"{', '.join(listed)} Hz"
+    """List the natural frequencies of the structure alone; a wrong unit shows in them."""
+    texts = [f"{frequency:.4g}" for frequency in structural_model(scene).modes.frequency]
+    if len(texts) > _MAX_LISTED:
+        texts = [*texts[: _MAX_LISTED - 1], "...", texts[-1]]
+    return f"{', '.join(texts)} Hz"
 
 
 def _damping(scene: Scene) -> str:
@@ -170,8 +172,8 @@ def _damping(scene: Scene) -> str:
         case ModalDamping(modal=ratio):
             ratios = ratio if isinstance(ratio, tuple) else (ratio,)
             return f"modal damping {', '.join(f'{100 * r:.3g} %' for r in ratios)}"
-        case RayleighDamping(rayleigh=both):
-            return f"Rayleigh damping {both.alpha:.3g} 1/s, {both.beta:.3g} s"
+        case RayleighDamping(rayleigh=factors):
+            return f"Rayleigh damping {factors.alpha:.3g} 1/s, {factors.beta:.3g} s"
         case Dashpots():
             return "dashpots along the chain"
     matrices = scene.structure.matrices
@@ -204,28 +206,28 @@ def _shaker(shaker: Shaker, structure: Structure) -> Iterable[Effect]:
 
 
 def _dampers(scene: Scene, system: HybridSystem) -> Iterable[Effect]:
-    held = len(scene.dampers) - system.dampers
-    if held:
-        yield Effect("motion", "locked dampers", 0, f"{held}, part of their bodies' masses")
+    locked = len(scene.dampers) - system.dampers
+    if locked:
+        yield Effect("motion", "locked dampers", 0, f"{locked}, part of their bodies' masses")
     if not system.dampers:
         return
     for row, spheres in spheres_of(scene).items():
-        place = scene.structure.label(scene.dampers[row].body)
+        body = scene.structure.label(scene.dampers[row].body)
         yield Effect(
             "motion", "grains", 9 * spheres.count,
-            f"in {place}: {spheres.count} of {1e3 * spheres.settings.diameter:.4g} mm, "
-            f"{1e3 * spheres.mass:.4g} g; place, velocity, spin of each; step of {1e6 * spheres.longest_step():.3g} us",
+            f"in {body}: {spheres.count} of {1e3 * spheres.settings.diameter:.4g} mm, "
+            f"{1e3 * spheres.mass:.4g} g; position, velocity, spin of each; step of {1e6 * spheres.longest_step():.3g} us",
         )  # fmt: skip
-    whole = ~system.grains
-    if not whole.any():
+    one_mass = ~system.grains
+    if not one_mass.any():
         return
-    places = scene.structure.listed(int(row) + 1 for row in system.damper_coordinate[whole])
-    masses = ", ".join(f"{1e3 * mass:.4g} g" for mass in system.damper_mass[whole])
+    bodies = scene.structure.listed(int(row) + 1 for row in system.damper_coordinate[one_mass])
+    masses = ", ".join(f"{1e3 * mass:.4g} g" for mass in system.damper_mass[one_mass])
     yield Effect(
-        "motion", "particle dampers", 2 * int(whole.sum()),
-        f"in {places}: {masses}; height and speed of each while it flies; gravity {system.gravity:.6g} m/s^2",
+        "motion", "particle dampers", 2 * int(one_mass.sum()),
+        f"in {bodies}: {masses}; height and speed of each in flight; gravity {system.gravity:.6g} m/s^2",
     )  # fmt: skip
-    ceilings = np.isfinite(system.clearance) & whole
+    ceilings = np.isfinite(system.clearance) & one_mass
     if ceilings.any():
         heights = ", ".join(f"{1e3 * height:.4g} mm" for height in system.clearance[ceilings])
         yield Effect("motion", "ceilings", 0, f"at {heights}")
@@ -244,8 +246,8 @@ def _walls(system: HybridSystem, structure: Structure) -> Iterable[str]:
             stiffness, damping = system.wall_stiffness[j, wall - 1], system.wall_damping[j, wall - 1]
             duration, restitution = system.duration_and_restitution(int(j), wall)
             texts.append(
-                f"{stiffness:.4g} N/m, {damping:.4g} N s/m (a landing of {1e3 * duration:.4g} ms gives back "
-                f"{100 * restitution:.3g} %)"
+                f"{stiffness:.4g} N/m, {damping:.4g} N s/m (landing of {1e3 * duration:.4g} ms, restitution "
+                f"{restitution:.3g})"
             )
         if not np.isfinite(system.clearance[j]):
             texts = [f"floor {texts[0]}"]

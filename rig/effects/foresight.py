@@ -8,7 +8,7 @@ from typing import cast
 
 from rig.scene.scene import Scene
 
-#: Entry points for predictions about a test.
+#: Group of entry points for predictions about a test.
 GROUP = "shotrig.foresight"
 
 

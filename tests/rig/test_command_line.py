@@ -26,11 +26,11 @@ MODULE = "rig.command_for_the_tests"
 
 @pytest.fixture
 def command(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[Callable[[], object]], int]]:
-    """Run a function as a command in this process; give the exit code."""
+    """Run a function as a command in this process; return the exit code."""
     monkeypatch.setattr(sys, "argv", ["rig", "act"])
     streams = sys.stdout, sys.stderr
 
-    def carry_out(act: Callable[[], object]) -> int:
+    def run_act(act: Callable[[], object]) -> int:
         app = create_application("For the tests.")
         app.command("act")(act)
         app.command("other")(lambda: None)
@@ -41,60 +41,60 @@ def command(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[Callable[[], 
             run_command(MODULE)
         return int(end.value.code or 0)
 
-    yield carry_out
+    yield run_act
     assert (sys.stdout, sys.stderr) == streams
 
 
-def raising(error: BaseException) -> Callable[[], object]:
+def raise_error(error: BaseException) -> Callable[[], object]:
     def act() -> object:
         raise error
 
     return act
 
 
-def caused(error: Exception, cause: BaseException) -> Exception:
+def with_cause(error: Exception, cause: BaseException) -> Exception:
     error.__cause__ = cause
     return error
 
 
 @pytest.mark.parametrize(
-    ("error", "code", "said"),
+    ("error", "code", "message"),
     [
         (SceneError("no such body"), 2, "error: no such body"),
         (RunError("the disk is full"), 1, "error: the disk is full"),
         (KeyboardInterrupt(), 130, "interrupted"),
-        (caused(RuntimeError("Error calling __set_name__"), KeyboardInterrupt()), 130, "interrupted"),
-        (caused(ImportError("initialization failed"), KeyboardInterrupt()), 130, "interrupted"),
-        (caused(TypeError(), caused(ImportError(), KeyboardInterrupt())), 130, "interrupted"),
-        (caused(RunError("the disk is full"), KeyboardInterrupt()), 1, "error: the disk is full"),
+        (with_cause(RuntimeError("Error calling __set_name__"), KeyboardInterrupt()), 130, "interrupted"),
+        (with_cause(ImportError("initialization failed"), KeyboardInterrupt()), 130, "interrupted"),
+        (with_cause(TypeError(), with_cause(ImportError(), KeyboardInterrupt())), 130, "interrupted"),
+        (with_cause(RunError("the disk is full"), KeyboardInterrupt()), 1, "error: the disk is full"),
         (MemoryError(), 1, "not enough memory"),
         (PermissionError(13, "Permission denied", "run.mcap"), 1, "error: run.mcap: Permission denied"),
         (BrokenPipeError(), 0, ""),
         (SystemExit(7), 7, ""),
     ],
 )
-def test_error_ends_a_command_with_one_line(command, capsys, error, code, said):
-    assert command(raising(error)) == code
+def test_error_ends_a_command_with_one_line(command, capsys, error, code, message):
+    assert command(raise_error(error)) == code
     reported = capsys.readouterr().err
-    assert said in reported and reported.count("\n") == bool(said) and "Traceback" not in reported
+    assert message in reported and reported.count("\n") == bool(message) and "Traceback" not in reported
 
 
 def test_interrupt_prints_its_note(command, capsys) -> None:
     interrupt = KeyboardInterrupt()
-    interrupt.add_note("run.npz.kept holds the rest")
-    assert command(raising(interrupt)) == 130
-    assert capsys.readouterr().err == "interrupted\nrun.npz.kept holds the rest\n"
+    interrupt.add_note("run.npz.kept contains the state")
+    assert command(raise_error(interrupt)) == 130
+    assert capsys.readouterr().err == "interrupted\nrun.npz.kept contains the state\n"
 
 
-def test_interrupted_study_says_that_it_goes_on() -> None:
-    with pytest.raises(KeyboardInterrupt) as kept, console.resumable():
+def test_interrupted_study_reports_that_it_can_continue() -> None:
+    with pytest.raises(KeyboardInterrupt) as resumable, console.resumable():
         raise KeyboardInterrupt
-    with pytest.raises(KeyboardInterrupt) as lost, console.resumable(stored=False):
+    with pytest.raises(KeyboardInterrupt) as final, console.resumable(stored=False):
         raise KeyboardInterrupt
-    assert "continues from there" in kept.value.__notes__[0] and not hasattr(lost.value, "__notes__")
+    assert "continues from there" in resumable.value.__notes__[0] and not hasattr(final.value, "__notes__")
 
 
-def test_interrupt_wrapped_by_a_module_interrupts_the_command(command, capsys):
+def test_interrupt_hidden_by_import_error_is_reported(command, capsys):
     def act() -> None:
         with suppress(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
@@ -106,7 +106,7 @@ def test_interrupt_wrapped_by_a_module_interrupts_the_command(command, capsys):
 
 def test_unexpected_error_writes_its_details_to_a_file(command, capsys, monkeypatch, tmp_path):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    assert command(raising(ZeroDivisionError("by \x1b[31m zero"))) == 1
+    assert command(raise_error(ZeroDivisionError("by \x1b[31m zero"))) == 1
     reported = capsys.readouterr().err
     (details,) = tmp_path.iterdir()
     assert (
@@ -147,18 +147,18 @@ def test_control_characters_are_escaped_in_a_terminal(command, capsys):
 
 
 @pytest.mark.parametrize("ending", TERMINATION_SIGNALS)
-def test_signal_to_end_gives_its_exit_code(command, capsys, ending):
+def test_termination_signal_determines_the_exit_code(command, capsys, ending):
     assert command(lambda: os.kill(os.getpid(), ending)) == 128 + ending
     assert capsys.readouterr().err == "interrupted\n"
 
 
-@pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="the system knows no such signal")
-def test_command_outlives_its_closed_terminal(command):
-    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+@pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="this system has no SIGHUP")
+def test_command_continues_after_its_terminal_closes(command):
+    previous = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
         assert command(lambda: os.kill(os.getpid(), signal.SIGHUP)) == 0
     finally:
-        signal.signal(signal.SIGHUP, before)
+        signal.signal(signal.SIGHUP, previous)
 
 
 def test_disk_failure_on_close_is_reported(command, capsys):
@@ -170,18 +170,18 @@ def test_disk_failure_on_close_is_reported(command, capsys):
 
 
 def test_signal_during_cleanup_prints_no_traceback():
-    late = """
+    script = """
 import signal, sys
 from rig import command_line, console
-usual = console.report_activity
-def report_activity(put_back):
-    put_back.callback(signal.raise_signal, signal.SIGINT)
-    usual(put_back)
+original = console.report_activity
+def report_activity(cleanup):
+    cleanup.callback(signal.raise_signal, signal.SIGINT)
+    original(cleanup)
 console.report_activity = report_activity
 sys.argv = ["rig", "scenes"]
 command_line.run_command("rig.cli")
 """
-    done = subprocess.run([sys.executable, "-c", late], capture_output=True, text=True, check=False)
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
     assert done.returncode == -signal.SIGINT and not done.stderr
 
 
@@ -189,13 +189,13 @@ def test_long_silence_prints_a_notice(command, capsys, monkeypatch):
     monkeypatch.setattr(console, "MAX_SILENCE_S", -1.0)
     reported = []
 
-    def wait_for_a_word() -> None:
-        with console.progress("a long test") as tell:
-            tell(0.5, "20 Hz")
+    def wait_for_report() -> None:
+        with console.progress("a long test") as report:
+            report(0.5, "20 Hz")
             while "running for" not in "".join(reported):
                 reported.append(capsys.readouterr().err)
 
-    assert command(wait_for_a_word) == 0
+    assert command(wait_for_report) == 0
     assert "a long test, 50 %, 20 Hz" in "".join(reported)
 
 
@@ -207,17 +207,17 @@ def test_compilation_is_reported_until_it_ends(command, capsys, monkeypatch):
     monkeypatch.setattr(console, "MAX_SILENCE_S", -1.0)
     reported = []
 
-    def wait_for_a_word() -> None:
+    def wait_for_report() -> None:
         with console.user_terminal(), suppress(ValueError), trigger_event("numba:compile"):
             while "s: compiling machine code" not in "".join(reported):
                 reported.append(capsys.readouterr().err)
             raise ValueError
 
-    assert command(wait_for_a_word) == 0
+    assert command(wait_for_report) == 0
     assert "once" in "".join(reported) and not console._Activity.delays
 
 
-def outcome(code: str, **how: object) -> tuple[int, str]:
+def run_rig(code: str, **how: object) -> tuple[int, str]:
     done = subprocess.run(
         [sys.executable, "-m", "rig", *code.split()], stderr=subprocess.PIPE, text=True, **how
     )  # type: ignore[call-overload]
@@ -227,19 +227,19 @@ def outcome(code: str, **how: object) -> tuple[int, str]:
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="a device of Linux")
 def test_full_disk_while_printing_is_reported() -> None:
     with Path("/dev/full").open("w") as full:
-        code, reported = outcome("schema", stdout=full)
+        code, reported = run_rig("schema", stdout=full)
     assert code == 1 and "standard output cannot be written: No space left on device" in reported
 
 
 def test_missing_working_folder_is_reported(tmp_path: Path) -> None:
-    gone = tmp_path / "gone"
-    gone.mkdir()
-    code, reported = outcome("scenes", stdout=subprocess.DEVNULL, cwd=gone, preexec_fn=gone.rmdir)
+    folder = tmp_path / "gone"
+    folder.mkdir()
+    code, reported = run_rig("scenes", stdout=subprocess.DEVNULL, cwd=folder, preexec_fn=folder.rmdir)
     assert code == 1 and "the working folder no longer exists" in reported
 
 
 def test_help_and_version_are_plain_text(command, capsys, monkeypatch) -> None:
-    for word, said in (("--help", "Usage: rig"), ("--version", "shotrig ")):
+    for word, start in (("--help", "Usage: rig"), ("--version", "shotrig ")):
         monkeypatch.setattr(sys, "argv", ["rig", word])
         assert command(lambda: None) == 0
-        assert capsys.readouterr().out.startswith(said)
+        assert capsys.readouterr().out.startswith(start)

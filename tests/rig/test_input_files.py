@@ -1,4 +1,4 @@
-"""Input files are read completely, or rejected at once."""
+"""Input files are read completely, or rejected immediately."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from rig.errors import SceneError
 from rig.input_files import read_file
 
 
-def test_file_is_read_whole_up_to_the_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_file_is_read_up_to_the_size_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "a"
     path.write_bytes(b"12345")
     monkeypatch.setattr(input_files, "MAX_BYTES", 5)
@@ -27,9 +27,7 @@ def test_file_is_read_whole_up_to_the_limit(tmp_path: Path, monkeypatch: pytest.
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="pipes with names")
-def test_pipe_or_device_is_rejected_without_waiting(
-    tmp_path: Path,
-) -> None:
+def test_pipe_or_device_is_rejected_without_waiting(tmp_path: Path) -> None:
     pipe, endless = tmp_path / "pipe.yaml", tmp_path / "zero.yaml"
     os.mkfifo(pipe)
     endless.symlink_to("/dev/zero")

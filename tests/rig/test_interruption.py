@@ -9,7 +9,7 @@ import pytest
 
 from rig.ending_signals import TERMINATION_SIGNALS
 
-# As pip's scripts begin, with a signal when a module is looked for.
+# Like a script of pip, but with a signal at the import of a module.
 COMMAND = """
 import os, sys
 program, moment, number = sys.argv[1:]
@@ -33,7 +33,7 @@ sys.exit(main())
 @pytest.mark.parametrize("program", ["rig", "daq", "analysis"])
 @pytest.mark.parametrize("moment", ["rig.interruption", "signal", "lazy_loader", "rig.command_line", "typer"])
 def test_signal_at_import_ends_without_traceback(program, moment, ending):
-    # -S: nothing else has imported `signal` or `lazy_loader` before; so the path is handed over.
+    # With -S, `signal` and `lazy_loader` are not yet imported; the module search path must be set.
     begin = f"import sys; sys.path[:] = {sys.path!r}\n"
     words = [sys.executable, "-S", "-c", begin + COMMAND, program, moment, str(int(ending))]
     done = subprocess.run(words, capture_output=True, text=True, check=False)

@@ -29,17 +29,17 @@ def test_written_file_is_alone_in_its_folder(tmp_path: Path, overwrite: bool) ->
     assert path.read_text(encoding="utf-8") == "new" and list(tmp_path.iterdir()) == [path]
 
 
-def test_result_is_kept_where_its_name_was_taken(tmp_path: Path) -> None:
-    path, taken = tmp_path / "table.csv", tmp_path / "table-2.csv"
-    taken.write_text("older")
+def test_result_gets_another_name_if_file_exists(tmp_path: Path) -> None:
+    path, existing = tmp_path / "table.csv", tmp_path / "table-2.csv"
+    existing.write_text("older")
     with pytest.raises(SceneError, match=r"table-3\.csv"), atomic_write(path, overwrite=False) as part:
         part.write_text("new")
         path.write_text("another's")
-    contents = {each.name: each.read_text(encoding="utf-8") for each in tmp_path.iterdir()}
+    contents = {file.name: file.read_text(encoding="utf-8") for file in tmp_path.iterdir()}
     assert contents == {"table.csv": "another's", "table-2.csv": "older", "table-3.csv": "new"}
 
 
-def test_result_survives_a_folder_of_its_name(tmp_path: Path) -> None:
+def test_result_gets_another_name_if_folder_exists(tmp_path: Path) -> None:
     path = tmp_path / "table.csv"
     with pytest.raises(RunError, match=r"table-2\.csv"), atomic_write(path, overwrite=True) as part:
         part.write_text("new")
@@ -81,9 +81,7 @@ def test_protected_file_is_not_replaced(tmp_path: Path, kind: str) -> None:
     assert path.exists() == (kind != "nowhere")
 
 
-def test_folder_named_like_a_figure_is_rejected(
-    tmp_path: Path,
-) -> None:
+def test_folder_named_like_a_figure_is_rejected(tmp_path: Path) -> None:
     folder = tmp_path / "two.png"
     with pytest.raises(SceneError, match=r"Give the name of a folder, such as -o .*two\.$"):
         create_folder(folder)

@@ -1,4 +1,4 @@
-"""Outputs are renewed for the same source; files of other origin, or changed files, are not replaced."""
+"""Outputs of the same source are replaced; files of other origin and changed files are protected."""
 
 from __future__ import annotations
 
@@ -22,54 +22,54 @@ TEXTS = {
 }
 
 
-def written(path: Path, content: bytes, source: str = "s") -> None:
+def write_output(path: Path, content: bytes, source: str = "s") -> None:
     with output_source("test", source), atomic_write(path) as part:
         part.write_bytes(content)
 
 
 @pytest.mark.parametrize("ending", TEXTS)
-def test_an_unchanged_output_is_renewed(tmp_path: Path, ending: str) -> None:
+def test_unchanged_output_is_replaced(tmp_path: Path, ending: str) -> None:
     path, text = tmp_path / f"out{ending}", TEXTS[ending].encode()
-    written(path, text)
-    written(path, text.replace(b"a", b"new"))
+    write_output(path, text)
+    write_output(path, text.replace(b"a", b"new"))
     assert b"new" in path.read_bytes()
 
 
 @pytest.mark.parametrize("ending", TEXTS)
-def test_an_edited_output_is_the_users(tmp_path: Path, ending: str) -> None:
+def test_edited_output_is_protected(tmp_path: Path, ending: str) -> None:
     path, text = tmp_path / f"out{ending}", TEXTS[ending].encode()
-    written(path, text)
+    write_output(path, text)
     edited = path.read_bytes().replace(b"a", b"mine", 1)
     path.write_bytes(edited)
     with pytest.raises(SceneError, match="exists and was changed"):
-        written(path, text)
+        write_output(path, text)
     assert path.read_bytes() == edited
 
 
-def test_an_output_from_another_source_stays(tmp_path: Path) -> None:
+def test_output_of_another_source_is_protected(tmp_path: Path) -> None:
     path = tmp_path / "out.csv"
-    written(path, b"a\n1\n", "first")
+    write_output(path, b"a\n1\n", "first")
     with pytest.raises(SceneError, match="another source"):
-        written(path, b"a\n2\n", "second")
+        write_output(path, b"a\n2\n", "second")
     with allow_overwriting(True):
-        written(path, b"a\n2\n", "second")
+        write_output(path, b"a\n2\n", "second")
     assert path.read_bytes().endswith(b"\n2\n")
 
 
-def test_a_users_file_stays_unless_overwritten(tmp_path: Path) -> None:
+def test_file_of_the_user_is_protected(tmp_path: Path) -> None:
     path = tmp_path / "out.csv"
     path.write_text("mine")
     with pytest.raises(SceneError, match="--overwrite"):
-        written(path, b"a\n1\n")
+        write_output(path, b"a\n1\n")
     assert path.read_text(encoding="utf-8") == "mine" and list(tmp_path.iterdir()) == [path]
 
 
-def test_equal_file_without_mark_is_kept(tmp_path: Path) -> None:
+def test_file_without_mark_is_not_replaced(tmp_path: Path) -> None:
     path = tmp_path / "out.uff"
-    written(path, b"a")
-    written(path, b"a")
+    write_output(path, b"a")
+    write_output(path, b"a")
     with pytest.raises(SceneError, match="exists"):
-        written(path, b"b")
+        write_output(path, b"b")
     assert path.read_bytes() == b"a" and list(tmp_path.iterdir()) == [path]
 
 

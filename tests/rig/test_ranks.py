@@ -1,4 +1,4 @@
-"""MPI ranks with shared objects: collective work, work of the first rank, and termination."""
+"""MPI ranks with shared objects: collective operations, work of the first rank, and termination."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _JOINED = (
 )
 
 
-def test_two_ranks_follow_the_first() -> None:
+def test_second_rank_executes_operations_of_the_first() -> None:
     program = (
         "other = ranks.Shared(Part, 30.0); del other;"
         "print(ranks.size(), part.own, part.whole, part.grow(0.5), part.whole)"
@@ -46,29 +46,29 @@ except RunError as error:
 
 @pytest.mark.parametrize("rank", [0, 1])
 def test_failure_of_one_rank_ends_both(rank: int) -> None:
-    done = on_two_ranks(_JOINED + f"part.fail_on({rank}); print('went on')")
+    done = on_two_ranks(_JOINED + f"part.fail_on({rank}); print('continued')")
 
     assert done.returncode == 1
     assert "memory has run out here" in done.stderr
-    assert "went on" not in done.stdout
+    assert "continued" not in done.stdout
 
 
 def test_output_is_awaited_until_it_is_read() -> None:
     reader, writer = os.pipe()
     os.write(writer, b"why it failed")
-    heard: list[bytes] = []
-    waiting = threading.Thread(target=ranks.await_reader, args=(writer,))
-    waiting.start()
-    waiting.join(0.05)
+    received: list[bytes] = []
+    waiter = threading.Thread(target=ranks.await_reader, args=(writer,))
+    waiter.start()
+    waiter.join(0.05)
 
-    assert waiting.is_alive()
-    heard.append(os.read(reader, 5))
-    waiting.join(0.05)
-    assert waiting.is_alive()
-    heard.append(os.read(reader, 100))
-    waiting.join()
+    assert waiter.is_alive()
+    received.append(os.read(reader, 5))
+    waiter.join(0.05)
+    assert waiter.is_alive()
+    received.append(os.read(reader, 100))
+    waiter.join()
 
-    assert b"".join(heard) == b"why it failed"
+    assert b"".join(received) == b"why it failed"
 
 
 def test_output_without_a_reader_is_not_awaited() -> None:
@@ -102,9 +102,9 @@ def test_single_process_joins_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     assert ranks.size() == 1
 
 
-@pytest.mark.parametrize("said", ["2", "two", ""])
-def test_missing_mpi4py_leaves_processes_separate(monkeypatch: pytest.MonkeyPatch, said: str) -> None:
-    monkeypatch.setenv("PMI_SIZE", said)
+@pytest.mark.parametrize("size", ["2", "two", ""])
+def test_missing_mpi4py_leaves_processes_separate(monkeypatch: pytest.MonkeyPatch, size: str) -> None:
+    monkeypatch.setenv("PMI_SIZE", size)
     monkeypatch.setitem(sys.modules, "mpi4py", None)
 
     ranks.join()

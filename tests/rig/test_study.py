@@ -1,4 +1,4 @@
-"""The table of a study: recovery after a kill, rejection of foreign files, order, and identity of the code."""
+"""The table of a study: recovery after a termination, rejection of foreign files, order, and digest of the code."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from rig.study import StoredValues, Study, code_digest, digest, read_rows
 HEADER = ("level", "gap, m", "found")
 
 
-def stored(path: Path, *added: object) -> list[list[str]]:
-    """Open a table, add rows to it, and return all that it contains."""
+def add_rows(path: Path, *added: object) -> list[list[str]]:
+    """Open a table, add rows to it, and return all its rows."""
     study: Study[Any, Any] = Study(
         "gaps", HEADER, str, tuple, lambda key, _: key, lambda row: (tuple(row), row)
     )
@@ -27,35 +27,35 @@ def stored(path: Path, *added: object) -> list[list[str]]:
 
 def test_stored_rows_are_read_again(tmp_path: Path) -> None:
     path = tmp_path / "new" / "table.csv"
-    stored(path, ["1", "0.5, about", "[1.5, 2]"])
+    add_rows(path, ["1", "0.5, about", "[1.5, 2]"])
 
-    assert stored(path) == read_rows(path, HEADER, "gaps") == [["1", "0.5, about", "[1.5, 2]"]]
+    assert add_rows(path) == read_rows(path, HEADER, "gaps") == [["1", "0.5, about", "[1.5, 2]"]]
 
 
 @pytest.mark.parametrize("cut", range(1, 6))
-def test_torn_line_is_never_a_row(tmp_path: Path, cut: int) -> None:
+def test_incomplete_line_is_not_a_row(tmp_path: Path, cut: int) -> None:
     path = tmp_path / "table.csv"
-    stored(path, "123", ["4", "5", "678"])
+    add_rows(path, "123", ["4", "5", "678"])
     path.write_bytes(path.read_bytes()[:-cut])
 
     assert read_rows(path, HEADER, "gaps") == [["1", "2", "3"]]
-    assert stored(path, "789") == stored(path) == [["1", "2", "3"], ["7", "8", "9"]]
+    assert add_rows(path, "789") == add_rows(path) == [["1", "2", "3"], ["7", "8", "9"]]
 
 
 @pytest.mark.parametrize("line", ['"', "x" * 200_000, "1,2", "\0"])
-def test_spoilt_line_costs_no_other_row(tmp_path: Path, line: str) -> None:
+def test_damaged_line_affects_no_other_row(tmp_path: Path, line: str) -> None:
     path = tmp_path / "table.csv"
-    stored(path, "123")
+    add_rows(path, "123")
     with path.open("a", encoding="utf-8") as file:
         file.write(f"{line}\n4,5,6\n")
 
-    assert stored(path) == [["1", "2", "3"], ["4", "5", "6"]]
+    assert add_rows(path) == [["1", "2", "3"], ["4", "5", "6"]]
 
 
 def test_empty_file_becomes_a_table(tmp_path: Path) -> None:
     path = tmp_path / "table.csv"
     path.touch()
-    stored(path, "123")
+    add_rows(path, "123")
 
     assert read_rows(path, HEADER, "gaps") == [["1", "2", "3"]]
 
@@ -66,16 +66,16 @@ def test_foreign_table_is_rejected_and_kept(tmp_path: Path, content: bytes) -> N
     path.write_bytes(content)
 
     with pytest.raises(RunError, match=r"mine.csv: .* table of gaps.*-o"):
-        stored(path)
+        add_rows(path)
 
     assert path.read_bytes() == content
 
 
-def test_unusable_place_is_reported(tmp_path: Path) -> None:
+def test_unwritable_table_is_reported(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
 
     with pytest.raises(RunError, match=r"table.csv: cannot write .*-o"):
-        stored(tmp_path / "file" / "table.csv")
+        add_rows(tmp_path / "file" / "table.csv")
     with pytest.raises(RunError, match=r"table.csv: cannot read"):
         read_rows(tmp_path / "table.csv", HEADER, "gaps")
 
@@ -96,7 +96,7 @@ def test_sorted_rows_replace_the_table(tmp_path: Path) -> None:
 
 def test_other_code_gives_another_digest(monkeypatch: pytest.MonkeyPatch) -> None:
     rows = [digest(("scene", 50.0)), digest(np.arange(3.0))]
-    monkeypatch.setattr("rig.study.code_digest", lambda *packages: "another state of the sources")
+    monkeypatch.setattr("rig.study.code_digest", lambda *packages: "other sources")
 
     assert not set(rows) & {digest(("scene", 50.0)), digest(np.arange(3.0))}
 

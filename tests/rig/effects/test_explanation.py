@@ -13,9 +13,7 @@ from rig.system.assembly import assemble
 
 
 @pytest.mark.parametrize("name", bundled_scenes())
-def test_motion_states_equal_those_of_the_system(
-    name: str,
-) -> None:
+def test_motion_states_equal_those_of_the_system(name: str) -> None:
     scene = rig.load(name)
     system = assemble(scene)
     assert rig.explain(scene).states["motion"] == system.states + 2 * system.dampers
@@ -44,12 +42,12 @@ def test_removed_effects_remove_their_states_and_inputs() -> None:
 
 def test_each_channel_is_listed_with_its_stages() -> None:
     ideal = rig.explain(rig.load("fig9").replace(channels=None, converter={}))
-    sensed = rig.explain("fig9")
+    measured = rig.explain("fig9")
     part = "channel body1 (displacement at body 1)"
-    assert sensed.states[part] == 5
-    assert [e.name for e in sensed.effects if e.part == part][:2] == ["resonance", "low cut-off"]
+    assert measured.states[part] == 5
+    assert [e.name for e in measured.effects if e.part == part][:2] == ["resonance", "low cut-off"]
     assert "quantisation" not in {effect.name for effect in ideal.effects}
-    assert "truth" not in {effect.name for effect in sensed.effects}
+    assert "truth" not in {effect.name for effect in measured.effects}
 
 
 def test_channels_with_equal_effects_share_one_list() -> None:

@@ -29,24 +29,24 @@ def matrix() -> Response:
 
 
 def test_bound_adds_tolerances_to_independent_parts() -> None:
-    one = curve()
-    independent = np.hypot(one.random_bound(), one.limits["aliasing"])
-    np.testing.assert_allclose(one.bound(), independent + 0.015 * abs(one.value))
-    np.testing.assert_allclose(one.without(SENSITIVITY, CLOCK).bound(), independent)
-    np.testing.assert_allclose(one.to("acceleration").bound(), one.bound() * (2 * np.pi * LINES) ** 2)
+    frf = curve()
+    independent = np.hypot(frf.random_bound(), frf.limits["aliasing"])
+    np.testing.assert_allclose(frf.bound(), independent + 0.015 * abs(frf.value))
+    np.testing.assert_allclose(frf.without(SENSITIVITY, CLOCK).bound(), independent)
+    np.testing.assert_allclose(frf.to("acceleration").bound(), frf.bound() * (2 * np.pi * LINES) ** 2)
 
 
 def test_budget_lists_contributions_by_variance() -> None:
     table = stack([curve(), curve("body2")]).budget("body2", "20 Hz")
-    names, kinds, sizes, shares = zip(*table.rows, strict=True)
-    assert names == (SENSITIVITY, CLOCK, "aliasing", "scatter") and kinds == ("B", "B", "B", "A")
+    names, types, uncertainties, shares = zip(*table.rows, strict=True)
+    assert names == (SENSITIVITY, CLOCK, "aliasing", "scatter") and types == ("B", "B", "B", "A")
     assert sum(shares) == pytest.approx(1.0) and table.unit == "µm/N"
-    assert sizes[0] == pytest.approx(0.01 * table.value / np.sqrt(3.0))
-    assert table.combined == pytest.approx(np.linalg.norm(sizes))
+    assert uncertainties[0] == pytest.approx(0.01 * table.value / np.sqrt(3.0))
+    assert table.combined == pytest.approx(np.linalg.norm(uncertainties))
     assert "standard uncertainty / (µm/N)" in str(table) and "combined" in str(table)
 
 
-def test_ratio_has_the_errors_of_both() -> None:
+def test_ratio_combines_the_uncertainties() -> None:
     ratio = curve(scale=3.0) / curve()
     np.testing.assert_allclose(ratio.value, 3.0)
     assert ratio.unit == "1" and ratio.name == "ratio"
@@ -54,7 +54,7 @@ def test_ratio_has_the_errors_of_both() -> None:
     np.testing.assert_allclose(ratio.limits["aliasing"], 3.0 * 0.002 * np.sqrt(2.0))
 
 
-def test_ratio_interpolates_and_leaves_the_rest_unknown() -> None:
+def test_ratio_is_nan_outside_the_other_band() -> None:
     ratio = curve() / curve().band(12.2, 28.0)
     known = np.isfinite(ratio.value)
     assert LINES[known].min() == 12.5 and LINES[known].max() == 28.0
@@ -70,7 +70,7 @@ def test_names_select_elements_and_places() -> None:
     both = matrix()
     assert both["a2", "f3"].value[0] == 3 + 1j and both["body 3", "f1"].value[0] == 4 + 1j
     assert both["a3"].value.shape == (41, 1, 2) and both[1:].keys() == ("a2", "a3")
-    assert [one.value[0].real for one in both] == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
+    assert [element.value[0].real for element in both] == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
     with pytest.raises(SceneError, match=r"no response 'a4'\. Give one of a1, a2, a3"):
         both["a4"]
     with pytest.raises(ValueError, match="expected \\(41, 1, 1\\)"):
@@ -97,7 +97,7 @@ def test_stacked_curves_share_lines() -> None:
     np.testing.assert_array_equal(both["body1"].bound(), curve().bound())
 
 
-def test_exact_response_has_no_bound() -> None:
+def test_exact_response_has_no_uncertainty() -> None:
     exact = Response.curve(LINES, curve().value, "body1", uncertainty=UncertaintyBudget())
     assert not exact.bound().any() and not exact.error.any()
 
@@ -105,7 +105,7 @@ def test_exact_response_has_no_bound() -> None:
 def test_universal_file_has_each_element(tmp_path) -> None:
     uff = pytest.importorskip("pyuff")
     path = matrix().to_uff(tmp_path / "a.uff", driven=[1, 3])
-    sets = [each for each in uff.UFF(str(path)).read_sets() if each["func_type"] == 4]
-    assert [(int(each["rsp_node"]), int(each["ref_node"])) for each in sets] == [
+    sets = [data for data in uff.UFF(str(path)).read_sets() if data["func_type"] == 4]
+    assert [(int(data["rsp_node"]), int(data["ref_node"])) for data in sets] == [
         (1, 1), (1, 3), (2, 1), (2, 3), (3, 1), (3, 3),
     ]  # fmt: skip

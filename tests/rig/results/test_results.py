@@ -82,11 +82,11 @@ def test_table_of_an_orbit_closes_and_moves(results) -> None:
 
 
 def test_empty_curve_has_an_empty_table() -> None:
-    nothing = rig.approximate_response("fig9", 3, ("49.4 Hz", "49.8 Hz"), force="1 uN")
-    assert nothing.branches == () and len(nothing.to_dataframe()) == 0 and nothing._repr_html_()
+    empty = rig.approximate_response("fig9", 3, ("49.4 Hz", "49.8 Hz"), force="1 uN")
+    assert empty.branches == () and len(empty.to_dataframe()) == 0 and empty._repr_html_()
 
 
-def test_missing_pandas_says_what_to_install(results, monkeypatch) -> None:
+def test_missing_package_has_an_install_hint(results, monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "pandas", None)
     monkeypatch.setitem(sys.modules, "xarray", None)
     for convert in (results[0].to_dataframe, results[0].to_xarray):
@@ -94,7 +94,7 @@ def test_missing_pandas_says_what_to_install(results, monkeypatch) -> None:
             convert()
 
 
-def test_too_short_free_vibration_says_how_long() -> None:
+def test_too_short_duration_is_reported() -> None:
     scene = rig.loads(
         "{structure: {masses: [1 kg], springs: [40 kN/m]}, test: {kind: free, displacement: [1 mm], duration: 1 s}}"
     )
@@ -103,10 +103,10 @@ def test_too_short_free_vibration_says_how_long() -> None:
 
 
 @pytest.mark.parametrize(
-    ("duration", "said"), [("2 kg", "duration: 'kg' is not a unit of time"), ("soon", "number")]
+    ("duration", "message"), [("2 kg", "duration: 'kg' is not a unit of time"), ("soon", "number")]
 )
-def test_invalid_quantity_of_an_argument_is_named(duration, said) -> None:
-    with pytest.raises(SceneError, match=said):
+def test_invalid_quantity_of_an_argument_is_named(duration, message) -> None:
+    with pytest.raises(SceneError, match=message):
         rig.simulate("fig9", duration)
 
 

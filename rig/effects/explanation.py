@@ -216,7 +216,7 @@ def _dampers(scene: Scene, system: HybridSystem) -> Iterable[Effect]:
         yield Effect(
             "motion", "grains", 9 * spheres.count,
             f"in {body}: {spheres.count} of {1e3 * spheres.settings.diameter:.4g} mm, "
-            f"{1e3 * spheres.mass:.4g} g; position, velocity, spin of each; step of {1e6 * spheres.longest_step():.3g} us",
+            f"{1e3 * spheres.mass:.4g} g; position, velocity, spin; step of {1e6 * spheres.longest_step():.3g} us",
         )  # fmt: skip
     one_mass = ~system.grains
     if not one_mass.any():

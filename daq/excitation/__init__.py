@@ -1,7 +1,7 @@
 """Excitations of tests, one module per kind of test: they use channels, never the state of the simulator.
 
 A module named after the kind of test contains `excite`. The other modules support them: `station` is the interface to
-the bench, `amplitude_control` and `sweep_control` control the force, `settling` detects the steady state. Start with
+the bench, `steady_tone` and `sweep_control` control the force, `settling` detects the steady state. Start with
 `sine`.
 """
 

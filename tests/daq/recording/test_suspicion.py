@@ -151,8 +151,7 @@ def test_unmarked_missing_samples_are_reported(sound: Path, shift: int) -> None:
     with daq.open(rewritten(sound, shift=shift)) as recording:
         first, stop = 3 * GROUP, 3 * GROUP + shift
         with pytest.raises(
-            RecordingError,
-            match=f"samples {first} to {stop - 1} of body1 are missing without a marker",
+            RecordingError, match=f"samples {first} to {stop - 1} of body1 are missing without a marker"
         ):
             recording.check()
 

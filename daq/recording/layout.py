@@ -34,16 +34,7 @@ FLUSH_S = 0.5
 # Most groups that are displayed together: with few channels, the cost of a batch hardly depends on its size; with many,
 # samples that wait take memory.
 SHOWN_GROUPS = 4
-_SHOWN_CHANNELS = 64
-
-
-def shown_groups(channels: int) -> int:
-    """Give the number of groups that are displayed together.
-
-    >>> shown_groups(3), shown_groups(32), shown_groups(2000)
-    (4, 2, 1)
-    """
-    return min(SHOWN_GROUPS, max(1, _SHOWN_CHANNELS // channels))
+SHOWN_CHANNELS = 64
 
 
 def block_length(rate: float) -> int:

@@ -23,7 +23,7 @@ from daq.recording.layout import Timebase
 from daq.recording.markers import MARKER_SCHEMA, Marker
 from daq.recording.protobuf import Schema
 from daq.recording.recorded_test import SceneOutline
-from daq.recording.sample_block import SCHEMAS, block_schema, encode, scale_of, stored_as
+from daq.recording.sample_block import SCHEMAS, block_schema, encode, stored_as
 from daq.recording.sample_groups import Group, Grouping
 from rig.arrays import Array
 from rig.ending_signals import delayed_interrupt
@@ -96,11 +96,15 @@ class Recorder:
         self._scene, self._source, self._test_kind = scene, source, test_kind
         self._block, self._group = layout.block_length(rate), layout.flush_length(rate)
         self._stored = stored_as(scene, self.channels)
-        self._scale = np.array([scale_of(info, self._stored) for info in self.channels])[:, None]
+        # Size of a stored number in the unit that a channel reads.
+        counts = self._stored == "counts"
+        scales = [info.unit_per_count if counts else 1.0 / info.sensitivity for info in self.channels]
+        self._scale = np.array(scales)[:, None]
         kind = SCHEMAS[self._stored][2]
         self._raw = Grouping(len(self.channels), self._group, kind)
         # The same samples, in longer groups, for the display.
-        self._groups_shown = layout.shown_groups(len(self.channels))
+        few = layout.SHOWN_CHANNELS // len(self.channels)
+        self._groups_shown = min(layout.SHOWN_GROUPS, max(1, few))
         self._shown = Grouping(len(self.channels), self._groups_shown * self._group, kind)
         self._marks = [Marker("start", 0)]
         self._marked = self._chunks = self._written = 0

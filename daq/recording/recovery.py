@@ -223,7 +223,10 @@ class _Salvage:
             if message.channel in self._spans:
                 block = decode(message.data, self._schemas[channel.schema_id].name)
                 self._clock = block.clock if self._clock is None else self._clock
-                _join(self._spans[message.channel], (block.first_sample, block.stop))
+                spans, first = self._spans[message.channel], block.first_sample
+                if spans and spans[-1][1] == first:
+                    first = spans.pop()[0]
+                spans.append((first, block.stop))
             elif channel.topic == layout.MARKERS:
                 marker = Marker.from_json(message.data)
                 if marker.kind in ("gap", "lost"):
@@ -314,14 +317,6 @@ class _Salvage:
 def _is_count(text: str) -> bool:
     """Whether a text of the file is a plausible count."""
     return text.isascii() and text.isdecimal() and len(text) < 17
-
-
-def _join(spans: list[Span], span: Span) -> None:
-    """Add a range to ordered ranges, in place; it usually continues the last one."""
-    if spans and spans[-1][1] == span[0]:
-        spans[-1] = (spans[-1][0], span[1])
-    else:
-        spans.append(span)
 
 
 def _without(spans: Iterable[Span], holes: Iterable[Span]) -> Iterator[Span]:

@@ -125,8 +125,3 @@ def stored_as(scene: Scene, channels: Sequence[ChannelInfo]) -> str:
     if scene.recording.samples is not None:
         return scene.recording.samples
     return "counts" if all(info.volts_per_count is not None for info in channels) else "float64"
-
-
-def scale_of(info: ChannelInfo, stored: str) -> float:
-    """Give the size of a stored number in the unit that the channel reads."""
-    return info.unit_per_count if stored == "counts" else 1.0 / info.sensitivity

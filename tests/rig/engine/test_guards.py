@@ -29,7 +29,7 @@ CLEARANCE = 1e-3
 def engine(
     contact: str = "", bodies: tuple[int, ...] = (1, 2, 3), clearance: float = CLEARANCE
 ) -> Propagator:
-    """Three bodies with dampers in some, whose contacts last so long; tests put it where they need it."""
+    """Return three bodies with dampers in some; `contact` is the contact duration. Tests set the state."""
     of_dampers = {"contact": {"duration": contact}} if contact else {}
     scene = rig.Scene.model_validate(
         {
@@ -80,16 +80,16 @@ def test_series_bounds_contain_the_guard(
     rows[1:] = model.velocity[1:]
     tableau = run.workspace.tableau
     tableau[:] = np.random.default_rng(5).standard_normal(tableau.shape)
-    new, behind = run.workspace.new, run.tables.size
-    bound_by_series(model, state.mode, tableau, length, state.z, new, behind, bound)
+    new, first_acceleration = run.workspace.new, run.tables.size
+    bound_by_series(model, state.mode, tableau, length, state.z, new, first_acceleration, bound)
     for j in range(3):
         series = np.polynomial.Polynomial(tableau[:LENGTH, rows[j]])
         if state.mode[j] != FLIGHT:
             series = series.deriv() / model.step
-            place = behind + model.position[j]
+            index = first_acceleration + model.position[j]
             for at, when in ((state.z, 0.0), (new, length)):
-                assert at[place] == pytest.approx(series(when))
-                assert at[place + model.first_velocity] == pytest.approx(series.deriv()(when))
+                assert at[index] == pytest.approx(series(when))
+                assert at[index + model.first_velocity] == pytest.approx(series.deriv()(when))
         sizes = np.polynomial.Polynomial(np.abs(series.coef))
         assert bound[j] == pytest.approx(sizes.deriv(4)(1.0))
         assert bound[3 + j] == pytest.approx(sizes(1.0))
@@ -104,8 +104,8 @@ def test_finite_contact_has_no_series_bound() -> None:
     assert (work.bound[:3] == np.inf).all()
 
 
-class Course:
-    """A step from a drawn state, summed from its power series: every guard at any part of it."""
+class Step:
+    """A step from a random state, computed from its power series; guards at any time in it."""
 
     def __init__(self, run: Propagator, modes: list[int], drawn: np.ndarray) -> None:
         self.run, self.modes, model, system, state = run, modes, run.tables.model, run.system, run.state
@@ -113,10 +113,10 @@ class Course:
         z = np.concatenate(
             [3e-3 * drawn[:count], 0.1 * drawn[count : 2 * count], 5.0 * drawn[2 * count : size]]
         )
-        place, speed = drawn[size : size + dampers], drawn[size + dampers :]
+        position, speed = drawn[size : size + dampers], drawn[size + dampers :]
         for j in np.flatnonzero(system.finite_contact):
             # A gap within the cavity, or within the wall.
-            inside = (0.5 + 0.48 * np.sin(place[j])) * CLEARANCE
+            inside = (0.5 + 0.48 * np.sin(position[j])) * CLEARANCE
             z[model.bed[j]] = [inside, -0.1 * inside, CLEARANCE + 0.1 * inside][modes[j]]
         self.bits = sum((mode != FLIGHT) << j for j, mode in enumerate(modes))
         self.bits |= sum(
@@ -124,7 +124,7 @@ class Course:
         )
         self.matrix, self.offset = (part.astype(float) for part in run.tables.generator(self.bits))
         state.mode[:] = modes
-        state.height[:] = z[model.position] + (0.5 + 0.48 * np.sin(place)) * CLEARANCE
+        state.height[:] = z[model.position] + (0.5 + 0.48 * np.sin(position)) * CLEARANCE
         state.speed[:] = 0.1 * speed
         scaled, term = self.matrix * model.step, (self.matrix @ z + self.offset) * model.step
         self.terms = [z]
@@ -136,8 +136,8 @@ class Course:
         self.bound = run.tables.flow.bound_constant[self.slot] + np.abs(z) @ bound
 
     def guards(self, tau: np.ndarray) -> list[tuple[int, np.ndarray]]:
-        """Every guard with its damper: value, first and fourth derivative with respect to the step, (3, parts)."""
-        run, model, state, found = self.run, self.run.tables.model, self.run.state, []
+        """Return every guard with its damper: value, first and fourth derivative with respect to tau, (3, times)."""
+        run, model, state, result = self.run, self.run.tables.model, self.run.state, []
         force, constant = run.system.contact_forces(self.bits)
         for j, mode in enumerate(self.modes):
             sign = -1.0 if mode == CEILING else 1.0
@@ -156,19 +156,19 @@ class Course:
             series = series + np.polynomial.Polynomial([offset, 0.0, 0.0]) + np.polynomial.Polynomial(own)
             walls = [series, CLEARANCE - series] if model.clearance[j] < np.inf else [series]
             for one in walls if mode == FLIGHT else walls[:1]:
-                found.append((j, np.array([one(tau), one.deriv()(tau), one.deriv(4)(tau)])))
-        return found
+                result.append((j, np.array([one(tau), one.deriv()(tau), one.deriv(4)(tau)])))
+        return result
 
     def margins(self, length: float) -> np.ndarray:
         """How far the Bernstein coefficients of every guard's cubic lie above its error, (guards, 4)."""
-        found = []
+        result = []
         for j, (value, slope, _) in self.guards(np.array([0.0, length])):
             inner = value[0] + slope[0] * length / 3, value[1] - slope[1] * length / 3
-            found.append(np.array([value[0], *inner, value[1]]) - self.bound[j] * length**4 / 384)
-        return np.array(found)
+            result.append(np.array([value[0], *inner, value[1]]) - self.bound[j] * length**4 / 384)
+        return np.array(result)
 
-    def look(self, length: float) -> tuple[bool, float, int]:
-        """Let the engine look at the step: whether it examined anything closely, what it found, and of whom."""
+    def examine(self, length: float) -> tuple[bool, float, int]:
+        """Let the engine test the step; return whether it examined a series, the event, and its damper."""
         run, model, state, work, size = (
             self.run, self.run.tables.model, self.run.state, self.run.workspace, self.run.tables.size,
         )  # fmt: skip
@@ -176,20 +176,22 @@ class Course:
             z[:size] = sum(term * tau**k for k, term in enumerate(self.terms))
             rate = self.matrix @ z[:size] + self.offset
             accelerations = slice(model.first_velocity, 2 * model.first_velocity)
-            behind = np.concatenate([rate[accelerations], model.step * (self.matrix @ rate)[accelerations]])
-            z[size : size + len(behind)] = behind
+            derivatives = np.concatenate(
+                [rate[accelerations], model.step * (self.matrix @ rate)[accelerations]]
+            )
+            z[size : size + len(derivatives)] = derivatives
         flow = run.tables.flow
         bound_by_tables(flow, self.slot, state.z, work)
         np.testing.assert_allclose(work.bound, self.bound, rtol=1e-12)
-        near, ceilings = screen(model, state, work, size, length, length * model.step)
-        if near | ceilings:
+        unproven, unproven_ceilings = screen(model, state, work, size, length, length * model.step)
+        if unproven | unproven_ceilings:
             expand(flow, model, self.slot, state.z, work.tableau)
-        tau, j, _ = first_event(model, state, work, length, near, ceilings)
-        return bool(near | ceilings), tau, j
+        tau, j, _ = first_event(model, state, work, length, unproven, unproven_ceilings)
+        return bool(unproven | unproven_ceilings), tau, j
 
 
-def draw(run: Propagator, chance: np.random.Generator) -> np.ndarray:
-    return chance.standard_normal(run.tables.size + 2 * run.system.dampers)
+def draw_state(run: Propagator, rng: np.random.Generator) -> np.ndarray:
+    return rng.standard_normal(run.tables.size + 2 * run.system.dampers)
 
 
 @pytest.mark.parametrize("contact", ["", "10 ms"])
@@ -201,19 +203,19 @@ def draw(run: Propagator, chance: np.random.Generator) -> np.ndarray:
 @settings(max_examples=50, deadline=None)
 def test_first_falling_guard_is_located(contact: str, modes: list[int], seed: int, length: float) -> None:
     run = engine(contact)
-    course = Course(run, modes, draw(run, np.random.default_rng(seed)))
-    parts = np.linspace(0.0, length, 400)
-    guards = course.guards(parts)
+    step = Step(run, modes, draw_state(run, np.random.default_rng(seed)))
+    times = np.linspace(0.0, length, 400)
+    guards = step.guards(times)
     for j, guard in guards:
-        assert (np.abs(guard[2]) <= course.bound[j] * (1 + 1e-6) + 1e-12).all()
+        assert (np.abs(guard[2]) <= step.bound[j] * (1 + 1e-6) + 1e-12).all()
     assume(all(guard[0, 0] > 0.0 for _, guard in guards))
-    _, tau, which = course.look(length)
-    before = parts < (length if tau == NO_CROSSING else tau * length) - 1e-9
+    _, tau, damper = step.examine(length)
+    before = times < (length if tau == NO_CROSSING else tau * length) - 1e-9
     assert all((guard[0, before] > 0.0).all() for _, guard in guards)
     if tau != NO_CROSSING:
-        hit = [guard[:2, 0] for j, guard in course.guards(np.array([tau * length])) if j == which]
+        hit = [guard[:2, 0] for j, guard in step.guards(np.array([tau * length])) if j == damper]
         value, slope = min(hit, key=lambda guard: abs(guard[0]))
-        largest = max(np.abs(guard[0]).max() for j, guard in guards if j == which)
+        largest = max(np.abs(guard[0]).max() for j, guard in guards if j == damper)
         assert abs(value) < 1e-9 * largest and slope < 0.0
 
 
@@ -221,29 +223,29 @@ def test_first_falling_guard_is_located(contact: str, modes: list[int], seed: in
 @pytest.mark.parametrize("mode", [FLIGHT, FLOOR, CEILING])
 @pytest.mark.parametrize("length", [1.0, 0.4])
 def test_proven_guard_is_not_examined(contact: str, mode: int, length: float) -> None:
-    chance = np.random.default_rng(8)
+    rng = np.random.default_rng(8)
     for clearance in (CLEARANCE, np.inf) if mode == FLIGHT else (CLEARANCE,):
         run = engine(contact, (2,), clearance)
-        draws = [draw(run, chance) * chance.uniform(0.0, 1.0) for _ in range(120)]
-        margins = [Course(run, [mode], each).margins(length) for each in draws]
-        proven_at = [each for each, found in zip(draws, margins, strict=True) if found.min() > 0.0]
-        # For each coefficient of each guard, one state in which this coefficient is critical.
+        draws = [draw_state(run, rng) * rng.uniform(0.0, 1.0) for _ in range(120)]
+        margins = [Step(run, [mode], each).margins(length) for each in draws]
+        proven_at = [each for each, result in zip(draws, margins, strict=True) if result.min() > 0.0]
+        # For each coefficient of each guard, one state in damper this coefficient is critical.
         spoilt = {
-            int(found.argmin()): each
-            for each, found in zip(draws, margins, strict=True)
-            if found.min() <= 0.0
+            int(result.argmin()): each
+            for each, result in zip(draws, margins, strict=True)
+            if result.min() <= 0.0
         }
         assert spoilt and proven_at
         for proven, other in zip(cycle(proven_at), spoilt.values()):
             # Between the two there is a state exactly at the limit.
             for _ in range(24):
                 between = (proven + other) / 2
-                if Course(run, [mode], between).margins(length).min() > 0.0:
+                if Step(run, [mode], between).margins(length).min() > 0.0:
                     proven = between
                 else:
                     other = between
-            assert not Course(run, [mode], proven).look(length)[0]
-            assert Course(run, [mode], other).look(length)[0]
+            assert not Step(run, [mode], proven).examine(length)[0]
+            assert Step(run, [mode], other).examine(length)[0]
 
 
 @given(
@@ -255,18 +257,18 @@ def test_proven_guard_is_not_examined(contact: str, mode: int, length: float) ->
 def test_margins_are_compared_guard_by_guard(
     modes: list[int], seed: int, duration: float, missed: int
 ) -> None:
-    run, chance = engine(), np.random.default_rng(seed)
+    run, rng = engine(), np.random.default_rng(seed)
     model, state, columns = run.tables.model, run.state, run.tables.size
     z = state.z
-    z[model.position] = 1e-4 * chance.standard_normal(3)
+    z[model.position] = 1e-4 * rng.standard_normal(3)
     state.mode[:] = modes
-    state.speed[:] = 0.01 * chance.standard_normal(3)
-    gap = chance.uniform(0.1, 0.9, 3) * CLEARANCE
+    state.speed[:] = 0.01 * rng.standard_normal(3)
+    gap = rng.uniform(0.1, 0.9, 3) * CLEARANCE
     fallen = model.gravity * duration**2 / 2
     state.height[:] = z[model.position] + gap - state.speed * duration + fallen
     guard = np.empty(3)
     for j, mode in enumerate(modes):
-        upward = chance.uniform(0.1, 5.0)
+        upward = rng.uniform(0.1, 5.0)
         z[columns + model.position[j]] = -model.gravity + (-upward if mode == CEILING else upward)
         guard[j] = min(gap[j], CLEARANCE - gap[j]) if mode == FLIGHT else upward
     margin = guard * (1 - 1e-9)
@@ -275,7 +277,7 @@ def test_margins_are_compared_guard_by_guard(
     assert above_margins(model, state, margin, z, columns, duration) == (missed < 0)
 
 
-def test_envelope_contains_all_states_until_restart() -> None:
+def test_envelope_contains_all_states_until_reset() -> None:
     run = engine()
     flow, work, columns = run.tables.flow, run.workspace, run.tables.size
     states = np.zeros((5, len(work.size)))

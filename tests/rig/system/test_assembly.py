@@ -91,7 +91,7 @@ def test_electrodynamic_shaker_obeys_its_equations(
     assert row.tolist() == [0.0, -spring, spring, *[0.0] * (system.states - 3)]
 
 
-def test_each_input_acts_at_its_place() -> None:
+def test_each_input_acts_on_its_body() -> None:
     test = {"kind": "impulse", "body": 2, "peak": 10.0, "width": 4e-3}
     scene = scene_of(shaker={"kind": "force", "body": [1, 2]}, test=test)
     system = assemble(scene)
@@ -154,7 +154,7 @@ def test_dampers_of_all_kinds_are_assembled() -> None:
     assert not system.initial[7:].any()
 
 
-def test_free_test_adds_to_the_sag() -> None:
+def test_initial_displacement_adds_to_static_equilibrium() -> None:
     damper = {"body": 1, "mass": 0.1, "clearance": 1e-3}
     start = {"kind": "free", "displacement": [1e-3, 2e-3], "velocity": [0.1, -0.2], "duration": 1.0}
     weight = 0.1 * 9.80665
@@ -183,7 +183,7 @@ def test_too_many_moving_dampers_are_rejected(contact: dict[str, object], most: 
         assemble(with_dampers(most + 1))
 
 
-def test_unsupported_structure_cannot_settle() -> None:
+def test_structure_without_support_is_rejected() -> None:
     floating = {"structure": {"masses": [1.0, 2.0], "springs": [0.0, 1e3]}}
     damper = {"body": 1, "mass": 0.1, "clearance": 1e-3}
     with pytest.raises(SceneError, match="structure has no support"):

@@ -17,7 +17,7 @@ from rig.system.structural_model import receptance, structural_model
 FREQUENCIES = np.linspace(1.0, 60.0, 60)
 
 
-def of_chain(
+def chain_response(
     masses: tuple[float, ...],
     springs: tuple[float, ...],
     dashpots: tuple[float, ...],
@@ -51,7 +51,7 @@ def test_chain_response_is_the_continued_fraction(
     springs = tuple(1000.0 * k for k in thousands)
     structure = {"masses": masses, "springs": springs, "damping": {"dashpots": dashpots}}
     scene = Scene(structure=structure, shaker={"kind": "force", "body": 1})
-    expected = of_chain(masses, springs, dashpots, FREQUENCIES)
+    expected = chain_response(masses, springs, dashpots, FREQUENCIES)
     np.testing.assert_allclose(receptance(scene, FREQUENCIES), expected, rtol=1e-9)
 
 
@@ -67,7 +67,7 @@ def test_modally_damped_response_is_the_modal_sum() -> None:
 @pytest.mark.parametrize(
     ("attached", "peaks"), [(False, (81.911, 218.512, 312.041)), (True, (86.776, 228.231, 318.003))]
 )
-def test_lightly_damped_peaks_are_at_known_frequencies(attached: bool, peaks: tuple[float, ...]) -> None:
+def test_lightly_damped_peaks_are_at_natural_frequencies(attached: bool, peaks: tuple[float, ...]) -> None:
     scene = rig.load("bare-structure")
     scene = scene.replace(structure=scene.structure.replace(damping={"modal": 1e-4}))
     for peak in peaks:
@@ -89,7 +89,7 @@ def test_table_response_follows_from_force_response() -> None:
     )
 
 
-def test_number_of_frequencies_changes_no_response(
+def test_block_size_does_not_change_the_response(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     scene = rig.load("bare-structure")
@@ -133,14 +133,14 @@ def test_riding_dampers_add_their_mass() -> None:
             {"body": 3, "mass": 0.05, "clearance": 1e-3},
         ],
     )
-    expected = of_chain((0.74, 0.71, 0.69), (24300.0, 21800.0, 19800.0), (0.0,) * 3, FREQUENCIES)
+    expected = chain_response((0.74, 0.71, 0.69), (24300.0, 21800.0, 19800.0), (0.0,) * 3, FREQUENCIES)
     np.testing.assert_allclose(receptance(scene, FREQUENCIES, riding=[2]), expected, rtol=1e-9)
 
 
-@pytest.mark.parametrize("held", [{"clearance": 0.0}, {"clearance": 1e-3, "locked": True}])
-def test_held_damper_always_adds_its_mass(held: dict[str, object]) -> None:
+@pytest.mark.parametrize("settings", [{"clearance": 0.0}, {"clearance": 1e-3, "locked": True}])
+def test_locked_damper_adds_its_mass(settings: dict[str, object]) -> None:
     scene = rig.load("fig9")
-    scene = scene.replace(dampers=[{"body": 2, "mass": 0.1, **held}])
+    scene = scene.replace(dampers=[{"body": 2, "mass": 0.1, **settings}])
     np.testing.assert_array_equal(receptance(scene, [30.0]), receptance(scene, [30.0], riding=[1]))
 
 
@@ -158,7 +158,7 @@ def test_hammer_position_sets_the_force() -> None:
     )
 
 
-def test_missing_response_names_the_cause() -> None:
+def test_missing_response_reports_the_cause() -> None:
     table, force = rig.load("bare-structure"), rig.load("reference-B")
     with pytest.raises(SceneError, match="frequencies"):
         receptance(table, [-1.0])

@@ -49,7 +49,7 @@ def test_shakers_of_all_kinds_superpose() -> None:
     assert abs(run.energy.residual) < 1e-12 * abs(run.energy.work)
 
 
-def test_second_shaker_at_rest_changes_nothing() -> None:
+def test_second_shaker_without_drive_has_no_effect() -> None:
     drive = np.random.default_rng(2).standard_normal((1, 300))
     alone = rig.simulate(scene(HEAVY), duration=0.1, rate=4000.0, drive=drive)
     beside = rig.simulate(

@@ -46,10 +46,13 @@ class Flat(Question):
         )
 
 
+def search_at_once(question: Question, space: Space) -> tuple[Trial, list[Trial]]:
+    return search(question, space, Answers(Shuffled(0), None, None, 1))  # type: ignore[arg-type]
+
+
 def test_second_level_decides_where_worst_is_indifferent() -> None:
     question = Flat((rig.load("fig9"),), (1.0, 2.0), (40.0, 60.0), (1,))
-    answers = Answers(Shuffled(0), None, None, 1)  # type: ignore[arg-type]
-    best, _ = search(question, Space(((1,),), 0.1, (1e-4, 1e-2)), answers)
+    best, _ = search_at_once(question, Space(((1,),), 0.1, (1e-4, 1e-2)))
     assert best.choice.clearances[0] == pytest.approx(2e-3, rel=0.1)
 
 
@@ -65,16 +68,14 @@ class Lone(Question):
 
 def test_equal_single_damper_is_named() -> None:
     question = Lone((rig.load("fig9"),), (1.0,), (40.0, 60.0), (1,))
-    answers = Answers(Shuffled(0), None, None, 1)  # type: ignore[arg-type]
-    best, _ = search(question, Space(((1, 2),), 0.1, (1e-4, 1e-2)), answers)
+    best, _ = search_at_once(question, Space(((1, 2),), 0.1, (1e-4, 1e-2)))
     assert best.choice.bodies == (2,) and best.choice.masses == pytest.approx((0.1,))
     assert best.choice.clearances[0] == pytest.approx(1e-3, rel=0.5)
 
 
 def test_search_finds_the_best_number_of_dampers() -> None:
     question = Lone((rig.load("fig9"),), (1.0,), (40.0, 60.0), (1,))
-    answers = Answers(Shuffled(0), None, None, 1)  # type: ignore[arg-type]
-    _, trials = search(question, Space(Space.places_of((1, 2), 2), 0.1, (1e-4, 1e-2)), answers)
+    _, trials = search_at_once(question, Space(Space.places_of((1, 2), 2), 0.1, (1e-4, 1e-2)))
     for row in front(trials):
         alone = Choice((2,), (row.choice.mass,), (1e-3,))
         assert row.peak.size <= 1.005 * question.worst(alone).size
@@ -82,8 +83,7 @@ def test_search_finds_the_best_number_of_dampers() -> None:
 
 def test_dampers_without_a_ceiling_are_tried() -> None:
     question = Tall((rig.load("fig9"),), (1.0,), (40.0, 60.0), (1,))
-    answers = Answers(Shuffled(0), None, None, 1)  # type: ignore[arg-type]
-    best, trials = search(question, Space(((1,),), 0.1, (1e-4, 1e-2)), answers)
+    best, trials = search_at_once(question, Space(((1,),), 0.1, (1e-4, 1e-2)))
     assert best.choice == Choice((1,), (0.1,), (np.inf,))
     assert sum(not trial.choice.has_ceiling for trial in trials) == 3
 

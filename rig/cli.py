@@ -337,8 +337,8 @@ def map_(
     An interrupted run continues when it is started again.
     """
     import rig
-    from rig.motion_map.figure import place, summary, write
     from rig.motion_map.grid import KIND_OF_UNIT, vertical_axis
+    from rig.motion_map.motion_map import output_stem, summarize_map, write_map
     from rig.output_files import create_folder
     from rig.provenance import allow_overwriting, output_source, reject_foreign_files
     from rig.scene.quantities import FREQUENCY
@@ -349,15 +349,15 @@ def map_(
     kind = KIND_OF_UNIT[unit]
     ends = _quantity(least, kind, "--least"), _quantity(most, kind, "--most")
     create_folder(output)
-    name = place(setting, over, output)
+    name = output_stem(setting, over, output)
     finished_points = name.with_suffix(".csv.kept")
     with resumable(), allow_overwriting(overwrite), output_source("map", setting.to_yaml()):
         reject_foreign_files(*_figure_and_table(name))
         with count_progress("following the motion") as progress:
             result = rig.map(setting, over, *ends, rows, *band, points, cluster, finished_points, progress)
-        files = write(result, output)
+        files = write_map(result, output)
     finished_points.unlink()
-    print(summary(result))
+    print(summarize_map(result))
     report_written(*files)
 
 

@@ -21,7 +21,8 @@ def fig9_claim(parts: Parts) -> Claim:
     peak_a = np.abs(approximate["compliance"][good]).max()
     peak_e = np.abs(exact["compliance"][exact["stable"], 1]).max()
     peak_m = np.abs(measured["compliance"][1]).max()
-    on_curve = _distance(exact, measured)
+    pairs = zip(measured["frequency"], measured["compliance"][1], strict=True)
+    on_curve = np.nanmedian([_nearest(exact, frequency, value)[1] for frequency, value in pairs])
     phi, tau = _phase_distance(exact, measured, "phi"), _phase_distance(exact, measured, "tau_1")
     only_two = not ((exact["type"] == "III") & exact["stable"]).any()
     damped = parts["fig9-damping"]
@@ -116,11 +117,6 @@ def _nearest(exact: Columns, frequency: float, value: complex) -> tuple[int, flo
     away = np.abs(np.abs(exact["compliance"][index, 1]) - abs(value)) / abs(value)
     best = int(away.argmin())
     return int(index[best]), float(away[best])
-
-
-def _distance(exact: Columns, measured: Columns) -> float:
-    pairs = zip(measured["frequency"], measured["compliance"][1], strict=True)
-    return float(np.nanmedian([_nearest(exact, f, value)[1] for f, value in pairs]))
 
 
 def _phase_distance(exact: Columns, measured: Columns, what: str) -> float:

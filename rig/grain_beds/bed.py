@@ -46,7 +46,10 @@ class Bed:
         self._of_two, self._on_walls = _laws(spheres, ceiling, step)
         self._diameter = float(spheres.diameters().max())
         self._lammps = self._new_lammps()
-        self._do(*_BEFORE, *_box(spheres, self._diameter, positions))
+        side = 1.1 * (0.5 * spheres.settings.cavity) + self._diameter
+        low, top = -self._diameter, float(positions[:, 2].max()) + self._diameter
+        box = f"region box block {-side!r} {side!r} {-side!r} {side!r} {low!r} {top!r}"
+        self._do(*_BEFORE, box, "create_box 1 box")
         self._define_model()
         flat = np.ascontiguousarray(positions, dtype=np.float64).ravel()
         numbers = list(range(1, self._count + 1))
@@ -220,12 +223,3 @@ _BEFORE = (
     "boundary f f m",
     "newton off",
 )
-
-
-def _box(spheres: Spheres, largest: float, positions: Array) -> tuple[str, ...]:
-    side = 1.1 * (0.5 * spheres.settings.cavity) + largest
-    top = float(positions[:, 2].max()) + largest
-    return (
-        f"region box block {-side!r} {side!r} {-side!r} {side!r} {-largest!r} {top!r}",
-        "create_box 1 box",
-    )

@@ -20,10 +20,10 @@ from rig.engine.propagator import sampled_propagator
 from rig.engine.samples import MotionSamples, StateSamples
 from rig.engine.state import CEILING, FLIGHT, FLOOR
 from rig.engine.trajectory import Trajectory, gaps_and_contacts
-from rig.grain_beds.bed import WALLS, Bed
+from rig.grain_beds.bed import WALLS
 from rig.grain_beds.packing import highest, settled
 from rig.grain_beds.shared_bed import new_bed
-from rig.grain_beds.spheres import Spheres, spheres_of
+from rig.grain_beds.spheres import spheres_of
 from rig.scene.scene import Scene
 from rig.system.assembly import assemble
 from rig.system.hybrid_system import FORCE_OF_BED, HybridSystem
@@ -76,7 +76,11 @@ class CoupledPropagator:
         number = self.system.damper_number.tolist()
         self._rows = np.array([number.index(row + 1) for row in spheres], dtype=np.intp)
         self._others = np.flatnonzero(~self.system.grains)
-        self.beds = [_bed(each, scene.gravity, self.step) for each in spheres.values()]
+        self.beds = []
+        for each in spheres.values():
+            positions = settled(each)
+            ceiling = highest(each, positions) + each.clearance
+            self.beds.append(new_bed(each, positions, ceiling, scene.gravity, self.step))
         self._mass = np.array([bed.mass for bed in self.beds])
         self._force = np.array([bed.forces() for bed in self.beds])
         self._velocity, self._acceleration, self._begin, self._impulse = np.zeros((4, len(self.beds)))
@@ -271,13 +275,6 @@ def _with_ports(scene: Scene, system: HybridSystem, bodies: NDArray[np.intp]) ->
         damper_number=system.damper_number[~system.grains],
         initial=system.initial,
     )
-
-
-def _bed(spheres: Spheres, gravity: float, step: float) -> Bed:
-    """Create a settled bed below a ceiling at its clearance."""
-    positions = settled(spheres)
-    ceiling = highest(spheres, positions) + spheres.clearance
-    return new_bed(spheres, positions, ceiling, gravity, step)
 
 
 def _join(now: Trajectory, samples: StateSamples, pages: list[tuple[int, Trajectory]]) -> Trajectory:

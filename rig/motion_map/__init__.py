@@ -1,4 +1,4 @@
 """Map of motion type and settling time over two parameters: `rig map`.
 
-Start with `motion_map`; `grid` selects the points, `figure` draws them.
+Start with `motion_map`; `grid` selects the points.
 """

@@ -12,9 +12,8 @@ import pytest
 
 import rig
 from rig.errors import SceneError
-from rig.motion_map.figure import summary, write
 from rig.motion_map.grid import columns, rows_of, take_off, vertical_axis
-from rig.motion_map.motion_map import KINDS
+from rig.motion_map.motion_map import KINDS, summarize_map, write_map
 from rig.output_files import create_folder
 from rig.system.open_loop_drive import with_ideal_force
 from rig.system.structural_model import receptance
@@ -148,26 +147,28 @@ def test_interrupted_map_continues_from_stored_rows(tmp_path: Path, monkeypatch:
 
 @pytest.mark.thorough
 def test_file_has_a_row_for_every_point(fig9_map: rig.MotionMap, tmp_path: Path) -> None:
-    files = write(fig9_map, tmp_path / "new")
+    files = write_map(fig9_map, tmp_path / "new")
     assert [file.suffix for file in files] == [".png", ".svg", ".csv"]
     with files[2].open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == fig9_map.kind.size
     assert {row["damper1_motion"] for row in rows} == set(fig9_map.motion.ravel())
-    assert "riding" in summary(fig9_map) and "not a time on a bench" in summary(fig9_map)
+    assert "riding" in summarize_map(fig9_map) and "not a time on a bench" in summarize_map(fig9_map)
 
 
 @pytest.mark.thorough
 def test_times_do_not_change_the_files(fig9_map: rig.MotionMap, tmp_path: Path) -> None:
     slower = replace(fig9_map, cpu=3.0 * fig9_map.cpu)
-    for one, other in zip(write(fig9_map, tmp_path / "one"), write(slower, tmp_path / "other"), strict=True):
+    for one, other in zip(
+        write_map(fig9_map, tmp_path / "one"), write_map(slower, tmp_path / "other"), strict=True
+    ):
         assert one.read_bytes() == other.read_bytes()
 
 
 @pytest.mark.thorough
 def test_level_and_clearance_maps_coexist(fig9_map: rig.MotionMap, tmp_path: Path) -> None:
     other = replace(fig9_map, over="clearance", unit="m")
-    files = [*write(fig9_map, tmp_path), *write(other, tmp_path)]
+    files = [*write_map(fig9_map, tmp_path), *write_map(other, tmp_path)]
     assert len(set(files)) == 6
 
 

@@ -31,7 +31,7 @@ def run_trial(seed: int, number: int, kind: str) -> list[Verdict]:
     scene = _DRAW_FUNCTIONS.get(kind, draw)(seed, number, kind)
     if kind == CURVES:
         # Curves in closed form need no recording.
-        return [modes.judged(scene, exact_curves(scene, seed, number), kind)]
+        return [modes.compare_modes(scene, exact_curves(scene, seed, number), kind)]
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings(record=True) as warnings_:
         warnings.simplefilter("always", daq.RunWarning)
         path = Path(folder) / "gauntlet.mcap"

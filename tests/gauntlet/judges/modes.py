@@ -17,8 +17,10 @@ from rig.system.structural_model import structure_matrices
 from tests.gauntlet.pairs import CURVES, MULTISINE, STEPPED
 from tests.gauntlet.verdict import Case, Outcome, Verdict
 
-# Factor of the 95 % interval, and the largest plausible error, standard deviations.
-BOUND, FAR = 1.96, 4.5
+# Coverage factor of the 95 % interval.
+COVERAGE_FACTOR = 1.96
+# Largest plausible error, in standard uncertainties.
+MAX_ERROR_SIGMAS = 4.5
 # Warning that the points are too far apart to determine the modes.
 _EXTRAPOLATED = "the damping is extrapolated from the flanks"
 # Rounding, relative.
@@ -30,19 +32,19 @@ def judge(case: Case, kind: str) -> list[Verdict]:
     """Identify modes from all curves of a linear structure."""
     if case.scene.dampers or case.scene.test.kind == "free":
         return []
-    found = [
-        judged(case.scene, curves, kind)
+    verdicts = [
+        compare_modes(case.scene, curves, kind)
         for curves in analysis.frequency_responses(case.recording)
         if curves[0].frequency.size > 2
     ]
-    return found[:1]
+    return verdicts[:1]
 
 
-def judged(scene: rig.Scene, curves: list[Response], kind: str) -> Verdict:
+def compare_modes(scene: rig.Scene, curves: list[Response], kind: str) -> Verdict:
     """Compare the modes of some curves with the structure; points are frequencies and damping ratios."""
     modes = analysis.identify(curves)
     true_frequency, true_ratio = _true_modes(scene)
-    matched, extra = _matched(modes, true_frequency, true_ratio)
+    matched, extra = _match(modes, true_frequency, true_ratio)
     error = np.array(
         [
             [
@@ -57,26 +59,26 @@ def judged(scene: rig.Scene, curves: list[Response], kind: str) -> Verdict:
     outcome: Outcome = "right"
     if modes.model_error:
         outcome = "warned"
-    elif extra or not separated or np.any(error > FAR):
+    elif extra or not separated or np.any(error > MAX_ERROR_SIGMAS):
         outcome = "warned" if any(_EXTRAPOLATED in text for text in modes.warnings) else "wrong"
     counted = outcome != "warned"
     worst = error.max(initial=0.0)
     note = f"{len(matched)} of {true_frequency.size} modes identified, largest error {worst:.2f} standard deviations"
     note += "".join(f", {modes.frequency[i]:.5g} Hz is spurious" for i in extra)
     note += "" if separated else f", the pair at {true_frequency[0]:.5g} Hz is not separated"
-    width = float(np.median(BOUND * modes.damping_error / modes.damping))
+    width = float(np.median(COVERAGE_FACTOR * modes.damping_error / modes.damping))
     return Verdict(
-        "modes", kind, outcome, int(np.sum(error < BOUND)) if counted else 0, error.size if counted else 0, width,
-        note, scene.name,
+        "modes", kind, outcome, int(np.sum(error < COVERAGE_FACTOR)) if counted else 0, error.size if counted else 0,
+        width, note, scene.name,
     )  # fmt: skip
 
 
 def _true_modes(scene: rig.Scene) -> tuple[Array, Array]:
-    """Natural frequencies as read with the error of the clock, Hz, and damping ratios."""
+    """Return natural frequencies as measured with the error of the clock, Hz, and damping ratios."""
     mass, damping, stiffness = structure_matrices(scene.structure)
-    size = len(mass)
+    bodies = len(mass)
     state = np.block(
-        [[np.zeros((size, size)), np.eye(size)], [-linalg.solve(mass, np.hstack([stiffness, damping]))]]
+        [[np.zeros((bodies, bodies)), np.eye(bodies)], [-linalg.solve(mass, np.hstack([stiffness, damping]))]]
     )
     poles = np.linalg.eigvals(state)
     poles = poles[poles.imag > 0.0]
@@ -85,14 +87,14 @@ def _true_modes(scene: rig.Scene) -> tuple[Array, Array]:
     return abs(poles) / (2.0 * np.pi * clock), -poles.real / abs(poles)
 
 
-def _matched(modes: Modes, frequency: Array, ratio: Array) -> tuple[list[tuple[int, int]], list[int]]:
-    """Match identified with true modes, nearest first; also list the spurious ones."""
+def _match(modes: Modes, frequency: Array, ratio: Array) -> tuple[list[tuple[int, int]], list[int]]:
+    """Match identified with true modes, nearest first; also return the spurious modes."""
     distance = abs(modes.frequency[:, None] - frequency)
-    near = distance < np.maximum(5.0 * modes.frequency_error[:, None], ratio * frequency)
+    is_close = distance < np.maximum(5.0 * modes.frequency_error[:, None], ratio * frequency)
     matched: list[tuple[int, int]] = []
     for flat in np.argsort(distance, axis=None):
         i, j = divmod(int(flat), frequency.size)
-        if near[i, j] and all(i != a and j != b for a, b in matched):
+        if is_close[i, j] and all(i != a and j != b for a, b in matched):
             matched.append((i, j))
     genuine = {i for i, _ in matched}
     return matched, [i for i in range(modes.frequency.size) if i not in genuine]

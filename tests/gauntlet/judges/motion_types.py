@@ -12,13 +12,13 @@ from rig.numerics.runs import runs_of
 from rig.steady_response.motion_type import MIN_STAY_RATIO
 from rig.system.assembly import assemble
 from tests.gauntlet.cavities import STEPS
-from tests.gauntlet.judges.impacts import APART, detectable, true_impacts
+from tests.gauntlet.judges.impacts import MAX_DISTANCE_SAMPLES, detectable, true_impacts
 from tests.gauntlet.landings import STEPPED_LANDINGS
 from tests.gauntlet.verdict import Case, Verdict
 
-NAMED = ("riding", "I", "II", "III")
+TYPE_NAMES = ("riding", "I", "II", "III")
 # Largest relative deviation from a period of the interval between impacts that occur once a period.
-_ONCE = 0.1
+_MAX_PERIOD_DEVIATION = 0.1
 
 
 def judge(case: Case, kind: str) -> list[Verdict]:
@@ -31,8 +31,8 @@ def judge(case: Case, kind: str) -> list[Verdict]:
             motions = damper_motion(case.recording, sweep, f"a{damper.body}")
             for motion, window in zip(motions, sweep.windows, strict=True):
                 true = _true_type(case, number, motion.frequency, *map(int, window))
-                nameable += true in NAMED
-                if motion.name in NAMED:
+                nameable += true in TYPE_NAMES
+                if motion.name in TYPE_NAMES:
                     points += 1
                     right += motion.name == true
                     if motion.name != true:
@@ -45,30 +45,33 @@ def judge(case: Case, kind: str) -> list[Verdict]:
 
 
 def _true_type(case: Case, number: int, frequency: float, first: int, stop: int) -> str:
-    """True type of motion in a window; without events the damper is riding.
+    """Return the true type of motion in a window; without events the damper is riding (at rest on the floor).
 
-    Impacts that are too small, or too near a larger one, count only if they are detected.
+    Impacts that are too small, or too close to a larger one, count only if they are detected.
     """
-    rec = case.recording
-    events = rec.events[rec.events["damper"] == number]
-    riding = rec.truth("contact")[number - 1, first] == 1
-    if riding and not ((events["time"] >= first / rec.rate) & (events["time"] < stop / rec.rate)).any():
+    recording = case.recording
+    events = recording.events[recording.events["damper"] == number]
+    riding = recording.truth("contact")[number - 1, first] == 1
+    if (
+        riding
+        and not ((events["time"] >= first / recording.rate) & (events["time"] < stop / recording.rate)).any()
+    ):
         return "riding"
     time, jump = true_impacts(case, number)
-    inside = (time >= first / rec.rate) & (time < stop / rec.rate)
-    found = impacts(rec, f"a{case.scene.dampers[number - 1].body}", first, stop)
+    is_counted = (time >= first / recording.rate) & (time < stop / recording.rate)
+    detected = impacts(recording, f"a{case.scene.dampers[number - 1].body}", first, stop)
     # A detection next to a larger impact is that impact, slightly late.
-    matched = score(found.time, time, APART / rec.rate)[2]
+    matched = score(detected.time, time, MAX_DISTANCE_SAMPLES / recording.rate)[2]
     matched[matched] = [
-        abs(jump[k]) >= abs(jump[abs(time - time[k]) < found.min_interval]).max()
+        abs(jump[k]) >= abs(jump[abs(time - time[k]) < detected.min_interval]).max()
         for k in np.flatnonzero(matched)
     ]
-    inside &= detectable(time, jump, found) | matched
-    floor, ceiling = time[inside & (jump < 0.0)], time[inside & (jump > 0.0)]
-    periods = (stop - first) / rec.rate * frequency
-    if _once(floor, frequency, periods) and not ceiling.size:
+    is_counted &= detectable(time, jump, detected) | matched
+    floor, ceiling = time[is_counted & (jump < 0.0)], time[is_counted & (jump > 0.0)]
+    periods = (stop - first) / recording.rate * frequency
+    if _is_once_per_period(floor, frequency, periods) and not ceiling.size:
         return "I"
-    if _once(floor, frequency, periods) and _once(ceiling, frequency, periods):
+    if _is_once_per_period(floor, frequency, periods) and _is_once_per_period(ceiling, frequency, periods):
         stays = _stays(case, number, first, stop)
         return "III" if stays else "II"
     return f"{floor.size / periods:.2f} floor, {ceiling.size / periods:.2f} ceiling"
@@ -85,7 +88,7 @@ def _stays(case: Case, number: int, first: int, stop: int) -> bool:
     return longest / case.recording.rate > MIN_STAY_RATIO * system.duration_and_restitution(int(j), 2)[0]
 
 
-def _once(time: NDArray[np.float64], frequency: float, periods: float) -> bool:
-    """Whether impacts occur once a period throughout a window; one may be missing at either end."""
+def _is_once_per_period(time: NDArray[np.float64], frequency: float, periods: float) -> bool:
+    """Return whether impacts occur once a period throughout a window; one may be missing at either end."""
     between = np.diff(time) * frequency
-    return time.size > periods - 2.0 and bool(np.all(abs(between - 1.0) < _ONCE))
+    return time.size > periods - 2.0 and bool(np.all(abs(between - 1.0) < _MAX_PERIOD_DEVIATION))

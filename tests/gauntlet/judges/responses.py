@@ -1,7 +1,7 @@
-"""Frequency responses: every line lies within its stated 95 % bound of the exact curve, or is marked, or is refused.
+"""Frequency responses: every line lies within its 95 % interval of the exact curve, or is marked, or is rejected.
 
-Judged twice: the whole bound against the structure, and the bound without sensor tolerances against the structure
-as its actual sensors show it. The second comparison prevents wide tolerances from hiding other errors.
+There are two comparisons: the full interval with the structure, and the interval without sensor tolerances with the
+structure as measured by its actual sensors. The second prevents that wide tolerances hide other errors.
 """
 
 from __future__ import annotations
@@ -26,16 +26,19 @@ from rig.system.structural_model import receptance
 from tests.gauntlet.cavities import STEPS, TONE
 from tests.gauntlet.verdict import Case, Outcome, Verdict
 
-# Smallest share of the lines of a scene within their bounds. With few lines chance alone can violate it; then the
-# joint probability of errors as large under correct bounds decides, which must exceed CHANCE.
-FEWEST_INSIDE, CHANCE = 0.7, 1e-4
-# A line is misleading beyond FAR_BOUNDS bounds and beyond FAR of the true value; MOST_FAR is the largest share of
-# such lines.
-FAR_BOUNDS, FAR, MOST_FAR = 3.0, 0.05, 0.02
-# Largest share of lines without a value, without a finite bound, or marked as unsteady.
-MOST_UNRESOLVED = 0.3
-# Warnings that the whole curve is not a response to steady tones, with the reason. No other warning excuses a wrong
-# line.
+# Smallest fraction of the lines of a scene within their intervals.
+MIN_COVERAGE = 0.7
+# With few lines, chance alone can violate it. Smallest joint probability of the errors under correct intervals.
+MIN_PROBABILITY = 1e-4
+# A line is misleading if its error exceeds this multiple of its bound and `MISLEADING_ERROR`.
+MISLEADING_BOUNDS = 3.0
+# Error of a misleading line relative to the true value.
+MISLEADING_ERROR = 0.05
+# Largest fraction of misleading lines.
+MAX_MISLEADING_FRACTION = 0.02
+# Largest fraction of lines without a value, without a finite bound, or marked as unsteady.
+MAX_UNRESOLVED_FRACTION = 0.3
+# Warnings that the complete curve is not a response to steady tones. No other warning excuses a wrong line.
 _NOT_TONES = (
     LIFTED,
     NONLINEAR,
@@ -46,14 +49,15 @@ _NOT_TONES = (
 # Relative rounding error of curves without noise.
 _ROUNDING = 1e-9
 # Relative change of the force for the derivative of a response with respect to it.
-_MORE_FORCE = 2e-3
-# Larger relative derivatives belong to a change to another kind of motion.
-_STEEPEST = 20.0
-# Relative standard deviation of the true amplitudes of single periods above which the motion of a window is irregular,
-# and the number of periods compared.
-_IRREGULAR, _PERIODS = 0.02, 10
+_FORCE_STEP = 2e-3
+# Largest relative derivative: larger values indicate a change to another type of motion.
+_MAX_RELATIVE_SLOPE = 20.0
+# Largest relative standard deviation of the true amplitudes of single periods of a regular motion.
+_MAX_AMPLITUDE_DEVIATION = 0.02
+# Number of compared periods.
+_COMPARED_PERIODS = 10
 # Largest relative deviation of the force for which the first-order correction is accurate to about 1e-5.
-_NEAR = 2e-3
+_MAX_FORCE_DEVIATION = 2e-3
 
 
 @dataclass
@@ -63,51 +67,53 @@ class _Tally:
     name: str
     inside: int = 0
     points: int = 0
-    by_chance: float = 1.0
+    probability: float = 1.0
     """Joint probability of errors as large, for the least likely curve."""
-    far: int = 0
-    refused: int = 0
+    misleading: int = 0
+    unresolved: int = 0
     marked: int = 0
     widths: list[float] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
     def add(self, frf: Response, exact: NDArray[np.complex128]) -> None:
-        bound, known = frf.bound(0.95), np.isfinite(exact)
-        size, wrong = np.maximum(abs(exact), 1e-300), abs(frf.value - exact)
-        bound = bound + _ROUNDING * size
+        bound, is_known = frf.bound(0.95), np.isfinite(exact)
+        magnitude, error = np.maximum(abs(exact), 1e-300), abs(frf.value - exact)
+        bound = bound + _ROUNDING * magnitude
         resolved = np.isfinite(frf.value) & np.isfinite(bound)
         steady = np.ones(resolved.size, dtype=bool) if frf.unsteady is None else ~frf.unsteady
-        judged, good = known & resolved & steady, wrong <= bound
-        self.inside += int(np.sum(good & judged))
+        judged, is_inside = is_known & resolved & steady, error <= bound
+        self.inside += int(np.sum(is_inside & judged))
         self.points += int(judged.sum())
-        self.refused += int(np.sum(known & ~resolved))
-        self.marked += int(np.sum(known & resolved & ~steady))
-        self.far += int(np.sum(judged & (wrong > FAR_BOUNDS * bound) & (wrong > FAR * size)))
+        self.unresolved += int(np.sum(is_known & ~resolved))
+        self.marked += int(np.sum(is_known & resolved & ~steady))
+        self.misleading += int(
+            np.sum(judged & (error > MISLEADING_BOUNDS * bound) & (error > MISLEADING_ERROR * magnitude))
+        )
         if judged.any():
             # An error exceeds k times its 95 % bound with a probability of 0.05 to the power of k squared.
-            exponent = -np.log(0.05) * np.sum((wrong / bound)[judged] ** 2)
-            self.by_chance = min(self.by_chance, float(special.gammaincc(judged.sum(), exponent)))
-            self.widths += (bound / size)[judged].tolist()
-            worst = int(np.argmax(np.where(judged, wrong / bound, 0.0)))
+            exponent = -np.log(0.05) * np.sum((error / bound)[judged] ** 2)
+            self.probability = min(self.probability, float(special.gammaincc(judged.sum(), exponent)))
+            self.widths += (bound / magnitude)[judged].tolist()
+            worst = int(np.argmax(np.where(judged, error / bound, 0.0)))
             self.notes.append(
-                f"{frf.response} {good[judged].mean():.0%} (largest error {wrong[worst] / size[worst]:.2%}, bound "
-                f"{bound[worst] / size[worst]:.2%}, at {frf.frequency[worst]:.4g} Hz; median "
-                f"{np.median((wrong / size)[judged]):.2%}, bound {np.median((bound / size)[judged]):.2%})"
+                f"{frf.response} {is_inside[judged].mean():.0%} (largest error {error[worst] / magnitude[worst]:.2%}, "
+                f"bound {bound[worst] / magnitude[worst]:.2%}, at {frf.frequency[worst]:.4g} Hz; median "
+                f"{np.median((error / magnitude)[judged]):.2%}, bound {np.median((bound / magnitude)[judged]):.2%})"
             )
 
     def verdict(self, kind: str, warnings: list[str]) -> Verdict:
-        lines = self.points + self.refused + self.marked
-        enough = self.inside >= FEWEST_INSIDE * self.points or self.by_chance > CHANCE
-        holds = enough and self.far <= MOST_FAR * self.points
+        lines = self.points + self.unresolved + self.marked
+        covered = self.inside >= MIN_COVERAGE * self.points or self.probability > MIN_PROBABILITY
+        is_right = covered and self.misleading <= MAX_MISLEADING_FRACTION * self.points
         outcome: Outcome
-        if self.refused > MOST_UNRESOLVED * lines:
+        if self.unresolved > MAX_UNRESOLVED_FRACTION * lines:
             outcome = "refused"
-        elif self.marked > MOST_UNRESOLVED * lines or any(
+        elif self.marked > MAX_UNRESOLVED_FRACTION * lines or any(
             cause in text for text in warnings for cause in _NOT_TONES
         ):
             outcome = "warned"
         else:
-            outcome = "right" if holds else "wrong"
+            outcome = "right" if is_right else "wrong"
         note = "; ".join(self.notes) + "".join(f" [{text}]" for text in dict.fromkeys(warnings))
         # Curves that are refused or warned of as a whole have no bounds to count.
         counted = outcome in ("right", "wrong")
@@ -126,112 +132,123 @@ def judge(case: Case, kind: str) -> list[Verdict]:
     """Compare all curves of a recording with closed form or exact orbits."""
     if case.scene.test.kind == "free" or kind in (TONE, STEPS):
         return []
-    whole, random = _Tally("responses"), _Tally("responses, as built")
+    full_bound, without_tolerances = _Tally("responses"), _Tally("responses, as built")
     warnings: list[str] = []
-    known = _where_regular(case, _truth(case.scene))
-    truth, close = _at_forces(case, known, np.inf), _at_forces(case, known, _NEAR)
+    regular_truth = _exclude_irregular(case, _truth(case.scene))
+    truth, truth_near_nominal_force = (
+        _truth_at_actual_forces(case, regular_truth, np.inf),
+        _truth_at_actual_forces(case, regular_truth, _MAX_FORCE_DEVIATION),
+    )
     for group in analysis.frequency_responses(case.recording):
         for frf in group:
             warnings += frf.warnings
             body = int(case.recording.channels[frf.response].at.split()[1]) - 1
-            whole.add(frf, truth(frf.frequency)[body])
+            full_bound.add(frf, truth(frf.frequency)[body])
             within_tolerance = replace(frf, uncertainty=frf.uncertainty.without(SENSITIVITY, CLOCK))
-            random.add(within_tolerance, _as_built(case, frf, close))
-    return [tally.verdict(kind, warnings) for tally in (whole, random)]
+            without_tolerances.add(
+                within_tolerance, _curve_of_actual_sensors(case, frf, truth_near_nominal_force)
+            )
+    return [tally.verdict(kind, warnings) for tally in (full_bound, without_tolerances)]
 
 
 def _truth(scene: rig.Scene) -> Callable[[NDArray[np.float64]], NDArray[np.complex128]]:
     """Return a function for the receptances of all bodies, NaN where the motion is irregular; results are stored."""
-    known: dict[bytes, NDArray[np.complex128]] = {}
+    cache: dict[bytes, NDArray[np.complex128]] = {}
 
     def exact(frequency: NDArray[np.float64]) -> NDArray[np.complex128]:
         key = frequency.tobytes()
-        if key not in known:
+        if key not in cache:
             if scene.test.kind == "multisine":
                 # With dampers in flight the estimate warns that it is no response to tones; otherwise the dampers
                 # are at rest.
                 dampers = [damper.replace(locked=True) for damper in scene.dampers]
-                known[key] = receptance(scene.replace(dampers=dampers), frequency)
+                cache[key] = receptance(scene.replace(dampers=dampers), frequency)
             elif scene.dampers and isinstance(scene.driven_shaker, ForceShaker):
                 response = rig.orbit_response(scene, frequency)
-                known[key] = np.where(response.simulated, np.nan, response.compliance)
+                cache[key] = np.where(response.simulated, np.nan, response.compliance)
             elif scene.dampers:
-                known[key] = _settled(scene, frequency)
+                cache[key] = _steady_receptance(scene, frequency)
             else:
-                known[key] = receptance(scene, frequency)
-        return known[key]
+                cache[key] = receptance(scene, frequency)
+        return cache[key]
 
     return exact
 
 
-def _where_regular(
+def _exclude_irregular(
     case: Case, exact: Callable[[NDArray[np.float64]], NDArray[np.complex128]]
 ) -> Callable[[NDArray[np.float64]], NDArray[np.complex128]]:
-    """Return ``exact`` with NaN where the recorded true motion was irregular, and so not on the stable orbit."""
-    rec, irregular = case.recording, []
-    if not case.scene.dampers or rec.truth_points == ():
+    """Return ``exact`` with NaN at frequencies where the recorded true motion is irregular."""
+    recording, irregular = case.recording, []
+    if not case.scene.dampers or recording.truth_points == ():
         return exact
-    for marker in rec.markers:
+    for marker in recording.markers:
         if marker.kind == "measure" and "frequency" in marker.fields and marker.last_sample is not None:
-            period = rec.rate / marker.fields["frequency"]
-            first, whole = marker.first_sample, int((marker.stop - marker.first_sample) / period)
-            edges = np.round(first + period * np.linspace(0, whole, min(whole, _PERIODS) + 1)).astype(int)
-            motion = rec.truth("displacement", edges[0], edges[-1])
+            period = recording.rate / marker.fields["frequency"]
+            first, n_periods = marker.first_sample, int((marker.stop - marker.first_sample) / period)
+            edges = np.round(
+                first + period * np.linspace(0, n_periods, min(n_periods, _COMPARED_PERIODS) + 1)
+            ).astype(int)
+            motion = recording.truth("displacement", edges[0], edges[-1])
             tone = motion * np.exp(-2j * np.pi * np.arange(motion.shape[1]) / period)
             parts = np.array([part.mean(axis=1) for part in np.split(tone, edges[1:-1] - first, axis=1)])
-            if np.any(parts.std(axis=0) > _IRREGULAR * abs(parts.mean(axis=0))):
+            if np.any(parts.std(axis=0) > _MAX_AMPLITUDE_DEVIATION * abs(parts.mean(axis=0))):
                 irregular.append(marker.fields["frequency"])
 
-    def known(frequency: NDArray[np.float64]) -> NDArray[np.complex128]:
-        others = np.isclose(frequency[:, None], np.array(irregular), rtol=1e-3, atol=0.0).any(axis=1)
-        return np.where(others, np.nan, exact(frequency))
+    def regular(frequency: NDArray[np.float64]) -> NDArray[np.complex128]:
+        is_irregular = np.isclose(frequency[:, None], np.array(irregular), rtol=1e-3, atol=0.0).any(axis=1)
+        return np.where(is_irregular, np.nan, exact(frequency))
 
-    return known
+    return regular
 
 
-def _settled(scene: rig.Scene, frequency: NDArray[np.float64]) -> NDArray[np.complex128]:
-    """Receptances with a coil spring, through which the dampers' harmonics act back on the force."""
+def _steady_receptance(scene: rig.Scene, frequency: NDArray[np.float64]) -> NDArray[np.complex128]:
+    """Return receptances with a coil spring, through which the harmonics of the dampers affect the force."""
     down = getattr(scene.test, "direction", "up") == "down"
     response = rig.frequency_response(scene, frequency, direction="down" if down else "up", longest=3000)
     order = np.argsort(response.frequency)
-    known = np.where(response.converged, response.compliance, np.nan)[:, order]
-    return known[:, np.searchsorted(response.frequency[order], frequency)]
+    values = np.where(response.converged, response.compliance, np.nan)[:, order]
+    return values[:, np.searchsorted(response.frequency[order], frequency)]
 
 
-def _at_forces(
-    case: Case, truth: Callable[[NDArray[np.float64]], NDArray[np.complex128]], most: float
+def _truth_at_actual_forces(
+    case: Case, truth: Callable[[NDArray[np.float64]], NDArray[np.complex128]], max_deviation: float
 ) -> Callable[[NDArray[np.float64]], NDArray[np.complex128]]:
     """Return a function for the receptances at the actual forces, to first order; NaN beyond its range of validity.
 
-    The controller holds the reading of sensors with deviations, within its tolerance. The response of a nonlinear
-    structure is that to the actual force, not to the specified one.
+    The controller controls the reading of sensors with deviations, within its tolerance. The response of a nonlinear
+    structure belongs to the actual force, not to the specified force.
     """
     scene = case.scene
-    read = {
+    readings = {
         marker.fields["frequency"]: marker.fields["force"]
         for marker in case.recording.markers
         if marker.kind == "measure" and "frequency" in marker.fields and "force" in marker.fields
     }
-    if not scene.dampers or not read or scene.test.force is None:
+    if not scene.dampers or not readings or scene.test.force is None:
         return truth
-    more = _truth(scene.replace(test=scene.test.replace(force=scene.test.force * (1.0 + _MORE_FORCE))))
-    frequencies, forces = np.array(list(read)), np.array(list(read.values()))
+    truth_at_higher_force = _truth(
+        scene.replace(test=scene.test.replace(force=scene.test.force * (1.0 + _FORCE_STEP)))
+    )
+    frequencies, forces = np.array(list(readings)), np.array(list(readings.values()))
 
     def exact(frequency: NDArray[np.float64]) -> NDArray[np.complex128]:
-        known = truth(frequency)
-        near = np.argmin(abs(frequency[:, None] - frequencies), axis=1)
+        values = truth(frequency)
+        nearest = np.argmin(abs(frequency[:, None] - frequencies), axis=1)
         with np.errstate(invalid="ignore"):
-            deviation = forces[near] / abs(_force_reads(case, frequency, known)) / scene.test.force - 1.0
-            slope = (more(frequency) - known) / _MORE_FORCE
+            deviation = forces[nearest] / abs(_force_gain(case, frequency, values)) / scene.test.force - 1.0
+            slope = (truth_at_higher_force(frequency) - values) / _FORCE_STEP
             # A steeper slope means that more force leads to another kind of motion: the first order is invalid.
-            smooth = abs(slope) < _STEEPEST * abs(known)
-            return np.asarray(np.where((abs(deviation) <= most) & smooth, known + slope * deviation, np.nan))
+            smooth = abs(slope) < _MAX_RELATIVE_SLOPE * abs(values)
+            return np.asarray(
+                np.where((abs(deviation) <= max_deviation) & smooth, values + slope * deviation, np.nan)
+            )
 
     return exact
 
 
 def _gain(case: Case, name: str, frequency: NDArray[np.float64]) -> NDArray[np.complex128]:
-    """Ratio of reading to true value of a channel at nominal frequencies, with its actual sensor and clock."""
+    """Return the ratio of reading to true value of a channel at nominal frequencies, for its sensor and clock."""
     channel = next(channel for channel in case.scene.channels or () if channel.name == name)
     clock, info = 1.0 + (case.scene.converter.clock_error or 0.0), case.recording.channels[name]
     # The data sheet's response is applied at the nominal frequency, while the sensor acts at the true one.
@@ -247,10 +264,10 @@ def _gain(case: Case, name: str, frequency: NDArray[np.float64]) -> NDArray[np.c
     return np.asarray((1.0 + sensor.deviation) * shift * clock ** MOTIONS.index(info.quantity))
 
 
-def _force_reads(
+def _force_gain(
     case: Case, frequency: NDArray[np.float64], exact: NDArray[np.complex128]
 ) -> NDArray[np.complex128]:
-    """Ratio of the reading to the true force, from the receptances of all bodies."""
+    """Return the ratio of the reading to the true force, from the receptances of all bodies."""
     channels = case.scene.channels or ()
     force = next((channel.name for channel in channels if channel.measures_force), None)
     if force is not None:
@@ -262,17 +279,17 @@ def _force_reads(
     spring = case.scene.shaker.spring * exact[number - 1]
     # NaN where the truth is unknown; such lines are not judged.
     with np.errstate(invalid="ignore"):
-        reads = _gain(case, table, frequency) * (1.0 + spring) - _gain(case, driven, frequency) * spring
-    return np.asarray(reads)
+        gain = _gain(case, table, frequency) * (1.0 + spring) - _gain(case, driven, frequency) * spring
+    return np.asarray(gain)
 
 
-def _as_built(
+def _curve_of_actual_sensors(
     case: Case, frf: Response, truth: Callable[[NDArray[np.float64]], NDArray[np.complex128]]
 ) -> NDArray[np.complex128]:
-    """Exact curve as the actual sensors, with their deviations from the data sheets, show it."""
+    """Return the exact curve as measured by the actual sensors, with their deviations from the data sheets."""
     # With a clock error the true frequencies differ from the nominal ones.
     exact = truth(frf.frequency * (1.0 + (case.scene.converter.clock_error or 0.0)))
     body = int(case.recording.channels[frf.response].at.split()[1])
     with np.errstate(invalid="ignore"):
         reading = exact[body - 1] * _gain(case, frf.response, frf.frequency)
-        return np.asarray(reading / _force_reads(case, frf.frequency, exact))
+        return np.asarray(reading / _force_gain(case, frf.frequency, exact))

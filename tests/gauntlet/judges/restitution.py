@@ -6,8 +6,10 @@ from analysis.damper_motion.free_flight import BodyMotion, restitution
 from tests.gauntlet.cavities import TONE
 from tests.gauntlet.verdict import Case, Verdict
 
-# Factor of the 95 % interval, and the largest plausible error, standard deviations.
-BOUND, FAR = 2.0, 4.0
+# Coverage factor of the 95 % interval.
+COVERAGE_FACTOR = 2.0
+# Largest plausible error, in standard uncertainties.
+MAX_ERROR_SIGMAS = 4.0
 
 
 def judge(case: Case, kind: str) -> list[Verdict]:
@@ -27,7 +29,12 @@ def judge(case: Case, kind: str) -> list[Verdict]:
         note = f"a{damper.body}: {estimated}, true {damper.restitution:.3f}"
         verdicts.append(
             Verdict(
-                "restitution", kind, "right" if error < FAR else "wrong", int(error < BOUND), 1, note=note
+                "restitution",
+                kind,
+                "right" if error < MAX_ERROR_SIGMAS else "wrong",
+                int(error < COVERAGE_FACTOR),
+                1,
+                note=note,
             )
         )
     return verdicts

@@ -54,10 +54,10 @@ def test_unnamed_scene_text_has_no_names() -> None:
 
 
 @pytest.mark.parametrize(
-    ("given", "said"), [("amr", "Did you mean 'arm'"), (3, "3 of 2"), ("body 0", "0 of 2")]
+    ("given", "message"), [("amr", "Did you mean 'arm'"), (3, "3 of 2"), ("body 0", "0 of 2")]
 )
-def test_unknown_body_is_refused(given: int | str, said: str) -> None:
-    with pytest.raises(SceneError, match=said):
+def test_unknown_body_is_refused(given: int | str, message: str) -> None:
+    with pytest.raises(SceneError, match=message):
         body_number(given, ("base", "arm"), 2)
 
 

@@ -46,7 +46,7 @@ def test_changing_an_alias_keeps_its_other_place(file) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         (
             "dampers[2].clearance=1kg",
@@ -62,10 +62,10 @@ def test_changing_an_alias_keeps_its_other_place(file) -> None:
         ("structure.masses=[1 kg", "expected KEY=VALUE"),
     ],
 )
-def test_wrong_change_is_named_with_the_expected_value(file, change, said) -> None:
+def test_wrong_change_is_named_with_the_expected_value(file, change, message) -> None:
     with pytest.raises(SceneError) as wrong:
         load_scene(file, [change])
-    assert said in str(wrong.value)
+    assert message in str(wrong.value)
 
 
 @pytest.mark.parametrize("package", ["rig", "daq", "analysis"])
@@ -77,7 +77,7 @@ def test_scene_commands_take_changes(package) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         (
             "structure.springs=[1 kN/m]",
@@ -89,10 +89,10 @@ def test_scene_commands_take_changes(package) -> None:
         ("dampers[3].mass=1kg", "--set dampers[3].mass=1kg: the scene has 2"),
     ],
 )
-def test_mistake_of_an_option_names_the_option(file, change, said) -> None:
+def test_mistake_of_an_option_names_the_option(file, change, message) -> None:
     with pytest.raises(SceneError) as raised:
         load_scene(file, [change])
-    assert said in str(raised.value) and "mine.yaml:" not in str(raised.value)
+    assert message in str(raised.value) and "mine.yaml:" not in str(raised.value)
 
 
 def test_mistake_of_the_file_keeps_its_line(file) -> None:
@@ -109,7 +109,7 @@ def test_scene_loads_from_mapping_or_scene(file) -> None:
 
 
 @pytest.mark.parametrize(
-    ("scene", "changes", "said"),
+    ("scene", "changes", "message"),
     [
         ({"structur": 1}, None, "scene: structur: unknown key 'structur'. Did you mean 'structure'?"),
         (7, None, "scene: got 7; expected a name, a path, a mapping or a rig.Scene"),
@@ -117,7 +117,7 @@ def test_scene_loads_from_mapping_or_scene(file) -> None:
         ("fig9", {"test.force": "5 kg"}, 'with test.force=5 kg: test.force: got "5 kg"; expected a force'),
     ],
 )
-def test_mistakes_from_python_are_named(scene, changes, said) -> None:
+def test_mistakes_from_python_are_named(scene, changes, message) -> None:
     with pytest.raises(SceneError) as raised:
         rig.load(scene, changes)
-    assert said in str(raised.value) and "\n" not in str(raised.value)
+    assert message in str(raised.value) and "\n" not in str(raised.value)

@@ -14,35 +14,35 @@ from rig.scene.modules import Module, Rates, module
 NAMES = [name for name, sheet in data_sheets().items() if "module" in sheet.facts]
 
 
-def engines(found: Module) -> list[Rates]:
-    return [engine.rates for engine in (found.inputs, found.outputs) if engine is not None]
+def engines(hardware: Module) -> list[Rates]:
+    return [engine.rates for engine in (hardware.inputs, hardware.outputs) if engine is not None]
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_module_facts_agree_with_scene_settings(name: str) -> None:
-    found, sheet = module(name.lower()), data_sheets()[name]
-    assert sheet.sources and found.product_type
-    for engine, settings in ((found.inputs, "converter"), (found.outputs, "output")):
+    hardware, sheet = module(name.lower()), data_sheets()[name]
+    assert sheet.sources and hardware.product_type
+    for engine, settings in ((hardware.inputs, "converter"), (hardware.outputs, "output")):
         assert (engine is None) == (settings not in sheet.settings)
         if engine is not None:
             assert sheet.settings[settings]["range"] == f"{engine.ranges[-1]:.12g} V"
             assert engine.rates.slowest < engine.rates.fastest
-    if found.inputs is not None:
-        assert sheet.settings["converter"]["excitation"] == f"{1e3 * found.inputs.supply[0]:g} mA"
-        assert (sheet.settings["converter"].get("filter") == "delta_sigma") == (not found.inputs.on_demand)
+    if hardware.inputs is not None:
+        assert sheet.settings["converter"]["excitation"] == f"{1e3 * hardware.inputs.supply[0]:g} mA"
+        assert (sheet.settings["converter"].get("filter") == "delta_sigma") == (not hardware.inputs.on_demand)
 
 
-@given(name=st.sampled_from(NAMES), share=st.floats(1e-3, 1.0))
-def test_requested_rate_becomes_the_next_higher_clock_rate(name: str, share: float) -> None:
+@given(name=st.sampled_from(NAMES), fraction=st.floats(1e-3, 1.0))
+def test_requested_rate_becomes_the_next_higher_clock_rate(name: str, fraction: float) -> None:
     for rates in engines(module(name)):
-        asked = share * rates.fastest
-        made = rates.at_least(asked)
-        assert rates.slowest <= made <= rates.fastest
-        assert made >= asked * (1 - 1.0001e-4)
-        assert rates.at_least(made) == made
+        requested = fraction * rates.fastest
+        rate = rates.at_least(requested)
+        assert rates.slowest <= rate <= rates.fastest
+        assert rate >= requested * (1 - 1.0001e-4)
+        assert rates.at_least(rate) == rate
         if rates.ladder:
-            below = [rate for rate in rates.ladder if rate < made]
-            assert not below or below[-1] < asked
+            below = [step for step in rates.ladder if step < rate]
+            assert not below or below[-1] < requested
 
 
 @pytest.mark.parametrize(

@@ -87,9 +87,9 @@ def test_quantity_schema_has_bounds_and_lists():
     number, text = schema(above=0.0, below=4.0)["anyOf"]
     assert number == {"type": "number", "exclusiveMinimum": 0.0, "exclusiveMaximum": 4.0}
     assert text == {"type": "string"}
-    number, text, many = schema(at_least=1.0, listed=True)["anyOf"]
+    number, text, array = schema(at_least=1.0, listed=True)["anyOf"]
     assert number == {"type": "number", "minimum": 1.0}
-    assert many == {"type": "array", "items": {"anyOf": [number, text]}, "minItems": 1}
+    assert array == {"type": "array", "items": {"anyOf": [number, text]}, "minItems": 1}
 
 
 def test_quantity_is_detected_inside_unions():
@@ -100,7 +100,7 @@ def test_quantity_is_detected_inside_unions():
 
 
 def test_shown_value_is_short_and_recognisable():
-    assert [format_value(each) for each in (None, {}, {"a": 1, "b": 2}, "x", 1.5)] == [
+    assert [format_value(value) for value in (None, {}, {"a": 1, "b": 2}, "x", 1.5)] == [
         "nothing",
         "no keys",
         "keys a, b",

@@ -12,17 +12,17 @@ from rig.scene.yaml_reader import read_yaml
 
 
 def test_every_key_is_explained_with_its_values() -> None:
-    whole = reference_page()
+    page = reference_page()
     for key in keys():
         assert len(key.about) > 5 and key.takes and key.without, key
         assert "None" not in key.about + key.without and "`" not in key.about, key
-        told = help_on(key.name)
-        assert key.name in told and f"left out: {key.without}" in told
-        assert key.about in whole
+        help_text = help_on(key.name)
+        assert key.name in help_text and f"left out: {key.without}" in help_text
+        assert key.about in page
 
 
 def test_keys_of_bundled_scenes_are_explained() -> None:
-    known = {key.name.replace("[]", "") for key in keys()} | {"shaker.kind", "test.kind"}
+    key_names = {key.name.replace("[]", "") for key in keys()} | {"shaker.kind", "test.kind"}
 
     def names(node: object, path: str) -> set[str]:
         if isinstance(node, list):
@@ -32,11 +32,11 @@ def test_keys_of_bundled_scenes_are_explained() -> None:
         return set().union(*({f"{path}{key}"} | names(inner, f"{path}{key}.") for key, inner in node.items()))
 
     for name in bundled_scenes():
-        assert names(read_yaml(scene_text(name)).content, "") <= known
+        assert names(read_yaml(scene_text(name)).content, "") <= key_names
 
 
 @pytest.mark.parametrize(
-    ("key", "said"),
+    ("key", "expected_text"),
     [
         ("dampers[2].clearance", "takes: a length such as 0.98 mm, at least 0; a bare number is in m"),
         ("clearance", "dampers[].clearance"),
@@ -47,8 +47,8 @@ def test_keys_of_bundled_scenes_are_explained() -> None:
         ("accelerometer.q", "left out: 30"),
     ],
 )
-def test_key_is_explained_by_full_name_or_end(key, said) -> None:
-    assert said in help_on(key)
+def test_key_is_explained_by_full_name_or_end(key, expected_text) -> None:
+    assert expected_text in help_on(key)
 
 
 def test_misspelt_key_is_answered_with_the_nearest() -> None:
@@ -82,7 +82,7 @@ PLAIN = {
     "converter": {"rate": "5120 Hz"},
     "recording": {"display": False},
 }
-# What turns each effect on, and where it needs company, that.
+# The keys that activate each effect, with the other keys that they require.
 ON: dict[str, tuple[dict[str, object], dict[str, object]]] = {
     "structure.masses": ({}, {"structure": {"masses": ["1 kg"] * 3, "springs": ["20 kN/m"] * 3}}),
     "dampers.body": ({"dampers": None}, {}),
@@ -135,7 +135,10 @@ def test_every_optional_key_adds_its_effect_and_states() -> None:
     for key, (without, with_it) in ON.items():
         effect, states = EFFECTS[key.replace("[1]", "")]
         before, after = (
-            {(each.part, each.name): each.states for each in rig.explain(rig.load("fig9", changes)).effects}
+            {
+                (effect.part, effect.name): effect.states
+                for effect in rig.explain(rig.load("fig9", changes)).effects
+            }
             for changes in ({**PLAIN, **without}, {**PLAIN, **with_it})
         )
         new = {name for place, name in after if after[place, name] != before.get((place, name))}

@@ -272,15 +272,15 @@ def test_loaded_scene_is_frozen() -> None:
 def test_import_of_rig_leaves_heavy_packages_out() -> None:
     heavy = "{'numba', 'pint', 'pydantic', 'matplotlib', 'scipy', 'yaml', 'numpy'}"
     code = f"import sys, rig; print(sorted({heavy} & set(sys.modules)))"
-    seen = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert seen.stdout.strip() == "[]"
+    process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert process.stdout.strip() == "[]"
 
 
 def test_scene_in_si_loads_without_pint() -> None:
     text = rig.load("fig8-three-dampers").to_yaml()
     code = f"import sys, rig; rig.loads({text!r}); print('pint' in sys.modules)"
-    seen = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert seen.stdout.strip() == "False"
+    process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert process.stdout.strip() == "False"
 
 
 def test_scene_overrides_the_preset_of_its_shaker() -> None:

@@ -17,10 +17,10 @@ FORCE = "shaker: {kind: force, body: 1}\n"
 COIL = "shaker: {kind: electrodynamic, body: 1, spring: 6.6 kN/m}\n"
 
 
-def complaints(text: str) -> str:
-    with pytest.raises(SceneError) as caught:
+def error_of(text: str) -> str:
+    with pytest.raises(SceneError) as raised:
         rig.loads(text, "scene.yaml")
-    return str(caught.value)
+    return str(raised.value)
 
 
 NAMED = "structure: {masses: {base: 4 kg, arm: 1 kg}, springs: [1 MN/m, 1 MN/m]}\n"
@@ -451,9 +451,9 @@ MISTAKES = [
 
 @pytest.mark.parametrize(("text", "message"), MISTAKES, ids=[message for _, message in MISTAKES])
 def test_single_mistake_names_place_value_and_expectation(text: str, message: str) -> None:
-    said = complaints(text)
-    assert f"scene.yaml{message}" in said
-    assert len(said.splitlines()) == 1
+    report = error_of(text)
+    assert f"scene.yaml{message}" in report
+    assert len(report.splitlines()) == 1
 
 
 def test_faster_module_counts_with_its_own_rate() -> None:
@@ -463,7 +463,7 @@ def test_faster_module_counts_with_its_own_rate() -> None:
 
 
 def test_wrong_presets_and_units_are_all_named() -> None:
-    said = complaints(
+    report = error_of(
         STRUCTURE
         + """gravity: heavy
 channels:
@@ -473,7 +473,7 @@ converter:
   preset: NI 9999
 """
     )
-    assert [line.split(": ")[:2] for line in said.splitlines()] == [
+    assert [line.split(": ")[:2] for line in report.splitlines()] == [
         ["scene.yaml:2", "gravity"],
         ["scene.yaml:4", "channels[1].accelerometer.preset"],
         ["scene.yaml:5", "channels[2].accelerometer.preset"],
@@ -482,7 +482,7 @@ converter:
 
 
 def test_many_mistakes_each_have_their_line() -> None:
-    said = complaints(
+    report = error_of(
         """name: wrong in many ways
 structure:
   masses: [0.74 kg, -1 kg, 0.64 m]
@@ -501,7 +501,7 @@ channels:
 sed: 4
 """
     )
-    places = [line.split(": ")[0] + ": " + line.split(": ")[1] for line in said.splitlines()]
+    places = [line.split(": ")[0] + ": " + line.split(": ")[1] for line in report.splitlines()]
     assert sorted(places) == sorted(
         [
             "scene.yaml:3: structure.masses[2]",
@@ -547,9 +547,9 @@ def test_unusable_matrix_file_says_why(tmp_path: Path) -> None:
     scene.write_text("structure: {matrices: {mass: M.npy, stiffness: K.npy, damping: C.npy}}\n")
     (tmp_path / "K.npy").write_bytes(b"\x93NUMPY nonsense")
     np.save(tmp_path / "C.npy", np.array([["a"]], dtype=object), allow_pickle=True)
-    with pytest.raises(SceneError) as caught:
+    with pytest.raises(SceneError) as raised:
         rig.load(scene)
-    mass, stiffness, damping = str(caught.value).splitlines()
+    mass, stiffness, damping = str(raised.value).splitlines()
     assert "M.npy: the file does not exist" in mass and mass.endswith("next to the scene file")
     assert "matrices.stiffness" in stiffness and "cannot be read as .npy" in stiffness
     assert "matrices.damping" in damping and "cannot be read as .npy" in damping
@@ -589,7 +589,7 @@ BOMB = "a0: &a0 [x, x, x, x, x, x, x, x, x]\n" + "".join(
     ],
 )
 def test_hostile_text_is_rejected_quickly(text: str, message: str) -> None:
-    assert message in complaints(text)
+    assert message in error_of(text)
 
 
 words = st.sampled_from(

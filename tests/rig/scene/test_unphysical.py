@@ -16,9 +16,9 @@ HELD = "[[3, -1], [-1, 2]]"
 
 
 def complaint(text: str) -> str:
-    with pytest.raises(SceneError) as caught:
+    with pytest.raises(SceneError) as raised:
         rig.loads(text, "scene.yaml")
-    return str(caught.value)
+    return str(raised.value)
 
 
 def matrices(stiffness: str, damping: str = "[[0, 0], [0, 0]]", mass: str = "[[1, 0], [0, 2]]") -> str:
@@ -26,7 +26,7 @@ def matrices(stiffness: str, damping: str = "[[0, 0], [0, 0]]", mass: str = "[[1
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         (matrices("[[-1000, 0], [0, 1000]]"), "structure.matrices.stiffness: not positive semidefinite"),
         (matrices("[[1, 2], [2, 1]]"), "squared frequency -0.6"),
@@ -43,8 +43,8 @@ def matrices(stiffness: str, damping: str = "[[0, 0], [0, 0]]", mass: str = "[[1
         ),
     ],
 )
-def test_impossible_structure_says_why(text: str, said: str) -> None:
-    assert said in complaint(text)
+def test_impossible_structure_says_why(text: str, message: str) -> None:
+    assert message in complaint(text)
 
 
 def test_stable_general_damping_matrix_is_accepted() -> None:
@@ -68,7 +68,7 @@ def test_improbable_clearance_without_unit_is_reported_in_mm() -> None:
 
 
 @pytest.mark.parametrize(
-    ("meant", "said"),
+    ("meant", "message"),
     [
         ("damping: {modal: 0.5}", r"structure.damping.modal: got 0.5 .* 50 %; .* such as 0.5 %"),
         ("damping: {modal: [0.5 %, 0.3]}", r"structure.damping.modal\[2\]: got 0.3 .* 30 %"),
@@ -76,9 +76,9 @@ def test_improbable_clearance_without_unit_is_reported_in_mm() -> None:
         ("damping: {modal: 0.005}", None),
     ],
 )
-def test_damping_ratio_like_a_percentage_is_questioned(meant, said) -> None:
+def test_damping_ratio_like_a_percentage_is_questioned(meant, message) -> None:
     chain = f"structure: {{masses: [1 kg, 1 kg], springs: [1 kN/m, 1 kN/m], {meant}}}"
-    with pytest.warns(SceneWarning, match=said) if said else nullcontext():
+    with pytest.warns(SceneWarning, match=message) if message else nullcontext():
         rig.loads(chain)
 
 
@@ -94,13 +94,13 @@ recording: {display: false}
 
 
 def test_diverging_motion_stops_with_time_and_quantity(tmp_path) -> None:
-    scene, said = (
+    scene, message = (
         rig.loads(RUNS_AWAY),
         r"diverges: body [12] is [0-9.]+e\+06 m away from rest 1[0-9][0-9.]* s after",
     )
-    with pytest.raises(RunError, match=said):
+    with pytest.raises(RunError, match=message):
         rig.simulate(scene, 60.0)
-    with pytest.raises(RunError, match=said):
+    with pytest.raises(RunError, match=message):
         daq.record(scene, tmp_path / "a.mcap")
 
 
@@ -111,11 +111,11 @@ WRONG = st.sampled_from(
 
 @given(body=st.integers(3, 999), wrong=WRONG)
 def test_wrong_reference_in_a_wrong_part_is_reported(body: int, wrong: str) -> None:
-    said = complaint(
+    message = complaint(
         "structure: {masses: [1 kg, 2 kg], springs: [1 kN/m, 1 kN/m]}\n"
         f"dampers: [{{body: {body}, mass: 1 g, {wrong}}}]\n"
         f"shaker: {{kind: table, body: {body}, spring: 0 N/m}}\n"
         f"channels: [{{name: a, at: body {body}, hammer: {{}}}}]\n"
     )
-    assert said.count(f"body {body} of 2") == 3
-    assert len(said.splitlines()) == 6
+    assert message.count(f"body {body} of 2") == 3
+    assert len(message.splitlines()) == 6

@@ -41,10 +41,10 @@ def connect_scene(scene: rig.Scene | str | Path | None = None, clock: str | Cloc
     terminals = Terminals(loaded)
     if bench_clock.runs_free:
         terminals.warm_up()
-    return Chassis(scene_modules(loaded, terminals), terminals, bench_clock)
+    return Chassis(_modules(loaded, terminals), terminals, bench_clock)
 
 
-def scene_modules(scene: rig.Scene, terminals: Terminals) -> list[Module]:
+def _modules(scene: rig.Scene, terminals: Terminals) -> list[Module]:
     """Create the devices of a scene.
 
     The converter of the scene names the type of the input modules, the shakers name the output modules; there are as
@@ -59,10 +59,11 @@ def scene_modules(scene: rig.Scene, terminals: Terminals) -> list[Module]:
         _add_output(described, output, row)
     if not outputs:
         described.append(_IDEAL_OUTPUTS)
-    own = [replace(each, name=f"Dev{number}") for number, each in enumerate(_of(described, USB_BUS), 1)]
+    usb, compact = ([each for each in described if each.bus == bus] for bus in (USB_BUS, COMPACT_DAQ_BUS))
+    own = [replace(each, name=f"Dev{number}") for number, each in enumerate(usb, 1)]
     slots = [
         replace(each, name=f"cDAQ1Mod{slot}", chassis="cDAQ1", slot=slot)
-        for slot, each in enumerate(_of(described, COMPACT_DAQ_BUS), 1)
+        for slot, each in enumerate(compact, 1)
     ]
     chassis = [Module("cDAQ1", "cDAQ-9178", category=CHASSIS_CATEGORY, bus=USB_BUS)] if slots else []
     everything = replace(
@@ -84,10 +85,6 @@ _WIRINGS = {
     "differential": Wiring.DIFFERENTIAL,
     "rse": Wiring.RSE,
 }
-
-
-def _of(modules: list[Module], bus: int) -> list[Module]:
-    return [each for each in modules if each.bus == bus]
 
 
 def _inputs(scene: rig.Scene, terminals: Terminals) -> list[Module]:

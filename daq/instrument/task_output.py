@@ -42,8 +42,7 @@ class TaskOutput:
         """Start to play the buffer."""
         if self.buffer is None or self.buffer.written == 0:
             raise DaqError(
-                "the output has no samples. Write samples before starting the task.",
-                Code.OUTPUT_BUFFER_EMPTY,
+                "the output has no samples. Write samples before starting the task.", Code.OUTPUT_BUFFER_EMPTY
             )
         plan, joins = output_plan(self._settings, self._chassis.rate, start)
         self.run = self._chassis.run_output(self._task, plan, self.buffer)
@@ -161,9 +160,7 @@ class TaskOutput:
                 raise DaqError(str(run.error), run.error.code, done)
             if run is not None and run.done:
                 raise DaqError(
-                    "the output has ended. Start the task again.",
-                    Code.SAMPLES_CAN_NOT_YET_BE_WRITTEN,
-                    done,
+                    "the output has ended. Start the task again.", Code.SAMPLES_CAN_NOT_YET_BE_WRITTEN, done
                 )
             take = min(free(), requested - done)
             if take > 0:

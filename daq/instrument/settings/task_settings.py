@@ -155,18 +155,18 @@ class TaskSettings:
 
         Raises `DaqError` with -200488, if there is no channel of that name.
         """
-        matches = []
+        selected = []
         for name in unflatten(names):
             key = name.lower().lstrip("/")
-            match = [each for each in self.channels if key in (each.name.lower(), each.port.name.lower())]
-            if not match:
+            matches = [each for each in self.channels if key in (each.name.lower(), each.port.name.lower())]
+            if not matches:
                 raise DaqError(
                     f"the task has no channel {name!r}: it has "
                     + (", ".join(each.name for each in self.channels) or "none"),
                     Code.VIRTUAL_CHAN_DOES_NOT_EXIST,
                 )
-            matches.append(match[0])
-        return matches if names else list(self.channels)
+            selected.append(matches[0])
+        return selected if names else list(self.channels)
 
     @property
     def input_size(self) -> int:

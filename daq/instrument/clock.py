@@ -25,7 +25,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Protocol
 
-from daq.instrument.errors import bad
+from daq.instrument.errors import invalid_value
 from rig.errors import SceneError
 
 _LOG = logging.getLogger("shotrig.clock")
@@ -83,7 +83,7 @@ def seconds(timeout: float) -> float:
     (2.0, -1.0, -1.0)
     """
     if math.isnan(timeout):
-        raise bad(f"timeout is {timeout}: expected seconds, or -1 to wait for ever")
+        raise invalid_value(f"timeout is {timeout}: expected seconds, or -1 to wait for ever")
     return -1.0 if timeout == math.inf else float(timeout)
 
 

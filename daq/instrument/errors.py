@@ -97,7 +97,7 @@ class DaqError(ShotrigError):
         self.done = done
 
 
-def bad(message: str) -> DaqError:
+def invalid_value(message: str) -> DaqError:
     """Return the error for an invalid value (-200077)."""
     return DaqError(message, Code.INVALID_ATTRIBUTE_VALUE)
 

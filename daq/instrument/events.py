@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from daq.instrument.errors import Code, DaqError
-from daq.instrument.values import EverySamples, Signal, named
+from daq.instrument.values import EverySamples, Signal, enum_member
 
 # A function called with the value of an event: the number of samples, the status at the end, or the signal.
 Listener = Callable[[int], None]
@@ -39,7 +39,7 @@ class Events:
         Raises `DaqError` with -200966 or -200967 if there is a listener already, -200980 or -200981 for output
         samples of an input task or input samples of an output task, -200880 for zero samples.
         """
-        event = named(EverySamples, kind, "every_n_samples_event_type")
+        event = enum_member(EverySamples, kind, "every_n_samples_event_type")
         if listener is None:
             self._every = None
             return
@@ -75,7 +75,7 @@ class Events:
 
     def listen_signal(self, signal: int, listener: Listener | None) -> None:
         """Register a listener that is called whenever a signal occurs; None removes it."""
-        event = named(Signal, signal, "signal_id")
+        event = enum_member(Signal, signal, "signal_id")
         if listener is None:
             self._signals.pop(event, None)
             return

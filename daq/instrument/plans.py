@@ -20,8 +20,8 @@ from daq.instrument.engines.triggers import (
     edge,
     window,
 )
-from daq.instrument.errors import Code, DaqError, bad, unsupported
-from daq.instrument.values import Overwrite, Slope, TriggerType, WindowCondition, named
+from daq.instrument.errors import Code, DaqError, invalid_value, unsupported
+from daq.instrument.values import Overwrite, Slope, TriggerType, WindowCondition, enum_member
 from daq.virtual_bench.bench import samples_per_tick
 
 if TYPE_CHECKING:
@@ -66,13 +66,13 @@ def check_timing(task: TaskSettings) -> None:
             )
         rates = {each.module.coerced(timing["samp_clk_rate"], task.kind == "ao") for each in task.channels}
         if len(rates) > 1:
-            raise bad(
+            raise invalid_value(
                 f"the task's modules convert {timing['samp_clk_rate']:g} S/s to different rates, "
                 f"{', '.join(f'{each:g}' for each in sorted(rates))} S/s. Choose a common rate, or several tasks."
             )
         _ = task.samples
         if task.kind == "ai" and task.input_size < 1:
-            raise bad("in_stream.input_buf_size is 0: expected 1 at least")
+            raise invalid_value("in_stream.input_buf_size is 0: expected 1 at least")
     for name in ("start_trig_output_term", "ref_trig_output_term", "samp_clk_output_term"):
         terminal = task.groups["exported_signal"][name]
         if terminal and not re.fullmatch(r"(/?[^/]+/)?PFI\d+", terminal, re.IGNORECASE):
@@ -160,7 +160,7 @@ def _source(task: TaskSettings, name: str, chassis: Chassis) -> Source | None:
                 Code.MISMATCHED_INPUT_ARRAY_SIZES,
             )
         conditions = [
-            edge(named(Slope, slope, "trigger_slope"), level)
+            edge(enum_member(Slope, slope, "trigger_slope"), level)
             for slope, level in zip(slopes, levels, strict=True)
         ]
         return AnalogSource(tuple(map(on_channel, names, conditions)))

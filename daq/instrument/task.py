@@ -13,7 +13,7 @@ from daq.instrument.clock import seconds
 from daq.instrument.engines.acquisition import Acquisition
 from daq.instrument.engines.generation import Generation
 from daq.instrument.engines.ring_buffer import memory
-from daq.instrument.errors import STOPPED_BEFORE_DONE, Code, DaqError, bad
+from daq.instrument.errors import STOPPED_BEFORE_DONE, Code, DaqError, invalid_value
 from daq.instrument.events import Events
 from daq.instrument.plans import check_timing, sources
 from daq.instrument.settings.scales import Scale
@@ -143,7 +143,9 @@ class Task:
     def control(self, action: int) -> int:
         """Change the state of the task; COMMIT and RESERVE keep its modules reserved until UNRESERVE or close."""
         if action not in list(TaskMode):
-            raise bad(f"task mode {action}: expected one of {', '.join(each.name for each in TaskMode)}")
+            raise invalid_value(
+                f"task mode {action}: expected one of {', '.join(each.name for each in TaskMode)}"
+            )
         if action == TaskMode.START:
             self.start()
         elif action == TaskMode.STOP:

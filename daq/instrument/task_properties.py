@@ -9,8 +9,8 @@ from typing import Any
 
 from daq.instrument.clock import seconds
 from daq.instrument.devices.modules import Module
-from daq.instrument.errors import Code, DaqError, bad
-from daq.instrument.settings.properties import WHILE_RUNNING, alike
+from daq.instrument.errors import Code, DaqError, invalid_value
+from daq.instrument.settings.properties import WHILE_RUNNING, coerce
 from daq.instrument.task import Task
 from daq.instrument.values import TimestampEvent
 
@@ -31,7 +31,7 @@ def get_channel(task: Task, names: str, name: str) -> Any:
         )[name]
     values = [each.get(name) for each in channels]
     if any(value != values[0] for value in values):
-        raise bad(
+        raise invalid_value(
             f"{name} differs among {', '.join(each.name for each in channels)}: ask one channel at a time"
         )
     return values[0]
@@ -66,18 +66,18 @@ def set_value(task: Task, group: str, name: str, value: Any) -> None:
     if name not in WHILE_RUNNING.get(group, ()):
         task.check_idle(name, Code.CANNOT_SET_PROPERTY_WHEN_TASK_RUNNING)
     if name == "samp_clk_timebase_div":
-        divisor = alike(name, value, 1.0)
+        divisor = coerce(name, value, 1.0)
         if divisor <= 0.0:
-            raise bad(f"{name} is {divisor:g}: expected a positive number")
+            raise invalid_value(f"{name} is {divisor:g}: expected a positive number")
         name, value = "samp_clk_rate", _module(task).timebase / divisor
     own = task.settings.groups[group]
-    value = alike(name, value, own[name])
+    value = coerce(name, value, own[name])
     if name == "samp_clk_rate" and task.settings.channels:
         task.settings.channels[0].module.coerced(value, output=task.settings.kind == "ao")
     if name == "channels_to_read":
         task.settings.find(value)
     if name.endswith("_buf_size") and value < 0:
-        raise bad(f"{name} {value}: expected 0 samples at least")
+        raise invalid_value(f"{name} {value}: expected 0 samples at least")
     own[name] = value
     if name == "output_buf_size":
         task.output.buffer = None

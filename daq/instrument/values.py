@@ -5,19 +5,19 @@ from __future__ import annotations
 from enum import IntEnum
 from typing import TypeVar
 
-from daq.instrument.errors import bad
+from daq.instrument.errors import invalid_value
 
-Named = TypeVar("Named", bound=IntEnum)
+Member = TypeVar("Member", bound=IntEnum)
 
 
-def named(kind: type[Named], value: int, what: str) -> Named:
+def enum_member(kind: type[Member], value: int, what: str) -> Member:
     """Return the named value of a number.
 
     Raises `DaqError` with -200077, if there is no value of that number.
     """
     if value not in list(kind):
         names = ", ".join(f"{each.name} ({int(each)})" for each in kind)
-        raise bad(f"{what} is {value}: expected {names}")
+        raise invalid_value(f"{what} is {value}: expected {names}")
     return kind(value)
 
 

@@ -17,7 +17,7 @@ from google.protobuf import message_factory
 from google.protobuf.timestamp_pb2 import Timestamp
 from nidaqmx._stubs import nidaqmx_pb2
 
-from daq.instrument.errors import bad
+from daq.instrument.errors import invalid_value
 from daq.recording.protobuf import varint
 
 SERVICE = nidaqmx_pb2.DESCRIPTOR.services_by_name["NiDAQmx"]
@@ -77,7 +77,7 @@ def decode(request: Any) -> dict[str, Any]:
             continue
         value = getattr(request, name)
         if repeated and name not in _SAMPLES and len(value) > _MAX_ENTRIES:
-            raise bad(f"{name} has {len(value)} entries: expected {_MAX_ENTRIES} at most")
+            raise invalid_value(f"{name} has {len(value)} entries: expected {_MAX_ENTRIES} at most")
         if isinstance(value, str):
             _check_text(name, value)
         if repeated:
@@ -94,9 +94,9 @@ def decode(request: Any) -> dict[str, Any]:
 
 def _check_text(name: str, text: str) -> None:
     if len(text) > _MAX_CHARACTERS:
-        raise bad(f"{name} is a text of {len(text)} characters: expected {_MAX_CHARACTERS} at most")
+        raise invalid_value(f"{name} is a text of {len(text)} characters: expected {_MAX_CHARACTERS} at most")
     if "\0" in text:
-        raise bad(f"{name} contains a null character, which ends a driver's text. Remove it.")
+        raise invalid_value(f"{name} contains a null character, which ends a driver's text. Remove it.")
 
 
 def _listed(values: Any, kind: str) -> Any:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from daq.instrument.devices.names import Port
 from daq.instrument.devices.teds import TedsMemory
-from daq.instrument.errors import DRIVER_TEXTS, DaqError, bad, meaning
+from daq.instrument.errors import DRIVER_TEXTS, DaqError, invalid_value, meaning
 from daq.instrument.settings.storage import Storage
 from daq.server.sessions import Reservations, Sessions
 
@@ -56,7 +56,7 @@ class ServedInstrument:
     def check_size(self, size: int) -> None:
         """Check that a response is not too large; with -200077."""
         if size > self.limits.message:
-            raise bad(
+            raise invalid_value(
                 f"a response of {size >> 20} MB exceeds the maximum of this server, {self.limits.message >> 20} MB. "
                 "Read fewer samples at a time."
             )

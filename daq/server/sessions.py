@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from urllib.parse import unquote
 
 from daq.instrument.chassis import Chassis
-from daq.instrument.errors import Code, DaqError, bad
+from daq.instrument.errors import Code, DaqError, invalid_value
 from daq.instrument.settings.storage import Storage
 from daq.instrument.task import Task
 from rig.errors import ShotrigError
@@ -90,7 +90,7 @@ class Sessions:
             size = sum(each.task.memory for each in self._open.values() if each.owner == session.owner)
         if size > most:
             session.task.free_memory()
-            raise bad(
+            raise invalid_value(
                 f"the buffers of this client's tasks would take {size >> 20} MB; the maximum is {most >> 20} MB. "
                 "Use smaller buffers, or close tasks."
             )

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from daq.instrument.errors import bad
+from daq.instrument.errors import invalid_value
 from daq.instrument.values import FROM_CUSTOM_SCALE, FROM_TEDS
 from rig.scene.scene import STANDARD_GRAVITY
 
@@ -81,7 +81,7 @@ class Measurement:
         units = settings[self.units]
         supported = _UNITS_OF.get(self.units)
         if supported is not None and units not in (*supported, FROM_CUSTOM_SCALE, FROM_TEDS):
-            raise bad(
+            raise invalid_value(
                 f"{self.units} is {units}: expected "
                 + ", ".join(f"{UNITS[each][1]} ({each})" for each in supported)
                 + f" or those of a custom scale ({FROM_CUSTOM_SCALE})"

@@ -16,7 +16,7 @@ from daq.instrument.devices.measurements import (
     VOLTAGE,
 )
 from daq.instrument.devices.names import GIVEN_BY_DRIVER
-from daq.instrument.errors import Code, DaqError, bad
+from daq.instrument.errors import Code, DaqError, invalid_value
 from daq.instrument.values import Coupling, SampleMode, Wiring
 from rig.errors import SceneError
 from rig.scene.modules import Rates
@@ -97,7 +97,7 @@ class Module:
         try:
             return (self.output_rates if output else self.rates).at_least(rate)
         except SceneError as error:
-            raise bad(f"sample clock rate of {self.product_type}: {error}") from None
+            raise invalid_value(f"sample clock rate of {self.product_type}: {error}") from None
 
     def range_for(self, limit: float) -> float:
         """Return the smallest range that includes ± a voltage; infinite if the inputs are not limited.
@@ -109,7 +109,9 @@ class Module:
         for each in self.ranges:
             if limit <= each * (1 + 1e-9):
                 return each
-        raise bad(f"{limit:g} V: the inputs of {self.product_type} take ±{self.ranges[-1]:g} V at most")
+        raise invalid_value(
+            f"{limit:g} V: the inputs of {self.product_type} take ±{self.ranges[-1]:g} V at most"
+        )
 
     @property
     def fastest(self) -> float:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from daq.instrument.errors import bad
+from daq.instrument.errors import invalid_value
 
 # Maximum size of a buffer, bytes: a larger buffer could make the computer swap memory to disk.
 MAX_BYTES = 2 << 30
@@ -19,13 +19,13 @@ def memory(channels: int, samples: int, dtype: DTypeLike = np.float64) -> NDArra
     Raises `DaqError` with -200077, if there is not enough memory.
     """
     if samples < 0:
-        raise bad(f"{samples} samples per channel: expected 0 at least, or READ_ALL_AVAILABLE (-1)")
+        raise invalid_value(f"{samples} samples per channel: expected 0 at least, or READ_ALL_AVAILABLE (-1)")
     if channels * samples * np.dtype(dtype).itemsize <= MAX_BYTES:
         try:
             return np.zeros((channels, samples), dtype)
         except MemoryError:
             pass
-    raise bad(
+    raise invalid_value(
         f"{samples} samples of {channels} channels do not fit into the memory of this instrument: take fewer "
         "at a time, and use AcquisitionType.CONTINUOUS for an acquisition that goes on for long"
     )

@@ -12,8 +12,8 @@ from typing import Any
 from daq.instrument.devices.measurements import MEASUREMENTS, MICROPHONE, VOLTAGE, Measurement
 from daq.instrument.devices.modules import Module
 from daq.instrument.devices.names import Port
-from daq.instrument.errors import Code, DaqError, bad, unsupported
-from daq.instrument.settings.properties import alike
+from daq.instrument.errors import Code, DaqError, invalid_value, unsupported
+from daq.instrument.settings.properties import coerce
 from daq.instrument.values import FROM_CUSTOM_SCALE, Coupling, Excitation, Wiring
 
 _ANALOG_INPUT, _ANALOG_OUTPUT = 10100, 10102
@@ -138,7 +138,7 @@ class Channel:
         if kind is not None and kind.type == MICROPHONE:
             loudest = given["ai_sound_pressure_max_sound_pressure_lvl"]
             if not -1000.0 < loudest < 1000.0:
-                raise bad(
+                raise invalid_value(
                     f"channel {name}: a sound pressure level of {loudest:g} dB: expected up to some 100 dB"
                 )
             limit = 20e-6 * 10 ** (loudest / 20) * math.sqrt(2)
@@ -198,7 +198,7 @@ class Channel:
             self.get(name)
         supplies = own.get("ai_excit_src") == Excitation.INTERNAL
         if supplies and module.supply_coupling == "AC" and own["ai_coupling"] != Coupling.AC:
-            raise bad(
+            raise invalid_value(
                 f"channel {self.name}: {module.product_type} supplies sensors with AC coupling only. Leave "
                 "ai_coupling at AC, or set ai_excit_src to NONE."
             )
@@ -210,9 +210,11 @@ class Channel:
             self.kind.check_units(own)
         low, high = own[f"{self.side}_min"], own[f"{self.side}_max"]
         if not (math.isfinite(low) and math.isfinite(high)):
-            raise bad(f"channel {self.name}: limits {low:g} to {high:g}: expected finite numbers")
+            raise invalid_value(f"channel {self.name}: limits {low:g} to {high:g}: expected finite numbers")
         if not sys.float_info.min <= self.volts_per_unit < math.inf:
-            raise bad(f"channel {self.name}: the sensitivity is not positive and finite. Correct it.")
+            raise invalid_value(
+                f"channel {self.name}: the sensitivity is not positive and finite. Correct it."
+            )
         if not low < high:
             raise DaqError(
                 f"channel {self.name}: the lower limit {low:g} is not below the upper limit {high:g}. Exchange them.",
@@ -222,7 +224,7 @@ class Channel:
         in_volts = not self.scaled and (self.kind is None or self.kind.takes_volts)
         if self._largest_volts() > full * (1 + 1e-9) and in_volts:
             scale = full / self.volts_per_unit
-            raise bad(
+            raise invalid_value(
                 f"channel {self.name}: limits {low:g} to {high:g} {self.unit} exceed the range of "
                 f"{self.module.product_type}, {-scale:g} to {scale:g} {self.unit} (±{full:g} V). Give limits within it."
             )
@@ -235,7 +237,7 @@ class Channel:
         for what, value, names, supported in choices:
             if value not in supported:
                 name = names(value).name if value in list(names) else value
-                raise bad(
+                raise invalid_value(
                     f"channel {self.name}: {what} {name}: {self.module.product_type} has "
                     + ", ".join(each.name for each in supported if each != Wiring.DEFAULT)
                 )
@@ -254,12 +256,12 @@ class Channel:
     def set(self, name: str, value: Any) -> None:
         """Set a property; errors as of `get` and `check`."""
         if name in ("ai_rng_high", "ai_rng_low"):
-            self.settings["rng"] = self.module.range_for(abs(alike(name, value, 0.0)))
+            self.settings["rng"] = self.module.range_for(abs(coerce(name, value, 0.0)))
             return
         if name not in self.defaults:
             raise unsupported(f"setting property {name} of channel {self.name}")
         before = self.settings
-        self.settings = before | {name: alike(name, value, self.defaults[name])}
+        self.settings = before | {name: coerce(name, value, self.defaults[name])}
         try:
             self.check()
         except DaqError:

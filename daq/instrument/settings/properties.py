@@ -7,7 +7,7 @@ from enum import IntEnum
 from math import isfinite
 from typing import Any
 
-from daq.instrument.errors import bad, unsupported
+from daq.instrument.errors import invalid_value, unsupported
 from daq.instrument.values import (
     Coupling,
     LoggingMode,
@@ -20,7 +20,7 @@ from daq.instrument.values import (
     TimingType,
     TriggerType,
     WindowCondition,
-    named,
+    enum_member,
 )
 
 _WAIT_FOR_INTERRUPT, _POLL = 12523, 12524
@@ -84,7 +84,7 @@ _FILTER = {
 }
 
 
-def _trigger(name: str) -> dict[str, Any]:
+def _trigger_defaults(name: str) -> dict[str, Any]:
     """Return the settings of the start trigger or the reference trigger."""
     defaults: dict[str, Any] = {
         f"{name}_trig_type": TriggerType.NONE,
@@ -110,8 +110,8 @@ def _trigger(name: str) -> dict[str, Any]:
 
 
 TRIGGER: dict[str, Any] = {
-    **_trigger("start"),
-    **_trigger("ref"),
+    **_trigger_defaults("start"),
+    **_trigger_defaults("ref"),
     "ref_trig_pretrig_samples": 2,
     "ref_trig_auto_trig_enable": False,
     "start_trig_delay_units": _SAMPLE_CLOCK_PERIODS,
@@ -147,19 +147,19 @@ WHILE_RUNNING = {
 }
 
 
-def alike(name: str, value: Any, default: Any) -> Any:
+def coerce(name: str, value: Any, default: Any) -> Any:
     """Convert the value of a setting to the type of its default.
 
     Raises `DaqError` with -200077, if it is not one of the named values, or not a finite number.
 
-    >>> alike("samp_clk_rate", 5120, 1000.0)
+    >>> coerce("samp_clk_rate", 5120, 1000.0)
     5120.0
     """
     if isinstance(default, IntEnum):
-        return named(type(default), value, name)
+        return enum_member(type(default), value, name)
     if isinstance(default, float):
         if not isfinite(value):
-            raise bad(f"{name} is {value}: expected a finite number")
+            raise invalid_value(f"{name} is {value}: expected a finite number")
         return float(value)
     return list(value) if isinstance(default, list) else value
 
@@ -185,10 +185,7 @@ class Properties:
         return self._set.get(name, self._defaults[name])
 
     def __setitem__(self, name: str, value: Any) -> None:
-        self._set[name] = alike(name, value, self[name])
-
-    def __contains__(self, name: str) -> bool:
-        return name in self._defaults
+        self._set[name] = coerce(name, value, self[name])
 
     def reset(self, name: str) -> None:
         """Reset a setting to its default."""
@@ -198,7 +195,3 @@ class Properties:
     def was_set(self, name: str) -> bool:
         """Whether a script has set the value."""
         return name in self._set
-
-    def keys(self) -> list[str]:
-        """Names of all settings."""
-        return list(self._defaults)

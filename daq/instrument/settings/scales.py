@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from daq.instrument.errors import Code, DaqError, bad
-from daq.instrument.settings.properties import alike
+from daq.instrument.errors import Code, DaqError, invalid_value
+from daq.instrument.settings.properties import coerce
 from rig.arrays import Array
 
 # Maximum number of points of a least-squares fit, which limits its time.
@@ -33,9 +33,9 @@ class Scale:
         } | settings
         for name, value in self.settings.items():
             if isinstance(value, float | list) and not np.all(np.isfinite(value)):
-                raise bad(f"{name} of a scale is {str(value)[:80]}: expected finite numbers")
+                raise invalid_value(f"{name} of a scale is {str(value)[:80]}: expected finite numbers")
             if value == [] and name != "poly_reverse_coeff":
-                raise bad(f"{name} of a scale is empty: expected one number at least")
+                raise invalid_value(f"{name} of a scale is empty: expected one number at least")
         self.convert(np.zeros(1))
 
     def changed(self, name: str, value: Any) -> Scale:
@@ -49,7 +49,7 @@ class Scale:
             raise DaqError(
                 f"a scale of this type has no {name} to set", Code.PROPERTY_NOT_SUPPORTED_FOR_SCALE_TYPE
             )
-        return Scale(own["type"], own | {name: alike(name, value, own[name])})
+        return Scale(own["type"], own | {name: coerce(name, value, own[name])})
 
     def convert(self, values: Array) -> Array:
         """Scale readings.
@@ -62,7 +62,9 @@ class Scale:
         elif own["type"] == MAP_RANGES:
             low, high = own["map_pre_scaled_min"], own["map_pre_scaled_max"]
             if low == high:
-                raise bad("the range of a map scale before scaling is empty. Give two different limits.")
+                raise invalid_value(
+                    "the range of a map scale before scaling is empty. Give two different limits."
+                )
             first, last = own["map_scaled_min"], own["map_scaled_max"]
             scaled = first + (values - low) * (last - first) / (high - low)
         elif own["type"] == POLYNOMIAL:
@@ -87,10 +89,10 @@ def reverse_polynomial(forward: list[float], low: float, high: float, points: in
     [-0.5, 0.5]
     """
     if not forward:
-        raise bad("no coefficients to reverse. Give at least one.")
+        raise invalid_value("no coefficients to reverse. Give at least one.")
     points, degree = points if points > 0 else 1000, order if order >= 0 else len(forward) - 1
     if not degree < points <= _MAX_POINTS or degree > _MAX_ORDER:
-        raise bad(
+        raise invalid_value(
             f"a polynomial of order {degree} through {points} points: expected an order of {_MAX_ORDER} at most "
             f"and more points than that, up to {_MAX_POINTS}"
         )
@@ -99,7 +101,7 @@ def reverse_polynomial(forward: list[float], low: float, high: float, points: in
         y = np.polynomial.polynomial.polyval(x, forward)
         largest_power = np.abs(y).max() ** max(degree, 1)
     if not (np.isfinite(x).all() and np.isfinite(largest_power)):
-        raise bad(
+        raise invalid_value(
             "a polynomial whose powers are not finite over the range: expected smaller coefficients and limits"
         )
     # With full=True, numpy returns the fit diagnostics and does not warn of a poor fit.

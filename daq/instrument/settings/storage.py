@@ -6,7 +6,7 @@ from copy import deepcopy
 from dataclasses import dataclass, field
 from typing import TypeVar
 
-from daq.instrument.errors import Code, DaqError, bad
+from daq.instrument.errors import Code, DaqError, invalid_value
 from daq.instrument.settings.channels import Channel
 from daq.instrument.settings.properties import Properties
 from daq.instrument.settings.scales import Scale
@@ -37,7 +37,7 @@ class Storage:
     def store(self, saved: dict[str, Value], name: str, value: Value) -> None:
         """Store a value under a name; with -200077, if the maximum number is reached."""
         if name not in saved and len(saved) >= MAX_SAVED:
-            raise bad(f"{MAX_SAVED} of these are saved already, the maximum. Delete some.")
+            raise invalid_value(f"{MAX_SAVED} of these are saved already, the maximum. Delete some.")
         saved[name] = value
 
     def scale(self, name: str) -> Scale:

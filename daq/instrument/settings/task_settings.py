@@ -9,7 +9,7 @@ from typing import Any
 from daq.instrument.devices.measurements import Measurement
 from daq.instrument.devices.modules import Module
 from daq.instrument.devices.names import numbered, parse_port, unflatten
-from daq.instrument.errors import Code, DaqError, bad
+from daq.instrument.errors import Code, DaqError, invalid_value
 from daq.instrument.settings.channels import Channel
 from daq.instrument.settings.properties import GROUPS, Properties
 from daq.instrument.settings.scales import Scale
@@ -118,7 +118,9 @@ class TaskSettings:
         if "," in name:
             listed = [each.strip() for each in name.split(",")]
             if len(listed) > len(names):
-                raise bad(f"{len(listed)} names for {len(names)} channels: expected one for each at most")
+                raise invalid_value(
+                    f"{len(listed)} names for {len(names)} channels: expected one for each at most"
+                )
             names[: len(listed)] = listed
         elif name:
             names = numbered(name, len(names))
@@ -189,7 +191,7 @@ class TaskSettings:
         """
         samples = int(self.groups["timing"]["samp_quant_samp_per_chan"])
         if samples < 2 and self.clocked:
-            raise bad(f"{samples} samples per channel: expected 2 at least")
+            raise invalid_value(f"{samples} samples per channel: expected 2 at least")
         return samples
 
     def rows_to_read(self) -> list[int]:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from daq.instrument.errors import bad, unsupported
+from daq.instrument.errors import invalid_value, unsupported
 from daq.instrument.settings.scales import LINEAR, MAP_RANGES, POLYNOMIAL, TABLE, Scale, reverse_polynomial
 from daq.instrument.task_properties import get_value, set_value, set_values, time_of
-from daq.instrument.values import Signal, TimestampEvent, TimingType, TriggerType, named
+from daq.instrument.values import Signal, TimestampEvent, TimingType, TriggerType, enum_member
 from daq.server.calls.call import Answer, Call, Handler, does, plain
 
 # Kinds of triggers that calls configure, by the driver's prefix of their settings.
@@ -64,7 +64,7 @@ def _timestamp(event: TimestampEvent | None) -> Handler:
     def ask(call: Call) -> Answer:
         chosen = event
         if chosen is None:
-            chosen = named(TimestampEvent, call.fields["timestamp_event"], "timestamp_event")
+            chosen = enum_member(TimestampEvent, call.fields["timestamp_event"], "timestamp_event")
         seconds = time_of(call.task, chosen, call.fields.get("timeout", 0.0)) * 1e-9
         return {"data" if event is not None else "timestamp": seconds}
 
@@ -96,7 +96,7 @@ def _save_task(call: Call) -> None:
 def _save_channel(call: Call) -> None:
     channels = call.task.settings.find(call.fields["channel_name"])
     if not channels:
-        raise bad("there is no channel to save. Add a channel, and name it.")
+        raise invalid_value("there is no channel to save. Add a channel, and name it.")
     name = call.fields["save_as"] or channels[0].name
     call.instrument.storage.save_channel(channels[0], name, call.fields["author"])
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from daq.instrument.devices.names import parse_port
-from daq.instrument.errors import Code, DaqError, bad
+from daq.instrument.errors import Code, DaqError, invalid_value
 from daq.instrument.task import Task
 from daq.server.calls.call import Answer, Call, Handler, does
 from daq.server.protocol import DeviceProperties
@@ -36,7 +36,7 @@ def _nth(values: Callable[[Task], list[str]]) -> Handler:
     def ask(call: Call) -> Answer:
         names, index = values(call.task), call.fields["index"]
         if not 1 <= index <= len(names):
-            raise bad(f"number {index}: expected 1 to {len(names)}")
+            raise invalid_value(f"number {index}: expected 1 to {len(names)}")
         return {"buffer": names[index - 1]}
 
     return ask
@@ -91,7 +91,7 @@ def _devices(call: Call) -> Answer:
 def _names(call: Call) -> tuple[str, str]:
     name, client = call.fields["reservation_id"], call.fields["client_id"]
     if not (name and client):
-        raise bad("a reservation needs a reservation_id and a client_id: give both")
+        raise invalid_value("a reservation needs a reservation_id and a client_id: give both")
     return name, client
 
 

@@ -23,17 +23,17 @@ SCENE = "{structure: {masses: [2 kg], springs: [4 kN/m]}, shaker: {kind: force, 
 
 
 def images(info, cycles):
-    """Sum of a channel's readings of the images of a tone, relative to its reading of the tone."""
-    ends = np.exp(2j * np.pi * cycles * np.arange(SAMPLES + 1) / SAMPLES)
-    share = np.arange(FINE) / FINE
-    drawn = np.fft.fft((ends[:-1, None] * (1 - share) + ends[1:, None] * share).ravel())
-    read = abs(drawn * info.response(np.fft.fftfreq(drawn.size, 1 / (RATE * FINE))))
-    folded = read.reshape(FINE, SAMPLES)[:, cycles]
+    """Return the sum of a channel's readings of the images of a tone, relative to its reading of the tone."""
+    samples = np.exp(2j * np.pi * cycles * np.arange(SAMPLES + 1) / SAMPLES)
+    fraction = np.arange(FINE) / FINE
+    drive = np.fft.fft((samples[:-1, None] * (1 - fraction) + samples[1:, None] * fraction).ravel())
+    reading = abs(drive * info.response(np.fft.fftfreq(drive.size, 1 / (RATE * FINE))))
+    folded = reading.reshape(FINE, SAMPLES)[:, cycles]
     return folded[1:].sum() / folded[0]
 
 
 def part(info, value, motion="acceleration", scene=SCENE, lower=0.0):
-    """Share of a channel in the response or in the reference; the other is measured without images."""
+    """Return the aliasing of a channel in the response or in the reference; the other channel has no images."""
     other = ChannelInfo("b", "body 1", "acceleration", 1.0, RATE, filter=FILTER)
     rec = SimpleNamespace(
         source="", channels={info.name: info, "b": other}, scene=rig.loads(scene, where="a test")
@@ -43,8 +43,8 @@ def part(info, value, motion="acceleration", scene=SCENE, lower=0.0):
     return aliasing_part(rec, shares)
 
 
-def missing(share):
-    """Relative error of a reading that images reduce by a share."""
+def relative_to_reading(share):
+    """Return the error relative to a reading that images reduce by a share of the true value."""
     return share / (1.0 - share)
 
 
@@ -63,8 +63,8 @@ def test_images_of_flat_acceleration_are_bounded():
         assert (bound <= np.maximum(1.25 * true, least)).all()
 
 
-def test_suppressed_images_have_smallest_share():
-    # A force's images still move what it drives.
+def test_suppressed_images_have_lower_bound():
+    # The images of a force still move the body that it drives.
     slow = channel(poles=(-2 * np.pi * 1.0,) * 4, gain=(2 * np.pi * 1.0) ** 4)
     value = np.full(4, 0.5 + 0.2j)
     [bound] = part(slow, value).values()
@@ -93,15 +93,15 @@ def test_steadily_falling_acceleration_uses_band_edge():
     np.testing.assert_allclose(body, elsewhere / falling.real)
 
 
-def test_modes_above_band_move_driven_body():
+def test_modes_above_band_increase_driven_acceleration():
     value = np.full(4, 0.005 + 0.002j)
     true = np.array([images(channel(), cycles) for cycles in CYCLES]) / 2.0
     for motion in MOTIONS:
         # The same acceleration, integrated to velocity or displacement.
-        told_as = (2.0 * np.pi * FREQUENCY) ** (2 - MOTIONS.index(motion))
-        [bound] = part(channel(), value / told_as, motion).values()
-        assert (bound * told_as >= true).all()
-        assert (bound * told_as <= 1.25 * true).all()
+        conversion = (2.0 * np.pi * FREQUENCY) ** (2 - MOTIONS.index(motion))
+        [bound] = part(channel(), value / conversion, motion).values()
+        assert (bound * conversion >= true).all()
+        assert (bound * conversion <= 1.25 * true).all()
 
 
 @pytest.mark.parametrize("lower", [0.0, 1.0])
@@ -114,15 +114,15 @@ def test_table_drive_images_are_bounded(lower):
         servo = SimpleNamespace(response=lambda f: -((2 * np.pi * f) ** 2) / (1.0 + 1j * f / 700.0) ** 2)
         share = images(servo, cycles)
         # The relative deficit of a response exceeds its excess; the reference is in the denominator.
-        true = (share if lower else missing(share)) * abs(value[column])
+        true = (share if lower else relative_to_reading(share)) * abs(value[column])
         assert true <= bound[column] <= 1.25 * true, frequency
 
 
 def coil_drive(frequency, mode, displacement, pull):
-    """Drive of a moving coil for a motion against a force, from its equations of motion."""
+    """Compute the drive of a moving coil for a motion against a force, from its equations of motion."""
     mass, damping, stiffness, resistance, inductance, factor = 0.3, 60.0, 9e3, 3.0, 4e-3, 12.0
     s = 2j * np.pi * frequency
-    # Unknowns: current and drive. First the armature, then the coil or what feeds it.
+    # Unknowns: current and drive. Equations: of the armature, then of the coil or its current source.
     motion = (mass * s**2 + damping * s + stiffness) * displacement + pull
     source = [resistance + s * inductance, -1.0] if mode == "voltage" else [1.0, -1.0]
     induced = -factor * s * displacement if mode == "voltage" else 0.0
@@ -141,12 +141,12 @@ def test_coil_drive_images_are_bounded(mode, spring):
     [bound] = part(channel("table"), value, scene=scene, lower=1.0).values()
 
     def accelerated(frequency):
-        """Acceleration for a drive with the structure fixed; zero for a shaker at rest."""
+        """Return the acceleration for a drive with the structure fixed; zero for a shaker at rest."""
         drives = [coil_drive(max(abs(f), 1e-6), mode, 1.0, spring) for f in np.ravel(frequency)]
         return -np.reshape((2 * np.pi * np.ravel(frequency)) ** 2 / drives, np.shape(frequency))
 
     for column, (frequency, cycles) in enumerate(zip(FREQUENCY, CYCLES, strict=True)):
-        # The force on the table is that of its spring, with any phase.
+        # The force on the table is the spring force, with any phase.
         phases = np.exp(2j * np.pi * np.arange(64) / 64)
         drives = abs(np.array([coil_drive(frequency, mode, 1.0, spring * phase) for phase in phases]))
         true = images(SimpleNamespace(response=accelerated), cycles) * drives.max() / drives[0]
@@ -168,7 +168,7 @@ shaker: {kind: force, body: 2}
 """
 
 
-def test_only_instant_contacts_in_body_count():
+def test_only_instantaneous_impacts_increase_images():
     scene = rig.loads(MASSES, where="a test")
     # With the other body free, the apparent mass of a 2 kg body is 2 - 0.5^2 / 1 kg.
     assert _impact_ratio(scene, 1) == pytest.approx((0.2 + 0.1) / (2.0 - 0.25))
@@ -177,7 +177,7 @@ def test_only_instant_contacts_in_body_count():
     assert _free_acceleration(scene, 2) == pytest.approx(1.0 / (1.0 - 0.125))
 
 
-def test_foreign_instruments_have_no_images():
+def test_imported_recordings_have_no_images():
     info = channel()
     scene = rig.loads(SCENE, where="a test")
     value, share = np.ones(4, dtype=complex), np.ones((1, 4), dtype=complex)
@@ -187,7 +187,7 @@ def test_foreign_instruments_have_no_images():
         assert set(aliasing_part(rec, shares)) == set(parts)
 
 
-BLOWS = """
+IMPACTS = """
 structure: {masses: [1 kg], springs: [12.8 kN/m], damping: {modal: 0.5 %}}
 dampers: [{body: 1, mass_ratio: 9 %, clearance: 1.5 mm}]
 shaker: {kind: force, body: 1}
@@ -198,15 +198,15 @@ converter: {rate: 1024 Hz, sampling: point}
 
 
 def test_impacts_between_points_are_bounded(tmp_path):
-    scene = rig.loads(BLOWS, where="a test")
+    scene = rig.loads(IMPACTS, where="a test")
     exact = rig.orbit_response(scene, [14.0, 21.0]).compliance[0]
     for sampling, share in (("point", 0.09), ("average", 0.002)):
         path = tmp_path / f"{sampling}.mcap"
         daq.record(scene.replace(converter=scene.converter.replace(sampling=sampling)), path)
         with daq.open(path) as rec:
-            [[found]] = analysis.frequency_responses(rec)
-        off = abs(found.value - exact) / abs(exact)
-        reported = found.limits[ALIASING] / abs(found.value)
-        assert (off > 0.03).all() == (sampling == "point")
-        assert (off <= found.bound(0.95) / abs(found.value)).all()
+            [[frf]] = analysis.frequency_responses(rec)
+        error = abs(frf.value - exact) / abs(exact)
+        reported = frf.limits[ALIASING] / abs(frf.value)
+        assert (error > 0.03).all() == (sampling == "point")
+        assert (error <= frf.bound(0.95) / abs(frf.value)).all()
         assert (reported < 1.2 * share).all()

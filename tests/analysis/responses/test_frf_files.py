@@ -22,7 +22,7 @@ SHAPES = np.array([[1.0, 0.7], [-0.4, 1.0]])
 
 
 def accelerance(noise: float = 0.0) -> np.ndarray:
-    """Two modes at two places in m/s^2/N, complex, shape (places, lines)."""
+    """Return the accelerance of two modes at two points in m/s^2/N, shape (points, lines)."""
     s = 2j * np.pi * FREQUENCY
     modes = 1.0 / (s - POLES) / (2j * POLES.imag) + 1.0 / (s - POLES.conj()) / (-2j * POLES.imag)
     random = np.random.default_rng(2).standard_normal((2, 2, FREQUENCY.size))
@@ -89,8 +89,8 @@ def test_foreign_files_give_modes_and_curves(tmp_path, monkeypatch):
     )
     done = CliRunner().invoke(app, ["frf", "a.uff", "--motion", "acceleration"])
     assert done.exit_code == 0, (done.output, done.exception)
-    again = analysis.read_frfs(tmp_path / "a-frf.csv")
-    np.testing.assert_allclose(again["1 -Z"].value, accelerance(1e-3)[0, 1:], rtol=1e-8)
+    frfs = analysis.read_frfs(tmp_path / "a-frf.csv")
+    np.testing.assert_allclose(frfs["1 -Z"].value, accelerance(1e-3)[0, 1:], rtol=1e-8)
 
 
 def test_incomplete_responses_name_missing_options(tmp_path):
@@ -107,7 +107,7 @@ def test_incomplete_responses_name_missing_options(tmp_path):
         analysis.read_frfs(tmp_path / "a.uff", "7 +X", "N/m")
 
 
-def test_windows_unit_is_read(tmp_path):
+def test_unit_in_windows_encoding_is_read(tmp_path):
     uff(tmp_path / "a.uff", accelerance(), ordinate_axis_units_lab="(1/N)*(m/s#)")
     (tmp_path / "a.uff").write_bytes((tmp_path / "a.uff").read_bytes().replace(b"#", b"\xb2"))
     assert analysis.read_frfs(tmp_path / "a.uff")[0].value[9] == pytest.approx(accelerance()[0, 10], rel=1e-9)
@@ -135,12 +135,12 @@ BAD = {
 }
 
 
-@pytest.mark.parametrize(("kind", "way"), [(1, True), (2, False)])
-def test_time_functions_suggest_import(kind, way, tmp_path):
+@pytest.mark.parametrize(("kind", "suggested"), [(1, True), (2, False)])
+def test_time_functions_suggest_import(kind, suggested, tmp_path):
     uff(tmp_path / "a.uff", abs(accelerance()), func_type=kind)
     with pytest.raises(RecordingError, match="no frequency response") as reported:
         analysis.read_frfs(tmp_path / "a.uff")
-    assert ("`daq import`" in str(reported.value)) == way
+    assert ("`daq import`" in str(reported.value)) == suggested
 
 
 @pytest.mark.parametrize("name", BAD)
@@ -171,9 +171,11 @@ def test_block_average_agrees_with_scipy(tmp_path):
             )
             for curve, row in zip(curves, rows, strict=False):
                 cross = signal.csd(force, row, **block)[1]
-                theirs = cross / power if estimator == "H1" else signal.welch(row, **block)[1] / cross.conj()
+                expected = (
+                    cross / power if estimator == "H1" else signal.welch(row, **block)[1] / cross.conj()
+                )
                 at = np.searchsorted(frequency, curve.frequency - 1e-6)
-                np.testing.assert_allclose(curve.value, theirs[at], rtol=1e-9)
+                np.testing.assert_allclose(curve.value, expected[at], rtol=1e-9)
 
 
 # In pure noise, the driving-point response may appear reversed.
@@ -199,13 +201,13 @@ def test_averaged_hits_are_quotient_of_spectra(tmp_path):
             [[recording.read(name, at - lead, at - lead + size) for name in NAMES] for at in begins]
         )
     spectra = np.fft.rfft(blocks - blocks.mean(axis=2, keepdims=True), axis=2)
-    theirs = (spectra[:, 0] * spectra[:, 2].conj()).sum(axis=0) / (abs(spectra[:, 2]) ** 2).sum(axis=0)
+    expected = (spectra[:, 0] * spectra[:, 2].conj()).sum(axis=0) / (abs(spectra[:, 2]) ** 2).sum(axis=0)
     at = np.searchsorted(np.fft.rfftfreq(size, 1 / RATE), curves[0].frequency - 1e-6)
-    np.testing.assert_allclose(curves[0].value, theirs[at], rtol=1e-9)
+    np.testing.assert_allclose(curves[0].value, expected[at], rtol=1e-9)
     assert not any("leak" in note for note in curves[0].warnings)
 
 
-def test_falling_lines_are_sorted(tmp_path):
+def test_lines_are_sorted_by_frequency(tmp_path):
     (tmp_path / "a.csv").write_text("f,tip re [m/N],tip im [m/N]\n30,3,0\n10,1,0\n20,2,0\n")
     tip = analysis.read_frfs(tmp_path / "a.csv")["tip"]
     assert tip.frequency.tolist() == [10.0, 20.0, 30.0] and tip.value.real.tolist() == [1.0, 2.0, 3.0]
@@ -236,10 +238,10 @@ def test_own_file_keeps_errors_and_modes(ending, tmp_path):
         stack(curves).to_uff(path, [1, 2], [1])
     else:
         frf_table(path, curves)
-    again = analysis.read_frfs(path)
-    for before, after in zip(curves, again, strict=True):
+    stored = analysis.read_frfs(path)
+    for before, after in zip(curves, stored, strict=True):
         np.testing.assert_allclose(after.error, before.error, rtol=1e-8)
         assert after.resolution == before.resolution == 0.0
-    found = analysis.identify(again)
-    assert found.model_error == 0.0 and not found.warnings
-    np.testing.assert_allclose(found.frequency, [40.002, 95.00076], rtol=1e-4)
+    modes = analysis.identify(stored)
+    assert modes.model_error == 0.0 and not modes.warnings
+    np.testing.assert_allclose(modes.frequency, [40.002, 95.00076], rtol=1e-4)

@@ -32,16 +32,16 @@ def test_variance_in_a_null_space_is_not_negative(seed):
 
 
 @pytest.mark.parametrize("degrees", [2, 4, 10])
-def test_moderated_bounds_hold_of_few_averages(degrees):
+def test_moderated_uncertainties_contain_95_percent(degrees):
     lines = 4000
     error = complex_noise(1, lines) / np.sqrt(2.0)
     alone = np.random.default_rng(2).chisquare(degrees, lines) / degrees
 
-    variance, known = moderate(alone, np.full(lines, float(degrees)), np.full(lines, 3.0), 12)
+    variance, moderated_degrees = moderate(alone, np.full(lines, float(degrees)), np.full(lines, 3.0), 12)
 
-    missed = abs(error) / np.sqrt(variance * stats.f.ppf(0.95, 2.0, known))
-    assert 0.94 < np.mean(missed <= 1.0) < 0.96
-    assert missed.max() < 3.0
+    normalized = abs(error) / np.sqrt(variance * stats.f.ppf(0.95, 2.0, moderated_degrees))
+    assert 0.94 < np.mean(normalized <= 1.0) < 0.96
+    assert normalized.max() < 3.0
 
 
 def test_variances_that_differ_are_hardly_moderated():
@@ -49,9 +49,9 @@ def test_variances_that_differ_are_hardly_moderated():
     true = np.exp(3.0 * np.random.default_rng(3).standard_normal(lines))
     alone = true * np.random.default_rng(4).chisquare(8.0, lines) / 8.0
 
-    variance, known = moderate(alone, np.full(lines, 8.0), np.ones(lines), 12)
+    variance, moderated_degrees = moderate(alone, np.full(lines, 8.0), np.ones(lines), 12)
 
-    assert known.max() < 10.0
+    assert moderated_degrees.max() < 10.0
     assert np.median(abs(np.log(variance / alone))) < 0.3
 
 
@@ -72,15 +72,15 @@ def test_coherence_of_dependent_channels_is_one(seed, tmp_path):
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_square_root_keeps_what_is_small(seed):
+def test_square_root_keeps_small_elements(seed):
     scale = np.array([1e-9, 1.0, 1e9])
     factor = scale[:, None] * complex_noise(seed, 5, 3, 1)
     matrices = factor @ factor.conj().swapaxes(1, 2)
 
-    found = square_root(matrices)
+    root = square_root(matrices)
 
-    again = found @ found.conj().swapaxes(1, 2)
-    assert (abs(again - matrices) <= 1e-12 * np.outer(scale, scale) * 100.0).all()
+    product = root @ root.conj().swapaxes(1, 2)
+    assert (abs(product - matrices) <= 1e-12 * np.outer(scale, scale) * 100.0).all()
 
 
 def test_residual_survives_a_large_offset():

@@ -73,9 +73,9 @@ def test_bounds_hold_for_orthogonal_multisines(tmp_path):
     assert 0.9 < share < 0.995 and np.nanmedian(response.coherence) > 0.9
 
 
-def test_overloaded_realisation_leaves_error_bars(tmp_path):
+def test_error_bars_exist_without_overloaded_realisation(tmp_path):
     with daq.open(recorded(tmp_path / "a.mcap", MULTISINE)) as rec:
-        last = [each for each in rec.markers if each.kind == "measure"][-1]
+        last = [marker for marker in rec.markers if marker.kind == "measure"][-1]
         rec.markers.append(Marker("overload", last.first_sample, last.stop - 1, {"channel": "a1"}))
         (response,) = analysis.frequency_responses(rec)
     assert np.isfinite(response.error).all() and "Realisation 2 left out" in " ".join(response.warnings)
@@ -95,27 +95,27 @@ def test_bounds_hold_for_twenty_random_structures(tmp_path):
         if number % 2 == 0:
             for estimator in ("H1", "Hv"):
                 shares[estimator].append(share_within(path, estimator=estimator)[1])
-    for kind, found in shares.items():
-        assert 0.9 < np.mean(found) < 0.99 and min(found) > 0.85, kind
+    for method, inside in shares.items():
+        assert 0.9 < np.mean(inside) < 0.99 and min(inside) > 0.85, method
 
 
 def test_shaker_that_is_off_leaves_one_input(tmp_path):
     one = recorded(tmp_path / "one.mcap", RANDOM.replace("also: [2], ", ""))
     with daq.open(one) as rec:
-        (alone,) = analysis.frequency_responses(rec)
+        (single,) = analysis.frequency_responses(rec)
         inputs = driven_forces(rec)
-    assert not inputs and alone.value.shape[2] == 1
+    assert not inputs and single.value.shape[2] == 1
     marks = lambda markers: [  # noqa: E731
-        type(each)(each.kind, each.first_sample, each.last_sample, {**each.fields, "shakers": [1, 2]})
-        if each.kind == "measure" else each
-        for each in markers
+        type(marker)(marker.kind, marker.first_sample, marker.last_sample, {**marker.fields, "shakers": [1, 2]})
+        if marker.kind == "measure" else marker
+        for marker in markers
     ]  # fmt: skip
     with daq.open(one) as rec:
         object.__setattr__(rec, "markers", marks(rec.markers))
         assert [point.name for point in driven_forces(rec)] == ["f1"]
-        (both,) = analysis.frequency_responses(rec)
-    np.testing.assert_array_equal(both.value, alone.value)
-    np.testing.assert_array_equal(both.bound(), alone.bound())
+        (selected,) = analysis.frequency_responses(rec)
+    np.testing.assert_array_equal(selected.value, single.value)
+    np.testing.assert_array_equal(selected.bound(), single.bound())
 
 
 def test_spectra_show_coherences_and_condition(random_path):
@@ -133,9 +133,9 @@ def test_matrix_is_reciprocal(random_path):
         (response,) = analysis.frequency_responses(rec)
     (pair,) = reciprocity(response)
     assert pair.within > 0.95 and not response.warnings
-    turned = response.value.copy()
-    turned[:, 0] *= 1.5
-    (pair,) = reciprocity(analysis.Response(response.frequency, turned, response.outputs, response.inputs))
+    changed = response.value.copy()
+    changed[:, 0] *= 1.5
+    (pair,) = reciprocity(analysis.Response(response.frequency, changed, response.outputs, response.inputs))
     assert pair.within < 0.1 and pair.deviation == pytest.approx(0.4, rel=0.1)
 
 
@@ -153,7 +153,7 @@ def test_element_is_selected_by_output_and_input(random_path):
 
 @pytest.mark.parametrize(("coupling", "noise"), [(180.0, 20), (0.0, 200)])
 def test_close_modes_are_separated_by_two_references(coupling, noise, tmp_path):
-    # Two equal oscillators, coupled weakly, modes 0.2 Hz apart of 0.36 Hz width each, or not at all: one pole, twice.
+    # Two equal oscillators. With weak coupling the modes are 0.2 Hz apart, each 0.36 Hz wide; uncoupled, they coincide.
     stiffness = [[20e3 + coupling, 0.0, -coupling], [0.0, 4e4, 0.0], [-coupling, 0.0, 20e3 + coupling]]
     matrices = f"{{mass: [[1, 0, 0], [0, 1, 0], [0, 0, 1]], stiffness: {stiffness}}}"
     text = SCENE.format(test=RANDOM, seed=1, noise=noise, masses=[], springs=[]).splitlines()

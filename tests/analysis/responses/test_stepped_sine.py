@@ -56,12 +56,11 @@ def test_bounds_hold_for_95_percent(tmp_path):
                 for body, frf in enumerate(curves):
                     inside.append(abs(frf.value - exact[body]) < frf.random_bound(0.95))
                     coherence.append(frf.coherence)
-    share = np.mean(inside)
-    assert 0.92 < share < 0.98
+    assert 0.92 < np.mean(inside) < 0.98
     assert np.max(coherence) > 0.9999 and np.min(coherence) < 0.95
 
 
-def test_force_stays_with_its_point(tmp_path):
+def test_force_amplitude_is_sorted_with_points(tmp_path):
     with daq.open(synthetic.stepped_sine(tmp_path / "a.mcap", [34.0, 12.0], level=2.61)) as rec:
         frf = analysis.compliance(rec)
     np.testing.assert_allclose(frf.amplitude, 2.61, rtol=1e-9)
@@ -182,7 +181,7 @@ def test_spoilt_sweeps_lose_no_frequency(tmp_path):
     )
 
 
-def test_clipped_channels_blame_range(tmp_path):
+def test_overload_in_all_windows_is_explained(tmp_path):
     marks = [
         ("measure", 0, 2559, {"frequency": 20.0, "level": 1.0, "direction": "up"}),
         ("overload", 0, 2559, {"channel": "body3"}),
@@ -215,9 +214,9 @@ def test_lost_samples_omit_only_their_frequency(tmp_path):
 
 
 @pytest.mark.parametrize("parts", [5, 20])
-@pytest.mark.parametrize("turn", [0.0, 0.5, 1.5])
-def test_turning_transient_is_bounded(parts, turn):
-    factor = 0.9 * np.exp(1j * turn * 5.0 / parts)
+@pytest.mark.parametrize("rotation", [0.0, 0.5, 1.5])
+def test_rotating_transient_is_bounded(parts, rotation):
+    factor = 0.9 * np.exp(1j * rotation * 5.0 / parts)
     amplitudes = 1.0 + 0.1 * factor ** np.arange(parts)
     bound = remainder(amplitudes[:, None, None])[0, 0]
     assert abs(np.mean(amplitudes) - 1.0) == pytest.approx(bound, rel=1e-6)

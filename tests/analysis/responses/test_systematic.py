@@ -1,4 +1,4 @@
-"""Systematic errors of a response against the largest error that the bounded effects can cause."""
+"""Systematic errors of a response against the largest error that each effect can cause."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def toleranced(*shares):
     ]
 
 
-def test_data_sheet_tolerances_count_by_exposure():
+def test_data_sheet_tolerances_are_summed():
     sheet = {
         "accelerometer.sensitivity_tolerance": "-0.05",
         "accelerometer.temperature_drift": "0.002 1/K",
@@ -70,7 +70,7 @@ def two_shares(value, upper, lower, frequency=None, motion="acceleration", names
 
 
 def of_quotient(frequency, value, motion="acceleration", names="ab"):
-    """Shares of a quotient of two channels."""
+    """Return the contributions of the two channels of a quotient."""
     share = np.array([[1.0], [0.0]])
     return two_shares(value, value * share, share[::-1] + 0 * value, frequency, motion, names)
 
@@ -82,17 +82,17 @@ def test_sensor_tolerances_bound_quotient(shares):
     above, below = np.array([1.0, 0.5, 0.0]), np.array([0.0, 0.3, 1.5])
     reference = below @ reads
     value = (above @ reads) / reference
-    upper, lower = (each[:, None] * reads / reference for each in (above, below))
+    upper, lower = (weights[:, None] * reads / reference for weights in (above, below))
     rec = recording(*toleranced(*shares))
     bound = only(sensitivity_part(rec, two_shares(value, upper, lower, names="abc")))
     worst = np.zeros(40)
     for corner in product(*((-share, share) for share in shares)):
-        there = reads / (1.0 + np.array(corner))[:, None]
-        worst = np.maximum(worst, abs((above @ there) / (below @ there) - value))
+        true = reads / (1.0 + np.array(corner))[:, None]
+        worst = np.maximum(worst, abs((above @ true) / (below @ true) - value))
     assert (worst <= bound * (1 + 1e-12)).all()
 
 
-def test_bound_of_one_sensor_is_reached():
+def test_single_sensor_tolerance_is_exact():
     value = np.array([2.0 - 1.0j])
     first, second = np.array([[1.0], [0.0]]), np.array([[0.0], [1.0]])
     rec = recording(*toleranced(0.2, 0.0))
@@ -114,24 +114,25 @@ def test_h1_bias_reaches_its_bound():
     assert reference_noise_part(h1, coherence) == pytest.approx(abs(truth - h1))
 
 
-def test_smaller_reference_adds_both_bounds():
+def test_smaller_reference_increases_the_error():
     doubt = np.array([0.0, 0.1, 0.5, 0.99, 1.0, 1.5])
     first = np.full(6, 0.3)
-    both = np.hypot(first, only(doubtful_reference_part(first, doubt)))
-    assert both[:4] == pytest.approx(first[:4] / (1.0 - doubt[:4]))
-    assert (both[4:] == np.inf).all()
+    total = np.hypot(first, only(doubtful_reference_part(first, doubt)))
+    assert total[:4] == pytest.approx(first[:4] / (1.0 - doubt[:4]))
+    assert (total[4:] == np.inf).all()
     # If the response is unbounded, an exact reference adds no error.
     assert only(doubtful_reference_part(np.array([np.inf]), np.array([0.0]))) == 0.0
 
 
 def test_gaussian_rounding_gain_is_bounded():
     for sigma in (0.3, 0.4, 0.5, 0.7, 1.0):
-        # E[x round(x)] / sigma^2 is the sum of the density at the thresholds (Stein), worst where one is at the mean.
-        off = max(
+        # E[x round(x)] / sigma^2 is the sum of the density at the thresholds (Stein). It deviates most if a threshold
+        # or the middle between two is at the mean.
+        error = max(
             abs(np.sum(norm.pdf(np.arange(-20, 21) + shift, scale=sigma)) - 1.0) for shift in (0.0, 0.5)
         )
         bound = noise_gain(np.array([sigma**2 + 1 / 12]))[0]
-        assert 0.95 * bound < off < 1.05 * bound
+        assert 0.95 * bound < error < 1.05 * bound
     assert noise_gain(np.array([0.2499**2 + 1 / 12, 0.0, np.inf])).tolist() == [np.inf, np.inf, 0.0]
 
 
@@ -139,15 +140,15 @@ def test_tone_rounding_gain_is_bounded():
     angle = (np.arange(4000) + 0.5) * np.pi / 4000
     for size in (1.0, 2.0, 5.0, 20.0):
         worst = 0.0
-        for near, offset in product(np.linspace(0.97, 1.03, 13) * size, np.linspace(0.0, 0.5, 6)):
-            read = np.rint(near * np.cos(angle) + offset)
-            worst = max(worst, abs(2.0 * np.mean(read * np.cos(angle)) / near - 1.0))
+        for amplitude, offset in product(np.linspace(0.97, 1.03, 13) * size, np.linspace(0.0, 0.5, 6)):
+            read = np.rint(amplitude * np.cos(angle) + offset)
+            worst = max(worst, abs(2.0 * np.mean(read * np.cos(angle)) / amplitude - 1.0))
         bound = tone_gain(np.array([size**2 / 2 + 1 / 12]))[0]
         assert 0.85 * bound < worst < bound
     assert tone_gain(np.array([0.49**2 / 2 + 1 / 12, 0.0, np.inf])).tolist() == [np.inf, np.inf, 0.0]
 
 
-def test_every_rounded_channel_adds_its_share():
+def test_rounding_of_all_channels_is_summed():
     counting, volts = channel("a", volts_per_count=1e-3), channel("b")
     rec = recording(counting, volts)
     assert counts_of(rec, "ab").tolist() == [2e-3, 0.0]
@@ -157,12 +158,12 @@ def test_every_rounded_channel_adds_its_share():
     part = only(rounding_part(np.array([[0.1], [0.02]]), two_shares(value, upper, lower)))
     assert part == pytest.approx([2.0 * (0.1 + 0.02)])
     assert rounding_part(np.zeros((2, 1)), two_shares(value, upper, lower)) == {}
-    # A zero reading has no bound, even if its share is zero.
+    # A zero reading has an unbounded error, even if its contribution is zero.
     assert only(rounding_part(np.array([[np.inf], [0.0]]), two_shares(value, 0 * upper, 0 * lower))) == np.inf
 
 
-@pytest.mark.parametrize(("motion", "more"), [("acceleration", 0), ("velocity", 1), ("displacement", 2)])
-def test_clock_error_shifts_and_scales_curve(motion, more):
+@pytest.mark.parametrize(("motion", "order"), [("acceleration", 0), ("velocity", 1), ("displacement", 2)])
+def test_clock_error_shifts_and_scales_curve(motion, order):
     frequency = np.array([30.0, 10.0, 20.0, 40.0])
     value = (3.0 - 4.0j) * frequency
     force = ChannelInfo("f", "shaker", "force", sensitivity=0.5, rate=RATE)
@@ -171,13 +172,13 @@ def test_clock_error_shifts_and_scales_curve(motion, more):
         rec = recording(channel(), force, converter=converter)
         return clock_part(rec, of_quotient(frequency[:points], value[:points], motion, ["a1", "f"]))
 
-    assert only(part(4)) == pytest.approx(abs(value) * 50e-6 * (1 + more))
-    # Two lines may lie on the flank of a peak: their bound is larger than their difference suggests.
+    assert only(part(4)) == pytest.approx(abs(value) * 50e-6 * (1 + order))
+    # Two lines may lie on the flank of a peak, so the limit is larger than their difference suggests.
     assert (only(part(2)) > 2.0 * only(part(4))[:2]).all()
     assert part(4, "rate: 5120 Hz") == {}
 
 
-def test_steeper_side_counts_between_points():
+def test_steeper_chord_determines_the_slope():
     frequency, value = np.array([10.0, 12.0, 12.0, 13.0]), np.array([1.0, 5.0, 4.0j, 8.0])
     force = ChannelInfo("b", "shaker", "force", sensitivity=0.5, rate=RATE)
     rec = recording(channel("a"), force, converter="rate: 5120 Hz, clock_error: 50 ppm")
@@ -194,7 +195,7 @@ def test_steeper_side_counts_between_points():
 
 
 @pytest.mark.parametrize("ppm", [50, 1000])
-def test_shifted_peak_lies_in_clock_part(ppm):
+def test_clock_part_contains_shifted_peak(ppm):
     half_width = 0.005
     frequency = 10.0 + half_width * np.arange(-6.0, 7.0)
 
@@ -229,12 +230,12 @@ def test_shared_noise_biases_h1_as_stated():
     assert (shared_noise_part(noise, up - h1[None] * low, lower, 0.1 * noise[0]) == np.inf).all()
 
 
-def test_rounding_of_noise_keeps_average_gain():
+def test_noise_reduces_reproducible_rounding():
     counts = np.linspace(-8.0, 8.0, 20_001)
     for spread in (0.05, 0.2, 0.5, 1.0):
         weights = np.exp(-0.5 * (counts / spread) ** 2)
-        kept = np.sum(weights * np.cos(2.0 * np.pi * counts)) / weights.sum()
+        reproducible = np.sum(weights * np.cos(2.0 * np.pi * counts)) / weights.sum()
         assert reproducible_rounding(np.array(spread**2 + 1.0 / 12.0)) == pytest.approx(
-            kept, rel=1e-3, abs=1e-12
+            reproducible, rel=1e-3, abs=1e-12
         )
     assert reproducible_rounding(np.array([0.0, 1.0 / 12.0])).tolist() == [1.0, 1.0]

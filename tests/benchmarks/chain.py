@@ -21,7 +21,9 @@ from daq.virtual_bench.bench import Bench
 from rig.scene.scene import Scene
 from rig.simulation.plant import Plant
 
-RATE, SECONDS, BLOCK = 51200.0, 4, 5120
+RATE = 51200.0  # samples per second
+SECONDS = 4
+BLOCK = 5120  # samples
 # Long enough that the 10 ms for opening and closing a recording are negligible.
 RECORDED_SECONDS = 20
 PLACES = ("body 1", "body 2", "body 3", "table")

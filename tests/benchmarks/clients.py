@@ -19,7 +19,8 @@ from pathlib import Path
 import numpy as np
 import psutil
 
-RATE, READS_PER_SECOND = 51200.0, 10
+RATE = 51200.0  # samples per second
+READS_PER_SECOND = 10
 SCENE = """
 structure: {masses: [1 kg, 1 kg], springs: [40 kN/m, 40 kN/m], damping: {modal: 1 %}}
 shaker: {kind: electrodynamic, body: 1, spring: 6.6 kN/m}

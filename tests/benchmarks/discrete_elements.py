@@ -1,10 +1,11 @@
-"""Beds of grains by another program of discrete elements, held against LAMMPS as rig couples it.
+"""Beds of grains by an independent discrete-element program, compared with LAMMPS as coupled by rig.
 
     python -m tests.benchmarks.discrete_elements
 
-Written from the laws alone: Hertz with the dashpot of the restitution, Mindlin with Coulomb's limit, walls of the same
-stuff; the floor's motion prescribed, a plain search for neighbours. Both begin with the same packings, as what a bed
-does below a ceiling depends on its height to a hundredth of a diameter. A quarter of an hour of one core.
+The program only uses the contact laws: Hertz with the dashpot of the restitution, Mindlin with Coulomb's limit, and
+walls of the same material. The motion of the floor is prescribed. Both programs start from the same packings, because
+the motion below a ceiling depends on the height of the bed to a hundredth of a diameter. The comparison takes a quarter
+of an hour on one core.
 """
 
 from __future__ import annotations
@@ -24,14 +25,14 @@ from rig.grain_beds.spheres import Spheres, rayleigh_time, spheres_of
 from rig.scene.excitation import Sine
 from rig.scene.scene import STANDARD_GRAVITY
 
-#: Acceleration in g, clearance in m, layers, and periods of a block; there are three, of which the last two are
-#: averaged. Deep beds that seldom meet a high ceiling wander for long.
+#: Acceleration in g, clearance in m, layers, and periods of a block. There are three blocks, of which the last two are
+#: averaged. Deep beds below a high ceiling need many periods to become steady.
 SETTINGS = (
     (3.0, math.inf, 6, 20), (2.5, math.inf, 4, 20), (3.0, 0.3e-3, 2, 20), (4.5, 0.15e-3, 2, 20), (5.5, 0.5e-3, 4, 20),
     (7.0, 2e-3, 6, 60),
 )  # fmt: skip
 PACKINGS = (1, 2, 3)
-#: Rayleigh's times in a step.
+#: Time step in Rayleigh times.
 STEP_RAYLEIGH_TIMES = 0.1
 #: Distance up to which spheres are neighbours, in radii.
 SKIN_RADII = 0.3
@@ -43,17 +44,17 @@ def contact_force(
     normal: Array, overlap: float, radius: float, mass: float, relative: Array, spin: Array, displacement: Array,
     law: Array, friction: float, step: float, force: Array, shear: Array,
 ) -> None:  # fmt: skip
-    """Give the force of a contact and its tangential part, and carry its stretch on.
+    """Compute the force of a contact and its tangential part, and update its tangential displacement.
 
-    `relative`: velocity of the centres; `spin`: sum of the lever arms times the spins; `law`: effective normal and
-    shear modulus, damping of the restitution.
+    `relative`: relative velocity of the centres; `spin`: sum of the lever arms times the spins; `law`: effective normal
+    and shear modulus, damping of the restitution.
     """
     closing = relative @ normal
     contact_radius = math.sqrt(radius * overlap)
     dashpot = 2.0 * math.sqrt(5.0 / 6.0) * law[2] * math.sqrt(2.0 * law[0] * contact_radius * mass)
     normal_force = 4.0 / 3.0 * law[0] * contact_radius * overlap - dashpot * closing
     sliding_velocity = relative - closing * normal - np.cross(spin, normal)
-    # The stretch turns with the contact and keeps its length.
+    # The tangential displacement rotates with the contact at constant length.
     previous_length = math.sqrt(displacement @ displacement)
     displacement -= (displacement @ normal) * normal
     length = math.sqrt(displacement @ displacement)
@@ -131,7 +132,7 @@ def wall_forces(
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
 def neighbours(at: Array, within: float) -> NDArray[np.int64]:
-    """List the pairs of spheres whose centres are nearer than a distance."""
+    """Return the pairs of spheres whose centres are closer than a distance."""
     count = 0
     pairs = np.empty((len(at) * 30, 2), np.int64)
     for i in range(len(at)):
@@ -148,37 +149,69 @@ def shake_bed(
     at: Array, radius: float, mass: float, law: Array, frictions: Array, cavity: Array, step: float, steps: int,
     amplitude: float, omega: float, gravity: float,
 ) -> Array:  # fmt: skip
-    """Shake a bed that was at rest; upward forces of floor, ceiling and side at the ends of the steps (steps, 3)."""
+    """Shake a bed from rest; return the upward forces of floor, ceiling and side after each step (steps, 3)."""
     count = len(at)
     speed, spin, force, torque = np.zeros((4, count, 3))
-    of_pairs, of_walls, lift = np.zeros((count, count, 3)), np.zeros((count, 3, 3)), np.zeros(3)
-    kept, moved, skin = np.empty((steps, 3)), 0.0, SKIN_RADII * radius
+    pair_displacements, wall_displacements, lift = (
+        np.zeros((count, count, 3)),
+        np.zeros((count, 3, 3)),
+        np.zeros(3),
+    )
+    history, travelled, skin = np.empty((steps, 3)), 0.0, SKIN_RADII * radius
     pairs = neighbours(at, 2.0 * radius + skin)
     inertia = 0.4 * mass * radius**2
-    floor = np.zeros(3)
+    frame_acceleration = np.zeros(3)
     for k in range(steps + 1):
-        # Velocities for the dashpots are foretold over the half step that is left.
-        ahead, turning = speed + 0.5 * step * (force / mass - floor), spin + 0.5 * step * torque / inertia
-        force[:], torque[:] = 0.0, 0.0
-        pair_forces(at, ahead, turning, radius, mass, law, frictions[0], step, pairs, of_pairs, force, torque)
-        wall_forces(
-            at, ahead, turning, radius, mass, law, frictions, step, cavity, of_walls, force, torque, lift
+        # Velocities for the dashpots are extrapolated over the remaining half step.
+        predicted_speed, predicted_spin = (
+            speed + 0.5 * step * (force / mass - frame_acceleration),
+            spin + 0.5 * step * torque / inertia,
         )
-        floor[2] = gravity - amplitude * omega**2 * math.sin(omega * k * step)
-        half = 0.5 if k == 0 else 1.0
-        speed += half * step * (force / mass - floor)
-        spin += half * step * torque / inertia
+        force[:], torque[:] = 0.0, 0.0
+        pair_forces(
+            at,
+            predicted_speed,
+            predicted_spin,
+            radius,
+            mass,
+            law,
+            frictions[0],
+            step,
+            pairs,
+            pair_displacements,
+            force,
+            torque,
+        )
+        wall_forces(
+            at,
+            predicted_speed,
+            predicted_spin,
+            radius,
+            mass,
+            law,
+            frictions,
+            step,
+            cavity,
+            wall_displacements,
+            force,
+            torque,
+            lift,
+        )
+        frame_acceleration[2] = gravity - amplitude * omega**2 * math.sin(omega * k * step)
+        step_fraction = 0.5 if k == 0 else 1.0
+        speed += step_fraction * step * (force / mass - frame_acceleration)
+        spin += step_fraction * step * torque / inertia
         if k > 0:
-            kept[k - 1] = lift
+            history[k - 1] = lift
         at += step * speed
-        moved += step * math.sqrt((speed**2).sum(axis=1).max())
-        if moved > 0.5 * skin:
-            pairs, moved = neighbours(at, 2.0 * radius + skin), 0.0
-    return kept
+        travelled += step * math.sqrt((speed**2).sum(axis=1).max())
+        if travelled > 0.5 * skin:
+            pairs, travelled = neighbours(at, 2.0 * radius + skin), 0.0
+    return history
 
 
 def simulate_bed(spheres: Spheres, amplitude: float, block: int) -> Array:
-    """Follow a bed on a floor of an amplitude in m; floor's and ceiling's impulse, and energy, as `told` tells them."""
+    """Simulate a bed on a floor with an amplitude [m]; return impulses of floor and ceiling, and energy, normalized."""
     grains = spheres.settings
     positions = settled(spheres)
     per_period = math.ceil(1.0 / (FREQUENCY * STEP_RAYLEIGH_TIMES * rayleigh_time(grains, spheres.density())))
@@ -202,7 +235,7 @@ def simulate_bed(spheres: Spheres, amplitude: float, block: int) -> Array:
 
 
 def compare_programs(setting: Setting, block: int) -> tuple[Array, Array]:
-    """Follow a bed by LAMMPS in a structure, and by the program above on the same floor."""
+    """Simulate a bed with LAMMPS in a structure, and with the program above on a floor with the same motion."""
     scene = scene_of_bed(setting)
     (spheres,) = spheres_of(scene).values()
     assert spheres.count == BEDS[setting.layers][0]
@@ -216,12 +249,12 @@ def compare_programs(setting: Setting, block: int) -> tuple[Array, Array]:
 
 
 def main() -> None:
-    """Print means over packings with their standard errors, and how far the two are apart."""
+    """Print means over packings with their standard errors, and the differences of the two programs."""
     for level, clearance, layers, block in SETTINGS:
         results = np.array(
             [compare_programs(Setting(level, clearance, layers, packing), block) for packing in PACKINGS]
         )
-        # Both begin alike: how far they are apart scatters less from packing to packing than either.
+        # Both start from the same packing, so that their difference scatters less than either result.
         values = np.stack([results[:, 0], results[:, 1], results[:, 0] - results[:, 1]])
         means, errors = values.mean(axis=1), values.std(axis=1, ddof=1) / math.sqrt(len(PACKINGS))
         print(f"{level:g} g, clearance {1e3 * clearance:g} mm, {layers} layers:")
@@ -231,7 +264,7 @@ def main() -> None:
             if other > 0.0:
                 print(
                     f"  {name:18} LAMMPS {lammps:.4g} ±{lammps_error:.2g}, other {other:.4g} ±{other_error:.2g}, "
-                    f"apart {100 * difference / other:+.1f} ±{100 * difference_error / other:.1f} %",
+                    f"difference {100 * difference / other:+.1f} ±{100 * difference_error / other:.1f} %",
                     flush=True,
                 )
 

@@ -25,12 +25,12 @@ if TYPE_CHECKING:
 
 # Share of the stretch that is excluded at each end, because the correction mirrors the samples there.
 _ENDS_SHARE = 0.05
-# Minimum number of flights, and their minimum share of the intervals between impacts.
 _MIN_FLIGHTS = 6
-_MIN_SHARE = 0.25
-# A flight is consistent with the data if its computed end is this close to the wall, relative to its height. It
-# determines the restitution if the uncertainty is below the second value.
-_MAX_MISS = 0.05
+# Minimum share of flights among the intervals between impacts.
+_MIN_FLIGHTS_SHARE = 0.25
+# A flight is consistent with the data if its computed end is this close to the wall, relative to its height.
+_MAX_HEIGHT_ERROR = 0.05
+# A flight determines the restitution if its uncertainty is below this.
 _MAX_UNCERTAINTY = 0.1
 # For normal errors: ratio of standard deviation to median absolute deviation, times ratio of the standard deviations
 # of median and mean.
@@ -126,28 +126,28 @@ def restitution(motion: BodyMotion, damper: Damper) -> Restitution | None:
     None for finite-duration contact, because the release is not observed and the pulse that detects the impact
     depends on the restitution.
     """
-    found, rate, gravity = motion.impacts, motion.rec.rate, motion.rec.scene.gravity
-    if found.contact_duration or found.time.size < _MIN_FLIGHTS:
+    detected, rate, gravity = motion.impacts, motion.rec.rate, motion.rec.scene.gravity
+    if detected.contact_duration or detected.time.size < _MIN_FLIGHTS:
         return None
-    closing = inelastic_closing_speeds(motion.rec.scene, found, damper)
+    closing = inelastic_closing_speeds(motion.rec.scene, detected, damper)
     if not np.isfinite(motion.samples).all() or not np.isfinite(closing).all():
         return None
     # Speeds of rebounds that end within the time resolution of the channel.
-    weight = -np.sign(found.jump) * (found.acceleration + gravity)
-    hidden = 0.5 * found.resolution * np.maximum(weight, 0.0)
-    wall = np.where(found.jump < 0.0, 0.0, damper.clearance)
-    time, length = found.time - motion.start / rate, motion.samples.size / rate
+    weight = -np.sign(detected.jump) * (detected.acceleration + gravity)
+    hidden = 0.5 * detected.resolution * np.maximum(weight, 0.0)
+    wall = np.where(detected.jump < 0.0, 0.0, damper.clearance)
+    time, length = detected.time - motion.start / rate, motion.samples.size / rate
     inside = np.flatnonzero((time[:-1] > _ENDS_SHARE * length) & (time[1:] < (1.0 - _ENDS_SHARE) * length))
     estimates = []
     for k in inside[np.isfinite(wall[inside]) & np.isfinite(wall[inside + 1])]:
-        left = motion.wall_at(time[k], wall[k], 0.5 * found.jump[k])
-        met = motion.wall_at(time[k + 1], wall[k + 1], -0.5 * found.jump[k + 1])
+        left = motion.wall_at(time[k], wall[k], 0.5 * detected.jump[k])
+        met = motion.wall_at(time[k + 1], wall[k + 1], -0.5 * detected.jump[k + 1])
         estimates.append(
             _after_rest(motion, left, met, closing[k + 1], hidden[k + 1])
             or _after_rebound(motion, left, met, closing[k : k + 2])
         )
     known = np.array([each for each in estimates if each is not None]).reshape(-1, 2)
-    if len(known) < max(_MIN_FLIGHTS, _MIN_SHARE * inside.size):
+    if len(known) < max(_MIN_FLIGHTS, _MIN_FLIGHTS_SHARE * inside.size):
         return None
     value, uncertainty = np.median(known, axis=0)
     scatter = _MEDIAN_ERROR * float(np.median(abs(known[:, 0] - value))) / np.sqrt(len(known))
@@ -158,9 +158,9 @@ def restitution(motion: BodyMotion, damper: Damper) -> Restitution | None:
     return Restitution(float(value), error) if -2.0 * error <= value <= 1.0 + 2.0 * error else None
 
 
-def inelastic_closing_speeds(scene: Scene, found: Impacts, damper: Damper) -> Array:
+def inelastic_closing_speeds(scene: Scene, detected: Impacts, damper: Damper) -> Array:
     """Return the closing speeds of the only damper on a body for zero restitution, m/s; infinite without mass."""
-    return np.asarray(abs(found.jump) * _speed_per_jump(scene, damper))
+    return np.asarray(abs(detected.jump) * _speed_per_jump(scene, damper))
 
 
 @lru_cache(maxsize=8)
@@ -189,20 +189,20 @@ def _after_rest(
     if inside.stop - inside.start < 3:
         return None
     weight = left.away * (np.gradient(motion.velocity[inside]) * rate + gravity)
-    best, miss = None, _MAX_MISS
+    best, relative_error = None, _MAX_HEIGHT_ERROR
     for begin in inside.start + np.flatnonzero((weight[:-1] > 0.0) & (weight[1:] <= 0.0)):
         time, above, closing = _flight(gravity, motion.wall_at(begin / rate, left.wall, 0.0), met)
-        missed = abs(above) / max(closing * time / 4.0, 1e-300)
-        if missed < miss:
-            best, miss = (closing, time), missed
+        deviation = abs(above) / max(closing * time / 4.0, 1e-300)
+        if deviation < relative_error:
+            best, relative_error = (closing, time), deviation
     if best is None:
         return None
     closing, time = best
     most = inelastic / closing - 1.0
     least = most / (2.0 + most) if most > 0.0 else most
     # An impact that is later by d changes the end height by w d, and the relative closing speed by 2 d / duration.
-    miss = 0.5 * miss + motion.tolerance * gravity * time / closing
-    uncertainty = 0.5 * float(np.maximum(most - least, hidden / closing)) + miss * (1.0 + most)
+    relative_error = 0.5 * relative_error + motion.tolerance * gravity * time / closing
+    uncertainty = 0.5 * float(np.maximum(most - least, hidden / closing)) + relative_error * (1.0 + most)
     return (0.5 * (least + most), uncertainty) if uncertainty < _MAX_UNCERTAINTY else None
 
 
@@ -220,8 +220,8 @@ def _after_rebound(
     difference = abs(from_jump - from_rebound)
     if difference > _MAX_UNCERTAINTY:
         return None
-    miss = motion.tolerance * gravity * time / closing * (1.0 + from_jump)
-    return 0.5 * (from_jump + from_rebound), 0.5 * difference + miss
+    relative_error = motion.tolerance * gravity * time / closing * (1.0 + from_jump)
+    return 0.5 * (from_jump + from_rebound), 0.5 * difference + relative_error
 
 
 def may_reach_ceiling(motion: BodyMotion, damper: Damper) -> bool:
@@ -235,10 +235,10 @@ def may_reach_ceiling(motion: BodyMotion, damper: Damper) -> bool:
     """
     if not np.isfinite(damper.clearance) or not np.any(motion.impacts.jump < 0.0):
         return False
-    found, rate, gravity = motion.impacts, motion.rec.rate, motion.rec.scene.gravity
+    detected, rate, gravity = motion.impacts, motion.rec.rate, motion.rec.scene.gravity
     largest = 1.0 / max(1.0 - motion.tolerance, 1e-300)
-    place, count = found.time * rate - motion.start, motion.samples.size
-    chosen = (found.jump < 0.0) & (place > _ENDS_SHARE * count) & (place < (1.0 - _ENDS_SHARE) * count)
+    place, count = detected.time * rate - motion.start, motion.samples.size
+    chosen = (detected.jump < 0.0) & (place > _ENDS_SHARE * count) & (place < (1.0 - _ENDS_SHARE) * count)
     place = place[chosen]
     weight = largest * motion.acceleration + gravity
     floor = _Floor(largest * motion.displacement, largest * motion.velocity, weight, rate, gravity)
@@ -246,7 +246,7 @@ def may_reach_ceiling(motion: BodyMotion, damper: Damper) -> bool:
     if pulse is None:
         heights = [floor.height_from_rest(int(left) + _SMEARED_SAMPLES, int(met)) for left, met in flights]
     else:
-        speeds = inelastic_closing_speeds(motion.rec.scene, found, damper)[chosen]
+        speeds = inelastic_closing_speeds(motion.rec.scene, detected, damper)[chosen]
         closing = largest * speeds[1:] / (1.0 + pulse.restitution)
         heights = [
             floor.height_before(int(left), met, speed)

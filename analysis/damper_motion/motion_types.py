@@ -31,9 +31,9 @@ if TYPE_CHECKING:
 
 # Tolerance of "one impact per period": of about twenty impacts, one or two may be at the edge of a window or too
 # close to another impact.
-_ONCE = 0.15
+_COUNT_TOLERANCE = 0.15
 # Maximum number of periods after which a pattern of impacts must recur.
-_LONGEST_PATTERN = 4
+_MAX_PATTERN_PERIODS = 4
 # A restitution below this number of standard deviations is not significantly different from zero.
 _RESTITUTION_SIGMAS = 3.0
 # Maximum number of samples searched in a window, to limit memory; but at least the given number of periods.
@@ -74,7 +74,9 @@ class DamperMotion:
             return "riding" if self.rides else "unseen"
         if not self.repeats:
             return "unsure: impacts are missed, or the motion is irregular"
-        once = abs(self.floor - 1.0) < _ONCE and (self.ceiling == 0 or abs(self.ceiling - 1.0) < _ONCE)
+        once = abs(self.floor - 1.0) < _COUNT_TOLERANCE and (
+            self.ceiling == 0 or abs(self.ceiling - 1.0) < _COUNT_TOLERANCE
+        )
         why = ""
         if once and self.repeats == 1:
             if self.ceiling == 0 and not self.may_reach:
@@ -124,30 +126,30 @@ def damper_motion(
 
 def _motion_in_window(motion: BodyMotion, numbers: list[int], frequency: float, size: float) -> DamperMotion:
     """Motion of the dampers `numbers` at a frequency, Hz, and an acceleration amplitude `size`, m/s²."""
-    found, rate, gravity = motion.impacts, motion.rec.rate, motion.rec.scene.gravity
+    detected, rate, gravity = motion.impacts, motion.rec.rate, motion.rec.scene.gravity
     inside = [motion.rec.scene.dampers[number - 1] for number in numbers]
     # The searched duration excludes the ends of the stretch.
-    periods = found.searched * frequency
-    ceiling = found.kind == "ceiling"
+    periods = detected.searched * frequency
+    ceiling = detected.kind == "ceiling"
     begin, end = (at / rate for at in (motion.start, motion.start + motion.samples.size))
-    repeats = _repeats(found, frequency, begin, end) if found.time.size else 1
+    repeats = _repeats(detected, frequency, begin, end) if detected.time.size else 1
     # Without a pattern, impacts may have been missed, so that free flights cannot be identified.
     estimate = restitution(motion, inside[0]) if len(inside) == 1 and repeats else None
     stays = None
     if ceiling.any():
         stays = _stays(
-            found.acceleration[ceiling] + gravity,
-            np.pi * frequency * (1.0 / rate + 2.0 * found.contact_duration) * size,
+            detected.acceleration[ceiling] + gravity,
+            np.pi * frequency * (1.0 / rate + 2.0 * detected.contact_duration) * size,
             _fastest_rebound(motion, inside, estimate),
-            _push_time(found.acceleration[ceiling], size, gravity, frequency),
+            _push_time(detected.acceleration[ceiling], size, gravity, frequency),
         )
     return DamperMotion(
         frequency,
-        found.channel,
+        detected.channel,
         float(np.sum(~ceiling)) / periods,
         float(np.sum(ceiling)) / periods,
         stays,
-        found.threshold,
+        detected.threshold,
         _least_acceleration(motion, numbers, frequency) > -gravity,
         estimate,
         repeats,
@@ -155,21 +157,21 @@ def _motion_in_window(motion: BodyMotion, numbers: list[int], frequency: float, 
     )
 
 
-def _repeats(found: Impacts, frequency: float, begin: float, end: float) -> int:
+def _repeats(detected: Impacts, frequency: float, begin: float, end: float) -> int:
     """Smallest number of periods after which all impacts on each wall recur between two times, s; 0: none."""
-    walls = [found.time[found.kind == wall] for wall in ("floor", "ceiling")]
-    begin, end = begin + found.ringing, end - found.ringing
+    walls = [detected.time[detected.kind == wall] for wall in ("floor", "ceiling")]
+    begin, end = begin + detected.ringing, end - detected.ringing
     if any(wall.size and not np.any((wall > begin) & (wall < end)) for wall in walls):
         return 0
-    unsearched = found.left_out + np.array([-1.0, 1.0]) * found.resolution
-    for periods in range(1, _LONGEST_PATTERN + 1):
+    unsearched = detected.left_out + np.array([-1.0, 1.0]) * detected.resolution
+    for periods in range(1, _MAX_PATTERN_PERIODS + 1):
         shift = periods / frequency
         recurs = True
         for wall, time in ((wall, wall + sign * shift) for wall in walls for sign in (1.0, -1.0)):
             time = time[(time > begin) & (time < end), None]
             searched = ~((time > unsearched[:, 0]) & (time < unsearched[:, 1])).any(axis=1)
             distance = abs(time[searched] - wall).min(axis=1, initial=np.inf)
-            recurs &= bool(np.all(distance < found.resolution))
+            recurs &= bool(np.all(distance < detected.resolution))
         if recurs:
             return periods
     return 0
@@ -196,15 +198,15 @@ def _fastest_rebound(motion: BodyMotion, inside: list[Damper], estimate: Restitu
     It uses the restitution estimated from flights if that is significant, otherwise that of the scene. For
     finite-duration contact the release is unknown and the bound is infinite.
     """
-    found = motion.impacts
-    if found.contact_duration:
+    detected = motion.impacts
+    if detected.contact_duration:
         return np.inf
     share = max((damper.restitution for damper in inside), default=0.0)
     if estimate is not None and (share > 0.0 or estimate.value > _RESTITUTION_SIGMAS * estimate.error):
         share = min(estimate.value + 2.0 * estimate.error, 1.0)
     if share <= 0.0:
         return 0.0
-    at_ceiling = replace(found, jump=found.jump[found.kind == "ceiling"])
+    at_ceiling = replace(detected, jump=detected.jump[detected.kind == "ceiling"])
     speeds = [inelastic_closing_speeds(motion.rec.scene, at_ceiling, damper) for damper in inside]
     # The duration of all bounces equals that of one bounce with the sum of their speeds (geometric series).
     return float(np.max(speeds, initial=0.0) * share / (1.0 + share) / max(1.0 - share, 1e-9))

@@ -126,28 +126,22 @@ def test_displacement_gives_decay_of_acceleration(tmp_path):
     assert np.max(abs(decay.acceleration[inner] - true[inner])) < 0.01 * abs(true).max()
 
 
-def test_missing_hit_is_explained(tmp_path):
-    with (
-        daq.open(synthetic.stepped_sine(tmp_path / "a.mcap", [12.0])) as rec,
-        pytest.raises(RecordingError, match=r"kind: impulse"),
-    ):
-        analysis.decay(rec)
-
-
-def test_missing_hit_number_names_range(tmp_path):
-    with (
-        daq.open(synthetic.impulses(tmp_path / "a.mcap", interval=1.0)) as rec,
-        pytest.raises(SceneError, match="hits 1 to 1"),
-    ):
-        analysis.decay(rec, hit=2)
-
-
-def test_too_short_decay_is_rejected(tmp_path):
-    with (
-        daq.open(synthetic.impulses(tmp_path / "a.mcap", interval=0.1)) as rec,
-        pytest.raises(RecordingError, match="only 240 samples follow hit 1"),
-    ):
-        analysis.decay(rec)
+@pytest.mark.parametrize(
+    ("interval", "hit", "error", "message"),
+    [
+        (None, 1, RecordingError, "kind: impulse"),
+        (1.0, 2, SceneError, "hits 1 to 1"),
+        (0.1, 1, RecordingError, "only 240 samples follow hit 1"),
+    ],
+)
+def test_missing_decay_is_explained(tmp_path, interval, hit, error, message):
+    path = tmp_path / "a.mcap"
+    if interval is None:
+        synthetic.stepped_sine(path, [12.0])
+    else:
+        synthetic.impulses(path, interval=interval)
+    with daq.open(path) as rec, pytest.raises(error, match=message):
+        analysis.decay(rec, hit=hit)
 
 
 def agreement(mode, expected):

@@ -6,8 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rig.damper_design.choice import Question, Space, variants
-from rig.damper_design.landings import landings_from
+from rig.damper_design.choice import Question, Space, landings_from, variants
 from rig.errors import SceneError
 from rig.motion_map.grid import columns
 from rig.scene.body_names import body_number

@@ -30,7 +30,7 @@ from analysis.reproduction.bed_study import (
     table,
 )
 from rig.bed_response.steady_bed import as_one_mass, steady_mass
-from rig.damper_design.one_mass import BELOW_CEILING, MIDDLE_HALF, WITHOUT_CEILING
+from rig.damper_design.figure import BELOW_CEILING, MIDDLE_HALF, WITHOUT_CEILING
 from rig.errors import RunError
 from rig.steady_response.frequency_response import frequency_response
 from rig.workers import Workers

@@ -7,8 +7,7 @@ import pytest
 
 import rig
 from rig.damper_design.check import check, expected
-from rig.damper_design.choice import Choice, Trial
-from rig.damper_design.landings import INSTANT
+from rig.damper_design.choice import INSTANT, Choice, Trial
 from rig.damper_design.request import parse_request
 from rig.damper_design.worst_peak import Peak
 from rig.scene.excitation import SteppedSine

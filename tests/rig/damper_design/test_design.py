@@ -17,11 +17,9 @@ import daq
 import rig
 from rig.damper_design.answers import Answers
 from rig.damper_design.check import Expected
-from rig.damper_design.choice import FINE, Choice
+from rig.damper_design.choice import FINE, INSTANT, Choice
 from rig.damper_design.design import chart_levels
-from rig.damper_design.figure import clearance_label, next_step, summary, write
-from rig.damper_design.landings import INSTANT
-from rig.damper_design.one_mass import grain_check
+from rig.damper_design.figure import clearance_label, grain_check, next_step, summary, write
 from rig.damper_design.request import mass_of, parse_request
 from rig.damper_design.worst_peak import Peak, curve
 from rig.errors import SceneError

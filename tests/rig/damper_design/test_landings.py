@@ -9,8 +9,7 @@ import pytest
 
 import rig
 from rig.damper_design.check import check
-from rig.damper_design.choice import Choice, Trial
-from rig.damper_design.landings import INSTANT, landings_from
+from rig.damper_design.choice import INSTANT, Choice, Trial, landings_from
 from rig.damper_design.request import parse_request
 from rig.errors import SceneError
 

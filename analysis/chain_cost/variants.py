@@ -145,7 +145,10 @@ def variants(
     scene = quiet(scene)
     yield from _resonances(scene, highest)
     yield from _integrators(scene, lowest, hardest)
-    yield from _filters(scene)
+    if scene.converter.filter is None:
+        yield Variant("anti-alias filter", "on", _converter(scene, filter="delta_sigma", remove_delay=True))
+    else:
+        yield Variant("anti-alias filter", "off", _converter(scene, filter=None, remove_delay=False))
     rate = scene.converter.sample_rate
     for factor in RATES:
         if factor * rate >= SAMPLES_A_PERIOD * highest:
@@ -221,10 +224,3 @@ def _integrators(scene: Scene, lowest: float, hardest: float) -> Iterator[Varian
             channels.append(channel.replace(integrator=changed))
         if tuple(channels) != scene.channels:
             yield Variant("integrator", name, scene.replace(channels=channels))
-
-
-def _filters(scene: Scene) -> Iterator[Variant]:
-    if scene.converter.filter is None:
-        yield Variant("anti-alias filter", "on", _converter(scene, filter="delta_sigma", remove_delay=True))
-    else:
-        yield Variant("anti-alias filter", "off", _converter(scene, filter=None, remove_delay=False))

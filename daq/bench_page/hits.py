@@ -57,7 +57,7 @@ class HitJudge:
         self.hits: list[Hit] = []
 
     def add(self, first: int, readings: Array, overload: NDArray[np.bool_]) -> list[Hit]:
-        """Take the next samples, the first numbered `first`; return the hits whose windows are complete."""
+        """Add the next samples, the first numbered `first`; return the hits whose windows are complete."""
         if self._readings is None or first != self._first + self._readings.shape[1]:
             self._readings, self._overload, self._first = readings, overload, first
         else:

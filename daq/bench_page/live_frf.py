@@ -83,7 +83,7 @@ class LiveFrf:
         self._hits: list[tuple[Hit, ComplexArray]] = []
 
     def add(self, readings: Array) -> None:
-        """Take the next readings of a continuous test, shape (channels, samples)."""
+        """Add the next readings of a continuous test, shape (channels, samples)."""
         self._pending = np.concatenate([self._pending, readings], axis=1)
         while self._pending.shape[1] >= self._size:
             block = self._pending[:, : self._size]
@@ -92,7 +92,7 @@ class LiveFrf:
             self._pending = self._pending[:, self._size // 2 :]
 
     def add_hit(self, hit: Hit) -> None:
-        """Take the window of a hit, which is included as long as the hit is accepted."""
+        """Add the window of a hit, which is included as long as the hit is accepted."""
         window = hit.readings[:, : self._size]
         padding = self._size - window.shape[1]
         self._hits.append((hit, self._spectra(np.pad(window, ((0, 0), (0, padding))))))

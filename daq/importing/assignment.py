@@ -228,7 +228,7 @@ def _has_sensitivity(channel: Channel) -> bool:
 
 
 def _by_column(column: Column, signals: Sequence[Signal]) -> Sequence[Signal]:
-    """Give the signals that a line of the table names, or numbers."""
+    """Return the signals that a line of the table names, or numbers."""
     files = {signal.file: signal.file.rpartition(".")[0] for signal in signals}
     inside = [s for s in signals if column.file is None or column.file in (s.file, files[s.file])]
     if not inside:

@@ -200,7 +200,7 @@ def require_even(
         raise RecordingError(
             f"{where} are not evenly spaced: sample {numbers[at] + 1} is at {float(times[at]):.9g} s instead of "
             f"{start + numbers[at] / rate:.9g} s ({rate:.6g} Hz from {start:.6g} s on). Resample the file, or import "
-            "the stretches before and after with --from and --to."
+            "the segments before and after with --from and --to."
         )
 
 

@@ -105,7 +105,7 @@ class _HdfItems:
         self._count = 0
 
     def value(self, item: Any, depth: int = 0) -> Any:
-        """Give the MATLAB value of an item; None beyond the depth of data."""
+        """Return the MATLAB value of an item; None beyond the depth of data."""
         self._count += 1
         if self._count > _MAX_VALUES:
             raise ValueError(f"its structures and cells hold more than {_MAX_VALUES} values")

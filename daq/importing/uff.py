@@ -120,7 +120,7 @@ def label(each: Mapping[str, Any], axis: str) -> str:
 
 
 def is_time(each: Mapping[str, Any]) -> bool:
-    """Whether a function is a function of time."""
+    """Return whether a function is a function of time."""
     kind = int(each["func_type"])
     return kind == TIME_RESPONSE or (
         kind == GENERAL and int(each["abscissa_spec_data_type"]) == _ABSCISSA_TIME

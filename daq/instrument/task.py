@@ -216,7 +216,7 @@ class Task:
         self._looked[question] = chassis.position
 
     def is_done(self) -> bool:
-        """Whether the task is done or not running; a task without a sample clock is always done."""
+        """Return whether the task is done or not running; a task without a sample clock is always done."""
         with self.chassis.changed:
             self.note_query("is_task_done")
             self.raise_failure()

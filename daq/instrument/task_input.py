@@ -136,7 +136,7 @@ class TaskInput:
     # Overloads
 
     def overloaded_exist(self) -> bool:
-        """Whether any channel was overloaded since the last query; clears the flags."""
+        """Return whether any channel was overloaded since the last query; clears the flags."""
         flags = [] if self.run is None else self.run.overloaded.tolist()
         names = [each.name for each in self._settings.channels]
         self._overloads_reported = [name for name, flag in zip(names, flags, strict=False) if flag]

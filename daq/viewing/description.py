@@ -145,7 +145,7 @@ def describe(recording: Recording) -> Iterator[str]:
 def _segments(count: int) -> str:
     if count == 0:
         return "none noted"
-    return "1 stretch of samples" if count == 1 else f"{count} stretches of samples"
+    return "1 segment of samples" if count == 1 else f"{count} segments of samples"
 
 
 def _reason_of_loss(recording: Recording) -> str:

@@ -45,11 +45,11 @@ def log_lines(recording: Recording, start: int, stop: int) -> list[Line]:
     for mark in recording.markers:
         if not start <= mark.first_sample < stop:
             continue
-        stretches = ""
+        duration = ""
         if mark.last_sample is not None:
-            stretches = f"for {(mark.stop - mark.first_sample) / recording.rate:.3f} s"
+            duration = f"for {(mark.stop - mark.first_sample) / recording.rate:.3f} s"
         text = ", ".join(
-            part for part in (f"{mark.kind} {stretches}".strip(), format_fields(mark.fields)) if part
+            part for part in (f"{mark.kind} {duration}".strip(), format_fields(mark.fields)) if part
         )
         lines.append(Line(mark.first_sample, "WARN" if mark.kind in WARNINGS else "INFO", text))
     return sorted(lines)
@@ -62,11 +62,11 @@ def phases(recording: Recording, start: int, stop: int) -> list[MarkedSlice]:
     Overloads, alarms and levels are not phases of the test.
     """
     slices: list[MarkedSlice] = []
-    stretches = [
+    segments = [
         mark for mark in recording.markers if mark.last_sample is not None and mark.kind not in NOT_PHASES
     ]
-    hits = sorted(mark.first_sample for mark in stretches if mark.kind == "hit")
-    for mark in sorted(stretches, key=lambda mark: mark.first_sample):
+    hits = sorted(mark.first_sample for mark in segments if mark.kind == "hit")
+    for mark in sorted(segments, key=lambda mark: mark.first_sample):
         end = mark.stop
         if mark.kind == "hit":
             end = min((hit for hit in hits if hit > mark.first_sample), default=recording.samples)

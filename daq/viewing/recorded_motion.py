@@ -29,7 +29,7 @@ class RecordedMotion:
         self.sources = motion_sources(points_of(scene), channels, recording.has_truth)
         self.gaps_known = bool(scene.dampers) and recording.has_truth
 
-    def stretches(self, start: int, stop: int, step: int) -> Iterator[tuple[NDArray[np.int64], RigPose]]:
+    def segments(self, start: int, stop: int, step: int) -> Iterator[tuple[NDArray[np.int64], RigPose]]:
         """Yield sample numbers and the motion there, for every `step`-th sample of [start, stop).
 
         Samples that the recording lost are left out.

@@ -79,7 +79,7 @@ class Replay:
         """Largest motions, and the sample with the largest motion; reads the whole segment."""
         shaker_bodies = [shaker.body for _, shaker in self.recording.scene.tables]
         extremes, most_motion, largest = Extremes(), self.start, 0.0
-        for instants, motion in self.motion.stretches(self.start, self.stop, self.step):
+        for instants, motion in self.motion.segments(self.start, self.stop, self.step):
             extremes = extremes.widened(motion, shaker_bodies)
             # A picture should show dampers in flight; without dampers, large displacements.
             motion_samples = (
@@ -139,8 +139,8 @@ class Replay:
             stream.send_columns("test/marks", [traces.times(np.array([line.sample for line in lines]))], text)
         if spans := phases(recording, self.start, self.stop):
             self._send_lane(stream, traces, "test/phase", spans)
-        for name, stretches in overloads(recording, self.start, self.stop).items():
-            self._send_lane(stream, traces, f"{OVERLOADS}/{name}", stretches)
+        for name, segments in overloads(recording, self.start, self.stop).items():
+            self._send_lane(stream, traces, f"{OVERLOADS}/{name}", segments)
         total = self.stop - self.start
         for first in range(self.start, self.stop, BLOCK):
             last = min(first + BLOCK, self.stop)
@@ -152,7 +152,7 @@ class Replay:
             drain()
             if progress is not None:
                 progress(0.8 * (last - self.start) / total, "channels")
-        for instants, motion in self.motion.stretches(self.start, self.stop, self.step):
+        for instants, motion in self.motion.segments(self.start, self.stop, self.step):
             traces.motion(self.view, instants, motion)
             drain()
             if progress is not None and instants.size:

@@ -163,7 +163,7 @@ def free_port() -> int:
 
 
 def can_open_windows() -> bool:
-    """Whether a window can be opened."""
+    """Return whether a window can be opened."""
     return not sys.platform.startswith("linux") or any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY")))
 
 

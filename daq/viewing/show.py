@@ -43,7 +43,7 @@ def replay(
     at : float, optional
         Time of the picture, s; by default where the dampers fly highest.
     from_s, to_s : float, optional
-        Stretch of the recording, s.
+        Segment of the recording, s.
     speed : float
         Playback speed; 0.1 is slow motion.
     overwrite : bool
@@ -61,7 +61,7 @@ def replay(
     Raises
     ------
     SceneError
-        If the stretch holds no sample, or options contradict each other.
+        If the segment contains no sample, or options contradict each other.
     RunError
         If there is no display, the viewer does not start, or the file cannot be written.
     """

@@ -193,5 +193,5 @@ class Properties:
         self._set.pop(name, None)
 
     def was_set(self, name: str) -> bool:
-        """Whether a script has set the value."""
+        """Return whether a script has set the value."""
         return name in self._set

@@ -170,7 +170,7 @@ def test_accelerations_are_integrated_and_described(tmp_path):
     with daq.open(path) as opened:
         motion = RecordedMotion(opened)
         assert all(f"high-passed at {HIGH_PASS_HZ:g} Hz" in source.sentence for source in motion.sources)
-        parts = [part for _, part in motion.stretches(0, opened.samples, 1)]
+        parts = [part for _, part in motion.segments(0, opened.samples, 1)]
         found = np.concatenate([np.vstack([part.displacement, part.tables]) for part in parts], axis=1)
     late = slice(found.shape[1] // 2, None)
     error = np.abs(found[:, late] - true[:, late]).max(axis=1)
@@ -270,5 +270,5 @@ def test_truth_of_another_rig_is_ignored(change, recording):
     motion = RecordedMotion(recording)
     assert recording.truth_points and not recording.has_truth
     assert not motion.gaps_known
-    for _, pose in motion.stretches(0, 512, 64):
+    for _, pose in motion.segments(0, 512, 64):
         assert pose.gap is None and len(pose.displacement) == recording.scene.structure.bodies

@@ -145,7 +145,7 @@ class Orbit(Result):
 
     @property
     def stable(self) -> bool:
-        """Whether every Floquet multiplier lies inside the unit circle."""
+        """Return whether every Floquet multiplier lies inside the unit circle."""
         return bool((np.abs(self.multipliers) < 1).all())
 
     @property

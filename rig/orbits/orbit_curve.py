@@ -46,7 +46,7 @@ class OrbitBranch(Result):
 
     @property
     def stable(self) -> NDArray[np.bool_]:
-        """Whether each orbit is stable."""
+        """Return whether each orbit is stable."""
         return np.array([orbit.stable for orbit in self.orbits])
 
     @property

@@ -105,7 +105,7 @@ class OrbitResponse(Result):
 
     @property
     def simulated(self) -> NDArray[np.bool_]:
-        """Whether the motion is irregular, and was simulated and averaged."""
+        """Return whether the motion is irregular, and was simulated and averaged."""
         return np.array([orbit is None for orbit in self.orbits], dtype=bool)
 
     @property

@@ -109,7 +109,7 @@ class Damper(Settings):
 
     @property
     def moves(self) -> bool:
-        """Whether the bed can move in its cavity: it is not locked and has clearance."""
+        """Return whether the bed can move in its cavity: it is not locked and has clearance."""
         return not self.locked and self.clearance > 0.0
 
     def relations(self) -> Iterable[Mistake]:

@@ -219,12 +219,12 @@ class Channel(Settings):
 
     @property
     def measures_force(self) -> bool:
-        """Whether it measures force: at the hammer or a shaker."""
+        """Return whether the channel measures force, at the hammer or a shaker."""
         return self.what in FORCE_PLACES
 
     @property
     def measures_voltage(self) -> bool:
-        """Whether it measures the voltage of an output."""
+        """Return whether the channel measures the voltage of an output."""
         return self.what == VOLTAGE_PLACE
 
     @property

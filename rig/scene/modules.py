@@ -106,7 +106,7 @@ class Inputs:
 
     @property
     def on_demand(self) -> bool:
-        """Whether single samples can be read without a sample clock, which a decimation filter prevents."""
+        """Return whether single samples can be read without a sample clock, which a decimation filter prevents."""
         return self.conversion != "delta_sigma"
 
 

@@ -53,7 +53,7 @@ def preset_note(settings: Accelerometer | Hammer | None, key: str) -> str:
 
 
 def needs_supply(channel: Channel) -> bool:
-    """Whether the sensor of a channel needs a supply current from its input (IEPE).
+    """Return whether the sensor of a channel needs a supply current from its input (IEPE).
 
     >>> needs_supply(Channel(name="body1", at="body 1", accelerometer={"preset": "PCB 352C33"}))
     True

@@ -166,7 +166,7 @@ class _OrbitSolver:
     """Solver of a scene's orbits for given levels of the reference.
 
     A table with prescribed motion is replaced by a spring to ground and a force of stiffness times displacement.
-    The table of an electrodynamic shaker reacts to the dampers; solution the drive that gives the table its level is
+    The table of an electrodynamic shaker reacts to the dampers, so the drive that gives the table its level is
     computed by secant steps.
     """
 

@@ -25,7 +25,7 @@ class Decimator:
         self._samples = aligned_zeros(0)
 
     def place(self, count: int) -> Array:
-        """Return the place for the moments of the next intervals, shape (count and TOGETHER or more, MOMENTS)."""
+        """Return the place for the moments of the next intervals, shape (count and SUMS_AT_ONCE or more, MOMENTS)."""
         past = len(self._last)
         end = past + count + SUM_BLOCK * self._oversampling
         self._moments = self._buffers.rows(end)

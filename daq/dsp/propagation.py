@@ -49,7 +49,7 @@ def propagate(
     rows_input: Array,
     rows_excess: Array,
     points: Array,  # these outputs, (outputs, intervals)
-    averages: Array,  # moments of the output, (intervals + TOGETHER or 0, LANES)
+    averages: Array,  # moments of the output, (intervals + SUMS_AT_ONCE or 0, LANES)
     overload: Array,  # 0, or 1 + remaining shift of zero / limit; the last of the previous block first
     scratch: CircuitWorkspace,
 ) -> None:

@@ -24,7 +24,7 @@ class Sampler(Protocol):
     rows_input: Array  # and from the input; (outputs,)
 
     def place(self, intervals: int) -> Array:
-        """Return the place for moments, shape (at least intervals + TOGETHER or 0, LANES)."""
+        """Return the place for moments, shape (at least intervals + SUMS_AT_ONCE or 0, LANES)."""
 
     def read(self, points: Array, ends: slice) -> Array:
         """Return the samples in V, valid until the next call, from the voltages of `rows` and the latest moments."""

@@ -46,14 +46,14 @@ if TYPE_CHECKING:
     from rig.results.response import Response
 
 
-# Largest number of halvings of the step before the branch is considered to end.
-MAX_HALVINGS = 6
+# Largest number of steps, shortened ones included, from one value to the next.
+MAX_STEPS = 6
 # Largest number of Newton corrections after a prediction.
 MAX_CORRECTIONS = 6
 # Largest error of a prediction, relative to the change from the previous point.
 MAX_PREDICTION_ERROR = 0.3
-# Largest change of an unknown by a prediction, relative to the scale of the unknown. Extrapolation far from closely
-# spaced points is unreliable, and propagation to instants millions of periods ahead would not finish.
+# Largest change of an unknown by a prediction, relative to the scale of the unknown. Otherwise closely
+# spaced points could predict event instants millions of periods ahead, and the propagation would not finish.
 MAX_PREDICTION_RATIO = 10.0
 # Number of points used for extrapolation.
 EXTRAPOLATION_POINTS = 4
@@ -286,15 +286,19 @@ class _Continuation:
 
     def _continue_orbit(self, value: float) -> Orbit | None:
         """Continue the orbit to a value; return None if it ends or loses its stability before."""
+        if value == self.recent[-1].value:
+            return self.recent[-1].orbit
         target = value
-        for _ in range(MAX_HALVINGS):
+        for _ in range(MAX_STEPS):
             point = self._step(target)
             if point is None:
                 target = 0.5 * (self.recent[-1].value + target)
                 continue
             if point.orbit.flaw or not point.orbit.stable:
                 return None
-            self.recent = [*self.recent[1 - EXTRAPOLATION_POINTS :], point]
+            # The nodes of the extrapolation must differ, also where a sweep turns back.
+            others = [each for each in self.recent if each.value != target]
+            self.recent = [*others[1 - EXTRAPOLATION_POINTS :], point]
             if target == value:
                 return point.orbit
             target = value
@@ -333,7 +337,7 @@ class _Continuation:
             propagator.resume(self.snapshot)
         try:
             orbit = search_orbit(self.problem, setting, propagator, MAX_PERIODS)
-            reason = "" if orbit.stable and not orbit.flaw else "the computed orbit is not stable"
+            reason = orbit.flaw or ("" if orbit.stable else "the computed orbit is not stable")
         except RunError as failure:
             reason = str(failure)
         if reason:

@@ -82,6 +82,17 @@ def test_close_points_give_the_same_motion_far_away() -> None:
     assert np.abs(orbit.compliance - orbits.compliance[:, -1]).max() < 1e-10 * np.abs(orbit.compliance).max()
 
 
+@pytest.mark.parametrize("values", [[49.2, 49.5, 49.8, 49.5, 49.3], [49.5, 49.5, 49.5], [49.2, 49.5, 49.2]])
+def test_sweep_may_return_or_repeat_values(values: list[float]) -> None:
+    scene = with_ideal_force(rig.load("fig9"))
+
+    swept = rig.orbit_response(scene, values)
+
+    for value, compliance in zip(values, swept.compliance.T, strict=True):
+        orbit = rig.periodic_orbit(scene, value)
+        assert np.abs(orbit.compliance - compliance).max() < 1e-10 * np.abs(compliance).max()
+
+
 def test_invalid_sweep_values_are_named() -> None:
     scene = rig.load("fig9")
     with pytest.raises(SceneError, match="expected a list of positive, finite numbers"):

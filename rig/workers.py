@@ -96,7 +96,7 @@ class Workers:
                             job.add_done_callback(finished.put)
                     submitted = len(pieces)
                     job = self._next(finished)
-                    result = job.result()
+                    result = self._result(job)
                     done.add(jobs[job])
                     yield jobs.pop(job), result
                 return
@@ -111,14 +111,26 @@ class Workers:
             "times, possibly because memory ran out. Close other programs, or make the study smaller."
         )
 
+    def _result(self, job: Future[Result]) -> Result:
+        """Return the result of a finished piece; raise `RunError` if it repeatedly ended the workers of a cluster."""
+        if self._cluster is None:
+            return job.result()
+        from distributed import KilledWorker
+
+        try:
+            return job.result()
+        except KilledWorker as error:
+            raise RunError(
+                f"--cluster {self._cluster}: a piece ended its workers several times, possibly because memory ran out "
+                f"({error}). Give the workers more memory, or make the study smaller."
+            ) from None
+
     def _next(self, finished: SimpleQueue[Future[Result]]) -> Future[Result]:
         """Wait for a finished piece; report once if the cluster has no workers."""
         while self._cluster is not None:
             with suppress(Empty):
                 return finished.get(timeout=_WORKER_CHECK_INTERVAL_S)
-            if self._client.nthreads():
-                break
-            if not self._reported:
+            if not self._reported and not self._client.nthreads():
                 warnings.warn(
                     f"--cluster {self._cluster}: the scheduler has no workers. The study waits for one; start it with: "
                     f"dask worker {self._client.scheduler.address} --nthreads 1",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Sequence
 from math import isnan
 from pathlib import Path
@@ -45,6 +46,8 @@ def present_fit(
         found = fit(list(recordings), scene, free)
         files = save_figure(fit_figure(found), residuals)
         if found.misfit:
+            for warning in found.warnings:
+                warnings.warn(warning, stacklevel=2)
             for path in files:
                 say(f"wrote {path}")
             raise RunError(

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
-from itertools import combinations, islice
+from itertools import combinations
+from math import comb
 
 import numpy as np
 import scipy
@@ -24,22 +25,25 @@ from rig.system.structural_model import driven_bodies, structural_model
 _FREQUENCY_SD = 3e-4
 _DAMPING_SD = 0.05
 _SHAPE_SD = 0.05
-# Assignments of identified modes to modes of the model that are ranked, and of these the number that is fitted.
+# Largest number of assignments of identified modes to model modes that are ranked.
 _MAX_RANKED = 2000
+# Largest number of these assignments that are fitted.
 _MAX_FITTED = 4
-# Model error of the residuals that compare the assignments, and the limit of each, in standard deviations.
+# Relative model error that is assumed when assignments are compared.
 _MODEL_ERROR = 0.1
+# Larger residuals are clipped in this comparison, standard deviations.
 _MAX_RESIDUAL = 30.0
-# Ratio of frequencies, as a logarithm, and weight of 1 - MAC, in the distance between identified and model modes.
+# Distance between an identified mode and a model mode: logarithm of the frequency ratio that counts as 1.
 _LOG_FREQUENCY_SCALE = 0.1
+# Weight of 1 - MAC in this distance.
 _MAC_WEIGHT = 4.0
 
 
 def initial_unknowns(problem: Problem, groups: Sequence[Group]) -> Array:
     """Return unknowns with which the model has the identified modes, or those of the scene if no mode is identified.
 
-    If the band of the test contains only some of the modes, the assignment with the smallest residual is used. All
-    groups change to their next assignment together.
+    If the band of the test contains only some of the modes, the assignment with the smallest residual is used. The
+    k-th fit uses the k-th most likely assignment of every group.
     """
     identified = [
         (group, _identify(group.curves.frfs, group.curves.scene.structure.bodies)) for group in groups
@@ -127,8 +131,25 @@ def _ranked_assignments(scene: Scene, group: Group, modes: Modes) -> list[tuple[
     count = modes.frequency.size
     similarity = mac(constants, modes.shapes)
     ranked = []
-    for assignment in islice(combinations(range(frequency.size), count), _MAX_RANKED):
+    for assignment in combinations(_nearest_modes(frequency, modes.frequency), count):
         distance = np.log(frequency[list(assignment)] / modes.frequency) / _LOG_FREQUENCY_SCALE
         dissimilarity = 1.0 - similarity[list(assignment), range(count)]
         ranked.append((float(np.sum(distance**2 + _MAC_WEIGHT * dissimilarity)), assignment))
     return [assignment for _, assignment in sorted(ranked)]
+
+
+def _nearest_modes(frequency: Array, identified: Array) -> list[int]:
+    """Select model modes, in rising order, for at most `_MAX_RANKED` assignments: those nearest to identified ones.
+
+    >>> _nearest_modes(np.array([1.0, 2.0, 3.0]), np.array([2.1]))
+    [0, 1, 2]
+    >>> _nearest_modes(np.arange(1.0, 41.0), np.arange(25.0, 33.0))
+    [22, 23, 24, 25, 26, 27, 28, 29, 30, 31, 32, 33, 34]
+    """
+    distance = abs(np.log(frequency[:, None] / identified)).min(axis=1)
+    count = max(
+        size
+        for size in range(identified.size, frequency.size + 1)
+        if size == identified.size or comb(size, identified.size) <= _MAX_RANKED
+    )
+    return sorted(np.argsort(distance, kind="stable")[:count].tolist())

@@ -61,10 +61,14 @@ def envelope(time: Array, values: Array, columns: int) -> tuple[Array, Array]:
 
     >>> [each.tolist() for each in envelope(np.arange(4.0), np.array([1.0, 3.0, 2.0, 0.0]), 2)]
     [[0.0, 1.0, 2.0, 3.0], [1.0, 3.0, 2.0, 0.0]]
+    >>> envelope(np.arange(5.0), np.array([1.0, 3.0, 2.0, 0.0, 7.0]), 2)[1].tolist()
+    [3.0, 2.0, 0.0, 7.0]
     """
     width = max(1, values.size // columns)
-    parts = values[: values.size // width * width].reshape(-1, width)
-    start = width * np.arange(len(parts))
+    # Whole columns end at the newest sample.
+    first = values.size % width
+    parts = values[first:].reshape(-1, width)
+    start = first + width * np.arange(len(parts))
     at = np.sort(
         np.column_stack([parts.argmin(axis=1) + start, parts.argmax(axis=1) + start]), axis=1
     ).ravel()

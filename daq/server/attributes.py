@@ -51,7 +51,7 @@ def attribute_call(name: str) -> Callable[[Call], dict[str, Any] | None] | None:
             raise unsupported(f"attribute {decode(call.message).get('attribute', 0)}")
         if per_device:
             raise DaqError(
-                f"{named} is the same for all devices of a task: ask for it without naming one",
+                f"{named} applies to the whole task. Omit the device name.",
                 Code.M_STUDIO_OPERATION_DOES_NOT_SUPPORT_DEVICE_CONTEXT,
             )
         if action == "Get":
@@ -90,6 +90,8 @@ def _get(call: Call, owner: str, name: str) -> Any:
         return get_value(call.task, _GROUPS[owner], name)
     if owner == "Chan":
         return get_channel(call.task, call.fields["channel"], name)
+    if owner not in _OWNERS:
+        raise unsupported(f"property {name} of {owner}")
     return _OWNERS[owner](call, name)
 
 
@@ -139,7 +141,7 @@ def _of_task(call: Call, name: str) -> Any:
 
 def _of_system(call: Call, name: str) -> Any:
     storage: Storage = call.instrument.storage
-    return {
+    attributes = {
         "dev_names": call.instrument.chassis.devices.names,
         "tasks": list(storage.tasks),
         "scales": list(storage.scales),
@@ -147,7 +149,10 @@ def _of_system(call: Call, name: str) -> Any:
         "nidaq_major_version": DRIVER_VERSION[0],
         "nidaq_minor_version": DRIVER_VERSION[1],
         "nidaq_update_version": DRIVER_VERSION[2],
-    }[name]
+    }
+    if name not in attributes:
+        raise unsupported(f"system property {name}")
+    return attributes[name]
 
 
 def _of_scale(call: Call, name: str) -> Any:

@@ -165,6 +165,16 @@ def test_dask_cluster_gives_the_same_results() -> None:
 
 
 @pytest.mark.thorough
+@pytest.mark.filterwarnings("ignore::ResourceWarning")
+def test_piece_that_ends_cluster_workers_is_reported() -> None:
+    with (
+        Workers("local") as workers,
+        pytest.raises(RunError, match="--cluster local: a piece ended its workers"),
+    ):
+        list(workers.compute(exit_process, [1]))
+
+
+@pytest.mark.thorough
 def test_missing_scheduler_is_reported() -> None:
     with pytest.raises(SceneError, match="no Dask scheduler answers"):
         Workers("tcp://127.0.0.1:9")

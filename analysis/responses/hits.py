@@ -149,9 +149,9 @@ class Hits:
             force[first:] += isolate_pulse(rec.channels[self.channel], force_after, 0, end - begin)
         out[row] = force
         if rest:
-            # A sudden onset of integrator drift is a step, whose spectrum decreases more slowly than that of a
-            # displacement and is as smooth. The readings fade in over the first half of the samples before the hit;
-            # the hit may already appear in the second half through a filter.
+            # A sudden onset of integrator drift is a step, whose smooth spectrum decreases more slowly than that of a
+            # displacement. The readings are therefore faded in over the first half of the samples before the hit.
+            # In the second half a filter may already show the hit.
             out, n_fade = out[:, quiet.start :], (quiet.stop - quiet.start) // 2
             fade_in = 0.5 - 0.5 * np.cos(np.pi * (np.arange(n_fade) + 0.5) / max(n_fade, 1))
             out = np.concatenate([out[:, :n_fade] * fade_in, out[:, n_fade:]], axis=1)
@@ -199,15 +199,17 @@ class Hits:
         size = 2 * (spectra[0].shape[1] - 1)
         # Low-order polynomials cannot separate errors within this number of samples after a hit from the response.
         after_hit = int(size * (ORDER + 1) / side)
-        power = np.sum([abs(each) ** 2 for each in spectra], axis=0)
+        power = np.sum([abs(spectrum) ** 2 for spectrum in spectra], axis=0)
         errors, noise, largest = np.zeros((len(_COARSER), *power.shape)), [], np.zeros(count.shape)
         for block, (start, stop) in zip(blocks, segments, strict=True):
             for begin, _ in self.inside(start, stop):
                 first = begin - (stop - block.shape[1])
                 counts = np.rint(block[:, first : first + after_hit] / step)
                 largest = np.maximum(largest, abs(counts).max(axis=1, keepdims=True))
-                for each, (steps, ratio) in zip(errors, _COARSER, strict=True):
-                    each += abs(fft.rfft(steps * np.rint(counts / steps) - counts, size, axis=1)) ** 2 / ratio
+                for error, (steps, ratio) in zip(errors, _COARSER, strict=True):
+                    error += (
+                        abs(fft.rfft(steps * np.rint(counts / steps) - counts, size, axis=1)) ** 2 / ratio
+                    )
                 before = [
                     rec.read(name, max(start, begin - int(PRE_HIT_S * rec.rate)), begin) for name in names
                 ]

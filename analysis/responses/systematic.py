@@ -241,7 +241,7 @@ def clock_part(rec: Recording, shares: ReadingShares) -> dict[str, Array]:
     if frequency.size < _MIN_SLOPE_LINES:
         slope_part = np.maximum(slope_part, deviation * _ASSUMED_SLOPE_RATIO * abs(value))
     measured = [rec.channels[name].quantity for name in shares.names]
-    powers = np.array([[MOTIONS.index(each) if each in MOTIONS else 0.0] for each in measured])
+    powers = np.array([[MOTIONS.index(name) if name in MOTIONS else 0.0] for name in measured])
     order_part = np.sum((powers - MOTIONS.index(shares.motion)) * shares.upper, axis=0)
     order_part = order_part - value * np.sum(powers * shares.lower, axis=0)
     return {CLOCK: slope_part + deviation * abs(order_part)}

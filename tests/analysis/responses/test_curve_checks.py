@@ -15,7 +15,7 @@ LINES = np.arange(20.0, 300.0, 0.5)
 
 
 def measured(response: int = 1, *, grounded: bool = True, noise: float = 1e-3) -> Response:
-    """Receptance of a bracket with modes at 64 and 166 Hz to a force on body 1, with noise and its bound."""
+    """Return the receptance of a bracket with modes at 64 and 166 Hz to a force on body 1, with noise and its error."""
     spring = STIFFNESS if grounded else STIFFNESS - np.diag([0.9e6, 0.0])
     value = np.array(
         [np.linalg.inv(spring * (1 + 0.016j) - (2 * np.pi * f) ** 2 * MASS)[response - 1, 0] for f in LINES]
@@ -31,25 +31,25 @@ def measured(response: int = 1, *, grounded: bool = True, noise: float = 1e-3) -
 @pytest.mark.parametrize("motion", ["displacement", "velocity", "acceleration"])
 @pytest.mark.parametrize("grounded", [True, False])
 def test_a_reversed_force_is_reported_once(motion: str, grounded: bool) -> None:
-    curves = [replace(each, value=-each.value) for each in (measured(1, grounded=grounded), measured(2))]
-    warning = reversed_force([each.to(motion) for each in curves])
+    curves = [replace(curve, value=-curve.value) for curve in (measured(1, grounded=grounded), measured(2))]
+    warning = reversed_force([curve.to(motion) for curve in curves])
     assert "body1 / force at body 1" in warning and "sign: -1" in warning and "body2" not in warning
 
 
 @pytest.mark.parametrize("delay_s", [0.0, 20e-6, 1e-3, -1e-3])
 @pytest.mark.parametrize("noise", [1e-4, 0.05, 1.0])
-def test_delays_and_noise_are_no_reversed_force(delay_s: float, noise: float) -> None:
+def test_delay_and_noise_do_not_reverse_force(delay_s: float, noise: float) -> None:
     for grounded in (True, False):
         curve = measured(1, grounded=grounded, noise=noise)
-        late = replace(curve, value=curve.value * np.exp(-2j * np.pi * LINES * delay_s))
-        assert not reversed_force([late])
+        delayed = replace(curve, value=curve.value * np.exp(-2j * np.pi * LINES * delay_s))
+        assert not reversed_force([delayed])
 
 
-def test_a_response_elsewhere_may_have_any_phase() -> None:
+def test_other_responses_may_have_any_phase() -> None:
     curve = measured(2)
     assert not reversed_force([curve, replace(curve, value=-curve.value)])
 
 
-def test_points_that_are_not_known_do_not_count() -> None:
+def test_uncertain_points_are_ignored() -> None:
     curve = measured(1, noise=0.5)
     assert not reversed_force([replace(curve, value=-curve.value)])

@@ -20,32 +20,32 @@ def test_residual_transients_stay_within_bound() -> None:
     steady = 1.0 / (1j * omega - POLE)
     change = np.diff(steady, prepend=steady[:1])
     rate = POLE - 1j * omega
-    off = -change * np.exp(rate * waited) * np.expm1(rate * lasted) / (rate * lasted)
-    told = ringing(steady + off, frequency, np.full(25, waited), np.full(25, lasted), np.zeros(25))
-    assert (told[1:] >= abs(off[1:])).all()
-    # The next tone is taken up within the first half of a window.
-    assert (told[1:] <= 1.8 * abs(off[1:])).all()
+    transient = -change * np.exp(rate * waited) * np.expm1(rate * lasted) / (rate * lasted)
+    limit = ringing(steady + transient, frequency, np.full(25, waited), np.full(25, lasted), np.zeros(25))
+    assert (limit[1:] >= abs(transient[1:])).all()
+    # The transition to the next tone ends within the first half of a window.
+    assert (limit[1:] <= 1.8 * abs(transient[1:])).all()
 
 
-def test_two_close_resonances_ring_within_the_bound() -> None:
+def test_limit_holds_for_two_close_resonances() -> None:
     frequency = np.linspace(36.1, 41.5, 40)
     omega, waited, lasted = 2 * np.pi * frequency, 6.0, 0.52
     poles = np.array([[-1.2 + 2j * np.pi * 38.44], [-1.3 + 2j * np.pi * 39.0]])
     steady = np.array([[1.0], [-0.6]]) / (1j * omega - poles)
     change = np.diff(steady, axis=1, prepend=steady[:, :1])
     rate = poles - 1j * omega
-    off = np.sum(-change * np.exp(rate * waited) * np.expm1(rate * lasted) / (rate * lasted), axis=0)
+    transient = np.sum(-change * np.exp(rate * waited) * np.expm1(rate * lasted) / (rate * lasted), axis=0)
     random = np.random.default_rng(1)
     error = np.full(40, 1e-5 * abs(steady).max())
     noise = error * (random.standard_normal(40) + 1j * random.standard_normal(40))
 
-    rings = ringing(
-        steady.sum(axis=0) + off + noise, frequency, np.full(40, waited), np.full(40, lasted), error
+    limit = ringing(
+        steady.sum(axis=0) + transient + noise, frequency, np.full(40, waited), np.full(40, lasted), error
     )
 
-    lingers = abs(off) > 3.0 * error
-    assert lingers.sum() > 5
-    assert (rings >= 0.9 * abs(off))[lingers].all()
+    significant = abs(transient) > 3.0 * error
+    assert significant.sum() > 5
+    assert (limit >= 0.9 * abs(transient))[significant].all()
 
 
 def test_distant_points_have_no_transient() -> None:
@@ -57,7 +57,7 @@ def test_distant_points_have_no_transient() -> None:
 
 
 @pytest.mark.parametrize("seed", [1, 2])
-def test_bounds_hold_residual_transients_in_noise(seed: int, tmp_path) -> None:
+def test_uncertainty_contains_residual_transients_in_noise(seed: int, tmp_path) -> None:
     scene = rig.loads(
         f"""
         structure: {{masses: [1.9 kg, 1.4 kg], springs: [60 kN/m, 40 kN/m], damping: {{modal: 0.7 %}}}}
@@ -73,7 +73,7 @@ def test_bounds_hold_residual_transients_in_noise(seed: int, tmp_path) -> None:
     )
     daq.record(scene, tmp_path / "a.mcap")
     with daq.open(tmp_path / "a.mcap") as recording:
-        found = analysis.frfs(recording)["a"]
-    missed = abs(found.value - receptance(scene, found.frequency)[1]) / found.bound()
-    assert (missed > 1.0).sum() <= 3
-    assert missed.max() < 1.5
+        frf = analysis.frfs(recording)["a"]
+    normalized = abs(frf.value - receptance(scene, frf.frequency)[1]) / frf.bound()
+    assert (normalized > 1.0).sum() <= 3
+    assert normalized.max() < 1.5

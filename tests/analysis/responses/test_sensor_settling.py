@@ -17,7 +17,7 @@ RATE, SECONDS, LOWEST = 200.0, 60.0, 5.0
 
 
 def recording(size, time_constant, seed=1):
-    """A channel with a decaying bias and a random motion."""
+    """Return a recording of a channel with a decaying bias and a random motion."""
     random = np.random.default_rng(seed)
     time = np.arange(int(SECONDS * RATE)) / RATE
     samples = random.standard_normal(time.size) + size * np.exp(-time / time_constant)
@@ -27,14 +27,14 @@ def recording(size, time_constant, seed=1):
 
 
 @pytest.mark.parametrize(("size", "time_constant"), [(10.0, 0.5), (300.0, 2.0), (1e5, 1.0)])
-def test_decaying_bias_is_left_out(size, time_constant):
+def test_samples_with_decaying_bias_are_excluded(size, time_constant):
     [flaw] = settling_flaws(recording(size, time_constant), ["a"], 0, int(SECONDS * RATE), LOWEST)
     # Means of 40 samples scatter by 0.16.
-    left = size * np.exp(-flaw.stop / RATE / time_constant)
-    assert flaw.first == 0 and 0.1 < left < 1.2
+    residual_bias = size * np.exp(-flaw.stop / RATE / time_constant)
+    assert flaw.first == 0 and 0.1 < residual_bias < 1.2
 
 
-def test_missing_bias_leaves_nothing_out():
+def test_no_samples_are_excluded_without_bias():
     for seed in range(20):
         assert settling_flaws(recording(0.0, 1.0, seed), ["a"], 0, int(SECONDS * RATE), LOWEST) == []
 
@@ -46,7 +46,7 @@ def test_lost_channel_has_no_bias():
 
 
 @pytest.mark.parametrize("options", [{}, {"estimator": "H1", "block": 1.0}])
-def test_drive_below_noise_keeps_bounds(options, tmp_path):
+def test_uncertainty_holds_for_drive_below_noise(options, tmp_path):
     scene = rig.loads(
         """
         structure: {masses: [1 kg], springs: [10 kN/m], damping: {modal: 0.02}}
@@ -62,14 +62,14 @@ def test_drive_below_noise_keeps_bounds(options, tmp_path):
     daq.record(scene, path)
     with daq.open(path) as rec:
         [[frf]] = analysis.frequency_responses(rec, **options)
-    off = abs(frf.value - receptance(scene, frf.frequency)[0])
-    # Noise that response and reference share looks like a response, of some -1 over the spring's stiffness.
-    assert np.median(off) > 0.3 * np.median(abs(receptance(scene, frf.frequency)[0]))
-    assert np.mean(off <= frf.bound()) > 0.9
+    error = abs(frf.value - receptance(scene, frf.frequency)[0])
+    # Noise common to response and reference resembles a response of about -1 / (stiffness of the spring).
+    assert np.median(error) > 0.3 * np.median(abs(receptance(scene, frf.frequency)[0]))
+    assert np.mean(error <= frf.bound()) > 0.9
 
 
-def multisine_beside_a_settling_bias(path, multisine: str, converter: str, seed: int = 1):
-    """Curve of one body whose accelerometer bias settles during the test, and its relative error."""
+def multisine_with_settling_bias(path, multisine: str, converter: str, seed: int = 1):
+    """Return the response of a body whose accelerometer bias settles during the test, and its error."""
     scene = rig.loads(f"""
 structure: {{masses: [2 kg], springs: [200 kN/m], damping: {{modal: 2 %}}}}
 shaker: {{kind: force, body: 1}}
@@ -85,16 +85,14 @@ seed: {seed}
     return curve, abs(curve.value - receptance(scene, curve.frequency)[0])
 
 
-def test_multisine_with_settling_bias_keeps_bounds(tmp_path):
-    curve, off = multisine_beside_a_settling_bias(
-        tmp_path / "a.mcap", "to: 200 Hz, lines: 50, periods: 2", ""
-    )
-    assert (off <= curve.bound()).mean() > 0.9
-    assert np.median(off / abs(curve.value)) < 0.02
+def test_uncertainty_holds_for_multisine_with_bias(tmp_path):
+    curve, error = multisine_with_settling_bias(tmp_path / "a.mcap", "to: 200 Hz, lines: 50, periods: 2", "")
+    assert (error <= curve.bound()).mean() > 0.9
+    assert np.median(error / abs(curve.value)) < 0.02
 
 
-def test_coarse_drifting_multisine_keeps_bounds(tmp_path):
-    curve, off = multisine_beside_a_settling_bias(
+def test_uncertainty_holds_for_coarse_drifting_multisine(tmp_path):
+    curve, error = multisine_with_settling_bias(
         tmp_path / "a.mcap", "to: 600 Hz, lines: 300, periods: 8", ", bits: 12", seed=3
     )
-    assert (off <= curve.bound()).mean() > 0.9
+    assert (error <= curve.bound()).mean() > 0.9

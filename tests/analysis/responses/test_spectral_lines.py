@@ -23,11 +23,11 @@ def test_noise_alone_has_no_transient(seed):
 
 @pytest.mark.parametrize("decays", [0.3, 2.0, 8.0])
 def test_transient_remainder_bounds_the_mean(decays):
-    # A mode between two lines with this decay in a period; its transient covers few or many lines.
+    # A mode between two lines, with this decay in a period. Its transient covers few or many lines.
     pole = (-decays + 2j * np.pi * 60.3) / (2j * np.pi)
     first = 40.0 / (np.arange(LINES) - pole)
     transient = first * np.exp(2j * np.pi * pole * np.arange(PARTS))[:, None, None]
     reported = remainder(transient + 0.05 * noise(1, (PARTS, 1, LINES)))[0]
-    off = abs(transient.mean(axis=0)[0])
-    near = off > 0.2
-    assert np.mean(reported[near] > 0.8 * off[near]) > 0.9
+    error = abs(transient.mean(axis=0)[0])
+    large = error > 0.2
+    assert np.mean(reported[large] > 0.8 * error[large]) > 0.9

@@ -18,11 +18,11 @@ converter: {rate: 1024 Hz}
 """
 
 
-@pytest.mark.parametrize(("end", "said"), [(21.0, True), (14.05, False)])
-def test_fast_sweep_with_flight_warns(tmp_path, end, said):
+@pytest.mark.parametrize(("end", "warned"), [(21.0, True), (14.05, False)])
+def test_fast_sweep_with_flight_warns(tmp_path, end, warned):
     scene = rig.loads(SCENE, where="a test")
     path = tmp_path / "a.mcap"
     daq.record(scene.replace(test=scene.test.replace(to=end)), path)
     with daq.open(path) as rec:
-        [[found]] = analysis.frequency_responses(rec)
-    assert any("too fast to reach steady state" in text for text in found.warnings) == said
+        [[frf]] = analysis.frequency_responses(rec)
+    assert any("too fast to reach steady state" in text for text in frf.warnings) == warned

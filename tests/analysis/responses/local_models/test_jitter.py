@@ -30,16 +30,16 @@ def response(path, **settings):
 
 
 @pytest.mark.parametrize("repeats", [1, 3])
-def test_jitter_contribution_holds_its_effect(repeats, tmp_path):
-    frf, wrong = response(tmp_path / "a.mcap", repeats=repeats, jitter=", jitter: 1 us")
+def test_jitter_part_contains_error_by_jitter(repeats, tmp_path):
+    frf, error = response(tmp_path / "a.mcap", repeats=repeats, jitter=", jitter: 1 us")
     others = frf.without(JITTER)
-    assert np.mean(wrong <= others.bound()) < 0.8
-    assert np.mean(wrong <= frf.bound()) > 0.9
-    # At most two standard deviations.
-    far = wrong > others.bound()
-    assert 0.3 < np.sqrt(np.mean((wrong / frf.limits[JITTER])[far] ** 2)) < 0.9
+    assert np.mean(error <= others.bound()) < 0.8
+    assert np.mean(error <= frf.bound()) > 0.9
+    # The part is twice the standard deviation.
+    large = error > others.bound()
+    assert 0.3 < np.sqrt(np.mean((error / frf.limits[JITTER])[large] ** 2)) < 0.9
 
 
-def test_no_jitter_has_no_contribution(tmp_path):
-    frf, wrong = response(tmp_path / "a.mcap", repeats=1, jitter="")
-    assert JITTER not in frf.limits and np.mean(wrong <= frf.bound()) > 0.9
+def test_response_without_jitter_has_no_part(tmp_path):
+    frf, error = response(tmp_path / "a.mcap", repeats=1, jitter="")
+    assert JITTER not in frf.limits and np.mean(error <= frf.bound()) > 0.9

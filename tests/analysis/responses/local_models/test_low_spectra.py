@@ -21,7 +21,7 @@ def recording_of(samples: NDArray[np.float64]) -> Any:
 @pytest.mark.parametrize(
     ("count", "start", "zeros", "bins"),
     [(300_000, 100, 0, 700), (300_000, 7, 1234, 700), (100_001, 0, 99, 3000), (5000, 3, 500, 2501)],
-    ids=["decimated", "behind zeros", "of odd length", "all bins"],
+    ids=["decimated", "zero-padded", "odd length", "all bins"],
 )
 def test_low_bins_equal_whole_transform(count: int, start: int, zeros: int, bins: int) -> None:
     samples = np.random.default_rng(1).standard_normal((2, start + count + 50)) + 3.0

@@ -167,8 +167,8 @@ def orbit_response(
 ) -> OrbitResponse:
     """Compute the steady motion of a scene at each value of a parameter, as exact stable orbits.
 
-    The result is the same as that of `rig.frequency_response`, without simulation of transients. If the controller
-    holds the spring force of a table, this force is a pure tone here, as in `rig.periodic_orbit`.
+    The result is the same as that of `rig.frequency_response`, without simulation of transients. If the test
+    controls the spring force of a table, this force is a pure tone here, as in `rig.periodic_orbit`.
     `rig.frequency_response` includes the harmonics that the dampers cause through the coil spring, so the results
     may differ by 1 %.
 

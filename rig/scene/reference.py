@@ -177,7 +177,7 @@ def _allowed_values(schema: Any, node: Any) -> str:
         return f"a list, each {'with ' * item.startswith('keys')}{item}"
     minimum, maximum = node.get("minimum"), node.get("maximum")
     limits = f"{'' if minimum is None else f', at least {minimum}'}{'' if maximum is None else f', at most {maximum}'}"
-    text_type = "the name of an .npy file beside the scene" if "npy" in node.get("pattern", "") else "text"
+    text_type = "a .npy file next to the scene file" if "npy" in node.get("pattern", "") else "text"
     types = {
         "integer": "a whole number",
         "number": "a number",

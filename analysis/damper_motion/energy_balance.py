@@ -57,7 +57,8 @@ def energy_per_cycle(rec: Recording, sweep: Sweep) -> CycleEnergy:
     missing = [body for body in range(1, count + 1) if f"body {body}" not in bodies]
     if missing:
         raise RecordingError(
-            f"no channel on {rec.scene.structure.listed(missing)}: the energy balance needs all {count} bodies"
+            f"no channel on {rec.scene.structure.listed(missing)}, but the energy balance needs all {count} bodies. "
+            "Mount a motion sensor there."
         )
     shaker = rec.scene.driven_shaker
     driven = shaker.body if shaker is not None and isinstance(shaker.body, int) else 1

@@ -87,7 +87,7 @@ def variables(names: Iterable[str], taken: set[str]) -> list[str]:
     made = [f"x{name}" if not name[:1].isalpha() else name for name in plain]
     made = [f"{name}_" if name in taken else name for name in made]
     if len(set(made)) < len(made):
-        raise SceneError(f"the names {', '.join(names)} are equal as variables of a .mat file. Choose fewer.")
+        raise SceneError(f".mat: the names {', '.join(names)} are equal as variables. Choose fewer channels.")
     return made
 
 

@@ -11,7 +11,6 @@ from typing import IO
 
 import numpy as np
 
-from daq.importing import labview_text
 from daq.importing.clock import (
     TIME_NAMES,
     Clock,
@@ -22,14 +21,17 @@ from daq.importing.clock import (
     sample_numbers,
     warn_of_times,
 )
-from daq.importing.labview_text import LabviewHeading
 from daq.importing.signal import Signal, warn
 from daq.importing.text_layout import (
+    LABVIEW_BEGIN,
+    LABVIEW_SEGMENT,
     UNNAMED,
+    LabviewHeading,
     Layout,
     beginning,
     cells,
     detect_layout,
+    labview_heading,
     number,
     resolution_of_stamp,
     seconds_of_stamp,
@@ -60,8 +62,8 @@ def text_signals(path: Path, stack: ExitStack) -> list[Signal]:
     ``acc1 (g)``, or a line of names above a line of units.
     """
     lines, encoding = beginning(path)
-    if lines[0].startswith(labview_text.BEGIN):
-        return _labview_signals(path, labview_text.labview_heading(lines, str(path)), encoding, stack)
+    if lines[0].startswith(LABVIEW_BEGIN):
+        return _labview_signals(path, labview_heading(lines, str(path)), encoding, stack)
     layout = detect_layout(path, lines, encoding)
     table = _Table(path, layout, stack)
     columns = list(zip(layout.names, layout.units, strict=True))
@@ -256,7 +258,7 @@ class _Table:
             line_number += 1
             if line_number <= self._layout.heading or not line.strip():
                 continue
-            if self._layout.cells is not None and line.startswith(labview_text.SEGMENT):
+            if self._layout.cells is not None and line.startswith(LABVIEW_SEGMENT):
                 raise RecordingError(
                     f"{self._path}, line {line_number}: a second segment of measurement begins. Split the file, or "
                     "log to TDMS."

@@ -13,7 +13,7 @@ import rerun as rr
 from daq.drawing.rig_view import Extremes, RigView
 from daq.recording.layout import refuse_reversed
 from daq.viewing.blueprint import OVERLOADS, layout
-from daq.viewing.info_page import about
+from daq.viewing.description import about
 from daq.viewing.marker_log import MarkedSlice, log_lines, overloads, phases
 from daq.viewing.recorded_motion import BLOCK, RecordedMotion
 from daq.viewing.viewer_stream import Traces, plots

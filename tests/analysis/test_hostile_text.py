@@ -13,7 +13,7 @@ import analysis.cli
 import daq
 import daq.cli
 from daq.recording.recorder import Recorder
-from daq.viewing.info_page import about
+from daq.viewing.description import about
 from daq.viewing.replay import Replay
 from tests.analysis.responses import synthetic
 

@@ -26,7 +26,10 @@ def table(study: ChainStudy) -> str:
     """Format a study as text: the error of the scene and its largest change first, then a row for each measurement."""
     frequencies = ", ".join(f"{frequency:g}" for frequency in study.frequency)
     changes = [point for group in GROUPS for point in study.points if point.group == group]
-    answer = f"The scene: relative error {study.own.error:.0e}, {_milliseconds(study.own)} ms for a second of the test."
+    scene = study.unchanged
+    answer = (
+        f"The scene: relative error {scene.error:.0e}, {_milliseconds(scene)} ms for a second of the test."
+    )
     measured = [point for point in changes if np.isfinite(point.error)]
     if measured:
         worst = max(measured, key=lambda point: point.error)
@@ -34,7 +37,7 @@ def table(study: ChainStudy) -> str:
     rows: list[tuple[str, ...]] = [
         ("changed", "to", "ms for a second", "relative error", "correction", "note")
     ]
-    rows += [_row(point) for point in (study.own, study.quiet, *changes)]
+    rows += [_row(point) for point in (study.unchanged, study.without_noise, *changes)]
     return "\n".join(
         [
             f"{study.scene.name}: compliance measured at {frequencies} Hz",
@@ -58,7 +61,7 @@ def _row(point: Measurement) -> tuple[str, ...]:
     start = point.group or "the scene", point.setting
     if np.isnan(point.error):
         return *start, "-", "-", "-", f"failed: {point.note}"
-    return *start, _milliseconds(point), f"{point.error:.0e}", f"{point.corrected:.0e}", point.note
+    return *start, _milliseconds(point), f"{point.error:.0e}", f"{point.correction:.0e}", point.note
 
 
 def write(study: ChainStudy, folder: Path) -> list[Path]:
@@ -68,8 +71,8 @@ def write(study: ChainStudy, folder: Path) -> list[Path]:
     """
     name = folder / file_stem("chain-cost", study.scene.name)
     rows = [["changed", "to", "cpu_s", "test_s", "error", "corrected_for", "note"]]
-    for p in (study.own, study.quiet, *study.points):
-        numbers = [f"{value:.6g}" for value in (p.cpu, p.duration, p.error, p.corrected)]
+    for p in (study.unchanged, study.without_noise, *study.points):
+        numbers = [f"{value:.6g}" for value in (p.cpu, p.duration, p.error, p.correction)]
         rows.append([p.group or "the scene", p.setting, *numbers, p.note])
     return save_with_table(_draw(study), name, rows)
 
@@ -84,8 +87,8 @@ def _draw(study: ChainStudy) -> Figure:
     """Draw a row for each changed part of the chain: measurement error and computing time."""
     groups = [(group, [p for p in study.points if p.group == group]) for group in GROUPS]
     rows = [
-        ("the scene as it is", study.own, OWN),
-        ("without noise, counts, tolerances, bias", study.quiet, OWN),
+        ("the scene as it is", study.unchanged, OWN),
+        ("without noise, counts, tolerances, bias", study.without_noise, OWN),
     ]
     for group, points in groups:
         own = own_setting(study.scene, group)
@@ -96,7 +99,7 @@ def _draw(study: ChainStudy) -> Figure:
         left, right = figure.subplots(1, 2, sharey=True, width_ratios=(2.2, 1.0))
         for y, (_, point, shade) in zip(place, rows, strict=True):
             if np.isfinite(point.error):
-                error, raw = max(point.error, 1e-17), max(point.corrected, 1e-17)
+                error, raw = max(point.error, 1e-17), max(point.correction, 1e-17)
                 left.plot([error, raw], [y, y], color=FAINT, lw=0.8, zorder=1)
                 left.plot(raw, y, "o", color=FAINT, mfc="white", ms=4.5)
                 left.plot(error, y, "o", color=shade, ms=6)
@@ -104,7 +107,7 @@ def _draw(study: ChainStudy) -> Figure:
             else:
                 left.annotate("cannot be measured", (0.02, y), xycoords=("axes fraction", "data"), va="center",
                               fontsize=7.5, color="#666666")  # fmt: skip
-        left.axvline(study.own.error, color=OWN, lw=0.8, ls="--", zorder=0)
+        left.axvline(study.unchanged.error, color=OWN, lw=0.8, ls="--", zorder=0)
         left.set(xscale="log", xlabel="error, relative")
         left.set_yticks(place, [escape_figure(text) for text, *_ in rows])
         left.set_ylim(place[-1] + 0.8, -0.8)

@@ -38,21 +38,21 @@ if TYPE_CHECKING:
 #: Number of candidate frequencies for steady motion that repeats every period.
 CANDIDATES = 15
 #: Residual transient at which a measurement begins, relative to the amplitude.
-SETTLED = 1e-5
-#: Longest wait in decay times of the slowest mode.
-DECAYS = 10.0
-#: Lower bound of the longest wait, s.
-SHORTEST = 20.0
-#: Upper bound of the longest wait, s.
-LONGEST = 60.0
+SETTLE_TOLERANCE = 1e-5
+#: Timeout of settling, in decay times of the slowest mode.
+MAX_WAIT_DECAY_TIMES = 10.0
+#: The timeout of settling is at least this, s.
+MIN_TIMEOUT_S = 20.0
+#: The timeout of settling is at most this, s.
+MAX_TIMEOUT_S = 60.0
 #: Periods in a measurement.
 PERIODS = 50
 #: Number of repetitions of each recording; the fastest counts.
 REPEATS = 2
 #: Residual of the steady motion that serves as the reference.
-EXACT = 1e-10
+REFERENCE_TOLERANCE = 1e-10
 #: Largest relative difference of two motions that agree, for the choice of frequencies.
-SAME = 1e-4
+SAME_MOTION_TOLERANCE = 1e-4
 #: Message for a scene whose unchanged chain gives no result.
 UNMEASURABLE = (
     "the scene as it is cannot be measured: {}. Run `daq record` with it and remove what it reports."
@@ -70,7 +70,7 @@ class Measurement:
     error: float
     """Largest error of the compliance over measured bodies and frequencies, relative to the largest compliance.
     Channels are corrected by their data sheets: frequency response of sensor, amplifier and converter."""
-    corrected: float
+    correction: float
     """Size of that correction: largest relative error of a displacement computed with nominal sensitivities
     only. In a compliance most of it cancels if all channels are identical."""
     note: str = ""  # Warnings of test and analysis, or the reason for a failure
@@ -82,8 +82,8 @@ class ChainStudy:
 
     scene: Scene  # With its chain written out
     frequency: tuple[float, ...]  # Hz
-    own: Measurement  # The scene as it is
-    quiet: Measurement
+    unchanged: Measurement  # The scene as it is
+    without_noise: Measurement
     """The scene without noise, quantization, sensor tolerances and bias, which no data sheet can correct; the
     baseline of all changes."""
     points: tuple[Measurement, ...]  # Results with one part of the chain changed at a time
@@ -104,7 +104,7 @@ def chain_study(
     measurement chain.
 
     `scene`: with a shaker, and a test with a level and, unless `frequencies` is given, a frequency; `frequencies`:
-    Hz; None: the lowest, the highest and the hardest (largest acceleration) frequency of the test's range at which
+    Hz; None: the lowest, the highest and the frequency of largest acceleration of the test's range at which
     the motion repeats every period in upward and downward sweeps. Raises `SceneError` if nothing drives the scene,
     or its channels do not measure the force. Raises `RunError` if no motion repeats every period, or the unchanged
     scene cannot be measured.
@@ -119,7 +119,7 @@ def chain_study(
     base = base.replace(
         test=_test(base, chosen), recording=base.recording.replace(display=False, truth=False)
     )
-    hardest = chosen[int(np.argmax(_accelerations(base, chosen)))]
+    peak_frequency = chosen[int(np.argmax(_accelerations(base, chosen)))]
     linear = assemble(base).dampers == 0
     with tempfile.TemporaryDirectory() as folder:
         bench = _Bench(Path(folder), linear)
@@ -132,7 +132,7 @@ def chain_study(
         todo = [
             Variant("", "as it is", base),
             Variant("", "without noise and tolerances", quiet(base)),
-            *variants(base, min(chosen), hardest, max(chosen), volts),
+            *variants(base, min(chosen), peak_frequency, max(chosen), volts),
         ]
         measured: list[Measurement] = []
         for number, variant in enumerate(todo):
@@ -144,7 +144,8 @@ def chain_study(
     reference = (
         "the exact solution of the linear equations"
         if linear
-        else f"the engine's steady motion under the drive stated in the recording, repeating within {EXACT:.0e}"
+        else f"the engine's steady motion under the drive stated in the recording, repeating "
+        f"within {REFERENCE_TOLERANCE:.0e}"
     )
     return ChainStudy(base, chosen, measured[0], measured[1], tuple(measured[2:]), reference)
 
@@ -152,7 +153,10 @@ def chain_study(
 def steady_frequencies(scene: Scene) -> tuple[float, ...]:
     """Select frequencies with the same period-1 motion in upward and downward sweeps.
 
-    Returns the lowest, the hardest and the highest of several frequencies in the test's range, Hz; rising. Raises
+    Returns the lowest and the highest frequency in the test's range and that of largest acceleration, Hz; rising.
+
+    Raises
+    ------
     `RunError` if there is no such frequency.
     """
     motion = with_ideal_force(scene)
@@ -165,15 +169,15 @@ def steady_frequencies(scene: Scene) -> tuple[float, ...]:
         up, down = response.compliance[:, upward], response.compliance[:, downward]
         repeats = response.converged & (response.repetition == 1)
         good = repeats[upward] & repeats[downward]
-        good &= np.abs(up - down).max(axis=0) < SAME * np.abs(up).max(axis=0)
+        good &= np.abs(up - down).max(axis=0) < SAME_MOTION_TOLERANCE * np.abs(up).max(axis=0)
     if not good.any():
         raise RunError(
             "the motion is periodic at none of the frequencies tried, so that there is no reference "
             "compliance. Choose others with --frequency, or another level."
         )
     steady = candidates[good]
-    hardest = steady[int(np.argmax(_accelerations(motion, steady)))]
-    return tuple(sorted({float(f"{f:.4g}") for f in (steady[0], hardest, steady[-1])}))
+    peak_frequency = steady[int(np.argmax(_accelerations(motion, steady)))]
+    return tuple(sorted({float(f"{f:.4g}") for f in (steady[0], peak_frequency, steady[-1])}))
 
 
 def _accelerations(scene: Scene, frequencies: Sequence[float] | NDArray[np.float64]) -> NDArray[np.float64]:
@@ -183,12 +187,12 @@ def _accelerations(scene: Scene, frequencies: Sequence[float] | NDArray[np.float
 
 def _test(scene: Scene, frequencies: tuple[float, ...]) -> SteppedSine:
     """Build a short stepped-sine test at the scene's level, with a longer wait than usual."""
-    slowest = max(float(structural_model(scene).modes.decay_rate.min()), DECAYS / LONGEST)
+    slowest = max(float(structural_model(scene).modes.decay_rate.min()), MAX_WAIT_DECAY_TIMES / MAX_TIMEOUT_S)
     name = "force" if getattr(scene.test, "force", None) is not None else "drive"
     return SteppedSine(
         **{name: level_of(scene)},
         frequencies=frequencies,
-        settle=Settle(tolerance=SETTLED, longest=max(DECAYS / slowest, SHORTEST)),
+        settle=Settle(tolerance=SETTLE_TOLERANCE, longest=max(MAX_WAIT_DECAY_TIMES / slowest, MIN_TIMEOUT_S)),
         measure=Measure(periods=PERIODS),
     )
 
@@ -226,7 +230,7 @@ class _Bench:
             notes += [str(warning.message) for warning in caught if "overload" in str(warning.message)]
             notes += [warning for curve in curves for warning in curve.warnings if "overload" in warning]
             with open_recording(path) as rec:
-                true = self._truth(rec)
+                reference = self._reference_compliance(rec)
                 measured = np.array([curve.value for curve in curves])
                 frequencies = [
                     float(mark.fields["frequency"]) for mark in rec.markers if mark.kind == "measure"
@@ -235,21 +239,21 @@ class _Bench:
                     float(np.abs(info.response(frequencies) - 1.0).max()) for info in rec.channels.values()
                 )
                 duration = rec.samples / rec.rate
-                if measured.shape != true.shape or not np.isfinite(measured).all():
+                if measured.shape != reference.shape or not np.isfinite(measured).all():
                     raise RunError(
                         "; ".join(dict.fromkeys(notes))
-                        or "the channels read nothing. Check their sensitivities"
+                        or "the channels measured no response. Check their sensitivities"
                     )
         except ShotrigError as error:
             nan = float("nan")
             return Measurement(variant.group, variant.setting, nan, nan, nan, nan, str(error))
-        deviation, note = _largest_error(measured, true), " ".join(dict.fromkeys(notes))
+        deviation, note = _largest_error(measured, reference), " ".join(dict.fromkeys(notes))
         return Measurement(variant.group, variant.setting, min(times), duration, deviation, corrected, note)
 
     def _record(self, scene: Scene) -> Path:
         return record(scene, self._folder / "chain.mcap", overwrite=True)
 
-    def _truth(self, rec: Recording) -> ComplexArray:
+    def _reference_compliance(self, rec: Recording) -> ComplexArray:
         """Compute the exact compliance of the measured bodies, in the order of the recording's channels."""
         scene = rec.scene
         marks = [marker.fields for marker in rec.markers if marker.kind == "measure"]
@@ -258,24 +262,27 @@ class _Bench:
             bodies = receptance(scene, frequencies)
         else:
             bodies = np.stack(
-                [_driven(scene, f, float(mark["drive"])) for f, mark in zip(frequencies, marks, strict=True)],
+                [
+                    _steady_compliance(scene, f, float(mark["drive"]))
+                    for f, mark in zip(frequencies, marks, strict=True)
+                ],
                 axis=1,
             )
         places = [info.at for info in rec.channels.values() if info.at.startswith("body")]
         return bodies[[int(place.removeprefix("body ")) - 1 for place in places]]
 
 
-def _driven(scene: Scene, frequency: float, drive: float) -> ComplexArray:
+def _steady_compliance(scene: Scene, frequency: float, drive: float) -> ComplexArray:
     """Compute the compliance of all bodies under a drive of given amplitude."""
     name = "force" if scene.driven_shaker is not None and scene.driven_shaker.kind == "force" else "drive"
     test = SteppedSine(**{name: drive}, frequencies=(frequency,))
     scene = scene.replace(test=test)
     # Linear interpolation between samples reduces the amplitude of a sinusoid by this factor. For the engine, the
     # drive of a table is its actual position; for the servo, it is the commanded position.
-    smaller = float(np.sinc(frequency / scene.converter.sample_rate)) ** 2
-    smaller /= abs(drive_per_level(scene, assemble(scene), 2.0 * np.pi * frequency))
-    scene = scene.replace(test=test.replace(**{name: drive * smaller}))
-    response = frequency_response(scene, [frequency], tolerance=EXACT)
+    amplitude_ratio = float(np.sinc(frequency / scene.converter.sample_rate)) ** 2
+    amplitude_ratio /= abs(drive_per_level(scene, assemble(scene), 2.0 * np.pi * frequency))
+    scene = scene.replace(test=test.replace(**{name: drive * amplitude_ratio}))
+    response = frequency_response(scene, [frequency], tolerance=REFERENCE_TOLERANCE)
     if not response.converged[0]:
         raise RunError(
             f"no steady state at {frequency:g} Hz, so that there is no reference. Choose other frequencies with "
@@ -284,6 +291,6 @@ def _driven(scene: Scene, frequency: float, drive: float) -> ComplexArray:
     return response.compliance[:, 0]
 
 
-def _largest_error(value: ComplexArray, true: ComplexArray) -> float:
+def _largest_error(value: ComplexArray, reference: ComplexArray) -> float:
     """Compute the largest error of any body, relative to the largest compliance at that frequency."""
-    return float((np.abs(value - true).max(axis=0) / np.abs(true).max(axis=0)).max())
+    return float((np.abs(value - reference).max(axis=0) / np.abs(reference).max(axis=0)).max())

@@ -127,13 +127,13 @@ def _without_counts(scene: Scene) -> Scene:
 
 
 def variants(
-    scene: Scene, lowest: float, hardest: float, highest: float, largest_volts: float
+    scene: Scene, lowest: float, peak_frequency: float, highest: float, largest_volts: float
 ) -> Iterator[Variant]:
     """Change one part at a time in the scene from `quiet`, where noise does not mask the effects.
 
-    `scene`: as returned by `plain`; `lowest`, `hardest`, `highest`: measured frequencies, Hz; an added integrator
-    has unit gain at `hardest`; `largest_volts`: largest reading of the unchanged scene, V; it determines the range
-    of a converter without a range.
+    `scene`: as returned by `plain`; `lowest`, `peak_frequency`, `highest`: measured frequencies, Hz; an added
+    integrator has unit gain at `peak_frequency`; `largest_volts`: largest reading of the unchanged scene, V, which
+    determines the range of a converter without a range.
     """
     for name, factor in (("the scene's", 1.0), ("ten times", 10.0)):
         loud = _with_noise(scene, factor)
@@ -144,7 +144,7 @@ def variants(
     full_scale = scene.converter.range or HEADROOM * largest_volts
     scene = quiet(scene)
     yield from _resonances(scene, highest)
-    yield from _integrators(scene, lowest, hardest)
+    yield from _integrators(scene, lowest, peak_frequency)
     if scene.converter.filter is None:
         yield Variant("anti-alias filter", "on", _converter(scene, filter="delta_sigma", remove_delay=True))
     else:
@@ -206,11 +206,11 @@ def _with_noise(scene: Scene, factor: float) -> Scene:
     return scene if scene.channels is None else scene.replace(channels=channels)
 
 
-def _integrators(scene: Scene, lowest: float, hardest: float) -> Iterator[Variant]:
+def _integrators(scene: Scene, lowest: float, peak_frequency: float) -> Iterator[Variant]:
     """Yield variants without integrators (the analysis integrates numerically), or with another order."""
     if scene.channels is None:
         return
-    omega = 2.0 * np.pi * hardest
+    omega = 2.0 * np.pi * peak_frequency
     for order, name in enumerate(NAMES):
         channels = []
         for channel in scene.channels:

@@ -11,7 +11,7 @@ import scipy
 
 from analysis.reproduction.store import Arrays
 from rig.arrays import Array
-from rig.damper_design.worst_peak import curve, resonance
+from rig.damper_design.worst_peak import refined_peak, response_at_level
 from rig.orbits.problem import OrbitProblem
 from rig.scene.scene import Scene
 from rig.steady_response.motion_type import overall
@@ -44,9 +44,9 @@ def scan(
     for column, clearance in enumerate(clearances):
         problem = with_dampers(scene, float(clearance), mass_ratio)
         for row, force in enumerate(forces):
-            response = curve(problem, float(force), frequencies)
+            response = response_at_level(problem, float(force), frequencies)
             at = row, column
-            peak[at], where[at] = resonance(problem, response, body)
+            peak[at], where[at] = refined_peak(problem, response, body)
             i = int(np.abs(response.compliance[body - 1]).argmax())
             there[at] = overall(response.damper_motion[:, i].tolist())
             types[at] = " ".join(sorted(set(response.damper_motion.ravel().tolist())))
@@ -77,9 +77,9 @@ def stays_over_damping(
         for column, clearance in enumerate(clearances):
             dampers = [d.replace(clearance=float(clearance)) for d in scene.dampers]
             problem = OrbitProblem(scene.replace(structure=structure, dampers=dampers))
-            response = curve(problem, problem.level, frequencies)
+            response = response_at_level(problem, problem.level, frequencies)
             third[row, column] = bool((response.damper_motion == "III").any())
-            peak[row, column] = resonance(problem, response, body)[0]
+            peak[row, column] = refined_peak(problem, response, body)[0]
     return {"damping": dampings, "clearance": clearances, "third": third, "peak": peak}
 
 
@@ -107,7 +107,7 @@ def least_affected(
             for j, ratio in enumerate(mass_ratios):
                 problem = with_dampers(bare, np.inf, float(ratio))
                 for n, force in enumerate(forces):
-                    peak = resonance(problem, curve(problem, float(force), frequency), body)[0]
+                    peak = refined_peak(problem, response_at_level(problem, float(force), frequency), body)[0]
                     share[i, j, n, k] = peak / abs(alone).max()
     return {"share": share, "damping": dampings, "mass_ratio": mass_ratios, "force": forces}
 
@@ -126,8 +126,8 @@ class _Worst:
             problem = with_dampers(self.scene, *key)
             peaks = []
             for level in LEVELS:
-                response = curve(problem, float(self.force * level), self.frequencies)
-                peaks.append(resonance(problem, response, self.body)[0])
+                response = response_at_level(problem, float(self.force * level), self.frequencies)
+                peaks.append(refined_peak(problem, response, self.body)[0])
                 self.orbits.append(1 - float(response.simulated.mean()))
             self.trials[key] = max(peaks)
         return self.trials[key]

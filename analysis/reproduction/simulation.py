@@ -7,7 +7,7 @@ import numpy as np
 from analysis.reproduction.scan import BODY
 from analysis.reproduction.store import Arrays
 from rig.arrays import Array
-from rig.damper_design.worst_peak import curve, resonance
+from rig.damper_design.worst_peak import refined_peak, response_at_level
 from rig.errors import SceneError
 from rig.orbits.branches import follow_orbits
 from rig.orbits.orbit import Orbit
@@ -168,8 +168,8 @@ def weightings(scene: Scene, bands: dict[int, tuple[float, float]]) -> Arrays:
                 size = np.where(branch.valid & branch.stable, np.abs(branch.compliance), 0)
                 if not peak[row, column] >= size.max():
                     peak[row, column], where[row, column] = size.max(), branch.frequency[size.argmax()]
-        response = curve(problem, problem.level, frequencies)
-        peak[0, column], where[0, column] = resonance(problem, response, body + 1)
+        response = response_at_level(problem, problem.level, frequencies)
+        peak[0, column], where[0, column] = refined_peak(problem, response, body + 1)
     return {"mode": np.array(list(bands)), "peak": peak, "frequency": where, "mass_ratio": ratio}
 
 

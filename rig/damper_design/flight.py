@@ -9,7 +9,7 @@ import numpy as np
 
 from rig.damper_design.choice import COARSE, Question, Trial
 from rig.damper_design.ranking import EQUAL_DB
-from rig.damper_design.worst_peak import Peak, curve
+from rig.damper_design.worst_peak import Peak, response_at_level
 from rig.motion_map.grid import columns, natural_frequencies, take_off
 from rig.orbits.problem import OrbitProblem
 from rig.results import format_number
@@ -56,7 +56,7 @@ def _height(question: Question, trial: Trial) -> float:
     for scene in question.scenes:
         problem = OrbitProblem(scene.replace(dampers=dampers))
         for level in question.levels:
-            for orbit in curve(problem, level, _frequencies(question, trial)).orbits:
+            for orbit in response_at_level(problem, level, _frequencies(question, trial)).orbits:
                 if orbit is None:
                     return np.nan
                 gaps = [values.max() for name, values in orbit.columns().items() if name.startswith("gap")]

@@ -1,4 +1,4 @@
-"""The worst peak of a structure with dampers: maximum over frequency, level, body and structural variant."""
+"""The worst peak of a structure with dampers: maximum over frequency, level and body."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from rig.scene.scene import Scene
 from rig.system.structural_model import receptance
 
 #: Peaks are refined for bodies whose largest compliance on the grid exceeds this share of the largest peak.
-RIVAL = 0.7
+MIN_REFINED_RATIO = 0.7
 
 
 @dataclass(frozen=True, order=True)
@@ -31,18 +31,18 @@ class Peak:
     acceleration: float  # amplitude of the body's acceleration at the peak, m/s^2
     simulated: float  # share of frequencies with irregular motion, which is simulated and averaged
 
-    def reduction_from(self, bare: Peak) -> float:
+    def reduction_from(self, undamped: Peak) -> float:
         """Return the reduction relative to the peak without dampers, dB."""
-        return 20.0 * float(np.log10(bare.size / self.size))
+        return 20.0 * float(np.log10(undamped.size / self.size))
 
 
-def curve(problem: OrbitProblem, force: float, frequencies: Array) -> OrbitResponse:
-    """Compute steady motion at each frequency, continued from the previous frequency."""
-    return sweep(problem, OperatingPoint(float(frequencies[0]), force), "frequency", frequencies)
+def response_at_level(problem: OrbitProblem, level: float, frequencies: Array) -> OrbitResponse:
+    """Compute the steady motion at each frequency, starting from the motion at the previous one."""
+    return sweep(problem, OperatingPoint(float(frequencies[0]), level), "frequency", frequencies)
 
 
-def resonance(problem: OrbitProblem, response: OrbitResponse, body: int) -> tuple[float, float]:
-    """Compute the largest compliance of a body over a curve [m/N], and its frequency [Hz].
+def refined_peak(problem: OrbitProblem, response: OrbitResponse, body: int) -> tuple[float, float]:
+    """Compute the largest compliance of a body over frequency [m/N], and its frequency [Hz].
 
     If the largest point is an orbit, the maximum between its neighbours is computed over orbits with the same events,
     so that it does not depend on the grid. If the point and its neighbours were simulated, a linear resonance is
@@ -50,21 +50,23 @@ def resonance(problem: OrbitProblem, response: OrbitResponse, body: int) -> tupl
     """
     size = np.abs(response.compliance[body - 1])
     i = int(size.argmax())
-    best, where = float(size[i]), float(response.value[i])
+    largest, frequency = float(size[i]), float(response.value[i])
     orbit = response.orbits[i]
     if i in (0, size.size - 1):
-        return best, where
-    around = slice(i - 1, i + 2)
-    if response.simulated[around].all():
-        curvature, slope, least = np.polyfit(response.value[around] - where, size[around] ** -2.0, 2).tolist()
+        return largest, frequency
+    neighbours = slice(i - 1, i + 2)
+    if response.simulated[neighbours].all():
+        curvature, slope, least = np.polyfit(
+            response.value[neighbours] - frequency, size[neighbours] ** -2.0, 2
+        ).tolist()
         lowest = least - slope**2 / (4 * curvature) if curvature > 0.0 else 0.0
         if lowest > 0.0:
-            return lowest**-0.5, where - slope / (2 * curvature)
+            return lowest**-0.5, frequency - slope / (2 * curvature)
     if orbit is None:
-        return best, where
+        return largest, frequency
 
-    def negative_size(frequency: float) -> float:
-        setting = OperatingPoint(float(frequency), orbit.setting.force)
+    def negative_size(trial: float) -> float:
+        setting = OperatingPoint(float(trial), orbit.setting.force)
         try:
             found = solve(problem, orbit.plan, setting, orbit.unknowns)
         except RunError:
@@ -73,35 +75,35 @@ def resonance(problem: OrbitProblem, response: OrbitResponse, body: int) -> tupl
 
     bounds = (float(response.value[i - 1]), float(response.value[i + 1]))
     top = minimize_scalar(negative_size, bounds=bounds, method="bounded", options={"xatol": 1e-3})
-    return (float(-top.fun), float(top.x)) if -top.fun > best else (best, where)
+    return (float(-top.fun), float(top.x)) if -top.fun > largest else (largest, frequency)
 
 
 def linear_peak(scene: Scene, level: float, frequencies: Array, bodies: Sequence[int]) -> Peak:
     """Compute the largest peak of the given bodies without dampers."""
     rows = [body - 1 for body in bodies]
 
-    def largest(frequency: float) -> float:
-        return float(abs(receptance(scene, [frequency])[rows]).max())
+    def largest(trial: float) -> float:
+        return float(abs(receptance(scene, [trial])[rows]).max())
 
     size = abs(receptance(scene, frequencies)[rows]).max(axis=0)
     i = int(size.argmax())
     bounds = frequencies[max(i - 1, 0)], frequencies[min(i + 1, size.size - 1)]
     top = minimize_scalar(lambda f: -largest(f), bounds=bounds, method="bounded", options={"xatol": 1e-6})
-    where = max(float(top.x), float(frequencies[i]), key=largest)
-    each = abs(receptance(scene, [where])[rows, 0])
+    frequency = max(float(top.x), float(frequencies[i]), key=largest)
+    each = abs(receptance(scene, [frequency])[rows, 0])
     body, best = bodies[int(each.argmax())], float(each.max())
-    return Peak(best, where, level, body, best * level * (2 * np.pi * where) ** 2, 0.0)
+    return Peak(best, frequency, level, body, best * level * (2 * np.pi * frequency) ** 2, 0.0)
 
 
 def peak_at(problem: OrbitProblem, level: float, frequencies: Array, bodies: Iterable[int]) -> Peak:
     """Compute the largest peak of the given bodies at one level."""
-    response = curve(problem, level, frequencies)
+    response = response_at_level(problem, level, frequencies)
     on_grid = {body: float(np.abs(response.compliance[body - 1]).max()) for body in bodies}
-    found: list[Peak] = []
+    peaks: list[Peak] = []
     for body in sorted(on_grid, key=lambda body: -on_grid[body]):
-        if found and on_grid[body] < RIVAL * max(found).size:
+        if peaks and on_grid[body] < MIN_REFINED_RATIO * max(peaks).size:
             continue
-        size, where = resonance(problem, response, body)
-        acceleration = size * level * (2 * np.pi * where) ** 2
-        found.append(Peak(size, where, level, body, acceleration, float(response.simulated.mean())))
-    return max(found)
+        size, frequency = refined_peak(problem, response, body)
+        acceleration = size * level * (2 * np.pi * frequency) ** 2
+        peaks.append(Peak(size, frequency, level, body, acceleration, float(response.simulated.mean())))
+    return max(peaks)

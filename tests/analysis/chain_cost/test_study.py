@@ -46,7 +46,7 @@ def error(study: ChainStudy, group: str, setting: str) -> float:
 
 
 def test_quiet_chain_approaches_exact_solution(study: ChainStudy) -> None:
-    assert study.quiet.error < 1e-4
+    assert study.without_noise.error < 1e-4
     assert error(study, "sample rate", "8000 Hz") < 1e-6
     assert "linear equations" in study.reference
 
@@ -59,19 +59,19 @@ def test_noise_error_grows_with_quantisation(study: ChainStudy) -> None:
 
 def test_filtered_drive_samples_exclude_images(study: ChainStudy) -> None:
     # The table is driven by linearly interpolated samples, whose image near the sample rate aliases to the tone.
-    assert error(study, "anti-alias filter", "off") > 100.0 * study.quiet.error
+    assert error(study, "anti-alias filter", "off") > 100.0 * study.without_noise.error
     assert error(study, "sample rate", "250 Hz") < 1e-5
 
 
 def test_every_group_has_timed_points(study: ChainStudy) -> None:
     assert {point.group for point in study.points} == set(GROUPS)
-    assert all(point.cpu > 0.0 and point.duration > 1.0 for point in (study.own, *study.points))
+    assert all(point.cpu > 0.0 and point.duration > 1.0 for point in (study.unchanged, *study.points))
 
 
 def test_low_sensor_resonance_distorts_displacement(study: ChainStudy) -> None:
     low = next(p for p in study.points if p.setting == "resonance 200 Hz")
     # 1 / (1 - (24/200)^2) is 1.5 % above 1; averaging over the sample interval adds a delay of half a sample.
-    assert low.corrected > 0.014
+    assert low.correction > 0.014
     assert low.error < 1e-3
 
 
@@ -142,7 +142,7 @@ def test_reference_follows_the_recorded_drive() -> None:
     )
     found = chain_study(scene, [24.0])
     assert "under the drive stated in the recording" in found.reference
-    assert found.quiet.error < 1e-4
+    assert found.without_noise.error < 1e-4
 
 
 def test_unread_force_names_the_remedy() -> None:

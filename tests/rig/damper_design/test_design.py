@@ -21,7 +21,7 @@ from rig.damper_design.choice import FINE, INSTANT, Choice
 from rig.damper_design.design import chart_levels
 from rig.damper_design.figure import clearance_label, grain_check, next_step, summary, write
 from rig.damper_design.request import mass_of, parse_request
-from rig.damper_design.worst_peak import Peak, curve
+from rig.damper_design.worst_peak import Peak, response_at_level
 from rig.errors import SceneError
 from rig.orbits.problem import OrbitProblem
 from rig.scene.damper import Damper
@@ -55,7 +55,7 @@ def test_recorded_design_moves_as_predicted(chosen: rig.Design, tmp_path: Path) 
     with daq.open(tmp_path / "check.mcap") as recording:
         measured = analysis.compliance(recording, "body2")
     problem = OrbitProblem(with_ideal_force(chosen.scene.replace(channels=None)))
-    predicted = curve(problem, chosen.best.peak.level, measured.frequency).compliance[1]
+    predicted = response_at_level(problem, chosen.best.peak.level, measured.frequency).compliance[1]
     assert measured.unsteady is not None and measured.unsteady.mean() < 0.3
     decibels = 20 * np.log10(np.abs(measured.value / predicted))[~measured.unsteady]
     assert np.abs(decibels).max() < 0.3

@@ -37,9 +37,9 @@ Progress = Callable[[str], None]
 _MAX_HALF_WIDTH = 0.5
 # Clearance of a ceiling that is not reached, as a multiple of the largest gap.
 _UNREACHED_RATIO = 1.2
-# Mean square of the residuals, in standard deviations, up to which they are noise.
+# Largest mean square of the normalized residuals that the errors of the curves explain.
 _MAX_NOISE_VARIANCE = 4.0
-# Residuals above this ratio to the curves show another structure.
+# Relative residual above which the scene is not a model of the measured structure.
 _MAX_RESIDUAL_RATIO = 0.02
 # Largest plausible deviation of a sensor, in tolerances of its data sheet.
 _MAX_SENSOR_DEVIATION = 2.0
@@ -148,22 +148,28 @@ class Fit(Result):
 
     def summary(self) -> str:
         """Return whether the scene fits, and how many values are determined."""
-        statuses = [one.status for one in self.parameters]
-        counts = ", ".join(f"{statuses.count(kind)} {kind}" for kind in dict.fromkeys(statuses))
+        statuses = [parameter.status for parameter in self.parameters]
+        words = {"roughly": "roughly determined"}
+        counts = ", ".join(
+            f"{statuses.count(kind)} {words.get(kind, kind)}" for kind in dict.fromkeys(statuses)
+        )
         return f"{self.scene.name}: {'does not fit; ' if self.misfit else ''}{counts}"
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """Each value with its start and 95 % interval."""
+        """Return each value with its initial value and 95 % interval."""
         names = ("key", "unit", "start", "value", "low", "high", "status")
-        return {name: np.array([getattr(one, name) for one in self.parameters]) for name in names}
+        return {name: np.array([getattr(each, name) for each in self.parameters]) for name in names}
 
     def draw(self, ax: Axes, **style: Any) -> None:
         """Draw the largest residual over frequency, in standard deviations."""
-        for one in self.compared:
-            order = np.argsort(one.curves.frequency, kind="stable")
-            worst = np.where(one.used, one.misses.max(axis=0), np.nan)[order]
+        for compared in self.compared:
+            order = np.argsort(compared.curves.frequency, kind="stable")
+            worst = np.where(compared.used, compared.misses.max(axis=0), np.nan)[order]
             ax.semilogy(
-                one.curves.frequency[order], worst, ".-", **complete_style(style, label=one.curves.label)
+                compared.curves.frequency[order],
+                worst,
+                ".-",
+                **complete_style(style, label=compared.curves.label),
             )
         ax.set(xlabel="frequency / Hz", ylabel="largest residual / standard deviation")
 
@@ -374,7 +380,7 @@ def _implausible_sensors(problem: Problem, x: Array) -> str:
 
 
 def _modes(problem: Problem, found: Estimate) -> tuple[Mode, ...]:
-    """Return the modes of the structure alone; bounds by first-order propagation of the covariance's factor."""
+    """Return the modes of the structure alone; bounds by first-order propagation of a square root of the covariance."""
 
     def modal_values(x: Array) -> Array:
         modes = structural_model(problem.scene(x)).modes

@@ -23,7 +23,7 @@ def present_fit(
     free: Sequence[str] | None,
     output: Path,
     overwrite: bool,
-    say: Callable[[str], None],
+    print_line: Callable[[str], None],
 ) -> tuple[list[Path], tuple[str, ...]]:
     """Fit a scene to recordings; print the result, write the figure of residuals, and the scene if it fits.
 
@@ -49,12 +49,12 @@ def present_fit(
             for warning in found.warnings:
                 warnings.warn(warning, stacklevel=2)
             for path in files:
-                say(f"wrote {path}")
+                print_line(f"wrote {path}")
             raise RunError(
                 f"{output}: not written, because the scene does not fit the recordings. {found.misfit}"
             )
         for line in describe(found):
-            say(line)
+            print_line(line)
         with atomic_write(output) as part:
             part.write_text(found.scene.to_yaml(), encoding="utf-8")
         return [output, *files], found.warnings
@@ -62,14 +62,13 @@ def present_fit(
 
 def describe(result: Fit) -> list[str]:
     """Return the printed lines: fitted values, sensors, modes and residuals, with 95 % intervals."""
-    values = [("value", "fitted", "unit", "initial", "determined")]
-    for each in result.parameters:
-        value = f"{each.value:.6g}"
-        if each.status != "undetermined":
-            value = format_interval(each.value, each.half_width * abs(each.value))
-        status = {"determined": "yes", "undetermined": "no"}.get(each.status, each.status)
-        values.append((each.key, value, each.unit, f"{each.start:.4g}", status))
-    sensors = [("sensor", "sensitivity error / %")] + [
+    values = [("value", "fitted", "unit", "initial", "status")]
+    for parameter in result.parameters:
+        value = f"{parameter.value:.6g}"
+        if parameter.status != "undetermined":
+            value = format_interval(parameter.value, parameter.half_width * abs(parameter.value))
+        values.append((parameter.key, value, parameter.unit, f"{parameter.start:.4g}", parameter.status))
+    sensors = [("sensor", "sensitivity deviation / %")] + [
         (name, format_interval(100 * deviation, 100 * bound))
         for name, (deviation, bound) in result.sensitivities.items()
     ]

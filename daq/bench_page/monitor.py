@@ -31,7 +31,7 @@ _HISTORY_S = 10.0
 _LAMP_S = 2.0
 # Stored positions of the rig: rate, Hz, and duration, s.
 _POSES_PER_S = 400.0
-_POSES_S = 0.2
+POSES_S = 0.2
 # Length of the spectra and of the view of the outputs, s.
 _SPECTRUM_S = 2.0
 _OUTPUT_S = 0.5
@@ -79,7 +79,7 @@ class Monitor:
         self.left_out = self.lost = 0
         self._next: int | None = None
         self._overloaded = np.full(len(self.channels), -1)
-        self._poses: deque[tuple[Array, Array | None]] = deque(maxlen=round(_POSES_S * _POSES_PER_S))
+        self._poses: deque[tuple[Array, Array | None]] = deque(maxlen=round(POSES_S * _POSES_PER_S))
         self._step = max(1, round(self.rate / _POSES_PER_S))
         self._lock = threading.Lock()
         self._blocks: queue.Queue[Any] = queue.Queue(_MAX_WAITING_BLOCKS)

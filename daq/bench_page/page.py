@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from nicegui import ui
 
+from daq.bench_page.monitor import POSES_S
 from daq.bench_page.rig_svg import RigDrawing
 from daq.drawing.palette import channel_colour, hex_colour
 from rig.arrays import Array
@@ -23,8 +24,8 @@ _FRF_S = 0.5
 _RIG_S = 2.0
 # Columns of a time history, with the minimum and the maximum of each.
 _COLUMNS = 300
-# Bands of a spectrum.
-_LINES = 600
+# Number of frequency bands of a drawn spectrum; each shows its largest line.
+_BANDS = 600
 # Maximum number of listed hits.
 _SHOWN_HITS = 8
 _TEXT = "#c8ccd2"
@@ -76,18 +77,18 @@ def envelope(time: Array, values: Array, columns: int) -> tuple[Array, Array]:
 
 
 def points(x: Array, y: Array) -> list[list[float]]:
-    """Return the points of a curve as a chart takes them, with six digits and without values that are not finite."""
+    """Return the finite points of a curve as the chart expects them, rounded to 6 (x) and 4 (y) digits."""
     pairs = zip(x.tolist(), y.tolist(), strict=True)
     return [[float(f"{a:.6g}"), float(f"{b:.4g}")] for a, b in pairs if np.isfinite(b)]
 
 
 def peaks(frequency: Array, values: Array) -> tuple[Array, Array]:
-    """Reduce a spectrum to the largest line in each of `_LINES` bands of equal ratio.
+    """Reduce a spectrum to the largest line in each of `_BANDS` bands of equal ratio.
 
     >>> peaks(np.array([1.0, 2.0, 4.0]), np.array([3.0, 5.0, 4.0]))[1].tolist()
     [3.0, 5.0, 4.0]
     """
-    edges = np.geomspace(frequency[0], frequency[-1], _LINES)
+    edges = np.geomspace(frequency[0], frequency[-1], _BANDS)
     starts = np.unique(np.searchsorted(frequency, edges[:-1]))
     stops = [*starts[1:].tolist(), frequency.size]
     at = [a + int(np.argmax(values[a:b])) for a, b in zip(starts.tolist(), stops, strict=True)]
@@ -156,7 +157,7 @@ class Page:
             with ui.column().classes("w-72 shrink-0"):
                 self._controls()
                 self._drawing = ui.html("", sanitize=False).classes("w-full")
-                ui.label(f"slowed down {_RIG_S / 0.2:g} times").classes("text-xs opacity-70")
+                ui.label(f"slowed down {_RIG_S / POSES_S:g} times").classes("text-xs opacity-70")
             with ui.column().classes("grow min-w-0"):
                 self._charts()
         ui.timer(_CHARTS_S, self._refresh)

@@ -34,12 +34,14 @@ _GROUPS = {
     "Buffer": "buffer",
     "ExportedSignal": "exported_signal",
 }
+# Output type of voltages, DAQmx_Val_Voltage.
+_VOLTAGE_OUTPUT = 10322
 # Version of the emulated driver: major, minor, update.
 DRIVER_VERSION = (26, 0, 0)
 
 
 def attribute_call(name: str) -> Callable[[Call], dict[str, Any] | None] | None:
-    """Return the handler of a call that reads, sets or resets an attribute; None for other calls."""
+    """Return the handler of a call that reads, is_set or resets an attribute; None for other calls."""
     match = _CALL.fullmatch(name)
     if not match:
         return None
@@ -55,26 +57,26 @@ def attribute_call(name: str) -> Callable[[Call], dict[str, Any] | None] | None:
                 Code.M_STUDIO_OPERATION_DOES_NOT_SUPPORT_DEVICE_CONTEXT,
             )
         if action == "Get":
-            return {"value": _plain(_get(call, owner, named), kind)}
-        sets = action == "Set"
+            return {"value": _to_call_type(_get(call, owner, named), kind)}
+        is_set = action == "Set"
         if owner in _GROUPS:
-            change: Callable[..., None] = set_value if sets else reset_value
-            place = _GROUPS[owner]
+            change: Callable[..., None] = set_value if is_set else reset_value
+            target = _GROUPS[owner]
         elif owner == "Chan":
-            change, place = (set_channel if sets else reset_channel), call.fields["channel"]
-        elif owner == "Scale" and sets:
+            change, target = (set_channel if is_set else reset_channel), call.fields["channel"]
+        elif owner == "Scale" and is_set:
             storage, scale = call.instrument.storage, call.fields["scale_name"]
             storage.scales[scale] = storage.scale(scale).changed(named, call.fields["value"])
             return None
         else:
-            raise unsupported(f"{'setting' if sets else 'resetting'} {named}")
-        change(call.task, place, named, *([call.fields["value"]] if sets else []))
+            raise unsupported(f"{'setting' if is_set else 'resetting'} {named}")
+        change(call.task, target, named, *([call.fields["value"]] if is_set else []))
         return None
 
     return answer
 
 
-def _plain(value: Any, kind: str) -> Any:
+def _to_call_type(value: Any, kind: str) -> Any:
     """Convert a value to the type of the call."""
     if kind == "String":
         return ", ".join(value) if isinstance(value, list) else str(value)
@@ -104,7 +106,7 @@ def _of_device(call: Call, name: str) -> Any:
     return attributes[name]
 
 
-def _of_terminal(call: Call, name: str) -> Any:
+def _of_physical_channel(call: Call, name: str) -> Any:
     name = name.removeprefix("physical_chan_")
     port = parse_port(call.fields["physical_channel"])
     chassis = call.instrument.chassis
@@ -116,7 +118,7 @@ def _of_terminal(call: Call, name: str) -> Any:
         "ai_input_srcs": [port.name],
     }
     if port.kind == "ao":
-        attributes = {"ao_supported_output_types": [10322], "ao_term_cfgs": 1}
+        attributes = {"ao_supported_output_types": [_VOLTAGE_OUTPUT], "ao_term_cfgs": 1}
     elif name.startswith("teds_"):
         return call.instrument.teds.read(port, name)
     if name not in attributes:
@@ -162,7 +164,7 @@ def _of_scale(call: Call, name: str) -> Any:
     return scale.settings[name]
 
 
-def _of_saved(call: Call, name: str) -> Any:
+def _of_persisted(call: Call, name: str) -> Any:
     storage: Storage = call.instrument.storage
     groups: tuple[tuple[str, dict[str, Any], Code], ...] = (
         ("task_name", storage.tasks, Code.TASK_NOT_IN_DATA_NEIGHBORHOOD),
@@ -196,13 +198,13 @@ def _refuse(call: Call, name: str) -> Any:
 
 _OWNERS: dict[str, Callable[[Any, str], Any]] = {
     "Device": _of_device,
-    "PhysicalChan": _of_terminal,
+    "PhysicalChan": _of_physical_channel,
     "Task": _of_task,
     "SystemInfo": _of_system,
     "Scale": _of_scale,
-    "PersistedTask": _of_saved,
-    "PersistedChan": _of_saved,
-    "PersistedScale": _of_saved,
+    "PersistedTask": _of_persisted,
+    "PersistedChan": _of_persisted,
+    "PersistedScale": _of_persisted,
     "CalInfo": _of_calibration,
     "RealTime": _refuse,
     "Watchdog": _refuse,

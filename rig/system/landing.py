@@ -22,13 +22,13 @@ from __future__ import annotations
 import math
 
 #: Time constant c / k with which a wall of restitution 0 recovers from an overlap. A contact without adhesion cannot
-#: reach restitution 0 exactly, as its dashpot would be infinitely strong. With this time constant, the wall has
-#: recovered before the next landing, and the restitution is small: 5 % for a landing of 2 ms, 0.15 % for 0.1 ms.
+#: reach restitution 0 exactly, as its dashpot would be infinitely strong. With this time constant, the wall recovers
+#: unless landings follow within about 5 ms, and the restitution is small: 5 % for a landing of 2 ms, 0.15 % for 0.1 ms.
 RECOVERY_TIME_S = 5e-3
 
 
-def _angle(ratio: float) -> float:
-    """Return acos(z) / sqrt(1 - z^2) for a damping ratio z; the hyperbolic form above critical damping."""
+def _half_duration(ratio: float) -> float:
+    """Return w T / 2 of a contact of duration T, damping ratio z: acos(z) / sqrt(1 - z^2), or its hyperbolic form."""
     if ratio == 1.0:
         return 1.0
     root = math.sqrt(abs((1.0 - ratio) * (1.0 + ratio)))
@@ -45,13 +45,13 @@ def damping_ratio(duration: float, restitution: float) -> float:
     from scipy.optimize import brentq
 
     if restitution == 0.0:
-        # c / k = 2 z / w = z T / angle(z), which is z pi / 2 T for small and z^2 T / log(2 z) for large z.
+        # c / k = 2 z / w = z T / (w T / 2), which tends to 2 z T / pi for small z and to z^2 T / log(2 z) for large z.
         target = max(RECOVERY_TIME_S / duration, 1.0)
-        return float(brentq(lambda z: z / _angle(z) - target, 0.5, 2.0 * target, xtol=1e-15))
+        return float(brentq(lambda z: z / _half_duration(z) - target, 0.5, 2.0 * target, xtol=1e-15))
     target = -math.log(restitution)
-    # 2 z angle(z) lies between z pi for small and 2 log(2 z) for large z.
+    # z w T tends to z pi for small z and to 2 log(2 z) for large z.
     return float(
-        brentq(lambda z: 2.0 * z * _angle(z) - target, 0.0, 1.0 + math.exp(0.5 * target), xtol=1e-15)
+        brentq(lambda z: 2.0 * z * _half_duration(z) - target, 0.0, 1.0 + math.exp(0.5 * target), xtol=1e-15)
     )
 
 
@@ -66,13 +66,13 @@ def spring_damper(duration: float, restitution: float, mass: float) -> tuple[flo
     [0.002, 0.3]
     """
     ratio = damping_ratio(duration, restitution)
-    rate = 2.0 * _angle(ratio) / duration
-    return mass * rate**2, 2.0 * ratio * rate * mass
+    angular_frequency = 2.0 * _half_duration(ratio) / duration
+    return mass * angular_frequency**2, 2.0 * ratio * angular_frequency * mass
 
 
 def duration_and_restitution(stiffness: float, damping: float, mass: float) -> tuple[float, float]:
     """Return duration [s] and restitution of a landing; the inverse of `spring_damper`."""
-    rate = math.sqrt(stiffness / mass)
-    ratio = damping / (2.0 * mass * rate)
-    duration = 2.0 * _angle(ratio) / rate
-    return duration, math.exp(-ratio * rate * duration)
+    angular_frequency = math.sqrt(stiffness / mass)
+    ratio = damping / (2.0 * mass * angular_frequency)
+    duration = 2.0 * _half_duration(ratio) / angular_frequency
+    return duration, math.exp(-ratio * angular_frequency * duration)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 from daq.dsp.discretisation import CUBIC, PARTS, Tables
 from daq.dsp.interpolation import JUMP, LENGTH, CubicInput
 from rig.arrays import Array
-from rig.numerics.jit import unfused
+from rig.numerics.jit import unfused_kernel
 from rig.numerics.simd import aligned_zeros, copy, multiply
 
 
@@ -29,7 +29,7 @@ def part_workspace(size: int) -> PartWorkspace:
     return PartWorkspace(vector, term, work, nothing, steady, aligned_zeros(6))
 
 
-@unfused
+@unfused_kernel
 def through_parts(
     pieces: CubicInput, part: int, tables: Tables, state: Array, workspace: PartWorkspace
 ) -> int:
@@ -51,7 +51,7 @@ def through_parts(
     return part
 
 
-@unfused
+@unfused_kernel
 def begin_part(tables: Tables, part: Array, vector: Array) -> None:
     """Put the derivatives of a part's cubic at its start into the vector."""
     share, scale = part[LENGTH], 1.0
@@ -63,7 +63,7 @@ def begin_part(tables: Tables, part: Array, vector: Array) -> None:
         scale /= share
 
 
-@unfused
+@unfused_kernel
 def form_moments(tables: Tables, vector: Array, work: Array) -> None:
     """Turn the repeated integrals in the vector into moments."""
     states, width = tables.states, tables.width
@@ -75,7 +75,7 @@ def form_moments(tables: Tables, vector: Array, work: Array) -> None:
             vector[states + r] += tables.moments[k, r] * work[states + k]
 
 
-@unfused
+@unfused_kernel
 def advance(tables: Tables, share: float, workspace: PartWorkspace) -> None:
     """Multiply the vector by the exponential of the generator times `share` of an interval."""
     vector, term, work, nothing = workspace.vector, workspace.term, workspace.work, workspace.nothing

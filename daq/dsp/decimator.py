@@ -7,7 +7,7 @@ import numpy as np
 from daq.dsp.block_buffers import BlockBuffers
 from rig.arrays import Array
 from rig.numerics.fma import SUM_BLOCK, factored_sums
-from rig.numerics.jit import unfused
+from rig.numerics.jit import unfused_kernel
 from rig.numerics.simd import LANES, aligned_zeros
 
 
@@ -58,7 +58,7 @@ def _lane_weights(taps: Array, late: int) -> Array:
     return weights.reshape(-1, LANES)
 
 
-@unfused
+@unfused_kernel
 def _weigh(weights: Array, moments: Array, first: int, oversampling: int, samples: Array, count: int) -> None:
     """Weigh the moments of each sample, from the interval `first` on."""
     width = moments.shape[1]

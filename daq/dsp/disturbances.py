@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from rig.arrays import Array
 from rig.numerics.fma import fused
-from rig.numerics.jit import unfused
+from rig.numerics.jit import unfused_kernel
 
 
 class Disturbance(Protocol):
@@ -41,7 +41,7 @@ class Offset:
         _settle(samples, self._level, self._loss, self._missing)
 
 
-@unfused
+@unfused_kernel
 def _settle(samples: Array, level: float, loss: float, missing: Array) -> None:
     """Fill in the samples one by one, so that they do not depend on where a block ends."""
     left = missing[0]
@@ -108,7 +108,7 @@ class Disturbances:
             _sum_up(self._direct, voltages, volts)
 
 
-@unfused
+@unfused_kernel
 def _sum_up(shares: Array, rows: Array, out: Array) -> None:
     """Add rows, each times its share."""
     for e in range(shares.size):

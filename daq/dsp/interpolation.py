@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.arrays import Array
-from rig.numerics.jit import unfused
+from rig.numerics.jit import unfused_kernel
 from rig.simulation.motion import Motion
 
 # A piece shorter than this share of the sample interval is straight instead of cubic: the rounding of the
@@ -115,14 +115,14 @@ class ForceInterpolator:
         return pieces
 
 
-@unfused
+@unfused_kernel
 def put(values: Array, place: Array) -> None:
     """Copy values, as many as a place takes; assigning to a slice would need memory."""
     for i in range(place.size):
         place[i] = values[i]
 
 
-@unfused
+@unfused_kernel
 def _smooth(
     acceleration: Array, velocity: Array, displacement: Array, last: Array, rate: float, smooth: Array
 ) -> None:
@@ -143,7 +143,7 @@ def _smooth(
     last[0], last[1], last[2] = acceleration[end - 1], velocity[end - 1], displacement[end - 1]
 
 
-@unfused
+@unfused_kernel
 def _cut(
     interval: NDArray[np.int64],
     offset: Array,
@@ -189,13 +189,13 @@ def _cut(
     return count
 
 
-@unfused
+@unfused_kernel
 def _pick(rows: tuple[Array, Array, Array], sample: int, out: Array) -> None:
     """Take acceleration, velocity and displacement at a sample."""
     out[0], out[1], out[2] = rows[0][sample], rows[1][sample], rows[2][sample]
 
 
-@unfused
+@unfused_kernel
 def _part(left: Array, right: Array, share: float, h: float, out: Array) -> None:
     """Describe the input between two nodes, each given by acceleration, velocity and displacement; no impulse."""
     out[0], out[1], out[LENGTH], out[JUMP] = left[0], right[0], share, 0.0

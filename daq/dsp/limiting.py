@@ -21,7 +21,7 @@ from daq.dsp.discretisation import Entry, Tables, input_first, laid_out, rate_of
 from daq.dsp.interpolation import JUMP, LENGTH, CubicInput, put
 from rig.arrays import Array
 from rig.numerics.fma import weighted_sums
-from rig.numerics.jit import unfused
+from rig.numerics.jit import unfused_kernel
 from rig.numerics.simd import aligned_zeros, copy, multiply, padded_length
 
 # Checks per period of the circuit's fastest part, and at least per interval: between two, a sine's peak is 2 % higher.
@@ -167,7 +167,7 @@ def _check_rows(
     return np.ascontiguousarray(input_first(checks, states)), most
 
 
-@unfused
+@unfused_kernel
 def within(limits: Limits, course: Array, sizes: Array, sums: Array, count: int) -> int:
     """Count the intervals of a stretch up to the first in which a limit may be reached.
 
@@ -190,7 +190,7 @@ def within(limits: Limits, course: Array, sizes: Array, sums: Array, count: int)
     return count
 
 
-@unfused
+@unfused_kernel
 def _exceeds(values: Array, limit: float) -> bool:
     """Whether any magnitude exceeds a limit; without branches, so that several are compared at a time."""
     count = 0
@@ -199,7 +199,7 @@ def _exceeds(values: Array, limit: float) -> bool:
     return count > 0
 
 
-@unfused
+@unfused_kernel
 def follow_closely(
     pieces: CubicInput,
     part: int,
@@ -237,7 +237,7 @@ def follow_closely(
     return after, excess
 
 
-@unfused
+@unfused_kernel
 def _in_steps(
     size: int,
     pieces: CubicInput,
@@ -295,7 +295,7 @@ def _in_steps(
     return part, excess, near, reached
 
 
-@unfused
+@unfused_kernel
 def _begin(limits: Limits, size: int, state: Array, held: Array, vector: Array, steady: Array) -> None:
     """Copy the states to the vector, and sum up the contributions of steady disturbances to it over each step."""
     vector[:] = 0.0
@@ -307,7 +307,7 @@ def _begin(limits: Limits, size: int, state: Array, held: Array, vector: Array, 
             steady[r] += held[e] * limits.held[size, e, r]
 
 
-@unfused
+@unfused_kernel
 def _next_part(pieces: CubicInput, part: int, interval: int, out: Array) -> bool:
     """Take the next part of an interval, all of it if nothing breaks it; say whether more parts follow."""
     if part < pieces.broken.size and pieces.broken[part] == interval:
@@ -319,7 +319,7 @@ def _next_part(pieces: CubicInput, part: int, interval: int, out: Array) -> bool
     return False
 
 
-@unfused
+@unfused_kernel
 def _sensor_output(limits: Limits, vector: Array) -> float:
     """Return the sensor's output without its limit, V."""
     free = 0.0
@@ -328,14 +328,14 @@ def _sensor_output(limits: Limits, vector: Array) -> float:
     return free
 
 
-@unfused
+@unfused_kernel
 def _excess(limits: Limits, vector: Array) -> float:
     """Return the excess of the sensor's output over its limit, V."""
     free = _sensor_output(limits, vector)
     return free - min(max(free, -limits.limit), limits.limit)
 
 
-@unfused
+@unfused_kernel
 def _clip_states(limits: Limits, size: int, vector: Array) -> bool:
     """Clip the states at their rails, evenly over a step; return whether any was clipped."""
     any_clipped = False

@@ -10,7 +10,7 @@ import numpy as np
 
 from rig.arrays import Array
 from rig.numerics.fma import update_states
-from rig.numerics.jit import unfused
+from rig.numerics.jit import unfused_kernel
 from rig.numerics.simd import aligned_zeros, padded_length
 
 # Variance of the uniform numbers that represent noise faster than the average; a filter sums up so many of them that
@@ -141,7 +141,7 @@ def _loss(y: Array) -> Array:
     return np.asarray(2 * y / (y + np.sqrt(y * (y + 4))))
 
 
-@unfused
+@unfused_kernel
 def _colour(samples: Array, retained: Array, weight: Array, gain: float, states: Array) -> None:
     """Pass samples through first-order states in parallel, in place."""
     for i in range(samples.size):

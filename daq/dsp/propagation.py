@@ -10,7 +10,7 @@ from daq.dsp.interpolation import CubicInput, put
 from daq.dsp.limiting import Limits, follow_closely, within
 from rig.arrays import Array
 from rig.numerics.fma import factored_sums, fused, weighted_sums
-from rig.numerics.jit import unfused
+from rig.numerics.jit import unfused_kernel
 from rig.numerics.simd import LANES, aligned_zeros
 
 # Intervals processed at a time, a multiple of `SUM_BLOCK` (`rig.numerics.fma`): enough to keep a processor busy, few
@@ -38,7 +38,7 @@ def scratch_for(tables: Tables) -> CircuitWorkspace:
     )
 
 
-@unfused
+@unfused_kernel
 def propagate(
     pieces: CubicInput,
     tables: Tables,
@@ -110,7 +110,7 @@ def propagate(
         first = stop
 
 
-@unfused
+@unfused_kernel
 def _lay_out(pieces: CubicInput, held: Array, first: int, stop: int, course: Array) -> None:
     """Copy input and disturbances of a stretch to the rows above the states."""
     for k in range(4):
@@ -119,7 +119,7 @@ def _lay_out(pieces: CubicInput, held: Array, first: int, stop: int, course: Arr
         put(held[e, first:stop], course[4 + e, : stop - first])
 
 
-@unfused
+@unfused_kernel
 def _through_stretch(tables: Tables, state: Array, course: Array, sums: Array, count: int) -> None:
     """Propagate the circuit over intervals without breaks; `course` gets the states from start to end."""
     behind = course.shape[0] - tables.states
@@ -138,7 +138,7 @@ def _through_stretch(tables: Tables, state: Array, course: Array, sums: Array, c
             )
 
 
-@unfused
+@unfused_kernel
 def _first_order(own: float, first: float, added: Array, path: Array) -> float:
     """Propagate the state of a section of first order; return the last value."""
     x = first
@@ -149,7 +149,7 @@ def _first_order(own: float, first: float, added: Array, path: Array) -> float:
     return x
 
 
-@unfused
+@unfused_kernel
 def _second_order(
     step: Array, begin: int, state: Array, added: Array, also: Array, path: Array, other: Array
 ) -> None:
@@ -164,7 +164,7 @@ def _second_order(
     state[begin], state[begin + 1] = x, y
 
 
-@unfused
+@unfused_kernel
 def _disturb(tables: Tables, state: Array, held: Array, vector: Array) -> None:
     """Add the disturbances at the end of an interval with breaks."""
     for e in range(held.shape[0]):

@@ -9,7 +9,7 @@ from daq.dsp.interpolation import JUMP, LENGTH, CubicInput, empty_parts, put
 from rig.arrays import Array
 from rig.errors import SceneError
 from rig.numerics.fma import fused
-from rig.numerics.jit import unfused
+from rig.numerics.jit import unfused_kernel
 
 
 def delays(skew: float | tuple[float, ...] | None, channels: int, rate: float) -> tuple[float, ...]:
@@ -84,7 +84,7 @@ def _joined(share: float) -> Array:
     return matrix
 
 
-@unfused
+@unfused_kernel
 def _shift(
     pieces: CubicInput,
     share: float,
@@ -165,7 +165,7 @@ def _shift(
     return count, tail
 
 
-@unfused
+@unfused_kernel
 def _join(pieces: Array, weights: Array, last: Array, out: Array) -> None:
     """Join every interval with the previous interval as if both were whole; one quantity of the result."""
     start, end, mean, moment = pieces[0], pieces[1], pieces[2], pieces[3]
@@ -178,7 +178,7 @@ def _join(pieces: Array, weights: Array, last: Array, out: Array) -> None:
         )  # fmt: skip
 
 
-@unfused
+@unfused_kernel
 def _weighted_sum(
     weights: Array,
     a: float, b: float, c: float, d: float, e: float, f: float, g: float, h: float,
@@ -188,7 +188,7 @@ def _weighted_sum(
     return fused(weights[4], e, fused(weights[5], f, fused(weights[6], g, fused(weights[7], h, before))))
 
 
-@unfused
+@unfused_kernel
 def _between(whole: Array, begin: float, end: float, length: float, jump: float, out: Array) -> None:
     """Describe the part of a cubic between two shares of its length, with a length and an impulse."""
     out[LENGTH], out[JUMP] = length, jump

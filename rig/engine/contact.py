@@ -18,11 +18,11 @@ from rig.engine.finite_contact import wall_force
 from rig.engine.flow import Flow, Model
 from rig.engine.state import CEILING, FLIGHT, FLOOR, SEPARATION, Log, State, log_event, toggle_contact
 from rig.numerics.complementarity import ROUNDING, ContactWork, complementarity, contact_matrix, solve_active
-from rig.numerics.jit import compiled, inlined
+from rig.numerics.jit import inlined_kernel, kernel
 from rig.numerics.simd import combine
 
 
-@inlined
+@inlined_kernel
 def _set_flying(flow: Flow, model: Model, state: State, j: int, speed: float, multiplicity: int) -> None:
     """Let damper j leave its wall with the given velocity."""
     height = state.z[model.position[j]]
@@ -36,19 +36,19 @@ def _set_flying(flow: Flow, model: Model, state: State, j: int, speed: float, mu
     toggle_contact(flow, model, state, j)
 
 
-@inlined
+@inlined_kernel
 def separate(flow: Flow, model: Model, state: State, log: Log, j: int, multiplicity: int) -> None:
     """Let damper j leave its wall at the velocity of the wall."""
     _set_flying(flow, model, state, j, state.z[model.velocity[j]], multiplicity)
     log_event(log, j, SEPARATION, 0.0)
 
 
-@inlined
+@inlined_kernel
 def _sign(mode: int) -> float:
     return -1.0 if mode == CEILING else 1.0
 
 
-@inlined
+@inlined_kernel
 def _forces(model: Model, state: State, force: Array) -> None:
     """Sum the forces on every coordinate: of springs, dashpots, drive and finite-duration contacts."""
     combine(model.force, model.force_constant, 0, state.z, model.force.shape[1], force)
@@ -57,7 +57,7 @@ def _forces(model: Model, state: State, force: Array) -> None:
             force[model.bed[j]] += _sign(state.mode[j]) * wall_force(model, state.z, j, state.mode[j])
 
 
-@inlined
+@inlined_kernel
 def _rebound_is_negligible(model: Model, state: State, j: int, rebound: float, force: Array) -> bool:
     """Return whether a rebound is too low to be distinguished from rest on the wall; this ends a Zeno sequence.
 
@@ -77,7 +77,7 @@ def _rebound_is_negligible(model: Model, state: State, j: int, rebound: float, f
     return pull > 0.0 and rebound * rebound < 2.0 * pull * ROUNDING * size
 
 
-@inlined
+@inlined_kernel
 def _land(flow: Flow, model: Model, state: State, j: int, rebound: float) -> None:
     """Let damper j, whose `mode` is its wall, come to rest there, or rebound at the given speed."""
     sign = _sign(state.mode[j])
@@ -94,7 +94,7 @@ def _land(flow: Flow, model: Model, state: State, j: int, rebound: float) -> Non
         toggle_contact(flow, model, state, j)
 
 
-@compiled
+@kernel
 def _touched_wall(model: Model, state: State, j: int) -> int:
     """Return the wall that a flying damper touches within rounding while approaching it, or FLIGHT."""
     position = state.z[model.position[j]]
@@ -108,7 +108,7 @@ def _touched_wall(model: Model, state: State, j: int) -> int:
     return FLIGHT
 
 
-@inlined
+@inlined_kernel
 def _independent_impact(
     flow: Flow,
     model: Model,
@@ -133,7 +133,7 @@ def _independent_impact(
     _land(flow, model, state, j, rebound)
 
 
-@compiled
+@kernel
 def _close_slow_openings(model: Model, state: State, work: ContactWork, count: int) -> None:
     """Keep contacts closed that an impact would open too slowly for the gap to exceed rounding.
 
@@ -154,7 +154,7 @@ def _close_slow_openings(model: Model, state: State, work: ContactWork, count: i
         solve_active(work, count)
 
 
-@compiled
+@kernel
 def _coupled_impact(
     flow: Flow,
     model: Model,
@@ -215,7 +215,7 @@ def _coupled_impact(
                 log_event(log, i, SEPARATION, 0.0)
 
 
-@inlined
+@inlined_kernel
 def _release_independent(flow: Flow, model: Model, state: State, log: Log, work: ContactWork) -> None:
     force = work.force
     for i in range(model.mass.shape[0]):
@@ -232,7 +232,7 @@ def _release_independent(flow: Flow, model: Model, state: State, log: Log, work:
             separate(flow, model, state, log, i, 2)
 
 
-@compiled
+@kernel
 def _release_coupled(flow: Flow, model: Model, state: State, log: Log, work: ContactWork) -> None:
     """Solve for all contacts at rest together, from the accelerations of the bodies without them."""
     count = 0
@@ -262,7 +262,7 @@ def _release_coupled(flow: Flow, model: Model, state: State, log: Log, work: Con
                 separate(flow, model, state, log, work.member[a], 2)
 
 
-@inlined
+@inlined_kernel
 def release_tensile(
     flow: Flow,
     model: Model,
@@ -278,7 +278,7 @@ def release_tensile(
         _release_independent(flow, model, state, log, work)
 
 
-@inlined
+@inlined_kernel
 def impact(
     flow: Flow,
     model: Model,

@@ -35,7 +35,7 @@ from rig.engine.state import (
 from rig.engine.workspace import Workspace
 from rig.numerics.bernstein import LENGTH, first_crossing
 from rig.numerics.complementarity import ROUNDING
-from rig.numerics.jit import compiled, inlined
+from rig.numerics.jit import inlined_kernel, kernel
 
 #: Meaning of a guard's crossing, in addition to the walls `FLOOR` and `CEILING` that a bed touches.
 RELEASED, FREE = 0, 3
@@ -45,26 +45,26 @@ MAX_ZERO_FORCE_RATIO = 1e-6
 GAP_ROUNDING_RATIO = 1e-9
 
 
-@inlined
+@inlined_kernel
 def bed_gap(model: Model, z: Array, j: int) -> float:
     """Return the height of a bed above its floor, m."""
     return z[model.bed[j]]
 
 
-@inlined
+@inlined_kernel
 def gap_rate(model: Model, z: Array, j: int) -> float:
     """Return the rate of the gap, m/s."""
     return z[model.first_velocity + model.bed[j]]
 
 
-@inlined
+@inlined_kernel
 def overlap(model: Model, z: Array, j: int, wall: int) -> float:
     """Return the overlap of a bed and a wall, m; negative without contact."""
     gap = bed_gap(model, z, j)
     return -gap if wall == FLOOR else gap - model.clearance[j]
 
 
-@inlined
+@inlined_kernel
 def wall_force(model: Model, z: Array, j: int, wall: int) -> float:
     """Return the force law of a wall, N; negative where it would pull."""
     closing = -gap_rate(model, z, j) if wall == FLOOR else gap_rate(model, z, j)
@@ -72,7 +72,7 @@ def wall_force(model: Model, z: Array, j: int, wall: int) -> float:
     return stiffness * overlap(model, z, j, wall) + damping * closing
 
 
-@inlined
+@inlined_kernel
 def wall_force_rate(model: Model, z: Array, j: int, wall: int) -> float:
     """Return the rate of that force, N/s; the accelerations must follow the state."""
     acceleration = z[model.first_acceleration + model.bed[j]]
@@ -83,7 +83,7 @@ def wall_force_rate(model: Model, z: Array, j: int, wall: int) -> float:
     return -rate if wall == FLOOR else rate
 
 
-@inlined
+@inlined_kernel
 def _is_zero_force(model: Model, z: Array, j: int, wall: int) -> bool:
     """Return whether the force of a wall is zero within rounding.
 
@@ -97,7 +97,7 @@ def _is_zero_force(model: Model, z: Array, j: int, wall: int) -> bool:
     )
 
 
-@inlined
+@inlined_kernel
 def _force_rounding(model: Model, z: Array, j: int, wall: int) -> float:
     """Return the largest force that is a rounding error of the gap, N."""
     return (
@@ -107,7 +107,7 @@ def _force_rounding(model: Model, z: Array, j: int, wall: int) -> float:
     )
 
 
-@inlined
+@inlined_kernel
 def lowest_guard(model: Model, state: State, z: Array, j: int) -> float:
     """Return the smallest guard of a bed at a state; 0 for a recovering bed."""
     mode = state.mode[j]
@@ -119,7 +119,7 @@ def lowest_guard(model: Model, state: State, z: Array, j: int) -> float:
     return min(gap, model.clearance[j] - gap)
 
 
-@inlined
+@inlined_kernel
 def _guard_series(
     model: Model, workspace: Workspace, j: int, length: float, on_gap: float, on_speed: float, offset: float
 ) -> float:
@@ -138,7 +138,7 @@ def _guard_series(
     return size
 
 
-@inlined
+@inlined_kernel
 def find_crossing(workspace: Workspace, start: int, size: float) -> tuple[float, int]:
     """Find the first crossing of the guard in `workspace.series`, with terms of a magnitude: (tau, ambiguous)."""
     return first_crossing(
@@ -146,7 +146,7 @@ def find_crossing(workspace: Workspace, start: int, size: float) -> tuple[float,
     )
 
 
-@compiled
+@kernel
 def first_contact_change(
     model: Model, state: State, workspace: Workspace, j: int, length: float
 ) -> tuple[float, int, int]:
@@ -182,7 +182,7 @@ def first_contact_change(
     return tau, change, ambiguous + free_ambiguous
 
 
-@compiled
+@kernel
 def change_contact(flow: Flow, model: Model, state: State, log: Log, j: int, change: int) -> None:
     """Apply a change to damper j: it touches a wall, is released by it, or has no overlap any more."""
     if change == FREE:

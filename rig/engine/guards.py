@@ -15,11 +15,11 @@ from rig.engine.screening import CEILING_GAP, CONTACT_FORCE, FLOOR_GAP
 from rig.engine.state import AMBIGUOUS, FLIGHT, FLOOR, State
 from rig.engine.workspace import Workspace
 from rig.numerics.bernstein import LENGTH, NO_CROSSING
-from rig.numerics.jit import compiled, inlined
+from rig.numerics.jit import inlined_kernel, kernel
 from rig.numerics.simd import combine
 
 
-@inlined
+@inlined_kernel
 def bound_by_tables(flow: Flow, slot: int, z: Array, workspace: Workspace) -> None:
     """Compute the bounds of the guards over the step, from the tables."""
     for i in range(workspace.size.shape[0]):
@@ -29,7 +29,7 @@ def bound_by_tables(flow: Flow, slot: int, z: Array, workspace: Workspace) -> No
     )
 
 
-@compiled
+@kernel
 def bound_by_series(
     model: Model,
     mode: Array,
@@ -71,7 +71,7 @@ def bound_by_series(
         bound[dampers + j] = size
 
 
-@inlined
+@inlined_kernel
 def _gap_series(
     model: Model, state: State, workspace: Workspace, j: int, length: float, ceiling: bool
 ) -> tuple[int, float]:
@@ -96,7 +96,7 @@ def _gap_series(
     return -state.multiplicity[j], size + model.clearance[j]
 
 
-@inlined
+@inlined_kernel
 def _force_series(
     model: Model, state: State, workspace: Workspace, j: int, length: float
 ) -> tuple[int, float]:
@@ -112,7 +112,7 @@ def _force_series(
     return state.multiplicity[j], model.gravity + workspace.bound[model.mass.shape[0] + j]
 
 
-@inlined
+@inlined_kernel
 def first_event(
     model: Model, state: State, workspace: Workspace, length: float, unproven: int, unproven_ceilings: int
 ) -> tuple[float, int, int]:

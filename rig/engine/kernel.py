@@ -20,7 +20,7 @@ from rig.engine.screening import CONTACT_FORCE, above_margins, screen, widen_env
 from rig.engine.state import EVENTS_IN_ROW, FLIGHT, SLOT, Log, State, close_break, open_break
 from rig.engine.workspace import Workspace
 from rig.numerics.bernstein import NO_CROSSING
-from rig.numerics.jit import inlined
+from rig.numerics.jit import inlined_kernel
 from rig.numerics.simd import combine_many, copy, exceeds
 
 #: Reasons for which the kernel returns.
@@ -34,7 +34,7 @@ STEP_HALVING_EVENTS = 8
 _NOTHING, _CLOSE_BREAK, _RELEASE = 0, 1, 2
 
 
-@inlined
+@inlined_kernel
 def _advance_flights(model: Model, state: State, duration: float) -> None:
     """Propagate every flying damper, and reset the multiplicities of all guards."""
     for j in range(model.mass.shape[0]):
@@ -44,7 +44,7 @@ def _advance_flights(model: Model, state: State, duration: float) -> None:
         state.multiplicity[j] = 0
 
 
-@inlined
+@inlined_kernel
 def advance(
     flow: Flow,
     model: Model,

@@ -9,7 +9,7 @@ from rig.arrays import Array
 from rig.engine.flow import Flow, Model
 from rig.engine.workspace import Workspace
 from rig.numerics.bernstein import LENGTH
-from rig.numerics.jit import inlined
+from rig.numerics.jit import inlined_kernel
 from rig.numerics.simd import combine, combine_many
 
 #: Status of the present state. UNSETTLED: contact forces may be tensile. STALE: its accelerations are unknown. CURRENT:
@@ -17,7 +17,7 @@ from rig.numerics.simd import combine, combine_many
 UNSETTLED, STALE, CURRENT, CLEAR = -1, 0, 1, 2
 
 
-@inlined
+@inlined_kernel
 def expand(flow: Flow, model: Model, slot: int, z: Array, tableau: Array) -> None:
     """Compute the power series of the state over one step: tableau[k] = (A h)^k z / k!, plus the constant part."""
     size = flow.rates_constant.shape[1]
@@ -35,7 +35,7 @@ def expand(flow: Flow, model: Model, slot: int, z: Array, tableau: Array) -> Non
             tableau[k + 1, i] = factor * rate
 
 
-@inlined
+@inlined_kernel
 def sum_series(workspace: Workspace, tau: float, out: Array) -> None:
     """Compute the state at the fraction tau of the step: the rows of the tableau times the powers of tau."""
     powers = workspace.powers
@@ -49,7 +49,7 @@ def sum_series(workspace: Workspace, tau: float, out: Array) -> None:
     combine(workspace.series_rows, workspace.nothing, 0, powers, LENGTH + 1, out)
 
 
-@inlined
+@inlined_kernel
 def differentiate(flow: Flow, model: Model, slot: int, z: Array, work: Array, status: int) -> None:
     """Store the accelerations after a state, unless they are known, and their derivatives with respect to tau.
 

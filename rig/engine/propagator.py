@@ -23,7 +23,7 @@ from rig.engine.trajectory import Trajectory
 from rig.engine.workspace import Workspace, workspace_for
 from rig.errors import RunError, SceneError
 from rig.numerics.bernstein import LENGTH as TERMS
-from rig.numerics.jit import compiled
+from rig.numerics.jit import kernel
 from rig.numerics.simd import LANES, aligned_zeros, padded_length
 from rig.scene.quantities import LENGTH
 from rig.system.hybrid_system import Drive, HybridSystem, first_order_hold, pure_tone
@@ -59,7 +59,7 @@ class Segments(NamedTuple):
         return ends
 
 
-@compiled
+@kernel
 def _propagate(
     flow: Any, model: Any, state: Any, workspace: Any, log: Any, segments: Segments, begin: int, remaining: float,
     states: StateSamples, motion: MotionSamples, status: int,
@@ -97,7 +97,7 @@ def _propagate(
     return DONE, count, -1.0
 
 
-@compiled
+@kernel
 def _accelerations(flow: Any, model: Any, states: Array, slots: NDArray[np.int64], work: Array) -> None:
     for k in range(states.shape[0]):
         differentiate(flow, model, slots[k], states[k], work, STALE)

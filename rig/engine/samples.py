@@ -14,7 +14,7 @@ from rig.arrays import Array
 from rig.engine.finite_contact import bed_gap
 from rig.engine.flow import Flow, Model
 from rig.engine.state import FLIGHT, FLOOR, SLOT, State
-from rig.numerics.jit import inlined
+from rig.numerics.jit import inlined_kernel
 from rig.numerics.simd import LANES, transpose
 
 
@@ -40,7 +40,7 @@ class MotionSamples(NamedTuple):
     window: Array
 
 
-@inlined
+@inlined_kernel
 def store_state(state: State, row: int, states: StateSamples) -> None:
     """Store the present state in a row."""
     states.slot[row] = state.counters[SLOT]
@@ -51,7 +51,7 @@ def store_state(state: State, row: int, states: StateSamples) -> None:
         states.mode[row, j] = state.mode[j]
 
 
-@inlined
+@inlined_kernel
 def store_motion(
     flow: Flow, model: Model, state: State, motion: MotionSamples, column: int, last: bool
 ) -> None:

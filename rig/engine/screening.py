@@ -16,7 +16,7 @@ from rig.engine.flow import TERMS, Flow, Model
 from rig.engine.state import FLIGHT, FLOOR, State
 from rig.engine.workspace import Workspace
 from rig.numerics.complementarity import ROUNDING
-from rig.numerics.jit import inlined
+from rig.numerics.jit import inlined_kernel
 from rig.numerics.simd import combine
 
 #: Guards of a damper.
@@ -33,7 +33,7 @@ _HERMITE_ERROR = 1.0 / 384.0
 _DEFLATED_HERMITE_ERROR = 1.0 / 72.0
 
 
-@inlined
+@inlined_kernel
 def _margin(
     value: float, slope: float, value_new: float, slope_new: float, error: float, multiplicity: int
 ) -> float:
@@ -50,7 +50,7 @@ def _margin(
     return min(min(value, value + slope * _THIRD), inner) - error * _HERMITE_ERROR if end > 0.0 else end
 
 
-@inlined
+@inlined_kernel
 def _may_recover(
     model: Model, state: State, workspace: Workspace, j: int, duration: float, error: float
 ) -> bool:
@@ -74,7 +74,7 @@ def _may_recover(
     )
 
 
-@inlined
+@inlined_kernel
 def _may_change(
     model: Model, state: State, workspace: Workspace, j: int, duration: float, error: float
 ) -> bool:
@@ -104,7 +104,7 @@ def _may_change(
     return _margin(clearance - gap, -slope, clearance - gap_new, -slope_new, error, -multiplicity) <= 0.0
 
 
-@inlined
+@inlined_kernel
 def screen(
     model: Model, state: State, workspace: Workspace, first_acceleration: int, length: float, duration: float
 ) -> tuple[int, int]:
@@ -153,14 +153,14 @@ def screen(
     return unproven, unproven_ceilings
 
 
-@inlined
+@inlined_kernel
 def reset_envelope(flow: Flow, workspace: Workspace) -> None:
     """Reset the envelope to zero width."""
     for i in range(flow.rates_constant.shape[1]):
         workspace.envelope[i] = 0.0
 
 
-@inlined
+@inlined_kernel
 def widen_envelope(flow: Flow, slot: int, z: Array, workspace: Workspace) -> None:
     """Widen the envelope to contain a state, and compute the margins for it and the configuration."""
     columns = flow.rates_constant.shape[1]
@@ -169,7 +169,7 @@ def widen_envelope(flow: Flow, slot: int, z: Array, workspace: Workspace) -> Non
     combine(flow.margin, flow.margin_constant, slot, workspace.envelope, columns, workspace.margin)
 
 
-@inlined
+@inlined_kernel
 def above_margins(model: Model, state: State, margin: Array, z: Array, columns: int, duration: float) -> bool:
     """Return whether every guard exceeds its margin at a state with its accelerations, `duration` from now."""
     for j in range(model.mass.shape[0]):

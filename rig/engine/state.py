@@ -8,7 +8,7 @@ import numpy as np
 
 from rig.arrays import Array
 from rig.engine.flow import Flow, Model
-from rig.numerics.jit import inlined
+from rig.numerics.jit import inlined_kernel
 from rig.numerics.simd import aligned_zeros
 
 #: Modes of a damper.
@@ -95,7 +95,7 @@ def empty_log(rows: int, size: int, dampers: int) -> Log:
     )
 
 
-@inlined
+@inlined_kernel
 def log_event(log: Log, damper: int, kind: int, closing: float) -> None:
     """Log an event of the present instant."""
     row = log.filled[0]
@@ -107,7 +107,7 @@ def log_event(log: Log, damper: int, kind: int, closing: float) -> None:
     log.filled[0] = row + 1
 
 
-@inlined
+@inlined_kernel
 def toggle_contact(flow: Flow, model: Model, state: State, contact: int) -> None:
     """Open or close a contact: update the configuration, and the slot of its table."""
     state.counters[CONFIGURATION] ^= model.toggles[contact]
@@ -115,7 +115,7 @@ def toggle_contact(flow: Flow, model: Model, state: State, contact: int) -> None
         state.counters[SLOT] = flow.neighbour[state.counters[SLOT], contact]
 
 
-@inlined
+@inlined_kernel
 def _damper_speeds(model: Model, state: State, out: Array) -> None:
     for j in range(model.mass.shape[0]):
         if model.bed[j] >= 0:
@@ -124,7 +124,7 @@ def _damper_speeds(model: Model, state: State, out: Array) -> None:
             out[j] = state.speed[j] if state.mode[j] == FLIGHT else state.z[model.velocity[j]]
 
 
-@inlined
+@inlined_kernel
 def open_break(model: Model, state: State, log: Log) -> None:
     """Log the state before the contacts change."""
     row = log.filled[1]
@@ -136,7 +136,7 @@ def open_break(model: Model, state: State, log: Log) -> None:
         log.before[row, i] = state.z[i]
 
 
-@inlined
+@inlined_kernel
 def close_break(model: Model, state: State, log: Log) -> None:
     """Log the state after the contacts have changed."""
     row = log.filled[1]

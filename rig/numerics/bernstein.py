@@ -17,7 +17,7 @@ from math import comb
 import numpy as np
 
 from rig.arrays import Array
-from rig.numerics.jit import compiled, inlined
+from rig.numerics.jit import inlined_kernel, kernel
 from rig.numerics.simd import combine, minimum, negative_bits
 
 DEGREE = 15
@@ -44,7 +44,7 @@ BERNSTEIN = _bernstein_matrices()
 PADDING = np.where(np.add.outer(np.arange(LENGTH), np.arange(LENGTH)) > DEGREE, np.inf, 0.0)
 
 
-@inlined
+@inlined_kernel
 def _value_and_derivatives(series: Array, start: int, tau: float) -> tuple[float, float, float]:
     """Return value, slope and half the second derivative of series[start:] at tau.
 
@@ -70,7 +70,7 @@ def _value_and_derivatives(series: Array, start: int, tau: float) -> tuple[float
     return value, slope, bend
 
 
-@inlined
+@inlined_kernel
 def _refine_root(series: Array, start: int, left: float, right: float, tau: float) -> float:
     """Return the only root in a bracket (positive at left, negative at right), by Halley's method or bisection."""
     for _ in range(200):
@@ -97,7 +97,7 @@ def _refine_root(series: Array, start: int, left: float, right: float, tau: floa
     return tau
 
 
-@inlined
+@inlined_kernel
 def _estimate_single_root(coefficients: Array, degree: int) -> float:
     """Return the root of the control polygon on [0, 1] if the coefficients change sign once, else `NO_CROSSING`."""
     positive = ~negative_bits(coefficients) & ((1 << (degree + 1)) - 1)
@@ -111,7 +111,7 @@ def _estimate_single_root(coefficients: Array, degree: int) -> float:
     return (last + before / (before - after)) / degree
 
 
-@compiled
+@kernel
 def _split(work: Array, level: int, degree: int) -> None:
     """Split at the middle by de Casteljau's algorithm: right half in work[level], left half in work[level + 1]."""
     right = work[level]
@@ -126,7 +126,7 @@ def _split(work: Array, level: int, degree: int) -> None:
     # Now right[k] = b_k^(degree - k), which is the k-th coefficient of the right half.
 
 
-@compiled
+@kernel
 def first_crossing(
     series: Array, start: int, rounding: float, work: Array, spans: Array, bernstein: Array
 ) -> tuple[float, int]:

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rig.numerics.jit import compiled
+from rig.numerics.jit import kernel
 
 #: Largest ratio of a value to its terms that is a rounding error of zero.
 ROUNDING = 16 * 2.3e-16
@@ -61,7 +61,7 @@ def allocate_contact_work(dampers: int, forces: int) -> ContactWork:
     )
 
 
-@compiled
+@kernel
 def contact_matrix(model: Any, work: ContactWork, count: int) -> None:
     """Fill `work.matrix` for the contacts listed in `work.member` with signs `work.sign`."""
     for a in range(count):
@@ -73,7 +73,7 @@ def contact_matrix(model: Any, work: ContactWork, count: int) -> None:
         work.matrix[a, a] += 1.0 / model.mass[i]
 
 
-@compiled
+@kernel
 def solve_active(work: ContactWork, count: int) -> None:
     """Compute the pressures that close the active contacts, by elimination; the pressures of the others are 0."""
     block = work.block
@@ -105,7 +105,7 @@ def solve_active(work: ContactWork, count: int) -> None:
             size += 1
 
 
-@compiled
+@kernel
 def complementarity(work: ContactWork, count: int) -> None:
     """Solve for `work.pressure` from `work.matrix` and the right-hand side q in `work.right`."""
     for a in range(count):

@@ -13,7 +13,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from rig.numerics.jit import compiled, inlined
+from rig.numerics.jit import inlined_kernel, kernel
 from rig.numerics.simd import LANES, WIDE, broadcast, load, store
 
 #: Number of sums that are computed in parallel: enough to hide the latency of an addition, and few enough for the
@@ -34,7 +34,7 @@ def _fused(typing_context: Any, factor: Any, other_factor: Any, addend: Any) -> 
     return signature, generate
 
 
-@inlined
+@inlined_kernel
 def fused(factor: float, other_factor: float, addend: float) -> float:
     """Return factor * other_factor + addend with a single rounding."""
     return _fused(factor, other_factor, addend)  # type: ignore[call-arg]  # numba supplies the context
@@ -106,7 +106,7 @@ def _sums(same_rows: bool) -> Any:
 _weighted_sums, _factored_sums = _sums(same_rows=False), _sums(same_rows=True)
 
 
-@compiled
+@kernel
 def weighted_sums(
     rows: Any, first: int, column: int, weights: Any, count: int, out: Any, length: int
 ) -> None:
@@ -120,7 +120,7 @@ def weighted_sums(
         _weighted_sums(rows, start + place, stride, weights, 0, 1, 0, count, out, place)
 
 
-@compiled
+@kernel
 def factored_sums(
     rows: Any, factors: Any, start: int, step: int, apart: int, out: Any, first: int, count: int
 ) -> None:
@@ -167,7 +167,7 @@ def _update_states(typing_context: Any, states: Any, keep: Any, weights: Any, va
     return signature, generate
 
 
-@inlined
+@inlined_kernel
 def update_states(states: Any, keep: Any, weights: Any, value: float) -> float:
     """Return the sum of weights times states; then set states = keep * states + value.
 

@@ -1,8 +1,10 @@
 """Decorators that compile kernels with numba, and store the machine code on disk.
 
-Kernels release the GIL, may fuse multiplications with additions (but never reorder them), and create no arrays. The
-folder of the machine code is named by a digest of all files that may be compiled in. numba checks only the file of the
-function that is called, not those of its callees; after a change of a callee it would run outdated code.
+A kernel is a function that is called once a block, or one of its callees, with the decorator `kernel`, `inlined_kernel`
+or `unfused_kernel`. Kernels release the GIL, may fuse multiplications with additions (but never reorder them), and
+create no arrays. The name of the folder of machine code contains a digest of all source files that a kernel may
+contain. numba checks only the file of the function that is called, not those of its callees; after a change of a
+callee it would run outdated code.
 """
 
 from __future__ import annotations
@@ -46,7 +48,7 @@ except (ImportError, AttributeError):
 
 @functools.cache
 def _digest(folder: Path) -> str:
-    """Return a digest of the compiler and of all files that may be compiled into a kernel of a folder.
+    """Return a digest of the compiler and of all source files that a kernel of a folder may contain.
 
     These are the files of the folder, and of the folders with kernels from which it imports.
     """
@@ -72,16 +74,16 @@ def _has_kernels(folder: Path) -> bool:
     return any(b"from rig.numerics.jit import" in file.read_bytes() for file in folder.glob("*.py"))
 
 
-def code_base() -> Path:
+def machine_code_root() -> Path:
     """Return the folder of all machine code."""
-    base = os.environ.get("NUMBA_CACHE_DIR") or AppDirs("shotrig", appauthor=False).user_cache_dir
-    return Path(base) / "machine-code"
+    cache = os.environ.get("NUMBA_CACHE_DIR") or AppDirs("shotrig", appauthor=False).user_cache_dir
+    return Path(cache) / "machine-code"
 
 
 @functools.cache
 def code_folder(source: Path) -> Path | None:
     """Create the folder for the machine code of the kernels in a source folder; None if it cannot be written."""
-    folder = code_base() / f"{source.name}-{_digest(source)}"
+    folder = machine_code_root() / f"{source.name}-{_digest(source)}"
     try:
         folder.mkdir(parents=True, exist_ok=True)
         TemporaryFile(dir=folder).close()
@@ -117,7 +119,7 @@ class CodeFolder:
         return str(self._folder)
 
     def get_source_stamp(self) -> str:
-        """Return a constant, because another source has another folder."""
+        """Return a constant: changed source code has its own folder (`_digest`)."""
         return ""
 
     def get_disambiguator(self) -> str:
@@ -151,9 +153,9 @@ def _warn_once(text: str) -> None:
     _LOG.warning(text)
 
 
-def _njit(function: F, kernel: bool, **options: Any) -> F:
+def _njit(function: F, is_kernel: bool, **options: Any) -> F:
     folder = code_folder(_source_folder(function))
-    compiler = numba.njit if callees is None else functools.partial(callees.njit, kernel=kernel)
+    compiler = numba.njit if callees is None else functools.partial(callees.njit, kernel=is_kernel)
     previous, _CONFIG.CACHE_LOCATOR_CLASSES = _CONFIG.CACHE_LOCATOR_CLASSES, "rig.numerics.jit.CodeFolder"
     try:
         return cast(F, compiler(function, cache=folder is not None, **options))
@@ -161,25 +163,25 @@ def _njit(function: F, kernel: bool, **options: Any) -> F:
         _CONFIG.CACHE_LOCATOR_CLASSES = previous
 
 
-def stored(function: F) -> F:
-    """Compile a function as `njit` does; it may create arrays."""
-    return _njit(function, kernel=False)
+def cached_njit(function: F) -> F:
+    """Compile a function that is not a kernel; it may create arrays."""
+    return _njit(function, is_kernel=False)
 
 
-def compiled(function: F) -> F:
-    """Compile a function of a kernel."""
-    return _njit(function, kernel=True, nogil=True, fastmath={"contract"})
+def kernel(function: F) -> F:
+    """Compile a kernel."""
+    return _njit(function, is_kernel=True, nogil=True, fastmath={"contract"})
 
 
-def inlined(function: F) -> F:
-    """Compile a function of a kernel into each of its callers, because passing hundreds of arrays takes longer."""
-    return _njit(function, kernel=True, forceinline=True, nogil=True, fastmath={"contract"})
+def inlined_kernel(function: F) -> F:
+    """Compile a kernel into each of its callers, because passing hundreds of arrays takes longer."""
+    return _njit(function, is_kernel=True, forceinline=True, nogil=True, fastmath={"contract"})
 
 
-def unfused(function: F) -> F:
-    """Compile a function of a kernel in which multiplications and additions are not fused.
+def unfused_kernel(function: F) -> F:
+    """Compile a kernel in which multiplications and additions are not fused.
 
     It is for loops over samples: the processor handles most samples in groups and the others one by one. Both must give
     the same bits for every block size.
     """
-    return _njit(function, kernel=True, nogil=True, fastmath=False)
+    return _njit(function, is_kernel=True, nogil=True, fastmath=False)

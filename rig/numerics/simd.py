@@ -16,7 +16,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from rig.numerics.jit import compiled, inlined
+from rig.numerics.jit import inlined_kernel, kernel
 
 #: Number of values in a register; rows are padded to a multiple of it.
 LANES = 8
@@ -222,7 +222,7 @@ def _negative_lanes(typing_context: Any, vector: Any, row: Any) -> Any:
     return signature, generate
 
 
-@inlined
+@inlined_kernel
 def minimum(vector: Any) -> float:
     """Return the smallest element of a vector of shape (multiple of LANES,)."""
     least = np.inf
@@ -231,7 +231,7 @@ def minimum(vector: Any) -> float:
     return least
 
 
-@inlined
+@inlined_kernel
 def negative_bits(vector: Any) -> int:
     """Return bits that are set for each negative element of a vector of shape (multiple of LANES, at most 56,)."""
     bits = 0
@@ -254,7 +254,7 @@ def _copy_lanes(typing_context: Any, source: Any, target: Any, row: Any) -> Any:
     return signature, generate
 
 
-@inlined
+@inlined_kernel
 def copy(source: Any, target: Any) -> None:
     """Copy a vector of shape (multiple of LANES,) into another."""
     for row in range(0, source.shape[0], LANES):
@@ -297,7 +297,7 @@ def _transpose_tile(
     return signature, generate
 
 
-@inlined
+@inlined_kernel
 def transpose(window: Any, rows: Any, column: int) -> None:
     """Write a window of shape (LANES, width) into rows (width, columns) from a column on; both contiguous."""
     width, columns = rows.shape
@@ -306,7 +306,7 @@ def transpose(window: Any, rows: Any, column: int) -> None:
         _transpose_tile(window, row, width, rows, place, columns)  # type: ignore[call-arg]
 
 
-@inlined
+@inlined_kernel
 def exceeds(vector: Any, bound: Any) -> bool:
     """Return whether the magnitude of any element exceeds its bound, or is NaN; shapes (multiple of LANES,)."""
     any_exceeds = False
@@ -315,7 +315,7 @@ def exceeds(vector: Any, bound: Any) -> bool:
     return any_exceeds
 
 
-@inlined
+@inlined_kernel
 def combine(matrix: Any, constant: Any, slot: int, vector: Any, columns: int, out: Any) -> None:
     """Compute out = matrix[slot]^T vector + constant[slot].
 
@@ -324,7 +324,7 @@ def combine(matrix: Any, constant: Any, slot: int, vector: Any, columns: int, ou
     _combine_from(matrix, constant, slot, vector, columns, out, 0)
 
 
-@inlined
+@inlined_kernel
 def combine_many(matrix: Any, constant: Any, slot: int, vector: Any, columns: int, out: Any) -> None:
     """Compute out = matrix[slot]^T vector + constant[slot] for many rows; more code, but fewer reads of the vector."""
     rows = constant.shape[1]
@@ -334,7 +334,7 @@ def combine_many(matrix: Any, constant: Any, slot: int, vector: Any, columns: in
     _combine_from(matrix, constant, slot, vector, columns, out, many)
 
 
-@inlined
+@inlined_kernel
 def _combine_from(
     matrix: Any, constant: Any, slot: int, vector: Any, columns: int, out: Any, first: int
 ) -> None:
@@ -344,7 +344,7 @@ def _combine_from(
         _one(matrix, start, constant, slot * rows, vector, columns, rows, out, row)
 
 
-@compiled
+@kernel
 def multiply(matrix: Any, slot: int, vector: Any, constant: Any, out: Any) -> None:
     """Compute out = matrix[slot]^T vector + constant, with the same constant for all slots.
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.arrays import Array
-from rig.numerics.jit import stored
+from rig.numerics.jit import cached_njit
 from rig.orbits import event_kinds as kinds
 from rig.orbits.orbit_equations import Equations, Sequence
 from rig.orbits.shooting import Shot
@@ -26,7 +26,7 @@ FLIGHT_ENDS, HITS_FLOOR, HITS_CEILING, LEAVES_WALL, STAYS_AT_WALL, THROWN_OFF = 
 N_BORDER_KINDS = 9
 
 
-@stored
+@cached_njit
 def _lowest_minimum(track: Track, s: int, j: int, offset: float, sign: float, first: int = 0) -> float:
     """Return the lowest minimum of offset + sign times a guard in a segment from point `first` on, or infinity."""
     guard = track.guards[s, :, j]
@@ -41,19 +41,19 @@ def _lowest_minimum(track: Track, s: int, j: int, offset: float, sign: float, fi
     return lowest
 
 
-@stored
+@cached_njit
 def _lower(margins: Array, border: int, index: int, margin: float) -> None:
     margins[border, index] = min(margins[border, index], margin)
 
 
-@stored
+@cached_njit
 def _contact_force(equations: Equations, j: int, ceiling: bool, overlap: float, closing: float) -> float:
     """Return the contact force [N] from overlap and closing speed, or its rate from their rates."""
     wall = 1 if ceiling else 0
     return equations.stiffness[j, wall] * overlap + equations.damping[j, wall] * closing
 
 
-@stored
+@cached_njit
 def _crossing_rate(
     equations: Equations, sequence: Sequence, track: Track, event: int, closing: float, acc_unit: float
 ) -> float:
@@ -71,7 +71,7 @@ def _crossing_rate(
     return min(1.0, closing * omega / acc_unit)
 
 
-@stored
+@cached_njit
 def _finite_contact_margins(
     equations: Equations, sequence: Sequence, track: Track, j: int, length_unit: float, distances: Array
 ) -> None:
@@ -129,7 +129,7 @@ def _finite_contact_margins(
         _lower(distances, HITS_CEILING, j, ceiling_gap / length_unit)
 
 
-@stored
+@cached_njit
 def margins(equations: Equations, sequence: Sequence, track: Track, instants: Array, closing: Array) -> Array:
     """Compute the margin of an orbit at each border beyond which it is impossible as a motion.
 
@@ -219,7 +219,7 @@ def margins(equations: Equations, sequence: Sequence, track: Track, instants: Ar
     return distances
 
 
-@stored
+@cached_njit
 def evaluate_motion(
     equations: Equations, sequence: Sequence, shot: Shot, instants: Array
 ) -> tuple[Array, NDArray[np.complex128], Array]:

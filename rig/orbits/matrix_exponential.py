@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from rig.arrays import Array
-from rig.numerics.jit import stored
+from rig.numerics.jit import cached_njit
 
 
-@stored
+@cached_njit
 def exponential(matrix: Array, time: float, rate: float) -> Array:
     """Compute the exponential of `matrix` times `time` by a Taylor series with scaling and squaring.
 
@@ -34,7 +34,7 @@ def exponential(matrix: Array, time: float, rate: float) -> Array:
     return total
 
 
-@stored
+@cached_njit
 def exponential_slope(
     matrix: Array, change: Array, start: Array, slope: Array, time: float, rate: float
 ) -> Array:

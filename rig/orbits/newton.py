@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from rig.arrays import Array
-from rig.numerics.jit import stored
+from rig.numerics.jit import cached_njit
 from rig.orbits.orbit_equations import Change, Equations, Sequence
 from rig.orbits.shooting import Shot, shoot
 
@@ -13,7 +13,7 @@ from rig.orbits.shooting import Shot, shoot
 CONVERGED = 3e-13
 
 
-@stored
+@cached_njit
 def newton_solve(
     equations: Equations,
     change: Change,
@@ -56,13 +56,13 @@ def newton_solve(
     return x, slope, shot, last_size, -1
 
 
-@stored
+@cached_njit
 def distance(first: Array, second: Array, scale: Array) -> float:
     """Return the largest scaled difference between two sets of unknowns."""
     return float(np.abs((first - second) / scale).max())
 
 
-@stored
+@cached_njit
 def monodromy(shot: Shot, events: int, scale: Array, rows: Array) -> Array:
     """Compute the scaled monodromy matrix; the event conditions are solved for the instants."""
     size = scale.size

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rig.arrays import Array
-from rig.numerics.jit import stored
+from rig.numerics.jit import cached_njit
 from rig.orbits import event_kinds as kinds
 from rig.orbits.matrix_exponential import exponential, exponential_slope
 from rig.orbits.orbit_equations import Change, Equations, Sequence
@@ -44,7 +44,7 @@ class MotionState(NamedTuple):
     dspeed: Array  # dheight, dspeed: shape (dampers, unknowns + 1)
 
 
-@stored
+@cached_njit
 def _start(sequence: Sequence, unknowns: Array, states: int) -> tuple[MotionState, int]:
     """Return the motion at t = 0, and the index of the first instant among the unknowns."""
     dampers, size = sequence.wall.shape[1], unknowns.shape[0]
@@ -66,7 +66,7 @@ def _start(sequence: Sequence, unknowns: Array, states: int) -> tuple[MotionStat
     return motion, index
 
 
-@stored
+@cached_njit
 def _propagate(
     equations: Equations, change: Change, config: int, motion: MotionState, time: float, end: float,
     start_col: int, end_col: int, dend: float,
@@ -108,7 +108,7 @@ def _propagate(
             motion.dspeed[j, start_col] += equations.gravity
 
 
-@stored
+@cached_njit
 def _contact_force_condition(
     equations: Equations,
     change: Change,
@@ -135,7 +135,7 @@ def _contact_force_condition(
     return residual
 
 
-@stored
+@cached_njit
 def _separate(equations: Equations, change: Change, wall: int, j: int, motion: MotionState) -> None:
     """Set height and velocity of damper j at separation to those of its wall."""
     body, nq = equations.body_coordinate[j], equations.inverse_mass.shape[1]
@@ -146,7 +146,7 @@ def _separate(equations: Equations, change: Change, wall: int, j: int, motion: M
         motion.dheight[j, motion.dx.shape[1] - 1] += change.clearance[j]
 
 
-@stored
+@cached_njit
 def _apply_impact(
     equations: Equations,
     change: Change,
@@ -197,7 +197,7 @@ def _apply_impact(
     return gap, relative_speed if offset > 0.0 else -relative_speed
 
 
-@stored
+@cached_njit
 def _change_force(
     equations: Equations,
     change: Change,
@@ -234,7 +234,7 @@ def _change_force(
     return residual + decay_time * speed, 0.0 if kind == kinds.RELEASE else max(closing, 0.0)
 
 
-@stored
+@cached_njit
 def _write_periodicity(
     sequence: Sequence, unknowns: Array, motion: MotionState, residual: Array, jacobian: Array
 ) -> None:
@@ -254,7 +254,7 @@ def _write_periodicity(
             index += 2
 
 
-@stored
+@cached_njit
 def shoot(equations: Equations, change: Change, sequence: Sequence, unknowns: Array) -> Shot:
     """Evaluate the equations of an orbit.
 

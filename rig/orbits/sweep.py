@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from rig.arrays import Array
 from rig.engine.propagator import Propagator
 from rig.errors import RunError, SceneError
-from rig.numerics.jit import stored
+from rig.numerics.jit import cached_njit
 from rig.orbits.newton import distance
 from rig.orbits.orbit import Orbit, OrbitFamily
 from rig.orbits.periodic_orbit import period_steps, search_orbit, set_to_orbit, start_propagator
@@ -252,7 +252,7 @@ class _BranchPoint:
     orbit: Orbit
 
 
-@stored
+@cached_njit
 def _hermite(nodes: Array, values: Array, slopes: Array, x: float) -> Array:
     """Evaluate at x the Hermite polynomial through values and slopes (points, unknowns) at the nodes."""
     result = np.zeros(values.shape[1])

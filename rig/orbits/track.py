@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.arrays import Array
-from rig.numerics.jit import stored
+from rig.numerics.jit import cached_njit
 from rig.orbits import event_kinds as kinds
 from rig.orbits.matrix_exponential import exponential
 from rig.orbits.orbit_equations import Equations, Sequence
@@ -39,7 +39,7 @@ class Track(NamedTuple):
     """Integral of the state times exp(-i w t) over the orbit; complex, shape (states,)."""
 
 
-@stored
+@cached_njit
 def turning_value(left: float, right: float, slopes: Array, curves: Array, step: float) -> float:
     """Return the extreme value in an interval, from the quintic through the values and two derivatives at its ends."""
     s0, s1, c0, c1 = slopes[0] * step, slopes[1] * step, curves[0] * step * step, curves[1] * step * step
@@ -55,7 +55,7 @@ def turning_value(left: float, right: float, slopes: Array, curves: Array, step:
     return left + t * (s0 + t * (0.5 * c0 + t * (a3 + t * (a4 + t * a5))))
 
 
-@stored
+@cached_njit
 def _segments(equations: Equations, sequence: Sequence, instants: Array) -> tuple[Array, Array, int]:
     """Return start and duration of the segments and their points; the last ends at the next period's first event."""
     events = sequence.kind.shape[0]
@@ -71,7 +71,7 @@ def _segments(equations: Equations, sequence: Sequence, instants: Array) -> tupl
     return (starts, durations, max(8, min(MAX_POINTS, int(np.ceil(longest / MAX_RATE_TIMES_STEP)))))
 
 
-@stored
+@cached_njit
 def _sample_states(a: Array, flow: Array, start: Array, x: Array, rate: Array) -> None:
     """Compute the states x (points + 1, states + 3) at even times by the flow of one step, and A x."""
     x[0] = start
@@ -87,7 +87,7 @@ def _sample_states(a: Array, flow: Array, start: Array, x: Array, rate: Array) -
                     x[i + 1, m] += flow[m, c] * x[i, c]
 
 
-@stored
+@cached_njit
 def _extend_range(extremes: Array, x: Array, rate: Array, step: float) -> None:
     """Extend the range of each coordinate to its extremes in a segment, including turning points."""
     nq = extremes.shape[0]
@@ -103,7 +103,7 @@ def _extend_range(extremes: Array, x: Array, rate: Array, step: float) -> None:
                 extremes[q, 0], extremes[q, 1] = min(extremes[q, 0], extreme), max(extremes[q, 1], extreme)
 
 
-@stored
+@cached_njit
 def _sample_guard(
     equations: Equations,
     a: Array,
@@ -148,7 +148,7 @@ def _sample_guard(
                 guard[i, d] += weights[d, m] * x[i, m]
 
 
-@stored
+@cached_njit
 def _first_harmonic(a: Array, omega: float, times: Array, x: Array, step: float) -> NDArray[np.complex128]:
     """Integrate exp(-i w t) x over a segment by the trapezoidal rule with Euler-Maclaurin corrections."""
     points, size = x.shape[0] - 1, x.shape[1]
@@ -178,7 +178,7 @@ def _first_harmonic(a: Array, omega: float, times: Array, x: Array, step: float)
     return step * total
 
 
-@stored
+@cached_njit
 def track_orbit(equations: Equations, sequence: Sequence, instants: Array, states: Array) -> Track:
     """Compute the motion of an orbit between its events.
 

@@ -20,7 +20,7 @@ from rig.engine.propagator import Propagator
 from rig.engine.state import FLIGHT
 from rig.engine.trajectory import Trajectory
 from rig.errors import RunError
-from rig.numerics.jit import stored
+from rig.numerics.jit import cached_njit
 
 #: Longest repetition that is detected, in periods of the drive.
 LONGEST_REPETITION = 8
@@ -125,7 +125,7 @@ def _distances(comparison: _Comparison, units: Array) -> tuple[Array, Array]:
     return np.array(changes), np.array(distances)
 
 
-@stored
+@cached_njit
 def _changes(vectors: Array, modes: NDArray[np.int8]) -> Array:
     """Compute changes over 1, 2, ... periods at the end and middle of a comparison; infinite if contacts differ."""
     # The ratio of both identifies a slow decay, which faster decays mask from period to period.

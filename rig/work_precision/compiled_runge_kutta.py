@@ -17,7 +17,7 @@ from scipy.integrate import RK45
 
 from rig.arrays import Array
 from rig.errors import RunError
-from rig.numerics.jit import compiled, inlined
+from rig.numerics.jit import inlined_kernel, kernel
 from rig.work_precision.adaptive_solvers import ENDLESS, LIVELOCK
 from rig.work_precision.first_order_form import CEILING, FLIGHT, FLOOR, WALLS, FirstOrderForm, Outcome
 
@@ -129,7 +129,7 @@ def _tables(problem: FirstOrderForm) -> Tables:
     )
 
 
-@inlined
+@inlined_kernel
 def _slope(tables: Tables, at: int, z: Array, out: Array) -> None:
     for i in range(z.shape[0]):
         total = 0.0
@@ -138,7 +138,7 @@ def _slope(tables: Tables, at: int, z: Array, out: Array) -> None:
         out[i] = total
 
 
-@inlined
+@inlined_kernel
 def _step(tables: Tables, at: int, h: float, z: Array, new: Array, stages: Array, rtol: float) -> float:
     """Compute a trial step from its first stage; return the RMS error relative to the tolerance (II.4)."""
     for k in range(1, 7):
@@ -157,7 +157,7 @@ def _step(tables: Tables, at: int, h: float, z: Array, new: Array, stages: Array
     return np.sqrt(wrong / z.shape[0])
 
 
-@inlined
+@inlined_kernel
 def _dense(z: Array, stages: Array, h: float, theta: float, out: Array) -> None:
     """Interpolate the state at the share theta of the step, to fourth order."""
     for i in range(z.shape[0]):
@@ -170,7 +170,7 @@ def _dense(z: Array, stages: Array, h: float, theta: float, out: Array) -> None:
             out[i] += h * weight * stages[k, i]
 
 
-@inlined
+@inlined_kernel
 def _guard(tables: Tables, contacts: Contacts, at: int, j: int, wall: int, t: float, z: Array) -> float:
     """Return the gap of a damper in flight, or contact force over mass of a riding damper; 1 if disabled."""
     if contacts.mode[j] == FLIGHT:
@@ -186,7 +186,7 @@ def _guard(tables: Tables, contacts: Contacts, at: int, j: int, wall: int, t: fl
     return pressing if wall == FLOOR else -pressing
 
 
-@inlined
+@inlined_kernel
 def _first_fall(
     tables: Tables,
     contacts: Contacts,
@@ -225,14 +225,14 @@ def _first_fall(
     return first, which, hit
 
 
-@inlined
+@inlined_kernel
 def _note(contacts: Contacts, t: float, j: int, kind: int) -> None:
     k = contacts.filled[0]
     contacts.time[k], contacts.damper[k], contacts.kind[k] = t, j, kind
     contacts.filled[0] = k + 1
 
 
-@inlined
+@inlined_kernel
 def _leave(
     tables: Tables, contacts: Contacts, t: float, z: Array, j: int, speed: float, blind: float
 ) -> None:
@@ -244,7 +244,7 @@ def _leave(
     contacts.mode[j] = FLIGHT
 
 
-@inlined
+@inlined_kernel
 def _change(tables: Tables, contacts: Contacts, t: float, z: Array, j: int, wall: int, blind: float) -> None:
     """Separate a riding damper, or apply an impact of a damper in flight (Newton's restitution)."""
     body = tables.coordinates + tables.row[j]
@@ -264,7 +264,7 @@ def _change(tables: Tables, contacts: Contacts, t: float, z: Array, j: int, wall
         _leave(tables, contacts, t, z, j, z[body] - restitution * closing, blind)
 
 
-@inlined
+@inlined_kernel
 def _release(tables: Tables, contacts: Contacts, t: float, z: Array, blind: float) -> int:
     """Separate dampers with a tensile contact force in sequence; return the configuration; -1: the log is full."""
     # Damping couples a velocity jump into the contact forces of adjacent bodies, so that each may cause another.
@@ -283,13 +283,13 @@ def _release(tables: Tables, contacts: Contacts, t: float, z: Array, blind: floa
     return -1
 
 
-@inlined
+@inlined_kernel
 def _keep(motion: Array, row: int, z: Array) -> None:
     for i in range(motion.shape[1]):
         motion[row, i] = z[i]
 
 
-@compiled
+@kernel
 def _follow(
     tables: Tables, contacts: Contacts, z: Array, times: Array, motion: Array, rtol: float, blind: float,
     longest: float, steps: int, stages: Array, new: Array, work: Array,

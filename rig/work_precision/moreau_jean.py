@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rig.arrays import Array
 from rig.errors import RunError
-from rig.numerics.jit import stored
+from rig.numerics.jit import cached_njit
 from rig.work_precision.first_order_form import FLIGHT, FLOOR, PER_PERIOD, WALLS, FirstOrderForm, Outcome
 
 #: Largest number of Gauss-Seidel iterations over the contacts in a step.
@@ -84,7 +84,7 @@ def moreau_jean(problem: FirstOrderForm, steps: int) -> Outcome:
     return Outcome(np.ascontiguousarray(samples[:, : system.coordinates].T), events)
 
 
-@stored
+@cached_njit
 def _follow(parts: Step, start: Array, steps: int, every: int) -> tuple[Array, NDArray[np.int8]]:
     """Integrate; return every `every`-th state, and the wall of each damper after each step."""
     advance, cosine, sine, kick, gap, closing, clearance, restitution, omega, length = parts

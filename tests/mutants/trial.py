@@ -19,7 +19,7 @@ from cosmic_ray.testing import run_tests
 from cosmic_ray.work_db import use_db
 from cosmic_ray.work_item import MutationSpec, TestOutcome
 
-from rig.numerics.jit import code_base
+from rig.numerics.jit import machine_code_root
 from tests.mutants.places import EQUIVALENT, PLACES
 
 ROOT = Path(__file__).parents[2]
@@ -64,7 +64,7 @@ def try_place(place: str, most: int, seed: int) -> list[Found]:
     logging.disable(logging.CRITICAL)
     with tempfile.TemporaryDirectory(prefix="mutants-") as folder, chdir(_copy(Path(folder))):
         # What is compiled from a faulty module stays here; what is compiled already need not be again.
-        shutil.copytree(code_base(), Path(folder) / "machine-code")
+        shutil.copytree(machine_code_root(), Path(folder) / "machine-code")
         os.environ |= {"NUMBA_CACHE_DIR": folder, "PYTHONPATH": str(Path.cwd()), "OPENBLAS_NUM_THREADS": "1"}
         found = []
         for module, chosen in faults(place, most, seed).items():

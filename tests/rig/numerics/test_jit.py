@@ -14,27 +14,27 @@ OUTER = """
 from kernels.constant import CONSTANT
 from kernels.inner import inner
 from kernels.pair import Pair
-from rig.numerics.jit import compiled
+from rig.numerics.jit import kernel
 
-@compiled
+@kernel
 def outer(pair: Pair) -> float:
     return inner(pair.x) + CONSTANT + pair.y
 """
 INNER = """
-from rig.numerics.jit import inlined
+from rig.numerics.jit import inlined_kernel
 
-@inlined
+@inlined_kernel
 def inner(x: float) -> float:
     return {factor} * x
 """
 TWICE = """
-from rig.numerics.jit import compiled
+from rig.numerics.jit import kernel
 
-@compiled
+@kernel
 def inner(x: float, factor: int) -> float:
     return factor * x
 
-@compiled
+@kernel
 def outer(x: float) -> float:
     return inner(x, 2) + inner(x, 3)
 """
@@ -147,7 +147,9 @@ def test_unwritable_cache_is_reported(kernels: Path) -> None:
 
 
 def test_compiling_is_logged_for_own_kernels(kernels: Path) -> None:
-    code = "from rig.numerics.jit import compiled\ndef f(x):\n    return x\nf.__module__ = 'rig.f'\ncompiled(f)(1.0)"
+    code = (
+        "from rig.numerics.jit import kernel\ndef f(x):\n    return x\nf.__module__ = 'rig.f'\nkernel(f)(1.0)"
+    )
     script = kernels / "script.py"
     script.write_text(code)
     assert "compiling machine code" in run(kernels, f"import runpy; runpy.run_path({str(script)!r})").stderr

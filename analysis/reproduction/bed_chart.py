@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.reproduction.bed_claim import NOT_FAR, deviation, deviation_error
+from analysis.reproduction.bed_claim import MAX_DEVIATION, deviation, deviation_error
 from analysis.reproduction.bed_study import FREQUENCY
 from analysis.reproduction.contact_study import (
     at_shaking_frequency,
@@ -25,76 +25,93 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.image import AxesImage
 
-_MOST = 40.0  # Percent at the ends of the color scale
+_COLOR_LIMIT = 40.0  # Deviation at the ends of the color scale, %
 
 
 def beds(parts: Parts) -> Figure:
     """Draw the deviation of grains at 50 Hz from one mass on instantaneous and finite-duration contact, by depth."""
     data = at_shaking_frequency(parts["beds"])
     layers = np.unique(data["layers"])
-    one = fit_contact(with_ceiling(data), parts["contacts"])
+    contact = fit_contact(with_ceiling(data), parts["contacts"])
     columns = (
         ("Compliance, landing at once", deviation(data, "compliance"), deviation_error(data, "compliance")),
         ("Energy, landing at once", deviation(data, "energy"), deviation_error(data, "energy")),
         (
-            f"Compliance, landing in {1e3 * one.duration:g} ms",
-            deviation_on_contact(one, data, parts["contacts"]),
+            f"Compliance, landing in {1e3 * contact.duration:g} ms",
+            deviation_on_contact(contact, data, parts["contacts"]),
             deviation_error(data, "compliance")
             * data["mass_compliance"]
-            / compliance_on_contact(one, data, parts["contacts"]),
+            / compliance_on_contact(contact, data, parts["contacts"]),
         ),
     )
     with new_figure(2.3 * len(layers), 10.0) as figure:
         panels = figure.subplots(len(layers), len(columns), squeeze=False, sharex=True, sharey=True)
         for row, depth in zip(panels, layers, strict=True):
             chosen = data["layers"] == depth
-            for axes, (_, off, error) in zip(row, columns, strict=True):
-                image = _panel(axes, data, chosen, 100.0 * off, 100.0 * error)
+            for axes, (_, deviations, error) in zip(row, columns, strict=True):
+                image = _draw_panel(axes, data, chosen, 100.0 * deviations, 100.0 * error)
             row[0].set_ylabel(f"{depth:g} layers: acceleration / g")
         for axes, (title, *_) in zip(panels[0], columns, strict=True):
             axes.set_title(title)
         for axes in panels[-1]:
             axes.set_xlabel("clearance / mm")
         figure.colorbar(
-            image, ax=list(panels.flat), label="grains off one mass / %", extend="both", aspect=40
+            image,
+            ax=list(panels.flat),
+            label="deviation of grains from one mass / %",
+            extend="both",
+            aspect=40,
         )
     return figure
 
 
 def modes(parts: Parts) -> Figure:
     """Draw the deviation of the compliance with grains from one mass at the other resonances, by depth."""
-    own = select(parts["beds"], parts["beds"]["frequency"] != FREQUENCY)
-    frequencies, layers = np.unique(own["frequency"]), np.unique(own["layers"])
+    other_modes = select(parts["beds"], parts["beds"]["frequency"] != FREQUENCY)
+    frequencies, layers = np.unique(other_modes["frequency"]), np.unique(other_modes["layers"])
     with new_figure(2.3 * len(layers), 4.0 * len(frequencies)) as figure:
         panels = figure.subplots(len(layers), len(frequencies), squeeze=False)
         for (row, depth), (column, frequency) in product(enumerate(layers), enumerate(frequencies)):
-            axes, data = panels[row, column], select(own, own["frequency"] == frequency)
-            off, error = deviation(data, "compliance"), deviation_error(data, "compliance")
-            image = _panel(axes, data, data["layers"] == depth, 100.0 * off, 100.0 * error)
+            axes, data = panels[row, column], select(other_modes, other_modes["frequency"] == frequency)
+            deviations, error = deviation(data, "compliance"), deviation_error(data, "compliance")
+            image = _draw_panel(axes, data, data["layers"] == depth, 100.0 * deviations, 100.0 * error)
             axes.set(ylabel=f"{depth:g} layers: acceleration / g" if column == 0 else "")
             axes.set(xlabel="clearance / mm" if row == len(layers) - 1 else "")
             axes.set_title(f"Compliance at {frequency:g} Hz" if row == 0 else "")
         figure.colorbar(
-            image, ax=list(panels.flat), label="grains off one mass / %", extend="both", aspect=40
+            image,
+            ax=list(panels.flat),
+            label="deviation of grains from one mass / %",
+            extend="both",
+            aspect=40,
         )
     return figure
 
 
-def _panel(axes: Axes, data: Columns, chosen: np.ndarray, off: np.ndarray, error: np.ndarray) -> AxesImage:
+def _draw_panel(
+    axes: Axes, data: Columns, chosen: np.ndarray, deviations: np.ndarray, error: np.ndarray
+) -> AxesImage:
     levels, clearances = np.unique(data["level"]), np.unique(data["clearance"])
     values = np.full((len(levels), len(clearances)), np.nan)
     for k in np.flatnonzero(chosen):
         i, j = np.searchsorted(levels, data["level"][k]), np.searchsorted(clearances, data["clearance"][k])
-        values[i, j] = off[k]
-        if not np.isfinite(off[k]):
+        values[i, j] = deviations[k]
+        if not np.isfinite(deviations[k]):
             continue
         scatter = f" ±{error[k]:.0f}" if np.isfinite(error[k]) else ""
         axes.text(
-            j, i, f"{off[k]:+.0f}{scatter}", ha="center", va="center", fontsize=5.6,
-            color="white" if abs(off[k]) > 0.65 * _MOST else BLACK,
-            weight="bold" if abs(off[k]) <= 100.0 * NOT_FAR else "normal",
+            j, i, f"{deviations[k]:+.0f}{scatter}", ha="center", va="center", fontsize=5.6,
+            color="white" if abs(deviations[k]) > 0.65 * _COLOR_LIMIT else BLACK,
+            weight="bold" if abs(deviations[k]) <= 100.0 * MAX_DEVIATION else "normal",
         )  # fmt: skip
-    image = axes.imshow(values, origin="lower", aspect="auto", cmap="RdBu_r", vmin=-_MOST, vmax=_MOST)
+    image = axes.imshow(
+        values,
+        origin="lower",
+        aspect="auto",
+        cmap="RdBu_r",
+        vmin=-_COLOR_LIMIT,
+        vmax=_COLOR_LIMIT,
+    )
     axes.grid(False)
     axes.set_xticks(range(len(clearances)), [f"{1e3 * c:g}" if np.isfinite(c) else "∞" for c in clearances])
     axes.set_yticks(range(len(levels)), [f"{level:g}" for level in levels])

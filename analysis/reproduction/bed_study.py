@@ -57,11 +57,11 @@ SETTINGS_OF_MODES = {
 }
 LAYERS_OF_MODES = (4, 6)
 #: Ratio of the mass of the bed to the mass of the shaking body.
-SHAKEN = 1e-3
+SHAKEN_MASS_RATIO = 1e-3
 #: Damping ratio of the body whose compliance is reported.
 DAMPING = 0.005
 #: Ratio of the mass of the bed to the mass of this body.
-MASS_RATIO = 0.1
+DAMPED_MASS_RATIO = 0.1
 #: Periods in a block; the last two of three blocks are averaged. Grains that hit a ceiling rearrange for tens of
 #: periods, most of all in deep beds: at 7 g and 2 mm, the energy dissipated by six layers decreased from 10 to 7
 #: times the bed's weight times 1 mm between the first 18 and the first 60 periods.
@@ -102,15 +102,15 @@ class Setting(NamedTuple):
 def settings() -> list[Setting]:
     """List all settings, seed by seed, so that any first part of the list covers them evenly."""
     pairs = [(level, clearance) for level, clearances in SETTINGS.items() for clearance in clearances]
-    found = []
+    listed = []
     for seed in SEEDS:
         points = [(*pair, layers) for pair in pairs for layers in BEDS if layers != DEEPEST]
         order = np.random.default_rng(seed).permutation(len(points))
         shuffled = (points[k] for k in order)
-        found += [Setting(level, clearance, layers, seed) for level, clearance, layers in shuffled]
+        listed += [Setting(level, clearance, layers, seed) for level, clearance, layers in shuffled]
     deepest = [(*pair, DEEPEST, seed) for seed in SEEDS[:2] for pair in SETTINGS_OF_DEEPEST]
-    found += [Setting(*each) for each in deepest]
-    found += [
+    listed += [Setting(*point) for point in deepest]
+    listed += [
         Setting(level, clearance, layers, seed, frequency)
         for seed, layers, (frequency, clearances) in product(
             SEEDS, LAYERS_OF_MODES, SETTINGS_OF_MODES.items()
@@ -118,7 +118,7 @@ def settings() -> list[Setting]:
         for clearance, levels in clearances.items()
         for level in levels
     ]
-    return found
+    return listed
 
 
 def scene_of_bed(setting: Setting, **grains: float) -> Scene:
@@ -128,12 +128,12 @@ def scene_of_bed(setting: Setting, **grains: float) -> Scene:
     bed = Grains.model_validate(chosen | grains)
     bed = bed.replace(time_step=bed.time_step or STEP * rayleigh_time(bed, bed.density))
     mass = count * bed.density * math.pi / 6.0 * bed.diameter**3
-    body, shaken = mass / SHAKEN, (2.0 * math.pi * setting.frequency) ** 2
+    body, stiffness_per_mass = mass / SHAKEN_MASS_RATIO, (2.0 * math.pi * setting.frequency) ** 2
     return Scene.model_validate(
         {
             "name": "bed study",
             "seed": setting.seed,
-            "structure": {"masses": [body], "springs": [0.25 * body * shaken], "damping": {"modal": 0.05}},
+            "structure": {"masses": [body], "springs": [0.25 * body * stiffness_per_mass], "damping": {"modal": 0.05}},
             "dampers": [{"body": 1, "mass": mass, "clearance": setting.clearance, "grains": bed}],
             "shaker": {"kind": "force", "body": 1},
             "test": {
@@ -144,7 +144,7 @@ def scene_of_bed(setting: Setting, **grains: float) -> Scene:
     )  # fmt: skip
 
 
-def compared(setting: Setting) -> Row:
+def compare_beds(setting: Setting) -> Row:
     """Simulate the bed of a setting as grains and as one mass; return a row of the table."""
     scene = scene_of_bed(setting)
     (spheres,) = spheres_of(scene).values()
@@ -153,7 +153,7 @@ def compared(setting: Setting) -> Row:
     row += [str(setting.layers), str(setting.seed), f"{depth:.2f}"]
     block = BLOCK if math.isinf(setting.clearance) else BLOCK_WITH_CEILING
     row += summary_row(scene, steady_grains(scene, setting.frequency, block, 3, least=3))
-    row += _of_mass(setting.frequency, setting.level, setting.clearance)
+    row += _mass_summary(setting.frequency, setting.level, setting.clearance)
     return dict(zip(_HEADER, row, strict=True))
 
 
@@ -164,7 +164,7 @@ def follow(path: Path, points: int | None, say: Callable[[str], None], cluster: 
     settings, from the first; None: all; `say`: called with one line of text per setting; `cluster`: see
     `rig.workers.Workers`. Raises `RunError` if the file is not such a table, or cannot be written.
     """
-    complete(path, TABLE.study(compared, setting_of), settings()[:points], _words, say, cluster)
+    complete(path, TABLE.study(compare_beds, setting_of), settings()[:points], _describe_row, say, cluster)
 
 
 def table(path: Path | None = None) -> Arrays:
@@ -187,27 +187,30 @@ def table(path: Path | None = None) -> Arrays:
         "depth": np.array([np.mean([float(row["depth_diameters"]) for row in groups[key]]) for key in keys]),
     }
     for name in MEASURES:
-        seen = [np.array([float(row[f"grains_{name}"]) for row in groups[key]]) for key in keys]
+        of_seeds = [np.array([float(row[f"grains_{name}"]) for row in groups[key]]) for key in keys]
         mass = np.array([float(groups[key][0][f"mass_{name}"]) for key in keys])
         if name == "landing":
             # Phase relative to that of the mass, so that 359 and 1 degree are close.
-            seen = [
-                (one - middle + 180.0) % 360.0 - 180.0 + middle
-                for one, middle in zip(seen, mass, strict=True)
+            of_seeds = [
+                (values - mass_phase + 180.0) % 360.0 - 180.0 + mass_phase
+                for values, mass_phase in zip(of_seeds, mass, strict=True)
             ]
-        out[f"mass_{name}"], out[f"grains_{name}"] = mass, np.array([one.mean() for one in seen])
+        out[f"mass_{name}"], out[f"grains_{name}"] = mass, np.array([values.mean() for values in of_seeds])
         out[f"error_{name}"] = np.array(
-            [one.std(ddof=1) / math.sqrt(len(one)) if len(one) > 1 else math.inf for one in seen]
+            [
+                values.std(ddof=1) / math.sqrt(len(values)) if len(values) > 1 else math.inf
+                for values in of_seeds
+            ]
         )
-    for who in ("grains", "mass"):
-        out[f"{who}_type"] = np.array(
-            ["/".join(sorted({row[f"{who}_motion_type"] for row in groups[key]})) for key in keys]
+    for bed in ("grains", "mass"):
+        out[f"{bed}_type"] = np.array(
+            ["/".join(sorted({row[f"{bed}_motion_type"] for row in groups[key]})) for key in keys]
         )
     return out
 
 
 @cache
-def _of_mass(frequency: float, level: float, clearance: float) -> list[str]:
+def _mass_summary(frequency: float, level: float, clearance: float) -> list[str]:
     """Simulate the bed as one mass; the result does not depend on the depth."""
     scene = scene_of_bed(Setting(level, clearance, min(BEDS), 1, frequency))
     return summary_row(scene, steady_mass(scene, frequency))
@@ -227,9 +230,9 @@ def summary_row(scene: Scene, motion: SteadyBed) -> list[str]:
     assert test.force is not None
     weight = mass * scene.gravity
     amplitude = abs(motion.compliance[0]) * test.force
-    stored = math.pi * mass / MASS_RATIO * (2.0 * math.pi * test.frequency * amplitude) ** 2
+    vibration_energy = math.pi * mass / DAMPED_MASS_RATIO * (2.0 * math.pi * test.frequency * amplitude) ** 2
     values = (
-        1.0 / (2.0 * DAMPING + motion.energy[0] / stored),
+        1.0 / (2.0 * DAMPING + motion.energy[0] / vibration_energy),
         motion.floor_impulse[0] * test.frequency / weight,
         motion.ceiling_impulse[0] * test.frequency / weight,
         motion.energy[0] / (weight * 1e-3),
@@ -242,8 +245,8 @@ def summary_row(scene: Scene, motion: SteadyBed) -> list[str]:
 def compliance_at_peak(level: Array, energy: Array) -> Array:
     """Compute the compliance as in `summary_row` from dissipated energy and level in g; any shape."""
     speed = level * STANDARD_GRAVITY / (2.0 * math.pi * FREQUENCY)
-    stored = math.pi / MASS_RATIO * speed**2
-    return np.asarray(1.0 / (2.0 * DAMPING + energy * STANDARD_GRAVITY * 1e-3 / stored))
+    vibration_energy = math.pi / DAMPED_MASS_RATIO * speed**2
+    return np.asarray(1.0 / (2.0 * DAMPING + energy * STANDARD_GRAVITY * 1e-3 / vibration_energy))
 
 
 def setting_of(row: Row) -> Setting:
@@ -257,7 +260,7 @@ def point_of(setting: Setting) -> tuple[float, float, float, int]:
     return setting.frequency, setting.level, setting.clearance, setting.layers
 
 
-def _words(row: Row) -> str:
+def _describe_row(row: Row) -> str:
     level, clearance, layers, seed, frequency = setting_of(row)
     ratio = float(row["grains_compliance"]) / float(row["mass_compliance"])
     return (

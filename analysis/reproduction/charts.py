@@ -40,9 +40,9 @@ def holds_c2(parts: Parts) -> np.ndarray:
     """
     single, three = parts["scan-single"], parts["scan-three"]
     ratio = single["peak"] / three["peak"]
-    both = np.vectorize(lambda text: {"I", "II"} <= set(text.split()))(three["types"])
-    plain = np.vectorize(lambda text: set(text.split("/")) <= {"I", "II", "riding"})(three["type_there"])
-    return (ratio >= 2.5) & (ratio <= 4.0) & shows_third(single) & both & plain
+    has_both = np.vectorize(lambda text: {"I", "II"} <= set(text.split()))(three["types"])
+    only_both = np.vectorize(lambda text: set(text.split("/")) <= {"I", "II", "riding"})(three["type_there"])
+    return (ratio >= 2.5) & (ratio <= 4.0) & shows_third(single) & has_both & only_both
 
 
 def shows_third(scan: Columns) -> np.ndarray:
@@ -60,7 +60,9 @@ def design(parts: Parts) -> Figure:
         ):  # fmt: skip
             data = parts[name]
             # A tilde marks peaks of irregular motion, which are simulated and averaged; all others are exact orbits.
-            cells = zip(data["peak"].flat, short(data["type_there"]).flat, data["exact"].flat, strict=True)
+            cells = zip(
+                data["peak"].flat, abbreviate_types(data["type_there"]).flat, data["exact"].flat, strict=True
+            )
             labels = [f"{'' if exact else '~'}{1e6 * peak:.0f}\n{kind}" for peak, kind, exact in cells]
             texts, peak = np.array(labels).reshape(data["peak"].shape), data["peak"]
             image = _map(axes, data, 1e6 * peak, "magma_r", 40.0, 450.0, texts, peak > 2.4e-4, 7)
@@ -69,19 +71,19 @@ def design(parts: Parts) -> Figure:
     return figure
 
 
-def short(types: np.ndarray) -> np.ndarray:
+def abbreviate_types(types: np.ndarray) -> np.ndarray:
     """Abbreviate motion types for a cell; types except riding and I to III become "other"."""
 
-    def one(text: str) -> str:
+    def abbreviate(text: str) -> str:
         parts = text.split("/")
         known = [p for p in parts if p in ("I", "II", "III", "riding")]
         shown = known if len(known) == len(parts) else [*known, "other"]
         return "/".join("r" if p == "riding" else p for p in dict.fromkeys(shown))
 
-    return np.vectorize(one)(types)
+    return np.vectorize(abbreviate)(types)
 
 
-def trust(parts: Parts) -> Figure:
+def draw_trust(parts: Parts) -> Figure:
     """Draw the error of the approximate method: its peak compared with the full simulation."""
     error = trust_error(parts)
     with new_figure(3.8) as figure:
@@ -110,12 +112,12 @@ def optimum(parts: Parts) -> Figure:
                 1e3 * data["clearance"][order], 1e6 * data["worst"][order], "o-", color=shade, ms=3,
                 label=f"mass ratio {100 * data['mass_ratio']:.0f} %: best {1e3 * data['best']:.2f} mm",
             )  # fmt: skip
-        both = parts["optimum"]
-        ratios = both["mass_ratios"]
+        best = parts["optimum"]
+        ratios = best["mass_ratios"]
         axes.plot(
-            1e3 * both["best"], 1e6 * both["peak"], "*", color=BLACK, ms=11,
-            label=f"{'heaviest' if both['mass_ratio'] >= ratios.max() else 'best'} of {100 * ratios.min():.0f} to "
-            f"{100 * ratios.max():.0f} %: {100 * both['mass_ratio']:.0f} %, {1e3 * both['best']:.2f} mm",
+            1e3 * best["best"], 1e6 * best["peak"], "*", color=BLACK, ms=11,
+            label=f"{'heaviest' if best['mass_ratio'] >= ratios.max() else 'best'} of {100 * ratios.min():.0f} to "
+            f"{100 * ratios.max():.0f} %: {100 * best['mass_ratio']:.0f} %, {1e3 * best['best']:.2f} mm",
         )  # fmt: skip
         axes.axvline(0.98, color=GREY, ls=":", lw=0.9, label="paper: 0.98 mm")
         ticks = [0.3, 0.5, 0.7, 1.0, 1.4, 2.0, 3.0]

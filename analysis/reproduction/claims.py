@@ -13,11 +13,11 @@ from analysis.reproduction.parts import FIGURE_5, NOISES
 from rig.scene.scene import STANDARD_GRAVITY
 
 PAPER_OMEGA = np.array([81.9, 218.8, 312.4])
-FORCE_C3 = 2.6
+FORCE_C3_N = 2.6
 # Smallest relative difference at which curves count as different.
-PARTED = 0.1
+MIN_DIFFERENCE = 0.1
 # Smallest ratio of the difference at antiresonances to that at peaks.
-MORE = 5.0
+MIN_DIFFERENCE_RATIO = 5.0
 PAPER_SHAPES = np.array([[0.415, 0.783, 1], [1, 0.498, -0.91], [-0.848, 1, -0.465]]).T
 
 
@@ -29,16 +29,16 @@ def claims(parts: Parts) -> list[Claim]:
 
 def _c1(parts: Parts) -> Claim:
     theory, measured = parts["structure"], parts["rec-bare"]
-    off = np.abs(theory["omega"] / PAPER_OMEGA - 1).max()
-    read = np.abs(measured["omega"] / theory["omega"] - 1).max()
-    shape = np.abs(theory["shapes"] - PAPER_SHAPES).max()
-    shape_read = np.abs(measured["shapes"] - theory["shapes"]).max()
+    omega_error = np.abs(theory["omega"] / PAPER_OMEGA - 1).max()
+    identified_error = np.abs(measured["omega"] / theory["omega"] - 1).max()
+    shape_error = np.abs(theory["shapes"] - PAPER_SHAPES).max()
+    identified_shape_error = np.abs(measured["shapes"] - theory["shapes"]).max()
     peaks = []
     for low, high in ((10, 16), (30, 40), (46, 55)):
         inside = (measured["frequency"] > low) & (measured["frequency"] < high)
-        top = np.abs(measured["transfer"]).sum(axis=0)[inside].argmax()
-        peaks.append(2 * np.pi * measured["frequency"][inside][top])
-    holds = off < 2e-3 and read < 1e-3 and shape < 0.02
+        highest = np.abs(measured["transfer"]).sum(axis=0)[inside].argmax()
+        peaks.append(2 * np.pi * measured["frequency"][inside][highest])
+    holds = omega_error < 2e-3 and identified_error < 1e-3 and shape_error < 0.02
     return Claim(
         "C1",
         "Natural frequencies 81.9, 218.8, 312.4 rad/s and their shapes; responses of the three masses without "
@@ -46,13 +46,13 @@ def _c1(parts: Parts) -> Claim:
         (
             Evidence(
                 f"The chain of the paper's masses and springs has {_list(theory['omega'], 3)} rad/s, within "
-                f"{100 * off:.2f} % of the paper's; shapes differ by at most {shape:.3f}.",
+                f"{100 * omega_error:.2f} % of the paper's; shapes differ by at most {shape_error:.3f}.",
                 ("structure",),
             ),
             Evidence(
-                f"Modes identified in the recording: {_list(measured['omega'], 3)} rad/s, within {100 * read:.3f} % of "
-                f"the chain's; shapes within {shape_read:.3f}; damping {_list(100 * measured['damping'], 2)} % (ours: "
-                "0.5 %, as the paper gives none).",
+                f"Modes identified in the recording: {_list(measured['omega'], 3)} rad/s, within "
+                f"{100 * identified_error:.3f} % of the chain's; shapes within {identified_shape_error:.3f}; damping "
+                f"{_list(100 * measured['damping'], 2)} % (ours: 0.5 %, as the paper gives none).",
                 ("rec-bare", "structure"),
             ),
             Evidence(
@@ -70,12 +70,16 @@ def _c2(parts: Parts) -> Claim:
     cells = holds_c2(parts)
     single, three = parts["scan-single"], parts["scan-three"]
     ratio = single["peak"] / three["peak"]
-    within = (ratio >= 2.5) & (ratio <= 4)
+    in_range = (ratio >= 2.5) & (ratio <= 4)
     force, clearance = single["force"], single["clearance"]
-    true = [f"{force[i]:g} N with {1e3 * clearance[j]:g} mm" for i, j in np.argwhere(cells)]
-    middle = [np.median(clearance[row]) for row in cells if row.any()]
-    rises = ": the clearance grows with the force" if len(middle) > 1 and (np.diff(middle) > 0).all() else ""
-    own = [
+    settings = [f"{force[i]:g} N with {1e3 * clearance[j]:g} mm" for i, j in np.argwhere(cells)]
+    median_clearance = [np.median(clearance[row]) for row in cells if row.any()]
+    trend = (
+        ": the clearance grows with the force"
+        if len(median_clearance) > 1 and (np.diff(median_clearance) > 0).all()
+        else ""
+    )
+    figure_cell = [
         int(np.abs(grid - value).argmin()) for grid, value in zip((force, clearance), FIGURE_5, strict=True)
     ]
     verdict = (
@@ -91,14 +95,14 @@ def _c2(parts: Parts) -> Claim:
             Evidence(
                 f"Force and clearance are not in the text. Scanned: {force.min():g} to {force.max():g} N with "
                 f"{1e3 * clearance.min():g} to {1e3 * clearance.max():g} mm, mass ratio 10 %. The ratio of the peaks "
-                f"runs from {ratio.min():.2f} to {ratio.max():.2f}; it lies in 2.5 to 4 in {int(within.sum())} of "
-                f"{within.size} cells and above 4, better than claimed, in {int((ratio > 4).sum())}.",
+                f"runs from {ratio.min():.2f} to {ratio.max():.2f}; it lies in 2.5 to 4 in {int(in_range.sum())} of "
+                f"{in_range.size} cells and above 4, better than claimed, in {int((ratio > 4).sum())}.",
                 ("scan-single", "scan-three"),
             ),
             Evidence(
                 "All of the claim, with Types I and II alone at the peak that three dampers leave, holds for "
-                f"{', '.join(true) or 'no cell'}{rises}. Figs 5 and 6 are drawn "
-                f"{'there' if own in np.argwhere(cells).tolist() else 'elsewhere'}, at {FIGURE_5[0]:g} N with "
+                f"{', '.join(settings) or 'no cell'}{trend}. Figs 5 and 6 are drawn "
+                f"{'there' if figure_cell in np.argwhere(cells).tolist() else 'elsewhere'}, at {FIGURE_5[0]:g} N with "
                 f"{1e3 * FIGURE_5[1]:g} mm.",
                 ("scan-single", "scan-three"),
             ),
@@ -146,35 +150,39 @@ def resonance_peaks(data: Columns, body: int = 2) -> np.ndarray:
 def _c3(parts: Parts) -> Claim:
     names = ("rec-bare", "rec-one", "rec-two", "rec-three")
     peaks = np.array([resonance_peaks(parts[name]) for name in names])
-    share = peaks / peaks[0]
-    single = share[1, 1] < 0.7 and share[1, 2] < 0.7
-    in_g = peaks[0] * FORCE_C3 * parts["structure"]["omega"] ** 2 / STANDARD_GRAVITY
+    ratios_to_bare = peaks / peaks[0]
+    damps_both = ratios_to_bare[1, 1] < 0.7 and ratios_to_bare[1, 2] < 0.7
+    peak_acceleration = peaks[0] * FORCE_C3_N * parts["structure"]["omega"] ** 2 / STANDARD_GRAVITY
     adds = bool((np.diff(peaks, axis=0) < 0).all())
     rows = [
         f"{label}: {', '.join(f'{100 * s:.0f} %' for s in row)}"
-        for label, row in zip(("one damper", "two", "three"), share[1:], strict=True)
+        for label, row in zip(("one damper", "two", "three"), ratios_to_bare[1:], strict=True)
     ]
     scanned = parts["least-affected"]
-    first = scanned["share"][..., 0] > scanned["share"][..., 1:].max(axis=-1)
-    at_level = first[:, :, int(np.abs(scanned["force"] - FORCE_C3).argmin())]
-    whole = np.logical_and.accumulate(first.all(axis=(0, 1)))
-    largest = f"up to {scanned['force'][whole].max():g} N" if whole.any() else "at none of the forces tried"
+    first_is_least = scanned["share"][..., 0] > scanned["share"][..., 1:].max(axis=-1)
+    at_level = first_is_least[:, :, int(np.abs(scanned["force"] - FORCE_C3_N).argmin())]
+    up_to_force = np.logical_and.accumulate(first_is_least.all(axis=(0, 1)))
+    largest = (
+        f"up to {scanned['force'][up_to_force].max():g} N"
+        if up_to_force.any()
+        else "at none of the forces tried"
+    )
     by_force = ", ".join(
         f"{force:g} N {int(cells.sum())} of {cells.size}"
-        for force, cells in zip(scanned["force"], np.moveaxis(first, 2, 0), strict=True)
+        for force, cells in zip(scanned["force"], np.moveaxis(first_is_least, 2, 0), strict=True)
     )
     dampings, ratios = (
         ", ".join(f"{100 * value:g}" for value in scanned[name]) for name in ("damping", "mass_ratio")
     )
-    parts_that_fail = [
+    failures = [
         text
         for ok, text in (
-            (single, "the single damper does not damp both modes"),
+            (damps_both, "the single damper does not damp both modes"),
             (adds, "a further damper does not lower every peak"),
             (
                 bool(at_level.all()),
                 f"the first mode is the least affected whatever the damping {largest}, at "
-                f"{FORCE_C3:g} N in {int(at_level.sum())} of {at_level.size} settings",
+                f"{FORCE_C3_N:g} N in {int(at_level.sum())} of {at_level.size} settings",
             ),
         )
         if not ok
@@ -190,28 +198,31 @@ def _c3(parts: Parts) -> Claim:
             ),
             Evidence(
                 "The paper's reason is low acceleration in mode 1. With our damping of 0.5 % the undamped peaks reach "
-                f"{', '.join(f'{a:.1f}' for a in in_g)} g at body 3, which is not low in mode 1.",
+                f"{', '.join(f'{a:.1f}' for a in peak_acceleration)} g at body 3, which is not low in mode 1.",
                 ("rec-bare", "structure"),
             ),
             Evidence(
-                f"With three dampers the first mode is the least affected in {int(first.sum())} of {first.size} "
-                f"combinations of damping ratio ({dampings} %), mass ratio ({ratios} %) and force: {by_force}.",
+                f"With three dampers the first mode is the least affected in {int(first_is_least.sum())} of "
+                f"{first_is_least.size} combinations of damping ratio ({dampings} %), mass ratio ({ratios} %) and "
+                f"force: {by_force}.",
                 ("least-affected",),
             ),
         ),
-        "holds" if not parts_that_fail else "holds in part: " + "; ".join(parts_that_fail),
+        "holds" if not failures else "holds in part: " + "; ".join(failures),
         ("fig8",),
     )
 
 
 def _c5(parts: Parts) -> Claim:
     true = parts["sim-noise"]
-    rows, parting = [], []
+    rows, differing_noises = [], []
     for noise in NOISES:
-        weak, strong = differences(true, parts[f"rec-noise-{noise}"])
-        rows.append(f"{noise} ug/√Hz: {100 * strong:.2g} % at peaks, {100 * weak:.2g} % at antiresonances")
-        if weak > PARTED and weak > MORE * strong:
-            parting.append(noise)
+        at_antiresonances, at_peaks = differences(true, parts[f"rec-noise-{noise}"])
+        rows.append(
+            f"{noise} ug/√Hz: {100 * at_peaks:.2g} % at peaks, {100 * at_antiresonances:.2g} % at antiresonances"
+        )
+        if at_antiresonances > MIN_DIFFERENCE and at_antiresonances > MIN_DIFFERENCE_RATIO * at_peaks:
+            differing_noises.append(noise)
     names = ("sim-noise", *(f"rec-noise-{noise}" for noise in NOISES))
     return Claim(
         "C5",
@@ -228,8 +239,8 @@ def _c5(parts: Parts) -> Claim:
                 names,
             ),
         ),
-        f"holds for accelerometers of {min(parting)} ug/√Hz and more, of those tried; the paper names none"
-        if parting
+        f"holds for accelerometers of {min(differing_noises)} ug/√Hz and more, of those tried; the paper names none"
+        if differing_noises
         else f"does not hold with accelerometers of up to {max(NOISES)} ug/√Hz",
         ("fig10a",),
     )
@@ -240,19 +251,19 @@ def differences(true: Columns, measured: Columns) -> tuple[float, float]:
 
     Near means the fifth of the frequencies with the smallest, or the largest, compliance of bodies 1 and 2.
     """
-    weak, strong = [], []
+    at_antiresonances, at_peaks = [], []
     for body in range(2):
-        size = np.abs(true["compliance"][body])
-        away = np.abs(np.abs(measured["compliance"][body]) / size - 1.0)
-        order, fifth = np.argsort(size), max(size.size // 5, 1)
-        weak.append(away[order[:fifth]])
-        strong.append(away[order[-fifth:]])
-    return float(np.median(weak)), float(np.median(strong))
+        exact = np.abs(true["compliance"][body])
+        deviation = np.abs(np.abs(measured["compliance"][body]) / exact - 1.0)
+        order, fifth = np.argsort(exact), max(exact.size // 5, 1)
+        at_antiresonances.append(deviation[order[:fifth]])
+        at_peaks.append(deviation[order[-fifth:]])
+    return float(np.median(at_antiresonances)), float(np.median(at_peaks))
 
 
 def _c6(parts: Parts) -> Claim:
     bare, three = parts["rec-hit-none"], parts["rec-hit-three"]
-    faster = float(bare["halving"] / three["halving"])
+    speed_ratio = float(bare["halving"] / three["halving"])
     return Claim(
         "C6",
         "Impulse response: with three dampers the free oscillation dies out faster.",
@@ -260,12 +271,12 @@ def _c6(parts: Parts) -> Claim:
             Evidence(
                 "After a hit on body 1 the energy of body 3's acceleration falls by 6 dB in "
                 f"{1e3 * float(bare['halving']):.0f} ms without dampers and in {1e3 * float(three['halving']):.0f} ms "
-                f"with three: {faster:.1f} times faster. It stays below 1 g from {float(bare['quiet_from']):.2f} s and "
-                f"from {float(three['quiet_from']):.2f} s.",
+                f"with three: {speed_ratio:.1f} times faster. It stays below 1 g from {float(bare['quiet_from']):.2f} "
+                f"s and from {float(three['quiet_from']):.2f} s.",
                 ("rec-hit-none", "rec-hit-three"),
             ),
         ),
-        "holds" if faster > 1.2 else "does not hold",
+        "holds" if speed_ratio > 1.2 else "does not hold",
         ("fig10b",),
     )
 

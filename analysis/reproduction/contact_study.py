@@ -40,10 +40,11 @@ DURATIONS = (1e-3, 2e-3, 3e-3, 4e-3, 5e-3, 7e-3)
 #: Shares of the bed that move.
 SHARES = tuple(np.round(np.arange(0.5, 1.001, 0.05), 2).tolist())
 #: Periods for the decay of the transient, before averaging.
-_SETTLING = 40
-_WATCHED = 40
+_SETTLING_PERIODS = 40
+#: Periods over which results are averaged, after the transient.
+_AVERAGED_PERIODS = 40
 #: Samples in a period.
-_MARKS = 128
+_SAMPLES_PER_PERIOD = 128
 TABLE = Table(
     ("level", "clearance_m", "restitution", "duration_s", "energy", "ceiling_impulse"),
     "one mass on finite-duration contacts",
@@ -81,10 +82,10 @@ def contacts() -> list[Contact]:
 
 def follow(path: Path, say: Callable[[str], None], cluster: str | None = None) -> None:
     """Simulate one mass on every contact at every setting; see `stored_table.complete`."""
-    complete(path, TABLE.study(followed, _contact_of), contacts(), _words, say, cluster)
+    complete(path, TABLE.study(simulate_contact, _contact_of), contacts(), _describe_row, say, cluster)
 
 
-def followed(contact: Contact) -> Row:
+def simulate_contact(contact: Contact) -> Row:
     """Simulate one mass on a contact; return a row of the table.
 
     Energy dissipated in a period is relative to the bed's weight times 1 mm, the ceiling impulse to the bed's weight
@@ -94,12 +95,12 @@ def followed(contact: Contact) -> Row:
     mass = scene.dampers[0].mass
     assert mass is not None
     weight = mass * scene.gravity
-    settled, whole = (
-        simulate(scene, periods / FREQUENCY, _MARKS * FREQUENCY, frequency=FREQUENCY)
-        for periods in (_SETTLING, _SETTLING + _WATCHED)
+    settling_run, complete_run = (
+        simulate(scene, periods / FREQUENCY, _SAMPLES_PER_PERIOD * FREQUENCY, frequency=FREQUENCY)
+        for periods in (_SETTLING_PERIODS, _SETTLING_PERIODS + _AVERAGED_PERIODS)
     )
-    energy = (whole.energy.contacts - settled.energy.contacts) / _WATCHED
-    values = (energy / (weight * 1e-3), _ceiling_force(scene, whole) / weight)
+    energy = (complete_run.energy.contacts - settling_run.energy.contacts) / _AVERAGED_PERIODS
+    values = (energy / (weight * 1e-3), _ceiling_force(scene, complete_run) / weight)
     cells = [*(repr(float(value)) for value in contact), *(f"{value:.5g}" for value in values)]
     return dict(zip(TABLE.header, cells, strict=True))
 
@@ -108,7 +109,7 @@ def scene_on_contact(contact: Contact) -> Scene:
     """Build the scene of a point."""
     scene = as_one_mass(scene_of_bed(Setting(contact.level, contact.clearance, min(BEDS), 1)))
     wall = {"duration": contact.duration}
-    dampers = [one.replace(contact=wall, restitution=contact.restitution) for one in scene.dampers]
+    dampers = [damper.replace(contact=wall, restitution=contact.restitution) for damper in scene.dampers]
     return scene.replace(dampers=dampers)
 
 
@@ -120,13 +121,17 @@ def _ceiling_force(scene: Scene, run: Run) -> float:
     system = assemble(scene)
     stiffness, damping = system.wall_stiffness[0, 1], system.wall_damping[0, 1]
     push = stiffness * (run.gap[0] - clearance) + damping * np.gradient(run.gap[0], run.time)
-    return float(np.where(run.contact[0] == 2, np.maximum(push, 0.0), 0.0)[-_WATCHED * _MARKS :].mean())
+    return float(
+        np.where(run.contact[0] == 2, np.maximum(push, 0.0), 0.0)[
+            -_AVERAGED_PERIODS * _SAMPLES_PER_PERIOD :
+        ].mean()
+    )
 
 
 def table(path: Path | None = None) -> Arrays:
     """Read a table of contacts: an array for each column, shape (points,)."""
-    read = TABLE.read(path)
-    return {name: np.array([float(row[name]) for row in read]) for name in TABLE.header}
+    rows = TABLE.read(path)
+    return {name: np.array([float(row[name]) for row in rows]) for name in TABLE.header}
 
 
 def fit_contact(beds: Mapping[str, np.ndarray], contacts: Mapping[str, np.ndarray]) -> FittedContact:
@@ -135,46 +140,49 @@ def fit_contact(beds: Mapping[str, np.ndarray], contacts: Mapping[str, np.ndarra
     `beds`: as returned by `analysis.reproduction.bed_study.table`, or a selection of its settings; `contacts`: as
     returned by `table`.
     """
-    tried = [
+    candidates = [
         FittedContact(restitution, duration, share)
         for restitution in np.unique(contacts["restitution"]).tolist()
         for duration in np.unique(contacts["duration_s"]).tolist()
         for share in SHARES
     ]
-    misses = [float(np.abs(np.log1p(deviation_on_contact(one, beds, contacts))).mean()) for one in tried]
-    return tried[int(np.argmin(misses))]
+    errors = [
+        float(np.abs(np.log1p(deviation_on_contact(contact, beds, contacts))).mean())
+        for contact in candidates
+    ]
+    return candidates[int(np.argmin(errors))]
 
 
 def deviation_on_contact(
-    one: FittedContact, beds: Mapping[str, np.ndarray], contacts: Mapping[str, np.ndarray]
+    contact: FittedContact, beds: Mapping[str, np.ndarray], contacts: Mapping[str, np.ndarray]
 ) -> Array:
     """Compute the deviation of the compliance with grains from one mass on a contact, shape (settings,)."""
-    return np.asarray(beds["grains_compliance"] / compliance_on_contact(one, beds, contacts) - 1.0)
+    return np.asarray(beds["grains_compliance"] / compliance_on_contact(contact, beds, contacts) - 1.0)
 
 
 def compliance_on_contact(
-    one: FittedContact, beds: Mapping[str, np.ndarray], contacts: Mapping[str, np.ndarray]
+    contact: FittedContact, beds: Mapping[str, np.ndarray], contacts: Mapping[str, np.ndarray]
 ) -> Array:
     """Compute the peak compliance of the body with one mass on a contact, shape (settings,)."""
-    energy = one.share * _of_setting("energy", one, beds, contacts)
+    energy = contact.share * _column_at_settings("energy", contact, beds, contacts)
     return compliance_at_peak(beds["level"], energy)
 
 
 def ceiling_impulse_on_contact(
-    one: FittedContact, beds: Mapping[str, np.ndarray], contacts: Mapping[str, np.ndarray]
+    contact: FittedContact, beds: Mapping[str, np.ndarray], contacts: Mapping[str, np.ndarray]
 ) -> Array:
     """Compute the ceiling impulse per period, relative to the bed's weight times a period, shape (settings,)."""
-    return one.share * _of_setting("ceiling_impulse", one, beds, contacts)
+    return contact.share * _column_at_settings("ceiling_impulse", contact, beds, contacts)
 
 
 def cross_validated_deviation(beds: Mapping[str, np.ndarray], contacts: Mapping[str, np.ndarray]) -> Array:
     """Compute `deviation_on_contact` with the contact fitted to the other accelerations, shape (settings,)."""
-    found = np.empty(len(beds["level"]))
+    deviations = np.empty(len(beds["level"]))
     for level in np.unique(beds["level"]):
-        own = beds["level"] == level
-        fitted = fit_contact(select(beds, ~own), contacts)
-        found[own] = deviation_on_contact(fitted, select(beds, own), contacts)
-    return found
+        at_level = beds["level"] == level
+        fitted = fit_contact(select(beds, ~at_level), contacts)
+        deviations[at_level] = deviation_on_contact(fitted, select(beds, at_level), contacts)
+    return deviations
 
 
 def at_shaking_frequency(beds: Mapping[str, np.ndarray]) -> Arrays:
@@ -192,25 +200,27 @@ def select(beds: Mapping[str, np.ndarray], chosen: NDArray[np.bool_]) -> Arrays:
     return {name: values[chosen] for name, values in beds.items()}
 
 
-def _of_setting(
-    name: str, one: FittedContact, beds: Mapping[str, np.ndarray], contacts: Mapping[str, np.ndarray]
+def _column_at_settings(
+    name: str, contact: FittedContact, beds: Mapping[str, np.ndarray], contacts: Mapping[str, np.ndarray]
 ) -> Array:
-    same = (contacts["restitution"] == one.restitution) & (contacts["duration_s"] == one.duration)
-    found = {
+    of_contact = (contacts["restitution"] == contact.restitution) & (
+        contacts["duration_s"] == contact.duration
+    )
+    by_setting = {
         (level, clearance): value
         for level, clearance, value in zip(
-            *(contacts[key][same].tolist() for key in ("level", "clearance_m", name)), strict=True
+            *(contacts[key][of_contact].tolist() for key in ("level", "clearance_m", name)), strict=True
         )
     }
     settings = zip(beds["level"].tolist(), beds["clearance"].tolist(), strict=True)
-    return np.array([found[setting] for setting in settings])
+    return np.array([by_setting[setting] for setting in settings])
 
 
 def _contact_of(row: Row) -> Contact:
     return Contact(*(float(row[name]) for name in TABLE.header[:4]))
 
 
-def _words(row: Row) -> str:
+def _describe_row(row: Row) -> str:
     level, clearance, restitution, duration = _contact_of(row)
     return (
         f"{level:g} g, clearance {1e3 * clearance:g} mm, restitution {restitution:g}, {1e3 * duration:g} ms: "

@@ -22,7 +22,7 @@ from rig.scene.scene import Scene
 BODIES = ("body1", "body2", "body3")
 
 
-def recorded(scene: Scene, path: Path) -> Recording:
+def open_or_record(scene: Scene, path: Path) -> Recording:
     """Open the recording of a scene; make it unless a complete recording of the same scene exists."""
     try:
         recording = daq.open(path)
@@ -47,7 +47,7 @@ def sweep(scene: Scene, path: Path) -> Arrays:
 
     Returns frequency (points,) Hz, compliance, error and coherence (bodies, points).
     """
-    with recorded(scene, path) as recording:
+    with open_or_record(scene, path) as recording:
         curves = frequency_responses(recording, BODIES)[0]
         return {
             "frequency": curves[0].frequency,
@@ -63,7 +63,7 @@ def bare_sweep(scene: Scene, path: Path) -> Arrays:
     Returns as `sweep`, with transfer (bodies, points), omega and omega_error (modes,) in rad/s, damping (modes,),
     and mode shapes (bodies, modes) with largest element 1.
     """
-    with recorded(scene, path) as recording:
+    with open_or_record(scene, path) as recording:
         arrays = sweep(scene, path)
         curves = frequency_responses(recording, BODIES, reference="table")[0]
         arrays["transfer"] = np.array([curve.value for curve in curves])
@@ -95,7 +95,7 @@ def impact_phases(scene: Scene, path: Path, body: int) -> Arrays:
     cannot be measured.
     """
     frequencies, phis, taus, floors, ceilings = [], [], [], [], []
-    with recorded(scene, path) as recording:
+    with open_or_record(scene, path) as recording:
         channels = list(reference_of(recording, "force").channels)
         for marker in recording.markers:
             if marker.kind != "measure" or "frequency" not in marker.fields or marker.last_sample is None:
@@ -104,7 +104,7 @@ def impact_phases(scene: Scene, path: Path, body: int) -> Arrays:
             first, stop = marker.first_sample, marker.last_sample + 1
             periods = (stop - first) / recording.rate * frequency
             phase = _force_phase(recording, channels, frequency, first, stop)
-            floor, ceiling = _folded(recording, f"body{body}", frequency, first, stop)
+            floor, ceiling = _impact_phases(recording, f"body{body}", frequency, first, stop)
             phi = _mean_phase(floor, periods)
             frequencies.append(frequency)
             floors.append(len(floor) / periods)
@@ -121,17 +121,17 @@ def impact_phases(scene: Scene, path: Path, body: int) -> Arrays:
     }
 
 
-def _folded(
+def _impact_phases(
     recording: Recording, channel: str, frequency: float, first: int, stop: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Compute the phases [rad] of floor and ceiling impacts in a section of the recording."""
     try:
-        found = impacts(recording, channel, first, stop)
+        detected = impacts(recording, channel, first, stop)
     except RecordingError:
         return np.zeros(0), np.zeros(0)
-    inside = (found.time >= first / recording.rate) & (found.time < stop / recording.rate)
-    phases = (2 * np.pi * frequency * found.time) % (2 * np.pi)
-    return phases[inside & (found.kind == "floor")], phases[inside & (found.kind == "ceiling")]
+    inside = (detected.time >= first / recording.rate) & (detected.time < stop / recording.rate)
+    phases = (2 * np.pi * frequency * detected.time) % (2 * np.pi)
+    return phases[inside & (detected.kind == "floor")], phases[inside & (detected.kind == "ceiling")]
 
 
 def _mean_phase(phases: NDArray[np.float64], periods: float) -> float:
@@ -144,8 +144,8 @@ def _mean_phase(phases: NDArray[np.float64], periods: float) -> float:
 
 def _force_phase(recording: Recording, channels: list[str], frequency: float, first: int, stop: int) -> float:
     """Estimate the phase of the spring force, with sample 0 as the time origin."""
-    turned = np.exp(-2j * np.pi * frequency * np.arange(first, stop) / recording.rate)
-    amplitudes = np.array([(recording.read(name, first, stop) * turned).mean() for name in channels])
+    phase_factor = np.exp(-2j * np.pi * frequency * np.arange(first, stop) / recording.rate)
+    amplitudes = np.array([(recording.read(name, first, stop) * phase_factor).mean() for name in channels])
     row = reference_of(recording, "force").row(recording, channels, np.array([frequency]))[:, 0]
     return float(np.angle(amplitudes @ row))
 
@@ -156,12 +156,12 @@ def ring_down(scene: Scene, path: Path) -> Arrays:
     Returns time, acceleration, envelope (samples,); halving, quiet_from (): time for a 6 dB decay of energy [s], and
     time after which the acceleration remains below 1 g [s].
     """
-    with recorded(scene, path) as recording:
-        found = decay(recording, "body3")
+    with open_or_record(scene, path) as recording:
+        measured = decay(recording, "body3")
         return {
-            "time": found.time,
-            "acceleration": found.acceleration,
-            "envelope": found.envelope,
-            "halving": np.array(found.halving),
-            "quiet_from": np.array(found.quiet_from),
+            "time": measured.time,
+            "acceleration": measured.acceleration,
+            "envelope": measured.envelope,
+            "halving": np.array(measured.halving),
+            "quiet_from": np.array(measured.quiet_from),
         }

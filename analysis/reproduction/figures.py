@@ -21,7 +21,7 @@ Parts = Mapping[str, Columns]
 
 BLUE, RED, GREEN, PINK, SKY, ORANGE, GREY, BLACK = COLORS
 # Natural frequency of the first mode, Hz; it determines the window of the envelope.
-LOWEST = 12.4
+LOWEST_MODE_HZ = 12.4
 _UNDER_WAVES = "time / ms     (solid: body and floor; dashed: damper; shaded: cavity)"
 COMPLIANCE = "compliance |X/F₁| / (µm/N)"
 
@@ -99,7 +99,7 @@ def figure_3(parts: Parts) -> Figure:
     """Draw Fig 3: the types of motion of one body with a damper."""
     with new_figure(6.6) as figure:
         for axes, kind in zip(figure.subplots(3, 1, sharex=True), ("I", "II", "III"), strict=True):
-            _wave(axes, parts[f"type-{kind}"])
+            _draw_waveforms(axes, parts[f"type-{kind}"])
             axes.set_title(f"Type {kind}: clearance {1e3 * parts[f'type-{kind}']['clearance'][0]:g} mm")
         axes.set_xlabel(_UNDER_WAVES)
     return figure
@@ -110,14 +110,14 @@ def figure_6(parts: Parts) -> Figure:
     with new_figure(6.6) as figure:
         for axes, letter in zip(figure.subplots(3, 1), "abc", strict=True):
             wave = parts[f"wave-{letter}"]
-            _wave(axes, wave)
+            _draw_waveforms(axes, wave)
             axes.legend(loc="upper right", ncols=3)
             axes.set_title(f"({letter}) {float(wave['frequency']):.2f} Hz: Type {wave['type']}")
         axes.set_xlabel(_UNDER_WAVES)
     return figure
 
 
-def _wave(axes: Axes, wave: Columns) -> None:
+def _draw_waveforms(axes: Axes, wave: Columns) -> None:
     """Draw the displacements of bodies and damper masses over time."""
     t = 1e3 * wave["time"]
     for k, body in enumerate(wave["at"]):
@@ -160,9 +160,9 @@ def figure_9(parts: Parts) -> Figure:
         for name, mark, label in (("bare", "--", "no damper"), ("riding", ":", "mⱼ + mdⱼ")):
             upper.plot(approximate["line"], abs(approximate[name]), mark, color=GREY, lw=0.8, label=label)
         size = abs(approximate["compliance"])
-        _runs(upper, approximate, size, ORANGE, "approximate method", approximate["valid"])
+        _draw_branches(upper, approximate, size, ORANGE, "approximate method", approximate["valid"])
         size = abs(exact["compliance"][:, 1])
-        _runs(upper, exact, size, BLUE, "exact orbits", np.isfinite(exact["frequency"]))
+        _draw_branches(upper, exact, size, BLUE, "exact orbits", np.isfinite(exact["frequency"]))
         plot_body(upper, measured, 1, "o", color=BLACK, ms=2.4, label="recording")
         hollow = {"mfc": "none", "color": RED, "ms": 4.5, "mew": 0.7}
         plot_body(upper, parts["rec-fig9-down"], 1, "o", label="recording, swept down", **hollow)
@@ -175,7 +175,7 @@ def figure_9(parts: Parts) -> Figure:
             (approximate, ORANGE, approximate["valid"]), (exact, BLUE, np.isin(exact["type"], ["I", "II", "III"]))
         ):  # fmt: skip
             for phase in (data["phi"], data["tau"][:, 0], data["tau"][:, 1]):
-                _runs(lower, data, phase, shade, "", keep)
+                _draw_branches(lower, data, phase, shade, "", keep)
         lower.plot(measured["impact_frequency"], measured["impact_phi"], "o", color=BLACK, ms=2.4)
         lower.plot(measured["impact_frequency"], measured["impact_tau_1"], "s", color=BLACK, ms=2.4)
         for text, place in (("φ, force phase lag at floor impact", (46.1, 5.4)), ("τ₁, ceiling impact", (49.6, 4.35)),
@@ -226,8 +226,10 @@ def figure_10b(parts: Parts) -> Figure:
         for name, shade, label in (("none", GREY, "no damper"), ("three", BLUE, "three dampers")):
             data = parts[f"rec-hit-{name}"]
             axes.plot(data["time"], data["acceleration"], color=shade, lw=0.5)
-            top = outline(data["acceleration"], 1.0 / (LOWEST * (data["time"][1] - data["time"][0])))
-            for side, entry in ((top, label), (-top, "")):
+            envelope = outline(
+                data["acceleration"], 1.0 / (LOWEST_MODE_HZ * (data["time"][1] - data["time"][0]))
+            )
+            for side, entry in ((envelope, label), (-envelope, "")):
                 axes.plot(data["time"], side, color=shade, lw=1.4, label=entry)
         rest: dict[str, Any] = {"color": ORANGE, "alpha": 0.2, "lw": 0, "label": "within 1 g: dampers rest"}
         axes.axhspan(-STANDARD_GRAVITY, STANDARD_GRAVITY, **rest)
@@ -237,15 +239,17 @@ def figure_10b(parts: Parts) -> Figure:
     return figure
 
 
-def _runs(axes: Axes, data: Columns, values: np.ndarray, shade: str, label: str, keep: Any) -> None:
+def _draw_branches(
+    axes: Axes, data: Columns, values: np.ndarray, shade: str, label: str, selected: Any
+) -> None:
     """Draw each branch, stable sections bold and unstable sections thin; wrapped phases are not joined."""
     for number in np.unique(data["branch"]):
-        own = data["branch"] == number
+        on_branch = data["branch"] == number
         for stable in (True, False):
-            chosen = own & keep & (data["stable"] == stable)
+            chosen = on_branch & selected & (data["stable"] == stable)
             # A section includes the following point, so that bold and thin lines connect.
-            y = np.where(chosen | (np.roll(chosen, 1) & own & keep), values, np.nan)[own]
-            x = data["frequency"][own]
+            y = np.where(chosen | (np.roll(chosen, 1) & on_branch & selected), values, np.nan)[on_branch]
+            x = data["frequency"][on_branch]
             if not np.isfinite(y).any():
                 continue
             jumps = np.flatnonzero(np.abs(np.diff(y)) > 3) + 1

@@ -41,25 +41,25 @@ BEYOND = ("design", "optimum", "trust")
 COMMAND = "analysis paper"
 
 
-def _more_mass(both: Columns) -> str:
+def _note_monotonic_mass(optimum: Columns) -> str:
     """Note that no optimum mass ratio exists if the heaviest computed damper is the best."""
-    ratios = both["mass_ratios"]
-    if both["mass_ratio"] < ratios.max():
+    ratios = optimum["mass_ratios"]
+    if optimum["mass_ratio"] < ratios.max():
         return ""
-    least = [f"{100 * r:.3g} % {1e6 * both['worst'][ratios == r].min():.0f}" for r in np.unique(ratios)]
-    return (
-        f" There is no best mass ratio within: more mass is better; worst peaks in µm/N: {', '.join(least)}."
-    )
+    worst_peaks = [
+        f"{100 * r:.3g} % {1e6 * optimum['worst'][ratios == r].min():.0f}" for r in np.unique(ratios)
+    ]
+    return f" There is no best mass ratio within: more mass is better; worst peaks in µm/N: {', '.join(worst_peaks)}."
 
 
-def write_pages(folder: Path, judged: Sequence[Claim], parts: Parts) -> list[Path]:
+def write_pages(folder: Path, assessed: Sequence[Claim], parts: Parts) -> list[Path]:
     """Write index.md and index.html into the folder of the figures."""
     beyond = beyond_the_paper(parts)
     page = Template((files("analysis.reproduction") / "page.html").read_text(encoding="utf-8"))
     written = []
     for name, text in (
-        ("index.md", _markdown(judged, beyond)),
-        ("index.html", page.substitute(title=escape_html(TITLE), body=_html(judged, beyond))),
+        ("index.md", _markdown(assessed, beyond)),
+        ("index.html", page.substitute(title=escape_html(TITLE), body=_html(assessed, beyond))),
     ):
         target = folder / name
         with atomic_write(target) as part:
@@ -70,13 +70,13 @@ def write_pages(folder: Path, judged: Sequence[Claim], parts: Parts) -> list[Pat
 
 def beyond_the_paper(parts: Parts) -> list[Evidence]:
     """Report the optimum, the exact orbits, and the two weightings of the mass ratio."""
-    best = [parts[name] for name in sorted(parts) if name.startswith("best-")]
-    found = "; ".join(
+    best_by_ratio = [parts[name] for name in sorted(parts) if name.startswith("best-")]
+    optima = "; ".join(
         f"{100 * float(b['mass_ratio']):.0f} %: {1e3 * float(b['best']):.2f} mm (worst peak "
         f"{1e6 * float(b['peak']):.0f} µm/N)"
-        for b in best
+        for b in best_by_ratio
     )
-    both = parts["optimum"]
+    optimum = parts["optimum"]
     scans = (parts["scan-single"]["exact"], parts["scan-three"]["exact"])
     exact_cells = " and ".join(f"{int(cells.sum())} of {cells.size}" for cells in scans)
     exact = parts["orbit-fig9"]
@@ -88,14 +88,14 @@ def beyond_the_paper(parts: Parts) -> list[Evidence]:
     lines = [
         Evidence(
             "Best clearance of a damper in body 2 for the third mode, robust for 0.8 to 1.25 times 3.3 N, by mass "
-            f"ratio: {found}. Over exact orbits at {100 * np.mean([b['orbits'] for b in best]):.0f} % of the "
+            f"ratio: {optima}. Over exact orbits at {100 * np.mean([b['orbits'] for b in best_by_ratio]):.0f} % of the "
             "frequencies; at the others the motion is irregular, and its average was taken.",
             clearances,
         ),
         Evidence(
-            f"Clearance and mass ratio together, up to {100 * both['mass_ratios'].max():.0f} %: "
-            f"{100 * float(both['mass_ratio']):.1f} % with {1e3 * float(both['best']):.2f} mm (worst peak "
-            f"{1e6 * float(both['peak']):.0f} µm/N, {len(both['worst'])} trials).{_more_mass(both)}",
+            f"Clearance and mass ratio together, up to {100 * optimum['mass_ratios'].max():.0f} %: "
+            f"{100 * float(optimum['mass_ratio']):.1f} % with {1e3 * float(optimum['best']):.2f} mm (worst peak "
+            f"{1e6 * float(optimum['peak']):.0f} µm/N, {len(optimum['worst'])} trials).{_note_monotonic_mass(optimum)}",
             ("optimum",),
         ),
         Evidence(
@@ -108,27 +108,30 @@ def beyond_the_paper(parts: Parts) -> list[Evidence]:
             f"{len(specials)} special points, among them {'; '.join(specials[:6])}.",
             ("orbit-fig9",),
         ),
-        Evidence(_weights(parts), tuple(name for name in sorted(parts) if name.startswith("weights-"))),
+        Evidence(
+            _compare_weightings(parts), tuple(name for name in sorted(parts) if name.startswith("weights-"))
+        ),
     ]
     lines += [Evidence(f"Not found: {text}", ("orbit-fig9",)) for text in exact["failures"]]
     return lines
 
 
-def _weights(parts: Parts) -> str:
+def _compare_weightings(parts: Parts) -> str:
     """Compare both weightings of the mass ratio with the simulation."""
     rows, errors = [], []
     for name in sorted(name for name in parts if name.startswith("weights-")):
         data = parts[name]
         for column, mode in enumerate(data["mode"]):
-            off = 100 * (data["peak"][1:, column] / data["peak"][0, column] - 1)
-            errors.append(off)
-            printed = f"{off[0]:+.0f} %" if np.isfinite(off[0]) else "no positive mass"
+            deviations = 100 * (data["peak"][1:, column] / data["peak"][0, column] - 1)
+            errors.append(deviations)
+            printed = f"{deviations[0]:+.0f} %" if np.isfinite(deviations[0]) else "no positive mass"
             rows.append(
-                f"{name.removeprefix('weights-').replace('-', ' ')}, mode {mode}: {printed} against {off[1]:+.0f} %"
+                f"{name.removeprefix('weights-').replace('-', ' ')}, mode {mode}: {printed} against "
+                f"{deviations[1]:+.0f} %"
             )
-    both = np.array([off for off in errors if np.isfinite(off).all()])
-    usable = f"{len(both)} of {len(errors)} cases"
-    median = np.median(np.abs(both), axis=0)
+    usable_errors = np.array([deviations for deviations in errors if np.isfinite(deviations).all()])
+    usable = f"{len(usable_errors)} of {len(errors)} cases"
+    median = np.median(np.abs(usable_errors), axis=0)
     better = "energy-consistent" if median[1] < median[0] else "printed"
     return (
         "Weight of the dampers in the approximate method: Eq 13 as printed is a signed sum of the shape, which is a "
@@ -147,13 +150,13 @@ def _parts(claim: Claim) -> list[str]:
     return [name for evidence in claim.evidence for name in evidence.parts]
 
 
-def _markdown(judged: Sequence[Claim], beyond: Sequence[Evidence]) -> str:
+def _markdown(assessed: Sequence[Claim], beyond: Sequence[Evidence]) -> str:
     def item(evidence: Evidence) -> str:
         return f"- {evidence.text}" + (f" (`{command(evidence.parts)}`)" if evidence.parts else "")
 
     lines = [f"# {TITLE}", "", INTRODUCTION, "", "| claim | verdict | command |", "|---|---|---|"]
-    lines += [f"| {c.name} | {c.verdict} | `{command(_parts(c))}` |" for c in judged]
-    for c in judged:
+    lines += [f"| {c.name} | {c.verdict} | `{command(_parts(c))}` |" for c in assessed]
+    for c in assessed:
         lines += ["", f"## {c.name}", "", f"> {c.text}", "", f"**{c.verdict}**", ""]
         lines += [item(evidence) for evidence in c.evidence]
         lines += [line for name in c.figures for line in ("", f"![{CAPTIONS[name]}]({name}.png)")]
@@ -162,7 +165,7 @@ def _markdown(judged: Sequence[Claim], beyond: Sequence[Evidence]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _html(judged: Sequence[Claim], beyond: Sequence[Evidence]) -> str:
+def _html(assessed: Sequence[Claim], beyond: Sequence[Evidence]) -> str:
     def items(all_evidence: Sequence[Evidence]) -> str:
         return "".join(
             f"<li>{escape_html(e.text)}"
@@ -174,12 +177,12 @@ def _html(judged: Sequence[Claim], beyond: Sequence[Evidence]) -> str:
     rows = "".join(
         f"<tr><td><a href='#{c.name}'>{c.name}</a></td><td>{escape_html(c.verdict)}</td>"
         f"<td><code>{escape_html(command(_parts(c)))}</code></td></tr>"
-        for c in judged
+        for c in assessed
     )
     out = [
         f"<p>{escape_html(INTRODUCTION)}</p><table><tr><th>claim</th><th>verdict</th><th>command</th></tr>{rows}</table>"
     ]
-    for c in judged:
+    for c in assessed:
         out.append(
             f"<h2 id='{c.name}'>{c.name}</h2><blockquote>{escape_html(c.text)}</blockquote>"
             f"<p><strong>{escape_html(c.verdict)}</strong></p><ul>{items(c.evidence)}</ul>{_images(c.figures)}"

@@ -74,7 +74,7 @@ def all_parts(folder: Path) -> list[PaperPart]:
     fig9, fig10a = rig.load("fig9"), rig.load("fig10a")
     grid = {"forces": FORCES, "clearances": CLEARANCES, "frequencies": RESONANCE, "mass_ratio": 0.10}
     robust: dict[str, Any] = {"force": 3.3, "frequencies": RESONANCE}
-    wide, dense = {"band": (46.0, 54.0)}, {"frequencies": np.linspace(*BAND, 109)}
+    wide_band, dense_grid = {"band": (46.0, 54.0)}, {"frequencies": np.linspace(*BAND, 109)}
     jobs: list[tuple[str, str, Any, Scene, dict[str, Any]]] = [
         ("scan-three", "scan of force and clearance, three dampers", scan.scan, three, grid),
         ("scan-single", "scan of force and clearance, one damper", scan.scan, single, grid),
@@ -93,10 +93,10 @@ def all_parts(folder: Path) -> list[PaperPart]:
             "approx-peaks", "approximate method over force and clearance", simulation.approximate_peaks, single,
             {"forces": FORCES, "clearances": CLEARANCES, "band": BAND},
         ),
-        ("orbit-fig9", "exact orbits of Fig 9", simulation.exact_orbits, fig9, wide),
+        ("orbit-fig9", "exact orbits of Fig 9", simulation.exact_orbits, fig9, wide_band),
         (
             "approx-fig9", "approximate method, Fig 9", simulation.approximated, fig9,
-            wide | {"mode": 3, "weighting": "printed"},
+            wide_band | {"mode": 3, "weighting": "printed"},
         ),
         ("sim-three", "simulation of Fig 10a", simulation.simulated, fig10a, {"frequencies": SWEEP}),
         (
@@ -126,8 +126,8 @@ def all_parts(folder: Path) -> list[PaperPart]:
             "sim-noise", "Fig 10a where noise matters", simulation.simulated, fig10a,
             {"frequencies": np.sort(NOISE_GRID)},
         ),
-        ("sim-fig5-single", "simulation of Fig 5", simulation.simulated, single, dense),
-        ("sim-fig5-three", "simulation of Fig 5", simulation.simulated, three, dense),
+        ("sim-fig5-single", "simulation of Fig 5", simulation.simulated, single, dense_grid),
+        ("sim-fig5-three", "simulation of Fig 5", simulation.simulated, three, dense_grid),
         *(
             (
                 f"wave-{letter}", f"waveform {letter} of Fig 6", simulation.waveforms, rig.load(name),
@@ -162,11 +162,11 @@ def _one_body(clearance: float) -> Scene:
 
 
 def _experiments(folder: Path) -> list[PaperPart]:
-    fig10a, quick = rig.load("fig10a"), {"display": False}
+    fig10a, without_display = rig.load("fig10a"), {"display": False}
     test = {"kind": "stepped_sine", "frequencies": SWEEP.tolist(), "force": 2.6, "settle": {"longest": 20.0}}
-    few = test | {"frequencies": np.sort(NOISE_GRID).tolist()}
+    noise_test = test | {"frequencies": np.sort(NOISE_GRID).tolist()}
     jobs: list[tuple[str, Scene, Any]] = [
-        (name, scene.replace(test=test, recording=quick), compute)
+        (name, scene.replace(test=test, recording=without_display), compute)
         for name, scene, compute in (
             ("rec-bare", rig.load("fig4-structure"), experiment.bare_sweep),
             ("rec-one", rig.load("fig8-one-damper"), experiment.sweep),
@@ -175,7 +175,7 @@ def _experiments(folder: Path) -> list[PaperPart]:
         )
     ]
     for noise in NOISES:
-        noisy = _with_noise(fig10a, noise).replace(test=few, recording=quick)
+        noisy = _with_noise(fig10a, noise).replace(test=noise_test, recording=without_display)
         jobs.append((f"rec-noise-{noise}", noisy, experiment.sweep))
     jobs += [
         ("rec-fig9", rig.load("fig9", {"test.direction": "up"}), experiment.damper_sweep),
@@ -205,12 +205,12 @@ def _part(
     name: str, title: str, compute: Any, scene: Scene, arguments: dict[str, Any], folder: Path | None = None
 ) -> PaperPart:
     """Return a part; `folder`: of the recording that the part makes, on which its results do not depend."""
-    written = {
+    serialized = {
         key: value if isinstance(value, dict) else np.asarray(value).tolist()
         for key, value in arguments.items()
     }
-    depends = f"{name}\n{scene.to_si_yaml()}\n{written}"
-    given = {"scene": scene, **arguments}
+    depends = f"{name}\n{scene.to_si_yaml()}\n{serialized}"
+    inputs = {"scene": scene, **arguments}
     if folder is not None:
-        given["path"] = folder / "recordings" / f"{name.removeprefix('rec-')}.mcap"
-    return PaperPart(name, depends, compute, given, title, EFFORT.get(name, 1.0))
+        inputs["path"] = folder / "recordings" / f"{name.removeprefix('rec-')}.mcap"
+    return PaperPart(name, depends, compute, inputs, title, EFFORT.get(name, 1.0))

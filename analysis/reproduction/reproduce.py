@@ -50,7 +50,7 @@ def reproduce(
     `rig.design`; its workers must have access to the folder under the same name. Returns figures and pages. Raises
     `SceneError` if `fresh` contains an unknown part. Raises `RunError` if the folder cannot be written.
     """
-    began = time.monotonic()
+    start = time.monotonic()
     # Workers on other machines have a different working folder.
     parts = all_parts(folder.resolve() if cluster else folder)
     unknown = set(fresh) - {part.name for part in parts}
@@ -62,15 +62,19 @@ def reproduce(
     stored: dict[str, Arrays] = {}
     missing: list[PaperPart] = []
     for part in parts:
-        found = None if part.name in fresh else part.stored(folder)
-        if found is None:
+        results = None if part.name in fresh else part.stored(folder)
+        if results is None:
             missing.append(part)
         else:
-            stored[part.name] = found
+            stored[part.name] = results
     effort = sum(part.effort for part in missing) / cores()
     say(
-        f"{len(stored)} of {len(parts)} parts are there, {len(missing)} to do"
-        + (f": about {_span(effort)} on {cores()} free cores, the longest parts first." if missing else ".")
+        f"{len(stored)} of {len(parts)} parts are stored, {len(missing)} are to be computed"
+        + (
+            f": about {_format_duration(effort)} on {cores()} free cores, the longest parts first."
+            if missing
+            else "."
+        )
     )
     if missing:
         progress = _Progress(missing, say)
@@ -78,14 +82,14 @@ def reproduce(
             stored[part.name] = arrays
             progress.add(part)
     files: list[Path] = []
-    judged = claims(stored)
+    assessed = claims(stored)
     with output_source("paper"):
         for name, draw in FIGURES.items():
             files += save_figure(draw(stored), folder / name)
-        files += write_pages(folder, judged, stored)
-    for claim in judged:
+        files += write_pages(folder, assessed, stored)
+    for claim in assessed:
         say(f"  {claim.name}: {claim.verdict}")
-    say(f"Done in {time.monotonic() - began:.0f} s. Read {folder / 'index.html'} or {folder / 'index.md'}.")
+    say(f"Done in {time.monotonic() - start:.0f} s. Read {folder / 'index.html'} or {folder / 'index.md'}.")
     return files
 
 
@@ -116,12 +120,12 @@ class _Progress:
         left = gone * (self.total - self.done) / self.done
         self.say(
             f"  [{self.finished}/{self.count}] {part.title} ({part.name}): {100 * self.done / self.total:.0f} % done "
-            f"after {_span(gone)}, "
-            + (f"about {_span(left)} left" if self.finished < self.count else "the last part")
+            f"after {_format_duration(gone)}, "
+            + (f"about {_format_duration(left)} left" if self.finished < self.count else "the last part")
         )
 
 
-def _span(seconds: float) -> str:
+def _format_duration(seconds: float) -> str:
     """Format a duration.
 
     >>> _span(42.3), _span(192)

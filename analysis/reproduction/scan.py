@@ -38,25 +38,25 @@ def scan(
     an exact stable orbit; exact: whether the peak is an exact stable orbit.
     """
     shape = (len(forces), len(clearances))
-    peak, where, orbits = np.zeros(shape), np.zeros(shape), np.zeros(shape)
-    there, types = np.empty(shape, dtype="U24"), np.empty(shape, dtype="U400")
+    peak, peak_frequency, orbits = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+    type_at_peak, types = np.empty(shape, dtype="U24"), np.empty(shape, dtype="U400")
     exact = np.zeros(shape, dtype=bool)
     for column, clearance in enumerate(clearances):
         problem = with_dampers(scene, float(clearance), mass_ratio)
         for row, force in enumerate(forces):
             response = response_at_level(problem, float(force), frequencies)
-            at = row, column
-            peak[at], where[at] = refined_peak(problem, response, body)
+            cell = row, column
+            peak[cell], peak_frequency[cell] = refined_peak(problem, response, body)
             i = int(np.abs(response.compliance[body - 1]).argmax())
-            there[at] = overall(response.damper_motion[:, i].tolist())
-            types[at] = " ".join(sorted(set(response.damper_motion.ravel().tolist())))
-            orbits[at], exact[at] = 1 - response.simulated.mean(), not response.simulated[i]
+            type_at_peak[cell] = overall(response.damper_motion[:, i].tolist())
+            types[cell] = " ".join(sorted(set(response.damper_motion.ravel().tolist())))
+            orbits[cell], exact[cell] = 1 - response.simulated.mean(), not response.simulated[i]
     return {
         "force": forces,
         "clearance": clearances,
         "peak": peak,
-        "where": where,
-        "type_there": there,
+        "where": peak_frequency,
+        "type_there": type_at_peak,
         "types": types,
         "orbits": orbits,
         "exact": exact,
@@ -97,22 +97,22 @@ def least_affected(
     Returns share (dampings, mass_ratios, forces, modes): largest compliance of the body near a mode, relative to the
     bare structure; dampings, mass_ratios, forces.
     """
-    share = np.empty((len(dampings), len(mass_ratios), len(forces), len(bands)))
+    ratios = np.empty((len(dampings), len(mass_ratios), len(forces), len(bands)))
     for i, damping in enumerate(dampings):
         structure = scene.structure.replace(damping={"modal": float(damping)})
         bare = scene.replace(structure=structure)
         for k, band in enumerate(bands.values()):
             frequency = np.linspace(*band, points)
-            alone = receptance(bare, np.linspace(*band, 50 * points))[body - 1]
+            without_dampers = receptance(bare, np.linspace(*band, 50 * points))[body - 1]
             for j, ratio in enumerate(mass_ratios):
                 problem = with_dampers(bare, np.inf, float(ratio))
                 for n, force in enumerate(forces):
                     peak = refined_peak(problem, response_at_level(problem, float(force), frequency), body)[0]
-                    share[i, j, n, k] = peak / abs(alone).max()
-    return {"share": share, "damping": dampings, "mass_ratio": mass_ratios, "force": forces}
+                    ratios[i, j, n, k] = peak / abs(without_dampers).max()
+    return {"share": ratios, "damping": dampings, "mass_ratio": mass_ratios, "force": forces}
 
 
-class _Worst:
+class _WorstPeak:
     """Worst peak over the force levels, for any clearance and mass ratio; results are cached."""
 
     def __init__(self, scene: Scene, force: float, frequencies: Array, body: int) -> None:
@@ -157,7 +157,7 @@ def best_clearance(
     Returns clearance, mass_ratios, worst (trials,) in the order of the search; best, mass_ratio, peak (): the
     optimum and its worst peak; orbits (): share of all frequencies with an exact stable orbit.
     """
-    worst = _Worst(scene, force, frequencies, body)
+    worst = _WorstPeak(scene, force, frequencies, body)
     grid = np.log(clearances)
     values = [worst(np.exp(x), mass_ratio) for x in grid]
     i = int(np.clip(np.argmin(values), 1, len(grid) - 2))
@@ -184,7 +184,7 @@ def best_damper(
     The best point of a grid is improved by the Nelder-Mead simplex method. The mass ratio is limited to the range of
     the grid.
     """
-    worst = _Worst(scene, force, frequencies, body)
+    worst = _WorstPeak(scene, force, frequencies, body)
     for ratio in mass_ratios:
         for clearance in clearances:
             worst(float(clearance), float(ratio))

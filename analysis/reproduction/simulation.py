@@ -37,16 +37,16 @@ def structure_numbers(scene: Scene, frequencies: Array) -> Arrays:
 
 def simulated(scene: Scene, frequencies: Array, direction: str = "up", tolerance: float = 1e-6) -> Arrays:
     """Compute the steady response to a purely sinusoidal force, frequency by frequency."""
-    found = frequency_response(
+    response = frequency_response(
         with_ideal_force(scene), frequencies, direction, tolerance=tolerance, longest=4000
     )
     return {
-        "frequency": found.frequency,
-        "compliance": found.compliance,
-        "peak": found.peak,
-        "type": found.motion_type,
-        "damper_motion": found.damper_motion,
-        "repetition": found.repetition,
+        "frequency": response.frequency,
+        "compliance": response.compliance,
+        "peak": response.peak,
+        "type": response.motion_type,
+        "damper_motion": response.damper_motion,
+        "repetition": response.repetition,
     }
 
 
@@ -150,7 +150,7 @@ def weightings(scene: Scene, bands: dict[int, tuple[float, float]]) -> Arrays:
     printed, energy: peak (3, modes) of the body that moves most in the mode [m/N], frequency (3, modes) Hz,
     mass_ratio (3, modes); NaN where the printed sum is not a valid mass.
     """
-    peak, where, ratio = (np.full((3, len(bands)), np.nan) for _ in range(3))
+    peak, peak_frequency, ratio = (np.full((3, len(bands)), np.nan) for _ in range(3))
     forced = with_ideal_force(scene)
     problem = OrbitProblem(scene)
     for column, (mode, band) in enumerate(bands.items()):
@@ -165,12 +165,15 @@ def weightings(scene: Scene, bands: dict[int, tuple[float, float]]) -> Arrays:
             body = int(np.abs(reduced.shape).argmax())
             ratio[row, column] = reduced.mass_ratio
             for branch in follow_mode(reduced, band, searches=5).branches:
-                size = np.where(branch.valid & branch.stable, np.abs(branch.compliance), 0)
-                if not peak[row, column] >= size.max():
-                    peak[row, column], where[row, column] = size.max(), branch.frequency[size.argmax()]
+                compliance = np.where(branch.valid & branch.stable, np.abs(branch.compliance), 0)
+                if not peak[row, column] >= compliance.max():
+                    peak[row, column], peak_frequency[row, column] = (
+                        compliance.max(),
+                        branch.frequency[compliance.argmax()],
+                    )
         response = response_at_level(problem, problem.level, frequencies)
-        peak[0, column], where[0, column] = refined_peak(problem, response, body + 1)
-    return {"mode": np.array(list(bands)), "peak": peak, "frequency": where, "mass_ratio": ratio}
+        peak[0, column], peak_frequency[0, column] = refined_peak(problem, response, body + 1)
+    return {"mode": np.array(list(bands)), "peak": peak, "frequency": peak_frequency, "mass_ratio": ratio}
 
 
 def approximate_peaks(
@@ -181,14 +184,14 @@ def approximate_peaks(
     types = np.empty(peak.shape, dtype="U4")
     for column, clearance in enumerate(clearances):
         dampers = [d.replace(clearance=float(clearance)) for d in scene.dampers]
-        narrowed = with_ideal_force(scene.replace(dampers=dampers))
+        with_clearance = with_ideal_force(scene.replace(dampers=dampers))
         for row, force in enumerate(forces):
-            reduced = single_mode(narrowed, 3, force=float(force), weighting="energy")
+            reduced = single_mode(with_clearance, 3, force=float(force), weighting="energy")
             for branch in follow_mode(reduced, band, searches=5).branches:
-                real = branch.valid & branch.stable
-                if not real.any():
+                admissible = branch.valid & branch.stable
+                if not admissible.any():
                     continue
-                size = np.abs(reduced.shape[body - 1] * branch.compliance[real]).max()
-                if not peak[row, column] >= size:
-                    peak[row, column], types[row, column] = size, branch.motion_type
+                largest = np.abs(reduced.shape[body - 1] * branch.compliance[admissible]).max()
+                if not peak[row, column] >= largest:
+                    peak[row, column], types[row, column] = largest, branch.motion_type
     return {"force": forces, "clearance": clearances, "peak": peak, "type": types}

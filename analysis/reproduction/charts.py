@@ -83,7 +83,7 @@ def abbreviate_types(types: np.ndarray) -> np.ndarray:
     return np.vectorize(abbreviate)(types)
 
 
-def draw_trust(parts: Parts) -> Figure:
+def trust(parts: Parts) -> Figure:
     """Draw the error of the approximate method: its peak compared with the full simulation."""
     error = trust_error(parts)
     with new_figure(3.8) as figure:

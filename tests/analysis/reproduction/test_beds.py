@@ -122,7 +122,7 @@ def test_two_seeds_give_mean_and_standard_error(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("off", "word"),
+    ("deviations", "word"),
     [
         ([0.01, -0.08, 0.02], "holds: "),
         ([0.01, -0.08, 0.2], "holds in part: "),

@@ -54,14 +54,13 @@ def rate_of_interval(interval: float, resolution: float = 0.0) -> float:
     (50000.0, 10000.0)
     >>> rate_of_interval(1e-4, 1e305)
     Traceback (most recent call last):
-    rig.errors.RecordingError: a sample interval of 0.0001 s with an error of 1e+305 s determines no rate
+    rig.errors.RecordingError: a sample interval of 0.0001 s with an error of 1e+305 s determines no rate. Add digits
     """
     if not (math.isfinite(interval) and 1e-9 < interval < 1e7):
         raise RecordingError(f"a sample interval of {interval!r} s; expected a time above 0")
     if resolution >= interval:
         raise RecordingError(
-            f"a sample interval of {interval!r} s with an error of {resolution!r} s determines no rate. Export the "
-            "times with more digits"
+            f"a sample interval of {interval!r} s with an error of {resolution!r} s determines no rate. Add digits"
         )
     error = max(resolution / interval, _RATE_ROUNDING)
     stated = 1.0 / interval

@@ -13,7 +13,7 @@ import rig
 from daq.foresight import shortened
 from rig.errors import SceneError
 from rig.system.structural_model import receptance
-from tests.gauntlet.foresights import KINDS, compare, lengthened
+from tests.gauntlet.foresights import KINDS, compare, with_long_test
 from tests.gauntlet.scenes import draw
 
 TONE = {"kind": "sine", "frequency": "30 Hz", "force": "2 N", "duration": "3 s"}
@@ -60,7 +60,7 @@ def test_random_scene_confirms_prediction(number: int, tmp_path: Path) -> None:
 @pytest.mark.parametrize("number", [3, 6])
 def test_long_random_scene_confirms_prediction(number: int, tmp_path: Path) -> None:
     kind = KINDS[number]
-    found = compare(lengthened(draw(3602, number, kind)), kind, tmp_path)
+    found = compare(with_long_test(draw(3602, number, kind)), kind, tmp_path)
     assert found.kept, found
 
 

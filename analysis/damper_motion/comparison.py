@@ -13,14 +13,14 @@ from rig.results import format_number
 from rig.results.response import Response
 from rig.results.uncertainty import SENSITIVITY
 
-# Width of the band of a peak below the natural frequency of the bare structure, as a share of that frequency; the
-# band above is half as wide.
-_BELOW = 0.15
-# If interpolation from the neighbours predicts a point with a larger relative error, the curve has a jump.
-_SMOOTH = 0.2
-_GRID = 801
+# Width of the band of a peak below the natural frequency of the bare structure, relative to that frequency. The band
+# above is half as wide.
+_BAND_BELOW_RATIO = 0.15
+# Maximum relative error with which neighbours predict a point; above it, the curve has a jump.
+_MAX_PREDICTION_ERROR = 0.2
+_GRID_POINTS = 801
 # Maximum relative interpolation error at a peak; above it, a smaller frequency step is recommended.
-_RESOLVED = 0.01
+_MAX_INTERPOLATION_ERROR = 0.01
 
 
 @dataclass(frozen=True)
@@ -66,77 +66,85 @@ def peak(frf: Response, low: float, high: float) -> Peak | None:
     `frf`: FRF with respect to force; `low`, `high`: limits of the band, Hz. Returns None if there are fewer than
     three points in the band.
     """
-    part = frf.to("displacement").sorted()
-    part = part.between(low, high)
-    known = np.isfinite(part.value) & (abs(part.value) > 0)
-    f, inverse, size = part.frequency[known], 1.0 / part.value[known], abs(part.value[known])
+    in_band = frf.to("displacement").sorted()
+    in_band = in_band.between(low, high)
+    valid = np.isfinite(in_band.value) & (abs(in_band.value) > 0)
+    f, inverse, magnitude = in_band.frequency[valid], 1.0 / in_band.value[valid], abs(in_band.value[valid])
     if f.size < 3:
         return None
-    scatter = np.nan_to_num(part.random_bound()[known])
-    around = np.nan_to_num(part.bound()[known])
-    top = _highest_local_maximum(size, scatter)
-    near = np.arange(max(top - 2, 0), min(top + 3, f.size))
-    if top in (0, f.size - 1):
-        return Peak(float(size[top]), inf, float(f[top]), float(f[0]), float(f[-1]), at_end=True)
-    three = slice(top - 1, top + 2)
-    others = near[near != top]
-    predicted = _interpolated(f[others], inverse[others], f[[top]])
-    jump = near.size > 3 and abs(abs(1.0 / predicted[0]) / size[top] - 1.0) > _SMOOTH
-    if jump or f.size < 4 or np.any((part.omitted > f[top - 1]) & (part.omitted < f[top + 1])):
-        return Peak(float(size[top]), inf, float(f[top]), float(f[top - 1]), float(f[top + 1]))
-    grid = np.linspace(f[top - 1], f[top + 1], _GRID)
-    curve = abs(1.0 / _interpolated(f[three], inverse[three], grid))
-    other = abs(1.0 / _interpolated(f[near], inverse[near], grid))
-    best = int(np.argmax(curve))
+    scatter = np.nan_to_num(in_band.random_bound()[valid])
+    point_bound = np.nan_to_num(in_band.bound()[valid])
+    highest = _highest_local_maximum(magnitude, scatter)
+    five = np.arange(max(highest - 2, 0), min(highest + 3, f.size))
+    if highest in (0, f.size - 1):
+        return Peak(float(magnitude[highest]), inf, float(f[highest]), float(f[0]), float(f[-1]), at_end=True)
+    three = slice(highest - 1, highest + 2)
+    others = five[five != highest]
+    predicted = _interpolate(f[others], inverse[others], f[[highest]])
+    jump = five.size > 3 and abs(abs(1.0 / predicted[0]) / magnitude[highest] - 1.0) > _MAX_PREDICTION_ERROR
+    if jump or f.size < 4 or np.any((in_band.omitted > f[highest - 1]) & (in_band.omitted < f[highest + 1])):
+        return Peak(
+            float(magnitude[highest]), inf, float(f[highest]), float(f[highest - 1]), float(f[highest + 1])
+        )
+    grid = np.linspace(f[highest - 1], f[highest + 1], _GRID_POINTS)
+    curve = abs(1.0 / _interpolate(f[three], inverse[three], grid))
+    curve_of_five = abs(1.0 / _interpolate(f[five], inverse[five], grid))
+    peak_index = int(np.argmax(curve))
     # Sensitivity of the interpolated 1/H at the peak to each point; the bounds are propagated to the peak.
-    share = abs(_interpolated(f[three], np.eye(3), grid[[best]]))[:, 0]
-    measured = curve[best] ** 2 * float(share @ (around[three] / size[three] ** 2))
-    prediction_error = _prediction_error(f, inverse, scatter / size**2, top)
-    between = 2.0 * float(abs(other.max() - curve[best]) + prediction_error * curve[best])
-    bound = measured + between
-    within = grid[(curve >= curve[best] - bound) | (other >= other.max() - bound)]
-    high_enough = np.concatenate([within, f[size + around >= curve[best] - bound]])
+    sensitivity = abs(_interpolate(f[three], np.eye(3), grid[[peak_index]]))[:, 0]
+    measured_bound = curve[peak_index] ** 2 * float(
+        sensitivity @ (point_bound[three] / magnitude[three] ** 2)
+    )
+    prediction_error = _prediction_error(f, inverse, scatter / magnitude**2, highest)
+    interpolation_bound = 2.0 * float(
+        abs(curve_of_five.max() - curve[peak_index]) + prediction_error * curve[peak_index]
+    )
+    bound = measured_bound + interpolation_bound
+    possible = grid[(curve >= curve[peak_index] - bound) | (curve_of_five >= curve_of_five.max() - bound)]
+    high_enough = np.concatenate([possible, f[magnitude + point_bound >= curve[peak_index] - bound]])
     return Peak(
-        float(curve[best]),
+        float(curve[peak_index]),
         bound,
-        float(grid[best]),
+        float(grid[peak_index]),
         float(high_enough.min()),
         float(high_enough.max()),
-        float(size[top] - around[top]),
-        between,
+        float(magnitude[highest] - point_bound[highest]),
+        interpolation_bound,
         float(np.diff(f[three]).max()),
     )
 
 
-def _highest_local_maximum(size: np.ndarray, scatter: np.ndarray) -> int:
+def _highest_local_maximum(magnitude: np.ndarray, scatter: np.ndarray) -> int:
     """Index of the highest local maximum that exceeds its surroundings significantly, or of the highest point."""
-    highest, found = int(np.argmax(size)), -1
-    if 0 < highest < size.size - 1:
+    highest, significant = int(np.argmax(magnitude)), -1
+    if 0 < highest < magnitude.size - 1:
         return highest
-    for k in range(1, size.size - 1):
-        if size[k] < max(size[k - 1], size[k + 1]) or (found >= 0 and size[k] <= size[found]):
+    for k in range(1, magnitude.size - 1):
+        if magnitude[k] < max(magnitude[k - 1], magnitude[k + 1]) or (
+            significant >= 0 and magnitude[k] <= magnitude[significant]
+        ):
             continue
-        valleys = [int(np.argmin(size[: k + 1])), k + int(np.argmin(size[k:]))]
-        if all(size[k] - size[valley] > scatter[k] + scatter[valley] for valley in valleys):
-            found = k
-    return highest if found < 0 else found
+        valleys = [int(np.argmin(magnitude[: k + 1])), k + int(np.argmin(magnitude[k:]))]
+        if all(magnitude[k] - magnitude[valley] > scatter[k] + scatter[valley] for valley in valleys):
+            significant = k
+    return highest if significant < 0 else significant
 
 
-def _prediction_error(f: np.ndarray, inverse: np.ndarray, scatter: np.ndarray, top: int) -> float:
+def _prediction_error(f: np.ndarray, inverse: np.ndarray, scatter: np.ndarray, highest: int) -> float:
     """Relative error, beyond scatter, of the points at the peak as predicted by two neighbours on each side."""
     errors = [0.0]
-    for k in (top - 1, top, top + 1):
+    for k in (highest - 1, highest, highest + 1):
         others = np.array([i for i in range(max(k - 2, 0), min(k + 3, f.size)) if i != k])
-        if others.size < 4 and k != top:
+        if others.size < 4 and k != highest:
             continue
-        weights = _interpolated(f[others], np.eye(others.size), f[[k]])[:, 0]
+        weights = _interpolate(f[others], np.eye(others.size), f[[k]])[:, 0]
         predicted = weights @ inverse[others]
         explained = abs(weights) @ scatter[others] + scatter[k]
         errors.append(float((abs(predicted - inverse[k]) - explained) / abs(predicted)))
     return max(errors)
 
 
-def _interpolated(f: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
+def _interpolate(f: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
     """Interpolate complex values by the polynomial through all points."""
     middle, scale = f.mean(), np.ptp(f)
     weights = np.polynomial.polynomial.polyvander((f - middle) / scale, f.size - 1)
@@ -198,7 +206,7 @@ def peak_changes(
     recording with dampers (or with two different sets); `same_sensors`: responses that were measured by the same
     sensors in both recordings, with the same force sensor. Returns sorted by response, then by frequency.
     """
-    frequency, low, high = surroundings(modes)
+    frequency, low, high = peak_bands(modes)
     damping = modes.damping[np.argsort(modes.frequency)]
     by_name = {frf.response: frf for frf in bare}
     out = []
@@ -206,18 +214,20 @@ def peak_changes(
         if curve.response not in by_name:
             continue
         for f, zeta, first, last in zip(frequency, damping, low, high, strict=True):
-            both = by_name[curve.response], curve
-            before, after = (peak(each, first, last) for each in both)
+            pair = by_name[curve.response], curve
+            before, after = (peak(response, first, last) for response in pair)
             if before is None or after is None or before.at_end:
                 continue
             if after.at_end and not covers(curve, before.frequency):
                 continue
             as_read = None
             if curve.response in same_sensors:
-                left, right = (peak(each.without(SENSITIVITY), first, last) for each in both)
-                assert left is not None
-                assert right is not None
-                as_read = left, right
+                before_as_read, after_as_read = (
+                    peak(response.without(SENSITIVITY), first, last) for response in pair
+                )
+                assert before_as_read is not None
+                assert after_as_read is not None
+                as_read = before_as_read, after_as_read
             out.append(PeakChange(curve.response, float(f), float(zeta), before, after, as_read))
     return out
 
@@ -227,56 +237,62 @@ def covers(curve: Response, frequency: float) -> bool:
     return bool(curve.frequency.min() <= frequency <= curve.frequency.max())
 
 
-def surroundings(modes: Modes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def peak_bands(modes: Modes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the natural frequencies in ascending order, and the limits of the bands of their peaks, Hz."""
     frequency = np.sort(modes.frequency)
     between = np.sqrt(frequency[1:] * frequency[:-1])
-    low = np.maximum(frequency * (1.0 - _BELOW), np.append(0.0, between))
-    high = np.minimum(frequency * (1.0 + _BELOW / 2), np.append(between, inf))
+    low = np.maximum(frequency * (1.0 - _BAND_BELOW_RATIO), np.append(0.0, between))
+    high = np.minimum(frequency * (1.0 + _BAND_BELOW_RATIO / 2), np.append(between, inf))
     return frequency, low, high
 
 
-def highest_left_out(modes: Modes, bare: Sequence[Response]) -> list[str]:
+def uncompared_highest_peaks(modes: Modes, bare: Sequence[Response]) -> list[str]:
     """Return a message for each response whose highest peak belongs to no compared mode."""
-    _, low, high = surroundings(modes)
+    _, low, high = peak_bands(modes)
     messages = []
     for curve in bare:
-        part = curve.to("displacement").sorted()
-        f, size = part.frequency, np.nan_to_num(abs(part.value))
-        top = int(np.argmax(size))
-        near = np.any((low <= f[:, None]) & (f[:, None] <= high), axis=1)
-        if near[top] or not size[top] or top in (0, f.size - 1):
+        receptance = curve.to("displacement").sorted()
+        f, magnitude = receptance.frequency, np.nan_to_num(abs(receptance.value))
+        highest = int(np.argmax(magnitude))
+        in_compared_band = np.any((low <= f[:, None]) & (f[:, None] <= high), axis=1)
+        if in_compared_band[highest] or not magnitude[highest] or highest in (0, f.size - 1):
             continue
         ratio = (
-            f", {size[top] / size[near].max():.2g} times as high as the compared peaks"
-            if size[near].any()
+            f", {magnitude[highest] / magnitude[in_compared_band].max():.2g} times as high as the compared peaks"
+            if magnitude[in_compared_band].any()
             else ""
         )
         messages.append(
-            f"{curve.response}: the curve is highest at {f[top]:.2f} Hz{ratio}, where no mode was identified, so that "
-            "this peak is not compared. See `analysis frf` for its height and uncertainty."
+            f"{curve.response}: the curve is highest at {f[highest]:.2f} Hz{ratio}, where no mode was identified, so "
+            "that this peak is not compared. See `analysis frf` for its height and uncertainty."
         )
     return messages
 
 
-def unresolved(peaks: Sequence[tuple[float, str, Peak]]) -> list[str]:
+def coarse_step_warnings(peaks: Sequence[tuple[float, str, Peak]]) -> list[str]:
     """Return a message for each peak with too large a frequency step, with the step that is needed.
 
     `peaks`: natural frequency of the mode, Hz, name of the response, and the peak.
     """
     coarse: dict[float, dict[str, Peak]] = {}
-    for mode, response, found in peaks:
-        if not isinf(found.bound) and found.between > _RESOLVED * found.value:
-            coarse.setdefault(mode, {})[response] = found
+    for mode, response, peak_of_response in peaks:
+        if (
+            not isinf(peak_of_response.bound)
+            and peak_of_response.between > _MAX_INTERPOLATION_ERROR * peak_of_response.value
+        ):
+            coarse.setdefault(mode, {})[response] = peak_of_response
     messages = []
     for _, by_response in sorted(coarse.items()):
-        worst = max(by_response.values(), key=lambda found: found.between / found.value)
+        worst = max(
+            by_response.values(),
+            key=lambda peak_of_response: peak_of_response.between / peak_of_response.value,
+        )
         error = worst.between / worst.value
         responses, deviation = ", ".join(by_response), format_number(float(f"{100 * error:.2g}"))
         # The error of interpolation falls at least with the square of the step.
         messages.append(
             f"{responses}, near {worst.frequency:.2f} Hz: the points are {worst.step:.2g} Hz apart, and the peak "
             f"between them may deviate by up to {deviation} %, which the interval includes. "
-            f"Measure every {worst.step * sqrt(_RESOLVED / error):.1g} Hz there."
+            f"Measure every {worst.step * sqrt(_MAX_INTERPOLATION_ERROR / error):.1g} Hz there."
         )
     return messages

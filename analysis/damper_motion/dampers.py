@@ -59,26 +59,28 @@ class Dampers(Result):
     def columns(self) -> Mapping[str, NDArray[Any]]:
         """Return one row for each frequency and body, as in the table of `analysis dampers`."""
         frequency = self.sweep.lines.frequency
-        nothing = np.full(frequency.size, np.nan)
-        energies = [nothing] * 4
+        undetermined = np.full(frequency.size, np.nan)
+        energies = [undetermined] * 4
         if self.energy is not None:
             energies = [self.energy.supplied, self.energy.structure, self.energy.dampers, self.energy.bound]
-        energies.append(nothing if self.true_impact_energy is None else self.true_impact_energy)
+        energies.append(undetermined if self.true_impact_energy is None else self.true_impact_energy)
         names = ("supplied_J", "structure_J", "dampers_J", "dampers_bound_J", "true_impacts_J")
         count, bodies = frequency.size, len(self.bodies)
         motions = [body[i] for i in range(count) for body in self.bodies]
         # If impacts may have been missed, their number is unknown.
         floor, ceiling = (
-            np.array([getattr(each, wall) if each.repeats else np.nan for each in motions], dtype=np.float64)
+            np.array(
+                [getattr(motion, wall) if motion.repeats else np.nan for motion in motions], dtype=np.float64
+            )
             for wall in ("floor", "ceiling")
         )
         if not self.bodies:
             return {"frequency_Hz": frequency} | dict(zip(names, energies, strict=True))
         return {
             "frequency_Hz": np.repeat(frequency, bodies),
-            **{name: np.repeat(each, bodies) for name, each in zip(names, energies, strict=True)},
-            "channel": np.array([each.channel for each in motions]),
-            "motion": np.array([each.name for each in motions]),
+            **{name: np.repeat(energy, bodies) for name, energy in zip(names, energies, strict=True)},
+            "channel": np.array([motion.channel for motion in motions]),
+            "motion": np.array([motion.name for motion in motions]),
             "floor_per_period": floor,
             "ceiling_per_period": ceiling,
         }
@@ -91,20 +93,23 @@ class Dampers(Result):
         )
         if self.energy is None or not np.isfinite(self.energy.dampers).any():
             return text
-        top = int(np.nanargmax(self.energy.dampers))
-        share = 100.0 * self.energy.dampers[top] / self.energy.supplied[top]
-        return f"{text}; the dampers dissipate most at {frequency[top]:.4g} Hz ({share:.2g} % of the energy supplied)"
+        largest = int(np.nanargmax(self.energy.dampers))
+        share = 100.0 * self.energy.dampers[largest] / self.energy.supplied[largest]
+        return (
+            f"{text}; the dampers dissipate most at {frequency[largest]:.4g} Hz "
+            f"({share:.2g} % of the energy supplied)"
+        )
 
     def draw(self, ax: Axes, **style: Any) -> None:
         """Draw supplied and dissipated energy per period against frequency."""
         if self.energy is not None:
             order = np.argsort(self.energy.frequency, kind="stable")
-            for name, each in (
+            for name, energy in (
                 ("supplied", self.energy.supplied),
                 ("into the dampers", self.energy.dampers),
                 ("in the structure", self.energy.structure),
             ):
-                values = 1e3 * np.where(each > 0.0, each, np.nan)[order]
+                values = 1e3 * np.where(energy > 0.0, energy, np.nan)[order]
                 ax.semilogy(
                     self.energy.frequency[order],
                     values,

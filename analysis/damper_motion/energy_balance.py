@@ -61,65 +61,74 @@ def energy_per_cycle(rec: Recording, sweep: Sweep) -> CycleEnergy:
             "Mount a motion sensor there."
         )
     shaker = rec.scene.driven_shaker
-    driven = shaker.body if shaker is not None and isinstance(shaker.body, int) else 1
-    supplied, structure, slopes, pulls = [], [], [], []
+    driven_body = shaker.body if shaker is not None and isinstance(shaker.body, int) else 1
+    supplied, structure, gradients, force_contributions = [], [], [], []
     compliance = np.empty(len(sweep.tones), dtype=complex)
     for index, tone in enumerate(sweep.tones):
         orders = np.arange(1, tone.amplitude.shape[1] + 1)
         frequency = orders * tone.frequency
-        of_force = reference_of(rec, "force").row(rec, names, frequency)
-        of_motion = np.array(
+        force_row = reference_of(rec, "force").row(rec, names, frequency)
+        motion_rows = np.array(
             [
                 motion_of(rec, bodies[f"body {body}"]).row(rec, names, frequency)
                 for body in range(1, count + 1)
             ]
         )
-        force = np.sum(of_force * tone.amplitude, axis=0)
-        motion = np.sum(of_motion * tone.amplitude, axis=1)
+        force = np.sum(force_row * tone.amplitude, axis=0)
+        motion = np.sum(motion_rows * tone.amplitude, axis=1)
         velocity_squared = 2 * np.pi**2 * tone.frequency * orders**2
-        lost = damping @ motion
-        supplied.append(np.pi * np.sum(orders * np.imag(force * motion[driven - 1].conj())))
-        structure.append(np.sum(velocity_squared * np.sum(motion.conj() * lost, axis=0).real))
-        work = of_motion[driven - 1].conj() * force - of_force.conj() * motion[driven - 1]
-        slopes.append(
-            np.pi / 2j * orders * work - velocity_squared * np.einsum("bck,bk->ck", of_motion.conj(), lost)
+        damping_force = damping @ motion
+        supplied.append(np.pi * np.sum(orders * np.imag(force * motion[driven_body - 1].conj())))
+        structure.append(np.sum(velocity_squared * np.sum(motion.conj() * damping_force, axis=0).real))
+        work = motion_rows[driven_body - 1].conj() * force - force_row.conj() * motion[driven_body - 1]
+        gradients.append(
+            np.pi / 2j * orders * work
+            - velocity_squared * np.einsum("bck,bk->ck", motion_rows.conj(), damping_force)
         )
-        compliance[index] = motion[driven - 1, 0] / force[0]
-        pulls.append((of_force * tone.amplitude)[:, 0] / force[0])
+        compliance[index] = motion[driven_body - 1, 0] / force[0]
+        force_contributions.append((force_row * tone.amplitude)[:, 0] / force[0])
     return CycleEnergy(
         sweep.lines.frequency,
         np.array(supplied),
         np.array(structure),
-        _bound(rec, sweep, slopes, compliance, np.transpose(pulls)),
+        _bound(rec, sweep, gradients, compliance, np.transpose(force_contributions)),
     )
 
 
 def _bound(
-    rec: Recording, sweep: Sweep, slopes: list[ComplexArray], compliance: ComplexArray, of_force: ComplexArray
+    rec: Recording,
+    sweep: Sweep,
+    gradients: list[ComplexArray],
+    compliance: ComplexArray,
+    of_force: ComplexArray,
 ) -> Array:
     """95 % bound of the energy: root sum of squares of scatter and of all systematic errors of the channels.
 
-    `slopes`, shape (channels, harmonics): gradient g for each tone; `compliance`, shape (n,): compliance of the
+    `gradients`, shape (channels, harmonics): gradient g for each tone; `compliance`, shape (n,): compliance of the
     driven body; `of_force`, shape (channels, n): contribution of each channel to the force.
     """
     lines = sweep.lines
-    scatter, gains, turns, along = [], [], [], []
-    for slope, tone in zip(slopes, sweep.tones, strict=True):
+    scatter, gain_sensitivity, phase_sensitivity, fundamental_sensitivity = [], [], [], []
+    for gradient, tone in zip(gradients, sweep.tones, strict=True):
         # The scatter of the harmonics is assumed equal to that of the fundamental.
-        scatter.append(2.0 * np.sum(np.square(np.abs(tone.scatter() @ slope.conj()))))
-        product = 2.0 * slope * tone.amplitude.conj()
-        gains.append(product.real.sum(axis=1))
-        turns.append(abs(product).sum(axis=1))
-        along.append(2.0 * abs(slope[:, 0]))
+        scatter.append(2.0 * np.sum(np.square(np.abs(tone.scatter() @ gradient.conj()))))
+        product = 2.0 * gradient * tone.amplitude.conj()
+        gain_sensitivity.append(product.real.sum(axis=1))
+        phase_sensitivity.append(abs(product).sum(axis=1))
+        fundamental_sensitivity.append(2.0 * abs(gradient[:, 0]))
     parts = [np.sqrt(np.nan_to_num(scatter)) * special.stdtrit(np.maximum(lines.scatter.degrees, 1.0), 0.975)]
     tolerances = np.array([tolerance(rec.channels[name]) for name in lines.channels])
-    parts.append(abs(np.array(gains)) @ (tolerances / np.maximum(1.0 - tolerances, 1e-300)))
-    _, folded = aliased_shares(
+    parts.append(abs(np.array(gain_sensitivity)) @ (tolerances / np.maximum(1.0 - tolerances, 1e-300)))
+    _, aliased = aliased_shares(
         rec, ReadingShares(lines.channels, lines.frequency, "displacement", compliance, of_force, of_force)
     )
-    for each, share in ((turns, folded), (along, lines.remainder), (along, lines.resolution)):
-        if share is not None:
-            parts.append(np.sum(np.transpose(each) * share, axis=0))
+    for sensitivity, error_ratio in (
+        (phase_sensitivity, aliased),
+        (fundamental_sensitivity, lines.remainder),
+        (fundamental_sensitivity, lines.resolution),
+    ):
+        if error_ratio is not None:
+            parts.append(np.sum(np.transpose(sensitivity) * error_ratio, axis=0))
     return np.asarray(np.sqrt(np.sum(np.square(parts), axis=0)))
 
 
@@ -165,10 +174,10 @@ def _work_of_walls(rec: Recording, j: int, frequency: float, first: int, stop: i
     if not periods:
         return np.nan
     body = rec.truth_points.index(f"body {rec.scene.dampers[j].body}")
-    place, gap = (
-        np.fft.rfft(rec.truth(what, first, first + samples)[row]) / samples
-        for what, row in (("displacement", body), ("gap", j))
+    displacement, gap = (
+        np.fft.rfft(rec.truth(quantity, first, first + samples)[row]) / samples
+        for quantity, row in (("displacement", body), ("gap", j))
     )
     angular = 2.0 * np.pi * np.fft.rfftfreq(samples, 1.0 / rec.rate)
-    product = -(angular**2) * place * (1j * angular * gap).conj()
+    product = -(angular**2) * displacement * (1j * angular * gap).conj()
     return float(-2.0 * np.sum(product.real) / frequency)

@@ -11,7 +11,7 @@ import numpy as np
 
 from analysis.damper_motion.impact_detection import Impacts, band, impacts
 from analysis.damper_motion.landing_pulse import landing_pulse
-from analysis.damper_motion.matching_pursuit import RESIDUAL_SHARE
+from analysis.damper_motion.matching_pursuit import RESIDUAL_RATIO
 from analysis.decays.sensor_correction import CorrectedMotion
 from analysis.responses.systematic import tolerance
 from rig.arrays import Array
@@ -23,11 +23,11 @@ if TYPE_CHECKING:
     from rig.scene.scene import Scene
 
 
-# Share of the stretch that is excluded at each end, because the correction mirrors the samples there.
-_ENDS_SHARE = 0.05
+# Part of the stretch that is excluded at each end, relative to its length: the correction mirrors the samples there.
+_EXCLUDED_END_RATIO = 0.05
 _MIN_FLIGHTS = 6
 # Minimum share of flights among the intervals between impacts.
-_MIN_FLIGHTS_SHARE = 0.25
+_MIN_FLIGHT_RATIO = 0.25
 # A flight is consistent with the data if its computed end is this close to the wall, relative to its height.
 _MAX_HEIGHT_ERROR = 0.05
 # A flight determines the restitution if its uncertainty is below this.
@@ -37,7 +37,7 @@ _MAX_UNCERTAINTY = 0.1
 _MEDIAN_ERROR = 1.4826 * 1.2533
 # A flight that comes within this share of the clearance of the ceiling may reach it. The accuracy of the height is
 # limited by the motion between samples and by the band limit, which smears the impact.
-_CEILING_SHARE = 0.03
+_CEILING_DISTANCE_RATIO = 0.03
 # Number of samples that the band limit smears around an impact.
 _SMEARED_SAMPLES = 2
 
@@ -77,15 +77,15 @@ class BodyMotion:
         """Relative uncertainty of the channel's sensitivity."""
         return tolerance(self.info)
 
-    def wall_at(self, time: float, wall: float, added_speed: float) -> _Touch:
+    def wall_at(self, time: float, wall: float, added_speed: float) -> _WallContact:
         """Return position and speed of a wall at a time; at a jump the band-limited velocity has its mean value."""
-        whole = min(int(time * self.rec.rate), self.samples.size - 2)
-        part = time * self.rec.rate - whole
-        place, speed = (
-            float(row[whole] + part * (row[whole + 1] - row[whole]))
+        sample = min(int(time * self.rec.rate), self.samples.size - 2)
+        fraction = time * self.rec.rate - sample
+        displacement, speed = (
+            float(row[sample] + fraction * (row[sample + 1] - row[sample]))
             for row in (self.displacement, self.velocity)
         )
-        return _Touch(time, wall, place + wall, speed + added_speed)
+        return _WallContact(time, wall, displacement + wall, speed + added_speed)
 
 
 @dataclass(frozen=True)
@@ -96,12 +96,12 @@ class Restitution:
     error: float
 
 
-class _Touch(NamedTuple):
+class _WallContact(NamedTuple):
     """Contact of a damper with a wall: time, height of the wall above the floor, position and speed; SI units."""
 
     time: float
     wall: float
-    place: float
+    position: float
     speed: float
 
     @property
@@ -134,26 +134,28 @@ def restitution(motion: BodyMotion, damper: Damper) -> Restitution | None:
         return None
     # Speeds of rebounds that end within the time resolution of the channel.
     weight = -np.sign(detected.jump) * (detected.acceleration + gravity)
-    hidden = 0.5 * detected.resolution * np.maximum(weight, 0.0)
+    hidden_rebound = 0.5 * detected.resolution * np.maximum(weight, 0.0)
     wall = np.where(detected.jump < 0.0, 0.0, damper.clearance)
     time, length = detected.time - motion.start / rate, motion.samples.size / rate
-    inside = np.flatnonzero((time[:-1] > _ENDS_SHARE * length) & (time[1:] < (1.0 - _ENDS_SHARE) * length))
+    candidates = np.flatnonzero(
+        (time[:-1] > _EXCLUDED_END_RATIO * length) & (time[1:] < (1.0 - _EXCLUDED_END_RATIO) * length)
+    )
     estimates = []
-    for k in inside[np.isfinite(wall[inside]) & np.isfinite(wall[inside + 1])]:
-        left = motion.wall_at(time[k], wall[k], 0.5 * detected.jump[k])
-        met = motion.wall_at(time[k + 1], wall[k + 1], -0.5 * detected.jump[k + 1])
+    for k in candidates[np.isfinite(wall[candidates]) & np.isfinite(wall[candidates + 1])]:
+        departure = motion.wall_at(time[k], wall[k], 0.5 * detected.jump[k])
+        arrival = motion.wall_at(time[k + 1], wall[k + 1], -0.5 * detected.jump[k + 1])
         estimates.append(
-            _after_rest(motion, left, met, closing[k + 1], hidden[k + 1])
-            or _after_rebound(motion, left, met, closing[k : k + 2])
+            _restitution_after_rest(motion, departure, arrival, closing[k + 1], hidden_rebound[k + 1])
+            or _restitution_after_rebound(motion, departure, arrival, closing[k : k + 2])
         )
-    known = np.array([each for each in estimates if each is not None]).reshape(-1, 2)
-    if len(known) < max(_MIN_FLIGHTS, _MIN_FLIGHTS_SHARE * inside.size):
+    consistent = np.array([estimate for estimate in estimates if estimate is not None]).reshape(-1, 2)
+    if len(consistent) < max(_MIN_FLIGHTS, _MIN_FLIGHT_RATIO * candidates.size):
         return None
-    value, uncertainty = np.median(known, axis=0)
-    scatter = _MEDIAN_ERROR * float(np.median(abs(known[:, 0] - value))) / np.sqrt(len(known))
+    value, uncertainty = np.median(consistent, axis=0)
+    scatter = _MEDIAN_ERROR * float(np.median(abs(consistent[:, 0] - value))) / np.sqrt(len(consistent))
     # The residual share of a jump is a bound, taken as two standard deviations.
-    size = 0.5 * RESIDUAL_SHARE * (1.0 + value)
-    error = float(np.sqrt(scatter**2 + uncertainty**2 + size**2))
+    jump_error = 0.5 * RESIDUAL_RATIO * (1.0 + value)
+    error = float(np.sqrt(scatter**2 + uncertainty**2 + jump_error**2))
     # A value outside 0 to 1 is impossible, so the detected jumps are not impacts of this damper.
     return Restitution(float(value), error) if -2.0 * error <= value <= 1.0 + 2.0 * error else None
 
@@ -167,56 +169,64 @@ def inelastic_closing_speeds(scene: Scene, detected: Impacts, damper: Damper) ->
 def _speed_per_jump(scene: Scene, damper: Damper) -> float:
     from rig.system.structural_model import structural_model
 
-    model, place = structural_model(scene), damper.body - 1
+    model, body = structural_model(scene), damper.body - 1
     bed = model.bed_mass[scene.dampers.index(damper)]
     with np.errstate(divide="ignore"):
-        return float(1.0 + 1.0 / (model.mobility[place, place] * bed))
+        return float(1.0 + 1.0 / (model.mobility[body, body] * bed))
 
 
-def _flight(gravity: float, left: _Touch, met: _Touch) -> tuple[float, float, float]:
+def _flight(gravity: float, departure: _WallContact, arrival: _WallContact) -> tuple[float, float, float]:
     """Duration of a flight that starts with the wall's speed, height error at its end, and closing speed."""
-    time = met.time - left.time
-    above = left.place + left.speed * time - 0.5 * gravity * time**2 - met.place
-    return time, above, -met.away * (left.speed - gravity * time - met.speed)
+    time = arrival.time - departure.time
+    height_error = departure.position + departure.speed * time - 0.5 * gravity * time**2 - arrival.position
+    return time, height_error, -arrival.away * (departure.speed - gravity * time - arrival.speed)
 
 
-def _after_rest(
-    motion: BodyMotion, left: _Touch, met: _Touch, inelastic: float, hidden: float
+def _restitution_after_rest(
+    motion: BodyMotion,
+    departure: _WallContact,
+    arrival: _WallContact,
+    inelastic: float,
+    hidden_rebound: float,
 ) -> tuple[float, float] | None:
     """Restitution and its uncertainty from a flight that began when the body fell away from a damper at rest."""
     rate, gravity = motion.rec.rate, motion.rec.scene.gravity
-    inside = slice(int(left.time * rate) + 2, int(met.time * rate) - 1)
-    if inside.stop - inside.start < 3:
+    between = slice(int(departure.time * rate) + 2, int(arrival.time * rate) - 1)
+    if between.stop - between.start < 3:
         return None
-    weight = left.away * (np.gradient(motion.velocity[inside]) * rate + gravity)
-    best, relative_error = None, _MAX_HEIGHT_ERROR
-    for begin in inside.start + np.flatnonzero((weight[:-1] > 0.0) & (weight[1:] <= 0.0)):
-        time, above, closing = _flight(gravity, motion.wall_at(begin / rate, left.wall, 0.0), met)
-        deviation = abs(above) / max(closing * time / 4.0, 1e-300)
+    weight = departure.away * (np.gradient(motion.velocity[between]) * rate + gravity)
+    best_flight, relative_error = None, _MAX_HEIGHT_ERROR
+    for begin in between.start + np.flatnonzero((weight[:-1] > 0.0) & (weight[1:] <= 0.0)):
+        time, height_error, closing = _flight(
+            gravity, motion.wall_at(begin / rate, departure.wall, 0.0), arrival
+        )
+        deviation = abs(height_error) / max(closing * time / 4.0, 1e-300)
         if deviation < relative_error:
-            best, relative_error = (closing, time), deviation
-    if best is None:
+            best_flight, relative_error = (closing, time), deviation
+    if best_flight is None:
         return None
-    closing, time = best
-    most = inelastic / closing - 1.0
-    least = most / (2.0 + most) if most > 0.0 else most
+    closing, time = best_flight
+    upper = inelastic / closing - 1.0
+    lower = upper / (2.0 + upper) if upper > 0.0 else upper
     # An impact that is later by d changes the end height by w d, and the relative closing speed by 2 d / duration.
     relative_error = 0.5 * relative_error + motion.tolerance * gravity * time / closing
-    uncertainty = 0.5 * float(np.maximum(most - least, hidden / closing)) + relative_error * (1.0 + most)
-    return (0.5 * (least + most), uncertainty) if uncertainty < _MAX_UNCERTAINTY else None
+    uncertainty = 0.5 * float(np.maximum(upper - lower, hidden_rebound / closing)) + relative_error * (
+        1.0 + upper
+    )
+    return (0.5 * (lower + upper), uncertainty) if uncertainty < _MAX_UNCERTAINTY else None
 
 
-def _after_rebound(
-    motion: BodyMotion, left: _Touch, met: _Touch, inelastic: Array
+def _restitution_after_rebound(
+    motion: BodyMotion, departure: _WallContact, arrival: _WallContact, inelastic: Array
 ) -> tuple[float, float] | None:
     """Restitution and its uncertainty from a flight that began with a rebound: its speed and the next closing speed."""
     gravity = motion.rec.scene.gravity
-    time, above, closing = _flight(gravity, left, met)
-    rebound = -above / time
-    closing, share = closing - met.away * rebound, left.away * rebound / inelastic[0]
-    if closing <= 0.0 or share >= 1.0:
+    time, height_error, closing = _flight(gravity, departure, arrival)
+    rebound = -height_error / time
+    closing, rebound_ratio = closing - arrival.away * rebound, departure.away * rebound / inelastic[0]
+    if closing <= 0.0 or rebound_ratio >= 1.0:
         return None
-    from_jump, from_rebound = inelastic[1] / closing - 1.0, share / (1.0 - share)
+    from_jump, from_rebound = inelastic[1] / closing - 1.0, rebound_ratio / (1.0 - rebound_ratio)
     difference = abs(from_jump - from_rebound)
     if difference > _MAX_UNCERTAINTY:
         return None
@@ -236,63 +246,75 @@ def may_reach_ceiling(motion: BodyMotion, damper: Damper) -> bool:
     if not np.isfinite(damper.clearance) or not np.any(motion.impacts.jump < 0.0):
         return False
     detected, rate, gravity = motion.impacts, motion.rec.rate, motion.rec.scene.gravity
-    largest = 1.0 / max(1.0 - motion.tolerance, 1e-300)
-    place, count = detected.time * rate - motion.start, motion.samples.size
-    chosen = (detected.jump < 0.0) & (place > _ENDS_SHARE * count) & (place < (1.0 - _ENDS_SHARE) * count)
-    place = place[chosen]
-    weight = largest * motion.acceleration + gravity
-    floor = _Floor(largest * motion.displacement, largest * motion.velocity, weight, rate, gravity)
-    pulse, flights = landing_pulse(motion.rec.scene, motion.info.at, rate), pairwise(place)
+    largest_factor = 1.0 / max(1.0 - motion.tolerance, 1e-300)
+    impact_sample, count = detected.time * rate - motion.start, motion.samples.size
+    chosen = (
+        (detected.jump < 0.0)
+        & (impact_sample > _EXCLUDED_END_RATIO * count)
+        & (impact_sample < (1.0 - _EXCLUDED_END_RATIO) * count)
+    )
+    impact_sample = impact_sample[chosen]
+    weight = largest_factor * motion.acceleration + gravity
+    floor = _FloorMotion(
+        largest_factor * motion.displacement, largest_factor * motion.velocity, weight, rate, gravity
+    )
+    pulse, flights = landing_pulse(motion.rec.scene, motion.info.at, rate), pairwise(impact_sample)
     if pulse is None:
-        heights = [floor.height_from_rest(int(left) + _SMEARED_SAMPLES, int(met)) for left, met in flights]
+        heights = [floor.height_from_rest(int(start) + _SMEARED_SAMPLES, int(end)) for start, end in flights]
     else:
         speeds = inelastic_closing_speeds(motion.rec.scene, detected, damper)[chosen]
-        closing = largest * speeds[1:] / (1.0 + pulse.restitution)
+        closing = largest_factor * speeds[1:] / (1.0 + pulse.restitution)
         heights = [
-            floor.height_before(int(left), met, speed)
-            for (left, met), speed in zip(flights, closing, strict=True)
+            floor.height_before(int(start), end, speed)
+            for (start, end), speed in zip(flights, closing, strict=True)
         ]
-    return bool(heights) and float(np.median(heights)) > (1.0 - _CEILING_SHARE) * damper.clearance
+    return bool(heights) and float(np.median(heights)) > (1.0 - _CEILING_DISTANCE_RATIO) * damper.clearance
 
 
 @dataclass(frozen=True)
-class _Floor:
+class _FloorMotion:
     """Motion of the floor of a cavity; `weight` is its acceleration plus g."""
 
-    place: Array
+    position: Array
     speed: Array
     weight: Array
     rate: float
     gravity: float
 
-    def height_from_rest(self, at: int, last: int) -> float:
+    def height_from_rest(self, sample: int, last: int) -> float:
         """Return the maximum height, m, of a damper that starts at rest on the floor and does not rebound."""
         highest = 0.0
-        while at < last and (falling := np.flatnonzero(self.weight[at:last] < 0.0)).size:
-            begin, late = at + int(falling[0]), 0.0
-            if begin > at:
+        while sample < last and (falling := np.flatnonzero(self.weight[sample:last] < 0.0)).size:
+            release, delay = sample + int(falling[0]), 0.0
+            if release > sample:
                 # The damper left between two samples, at the interpolated zero of `weight`.
-                before = self.weight[begin - 1]
-                late = self.weight[begin] / (self.weight[begin] - before) / self.rate
-            start = self.place[begin] - self.speed[begin] * late - 0.5 * self.gravity * late**2
-            speed = self.speed[begin] + self.gravity * late
-            time = late + np.arange(1, last - begin + 1) / self.rate
-            height = start + speed * time - 0.5 * self.gravity * time**2 - self.place[begin + 1 : last + 1]
+                before = self.weight[release - 1]
+                delay = self.weight[release] / (self.weight[release] - before) / self.rate
+            start = self.position[release] - self.speed[release] * delay - 0.5 * self.gravity * delay**2
+            speed = self.speed[release] + self.gravity * delay
+            time = delay + np.arange(1, last - release + 1) / self.rate
+            height = (
+                start + speed * time - 0.5 * self.gravity * time**2 - self.position[release + 1 : last + 1]
+            )
             landed = np.flatnonzero(height < 0.0)
             end = int(landed[0]) if landed.size else height.size
             highest = max(highest, float(height[:end].max(initial=0.0)))
-            at = begin + 1 + end
+            sample = release + 1 + end
         return highest
 
-    def height_before(self, first: int, met: float, closing: float) -> float:
-        """Return the maximum height, m, of a flight after `first` that ends at `met` with a closing speed."""
+    def height_before(self, first: int, end_sample: float, closing: float) -> float:
+        """Return the maximum height, m, of a flight after `first` that ends at `end_sample` with a closing speed."""
         # The backward computation starts at the last sample that the impact does not smear.
-        last = int(met) - _SMEARED_SAMPLES
-        left = (met - last) / self.rate
-        height = left * closing - 0.5 * self.weight[last] * left**2
-        closing = closing - self.weight[last] * left
+        last = int(end_sample) - _SMEARED_SAMPLES
+        remaining_time = (end_sample - last) / self.rate
+        height = remaining_time * closing - 0.5 * self.weight[last] * remaining_time**2
+        closing = closing - self.weight[last] * remaining_time
         time = np.arange(max(last - first, 0)) / self.rate
-        own = self.place[last] + height - (self.speed[last] - closing) * time - 0.5 * self.gravity * time**2
-        above = own - self.place[last - np.arange(time.size)]
-        landed = np.flatnonzero(above < 0.0)
-        return float(above[: int(landed[0]) if landed.size else above.size].max(initial=0.0))
+        damper_position = (
+            self.position[last] + height - (self.speed[last] - closing) * time - 0.5 * self.gravity * time**2
+        )
+        height_above_floor = damper_position - self.position[last - np.arange(time.size)]
+        landed = np.flatnonzero(height_above_floor < 0.0)
+        return float(
+            height_above_floor[: int(landed[0]) if landed.size else height_above_floor.size].max(initial=0.0)
+        )

@@ -13,14 +13,16 @@ import numpy as np
 
 from analysis.damper_motion.joint_fit import ITERATIONS, Jump
 
-# Number of sets that are kept at each size, of times that are tried for the next jump, and of jumps in a set.
+# Number of sets that are kept at each number of jumps.
 _BEAM_WIDTH = 3
-_PLACES_TRIED = 4
+# Number of times that are tried for the next jump.
+_TIMES_TRIED = 4
+# Maximum number of jumps in a set.
 MAX_GROUP = 8
 # An additional jump must reduce the residual sum of squares by this factor.
 _MIN_REDUCTION = 5.0
-# Spacing of the times that are tried, samples.
-_PLACE_STEP = 2.0
+# Spacing of the times that are tried.
+_TIME_STEP_SAMPLES = 2.0
 
 
 def search_group(
@@ -39,32 +41,32 @@ def search_group(
     sets: list[list[Jump]] = [[]]
     for _ in range(MAX_GROUP):
         larger = []
-        for known in sets:
+        for jumps_of_set in sets:
             # The times at which one more jump reduces the residual most, from fits with fixed times.
-            tried = [
-                [*known, Jump(float(time), np.zeros(3), 1.0, 0.0)]
-                for time in np.arange(*times, _PLACE_STEP)
-                if all(abs(time - jump.time) >= min_distance for jump in known)
+            candidates = [
+                [*jumps_of_set, Jump(float(time), np.zeros(3), 1.0, 0.0)]
+                for time in np.arange(*times, _TIME_STEP_SAMPLES)
+                if all(abs(time - jump.time) >= min_distance for jump in jumps_of_set)
             ]
-            remaining = [fit(jumps, 1)[1] for jumps in tried]
-            order = np.argsort(remaining, kind="stable")[:_PLACES_TRIED]
-            larger += [fit(tried[k], ITERATIONS) for k in order]
-        larger.sort(key=lambda each: each[1])
+            residual_squares = [fit(jumps, 1)[1] for jumps in candidates]
+            order = np.argsort(residual_squares, kind="stable")[:_TIMES_TRIED]
+            larger += [fit(candidates[k], ITERATIONS) for k in order]
+        larger.sort(key=lambda candidate: candidate[1])
         distinct: list[tuple[list[Jump], float]] = []
-        for each in larger:
-            if not any(_same(each[0], other[0]) for other in distinct):
-                distinct.append(each)
+        for candidate in larger:
+            if not any(_same_times(candidate[0], other[0]) for other in distinct):
+                distinct.append(candidate)
         best, sets = best + distinct[:1], [jumps for jumps, _ in distinct[:_BEAM_WIDTH]]
         if not distinct or distinct[0][1] < sufficient:
             break
-    return min(best, key=lambda each: cost(*each), default=([], np.inf))
+    return min(best, key=lambda candidate: cost(*candidate), default=([], np.inf))
 
 
-def cost(jumps: list[Jump], remaining: float) -> float:
+def cost(jumps: list[Jump], residual_square: float) -> float:
     """Return the logarithm of the residual sum of squares, plus a penalty for each jump."""
-    return float(np.log(max(remaining, 1e-300))) + len(jumps) * np.log(_MIN_REDUCTION)
+    return float(np.log(max(residual_square, 1e-300))) + len(jumps) * np.log(_MIN_REDUCTION)
 
 
-def _same(left: list[Jump], right: list[Jump]) -> bool:
+def _same_times(left: list[Jump], right: list[Jump]) -> bool:
     times = [np.sort([jump.time for jump in jumps]) for jumps in (left, right)]
-    return bool(np.all(abs(times[0] - times[1]) < _PLACE_STEP))
+    return bool(np.all(abs(times[0] - times[1]) < _TIME_STEP_SAMPLES))

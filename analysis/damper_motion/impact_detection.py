@@ -16,10 +16,10 @@ from analysis.damper_motion.matching_pursuit import (
     DETECTION_SIGMAS,
     MODEL_ERROR,
     NOISE_REDUCTION,
-    RESIDUAL_SHARE,
+    RESIDUAL_RATIO,
     MatchingPursuit,
 )
-from analysis.decays.sensor_correction import corrected
+from analysis.decays.sensor_correction import correct_motion
 from analysis.responses.measurands import find_channel
 from rig.arrays import Array
 from rig.errors import RecordingError
@@ -32,34 +32,38 @@ if TYPE_CHECKING:
 
 
 # A stretch is rejected if less than this share of it can be searched.
-_MIN_SEARCHED = 0.5
-# The weight of a bed delays the release after a finite-duration impact. A smaller jump is attributed to this
-# release if it is within this number of contact durations and below this share of the impact. While the sensor
-# rings, a jump below the second share is attributed to the residual of the impact.
+_MIN_SEARCHED_RATIO = 0.5
+# The weight of a bed delays the release after a finite-duration impact: a smaller jump within this number of contact
+# durations is attributed to the release ...
 RELEASE_DURATIONS = 1.6
-_RELEASE_SHARE = 0.5
-_CONTACT_RESIDUAL_SHARE = 0.15
-# Model error of a finite-duration impact: a share of the largest impact near it. That impact also shifts the
-# estimated time by shares of the pulse width and of a sample interval.
+# ... if it is below this ratio to the impact.
+_MAX_RELEASE_RATIO = 0.5
+# While the sensor rings, a jump below this ratio is attributed to the residual of the impact.
+_CONTACT_RESIDUAL_RATIO = 0.15
+# Model error of a finite-duration impact, relative to the largest impact near it.
 _CONTACT_JUMP_ERROR = 0.03
+# Shift of the estimated time by that impact, relative to the pulse width.
 _CONTACT_TIME_ERROR = 0.04
+# Additional shift of that time, relative to a sample interval.
 _CONTACT_SAMPLE_ERROR = 0.05
 # Number of readings in 90 % of an impact pulse; samples at a higher rate are averaged.
 _PULSE_READINGS = 8
-# Frequency band in which the motion of a body is determined: lower limit in Hz, upper limit as a share of the sample
-# rate.
+# Lower limit of the frequency band in which the motion of a body is determined.
 _LOW_HZ = 2.0
-_HIGH_SHARE = 0.4
-# The acceleration at an impact is estimated by a polynomial through the samples on either side: time on each side
-# (s), minimum number of samples, decay times of the sensor resonance that are skipped, and polynomial order.
-_SIDE_TIME = 2e-3
+# Upper limit of that band, relative to the sample rate.
+_HIGH_RATE_RATIO = 0.4
+# The acceleration at an impact is estimated by a polynomial through the samples within this time on either side.
+_SIDE_TIME_S = 2e-3
+# Minimum number of these samples.
 _MIN_SIDE_SAMPLES = 8
+# Decay times of the sensor resonance that are skipped after the impact.
 _DECAY_TIMES = 4.0
+# Order of the polynomial.
 _SIDE_ORDER = 3
-# If the largest jump is below this multiple of the noise, other jumps may have inflated the noise estimate. The noise
-# is then estimated again from this share of the windows.
+# If the largest jump is below this multiple of the noise, other jumps may have inflated the noise estimate.
 _UNCERTAIN_SIGMAS = 40.0
-_CALMEST_SHARE = 0.1
+# Share of the windows from which the noise is then estimated again.
+_CALMEST_RATIO = 0.1
 
 
 @dataclass(frozen=True)
@@ -105,7 +109,7 @@ class Impacts:
     @property
     def masked_share(self) -> float:
         """Ratio of two impacts during ringing below which the smaller impact may be missed."""
-        return _CONTACT_RESIDUAL_SHARE if self.contact_duration else RESIDUAL_SHARE
+        return _CONTACT_RESIDUAL_RATIO if self.contact_duration else RESIDUAL_RATIO
 
     @property
     def kind(self) -> NDArray[np.str_]:
@@ -139,84 +143,92 @@ def impacts(
     stop = rec.samples if stop is None else min(stop, rec.samples)
     pulse = landing_pulse(rec.scene, info.at, info.rate)
     decimation = 1 if pulse is None else max(1, int(pulse.width * info.rate / _PULSE_READINGS))
-    spread = info.average or info.filter or len(info.poles) > len(info.zeros)
-    if decimation == 1 and info.quantity == "acceleration" and not spread:
+    between_samples = info.average or info.filter or len(info.poles) > len(info.zeros)
+    if decimation == 1 and info.quantity == "acceleration" and not between_samples:
         raise RecordingError(
             f"{info.name}: acceleration sampled at instants (sampling: point), so that impacts between two samples "
             "leave no trace. Record with sampling: average, a filter, an integrator, a sensor resonance, or a higher "
             "rate."
         )
     models = impact_models(info, pulse, decimation)
-    least = 4 * models[0].separation * decimation
-    if stop - start < least:
+    min_samples = 4 * models[0].separation * decimation
+    if stop - start < min_samples:
         raise RecordingError(
-            f"{info.name}: too few samples to distinguish impacts from noise ({stop - start}). Take at least {least}."
+            f"{info.name}: too few samples to distinguish impacts from noise ({stop - start}). Take at least "
+            f"{min_samples}."
         )
     if samples is None:
         samples = rec.read(info.name, start, stop)
-    good = _good(rec, info.name, samples, start, models[0].settling * decimation)
-    if np.sum(good) < max(least, _MIN_SEARCHED * good.size):
+    valid_samples = _valid_samples(rec, info.name, samples, start, models[0].settling * decimation)
+    if np.sum(valid_samples) < max(min_samples, _MIN_SEARCHED_RATIO * valid_samples.size):
         raise RecordingError(
-            f"{info.name}: all but {np.sum(good)} of {good.size} samples in this stretch are lost or overloaded. "
-            "Choose another stretch, or record at a lower level, with a larger converter range or longer contacts."
+            f"{info.name}: all but {np.sum(valid_samples)} of {valid_samples.size} samples in this stretch are lost or "
+            "overloaded. Choose another stretch, or record at a lower level, with a larger converter range or longer "
+            "contacts."
         )
-    if not good.all():
-        samples = np.interp(np.arange(samples.size), np.flatnonzero(good), samples[good])
+    if not valid_samples.all():
+        samples = np.interp(np.arange(samples.size), np.flatnonzero(valid_samples), samples[valid_samples])
     # The quantization of the converter is included in the noise, even if constant readings conceal it.
     rounding = 0.0 if info.volts_per_count is None else info.unit_per_count / 12.0**0.5
-    floor = max(rounding, 1e-14 * float(abs(samples).max()))
-    if floor == 0.0:
+    noise_floor = max(rounding, 1e-14 * float(abs(samples).max()))
+    if noise_floor == 0.0:
         raise RecordingError(
             f"{info.name}: reads zero throughout this stretch. Check what it is connected to."
         )
-    rate, floor = rec.rate / decimation, floor / decimation**0.5
-    readings, valid = _means(samples, decimation), _means(good, decimation) == 1.0
-    search = MatchingPursuit(models, readings, valid, floor, rate, CALM_SHARE)
+    rate, noise_floor = rec.rate / decimation, noise_floor / decimation**0.5
+    readings, valid = _average_groups(samples, decimation), _average_groups(valid_samples, decimation) == 1.0
+    search = MatchingPursuit(models, readings, valid, noise_floor, rate, CALM_SHARE)
     if not search.valid.any():
         raise RecordingError(
-            f"{info.name}: lost or overloaded samples leave no {least} samples in a row. Choose another stretch, or "
-            "record at a lower level or with a larger converter range."
+            f"{info.name}: lost or overloaded samples leave no {min_samples} samples in a row. Choose another stretch, "
+            "or record at a lower level or with a larger converter range."
         )
     jumps = search.run()
     noise = search.jump_noise
     largest = max((abs(jump.sizes[0]) for jump in jumps), default=0.0 if pulse else np.inf)
     if largest < _UNCERTAIN_SIGMAS * noise:
         # Frequent impacts raise the noise estimate of most windows, and so mask each other.
-        calmer = MatchingPursuit(models, readings, valid, floor, rate, _CALMEST_SHARE)
+        calmer = MatchingPursuit(models, readings, valid, noise_floor, rate, _CALMEST_RATIO)
         calmer_jumps = calmer.run()
         if calmer.jump_noise < NOISE_REDUCTION * noise:
             search, jumps, noise = calmer, calmer_jumps, calmer.jump_noise
     fitted = [(each.time, each.time_error, each.sizes[0], each.error) for each in jumps]
-    place, place_error, jump, error = np.array(fitted).reshape(-1, 4).T
+    position, position_error, jump, error = np.array(fitted).reshape(-1, 4).T
     largest = float(abs(jump).max(initial=0.0))
     threshold = search.detection_limit(noise, largest)
-    clear = abs(jump) > max(DETECTION_SIGMAS * noise, MODEL_ERROR * largest)
+    accepted = abs(jump) > max(DETECTION_SIGMAS * noise, MODEL_ERROR * largest)
     if pulse is not None:
         # A jump below the limit may have the wrong sign.
-        clear, threshold = abs(jump) > threshold, threshold + DETECTION_MARGIN_SIGMAS * noise
-    lost = (start + np.array(runs_of(~good), dtype=float).reshape(-1, 2)) / rec.rate
+        accepted, threshold = abs(jump) > threshold, threshold + DETECTION_MARGIN_SIGMAS * noise
+    lost = (start + np.array(runs_of(~valid_samples), dtype=float).reshape(-1, 2)) / rec.rate
     unresolved = search.unresolved()
-    clear &= ~((place[:, None] >= unresolved[:, 0]) & (place[:, None] < unresolved[:, 1])).any(axis=1)
+    accepted &= ~((position[:, None] >= unresolved[:, 0]) & (position[:, None] < unresolved[:, 1])).any(
+        axis=1
+    )
     resolution, duration = search.resolution() / rate, 0.0 if pulse is None else pulse.duration
     ringing = (search.model.separation + search.model.settling) / rate
     if pulse is not None:
-        time = place / rate
-        clear &= ~_secondary(time, jump, resolution + RELEASE_DURATIONS * duration, ringing)
-        near = np.where(abs(time[:, None] - time) < ringing, abs(jump), 0.0).max(axis=1, initial=0.0)
-        error = np.hypot(error, _CONTACT_JUMP_ERROR * near)
-        width = _CONTACT_TIME_ERROR * pulse.width * rate + _CONTACT_SAMPLE_ERROR
-        place_error = np.hypot(place_error, width * near / abs(jump))
-    place, place_error, jump, error = (each[clear] for each in (place, place_error, jump, error))
+        time = position / rate
+        accepted &= ~_is_secondary(time, jump, resolution + RELEASE_DURATIONS * duration, ringing)
+        largest_nearby = np.where(abs(time[:, None] - time) < ringing, abs(jump), 0.0).max(
+            axis=1, initial=0.0
+        )
+        error = np.hypot(error, _CONTACT_JUMP_ERROR * largest_nearby)
+        added_error = _CONTACT_TIME_ERROR * pulse.width * rate + _CONTACT_SAMPLE_ERROR
+        position_error = np.hypot(position_error, added_error * largest_nearby / abs(jump))
+    position, position_error, jump, error = (
+        each[accepted] for each in (position, position_error, jump, error)
+    )
     # The time of an average is that of its last sample.
-    place, unresolved = ((each + 1.0) * decimation - 1.0 for each in (place, unresolved))
+    position, unresolved = ((each + 1.0) * decimation - 1.0 for each in (position, unresolved))
     excluded = float(np.sum(unresolved[:, 1] - unresolved[:, 0])) / rec.rate
     return Impacts(
         channel=info.name,
-        time=(start + place) / rec.rate - info.delay,
-        time_error=place_error / rate,
+        time=(start + position) / rec.rate - info.delay,
+        time_error=position_error / rate,
         jump=jump,
         jump_error=error,
-        acceleration=_acceleration(samples, place, info, duration) if place.size else place,
+        acceleration=_acceleration(samples, position, info, duration) if position.size else position,
         noise=noise,
         resolution=resolution,
         ringing=ringing,
@@ -227,16 +239,16 @@ def impacts(
     )
 
 
-def _secondary(time: Array, jump: Array, released: float, ringing: float) -> NDArray[np.bool_]:
-    """Which jumps may be the delayed release, or the residual, of a larger impact nearby."""
-    distance, size = abs(time[:, None] - time), abs(jump)
-    ends = (distance < released) & (size[:, None] < _RELEASE_SHARE * size)
-    masked = (distance < ringing) & (size[:, None] < _CONTACT_RESIDUAL_SHARE * size)
-    return np.asarray((ends | masked).any(axis=1))
+def _is_secondary(time: Array, jump: Array, release_time: float, ringing: float) -> NDArray[np.bool_]:
+    """Return whether each jump may be the delayed release, or the residual, of a larger impact nearby."""
+    distance, magnitude = abs(time[:, None] - time), abs(jump)
+    is_release = (distance < release_time) & (magnitude[:, None] < _MAX_RELEASE_RATIO * magnitude)
+    is_residual = (distance < ringing) & (magnitude[:, None] < _CONTACT_RESIDUAL_RATIO * magnitude)
+    return np.asarray((is_release | is_residual).any(axis=1))
 
 
-def _means(row: Array | NDArray[np.bool_], count: int) -> Array:
-    """Averages of `count` consecutive samples; an incomplete group at the end is dropped."""
+def _average_groups(row: Array | NDArray[np.bool_], count: int) -> Array:
+    """Average groups of `count` consecutive samples; an incomplete group at the end is dropped."""
     if count == 1:
         return np.asarray(row, dtype=np.float64)
     return np.asarray(row[: row.size - row.size % count].reshape(-1, count).mean(axis=1))
@@ -244,11 +256,11 @@ def _means(row: Array | NDArray[np.bool_], count: int) -> Array:
 
 def band(rate: float) -> tuple[float, float]:
     """Return the frequency band in which the motion of a body is determined at a sample rate, Hz."""
-    return _LOW_HZ, _HIGH_SHARE * rate
+    return _LOW_HZ, _HIGH_RATE_RATIO * rate
 
 
-def _good(rec: Recording, name: str, samples: Array, start: int, ring: int) -> NDArray[np.bool_]:
-    """Which samples of a channel are valid: neither lost nor overloaded, and not ringing after an overload."""
+def _valid_samples(rec: Recording, name: str, samples: Array, start: int, ring: int) -> NDArray[np.bool_]:
+    """Return whether each sample is valid: neither lost nor overloaded, and not ringing after an overload."""
     good = np.isfinite(samples)
     for marker in rec.overloads:
         if marker.fields.get("channel") == name:
@@ -262,23 +274,25 @@ def _acceleration(samples: Array, places: Array, info: ChannelInfo, duration: fl
     integrations = 2 - MOTIONS.index(info.quantity)
     # The high-pass filters of integrators are corrected, because they distort slow motion.
     zeros, poles = (tuple(r for r in roots if abs(r) < info.rate) for roots in (info.zeros, info.poles))
-    slow = replace(info, zeros=zeros, poles=poles, gain=1.0, average=False, filter={}, delay=0.0)
-    samples = corrected(slow, samples, info.quantity, _LOW_HZ, info.rate)
+    without_fast_poles = replace(
+        info, zeros=zeros, poles=poles, gain=1.0, average=False, filter={}, delay=0.0
+    )
+    samples = correct_motion(without_fast_poles, samples, info.quantity, _LOW_HZ, info.rate)
     # Samples during which the sensor rings are excluded. The average over an interval is assigned to its middle.
     slowest = min((-pole.real for pole in info.poles if abs(pole) > info.rate), default=np.inf)
     gap = 2 + int(np.ceil(_DECAY_TIMES * info.rate / slowest + duration * info.rate))
-    side = max(_MIN_SIDE_SAMPLES, round(_SIDE_TIME * info.rate))
+    side = max(_MIN_SIDE_SAMPLES, round(_SIDE_TIME_S * info.rate))
     out = np.full(places.size, np.nan)
-    whole = np.floor(places).astype(np.intp)
-    inside = np.flatnonzero((whole >= side) & (whole + gap + side <= samples.size))
-    around = np.concatenate([np.arange(-side, 0), np.arange(gap, gap + side)])
-    for index in inside:
-        at = whole[index] + around
-        time = (at - places[index] - 0.5 * info.average) / (side + gap)
+    jump_sample = np.floor(places).astype(np.intp)
+    evaluable = np.flatnonzero((jump_sample >= side) & (jump_sample + gap + side <= samples.size))
+    offsets = np.concatenate([np.arange(-side, 0), np.arange(gap, gap + side)])
+    for index in evaluable:
+        indices = jump_sample[index] + offsets
+        time = (indices - places[index] - 0.5 * info.average) / (side + gap)
         columns = [time**power for power in range(integrations + _SIDE_ORDER + 1)]
         if integrations:
             columns.append(np.maximum(time, 0.0) ** (integrations - 1) * (time > 0))
-        fit = np.linalg.lstsq(np.stack(columns, axis=1), samples[at], rcond=None)[0]
+        fit = np.linalg.lstsq(np.stack(columns, axis=1), samples[indices], rcond=None)[0]
         scale = (info.rate / (side + gap)) ** integrations
         out[index] = fit[integrations] * (1.0, 1.0, 2.0)[integrations] * scale
     return out

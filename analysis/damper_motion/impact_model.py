@@ -23,35 +23,37 @@ if TYPE_CHECKING:
 
 
 # Maximum distance of a jump from the middle of its window, samples.
-SHIFT = 4
+MAX_SHIFT = 4
 # Polynomial orders of the smooth acceleration around a jump.
 ORDERS = (2, 4, 6, 8)
-# Number of samples on either side of a jump that determine the smooth motion; for velocity and displacement channels
-# also a minimum time, s.
+# Minimum number of samples on either side of a jump that determine the smooth motion.
 _SIDE_SAMPLES = 6
-_SIDE_TIME = 1e-3
-# Number of sub-sample times in a sample: the phase of a resonance changes by less than this between two, rad, and
-# there are at least this many.
-_PHASE_STEP = 0.5
+# Minimum duration of these samples in velocity and displacement channels.
+_SIDE_TIME_S = 1e-3
+# Maximum phase change of a resonance between two sub-sample times, rad.
+_MAX_PHASE_STEP = 0.5
+# Minimum number of sub-sample times in a sample.
 _MIN_INSTANTS = 8
-# The search uses every eighth sub-sample time if the sensor has a resonance, and every fourth with a decimation
-# filter.
+# The search uses every eighth sub-sample time if the sensor has a resonance.
 _RESONANCE_STRIDE = 8
+# The search uses every fourth sub-sample time with a decimation filter.
 _FILTER_STRIDE = 4
 # Poles above this angular frequency, rad per sample, affect the shape of a jump; slower poles only cause a slow
 # curvature after it.
 _FAST_POLE = 0.3
-# Number of decay times of a resonance until its response has decayed to 1e-6, and number within the window.
+# Number of decay times after which the response of a resonance has decayed to 1e-6.
 _DECAY_TIMES = 14.0
+# Number of these decay times within the window.
 _WINDOW_DECAY_TIMES = 3.0
-# Length of a decimation filter's impulse response on either side, and its part within the window, samples.
-_FILTER_SPAN = 40
-_FILTER_WINDOW = 12
+# Length of a decimation filter's impulse response on either side.
+_FILTER_SPAN_SAMPLES = 40
+# Part of that impulse response within the window.
+_FILTER_WINDOW_SAMPLES = 12
 # Singular values of the filters below this share of the largest are rounding errors.
 _RANK_TOLERANCE = 1e-12
 
 
-class Placed(NamedTuple):
+class UnitReadings(NamedTuple):
     """Differenced readings of unit jump, step and kink at a sub-sample time."""
 
     begin: int
@@ -78,14 +80,14 @@ class ImpactModel:
     """The search uses every `stride`-th sub-sample time."""
     filters: Array
     """Filters for the kink, for the step orthogonal to the kink, and for the jump orthogonal to both, each with unit
-    noise gain. Row g is for a jump (g + 1/2) / instants - SHIFT samples after the window's sample 0.
-    Shape (2 SHIFT instants, 3, window)."""
+    noise gain. Row g is for a jump (g + 1/2) / instants - MAX_SHIFT samples after the window's sample 0.
+    Shape (2 MAX_SHIFT instants, 3, window)."""
     r_factors: Array
-    """Upper triangular matrices from kink, step and jump to filter outputs; shape (2 SHIFT instants, 3, 3)."""
+    """Upper triangular matrices from kink, step and jump to filter outputs; shape (2 MAX_SHIFT instants, 3, 3)."""
     window_start: int
     """Index of the window's first difference relative to its sample 0."""
     shapes: Array
-    """Differenced readings of unit jump, step and kink; shape (2 SHIFT instants, 3, length)."""
+    """Differenced readings of unit jump, step and kink; shape (2 MAX_SHIFT instants, 3, length)."""
     shape_start: int
     """Index of the first difference of `shapes` relative to sample 0."""
     order: int
@@ -99,7 +101,7 @@ class ImpactModel:
 
         The numerical rank of a few dozen filters is about ten.
         """
-        first = SHIFT * self.instants + self.stride // 2
+        first = MAX_SHIFT * self.instants + self.stride // 2
         filters = self.filters[first : first + self.instants : self.stride, 2]
         left, singular, basis = np.linalg.svd(filters, full_matrices=False)
         rank = int(np.sum(singular > _RANK_TOLERANCE * singular[0]))
@@ -112,12 +114,12 @@ class ImpactModel:
 
     @cached_property
     def _to_sizes(self) -> Array:
-        """Matrices from filter outputs to jump, step and kink; shape (2 SHIFT instants, 3, 3)."""
+        """Matrices from filter outputs to jump, step and kink; shape (2 MAX_SHIFT instants, 3, 3)."""
         return np.asarray(np.linalg.inv(self.r_factors)[:, ::-1], dtype=np.float64)
 
     @cached_property
     def templates(self) -> Array:
-        """Readings of unit jump, step and kink without smooth motion; shape (2 SHIFT instants, 3, window)."""
+        """Readings of unit jump, step and kink without smooth motion; shape (2 MAX_SHIFT instants, 3, window)."""
         begin = self.window_start - self.shape_start
         return self.readings(self.shapes[..., begin : begin + self.window])
 
@@ -139,17 +141,17 @@ class ImpactModel:
     @cached_property
     def noise_gain(self) -> float:
         """Standard deviation of a jump for unit noise of the readings at the worst sub-sample time, m/s."""
-        middle = slice(SHIFT * self.instants, (SHIFT + 1) * self.instants)
+        middle = slice(MAX_SHIFT * self.instants, (MAX_SHIFT + 1) * self.instants)
         return float(1.0 / abs(self.r_factors[middle, 2, 2]).min())
 
     @cached_property
     def template_norm(self) -> float:
         """Root sum of squares of the readings of a 1 m/s jump in the middle of a window."""
         row = np.zeros(self.window)
-        placed = self.placed(self.difference - self.window_start + 0.5)
-        low = max(0, -placed.begin)
-        part = placed.units[0, low : low + self.window - max(placed.begin, 0)]
-        row[max(placed.begin, 0) : max(placed.begin, 0) + part.size] = part
+        unit = self.placed(self.difference - self.window_start + 0.5)
+        low = max(0, -unit.begin)
+        part = unit.units[0, low : low + self.window - max(unit.begin, 0)]
+        row[max(unit.begin, 0) : max(unit.begin, 0) + part.size] = part
         return float(np.linalg.norm(self.readings(row)))
 
     def order_over(self, length: int) -> int:
@@ -171,20 +173,20 @@ class ImpactModel:
             differences = differences - (differences @ smooth) @ smooth.T
         return differences
 
-    def locate(self, place: Array | float) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
-        """Return the whole sample of a place, the preceding row of `shapes`, and the weight of the following row."""
-        whole = np.floor(place)
-        at = (place - whole) * self.instants - 0.5 + SHIFT * self.instants
-        row = np.clip(np.floor(at), 0, len(self.shapes) - 2)
-        return whole.astype(np.intp), row.astype(np.intp), np.asarray(at - row)
+    def locate(self, time: Array | float) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
+        """Return the sample before a time, the preceding row of `shapes`, and the weight of the following row."""
+        sample = np.floor(time)
+        position = (time - sample) * self.instants - 0.5 + MAX_SHIFT * self.instants
+        row = np.clip(np.floor(position), 0, len(self.shapes) - 2)
+        return sample.astype(np.intp), row.astype(np.intp), np.asarray(position - row)
 
-    def placed(self, place: float) -> Placed:
-        """Return the differenced readings of unit jump, step and kink at a place in samples."""
-        whole, row, share = self.locate(np.float64(place))
+    def placed(self, time: float) -> UnitReadings:
+        """Return the differenced readings of unit jump, step and kink at a time in samples."""
+        sample, row, weight = self.locate(np.float64(time))
         left, right = self.shapes[row], self.shapes[row + 1]
-        return Placed(
-            int(whole) + self.shape_start - self.difference,
-            left + share * (right - left),
+        return UnitReadings(
+            int(sample) + self.shape_start - self.difference,
+            left + weight * (right - left),
             (right - left) * self.instants,
         )
 
@@ -200,21 +202,21 @@ class ImpactModel:
         best = int(np.argmax(np.einsum("ij,ij->i", outputs, outputs))) * stride + stride // 2
         low = max(best - stride, 0)
         rows = self.filters[low : best + stride + 1]
-        near = (rows.reshape(-1, self.window) @ window).reshape(-1, 3)
-        explained = np.einsum("ij,ij->i", near, near) / noise**2
+        outputs_nearby = (rows.reshape(-1, self.window) @ window).reshape(-1, 3)
+        explained = np.einsum("ij,ij->i", outputs_nearby, outputs_nearby) / noise**2
         best = int(np.argmax(explained))
-        row, toward = low + best, 0.0
+        row, offset = low + best, 0.0
         if 0 < best < explained.size - 1:
-            left, mid, right = explained[best - 1 : best + 2]
-            bend = left - 2.0 * mid + right
-            toward = min(max(0.5 * (left - right) / bend, -0.5), 0.5) if bend < 0 else 0.0
-        sizes = self._to_sizes[row] @ near[best]
-        if toward:
-            side = 1 if toward > 0 else -1
-            other = self._to_sizes[row + side] @ near[best + side]
-            sizes = (1.0 - abs(toward)) * sizes + abs(toward) * other
+            left, middle, right = explained[best - 1 : best + 2]
+            curvature = left - 2.0 * middle + right
+            offset = min(max(0.5 * (left - right) / curvature, -0.5), 0.5) if curvature < 0 else 0.0
+        sizes = self._to_sizes[row] @ outputs_nearby[best]
+        if offset:
+            direction = 1 if offset > 0 else -1
+            neighbour = self._to_sizes[row + direction] @ outputs_nearby[best + direction]
+            sizes = (1.0 - abs(offset)) * sizes + abs(offset) * neighbour
         error = noise / abs(self.r_factors[row, 2, 2])
-        return (row + toward + 0.5) / self.instants - SHIFT, sizes, error, float(explained[best])
+        return (row + offset + 0.5) / self.instants - MAX_SHIFT, sizes, error, float(explained[best])
 
 
 @lru_cache(maxsize=32)
@@ -265,13 +267,13 @@ def _impact_models(
     decay_samples = max((-rate / pole.real for pole in fast), default=0.0)
     contact = 0 if pulse is None else int(np.ceil(pulse.duration * rate))
     stride = _RESONANCE_STRIDE if phase_rate else _FILTER_STRIDE if info.filter and decimation == 1 else 1
-    instants = max(_MIN_INSTANTS, int(np.ceil(phase_rate / _PHASE_STEP))) * stride
-    side = _SIDE_SAMPLES if integrations == 0 else max(_SIDE_SAMPLES, round(_SIDE_TIME * rate))
-    filter_samples = int(np.ceil(_FILTER_WINDOW / decimation)) if info.filter else 0
-    before = SHIFT + side + filter_samples
-    after = SHIFT + side + integrations + filter_samples + contact
+    instants = max(_MIN_INSTANTS, int(np.ceil(phase_rate / _MAX_PHASE_STEP))) * stride
+    side = _SIDE_SAMPLES if integrations == 0 else max(_SIDE_SAMPLES, round(_SIDE_TIME_S * rate))
+    filter_samples = int(np.ceil(_FILTER_WINDOW_SAMPLES / decimation)) if info.filter else 0
+    before = MAX_SHIFT + side + filter_samples
+    after = MAX_SHIFT + side + integrations + filter_samples + contact
     after += int(np.ceil(min(_WINDOW_DECAY_TIMES * decay_samples, 4 * side)))
-    margin = int(np.ceil(_FILTER_SPAN / decimation)) if info.filter else 2
+    margin = int(np.ceil(_FILTER_SPAN_SAMPLES / decimation)) if info.filter else 2
     decayed = after + int(np.ceil(_DECAY_TIMES * decay_samples)) + margin
     readings = _readings(info, integrations, instants, before + margin, decayed, pulse, decimation)
     shapes = np.diff(readings, 2, axis=-1) / rate**integrations
@@ -307,7 +309,7 @@ def _readings(
     from scipy import fft
 
     rate = info.rate / decimation
-    size = 2 * fft.next_fast_len(before + after + 2 * SHIFT + 2)
+    size = 2 * fft.next_fast_len(before + after + 2 * MAX_SHIFT + 2)
     frequency = fft.rfftfreq(size * instants, 1.0 / (rate * instants))
     with np.errstate(divide="ignore", invalid="ignore"):
         response = replace(info, average=False).response(frequency)
@@ -318,8 +320,8 @@ def _readings(
         response[frequency > info.rate] = 0.0
     if pulse is not None:
         # Velocity change within half a sub-sample interval on either side.
-        ends = (np.arange(size * instants + 1) - 0.5) / (rate * instants)
-        response *= fft.rfft(np.diff(pulse.exchanged(ends)))
+        edges = (np.arange(size * instants + 1) - 0.5) / (rate * instants)
+        response *= fft.rfft(np.diff(pulse.exchanged(edges)))
     averages = integrations + int(info.average)
     if not info.average:
         # The mean of interval averages is an average over a longer interval; point samples are summed explicitly.
@@ -331,13 +333,13 @@ def _readings(
     for _ in range(averages):
         total = np.cumsum(np.concatenate([impulse_response[-instants:], impulse_response]))
         impulse_response = (total[instants:] - total[:-instants]) / instants
-    impulse_response = np.roll(impulse_response, (before + SHIFT) * instants)
+    impulse_response = np.roll(impulse_response, (before + MAX_SHIFT) * instants)
     step = (np.cumsum(impulse_response) - 0.5 * impulse_response) / (rate * instants)
     kink = (np.cumsum(step) - 0.5 * step) / (rate * instants)
-    instant = np.arange(-SHIFT * instants, SHIFT * instants)
+    instant = np.arange(-MAX_SHIFT * instants, MAX_SHIFT * instants)
     sample = np.arange(1 - before, after + 1)
-    place = (before + SHIFT + sample) * instants - instant[:, None] - 1
-    return np.stack([part[place] for part in (impulse_response, step, kink)], axis=1)
+    indices = (before + MAX_SHIFT + sample) * instants - instant[:, None] - 1
+    return np.stack([part[indices] for part in (impulse_response, step, kink)], axis=1)
 
 
 def _filters(readings: Array, integrations: int, rate: float) -> list[tuple[Array, Array]]:
@@ -350,12 +352,12 @@ def _filters(readings: Array, integrations: int, rate: float) -> list[tuple[Arra
     out = []
     for order in ORDERS:
         smooth = legendre_basis(rows.shape[-1], order + integrations)
-        free = columns
+        without_smooth = columns
         # A single projection leaves rounding errors, because the polynomials are much larger than the readings of a
         # jump.
         for _ in range(2):
-            free = free - smooth @ (smooth.T @ free)
-        basis, r_factors = np.linalg.qr(free)
+            without_smooth = without_smooth - smooth @ (smooth.T @ without_smooth)
+        basis, r_factors = np.linalg.qr(without_smooth)
         filters = np.swapaxes(basis, 1, 2)
         for _ in range(integrations + 2):
             filters = -np.cumsum(filters, axis=-1)[..., :-1]

@@ -13,16 +13,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from analysis.damper_motion.impact_model import SHIFT, ImpactModel
+from analysis.damper_motion.impact_model import MAX_SHIFT, ImpactModel
 from rig.arrays import Array
 
-# Gauss-Newton iterations, and the largest change of a time in one iteration, samples.
+# Number of Gauss-Newton iterations.
 ITERATIONS = 4
-_MAX_CHANGE = 0.5
+# Maximum change of a time in one iteration.
+_MAX_CHANGE_SAMPLES = 0.5
 # Added to the diagonal of the normalized normal equations, so that they stay positive definite despite rounding.
-_ROUNDING = 1e-11
+_DIAGONAL_LOADING = 1e-11
 # Maximum distance of a fitted jump from its start, samples: a larger one would merge it with a neighbour.
-_MAX_DISTANCE = 2.0
+_MAX_DISTANCE_SAMPLES = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +52,7 @@ class Deviations(NamedTuple):
     """m/s³."""
 
 
-def add(residual: Array, model: ImpactModel, jump: Jump, factor: float) -> None:
+def add_jump(residual: Array, model: ImpactModel, jump: Jump, factor: float) -> None:
     """Add a multiple of a jump to the differenced readings."""
     placed = model.placed(jump.time)
     _add_row(residual, placed.begin, factor * (jump.sizes @ placed.units))
@@ -64,7 +65,7 @@ def fit_group(
 
     `residual`: differenced readings, with all other jumps subtracted.
     """
-    first, last = _around(model, [jump.time for jump in group])
+    first, last = _difference_range(model, [jump.time for jump in group])
     return fit_within(residual, model, group, (max(first, 0), min(last, residual.size)), noise)
 
 
@@ -72,23 +73,23 @@ def fit_within(
     residual: Array,
     model: ImpactModel,
     group: Sequence[Jump],
-    within: tuple[int, int],
+    difference_range: tuple[int, int],
     noise: Deviations,
     iterations: int = ITERATIONS,
 ) -> tuple[list[Jump], float]:
-    """Fit jumps as `fit_group` does, to the differences `within`; a single iteration keeps their times fixed."""
-    first, last = within
+    """Fit jumps as `fit_group` does, to a range of differences; a single iteration keeps their times fixed."""
+    first, last = difference_range
     readings = model.readings(residual[first:last])
     times = start = np.array([jump.time for jump in group])
     sizes = np.zeros((len(group), 3))
     for iteration in range(iterations):
         matrix = model.readings(_columns(model, times, sizes if iteration else None, first, last))
         fit = _least_squares(matrix, readings, _ridge(len(matrix), len(group), noise))
-        each = fit.solution.reshape(len(group), -1)
-        sizes = each[:, :3]
+        solution = fit.solution.reshape(len(group), -1)
+        sizes = solution[:, :3]
         if 0 < iteration < iterations - 1:
-            moved = times + np.clip(each[:, 3], -_MAX_CHANGE, _MAX_CHANGE)
-            times = np.where(abs(moved - start) < _MAX_DISTANCE, moved, times)
+            changed = times + np.clip(solution[:, 3], -_MAX_CHANGE_SAMPLES, _MAX_CHANGE_SAMPLES)
+            times = np.where(abs(changed - start) < _MAX_DISTANCE_SAMPLES, changed, times)
     error = noise.reading * fit.error.reshape(len(group), -1)
     fitted = []
     for k, time in enumerate(times):
@@ -98,7 +99,7 @@ def fit_within(
     return fitted, float(fit.remaining)
 
 
-def with_errors(
+def estimate_errors(
     residual: Array, model: ImpactModel, jumps: Sequence[Jump], noise: Array, prior: tuple[float, float]
 ) -> list[Jump]:
     """Estimate the standard deviations of jumps from the noise, or from the residual if that is larger.
@@ -108,13 +109,13 @@ def with_errors(
     """
     if not jumps:
         return []
-    whole, row, share = model.locate(np.array([jump.time for jump in jumps]))
+    sample, row, weight = model.locate(np.array([jump.time for jump in jumps]))
     sizes = np.array([jump.sizes for jump in jumps])
     windows = np.lib.stride_tricks.sliding_window_view(residual, model.window)
-    left = windows[np.clip(whole + model.window_start - model.difference, 0, len(windows) - 1)]
+    residual_windows = windows[np.clip(sample + model.window_start - model.difference, 0, len(windows) - 1)]
     change = model.templates[row + 1] - model.templates[row]
-    units = model.templates[row] + share[:, None, None] * change
-    readings = model.readings(left, model.order) + np.einsum("ji,jil->jl", sizes, units)
+    units = model.templates[row] + weight[:, None, None] * change
+    readings = model.readings(residual_windows, model.order) + np.einsum("ji,jil->jl", sizes, units)
     ridge = np.zeros((len(jumps), 4))
     ridge[:, 1], ridge[:, 2] = noise / prior[0], noise / prior[1]
     first_estimate = _least_squares(units, readings, ridge[:, :3]).solution
@@ -139,7 +140,7 @@ def _equal_jumps(model: ImpactModel, distance: int | None) -> Array:
     """Compute the readings of one jump of 1 m/s, or of two."""
     times = np.array([0.5] if distance is None else [0.5, 0.5 + distance])
     sizes = np.tile([1.0, 0.0, 0.0], (times.size, 1))
-    return model.readings(_columns(model, times, sizes, *_around(model, times)))
+    return model.readings(_columns(model, times, sizes, *_difference_range(model, times)))
 
 
 class _Fit(NamedTuple):
@@ -157,7 +158,7 @@ def _least_squares(rows: Array, readings: Array, ridge: Array) -> _Fit:
     unit = rows / scale[..., None]
     normal = unit @ np.swapaxes(unit, -1, -2)
     diagonal = np.arange(normal.shape[-1])
-    normal[..., diagonal, diagonal] += np.square(ridge / scale) + _ROUNDING
+    normal[..., diagonal, diagonal] += np.square(ridge / scale) + _DIAGONAL_LOADING
     inner = np.linalg.solve(normal, unit @ readings[..., None])
     remaining = np.sum(np.square(readings - (np.swapaxes(inner, -1, -2) @ unit)[..., 0, :]), axis=-1)
     solution = inner[..., 0] / scale
@@ -183,10 +184,10 @@ def _ridge(unknowns: int, jumps: int, noise: Deviations) -> Array:
     return np.tile(prior[: unknowns // jumps], jumps)
 
 
-def _around(model: ImpactModel, times: Sequence[float] | Array) -> tuple[int, int]:
+def _difference_range(model: ImpactModel, times: Sequence[float] | Array) -> tuple[int, int]:
     """First and one-past-last difference of the windows of jumps, with a margin for changes of their times."""
-    first = int(min(times)) + model.window_start - model.difference + SHIFT
-    last = int(max(times)) + model.window_start - model.difference + model.window - SHIFT
+    first = int(min(times)) + model.window_start - model.difference + MAX_SHIFT
+    last = int(max(times)) + model.window_start - model.difference + model.window - MAX_SHIFT
     return first, last
 
 

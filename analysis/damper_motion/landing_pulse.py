@@ -18,11 +18,11 @@ if TYPE_CHECKING:
 
 
 # An impact shorter than this share of a sample interval is treated as instant.
-_INSTANT_SHARE = 0.25
+_MAX_INSTANT_RATIO = 0.25
 # Pulses are considered equal if they differ by less than this share of the velocity change.
-_EQUAL_SHARE = 0.02
+_MAX_PULSE_DIFFERENCE = 0.02
 # Offset from critical damping, at which both roots coincide and the closed form is singular.
-_CRITICAL = 1e-6
+_CRITICAL_OFFSET = 1e-6
 # Number of times at which pulses are compared.
 _INSTANTS = 200
 
@@ -49,7 +49,7 @@ class Pulse:
 
     def _speed(self, time: Array) -> Array:
         """Return the closing speed during contact relative to that at first contact."""
-        ratio = self.ratio + _CRITICAL * (abs(self.ratio - 1.0) < _CRITICAL)
+        ratio = self.ratio + _CRITICAL_OFFSET * (abs(self.ratio - 1.0) < _CRITICAL_OFFSET)
         root = np.sqrt(complex(ratio**2 - 1.0))
         first, second = self.angular * (root - ratio), -self.angular * (root + ratio)
         speed = (first * np.exp(first * time) - second * np.exp(second * time)) / (first - second)
@@ -90,7 +90,7 @@ def landing_pulse(scene: Scene, place: str, rate: float) -> Pulse | None:
         )
     walls = [wall for damper in dampers for wall in walls_of(damper.contact)]
     # All impacts are much shorter than a sample interval.
-    if all(isinstance(wall, Landing) and wall.duration * rate <= _INSTANT_SHARE for wall in walls):
+    if all(isinstance(wall, Landing) and wall.duration * rate <= _MAX_INSTANT_RATIO for wall in walls):
         return None
     system, pulses = assemble(scene), []
     for number, damper in inside.items():
@@ -105,7 +105,9 @@ def landing_pulse(scene: Scene, place: str, rate: float) -> Pulse | None:
             pulses.append(Pulse(float(duration), float(ratio), float(angular)))
     longest = max(pulses, key=lambda pulse: pulse.duration)
     time = np.linspace(0.0, longest.duration, _INSTANTS)
-    if any(abs(pulse.exchanged(time) - longest.exchanged(time)).max() > _EQUAL_SHARE for pulse in pulses):
+    if any(
+        abs(pulse.exchanged(time) - longest.exchanged(time)).max() > _MAX_PULSE_DIFFERENCE for pulse in pulses
+    ):
         raise RecordingError(
             f"{place}: contact durations or restitutions of floor, ceiling or dampers differ, so that the pulse of an "
             "impact is not known beforehand. Choose a body where they are equal."

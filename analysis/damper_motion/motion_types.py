@@ -36,8 +36,9 @@ _COUNT_TOLERANCE = 0.15
 _MAX_PATTERN_PERIODS = 4
 # A restitution below this number of standard deviations is not significantly different from zero.
 _RESTITUTION_SIGMAS = 3.0
-# Maximum number of samples searched in a window, to limit memory; but at least the given number of periods.
+# Maximum number of samples searched in a window, to limit memory.
 _MAX_SAMPLES = 1 << 20
+# Minimum number of periods searched, even if they contain more samples.
 _MIN_PERIODS = 20
 
 
@@ -50,7 +51,7 @@ class DamperMotion:
     """Channel on the damper's body."""
     floor: float
     ceiling: float
-    """Number of impacts per period on the ceiling; `floor`: on the floor."""
+    """Number of impacts per period on the ceiling; `floor` is the number on the floor."""
     stays: bool | None
     """Whether the damper stays at the ceiling after an impact there, which it does while the body's acceleration is
     below -g. None if undetermined: the acceleration crosses -g within half a sample interval of the impact, the
@@ -74,18 +75,18 @@ class DamperMotion:
             return "riding" if self.rides else "unseen"
         if not self.repeats:
             return "unsure: impacts are missed, or the motion is irregular"
-        once = abs(self.floor - 1.0) < _COUNT_TOLERANCE and (
+        once_per_period = abs(self.floor - 1.0) < _COUNT_TOLERANCE and (
             self.ceiling == 0 or abs(self.ceiling - 1.0) < _COUNT_TOLERANCE
         )
-        why = ""
-        if once and self.repeats == 1:
+        uncertainty = ""
+        if once_per_period and self.repeats == 1:
             if self.ceiling == 0 and not self.may_reach:
                 return "I"
             if self.ceiling and self.stays is not None:
                 return "III" if self.stays else "II"
-            why = ", staying or not" if self.ceiling else ", and perhaps weak ones on the ceiling"
+            uncertainty = ", staying or not" if self.ceiling else ", and perhaps weak ones on the ceiling"
         floor, ceiling = (round(count * self.repeats) / self.repeats for count in (self.floor, self.ceiling))
-        return f"other: {floor:.3g} floor and {ceiling:.3g} ceiling impacts a period{why}"
+        return f"other: {floor:.3g} floor and {ceiling:.3g} ceiling impacts a period{uncertainty}"
 
 
 def damper_motion(
@@ -100,48 +101,50 @@ def damper_motion(
     least enough periods to determine a pattern.
 
     `rec`: recording of a stepped-sine test; `sweep`: result of `analysis.responses.stepped_sine.sweeps`; `channel`:
-    channel on the body of the dampers. Returns one for each window.
+    channel on the body of the dampers. Returns the motion in each window.
     """
-    place = rec.channels[channel].at
+    location = rec.channels[channel].at
     numbers = [
         number
         for number, damper in enumerate(rec.scene.dampers, 1)
-        if not damper.locked and f"body {damper.body}" == place
+        if not damper.locked and f"body {damper.body}" == location
     ]
     out: list[DamperMotion] = []
     info, lines = rec.channels[channel], sweep.lines
-    read = np.abs(lines.mean[lines.channels.index(channel)] / info.response(lines.frequency))
+    reading = np.abs(lines.mean[lines.channels.index(channel)] / info.response(lines.frequency))
     # Acceleration amplitude, m/s².
-    sizes = read * (2 * np.pi * lines.frequency) ** (2 - MOTIONS.index(info.quantity))
-    for frequency, size, (first, stop) in zip(
-        lines.frequency.tolist(), sizes.tolist(), sweep.windows.tolist(), strict=True
+    amplitudes = reading * (2 * np.pi * lines.frequency) ** (2 - MOTIONS.index(info.quantity))
+    for frequency, amplitude, (first, stop) in zip(
+        lines.frequency.tolist(), amplitudes.tolist(), sweep.windows.tolist(), strict=True
     ):
-        most = max(_MAX_SAMPLES, int(_MIN_PERIODS * rec.rate / frequency))
-        motion = BodyMotion(rec, channel, first, min(stop, first + most, rec.samples))
-        out.append(_motion_in_window(motion, numbers, frequency, size))
+        max_samples = max(_MAX_SAMPLES, int(_MIN_PERIODS * rec.rate / frequency))
+        motion = BodyMotion(rec, channel, first, min(stop, first + max_samples, rec.samples))
+        out.append(_motion_in_window(motion, numbers, frequency, amplitude))
         if progress is not None:
             progress(len(out), lines.frequency.size)
     return out
 
 
-def _motion_in_window(motion: BodyMotion, numbers: list[int], frequency: float, size: float) -> DamperMotion:
-    """Motion of the dampers `numbers` at a frequency, Hz, and an acceleration amplitude `size`, m/s²."""
+def _motion_in_window(
+    motion: BodyMotion, numbers: list[int], frequency: float, amplitude: float
+) -> DamperMotion:
+    """Motion of the dampers `numbers` at a frequency, Hz, and an acceleration amplitude `amplitude`, m/s²."""
     detected, rate, gravity = motion.impacts, motion.rec.rate, motion.rec.scene.gravity
-    inside = [motion.rec.scene.dampers[number - 1] for number in numbers]
+    dampers = [motion.rec.scene.dampers[number - 1] for number in numbers]
     # The searched duration excludes the ends of the stretch.
     periods = detected.searched * frequency
     ceiling = detected.kind == "ceiling"
     begin, end = (at / rate for at in (motion.start, motion.start + motion.samples.size))
-    repeats = _repeats(detected, frequency, begin, end) if detected.time.size else 1
+    repeats = _recurrence_periods(detected, frequency, begin, end) if detected.time.size else 1
     # Without a pattern, impacts may have been missed, so that free flights cannot be identified.
-    estimate = restitution(motion, inside[0]) if len(inside) == 1 and repeats else None
+    estimate = restitution(motion, dampers[0]) if len(dampers) == 1 and repeats else None
     stays = None
     if ceiling.any():
-        stays = _stays(
+        stays = _stays_at_ceiling(
             detected.acceleration[ceiling] + gravity,
-            np.pi * frequency * (1.0 / rate + 2.0 * detected.contact_duration) * size,
-            _fastest_rebound(motion, inside, estimate),
-            _push_time(detected.acceleration[ceiling], size, gravity, frequency),
+            np.pi * frequency * (1.0 / rate + 2.0 * detected.contact_duration) * amplitude,
+            _fastest_rebound(motion, dampers, estimate),
+            _push_time(detected.acceleration[ceiling], amplitude, gravity, frequency),
         )
     return DamperMotion(
         frequency,
@@ -153,11 +156,11 @@ def _motion_in_window(motion: BodyMotion, numbers: list[int], frequency: float, 
         _least_acceleration(motion, numbers, frequency) > -gravity,
         estimate,
         repeats,
-        not ceiling.any() and any(may_reach_ceiling(motion, each) for each in inside),
+        not ceiling.any() and any(may_reach_ceiling(motion, each) for each in dampers),
     )
 
 
-def _repeats(detected: Impacts, frequency: float, begin: float, end: float) -> int:
+def _recurrence_periods(detected: Impacts, frequency: float, begin: float, end: float) -> int:
     """Smallest number of periods after which all impacts on each wall recur between two times, s; 0: none."""
     walls = [detected.time[detected.kind == wall] for wall in ("floor", "ceiling")]
     begin, end = begin + detected.ringing, end - detected.ringing
@@ -177,22 +180,22 @@ def _repeats(detected: Impacts, frequency: float, begin: float, end: float) -> i
     return 0
 
 
-def _stays(weight: Array, change: float, rebound: float, push: float) -> bool | None:
-    """Whether a damper stays at the ceiling, from the body acceleration above -g at impact, known to ± `change`.
+def _stays_at_ceiling(weight: Array, change: float, rebound: float, push: float) -> bool | None:
+    """Return whether a damper stays at the ceiling, from the body acceleration above -g at impact, known to ± `change`.
 
     After a rebound of at most `rebound` m/s it stays only if it returns while the ceiling still pushes, for `push` s.
     Under an acceleration that falls linearly from a to zero in a time t, a rebound slower than a t / 3 returns.
     """
-    known = weight[np.isfinite(weight)]
-    middle = float(np.median(known)) if known.size else 0.0
-    if abs(middle) <= change:
+    finite = weight[np.isfinite(weight)]
+    median = float(np.median(finite)) if finite.size else 0.0
+    if abs(median) <= change:
         return None
-    if middle > 0.0:
+    if median > 0.0:
         return False
-    return True if rebound <= -middle * push / 3.0 else None
+    return True if rebound <= -median * push / 3.0 else None
 
 
-def _fastest_rebound(motion: BodyMotion, inside: list[Damper], estimate: Restitution | None) -> float:
+def _fastest_rebound(motion: BodyMotion, dampers: list[Damper], estimate: Restitution | None) -> float:
     """Upper bound of the rebound speed at the ceiling, summed over all bounces, m/s.
 
     It uses the restitution estimated from flights if that is significant, otherwise that of the scene. For
@@ -201,33 +204,42 @@ def _fastest_rebound(motion: BodyMotion, inside: list[Damper], estimate: Restitu
     detected = motion.impacts
     if detected.contact_duration:
         return np.inf
-    share = max((damper.restitution for damper in inside), default=0.0)
-    if estimate is not None and (share > 0.0 or estimate.value > _RESTITUTION_SIGMAS * estimate.error):
-        share = min(estimate.value + 2.0 * estimate.error, 1.0)
-    if share <= 0.0:
+    restitution_bound = max((damper.restitution for damper in dampers), default=0.0)
+    if estimate is not None and (
+        restitution_bound > 0.0 or estimate.value > _RESTITUTION_SIGMAS * estimate.error
+    ):
+        restitution_bound = min(estimate.value + 2.0 * estimate.error, 1.0)
+    if restitution_bound <= 0.0:
         return 0.0
     at_ceiling = replace(detected, jump=detected.jump[detected.kind == "ceiling"])
-    speeds = [inelastic_closing_speeds(motion.rec.scene, at_ceiling, damper) for damper in inside]
+    speeds = [inelastic_closing_speeds(motion.rec.scene, at_ceiling, damper) for damper in dampers]
     # The duration of all bounces equals that of one bounce with the sum of their speeds (geometric series).
-    return float(np.max(speeds, initial=0.0) * share / (1.0 + share) / max(1.0 - share, 1e-9))
+    return float(
+        np.max(speeds, initial=0.0)
+        * restitution_bound
+        / (1.0 + restitution_bound)
+        / max(1.0 - restitution_bound, 1e-9)
+    )
 
 
-def _push_time(acceleration: Array, size: float, gravity: float, frequency: float) -> float:
+def _push_time(acceleration: Array, amplitude: float, gravity: float, frequency: float) -> float:
     """Lower bound of the time for which the ceiling pushes, s, for a sinusoidal acceleration."""
-    known = acceleration[np.isfinite(acceleration)]
-    at_impact = float(np.median(known)) if known.size else 0.0
-    ends = np.arcsin(np.clip([at_impact / size, -gravity / size], -1.0, 1.0))
+    finite = acceleration[np.isfinite(acceleration)]
+    at_impact = float(np.median(finite)) if finite.size else 0.0
+    ends = np.arcsin(np.clip([at_impact / amplitude, -gravity / amplitude], -1.0, 1.0))
     return max(float(ends[1] - ends[0]), 0.0) / (2 * np.pi * frequency)
 
 
 def _least_acceleration(motion: BodyMotion, numbers: list[int], frequency: float) -> float:
     """Lower bound of the acceleration of dampers at rest in a body, m/s², including noise and tolerance."""
     scene, rows = motion.rec.scene, [motion.acceleration]
-    size = rows[0].size
+    count = rows[0].size
     for number in numbers:
         if scene.dampers[number - 1].contact is not None:
-            share = transmissibility(scene, number, np.asarray(np.fft.rfftfreq(size, 1.0 / motion.rec.rate)))
-            rows.append(np.fft.irfft(np.fft.rfft(rows[0]) * share, size))
+            transfer = transmissibility(
+                scene, number, np.asarray(np.fft.rfftfreq(count, 1.0 / motion.rec.rate))
+            )
+            rows.append(np.fft.irfft(np.fft.rfft(rows[0]) * transfer, count))
     # The correction mirrors the samples at the ends of a stretch, so the results there are inaccurate.
-    edge = min(int(np.ceil(motion.rec.rate / frequency)), size // 4)
+    edge = min(int(np.ceil(motion.rec.rate / frequency)), count // 4)
     return float(min(row[edge:-edge].min() for row in rows) / max(1.0 - motion.tolerance, 1e-300))

@@ -12,7 +12,7 @@ import numpy as np
 import scipy
 
 from analysis.decays.modal_decay import ModalDecay, band_width, modal_decay, spectral_peaks
-from analysis.decays.sensor_correction import corrected
+from analysis.decays.sensor_correction import correct_motion
 from analysis.recordings.channel_delay import arrival
 from analysis.recordings.names import takes_path
 from analysis.recordings.slices import hits
@@ -31,15 +31,15 @@ if TYPE_CHECKING:
     from daq.signal_chain.channel import ChannelInfo
 
 # Frequency range that is searched for modes, Hz; the upper limit is raised if the scene's structure has higher modes.
-LOWEST_MODE = 2.0
-HIGHEST_MODE = 200.0
+LOWEST_MODE_HZ = 2.0
+HIGHEST_MODE_HZ = 200.0
 # Minimum number of samples in a decay.
 _MIN_SAMPLES = 256
 # If the last tenth of a record contains more than this share of the energy, and the energy does not fall there, the
 # motion is not a decay.
 _MAX_FINAL_ENERGY_SHARE = 0.02
 #: Energy levels between which the slope of the initial decay is fitted, dB.
-FIRST_FALL = -1.0, -11.0
+INITIAL_DECAY_DB = -1.0, -11.0
 # Relative energy below which only rounding errors remain.
 _MIN_ENERGY_RATIO = 1e-30
 # If the channel is overloaded for more than this share of a decay, its amplitudes are unusable.
@@ -135,7 +135,7 @@ class Decay(Result):
     @property
     def halving(self) -> float:
         """Time in s for the initial 6 dB fall of the energy, from a line fitted between -1 and -11 dB."""
-        inside = (self.energy <= FIRST_FALL[0]) & (self.energy >= FIRST_FALL[1])
+        inside = (self.energy <= INITIAL_DECAY_DB[0]) & (self.energy >= INITIAL_DECAY_DB[1])
         if np.sum(inside) < 8:
             return float("nan")
         return float(-20.0 * np.log10(2.0) / np.polyfit(self.time[inside], self.energy[inside], 1)[0])
@@ -151,9 +151,9 @@ def outline(acceleration: Array, period: float) -> Array:
     >>> bool(np.all(outline(read, 2 * np.pi) >= abs(read)))
     True
     """
-    half = max(1, round(0.5 * period))
-    largest = scipy.ndimage.maximum_filter1d(abs(acceleration), 2 * half + 1, mode="nearest")
-    weights = np.hanning(2 * half + 3)
+    half_period = max(1, round(0.5 * period))
+    largest = scipy.ndimage.maximum_filter1d(abs(acceleration), 2 * half_period + 1, mode="nearest")
+    weights = np.hanning(2 * half_period + 3)
     return np.asarray(scipy.ndimage.convolve1d(largest, weights / weights.sum(), mode="nearest"))
 
 
@@ -176,18 +176,18 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
     if not names:
         raise RecordingError(f"{rec.path}: no motion channel on a body. Add one to the scene's channels.")
     info = motion_channel(rec, channel if channel is not None else names[-1])
-    before, begin, stop, end = _decay_limits(rec, info, hit)
+    read_start, begin, stop, end = _decay_limits(rec, info, hit)
     notes: list[str] = []
-    samples = rec.read(info.name, before, end)
-    lost = ~np.isfinite(samples)
-    if lost.any():
-        if lost.mean() > 0.01:
+    samples = rec.read(info.name, read_start, end)
+    invalid = ~np.isfinite(samples)
+    if invalid.any():
+        if invalid.mean() > 0.01:
             raise RecordingError(
-                f"{rec.path}: {lost.mean():.0%} of the samples of hit {hit} are lost. Choose another hit, or record "
+                f"{rec.path}: {invalid.mean():.0%} of the samples of hit {hit} are lost. Choose another hit, or record "
                 "again."
             )
-        samples = np.interp(np.arange(samples.size), np.flatnonzero(~lost), samples[~lost])
-        notes.append(f"{int(lost.sum())} lost samples were interpolated linearly.")
+        samples = np.interp(np.arange(samples.size), np.flatnonzero(~invalid), samples[~invalid])
+        notes.append(f"{int(invalid.sum())} lost samples were interpolated linearly.")
     if not np.any(abs(samples - samples[0]) > 0):
         raise RecordingError(
             f"{rec.path}: {info.name} is constant throughout the decay of hit {hit}. Choose another channel, or check "
@@ -207,51 +207,60 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
             f"{info.name} was overloaded for {overloaded_share:.2%} of the decay; amplitudes at its beginning are too "
             "low."
         )
-    most = modes if modes is not None else rec.scene.structure.bodies
+    max_modes = modes if modes is not None else rec.scene.structure.bodies
     # At least an octave above the highest mode of the scene.
-    highest = max(HIGHEST_MODE, 2.0 * float(structural_model(rec.scene).modes.frequency.max()))
-    lowest = max(LOWEST_MODE, rec.rate / (stop - begin))
+    highest = max(HIGHEST_MODE_HZ, 2.0 * float(structural_model(rec.scene).modes.frequency.max()))
+    lowest = max(LOWEST_MODE_HZ, rec.rate / (stop - begin))
     high = min(0.4 * rec.rate, 4.0 * highest)
-    acceleration = corrected(info, samples, "acceleration", lowest, high)[: stop - before]
-    free = begin - before
-    found = spectral_peaks(acceleration[free:], rec.rate, most, lowest, min(highest, high))
+    acceleration = correct_motion(info, samples, "acceleration", lowest, high)[: stop - read_start]
+    decay_start = begin - read_start
+    peak_frequencies = spectral_peaks(
+        acceleration[decay_start:], rec.rate, max_modes, lowest, min(highest, high)
+    )
     clock = clock_deviation(rec)
     decays = tuple(
-        modal_decay(acceleration, rec.rate, float(f), band_width(found, i), free, clock=clock)
-        for i, f in enumerate(found)
+        modal_decay(
+            acceleration, rec.rate, float(f), band_width(peak_frequencies, i), decay_start, clock=clock
+        )
+        for i, f in enumerate(peak_frequencies)
     )
-    if len(decays) < most:
+    if len(decays) < max_modes:
         notes.append(
-            f"Only {len(decays)} of {most} modes have a peak in the decay of {info.name} between {lowest:.3g} and "
+            f"Only {len(decays)} of {max_modes} modes have a peak in the decay of {info.name} between {lowest:.3g} and "
             f"{min(highest, high):.4g} Hz."
         )
-    cycle = int(rec.rate / found[0]) if found.size else int(rec.rate / 10.0)
+    cycle = int(rec.rate / peak_frequencies[0]) if peak_frequencies.size else int(rec.rate / 10.0)
     # The envelope of the last cycle depends on samples after the end, so the last cycle is discarded.
-    last = acceleration.size - min(cycle, (acceleration.size - free) // 10)
-    shown = acceleration[free:last]
+    last = acceleration.size - min(cycle, (acceleration.size - decay_start) // 10)
+    free_decay = acceleration[decay_start:last]
     # Mirrored, because a step in the periodic continuation would distort the Hilbert transform around it.
-    envelope = abs(scipy.signal.hilbert(np.concatenate([acceleration, acceleration[::-1]])))[free:last]
-    where, _ = scipy.signal.find_peaks(abs(shown), distance=max(cycle, 1))
-    power = np.cumsum(shown[::-1] ** 2)[::-1]
-    after = _energy_after_end(shown)
-    energy = np.zeros(shown.size)
-    if not np.isinf(after):
+    envelope = abs(scipy.signal.hilbert(np.concatenate([acceleration, acceleration[::-1]])))[decay_start:last]
+    peak_indices, _ = scipy.signal.find_peaks(abs(free_decay), distance=max(cycle, 1))
+    backward_energy = np.cumsum(free_decay[::-1] ** 2)[::-1]
+    energy_after_end = _energy_after_end(free_decay)
+    energy = np.zeros(free_decay.size)
+    if not np.isinf(energy_after_end):
         # If the samples end in zeros, the energy is zero there, and its logarithm is undefined.
-        energy = 10.0 * np.log10(np.maximum((power + after) / (power[0] + after), _MIN_ENERGY_RATIO))
-    if energy.min() > FIRST_FALL[1]:
+        energy = 10.0 * np.log10(
+            np.maximum(
+                (backward_energy + energy_after_end) / (backward_energy[0] + energy_after_end),
+                _MIN_ENERGY_RATIO,
+            )
+        )
+    if energy.min() > INITIAL_DECAY_DB[1]:
         notes.append(
-            f"The energy of {info.name}'s motion does not fall by {-FIRST_FALL[1]:.0f} dB within the record, so its "
-            "decay is undetermined. Record for longer."
+            f"The energy of {info.name}'s motion does not fall by {-INITIAL_DECAY_DB[1]:.0f} dB within the record, so "
+            "its decay is undetermined. Record for longer."
         )
     return Decay(
         channel=info.name,
         label=rec.scene.name,
         hit=hit,
-        time=np.arange(shown.size) / rec.rate,
-        acceleration=shown,
+        time=np.arange(free_decay.size) / rec.rate,
+        acceleration=free_decay,
         envelope=envelope,
-        peak_time=where / rec.rate,
-        peak=abs(shown)[where],
+        peak_time=peak_indices / rec.rate,
+        peak=abs(free_decay)[peak_indices],
         energy=energy,
         modes=decays,
         gravity=rec.scene.gravity or STANDARD_GRAVITY,
@@ -259,16 +268,19 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
     )
 
 
-def _energy_after_end(shown: Array) -> float:
+def _energy_after_end(acceleration: Array) -> float:
     """Energy after the end of the record, extrapolated exponentially from its last two tenths.
 
     If the energy does not fall there, it is noise and the result is 0, or infinite if its share is large.
     """
-    tenth = max(1, shown.size // 10)
-    before, last = (float(np.sum(each**2)) for each in (shown[-2 * tenth : -tenth], shown[-tenth:]))
+    tenth = max(1, acceleration.size // 10)
+    before, last = (
+        float(np.sum(tenth_part**2))
+        for tenth_part in (acceleration[-2 * tenth : -tenth], acceleration[-tenth:])
+    )
     if before > last:
         return last * last / (before - last)
-    return np.inf if last > _MAX_FINAL_ENERGY_SHARE * float(np.sum(shown**2)) else 0.0
+    return np.inf if last > _MAX_FINAL_ENERGY_SHARE * float(np.sum(acceleration**2)) else 0.0
 
 
 def _decay_limits(rec: Recording, info: ChannelInfo, hit: int) -> tuple[int, int, int, int]:

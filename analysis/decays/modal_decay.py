@@ -16,21 +16,22 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 # Relative frequency difference below which two spectral peaks are considered the same mode.
-_SAME_MODE = 0.1
+_SAME_MODE_RATIO = 0.1
 # Maximum relative standard uncertainty, due to noise, of a reported damping ratio.
-WORST = 0.05
+MAX_RELATIVE_ERROR = 0.05
 # Half of the fitted fall, in nepers: the damping ratio at an amplitude is the slope of the envelope while it falls by
 # 6 dB around that amplitude. The amplitudes are 1.5 dB apart.
-_HALF = 3.0 / 20.0 * np.log(10.0)
-# Band-pass and fall average a damping ratio that depends on amplitude. This bias is estimated by two more fits: with an
-# impulse response of the band-pass that is longer by the first factor, and with a fall longer by the second.
-_SMEAR = 2.0**0.5
-_FALL = 1.5
+_HALF_FALL = 3.0 / 20.0 * np.log(10.0)
+# Band-pass and fall average a damping ratio that depends on amplitude. This bias is estimated by two more fits. In the
+# first, the impulse response of the band-pass is longer by this factor.
+_LONGER_RESPONSE_RATIO = 2.0**0.5
+# In the second, the fall is longer by this factor.
+_LONGER_FALL_RATIO = 1.5
 # The bias grows with the square of the length of the impulse response for a smooth change, and linearly for a kink.
 # In the linear case the bias is the observed difference times 1 / (sqrt(2) - 1), rounded up.
-_SMEAR_SHARE = 2.5
+_SMEAR_BIAS_FACTOR = 2.5
 # If the fall has a kink in its middle, the error of the slope is this multiple of the rms residual of the parabola.
-_KINK = 8.0
+_KINK_ERROR_FACTOR = 8.0
 # Number of levels on either side that a change of damping affects.
 _AFFECTED_LEVELS = 2
 # Maximum number of envelope points in the fit of one damping ratio.
@@ -51,7 +52,7 @@ class ModalDecay(Result):
     time: Array  # after the hit, s
     envelope: Array  # amplitude of the acceleration, m/s²
     noise: float  # noise of the band-passed acceleration, rms, m/s²
-    # acceleration amplitudes in descending order, m/s², at which noise causes a relative uncertainty below `WORST`
+    # acceleration amplitudes in descending order, m/s²; noise causes a relative uncertainty below `MAX_RELATIVE_ERROR`
     amplitude: Array
     damping: Array  # damping ratio at those amplitudes
     damping_error: Array
@@ -61,11 +62,11 @@ class ModalDecay(Result):
 
     def summary(self) -> str:
         """Return the natural frequency, and the damping ratio at the largest and at small amplitudes."""
-        what = f"{self.frequency_text()}, {self.damping.size} amplitudes"
+        heading = f"{self.frequency_text()}, {self.damping.size} amplitudes"
         if not self.damping.size:
-            return what
+            return heading
         return (
-            f"{what}, damping ratio {100 * self.damping[0]:.3g} % at {self.amplitude[0]:.3g} m/s², "
+            f"{heading}, damping ratio {100 * self.damping[0]:.3g} % at {self.amplitude[0]:.3g} m/s², "
             f"{100 * self.small_damping():.3g} % at small ones"
         )
 
@@ -85,10 +86,10 @@ class ModalDecay(Result):
 
     def draw(self, ax: Axes, **style: Any) -> None:
         """Draw the damping ratio against amplitude with its 95 % bound."""
-        percent, half = 100.0 * self.damping, 200.0 * self.damping_error
+        percent, bound = 100.0 * self.damping, 200.0 * self.damping_error
         style = complete_style(style, ms=3, label=self.frequency_text())
         (line,) = ax.semilogx(self.amplitude, percent, "o-", **style)
-        bounds = percent - half, percent + half
+        bounds = percent - bound, percent + bound
         ax.fill_between(self.amplitude, *bounds, color=line.get_color(), alpha=0.2, lw=0)
         ax.set(xlabel="amplitude / (m/s²)", ylabel="damping ratio / %")
 
@@ -99,8 +100,8 @@ class ModalDecay(Result):
 
     def small_damping(self) -> float:
         """Return the damping ratio at small amplitudes: median over the lowest third of the levels."""
-        few = max(1, self.damping.size // 3)
-        return float(np.median(self.damping[-few:])) if self.damping.size else np.nan
+        count = max(1, self.damping.size // 3)
+        return float(np.median(self.damping[-count:])) if self.damping.size else np.nan
 
     def at(self, amplitude: float) -> float:
         """Interpolate the damping ratio at an amplitude; NaN outside the measured range."""
@@ -111,28 +112,28 @@ class ModalDecay(Result):
         return float(np.interp(amplitude, rising, damping, left=np.nan, right=np.nan))
 
 
-def spectral_peaks(acceleration: Array, rate: float, most: int, low: float, high: float) -> Array:
-    """Return the frequencies of the `most` highest resonances of a decay in ascending order, Hz.
+def spectral_peaks(acceleration: Array, rate: float, max_peaks: int, low: float, high: float) -> Array:
+    """Return the frequencies of the `max_peaks` highest resonances of a decay in ascending order, Hz.
 
     A resonance is a peak of the spectrum with a prominence of 10 dB and a level of 20 dB above the median of the
     band. Its frequency is refined by a parabola through the logarithm of three bins.
     """
     size = fft.next_fast_len(4 * acceleration.size, real=True)
-    fall = np.cos(np.linspace(0.0, np.pi / 2, acceleration.size)) ** 2
-    level = 20.0 * np.log10(abs(fft.rfft(acceleration * fall, size)) + 1e-300)
+    taper = np.cos(np.linspace(0.0, np.pi / 2, acceleration.size)) ** 2
+    level = 20.0 * np.log10(abs(fft.rfft(acceleration * taper, size)) + 1e-300)
     frequency = fft.rfftfreq(size, 1.0 / rate)
     inside = (frequency >= low) & (frequency <= high)
     level, frequency = level[inside], frequency[inside]
-    where, _ = scipy.signal.find_peaks(level, prominence=10.0, height=float(np.median(level)) + 20.0)
+    indices, _ = scipy.signal.find_peaks(level, prominence=10.0, height=float(np.median(level)) + 20.0)
     distinct: list[int] = []
-    for peak in where[np.argsort(level[where], kind="stable")[::-1]]:
+    for peak in indices[np.argsort(level[indices], kind="stable")[::-1]]:
         # Dampers that come to rest shift the natural frequency. This smears or splits the peak of a single mode.
-        if all(abs(frequency[peak] / frequency[other] - 1.0) > _SAME_MODE for other in distinct):
+        if all(abs(frequency[peak] / frequency[other] - 1.0) > _SAME_MODE_RATIO for other in distinct):
             distinct.append(int(peak))
-    where = np.sort(np.array(distinct[:most], dtype=int))
-    left, mid, right = level[where - 1], level[where], level[where + 1]
+    indices = np.sort(np.array(distinct[:max_peaks], dtype=int))
+    left, mid, right = level[indices - 1], level[indices], level[indices + 1]
     shift = 0.5 * (left - right) / (left - 2.0 * mid + right)
-    return frequency[where] + shift * (frequency[1] - frequency[0])
+    return frequency[indices] + shift * (frequency[1] - frequency[0])
 
 
 def band_width(frequencies: Array, index: int) -> float:
@@ -162,24 +163,32 @@ def modal_decay(
     its impulse response have passed after the hit. The damping ratio at an amplitude is the slope of the logarithm
     of the envelope while it falls by 6 dB around that amplitude.
     """
-    analytic, edge = _band_passed(acceleration, rate, frequency, width)
+    analytic, edge = _band_pass(acceleration, rate, frequency, width)
     envelope = np.abs(analytic)
     time = (np.arange(acceleration.size) - begin) / rate
     usable = slice(begin + edge, max(acceleration.size - edge, begin + edge))
     noise = _noise(analytic[usable], rate, frequency, width)
     levels = _levels(envelope[usable]) if amplitudes is None else np.log(amplitudes)
-    damping, natural, kink = _damping(analytic[usable], levels, _HALF)
+    damping, natural, kink = _damping(analytic[usable], levels, _HALF_FALL)
     # Half of the noise power is in phase with the signal and changes the envelope. The noise at the two levels is
     # independent.
     amplitude = np.exp(levels)
-    relative = np.hypot(np.exp(-_HALF), np.exp(_HALF)) * noise / np.sqrt(2.0) / amplitude / (2.0 * _HALF)
-    more, more_edge = _band_passed(acceleration, rate, frequency, width / _SMEAR)
-    late = slice(begin + more_edge, max(acceleration.size - more_edge, begin + more_edge))
-    smeared, natural_smeared, _ = _damping(more[late], levels, _HALF)
-    longer, natural_longer, _ = _damping(analytic[usable], levels, _FALL * _HALF)
+    relative = (
+        np.hypot(np.exp(-_HALF_FALL), np.exp(_HALF_FALL))
+        * noise
+        / np.sqrt(2.0)
+        / amplitude
+        / (2.0 * _HALF_FALL)
+    )
+    longer_response, longer_edge = _band_pass(acceleration, rate, frequency, width / _LONGER_RESPONSE_RATIO)
+    longer_usable = slice(begin + longer_edge, max(acceleration.size - longer_edge, begin + longer_edge))
+    smeared, natural_smeared, _ = _damping(longer_response[longer_usable], levels, _HALF_FALL)
+    longer_fall, natural_longer, _ = _damping(analytic[usable], levels, _LONGER_FALL_RATIO * _HALF_FALL)
     # Subtract the residual that noise alone causes.
-    kink = np.sqrt(np.maximum(kink**2 - (_KINK * np.sqrt(1.5) * noise / amplitude / _HALF) ** 2, 0.0))
-    bias = _bias_bound(damping, smeared, longer, kink)
+    kink = np.sqrt(
+        np.maximum(kink**2 - (_KINK_ERROR_FACTOR * np.sqrt(1.5) * noise / amplitude / _HALF_FALL) ** 2, 0.0)
+    )
+    bias = _bias_bound(damping, smeared, longer_fall, kink)
     error = np.hypot(relative * damping, 0.5 * bias)
     # Phase and logarithm of the envelope have the same uncertainty, relative to a much larger change of the phase.
     natural_bias = np.full(natural.size, np.nan)
@@ -187,26 +196,26 @@ def modal_decay(
     if np.isfinite(natural_smeared - natural).any() and np.isfinite(natural_longer - natural).any():
         natural_bias = _bias_bound(natural, natural_smeared, natural_longer, np.zeros(natural.size))
     natural_error = np.hypot(np.hypot(relative * damping, 0.5 * clock) * natural, 0.5 * natural_bias)
-    good = np.ones(levels.size, dtype=bool)
+    reported = np.ones(levels.size, dtype=bool)
     if amplitudes is None:
-        good = np.isfinite(damping) & (damping > 0) & (relative < WORST)
-    turns = rate / (2.0 * np.pi)
-    natural, natural_error = turns * natural[good], turns * natural_error[good]
+        reported = np.isfinite(damping) & (damping > 0) & (relative < MAX_RELATIVE_ERROR)
+    hz_per_step = rate / (2.0 * np.pi)
+    natural, natural_error = hz_per_step * natural[reported], hz_per_step * natural_error[reported]
     # An unresolved neighbour that decays more slowly dominates at small amplitudes; it is far from the peak.
-    own = np.flatnonzero(np.isfinite(natural_error) & (abs(natural / frequency - 1.0) < _SAME_MODE))
+    plausible = np.flatnonzero(
+        np.isfinite(natural_error) & (abs(natural / frequency - 1.0) < _SAME_MODE_RATIO)
+    )
     best = frequency, float("nan")
-    if own.size:
-        k = own[np.argmin(natural_error[own])]
+    if plausible.size:
+        k = plausible[np.argmin(natural_error[plausible])]
         best = float(natural[k]), float(natural_error[k])
     return ModalDecay(
         *best, frequency, time[begin:], envelope[begin:], noise,
-        amplitude[good], damping[good], error[good], bias[good], natural, natural_error,
+        amplitude[reported], damping[reported], error[reported], bias[reported], natural, natural_error,
     )  # fmt: skip
 
 
-def _band_passed(
-    acceleration: Array, rate: float, frequency: float, width: float
-) -> tuple[ComplexArray, int]:
+def _band_pass(acceleration: Array, rate: float, frequency: float, width: float) -> tuple[ComplexArray, int]:
     """Analytic signal after a Gaussian band-pass, and the number of samples that each end affects."""
     size = fft.next_fast_len(acceleration.size + int(8 * rate / (2 * np.pi * width)))
     spectrum = fft.fft(acceleration, size)
@@ -225,17 +234,17 @@ def _noise(analytic: ComplexArray, rate: float, frequency: float, width: float) 
     if tail.size < 8:
         return 0.0
     t = np.arange(tail.size) * step / rate
-    slow = tail * np.exp(-2j * np.pi * frequency * t)
-    weight = abs(slow)
-    decay, size = np.polyfit(t, np.log(np.maximum(weight, 1e-300)), 1, w=weight)
-    rotation, angle = np.polyfit(t, np.unwrap(np.angle(slow)), 1, w=weight)
-    residual = slow - np.exp(decay * t + size + 1j * (rotation * t + angle))
+    baseband = tail * np.exp(-2j * np.pi * frequency * t)
+    weight = abs(baseband)
+    decay, log_amplitude = np.polyfit(t, np.log(np.maximum(weight, 1e-300)), 1, w=weight)
+    rotation, angle = np.polyfit(t, np.unwrap(np.angle(baseband)), 1, w=weight)
+    residual = baseband - np.exp(decay * t + log_amplitude + 1j * (rotation * t + angle))
     # The fit has four real parameters, that is two complex degrees of freedom.
     independent = max(t[-1] * np.sqrt(np.pi) * width, 3.0)
     return float(np.sqrt(np.mean(abs(residual) ** 2) * independent / (independent - 2.0)))
 
 
-def _falling(envelope: Array) -> Array:
+def _log_decay_envelope(envelope: Array) -> Array:
     """Logarithm of the largest later amplitude, which falls monotonically: each level is crossed once."""
     return np.log(np.maximum(np.maximum.accumulate(envelope[::-1])[::-1], 1e-300))
 
@@ -244,62 +253,62 @@ def _levels(envelope: Array) -> Array:
     """Logarithms of the amplitudes at which the damping ratio is estimated."""
     if envelope.size < 8 or envelope.max() <= 0:
         return np.empty(0)
-    hull = _falling(envelope)
-    return np.arange(hull[0] - 1.25 * _HALF, hull[-1] + _HALF, -_HALF / 2.0)
+    hull = _log_decay_envelope(envelope)
+    return np.arange(hull[0] - 1.25 * _HALF_FALL, hull[-1] + _HALF_FALL, -_HALF_FALL / 2.0)
 
 
-def _damping(analytic: ComplexArray, levels: Array, half: float) -> tuple[Array, Array, Array]:
+def _damping(analytic: ComplexArray, levels: Array, half_fall: float) -> tuple[Array, Array, Array]:
     """Damping ratio, natural frequency (rad/sample) and relative error bound for a kink at each level.
 
-    Each is estimated while the envelope falls by `half` nepers on either side of the level; NaN outside the decay.
+    Each is estimated while the envelope falls by `half_fall` nepers on either side of the level; NaN outside the decay.
     """
     envelope = np.abs(analytic)
     if envelope.size < 8 or envelope.max() <= 0:
-        nothing = np.full(levels.size, np.nan)
-        return nothing, nothing, np.zeros(levels.size)
-    hull = _falling(envelope)
-    upper, lower = _crossings(hull, levels + half), _crossings(hull, levels - half)
+        undetermined = np.full(levels.size, np.nan)
+        return undetermined, undetermined, np.zeros(levels.size)
+    hull = _log_decay_envelope(envelope)
+    upper, lower = _crossings(hull, levels + half_fall), _crossings(hull, levels - half_fall)
     logarithm, phase = np.log(np.maximum(envelope, 1e-300)), np.unwrap(np.angle(analytic))
-    place = np.arange(envelope.size)
-    turned = np.interp(lower, place, phase) - np.interp(upper, place, phase)
-    fits = [_slope(logarithm, a, b, level) for a, b, level in zip(upper, lower, levels, strict=True)]
+    sample = np.arange(envelope.size)
+    phase_change = np.interp(lower, sample, phase) - np.interp(upper, sample, phase)
+    fits = [_fall_rate(logarithm, a, b, level) for a, b, level in zip(upper, lower, levels, strict=True)]
     fall, residual = np.array(fits).reshape(-1, 2).T
     with np.errstate(divide="ignore", invalid="ignore"):
-        natural = np.hypot(turned / (lower - upper), fall)
-        return np.asarray(fall / natural), natural, _KINK * residual / half
+        natural = np.hypot(phase_change / (lower - upper), fall)
+        return np.asarray(fall / natural), natural, _KINK_ERROR_FACTOR * residual / half_fall
 
 
-def _slope(logarithm: Array, first: float, last: float, level: float) -> tuple[float, float]:
+def _fall_rate(logarithm: Array, first: float, last: float, level: float) -> tuple[float, float]:
     """Rate of fall per sample at which a curve crosses a level, and the rms residual of the fit.
 
     The fit is a parabola, because a straight line would yield the mean of a varying slope. Beats average out.
     """
     if not (np.isfinite(first) and np.isfinite(last)) or last - first < 4.0:
         return float("nan"), 0.0
-    places = np.arange(round(first), round(last) + 1, max(1, int((last - first) / _MAX_POINTS)))
-    middle, half = 0.5 * (first + last), 0.5 * (last - first)
-    along = (places - middle) / half
-    bend, slope, value = np.polyfit(along, logarithm[places] - level, 2)
-    residual = logarithm[places] - level - (bend * along**2 + slope * along + value)
+    samples = np.arange(round(first), round(last) + 1, max(1, int((last - first) / _MAX_POINTS)))
+    middle, half_length = 0.5 * (first + last), 0.5 * (last - first)
+    position = (samples - middle) / half_length
+    curvature, slope, value = np.polyfit(position, logarithm[samples] - level, 2)
+    residual = logarithm[samples] - level - (curvature * position**2 + slope * position + value)
     # Crossing of the parabola with the level: one Newton step from the crossing of its linear part.
-    at = -value / slope if slope < 0 else 0.0
-    steep = slope + 2.0 * bend * at
-    if steep < 0:
-        at -= (value + slope * at + bend * at**2) / steep
-    fall = float(-(slope + 2.0 * bend * float(np.clip(at, -0.5, 0.5))) / half)
+    crossing = -value / slope if slope < 0 else 0.0
+    slope_at_crossing = slope + 2.0 * curvature * crossing
+    if slope_at_crossing < 0:
+        crossing -= (value + slope * crossing + curvature * crossing**2) / slope_at_crossing
+    fall = float(-(slope + 2.0 * curvature * float(np.clip(crossing, -0.5, 0.5))) / half_length)
     return fall, float(np.sqrt(np.mean(residual**2)))
 
 
 def _bias_bound(damping: Array, smeared: Array, longer: Array, kink: Array) -> Array:
     """Bias bound of damping ratios, from their change with a longer band-pass response and a longer fall."""
-    out = np.nan_to_num(kink * damping)
-    for other, share in ((smeared, _SMEAR_SHARE), (longer, 1.0)):
-        difference = abs(other - damping)
-        known = np.flatnonzero(np.isfinite(difference))
-        if known.size:
+    bias = np.nan_to_num(kink * damping)
+    for alternative, factor in ((smeared, _SMEAR_BIAS_FACTOR), (longer, 1.0)):
+        difference = abs(alternative - damping)
+        determined = np.flatnonzero(np.isfinite(difference))
+        if determined.size:
             # The longer fits do not reach the first and last levels; the nearest known difference is used there.
-            out += share * np.interp(np.arange(difference.size), known, difference[known])
-    return np.asarray(scipy.ndimage.maximum_filter1d(out, 2 * _AFFECTED_LEVELS + 1) if out.size else out)
+            bias += factor * np.interp(np.arange(difference.size), determined, difference[determined])
+    return np.asarray(scipy.ndimage.maximum_filter1d(bias, 2 * _AFFECTED_LEVELS + 1) if bias.size else bias)
 
 
 def _crossings(hull: Array, levels: Array) -> Array:
@@ -308,6 +317,8 @@ def _crossings(hull: Array, levels: Array) -> Array:
     inside = (after > 0) & (after < hull.size)
     after = np.clip(after, 1, hull.size - 1)
     high, low = hull[after - 1], hull[after]
-    part = np.divide(high - levels, high - low, out=np.zeros(levels.shape), where=high > low)
+    fraction = np.divide(high - levels, high - low, out=np.zeros(levels.shape), where=high > low)
     at_start = levels >= hull[0] - 1e-9
-    return np.where(inside, after - 1 + part, np.where(at_start & (levels <= hull[0] + 1e-9), 0.0, np.nan))
+    return np.where(
+        inside, after - 1 + fraction, np.where(at_start & (levels <= hull[0] + 1e-9), 0.0, np.nan)
+    )

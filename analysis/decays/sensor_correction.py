@@ -65,7 +65,7 @@ class CorrectedMotion:
         return self._spectra[odd]
 
 
-def corrected(info: ChannelInfo, samples: Array, motion: str, low: float, high: float) -> Array:
+def correct_motion(info: ChannelInfo, samples: Array, motion: str, low: float, high: float) -> Array:
     """Return the band-limited true motion of a stretch of samples (see `CorrectedMotion`)."""
     return CorrectedMotion(info, samples, low, high)(motion)
 

@@ -99,13 +99,13 @@ def write_npz(stretch: Slice, path: Path) -> None:
                 for _, samples in stretch.pieces([name]):
                     stream.write(samples.astype("<f8").tobytes())
         rate = stretch.recording.rate
-        rest = {
+        metadata = {
             "channels": np.array(list(members.values())),
             "units": np.array([info.unit for info in stretch.infos]),
             "rate": np.array(rate),
             "start_s": np.array(stretch.start / rate),
         }
-        for member, array in rest.items():
+        for member, array in metadata.items():
             with archive.open(_member(member), "w") as stream:
                 np.lib.format.write_array(stream, array, allow_pickle=False)
 
@@ -234,9 +234,9 @@ def export(
 def _counter(total: int, progress: Callable[[int, int], None]) -> Callable[[int], None]:
     done = 0
 
-    def read(samples: int) -> None:
+    def count_samples(samples: int) -> None:
         nonlocal done
         done += samples
         progress(done, total)
 
-    return read
+    return count_samples

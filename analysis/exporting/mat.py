@@ -15,7 +15,7 @@ from rig.errors import SceneError
 from rig.results.response import Response
 
 # The format limits a variable to 2 GB.
-MOST_SAMPLES = (1 << 28) - 1024
+MAX_SAMPLES = (1 << 28) - 1024
 
 
 def write_mat(stretch: Slice, path: Path) -> None:
@@ -26,12 +26,12 @@ def write_mat(stretch: Slice, path: Path) -> None:
     Raises `SceneError` if there are too many samples for the format.
     """
     count = stretch.stop - stretch.start
-    if count > MOST_SAMPLES:
+    if count > MAX_SAMPLES:
         raise SceneError(
-            f"{stretch.recording.path}: a MATLAB file takes {MOST_SAMPLES} samples of a channel, these are {count}. "
+            f"{stretch.recording.path}: a MATLAB file takes {MAX_SAMPLES} samples of a channel, these are {count}. "
             "Export a stretch (--from, --to), or .npz."
         )
-    names = variables(stretch.channels, {"channels", "units", "fs", "start_s"})
+    names = variable_names(stretch.channels, {"channels", "units", "fs", "start_s"})
     rate = stretch.recording.rate
     _save(
         path,
@@ -52,7 +52,9 @@ def write_frfs(frfs: Sequence[Response], path: Path) -> None:
     """Write ``frequency`` [Hz], ``unit``, ``reference``, and value, bound and coherence of each response."""
     curves = [frf.sorted() for frf in frfs]
     first = curves[0]
-    names = variables([curve.response for curve in curves], {"frequency", "unit", "reference", "channels"})
+    names = variable_names(
+        [curve.response for curve in curves], {"frequency", "unit", "reference", "channels"}
+    )
     content: dict[str, Any] = {"frequency": first.frequency, "unit": first.unit, "reference": first.input}
     for name, curve in zip(names, curves, strict=True):
         content |= {name: curve.value, f"bound_{name}": curve.bound(), f"coherence_{name}": curve.coherence}
@@ -75,20 +77,20 @@ def write_modes(modes: Modes, path: Path) -> None:
     )
 
 
-def variables(names: Iterable[str], taken: set[str]) -> list[str]:
+def variable_names(names: Iterable[str], taken: set[str]) -> list[str]:
     """Convert names to valid MATLAB variable names.
 
-    >>> variables(["body1", "3 +Z", "fs"], {"fs"})
+    >>> variable_names(["body1", "3 +Z", "fs"], {"fs"})
     ['body1', 'x3__Z', 'fs_']
 
     Raises `SceneError` if two names become equal.
     """
-    plain = [re.sub(r"\W", "_", name, flags=re.ASCII)[:50] for name in names]
-    made = [f"x{name}" if not name[:1].isalpha() else name for name in plain]
-    made = [f"{name}_" if name in taken else name for name in made]
-    if len(set(made)) < len(made):
+    cleaned = [re.sub(r"\W", "_", name, flags=re.ASCII)[:50] for name in names]
+    valid = [f"x{name}" if not name[:1].isalpha() else name for name in cleaned]
+    valid = [f"{name}_" if name in taken else name for name in valid]
+    if len(set(valid)) < len(valid):
         raise SceneError(f".mat: the names {', '.join(names)} are equal as variables. Choose fewer channels.")
-    return made
+    return valid
 
 
 def _save(path: Path, content: dict[str, Any]) -> None:

@@ -40,13 +40,13 @@ def export_results(
         )
     resolve_output(path, overwrite=True)
     lines = []
-    for number, (curves, nodes, driven) in enumerate(_groups(file, progress), start=1):
+    for number, (curves, nodes, force_node) in enumerate(_groups(file, progress), start=1):
         target = path if number == 1 else path.with_name(f"{path.stem}-{number}{path.suffix}")
         with atomic_write(target, overwrite or None) as part:
             if what == "frfs":
                 first, names = curves[0], ", ".join(curve.response for curve in curves)
                 mat.write_frfs(curves, part) if kind == ".mat" else stack(curves).to_uff(
-                    part, nodes, [driven]
+                    part, nodes, [force_node]
                 )
                 lines.append(f"{first.label}: {first.name} of {names} by {first.input}")
             else:
@@ -67,7 +67,8 @@ def _groups(
     with opened(file) as rec:
         groups = frequency_responses(rec, progress=progress)
         # A force that acts on several bodies has no single node.
-        driven = rec.scene.force_on[0] if len(rec.scene.force_on) == 1 else 0
+        force_node = rec.scene.force_on[0] if len(rec.scene.force_on) == 1 else 0
         return [
-            (group, [uff.node(rec.channels[one.response].at) for one in group], driven) for group in groups
+            (group, [uff.node(rec.channels[curve.response].at) for curve in group], force_node)
+            for group in groups
         ]

@@ -13,7 +13,7 @@ from rig.errors import SceneError
 from rig.results.universal_file import QUANTITY_NUMBERS, text_line, universal_file, write_set
 
 # A data set 58 in text needs 20 bytes for each sample, and the writer keeps the text of a channel in memory.
-MOST_TEXT_SAMPLES = 1 << 24
+MAX_TEXT_SAMPLES = 1 << 24
 
 
 def write_uff(stretch: Slice, path: Path) -> None:
@@ -27,9 +27,9 @@ def write_uff(stretch: Slice, path: Path) -> None:
     """
     stretch.reject_gaps("UFF 58")
     count = stretch.stop - stretch.start
-    if not 2 <= count <= MOST_TEXT_SAMPLES:
+    if not 2 <= count <= MAX_TEXT_SAMPLES:
         raise SceneError(
-            f"{stretch.recording.path}: UFF 58 is text, {MOST_TEXT_SAMPLES} samples of a channel at most and 2 at "
+            f"{stretch.recording.path}: UFF 58 is text, {MAX_TEXT_SAMPLES} samples of a channel at most and 2 at "
             f"least; these are {count}. Export a stretch (--from, --to), or .npz."
         )
     recording = stretch.recording
@@ -64,7 +64,7 @@ def write_modes(modes: Modes, path: Path, nodes: Sequence[int]) -> None:
     omega = 2 * np.pi * modes.frequency
     poles = omega * (-modes.damping + 1j * np.sqrt(1.0 - modes.damping**2))
     for number, (pole, shape) in enumerate(zip(poles, modes.shapes.T, strict=True), start=1):
-        nothing = np.zeros(shape.size, dtype=complex)
+        zeros = np.zeros(shape.size, dtype=complex)
         damping = 100.0 * modes.damping[number - 1]
         write_set(
             file,
@@ -73,15 +73,15 @@ def write_modes(modes: Modes, path: Path, nodes: Sequence[int]) -> None:
                 "id4": f"mode {number}, {modes.frequency[number - 1]:.6g} Hz, damping ratio {damping:.4g} %",
                 "model_type": 1, "analysis_type": 3, "data_ch": 2, "spec_data_type": 8, "load_case": 1,
                 "mode_n": number, "eig": complex(pole), "modal_a": 0j, "modal_b": 0j,
-                "node_nums": list(nodes), "r1": nothing, "r2": nothing, "r3": shape,
+                "node_nums": list(nodes), "r1": zeros, "r2": zeros, "r3": shape,
             },
         )  # fmt: skip
 
 
-def node(place: str) -> int:
+def node(location: str) -> int:
     """Return the node number of a location: the number of the body, or 0 for other locations.
 
     >>> node("body 3"), node("table")
     (3, 0)
     """
-    return int(place.removeprefix("body ")) if place.startswith("body ") else 0
+    return int(location.removeprefix("body ")) if location.startswith("body ") else 0

@@ -13,12 +13,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.damper_motion.comparison import PeakChange, covers, highest_left_out, peak_changes, unresolved
+from analysis.damper_motion.comparison import (
+    PeakChange,
+    coarse_step_warnings,
+    covers,
+    peak_changes,
+    uncompared_highest_peaks,
+)
 from analysis.modal.identification import identify
 from analysis.modal.modes import Modes
-from analysis.presentation.expectations import expect, repeats
+from analysis.presentation.expectations import duplicate_warnings, expect
 from analysis.presentation.output_names import check_outputs, output_stem, with_ending
-from analysis.presentation.result import Progress, Result, noted
+from analysis.presentation.result import Progress, Result, with_recording_name
 from analysis.presentation.tables import write_table
 from analysis.recordings.names import opened, relabel, scene_labels
 from analysis.responses.frequency_responses import frequency_responses
@@ -99,39 +105,48 @@ def compare_peaks(paths: Sequence[Path], progress: Progress | None = None) -> Co
     """
     if len(paths) < 2:
         raise SceneError("compare: one recording. Give at least two, first the one to compare with.")
-    found: list[list[list[Response]]] = []
-    places: list[Places] = []
+    sweeps: list[list[list[Response]]] = []
+    measured_points: list[MeasurementPoints] = []
     for path, label in zip(paths, scene_labels(paths), strict=True):
         with opened(path) as rec:
             expect(rec, path, "frf")
-            places.append(Places.of(path, rec))
-            places[-1].comparable_with(places[0])
+            measured_points.append(MeasurementPoints.of(path, rec))
+            measured_points[-1].comparable_with(measured_points[0])
             groups = frequency_responses(rec, progress=progress)
-            found.append([[relabel(frf, rec.scene.name, label) for frf in group] for group in groups])
-    bare = found[0][0]
+            sweeps.append([[relabel(frf, rec.scene.name, label) for frf in group] for group in groups])
+    bare = sweeps[0][0]
     modes = identify(bare)
-    notes = repeats(paths) + noted(paths[0], (*modes.warnings, *highest_left_out(modes, bare)))
+    notes = duplicate_warnings(paths) + with_recording_name(
+        paths[0], (*modes.warnings, *uncompared_highest_peaks(modes, bare))
+    )
     lines: list[str] = []
-    every: list[tuple[Response, Response, PeakChange]] = []
+    all_changes: list[tuple[Response, Response, PeakChange]] = []
     jumps = False
-    others = zip(places[1:], found[1:], strict=True)
-    for place, group in ((place, group) for place, groups in others for group in groups):
-        path, same = place.path, place.same_sensors(places[0])
-        notes += noted(path, group[0].warnings)
-        changes = peak_changes(modes, bare, group, same)
-        notes += noted(paths[0], unresolved([(each.mode, each.response, each.bare) for each in changes]))
-        notes += noted(path, unresolved([(each.mode, each.response, each.damped) for each in changes]))
+    others = zip(measured_points[1:], sweeps[1:], strict=True)
+    for points, group in ((points, group) for points, groups in others for group in groups):
+        path, same_sensors = points.path, points.same_sensors(measured_points[0])
+        notes += with_recording_name(path, group[0].warnings)
+        changes = peak_changes(modes, bare, group, same_sensors)
+        notes += with_recording_name(
+            paths[0],
+            coarse_step_warnings([(change.mode, change.response, change.bare) for change in changes]),
+        )
+        notes += with_recording_name(
+            path, coarse_step_warnings([(change.mode, change.response, change.damped) for change in changes])
+        )
         lines.append(f"{bare[0].label} -> {group[0].label}, {bare[0].input}")
         lines += [f"  {line}" for line in describe_changes(changes)]
-        if any(SENSITIVITY in curve.limits for curve in group if curve.response in same):
+        if any(SENSITIVITY in curve.limits for curve in group if curve.response in same_sensors):
             lines.append(
-                f"  {', '.join(same)}: measured with the same sensors, whose sensitivity errors cancel in these "
-                "changes"
+                f"  {', '.join(same_sensors)}: measured with the same sensors, whose sensitivity errors cancel in "
+                "these changes"
             )
-        lines += _without_peaks(changes, ((paths[0], bare), (path, group)), modes)
+        lines += _uncompared_peaks(changes, ((paths[0], bare), (path, group)), modes)
         jumps |= any(isinf(change.bare.bound + change.damped.bound) for change in changes)
-        every += [(bare[0], group[0], change) for change in changes]
-    return Comparison(tuple(every), tuple(lines), (*dict.fromkeys(notes), *((_JUMPS,) if jumps else ())))
+        all_changes += [(bare[0], group[0], change) for change in changes]
+    return Comparison(
+        tuple(all_changes), tuple(lines), (*dict.fromkeys(notes), *((_JUMPS,) if jumps else ()))
+    )
 
 
 def describe_changes(changes: Sequence[PeakChange]) -> list[str]:
@@ -143,28 +158,30 @@ def describe_changes(changes: Sequence[PeakChange]) -> list[str]:
         )
     ]  # fmt: skip
     remarks = []
-    for one in changes:
-        bare, damped = one.bare, one.damped
-        known = (one.response, f"{one.mode:.2f}", round_to_bound(1e6 * bare.value, 1e6 * bare.bound))
+    for change in changes:
+        bare, damped = change.bare, change.damped
+        cells = (change.response, f"{change.mode:.2f}", round_to_bound(1e6 * bare.value, 1e6 * bare.bound))
         after = round_to_bound(1e6 * damped.value, 1e6 * damped.bound)
         if damped.at_end:
-            rows.append((*known, "none", "", "", "", "", ""))
+            rows.append((*cells, "none", "", "", "", "", ""))
             remarks.append(
-                f"{one.response}, mode at {one.mode:.2f} Hz: no peak is left between {damped.first:.2f} and "
+                f"{change.response}, mode at {change.mode:.2f} Hz: no peak is left between {damped.first:.2f} and "
                 f"{damped.last:.2f} Hz, where the curve reaches {after} µm/N"
             )
             continue
         open_ended = [name for name, peak in (("before", bare), ("after", damped)) if isinf(peak.bound)]
-        equivalent = "" if open_ended else f"{100 * one.equivalent_damping:.2g}"
-        rows.append((*known, after, *_change(one.decibel, 1), *_change(one.shift, 2), equivalent))
+        equivalent = "" if open_ended else f"{100 * change.equivalent_damping:.2g}"
+        rows.append(
+            (*cells, after, *_format_change(change.decibel, 1), *_format_change(change.shift, 2), equivalent)
+        )
         remarks += [
-            f"{one.response}, mode at {one.mode:.2f} Hz: the peak {name} may be higher than measured"
+            f"{change.response}, mode at {change.mode:.2f} Hz: the peak {name} may be higher than measured"
             for name in open_ended
         ]
     return [*table_lines(rows, "<>>>>>>>>"), *remarks] if changes else []
 
 
-def _change(value: tuple[float, float, float], digits: int) -> tuple[str, str]:
+def _format_change(value: tuple[float, float, float], digits: int) -> tuple[str, str]:
     """Format a change and its interval; without one of the limits there is no best estimate."""
     best, low, high = (f"{each:+.{digits}f}" for each in value)
     if isinf(value[1]) and isinf(value[2]):
@@ -181,34 +198,37 @@ def present_compare(
 ) -> Result:
     """Print and tabulate the results of `compare_peaks`; the default folder is that of the first recording."""
     check_outputs(paths, output, "compare", "csv")
-    found = compare_peaks(paths, progress)
+    comparison = compare_peaks(paths, progress)
     with output_stem(paths, output, "compare", "csv") as stem:
-        table = write_table(with_ending(stem, "csv"), _HEADING, (_row(*change) for change in found.changes))
-    return Result((table,), found.lines, found.warnings)
+        table = write_table(
+            with_ending(stem, "csv"), _HEADING, (_row(*change) for change in comparison.changes)
+        )
+    return Result((table,), comparison.lines, comparison.warnings)
 
 
-def _without_peaks(
+def _uncompared_peaks(
     changes: Sequence[PeakChange], measured: Sequence[tuple[Path, Sequence[Response]]], modes: Modes
 ) -> list[str]:
     """List the modes and responses that are not compared, with the reason."""
-    compared = {(one.response, one.mode) for one in changes}
+    compared = {(change.response, change.mode) for change in changes}
     curves = [{curve.response: curve for curve in group} for _, group in measured]
     lines = []
     for name, mode in product([name for name in curves[1] if name in curves[0]], sorted(modes.frequency)):
         if (name, float(mode)) in compared:
             continue
         bands = [
-            f"{path.name} was measured from {each[name].frequency.min():.4g} to {each[name].frequency.max():.4g} Hz"
-            for (path, _), each in zip(measured, curves, strict=True)
-            if not covers(each[name], float(mode))
+            f"{path.name} was measured from {curves_by_name[name].frequency.min():.4g} to "
+            f"{curves_by_name[name].frequency.max():.4g} Hz"
+            for (path, _), curves_by_name in zip(measured, curves, strict=True)
+            if not covers(curves_by_name[name], float(mode))
         ]
-        why = "; ".join(bands) or "no separate peak in the first recording, or too few points around it"
-        lines.append(f"  {name}, mode at {mode:.2f} Hz: not compared: {why}")
+        reason = "; ".join(bands) or "no separate peak in the first recording, or too few points around it"
+        lines.append(f"  {name}, mode at {mode:.2f} Hz: not compared: {reason}")
     return lines
 
 
 @dataclass(frozen=True)
-class Places:
+class MeasurementPoints:
     """Measurement points of a recording: the bodies that are driven, and the location of each channel.
 
     sensors : for each response, an identifier of its sensor and of the force sensor, if a single sensor measures the
@@ -221,35 +241,35 @@ class Places:
     sensors: dict[str, str] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, path: Path, rec: Recording) -> Places:
+    def of(cls, path: Path, rec: Recording) -> MeasurementPoints:
         """Return the measurement points of a recording."""
         names = responses(rec)
-        below, sensors = reference_of(rec, "force").channels, {}
-        if len(below) == 1:
+        force_channels, sensors = reference_of(rec, "force").channels, {}
+        if len(force_channels) == 1:
             for name in names:
-                both = [rec.channels[one].to_metadata() for one in (name, *below)]
-                sensors[name] = json.dumps([rec.scene.seed, *both], sort_keys=True)
+                sensor_data = [rec.channels[channel].to_metadata() for channel in (name, *force_channels)]
+                sensors[name] = json.dumps([rec.scene.seed, *sensor_data], sort_keys=True)
         return cls(path, rec.scene.force_on, {name: rec.channels[name].at for name in names}, sensors)
 
-    def same_sensors(self, first: Places) -> list[str]:
+    def same_sensors(self, first: MeasurementPoints) -> list[str]:
         """Return the responses that were measured with the same response and force sensors in both recordings."""
         return [name for name, sensor in self.sensors.items() if first.sensors.get(name) == sensor]
 
-    def comparable_with(self, first: Places) -> None:
+    def comparable_with(self, first: MeasurementPoints) -> None:
         """Raise `SceneError` if the recordings share no response, or if equal names denote different points."""
         if self.force_on != first.force_on:
             raise SceneError(
                 f"{self.path}: driven at {_bodies(self.force_on)}, {first.path} at {_bodies(first.force_on)}, so that "
                 "their responses differ. Compare recordings with the force on the same body."
             )
-        both = [name for name in first.channels if name in self.channels]
-        for name in both:
+        common = [name for name in first.channels if name in self.channels]
+        for name in common:
             if self.channels[name] != first.channels[name]:
                 raise SceneError(
                     f"{self.path}: {name} is at {self.channels[name]}, but at {first.channels[name]} in {first.path}. "
                     "Give the same names to channels on the same bodies."
                 )
-        if not both:
+        if not common:
             raise SceneError(
                 f"{self.path}: has {_listed(self.channels)}, but none of the responses of {first.path}, "
                 f"{_listed(first.channels)}. Give the same names to channels on the same bodies."
@@ -266,5 +286,5 @@ def _listed(channels: dict[str, str]) -> str:
 
 def _row(before: Response, after: Response, change: PeakChange) -> tuple[str | float, ...]:
     peaks = (change.bare.value, change.bare.bound, change.damped.value, change.damped.bound)
-    known = (before.label, after.label, change.response, before.input, change.mode)
-    return (*known, *change.decibel, *change.shift, *peaks)
+    labels = (before.label, after.label, change.response, before.input, change.mode)
+    return (*labels, *change.decibel, *change.shift, *peaks)

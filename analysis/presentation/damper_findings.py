@@ -13,14 +13,14 @@ from analysis.damper_motion.energy_balance import CycleEnergy
 from analysis.damper_motion.motion_types import DamperMotion
 from analysis.presentation.expectations import expect
 from analysis.presentation.output_names import check_outputs, output_stem, with_ending
-from analysis.presentation.result import Progress, Result, noted
+from analysis.presentation.result import Progress, Result, with_recording_name
 from analysis.presentation.tables import write_table
 from analysis.recordings.names import opened, scene_labels
 from rig.results import format_frequencies, format_interval, format_number
 from rig.results.text import table_lines
 
 # Number of frequencies printed; the CSV file contains all of them.
-_LISTED = 2
+_PRINTED_FREQUENCIES = 2
 # Printed names of the kinds of motion.
 _AT_REST = "at rest on the floor"
 _NEAR_GRAVITY = "near 1 g, may fly"
@@ -54,33 +54,35 @@ def present_dampers(
     for path, label in zip(paths, scene_labels(paths), strict=True):
         with opened(path) as rec:
             expect(rec, path, "dampers")
-            found = dampers_in(rec, label, progress)
-        notes += noted(path, [warning for each in found for warning in each.warnings])
-        lines += [line for each in found for line in describe(each)]
+            results = dampers_in(rec, label, progress)
+        notes += with_recording_name(path, [warning for dampers in results for warning in dampers.warnings])
+        lines += [line for dampers in results for line in describe(dampers)]
         with output_stem([path], output, "dampers", "csv") as stem:
-            for number, each in enumerate(found, 1):
+            for number, dampers in enumerate(results, 1):
                 part = stem if number == 1 else stem.with_name(f"{stem.name}-{number}")
-                if each.bodies:
-                    files += save_figure(dampers_figure(each), part)
-            rows = chain.from_iterable(map(_rows, found))
+                if dampers.bodies:
+                    files += save_figure(dampers_figure(dampers), part)
+            rows = chain.from_iterable(map(_rows, results))
             files.append(write_table(with_ending(stem, "csv"), _HEADING, rows))
     return Result(tuple(files), tuple(lines), tuple(notes))
 
 
-def _rows(found: Dampers) -> list[tuple[str | float, ...]]:
-    if not found.bodies:
+def _rows(dampers: Dampers) -> list[tuple[str | float, ...]]:
+    if not dampers.bodies:
         return []
-    columns = [column.tolist() for column in found.columns().values()]
-    return [(found.label, *row) for row in zip(*columns, strict=True)]
+    columns = [column.tolist() for column in dampers.columns().values()]
+    return [(dampers.label, *row) for row in zip(*columns, strict=True)]
 
 
-def describe(found: Dampers) -> list[str]:
+def describe(dampers: Dampers) -> list[str]:
     """Describe one sweep: a table of the motions, restitution, detection limits and energies."""
-    lines = [found.label, *(f"  {reason}" for reason in found.missing)]
-    if found.bodies:
-        lines += [f"  {line}" for line in describe_motions(found.bodies, found.sweep.lines.left_out.tolist())]
-    if found.energy is not None:
-        lines += [f"  {line}" for line in describe_energy(found.energy, found.true_impact_energy)]
+    lines = [dampers.label, *(f"  {reason}" for reason in dampers.missing)]
+    if dampers.bodies:
+        lines += [
+            f"  {line}" for line in describe_motions(dampers.bodies, dampers.sweep.lines.left_out.tolist())
+        ]
+    if dampers.energy is not None:
+        lines += [f"  {line}" for line in describe_energy(dampers.energy, dampers.true_impact_energy)]
     return lines
 
 
@@ -109,7 +111,7 @@ def describe_motions(bodies: Sequence[list[DamperMotion]], left_out: Sequence[fl
         rows += _motion_rows(motions, left_out)
     restitutions = [text for motions in bodies for text in _restitution(motions)]
     limits = [
-        f"{float(f'{1e3 * max(each.threshold for each in body):.2g}'):.10g} mm/s ({body[0].channel})"
+        f"{float(f'{1e3 * max(motion.threshold for motion in body):.2g}'):.10g} mm/s ({body[0].channel})"
         for body in bodies
     ]
     return [
@@ -121,19 +123,21 @@ def describe_motions(bodies: Sequence[list[DamperMotion]], left_out: Sequence[fl
 
 def _motion_rows(motions: list[DamperMotion], left_out: Sequence[float]) -> list[tuple[str, str, str]]:
     """Rows of one body: each kind of motion with its frequencies; dampers at rest come last."""
-    every = [(motion.frequency, _kind(motion)) for motion in motions] + [(f, "") for f in left_out]
-    kinds = dict.fromkeys(kind for _, kind in every if kind)
+    kind_at_frequency = [(motion.frequency, _kind(motion)) for motion in motions] + [
+        (f, "") for f in left_out
+    ]
+    kinds = dict.fromkeys(kind for _, kind in kind_at_frequency if kind)
     if len(kinds) - (_AT_REST in kinds) > _MAX_KINDS:
-        known = (*_TYPES, _AT_REST, _NEAR_GRAVITY, "")
-        every = [(f, kind if kind in known else _OTHER) for f, kind in every]
-        kinds = dict.fromkeys(kind for _, kind in every if kind)
-    frequency = [f for f, _ in every]
+        separate_kinds = (*_TYPES, _AT_REST, _NEAR_GRAVITY, "")
+        kind_at_frequency = [(f, kind if kind in separate_kinds else _OTHER) for f, kind in kind_at_frequency]
+        kinds = dict.fromkeys(kind for _, kind in kind_at_frequency if kind)
+    frequency = [f for f, _ in kind_at_frequency]
     order = sorted(kinds, key=lambda kind: (kind == _AT_REST, kind == _NEAR_GRAVITY))
     rows = []
     for kind in order:
-        where = format_frequencies(frequency, [kind == other for _, other in every])
+        printed_frequencies = format_frequencies(frequency, [kind == other for _, other in kind_at_frequency])
         # The other rows list all other frequencies.
-        rows.append(("", kind, "elsewhere" if kind == _AT_REST and len(order) > 1 else where))
+        rows.append(("", kind, "elsewhere" if kind == _AT_REST and len(order) > 1 else printed_frequencies))
     return [(motions[0].channel, *rows[0][1:]), *rows[1:]]
 
 
@@ -142,8 +146,8 @@ def _restitution(motions: list[DamperMotion]) -> list[str]:
     estimates = [motion.restitution for motion in motions if motion.restitution is not None]
     if not estimates:
         return []
-    value = np.array([each.value for each in estimates])
-    weight = np.array([each.error**-2.0 for each in estimates])
+    value = np.array([estimate.value for estimate in estimates])
+    weight = np.array([estimate.error**-2.0 for estimate in estimates])
     mean = float(np.sum(weight * value) / weight.sum())
     # Errors of the sensor and of the fitted velocity jumps are common to all frequencies, so that averaging does not
     # reduce them. The uncertainty is also at least the observed scatter.
@@ -156,8 +160,8 @@ def _restitution(motions: list[DamperMotion]) -> list[str]:
 def _kind(motion: DamperMotion) -> str:
     """Translate a motion name into printed text."""
     kind, _, counts = motion.name.partition(": ")
-    known = {"riding": _AT_REST, "unseen": _NEAR_GRAVITY, "unsure": _IRREGULAR, "other": counts}
-    return known.get(kind, f"type {kind}")
+    printed_names = {"riding": _AT_REST, "unseen": _NEAR_GRAVITY, "unsure": _IRREGULAR, "other": counts}
+    return printed_names.get(kind, f"type {kind}")
 
 
 def describe_energy(energy: CycleEnergy, true: np.ndarray | None = None) -> list[str]:
@@ -166,17 +170,24 @@ def describe_energy(energy: CycleEnergy, true: np.ndarray | None = None) -> list
     The last columns are the change of the dampers' share if the structural damping of the scene is 10 % too high, and
     the true share if the recording contains it.
     """
-    chosen = np.sort(np.argsort(energy.supplied, kind="stable")[::-1][:_LISTED])
+    indices = np.sort(np.argsort(energy.supplied, kind="stable")[::-1][:_PRINTED_FREQUENCIES])
     heading = ["frequency / Hz", "supplied / mJ", "into dampers / %", "per 10 % of scene damping / %"]
     rows = [heading if true is None else [*heading, "true impact loss / %"]]
-    for i in chosen:
-        share, bound = (100.0 * each[i] / energy.supplied[i] for each in (energy.dampers, energy.bound))
-        into = (
+    for i in indices:
+        share, bound = (
+            100.0 * energies[i] / energy.supplied[i] for energies in (energy.dampers, energy.bound)
+        )
+        damper_share = (
             format_interval(share, bound)
             if not abs(share) <= bound
             else f"below {format_number(share + bound)}"
         )
-        own = 10.0 * energy.structure[i] / energy.supplied[i]
-        row = [f"{energy.frequency[i]:.4g}", format_number(1e3 * energy.supplied[i]), into, f"{own:+.2g}"]
+        damping_share = 10.0 * energy.structure[i] / energy.supplied[i]
+        row = [
+            f"{energy.frequency[i]:.4g}",
+            format_number(1e3 * energy.supplied[i]),
+            damper_share,
+            f"{damping_share:+.2g}",
+        ]
         rows.append(row if true is None else [*row, f"{100.0 * true[i] / energy.supplied[i]:.3g}"])
     return ["Energy per period where most is supplied:", *table_lines(rows, ">" * len(rows[0]))]

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.decays.free_decay import FIRST_FALL, Decay, decay
-from analysis.presentation.expectations import expect, repeats
+from analysis.decays.free_decay import INITIAL_DECAY_DB, Decay, decay
+from analysis.presentation.expectations import duplicate_warnings, expect
 from analysis.presentation.output_names import check_outputs, output_stem
-from analysis.presentation.result import Result, noted
+from analysis.presentation.result import Result, with_recording_name
 from analysis.recordings.names import opened, relabel, scene_labels
 from daq.recording.recorded_test import TestKind
 from rig.results.text import format_interval, table_lines
@@ -40,40 +40,44 @@ def present_decay(
     from rig.figure_style import save_figure
 
     decays: list[Decay] = []
-    notes = repeats(paths)
+    notes = duplicate_warnings(paths)
     check_outputs(paths, output, "decay", "png", "svg")
     for path, label in zip(paths, scene_labels(paths), strict=True):
         with opened(path) as rec:
             expect(rec, path, "decay")
             decays.append(relabel(decay(rec, channel, hit), rec.scene.name, label))
-            struck = rec.test.kind is not TestKind.FREE
-        notes += noted(path, decays[-1].warnings)
+            was_hit = rec.test.kind is not TestKind.FREE
+        notes += with_recording_name(path, decays[-1].warnings)
     first = decays[0]
-    title = f"Free decay of {first.channel}{f' after hit {hit}' if struck else ''}"
+    title = f"Free decay of {first.channel}{f' after hit {hit}' if was_hit else ''}"
     with output_stem(paths, output, "decay", "png", "svg") as stem:
         files = save_figure(decay_figure(decays, title), stem)
         files.append(envelope_table(stem.with_name(stem.name + "-envelope.csv"), decays))
         files.append(damping_table(stem.with_name(stem.name + "-damping.csv"), decays))
-    return Result(tuple(files), tuple(line for one in decays for line in describe_decay(one)), tuple(notes))
+    return Result(
+        tuple(files), tuple(line for result in decays for line in describe_decay(result)), tuple(notes)
+    )
 
 
-def describe_decay(one: Decay) -> list[str]:
+def describe_decay(decay: Decay) -> list[str]:
     """Describe a decay: the time from which it stays below 1 g, and the damping ratio of each mode with 95 % bounds."""
-    quiet = one.quiet_from
-    until = "not within the recording" if np.isnan(quiet) else f"after {quiet:.3g} s"
+    time_below_gravity = decay.quiet_from
+    until = (
+        "not within the recording" if np.isnan(time_below_gravity) else f"after {time_below_gravity:.3g} s"
+    )
     falls = (
-        f"does not fall by {-FIRST_FALL[1]:.0f} dB within the recording"
-        if np.isnan(one.halving)
-        else f"falls by 6 dB in {one.halving:.3g} s (slope from -1 to -11 dB)"
+        f"does not fall by {-INITIAL_DECAY_DB[1]:.0f} dB within the recording"
+        if np.isnan(decay.halving)
+        else f"falls by 6 dB in {decay.halving:.3g} s (slope from -1 to -11 dB)"
     )
     rows = [_COLUMNS]
-    for mode in one.modes:
+    for mode in decay.modes:
         ends = [_damping_at(mode, index) for index in (0, -1)] if mode.damping.size else [_TOO_SHORT] * 2
         frequency = format_interval(mode.frequency, 2.0 * mode.frequency_error)
         rows.append((frequency, *ends[0], *ends[1], f"{mode.noise:.1g}"))
-    table = table_lines(rows, ">>>>>>") if one.modes else []
+    table = table_lines(rows, ">>>>>>") if decay.modes else []
     return [
-        f"{one.label}, {one.channel}: below 1 g {until}; backward-integrated energy {falls}",
+        f"{decay.label}, {decay.channel}: below 1 g {until}; backward-integrated energy {falls}",
         *(f"  {line}" for line in table),
     ]
 

@@ -47,11 +47,11 @@ def expect(rec: Recording, path: Path, command: str) -> None:
             )
 
 
-def repeats(paths: Sequence[Path]) -> list[str]:
+def duplicate_warnings(paths: Sequence[Path]) -> list[str]:
     """Return a warning for each file that was given twice: equal files are not independent measurements."""
     return [
-        f"{again}: the same content as {first}. Give each measurement once."
-        for first, again in duplicate_files(paths)
+        f"{duplicate}: the same content as {first}. Give each measurement once."
+        for first, duplicate in duplicate_files(paths)
     ]
 
 
@@ -62,21 +62,25 @@ def expect_all(
 
     Returns warnings: files given twice, and options that have no effect on some of the files, with the reason.
     """
-    asked = {**vars(blocks), "theory": theory or None, "unit": unit}
-    idle: dict[str, list[str]] = {name: [] for name, value in asked.items() if value is not None}
+    requested = {**vars(blocks), "theory": theory or None, "unit": unit}
+    without_effect: dict[str, list[str]] = {
+        name: [] for name, value in requested.items() if value is not None
+    }
     for path in paths:
-        acting: tuple[str, ...]
+        effective: tuple[str, ...]
         if is_frf_file(path):
-            acting, why = ("unit",), "it contains estimates of another program"
+            effective, reason = ("unit",), "it contains estimates of another program"
         else:
             with opened(path) as rec:
                 expect(rec, path, command)
                 kind = rec.test.kind
-            acting, why = ("theory", *BY_KIND[kind].options), BY_KIND[kind].method
-        for name in idle.keys() - {*acting}:
-            idle[name].append(f"{path.name}: {why if name != 'unit' else 'a recording states its units'}")
-    for name, where in idle.items():
-        if len(where) == len(paths):
-            raise SceneError(f"--{name}: without effect ({where[0]}). Leave it out.")
-    unused = [f"--{name} has no effect on {text}" for name, where in idle.items() for text in where]
-    return [*repeats(paths), *unused]
+            effective, reason = ("theory", *BY_KIND[kind].options), BY_KIND[kind].method
+        for name in without_effect.keys() - {*effective}:
+            without_effect[name].append(
+                f"{path.name}: {reason if name != 'unit' else 'a recording states its units'}"
+            )
+    for name, files in without_effect.items():
+        if len(files) == len(paths):
+            raise SceneError(f"--{name}: without effect ({files[0]}). Leave it out.")
+    unused = [f"--{name} has no effect on {text}" for name, files in without_effect.items() for text in files]
+    return [*duplicate_warnings(paths), *unused]

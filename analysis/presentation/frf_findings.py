@@ -13,7 +13,7 @@ import numpy as np
 from analysis.presentation.expectations import expect_all
 from analysis.presentation.inputs import labels, read_curves
 from analysis.presentation.output_names import check_outputs, of_part, output_stem, with_ending
-from analysis.presentation.result import Progress, Result, noted
+from analysis.presentation.result import Progress, Result, with_recording_name
 from analysis.recordings.names import opened, relabel
 from analysis.responses.curve_checks import jumps
 from analysis.responses.frequency_responses import Blocks, frequency_responses
@@ -51,25 +51,25 @@ def present_frf(
     blocks = Blocks(estimator, block, overlap, window)
     notes = expect_all(paths, "frf", blocks, theory, unit)
     check_outputs(paths, output, "frf", "csv")
-    doubts: list[str] = []
+    tolerance_notes: list[str] = []
     for path, label in zip(paths, labels(paths), strict=True):
         if is_frf_file(path):
-            read = read_curves(path, reference, channels, unit)
-            curves += [replace(frf.to(motion), label=label) for frf in read]
-            notes += noted(path, read[0].warnings)
+            file_curves = read_curves(path, reference, channels, unit)
+            curves += [replace(frf.to(motion), label=label) for frf in file_curves]
+            notes += with_recording_name(path, file_curves[0].warnings)
             continue
         with opened(path) as rec:
-            acting = vars(blocks.for_kind(rec.test.kind))
-            groups = frequency_responses(rec, channels, reference, motion, progress=progress, **acting)
+            options = vars(blocks.for_kind(rec.test.kind))
+            groups = frequency_responses(rec, channels, reference, motion, progress=progress, **options)
             curves += [relabel(frf, rec.scene.name, label) for group in groups for frf in group]
-            notes += noted(path, [note for group in groups for note in group[0].warnings])
-            doubts += stated_tolerances(rec, [frf for group in groups for frf in group])
+            notes += with_recording_name(path, [note for group in groups for note in group[0].warnings])
+            tolerance_notes += stated_tolerances(rec, [frf for group in groups for frf in group])
             if theory:
                 exact += [linear_theory(rec, frf) for frf in groups[0]]
     with output_stem(paths, output, "frf", "csv") as stem:
-        files = _drawn(curves, exact, stem)
+        files = _draw_figures(curves, exact, stem)
         files.append(frf_table(with_ending(stem, "csv"), curves))
-    return Result(tuple(files), (*describe_frfs(curves), *dict.fromkeys(doubts)), tuple(notes))
+    return Result(tuple(files), (*describe_frfs(curves), *dict.fromkeys(tolerance_notes)), tuple(notes))
 
 
 def describe_frfs(curves: Sequence[Response]) -> list[str]:
@@ -81,63 +81,75 @@ def describe_frfs(curves: Sequence[Response]) -> list[str]:
         return f"{frf.label}, {frf.name}, {frf.input}: {size} points, {low:.4g} to {high:.4g} Hz"
 
     for title, group in groupby(curves, heading):
-        shown = list(group)
-        unit, factor = shown[0].shown_in
+        group_curves = list(group)
+        unit, factor = group_curves[0].shown_in
         rows = [("response", f"highest / ({unit})", "at / Hz", "under / N", "largest contribution")]
         remarks: list[str] = []
-        for frf in shown:
+        for frf in group_curves:
             if not np.isfinite(frf.value).any():
                 rows.append((frf.response, "no value", "", "", ""))
                 continue
-            top = frf.peak_line()
-            size, bound = factor * float(abs(frf.value[top])), factor * float(frf.bound()[top])
-            force = "" if frf.amplitude is None or frf.reference != "force" else f"{frf.amplitude[top]:.4g}"
-            cause = frf.parts()[top] if bound > 0.0 else ""
+            peak_index = frf.peak_line()
+            size, bound = factor * float(abs(frf.value[peak_index])), factor * float(frf.bound()[peak_index])
+            force = (
+                ""
+                if frf.amplitude is None or frf.reference != "force"
+                else f"{frf.amplitude[peak_index]:.4g}"
+            )
+            cause = frf.parts()[peak_index] if bound > 0.0 else ""
             rows.append(
-                (frf.response, format_interval(size, bound), f"{frf.frequency[top]:.4g}", force, cause)
+                (frf.response, format_interval(size, bound), f"{frf.frequency[peak_index]:.4g}", force, cause)
             )
             remarks += [f"{frf.response}: {text}" for text in frf.uncertain_peak()]
         lines += [title, *(f"  {line}" for line in (*table_lines(rows, "<>>><"), *remarks))]
     return lines
 
 
-def _drawn(curves: Sequence[Response], exact: Sequence[Response], stem: Path) -> list[Path]:
+def _draw_figures(curves: Sequence[Response], exact: Sequence[Response], stem: Path) -> list[Path]:
     """Draw all curves of one recording in one figure, or those of several in one figure for each FRF."""
     from analysis.figures.frf_figure import frf_figure
     from rig.figure_style import save_figure
 
     settings = list(dict.fromkeys(frf.label for frf in curves))
-    what = f"{curves[0].name.capitalize()}"
+    quantity = f"{curves[0].name.capitalize()}"
     groups = _by_ratio(curves)
     if len(settings) == 1:
         shown = [replace(frf, label=frf.ratio) for frf in curves]
-        return save_figure(frf_figure(shown, f"{what}: {settings[0]}", _once(exact), _marks(shown)), stem)
+        return save_figure(
+            frf_figure(shown, f"{quantity}: {settings[0]}", _without_duplicates(exact), _jump_marks(shown)),
+            stem,
+        )
     inputs = {shown[0].input for shown in groups}
     files = []
     for shown in groups:
         first = shown[0]
-        some = [frf for frf in exact if (frf.response, frf.input) == (first.response, first.input)]
+        theory_curves = [frf for frf in exact if (frf.response, frf.input) == (first.response, first.input)]
         name = first.response if len(inputs) == 1 else first.ratio.replace(" / ", "-by-").replace(" ", "-")
         part = stem if len(groups) == 1 else of_part(stem, name)
-        files += save_figure(frf_figure(shown, f"{what}, {first.ratio}", _once(some), _marks(shown)), part)
+        files += save_figure(
+            frf_figure(
+                shown, f"{quantity}, {first.ratio}", _without_duplicates(theory_curves), _jump_marks(shown)
+            ),
+            part,
+        )
     return files
 
 
 def _by_ratio(curves: Sequence[Response]) -> list[list[Response]]:
     """Group curves by output and input; a curve without an input joins the first group of its output."""
     groups: dict[tuple[str, str], list[Response]] = {}
-    for curve in sorted(curves, key=lambda one: not one.input_at):
-        known = next((key for key in groups if key[0] == curve.response and not curve.input_at), None)
-        groups.setdefault(known or (curve.response, curve.input), []).append(curve)
+    for curve in sorted(curves, key=lambda response: not response.input_at):
+        existing = next((key for key in groups if key[0] == curve.response and not curve.input_at), None)
+        groups.setdefault(existing or (curve.response, curve.input), []).append(curve)
     return list(groups.values())
 
 
-def _marks(curves: Sequence[Response]) -> list[tuple[float, str]]:
+def _jump_marks(curves: Sequence[Response]) -> list[tuple[float, str]]:
     """Jumps of all curves, without duplicates."""
     return sorted({(round(frequency, 6), text) for curve in curves for frequency, text in jumps(curve)})
 
 
-def _once(curves: Sequence[Response]) -> list[Response]:
+def _without_duplicates(curves: Sequence[Response]) -> list[Response]:
     """Keep one theoretical curve for each output and input, and one legend entry for all of them."""
     out: list[Response] = []
     for curve in curves:
@@ -152,7 +164,7 @@ def stated_tolerances(rec: Recording, frfs: Sequence[Response]) -> list[str]:
     if 2 * largest.count(SENSITIVITY) < len(largest):
         return []
     groups: dict[str, list[str]] = {}
-    settings = {each.name: each.accelerometer or each.hammer for each in rec.scene.channels or ()}
+    settings = {channel.name: channel.accelerometer or channel.hammer for channel in rec.scene.channels or ()}
     for name, info in rec.channels.items():
         if tolerance(info):
             source = preset_note(settings.get(name), "sensitivity_tolerance")
@@ -173,9 +185,9 @@ def linear_theory(rec: Recording, frf: Response) -> Response:
     frequency = np.geomspace(low, high, 3000)
     rows = receptance(rec.scene, frequency, attached=frf.reference == "table")
     body = int(rec.channels[frf.response].at.split()[1])
-    nothing = np.zeros(frequency.size)
+    zeros = np.zeros(frequency.size)
     curve = Response.curve(
-        frequency, rows[body - 1], frf.response, reference=frf.reference, coherence=nothing + 1.0,
+        frequency, rows[body - 1], frf.response, reference=frf.reference, coherence=zeros + 1.0,
         label="linear theory, no dampers",
     )  # fmt: skip
     return curve.to(frf.motion).placed(frf.output_at, frf.input_at)

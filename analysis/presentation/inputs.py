@@ -14,8 +14,8 @@ from rig.results.response import Response
 def labels(paths: Sequence[Path]) -> list[str]:
     """Return legend labels: the scene name of a recording, the file name of another program's FRF file."""
     recordings = [path for path in paths if not is_frf_file(path)]
-    named = dict(zip(recordings, scene_labels(recordings), strict=True))
-    return [named.get(path, path.stem) for path in paths]
+    recording_labels = dict(zip(recordings, scene_labels(recordings), strict=True))
+    return [recording_labels.get(path, path.stem) for path in paths]
 
 
 def read_curves(

@@ -15,7 +15,7 @@ from analysis.modal.modes import Modes, mac
 from analysis.presentation.expectations import expect_all
 from analysis.presentation.inputs import labels, read_curves
 from analysis.presentation.output_names import check_outputs, output_stem, with_ending
-from analysis.presentation.result import Progress, Result, noted
+from analysis.presentation.result import Progress, Result, with_recording_name
 from analysis.recordings.names import opened, relabel
 from analysis.responses.frequency_responses import Blocks, frequency_responses
 from analysis.responses.frf_files import is_frf_file
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
 #: Two mode shapes are usually considered the same if their modal assurance criterion is at least this value.
-SAME_SHAPE = 0.9
+MIN_SAME_SHAPE_MAC = 0.9
 
 
 def present_modes(
@@ -44,7 +44,7 @@ def present_modes(
     from analysis.presentation.tables import modes_table
     from rig.figure_style import save_figure
 
-    found: list[Modes] = []
+    all_modes: list[Modes] = []
     files: list[Path] = []
     lines: list[str] = []
     notes = expect_all(paths, "modes", Blocks(block=block), unit=unit)
@@ -56,20 +56,20 @@ def present_modes(
             identified = [(curves, replace(identify(curves, count), label=label), None)]
         else:
             with opened(path) as rec:
-                acting = vars(Blocks(block=block).for_kind(rec.test.kind))
-                for sweep in frequency_responses(rec, None, reference, progress=progress, **acting):
+                options = vars(Blocks(block=block).for_kind(rec.test.kind))
+                for sweep in frequency_responses(rec, None, reference, progress=progress, **options):
                     modes = relabel(identify(sweep, count), rec.scene.name, label)
                     theory = theoretical_shapes(rec, modes) if reference == "force" else None
                     identified.append((sweep, modes, theory))
         for number, (frfs, modes, theory) in enumerate(identified, 1):
-            found.append(modes)
+            all_modes.append(modes)
             with output_stem([path], output, "modes", "png", "svg") as first:
                 stem = first if number == 1 else first.with_name(f"{first.name}-{number}")
                 files += save_figure(modes_figure(frfs, modes, f"Modes: {modes.label}"), stem)
             lines += describe_modes(modes, theory)
-            notes += noted(path, [*modes.warnings, *unlike_theory(modes, theory)])
+            notes += with_recording_name(path, [*modes.warnings, *theory_warnings(modes, theory)])
     with output_stem(paths, output, "modes", "csv") as stem:
-        files.append(modes_table(with_ending(stem, "csv"), found))
+        files.append(modes_table(with_ending(stem, "csv"), all_modes))
     return Result(tuple(files), tuple(lines), tuple(notes))
 
 
@@ -80,14 +80,16 @@ def describe_modes(modes: Modes, theory: np.ndarray | None = None) -> list[str]:
     rows = [
         ("frequency / Hz", "damping ratio / %", "MAC with theory", *(f"at {name}" for name in bodies.names))
     ]
-    agreement = [""] * count if theory is None else [f"{each:.4f}" for each in nearest_mac(modes, theory)]
+    agreement = (
+        [""] * count if theory is None else [f"{mac_value:.4f}" for mac_value in nearest_mac(modes, theory)]
+    )
     for i, frequency in enumerate(modes.frequency):
         elements = zip(bodies.shapes[:, i].real, 2.0 * bodies.errors[:, i], strict=True)
         ratio = modes.damping_text(i).strip("(%) ")
-        known = (format_interval(frequency, 2.0 * modes.frequency_error[i]), ratio, agreement[i])
-        rows.append((*known, *(format_interval(value, bound) for value, bound in elements)))
-    by = f", {modes.input}" if modes.input else ""
-    heading = f"{modes.label}{by}: {count} mode{'s' * (count != 1)}"
+        cells = (format_interval(frequency, 2.0 * modes.frequency_error[i]), ratio, agreement[i])
+        rows.append((*cells, *(format_interval(value, bound) for value, bound in elements)))
+    reference = f", {modes.input}" if modes.input else ""
+    heading = f"{modes.label}{reference}: {count} mode{'s' * (count != 1)}"
     return [heading, *(f"  {line}" for line in table_lines(rows, ">" * len(rows[0])) if count)]
 
 
@@ -96,22 +98,22 @@ def nearest_mac(modes: Modes, theory: np.ndarray) -> NDArray[np.float64]:
     return np.asarray(mac(modes.shapes, theory).max(axis=1))
 
 
-def unlike_theory(modes: Modes, theory: np.ndarray | None) -> list[str]:
+def theory_warnings(modes: Modes, theory: np.ndarray | None) -> list[str]:
     """Warn of mode shapes that match no theoretical shape: the channels or the scene may be wrong."""
     if theory is None:
         return []
     nearest = nearest_mac(modes, theory)
     # Upper bound of the decrease of the MAC that the uncertainty of the shape can cause.
-    uncertain = np.sum((2.0 * modes.shape_error) ** 2, axis=0) / np.sum(abs(modes.shapes) ** 2, axis=0)
-    unlike = nearest + uncertain < SAME_SHAPE
-    if not unlike.any():
+    mac_uncertainty = np.sum((2.0 * modes.shape_error) ** 2, axis=0) / np.sum(abs(modes.shapes) ** 2, axis=0)
+    mismatched = nearest + mac_uncertainty < MIN_SAME_SHAPE_MAC
+    if not mismatched.any():
         return []
-    pairs = zip(modes.frequency[unlike], nearest[unlike], strict=True)
-    which = ", ".join(f"{f:.4g} Hz (MAC {m:.2f})" for f, m in pairs)
+    pairs = zip(modes.frequency[mismatched], nearest[mismatched], strict=True)
+    listed = ", ".join(f"{f:.4g} Hz (MAC {m:.2f})" for f, m in pairs)
     text = (
-        f"{which}: the shape matches no mode of the scene's structure (MAC above {SAME_SHAPE:g}). Check for swapped "
-        "channels and wrong signs or places, check the scene (analysis fit estimates its values), and measure at a "
-        "lower level if dampers fly."
+        f"{listed}: the shape matches no mode of the scene's structure (MAC above {MIN_SAME_SHAPE_MAC:g}). Check for "
+        "swapped channels and wrong signs or places, check the scene (analysis fit estimates its values), and measure "
+        "at a lower level if dampers fly."
     )
     return [text]
 

@@ -18,9 +18,9 @@ from rig.provenance import (
 )
 
 # Maximum number of characters of a channel name in a file name.
-_LONGEST_PART = 40
+_MAX_PART_LENGTH = 40
 # Maximum length of a file name that combines the names of several recordings.
-_LONGEST_NAME = 60
+_MAX_NAME_LENGTH = 60
 
 
 @contextmanager
@@ -37,7 +37,10 @@ def output_stem(paths: Sequence[Path], output: Path | None, kind: str, *endings:
     """
     folder = output if output is not None else paths[0].parent
     with output_source(kind, *relative_paths(paths, folder)):
-        for name in (joined([path.stem for path in paths]), joined([_with_folder(path) for path in paths])):
+        for name in (
+            join_names([path.stem for path in paths]),
+            join_names([_with_folder(path) for path in paths]),
+        ):
             stem = folder / f"{name}-{kind}"
             files = [with_ending(stem, ending) for ending in endings]
             if may_overwrite() or not any(is_from_another_source(file) for file in files):
@@ -56,20 +59,20 @@ def check_outputs(paths: Sequence[Path], output: Path | None, kind: str, *ending
         pass
 
 
-def joined(names: Sequence[str]) -> str:
+def join_names(names: Sequence[str]) -> str:
     """Join names into one name of limited length.
 
-    >>> joined(["none", "three"])
+    >>> join_names(["none", "three"])
     'none+three'
-    >>> joined(["a-sweep-of-a-structure-with-a-long-name", "another-one-of-the-same-kind"])
+    >>> join_names(["a-sweep-of-a-structure-with-a-long-name", "another-one-of-the-same-kind"])
     'a-sweep-of-a-structure-with-a-long-name+1-more-0c56'
     """
     name = "+".join(names)
-    if len(name) <= _LONGEST_NAME:
+    if len(name) <= _MAX_NAME_LENGTH:
         return name
     # A digest distinguishes lists that begin with the same name.
-    rest = _digest(name)[:4]
-    return f"{names[0]}+{len(names) - 1}-more-{rest}" if len(names) > 1 else name
+    digest = _digest(name)[:4]
+    return f"{names[0]}+{len(names) - 1}-more-{digest}" if len(names) > 1 else name
 
 
 def of_part(stem: Path, part: str) -> Path:
@@ -78,10 +81,10 @@ def of_part(stem: Path, part: str) -> Path:
     >>> of_part(Path("run-frf"), "body1").name, of_part(Path("run-frf"), "../../etc/passwd").name
     ('run-frf-body1', 'run-frf-.._.._etc_passwd-3754')
     """
-    plain = "".join(letter if letter.isalnum() or letter in " -_.+" else "_" for letter in part)[
-        :_LONGEST_PART
+    safe = "".join(letter if letter.isalnum() or letter in " -_.+" else "_" for letter in part)[
+        :_MAX_PART_LENGTH
     ]
-    return stem.with_name(f"{stem.name}-{plain}" + ("" if plain == part else f"-{_digest(part)[:4]}"))
+    return stem.with_name(f"{stem.name}-{safe}" + ("" if safe == part else f"-{_digest(part)[:4]}"))
 
 
 def with_ending(stem: Path, ending: str) -> Path:

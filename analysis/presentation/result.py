@@ -19,6 +19,6 @@ class Result:
     """Each begins with the name of its recording."""
 
 
-def noted(path: Path, notes: Sequence[str]) -> list[str]:
+def with_recording_name(path: Path, notes: Sequence[str]) -> list[str]:
     """Prefix each warning with the name of its recording."""
     return [f"{path.name}: {note}" for note in notes]

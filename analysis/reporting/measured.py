@@ -11,13 +11,13 @@ from typing import ParamSpec, Self, TypeVar
 
 import numpy as np
 
-from analysis.damper_motion.comparison import Peak, PeakChange, peak, peak_changes, surroundings
+from analysis.damper_motion.comparison import Peak, PeakChange, peak, peak_bands, peak_changes
 from analysis.damper_motion.dampers import Dampers, dampers_in
 from analysis.decays.free_decay import Decay, decay
 from analysis.modal.identification import identify
 from analysis.modal.modes import Modes
-from analysis.presentation.comparison import Places
-from analysis.presentation.result import noted
+from analysis.presentation.comparison import MeasurementPoints
+from analysis.presentation.result import with_recording_name
 from analysis.recordings.names import opened, relabel, scene_labels
 from analysis.responses.frequency_responses import frequency_responses
 from daq.recording.recorded_test import TestKind
@@ -131,13 +131,13 @@ class Measurements:
             return None
 
     def _note(self, path: Path, notes: Sequence[str]) -> None:
-        self.warnings += [note for note in noted(path, notes) if note not in self.warnings]
+        self.warnings += [note for note in with_recording_name(path, notes) if note not in self.warnings]
 
 
 def _highest_peaks(frfs: Sequence[Response], modes: Modes) -> tuple[tuple[Response, Peak] | None, ...]:
     """Response with the highest compliance peak near each mode, in the order of `modes`."""
     curves = [frf for frf in frfs if frf.reference == "force"]
-    _, low, high = surroundings(modes)
+    _, low, high = peak_bands(modes)
     out: list[tuple[Response, Peak] | None] = []
     for rank in np.argsort(np.argsort(modes.frequency)):
         peaks = [(curve, peak(curve, low[rank], high[rank])) for curve in curves]
@@ -150,7 +150,7 @@ def _changes(first: Measured, other: Measured) -> list[PeakChange]:
     """Compare the peaks of two recordings; errors of shared sensors cancel in the ratio."""
     modes = first.passes[0].modes
     assert modes is not None
-    before, after = Places.of(first.path, first.rec), Places.of(other.path, other.rec)
+    before, after = MeasurementPoints.of(first.path, first.rec), MeasurementPoints.of(other.path, other.rec)
     after.comparable_with(before)
     same = after.same_sensors(before)
     return [

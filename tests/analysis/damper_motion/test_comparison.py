@@ -18,10 +18,10 @@ from analysis.cli import app
 from analysis.damper_motion.comparison import (
     Peak,
     PeakChange,
-    highest_left_out,
+    coarse_step_warnings,
     peak,
     peak_changes,
-    unresolved,
+    uncompared_highest_peaks,
 )
 from analysis.presentation.comparison import describe_changes
 from rig.results.response import Response
@@ -103,7 +103,7 @@ def test_narrow_peak_lies_within_bound(step, offset) -> None:
 
 def test_coarse_points_name_the_needed_spacing() -> None:
     close, wide = (Peak(1e-3, 1e-4, 18.5, 18.4, 18.6, 0.0, share * 1e-3, 0.33) for share in (0.005, 0.09))
-    [reported] = unresolved([(19.0, "a3", close), (19.0, "a4", wide), (44.0, "a4", close)])
+    [reported] = coarse_step_warnings([(19.0, "a3", close), (19.0, "a4", wide), (44.0, "a4", close)])
     assert reported.startswith("a4, near 18.50 Hz: the points are 0.33 Hz apart")
     assert "by up to 9 %" in reported and reported.endswith("Measure every 0.1 Hz there.")
     three = np.linspace(17.0, 20.0, 3)
@@ -187,7 +187,7 @@ def test_dominant_peak_without_mode_is_mentioned() -> None:
     curve = measured(f, two_modes(f, 10.0, 0.02), 1e-3)
     modes = analysis.identify([curve])
     assert modes.frequency == pytest.approx([10.0, 20.0], rel=1e-3)
-    assert highest_left_out(modes, [curve]) == []
+    assert uncompared_highest_peaks(modes, [curve]) == []
     one = replace(modes, frequency=modes.frequency[1:])
-    [said] = highest_left_out(one, [curve])
+    [said] = uncompared_highest_peaks(one, [curve])
     assert said.startswith("body1: the curve is highest at 10.00 Hz, 1 times as high as the compared peaks")

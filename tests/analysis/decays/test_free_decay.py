@@ -9,7 +9,7 @@ import daq
 import rig
 from analysis.cli import app
 from analysis.decays.modal_decay import band_width, modal_decay, spectral_peaks
-from analysis.decays.sensor_correction import corrected
+from analysis.decays.sensor_correction import correct_motion
 from analysis.recordings.slices import hits
 from daq.signal_chain.channel import ChannelInfo
 from rig.errors import RecordingError, SceneError
@@ -157,7 +157,7 @@ def test_three_dampers_have_true_damping(tmp_path):
     with daq.open(daq.record(scene, tmp_path / "a.mcap")) as rec:
         decay = analysis.decay(rec, "body2")
         ideal = ChannelInfo("true", "body 2", "displacement", 1.0, rec.rate)
-        true = corrected(ideal, rec.truth("displacement")[1], "acceleration", 2.0, 800.0)
+        true = correct_motion(ideal, rec.truth("displacement")[1], "acceleration", 2.0, 800.0)
         [(_, last)] = hits(rec)
     frequencies = np.array([mode.centre for mode in decay.modes])
     np.testing.assert_allclose(frequencies, [12.4, 34.7, 49.0], rtol=0.05)
@@ -184,7 +184,7 @@ def test_free_decay_agrees_with_noise_free_run(tmp_path, order):
         decay = analysis.decay(rec)
     run = rig.simulate(scene, duration=5.0, rate=5120.0)
     ideal = ChannelInfo("true", "body 3", "displacement", 1.0, 5120.0)
-    true = corrected(ideal, run.displacement[2], "acceleration", 2.0, 800.0)
+    true = correct_motion(ideal, run.displacement[2], "acceleration", 2.0, 800.0)
     frequencies = np.array([mode.centre for mode in decay.modes])
     assert len(frequencies) >= 2
     for index, mode in enumerate(decay.modes):
@@ -229,7 +229,7 @@ def test_decay_ends_before_delayed_next_hit(tmp_path):
         with daq.open(daq.record(late, tmp_path / f"{remove}.mcap")) as rec:
             decay = analysis.decay(rec, "body2")
             ideal = ChannelInfo("true", "body 2", "displacement", 1.0, rec.rate)
-            true = corrected(ideal, rec.truth("displacement")[1], "acceleration", 2.0, 800.0)
+            true = correct_motion(ideal, rec.truth("displacement")[1], "acceleration", 2.0, 800.0)
             begin = hits(rec)[0][1] + 1
         assert 1.8 < decay.time[-1] < 2.0
         off = abs(decay.acceleration - true[begin : begin + decay.time.size])[decay.time > 0.05]

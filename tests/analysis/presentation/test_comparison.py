@@ -6,14 +6,14 @@ from pathlib import Path
 
 import pytest
 
-from analysis.presentation.comparison import Places
+from analysis.presentation.comparison import MeasurementPoints
 from rig.errors import SceneError
 
-FIRST = Places(Path("a.mcap"), (1,), {"base": "body 1", "tip": "body 3"})
+FIRST = MeasurementPoints(Path("a.mcap"), (1,), {"base": "body 1", "tip": "body 3"})
 
 
 def test_same_places_are_comparable() -> None:
-    Places(Path("b.mcap"), (1,), {"tip": "body 3", "other": "body 2"}).comparable_with(FIRST)
+    MeasurementPoints(Path("b.mcap"), (1,), {"tip": "body 3", "other": "body 2"}).comparable_with(FIRST)
 
 
 @pytest.mark.parametrize(
@@ -28,10 +28,10 @@ def test_other_places_are_explained(
     force_on: tuple[int, ...], channels: dict[str, str], message: str
 ) -> None:
     with pytest.raises(SceneError, match=message):
-        Places(Path("b.mcap"), force_on, channels).comparable_with(FIRST)
+        MeasurementPoints(Path("b.mcap"), force_on, channels).comparable_with(FIRST)
 
 
 def test_shared_sensors_are_named() -> None:
-    first = Places(Path("a.mcap"), (1,), {}, {"base": "one", "tip": "two"})
-    second = Places(Path("b.mcap"), (1,), {}, {"base": "one", "tip": "another", "mid": "three"})
+    first = MeasurementPoints(Path("a.mcap"), (1,), {}, {"base": "one", "tip": "two"})
+    second = MeasurementPoints(Path("b.mcap"), (1,), {}, {"base": "one", "tip": "another", "mid": "three"})
     assert second.same_sensors(first) == ["base"]

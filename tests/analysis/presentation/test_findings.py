@@ -20,7 +20,7 @@ from analysis.modal.lscf import ChartPole
 from analysis.modal.modes import Modes
 from analysis.presentation.decay_findings import present_decay
 from analysis.presentation.frf_findings import present_frf
-from analysis.presentation.mode_findings import theoretical_shapes, unlike_theory
+from analysis.presentation.mode_findings import theoretical_shapes, theory_warnings
 from rig.errors import RecordingError
 from rig.results.response import Response
 from tests.analysis.responses import synthetic
@@ -227,8 +227,8 @@ def test_swapped_channels_are_reported():
     with daq.open(path) as rec:
         modes = analysis.identify(analysis.frfs(rec))
         theory = theoretical_shapes(rec, modes)
-    assert not unlike_theory(modes, theory) and not unlike_theory(modes, None)
-    (note,) = unlike_theory(modes, theory[[2, 1, 0]])
+    assert not theory_warnings(modes, theory) and not theory_warnings(modes, None)
+    (note,) = theory_warnings(modes, theory[[2, 1, 0]])
     assert "49.66 Hz (MAC 0." in note and "swapped channels" in note
     unknown = replace(modes, shape_error=np.full(modes.shape_error.shape, np.inf))
-    assert not unlike_theory(unknown, theory[[2, 1, 0]])
+    assert not theory_warnings(unknown, theory[[2, 1, 0]])
